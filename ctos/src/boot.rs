@@ -37,26 +37,12 @@ pub fn boot(
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
     let clock = clock(app.time);
-    boot_on(&clock, app, registry, launcher, observer)
+    boot_with(&clock, app, registry, launcher, &[], observer)
 }
 
-/// [`boot`] on a [`clock`] that the caller can read too, for the time in its log. The clock decides
-/// between real and virtual time.
-///
-/// # Errors
-/// As [`boot`].
-pub fn boot_on(
-    clock: &Clock,
-    app: App,
-    registry: Registry,
-    launcher: &Launcher,
-    observer: &Observer,
-) -> Result<Outcome, BootError> {
-    boot_with(clock, app, registry, launcher, &[], observer)
-}
-
-/// [`boot_on`] for apps that may have chassis on other hosts: `options` are what those are told besides
-/// the app (how much to log), as `launcher` tells those of this host.
+/// [`boot`] on a [`clock`] that the caller can read too, for the time in its log; it decides between real and virtual
+/// time. `options` are what chassis on other hosts are told besides the app (how much to log), as `launcher` tells
+/// those of this host.
 ///
 /// # Errors
 /// As [`boot`]; also [`BootError::Hosts`].

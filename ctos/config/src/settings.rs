@@ -47,7 +47,7 @@ impl Default for Policy {
 }
 
 /// Who shares a semaphore or a barrier.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Scope {
     /// The processors of one chassis; each chassis has its own.
     #[serde(alias = "chassis")]

@@ -5,16 +5,16 @@ use crate::{
     chassis::Chassis,
     context::{Context, TaskRef},
     handled::HandlerError,
-    processor::Processor,
     registry::Registry,
     runner::{TaskSpec, start_task},
     task_record::TaskRecord,
-    threads::{ProcessorThread, start_processors},
+    threads::start_processors,
 };
 use ctos_config::App;
 use ctos_message::Tid;
 use ctos_time::Clock;
-use std::{future::Future, rc::Rc, sync::Arc, sync::mpsc};
+use std::{future::Future, sync::Arc, sync::mpsc};
+use tokio::sync::oneshot;
 
 /// The slot that work runs as; tasks take those below.
 const WORK: u16 = u16::MAX;
@@ -22,7 +22,7 @@ const WORK: u16 = u16::MAX;
 /// The first chassis of an app, running.
 pub struct Bench {
     chassis: Arc<Chassis>,
-    threads: Vec<ProcessorThread>,
+    threads: Vec<oneshot::Receiver<()>>,
 }
 
 impl Bench {
@@ -48,14 +48,10 @@ impl Bench {
         first: u16,
         count: u16,
     ) -> Result<Vec<TaskRef>, HandlerError> {
-        let (sender, started) = mpsc::channel();
-        let home = self.chassis.clone();
         let kind = kind.to_owned();
-        self.inject(processor, move |here| {
-            let first = Tid::new(home.index(), processor, first);
-            let _ = sender.send(start_row(&home, here, &kind, first, count));
-        })?;
-        started.recv()?
+        self.run(processor, move |cx| async move {
+            start_row(&cx, &kind, first, count)
+        })?
     }
 
     /// Makes a task known by its name, as the task identification service would.
@@ -86,7 +82,9 @@ impl Bench {
     ) -> Result<mpsc::Receiver<T>, HandlerError> {
         let (sender, done) = mpsc::channel();
         let home = self.chassis.clone();
-        self.inject(processor, move |here| {
+        let found = home.processors.get(usize::from(processor));
+        let (_, handle) = found.ok_or("no such processor")?;
+        handle.clone().inject(move |here| {
             let tid = Tid::new(home.index(), processor, WORK);
             let record = TaskRecord::of_runtime("work", tid, Arc::default(), &here.handle);
             let cx = Context::new(record, home, here.clone(), None);
@@ -95,39 +93,27 @@ impl Bench {
                 let _ = sender.send(work.await);
             };
             here.spawn(result, None);
-        })?;
+        });
         Ok(done)
-    }
-
-    fn inject(
-        &self,
-        processor: u8,
-        job: impl FnOnce(&Rc<Processor>) + Send + 'static,
-    ) -> Result<(), HandlerError> {
-        let found = self.chassis.processors.get(usize::from(processor));
-        let (_, handle) = found.ok_or("no such processor")?;
-        handle.inject(job);
-        Ok(())
     }
 }
 
-/// Starts `count` tasks of a kind, in slots from that of `first` on.
+/// Starts `count` tasks of a kind on the processor of `cx`, in slots from `first` on.
 fn start_row(
-    chassis: &Arc<Chassis>,
-    processor: &Rc<Processor>,
+    cx: &Context,
     kind: &str,
-    first: Tid,
+    first: u16,
     count: u16,
 ) -> Result<Vec<TaskRef>, HandlerError> {
-    let registry = chassis.registry();
+    let (processor, registry) = (cx.processor(), cx.registry());
     let registered = registry.kind(kind).ok_or("no such kind of handler")?;
     let recipe = registered.recipe();
     let mut tasks = Vec::with_capacity(usize::from(count));
-    for slot in first.slot()..first.slot() + count {
-        let tid = Tid::new(first.chassis(), first.processor(), slot);
+    for slot in first..first + count {
+        let tid = Tid::new(cx.tid().chassis(), cx.tid().processor(), slot);
         let spec = TaskSpec::new(kind, tid, None, recipe.clone(), &processor.handle);
         tasks.push(TaskRef::new(spec.record.name.clone(), tid));
-        start_task(chassis, processor, spec)?;
+        start_task(cx.chassis(), processor, spec)?;
     }
     Ok(tasks)
 }
@@ -137,7 +123,7 @@ impl Drop for Bench {
         self.chassis.stop_processors();
         for thread in self.threads.drain(..) {
             // Ends when the thread has dropped everything it ran, in whatever way.
-            let _ = thread.ended.blocking_recv();
+            let _ = thread.blocking_recv();
         }
         self.chassis.close();
     }

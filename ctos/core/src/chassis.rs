@@ -7,7 +7,6 @@ pub(crate) mod delivery;
 mod extension;
 mod links;
 pub(crate) mod pending;
-mod tasks;
 
 use std::{
     any::Any,
@@ -19,7 +18,7 @@ use std::{
     },
 };
 
-use self::{extension::Extensions, pending::Links, tasks::Tasks};
+use self::{extension::Extensions, pending::Links};
 use crate::{
     directory::TaskDirectory,
     envelope::Message,
@@ -29,7 +28,7 @@ use crate::{
     tap::Tap,
     task_record::TaskRecord,
 };
-use ctos_config::{App, ProcessorConfig};
+use ctos_config::{App, ChassisConfig, ProcessorConfig};
 use ctos_message::{Tid, fault::Fault};
 use ctos_time::{Clock, lock::lock, park::Park};
 
@@ -45,10 +44,14 @@ pub(crate) type MakePark = Box<dyn Fn() -> Arc<dyn Park> + Send + Sync>;
 /// Sees each message that a task of the chassis begins to handle.
 pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
 
+/// Chassis count from 1: 0 is the one that boots.
+fn configured(app: &App, index: u8) -> Option<&ChassisConfig> {
+    app.chassis.get(usize::from(index).checked_sub(1)?)
+}
+
 /// One process's share of an app. Shared by its threads.
 pub struct Chassis {
     index: u8,
-    names: Vec<Arc<str>>,
     #[doc(hidden)]
     pub clock: Clock,
     #[doc(hidden)]
@@ -56,7 +59,7 @@ pub struct Chassis {
     /// Processor 0 belongs to the runtime; the configured ones follow.
     #[doc(hidden)]
     pub processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<Tasks>,
+    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     #[doc(hidden)]
@@ -81,23 +84,13 @@ pub struct Chassis {
 impl Chassis {
     /// Chassis number `index` of `app`; its processors' threads are started elsewhere.
     pub(crate) fn bare(index: u8, app: Arc<App>, clock: Clock) -> Arc<Self> {
-        let mut names: Vec<Arc<str>> = vec![BOOT_CHASSIS.into()];
-        names.extend(
-            app.chassis
-                .iter()
-                .map(|chassis| chassis.name.as_str().into()),
-        );
-        let configured = usize::from(index)
-            .checked_sub(1)
-            .and_then(|place| app.chassis.get(place));
-        let configured = configured.map_or(&[][..], |configured| &configured.processors);
+        let configured = configured(&app, index).map_or(&[][..], |one| &one.processors);
         let processors = std::iter::once("system".to_owned())
             .chain(configured.iter().map(|one| one.name.clone()))
             .map(|name| (name, Arc::default()))
             .collect();
         Arc::new(Self {
             index,
-            names,
             extensions: Extensions::default(),
             clock,
             app,
@@ -127,15 +120,21 @@ impl Chassis {
     /// The name of chassis number `index`.
     #[must_use]
     pub fn name_of(&self, index: u8) -> &str {
-        self.names
-            .get(usize::from(index))
-            .map_or("unknown", AsRef::as_ref)
+        match (index, self.config_of(index)) {
+            (0, _) => BOOT_CHASSIS,
+            (_, Some(config)) => &config.name,
+            (_, None) => "unknown",
+        }
+    }
+
+    /// What the configuration says of chassis number `index`; nothing of the one that boots, 0.
+    pub(crate) fn config_of(&self, index: u8) -> Option<&ChassisConfig> {
+        configured(&self.app, index)
     }
 
     /// What the configuration says of processor `index`; nothing of the runtime's own, 0.
     pub(crate) fn processor_config(&self, index: usize) -> Option<&ProcessorConfig> {
-        let chassis = usize::from(self.index).checked_sub(1)?;
-        let processors = &self.app.chassis.get(chassis)?.processors;
+        let processors = &self.config_of(self.index)?.processors;
         processors.get(index.checked_sub(1)?)
     }
 
@@ -229,8 +228,8 @@ impl Chassis {
 impl Chassis {
     /// The numbers of all chassis of the app but this one.
     pub fn others(&self) -> impl Iterator<Item = u8> + '_ {
-        (0..self.names.len())
-            .filter_map(|index| u8::try_from(index).ok())
+        (0..=u8::MAX)
+            .take(self.app.chassis.len() + 1)
             .filter(|index| *index != self.index)
     }
 
@@ -261,39 +260,32 @@ impl Chassis {
     }
 
     pub fn add_task(&self, task: Arc<TaskRecord>) {
-        self.tasks
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .insert(task);
+        let mut tasks = self.tasks.write().unwrap_or_else(PoisonError::into_inner);
+        tasks.insert(task.tid, task);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
     pub fn remove_task(self: &Arc<Self>, tid: Tid) {
-        for extension in self.extensions.all() {
+        for extension in self.extensions() {
             extension.task_ended(self, tid);
         }
-        let entry = self
-            .tasks
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .remove(tid);
-        if let Some(task) = entry {
+        let mut tasks = self.tasks.write().unwrap_or_else(PoisonError::into_inner);
+        let removed = tasks.remove(&tid);
+        drop(tasks);
+        if let Some(task) = removed {
             task.mailbox.close();
         }
     }
 
     pub fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
-        self.tasks
-            .read()
-            .unwrap_or_else(PoisonError::into_inner)
-            .get(tid)
-            .cloned()
+        let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
+        tasks.get(&tid).cloned()
     }
 
     /// The tasks of this chassis, by id.
     pub fn tasks(&self) -> Vec<Arc<TaskRecord>> {
         let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
-        tasks.iter().cloned().collect()
+        tasks.values().cloned().collect()
     }
 
     /// A trace id that no other message of the run has.
@@ -342,7 +334,7 @@ impl Chassis {
     pub fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
-        for task in tasks.iter() {
+        for task in tasks.values() {
             task.mailbox.close();
         }
         let links = std::mem::take(&mut *lock(&self.links));
@@ -351,7 +343,7 @@ impl Chassis {
             pending.answer(Err(fault));
         }
         lock(&self.shared).clear();
-        for extension in self.extensions.all() {
+        for extension in self.extensions() {
             extension.closed();
         }
     }

@@ -6,6 +6,7 @@
 
 use crate::{
     context::{Context, TaskRef},
+    handled::HandlerError,
     phase::{Phase, StopReason},
     runner::{Origin, TaskSpec, start_at},
     supervise::Policy,
@@ -17,27 +18,8 @@ use ctos_message::{Tid, fault::CallError};
 /// Why a task could not be started by another one.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum StartError {
-    /// Nobody registered the event handler.
-    #[error("`{task}` cannot be started: nobody registered the event handler `{handler}`")]
-    UnknownHandler {
-        /// The task.
-        task: String,
-        /// The handler.
-        handler: String,
-    },
-    /// The name is no name for a task.
-    #[error("`{name}` is no name for a task: it needs 1 to 64 letters, digits, `_`, `-` or `.`")]
-    Name {
-        /// The name.
-        name: String,
-    },
-    /// The processor has had as many tasks as it can have in one run.
-    #[error("`{task}` cannot be started: its processor has had 65535 tasks in this run")]
-    NoSlot {
-        /// The task.
-        task: String,
-    },
-    /// Its handler could not be built, or refused a startup phase.
+    /// Its name is none, nobody registered its handler, its processor has no place for it, or its handler could not be
+    /// built.
     #[error("`{task}` cannot be started: {reason}")]
     Refused {
         /// The task.
@@ -75,16 +57,21 @@ impl Context {
         args: Node,
     ) -> Result<TaskRef, StartError> {
         let task = format!("{}.{name}", self.name());
-        if !is_name(name) || !is_name(&task) {
-            return Err(StartError::Name { name: task });
-        }
-        let (spec, tid) = self.child_spec(&task, handler, args)?;
-        let origin = Origin::StartedBy(Box::new(self.when_broken()));
-        let began = start_at(self.chassis(), &self.inner.processor, spec, origin);
-        began.map_err(|error| StartError::Refused {
-            task: task.clone(),
-            reason: error.to_string(),
-        })?;
+        let began = self
+            .child_spec(name, &task, handler, args)
+            .and_then(|spec| {
+                let tid = spec.record.tid;
+                let origin = Origin::StartedBy(Box::new(self.when_broken()));
+                start_at(self.chassis(), &self.inner.processor, spec, origin)?;
+                Ok(tid)
+            });
+        let tid = match began {
+            Ok(tid) => tid,
+            Err(error) => {
+                let reason = error.to_string();
+                return Err(StartError::Refused { task, reason });
+            }
+        };
         let reference = TaskRef::new(task.as_str(), tid);
         self.inner.family().started.push(reference.clone());
         match self.bring_up(&reference).await {
@@ -103,34 +90,36 @@ impl Context {
 impl Context {
     fn child_spec(
         &self,
+        name: &str,
         task: &str,
         handler: &str,
         args: Node,
-    ) -> Result<(TaskSpec, Tid), StartError> {
+    ) -> Result<TaskSpec, HandlerError> {
+        if !is_name(name) || !is_name(task) {
+            return Err("its name needs 1 to 64 letters, digits, `_`, `-` or `.`".into());
+        }
         let registry = self.registry();
-        let kind = registry.kind(handler);
-        let kind = kind.ok_or_else(|| StartError::UnknownHandler {
-            task: task.to_owned(),
-            handler: handler.to_owned(),
+        let kind = registry.kind(handler).ok_or_else(|| {
+            HandlerError::new(format!("nobody registered the event handler `{handler}`"))
         })?;
         let processor = self.tid().processor();
         let slot = self.chassis().directory.free_slot(processor);
-        let slot = slot.ok_or_else(|| StartError::NoSlot {
-            task: task.to_owned(),
-        })?;
+        let slot = slot.ok_or("its processor has had 65535 tasks in this run")?;
         let tid = Tid::new(self.chassis().index(), processor, slot);
         let config = self.config().cloned();
-        let mut config = config.ok_or_else(|| StartError::Refused {
-            task: task.to_owned(),
-            reason: "a task of the runtime starts no others".to_owned(),
-        })?;
+        let mut config = config.ok_or("a task of the runtime starts no others")?;
         config.name = task.to_owned();
         config.handler = handler.to_owned();
         config.restart = Policy::default();
         config.args = args;
         let handle = &self.inner.processor.handle;
-        let spec = TaskSpec::new(task, tid, Some(config), kind.recipe(), handle);
-        Ok((spec, tid))
+        Ok(TaskSpec::new(
+            task,
+            tid,
+            Some(config),
+            kind.recipe(),
+            handle,
+        ))
     }
 
     async fn bring_up(&self, child: &TaskRef) -> Result<(), CallError> {

@@ -26,7 +26,7 @@ pub struct TaskDirectory {
     /// one load.
     any: AtomicBool,
     /// The next free slot of each processor, by its number.
-    slots: Mutex<Vec<u16>>,
+    slots: Mutex<BTreeMap<u8, u16>>,
 }
 
 impl TaskDirectory {
@@ -93,26 +93,18 @@ impl TaskDirectory {
     }
 
     /// Slots below these were given away before; by the number of the processor.
-    pub fn start_slots_at(&self, first: &[u16]) {
+    pub fn start_slots_at(&self, first: &BTreeMap<u8, u16>) {
         let mut slots = lock(&self.slots);
-        for (processor, first) in first.iter().enumerate() {
-            if slots.len() <= processor {
-                slots.resize(processor + 1, 0);
-            }
-            if let Some(slot) = slots.get_mut(processor) {
-                *slot = (*slot).max(*first);
-            }
+        for (processor, first) in first {
+            let slot = slots.entry(*processor).or_default();
+            *slot = (*slot).max(*first);
         }
     }
 
     /// A slot of `processor` that no task of this run ever had; `None` when there is none left.
     pub fn free_slot(&self, processor: u8) -> Option<u16> {
         let mut slots = lock(&self.slots);
-        let index = usize::from(processor);
-        if slots.len() <= index {
-            slots.resize(index + 1, 0);
-        }
-        let slot = slots.get_mut(index)?;
+        let slot = slots.entry(processor).or_default();
         let free = *slot;
         *slot = free.checked_add(1)?;
         Some(free)
@@ -170,13 +162,13 @@ mod tests {
         }
 
         #[test]
-        fn no_slot_is_given_away_twice(first in proptest::collection::vec(0_u16..50, 0..4), draws in proptest::collection::vec(0_u8..4, 0..60)) {
+        fn no_slot_is_given_away_twice(first in proptest::collection::btree_map(0_u8..4, 0_u16..50, 0..4), draws in proptest::collection::vec(0_u8..4, 0..60)) {
             let directory = TaskDirectory::default();
             directory.start_slots_at(&first);
             let mut given = std::collections::BTreeSet::new();
             for processor in draws {
                 let slot = directory.free_slot(processor).unwrap();
-                prop_assert!(slot >= first.get(usize::from(processor)).copied().unwrap_or(0));
+                prop_assert!(slot >= first.get(&processor).copied().unwrap_or(0));
                 prop_assert!(given.insert((processor, slot)));
             }
         }
@@ -185,7 +177,7 @@ mod tests {
     #[test]
     fn a_processor_whose_slots_are_used_up_says_so() {
         let directory = TaskDirectory::default();
-        directory.start_slots_at(&[0, u16::MAX]);
+        directory.start_slots_at(&BTreeMap::from([(1, u16::MAX)]));
         assert_eq!(directory.free_slot(1), None);
         assert_eq!(directory.free_slot(0), Some(0));
     }

@@ -176,6 +176,12 @@ impl<C: Command> Replier<C> {
         Ok(())
     }
 
+    /// The task that sent the request.
+    #[must_use]
+    pub fn asker(&self) -> Tid {
+        self.envelope.header.from
+    }
+
     /// Whether the caller no longer waits (its deadline passed, or it is gone).
     #[must_use]
     pub fn is_abandoned(&self) -> bool {

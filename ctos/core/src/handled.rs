@@ -7,30 +7,19 @@ pub type Handled = Result<(), HandlerError>;
 
 /// Why a handler could not do what it was asked. The caller gets the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HandlerError {
-    /// A pointer, so that what a handler returns costs nothing to pass on.
-    said: Box<Said>,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Said {
-    text: String,
-}
+pub struct HandlerError(Box<str>);
 
 impl HandlerError {
     /// An error that says `text`.
     #[must_use]
-    pub fn new(text: impl Into<String>) -> Self {
-        let said = Said { text: text.into() };
-        Self {
-            said: Box::new(said),
-        }
+    pub fn new(text: impl Into<Box<str>>) -> Self {
+        Self(text.into())
     }
 }
 
 impl fmt::Display for HandlerError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.said.text)
+        f.write_str(&self.0)
     }
 }
 

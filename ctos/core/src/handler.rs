@@ -5,8 +5,6 @@
 //! meanwhile. The [`Context`] is its door to everything else: other tasks by name, time, randomness,
 //! its arguments, its own children.
 
-use std::future::Future;
-
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
@@ -41,59 +39,52 @@ use crate::{
 ///     }
 /// }
 /// ```
+#[expect(
+    async_fn_in_trait,
+    unused_variables,
+    reason = "handlers stay on their processor; most need few of the notices"
+)]
 pub trait EventHandler: 'static {
     /// Handles one message to its end. An `Err` is the answer to a caller that waits.
-    fn handle(&mut self, cx: &Context, message: Message) -> impl Future<Output = Handled>;
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled;
 
     /// Enters a startup phase; returning `Ok` acknowledges it, an `Err` undoes the boot.
-    fn phase(&mut self, cx: &Context, phase: Phase) -> impl Future<Output = Handled> {
-        let _ = (cx, phase);
-        async { Ok(()) }
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        Ok(())
     }
 
     /// The app is about to be stopped: begins to come to rest, while every task still takes messages.
     /// Returning `Ok` acknowledges that it is at rest. No message is handled until this returns, so what
     /// takes longer than a moment goes on beside it: [`Context::quiet_after`].
-    fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> impl Future<Output = Handled> {
-        let _ = (cx, reason);
-        async { Ok(()) }
+    async fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        Ok(())
     }
 
     /// Comes to an orderly stop. Hardware is at rest when this returns.
-    fn stop(&mut self, cx: &Context, reason: &StopReason) -> impl Future<Output = Handled> {
-        let _ = (cx, reason);
-        async { Ok(()) }
+    async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        Ok(())
     }
 
     /// Another chassis of the app is gone, with all its tasks.
-    fn chassis_down(&mut self, cx: &Context, chassis: &str) -> impl Future<Output = Handled> {
-        let _ = (cx, chassis);
-        async { Ok(()) }
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        Ok(())
     }
 
     /// Another chassis that was gone is back, and its tasks have passed all phases. Its names lead to
     /// its new tasks.
-    fn chassis_up(&mut self, cx: &Context, chassis: &str) -> impl Future<Output = Handled> {
-        let _ = (cx, chassis);
-        async { Ok(()) }
+    async fn chassis_up(&mut self, cx: &Context, chassis: &str) -> Handled {
+        Ok(())
     }
 
     /// A task that this one [monitors](Context::monitor) takes no messages: it is being restarted, has
     /// ended, has failed, or its chassis is gone.
-    fn task_down(
-        &mut self,
-        cx: &Context,
-        task: &str,
-        reason: &str,
-    ) -> impl Future<Output = Handled> {
-        let _ = (cx, task, reason);
-        async { Ok(()) }
+    async fn task_down(&mut self, cx: &Context, task: &str, reason: &str) -> Handled {
+        Ok(())
     }
 
     /// A task that this one [monitors](Context::monitor) and that was down takes messages again.
-    fn task_up(&mut self, cx: &Context, task: &TaskRef) -> impl Future<Output = Handled> {
-        let _ = (cx, task);
-        async { Ok(()) }
+    async fn task_up(&mut self, cx: &Context, task: &TaskRef) -> Handled {
+        Ok(())
     }
 }
 

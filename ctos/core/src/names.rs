@@ -20,46 +20,23 @@ use away::Presence;
 
 use crate::{
     context::Context,
-    envelope::{Message, Replier},
+    envelope::Replier,
     handled::Handled,
-    handler::EventHandler,
     system::{
         self, AbortMove, AwaitTid, Change, ChassisNews, CommitMove, FindTid, FirstSlots, Monitor,
-        MoveTask, MovedTasks, NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged,
-        TaskName, WhoWaits,
+        MoveTask, MovedTasks, NamesOf, Place, Rebound, RegisterTid, TaskChanged, TaskName,
+        WhoWaits,
     },
 };
-use ctos_message::{Command, CommandInfo, Tid};
+use ctos_message::{CommandInfo, Tid};
 
 /// What the service takes.
-pub const COMMANDS: [CommandInfo; 14] = [
-    RegisterTid::INFO,
-    QueryTid::INFO,
-    FindTid::INFO,
-    ChassisNews::INFO,
-    AwaitTid::INFO,
-    WhoWaits::INFO,
-    Monitor::INFO,
-    TaskChanged::INFO,
-    FirstSlots::INFO,
-    MoveTask::INFO,
-    CommitMove::INFO,
-    AbortMove::INFO,
-    MovedTasks::INFO,
-    NamesOf::INFO,
-];
+pub const COMMANDS: [CommandInfo; 13] = TidServer::COMMANDS;
 
 /// A task that waits for a name.
 struct Waiter {
     name: String,
     reply: Replier<AwaitTid>,
-}
-
-/// A move that has begun.
-#[derive(Default)]
-struct Move {
-    /// Set when the name has the new place: ends when every chassis has turned to it.
-    turned: Option<oneshot::Receiver<()>>,
 }
 
 #[derive(Default)]
@@ -73,7 +50,8 @@ pub struct Names {
     monitors: BTreeMap<String, BTreeSet<Tid>>,
     /// Names whose task takes no messages at the moment.
     down: BTreeSet<String>,
-    moves: BTreeMap<String, Move>,
+    /// Moves that have begun; with what ends when every chassis has turned to the new place, once the name has it.
+    moves: BTreeMap<String, Option<oneshot::Receiver<()>>>,
     /// Where tasks are that have moved; when their chassis is started again, they begin there.
     homes: BTreeMap<String, Place>,
     /// Places that no task may move to any more.
@@ -90,101 +68,146 @@ pub struct TidServer {
     state: Rc<RefCell<Names>>,
 }
 
-impl EventHandler for TidServer {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        let from = message.from();
-        match message.command() {
-            RegisterTid::CODE => {
-                let (RegisterTid { task }, reply) = message.open::<RegisterTid>()?;
-                match self.register(cx, task) {
-                    Ok(()) => reply.ok(()),
-                    Err(why) => reply.fail(why),
-                }
+#[ctos_derive::handler]
+impl TidServer {
+    #[command]
+    fn register_tid(&self, cx: &Context, RegisterTid { task }: RegisterTid) -> Result<(), String> {
+        let mut state = self.state.borrow_mut();
+        let place = |tid: Tid| {
+            let chassis = cx.chassis().name_of(tid.chassis());
+            format!("task {tid} on chassis `{chassis}`")
+        };
+        match state.names.get(&task.name) {
+            Some(tid) if *tid == task.tid => return Ok(()),
+            Some(tid) => {
+                return Err(format!(
+                    "the name `{}` belongs to {} already, so {} cannot have it",
+                    task.name,
+                    place(*tid),
+                    place(task.tid)
+                ));
             }
-            QueryTid::CODE => {
-                let (QueryTid { name }, reply) = message.open::<QueryTid>()?;
-                let state = self.state.borrow();
-                let found = state.seen_from(from.chassis(), &name);
-                reply.ok(found.ok_or_else(|| state.names.keys().cloned().collect()))
-            }
-            FindTid::CODE => {
-                let (request, reply) = message.open::<FindTid>()?;
-                self.state.borrow_mut().asked(cx, from, request, reply)
-            }
-            ChassisNews::CODE => {
-                let (ChassisNews { news }, reply) = message.open::<ChassisNews>()?;
-                self.heard(cx, news);
-                reply.ok(())
-            }
-            AwaitTid::CODE => {
-                let (AwaitTid { name, waiter }, reply) = message.open::<AwaitTid>()?;
-                self.state.borrow_mut().wait(from, name, waiter, reply)
-            }
-            WhoWaits::CODE => {
-                let (WhoWaits { name }, reply) = message.open::<WhoWaits>()?;
-                reply.ok(self.state.borrow_mut().who_waits(&name))
-            }
-            Monitor::CODE => {
-                let (Monitor { name }, reply) = message.open::<Monitor>()?;
-                let mut state = self.state.borrow_mut();
-                let up = state.names.contains_key(&name) && !state.down.contains(&name);
-                state.monitors.entry(name).or_default().insert(from);
-                reply.ok(up)
-            }
-            TaskChanged::CODE => {
-                let (TaskChanged { task, change }, reply) = message.open::<TaskChanged>()?;
-                self.changed(cx, task, change);
-                reply.ok(())
-            }
-            FirstSlots::CODE => {
-                let (FirstSlots { chassis }, reply) = message.open::<FirstSlots>()?;
-                reply.ok(self.state.borrow().first_slots(chassis))
-            }
-            MoveTask::CODE => {
-                let (request, reply) = message.open::<MoveTask>()?;
-                let (service, here) = (self.clone(), cx.clone());
-                cx.spawn(async move {
-                    // A reply cannot fail.
-                    let _ = match service.move_task(&here, request).await {
-                        Ok(place) => reply.ok(place),
-                        Err(why) => reply.fail(why),
-                    };
-                });
-                Ok(())
-            }
-            CommitMove::CODE => {
-                let (commit, reply) = message.open::<CommitMove>()?;
-                match self.commit(cx, commit) {
-                    Ok(()) => reply.ok(()),
-                    Err(why) => reply.fail(why),
-                }
-            }
-            AbortMove::CODE => {
-                let (AbortMove { new }, reply) = message.open::<AbortMove>()?;
-                let mut state = self.state.borrow_mut();
-                let committed = state.used.contains_key(&new);
-                if !committed {
-                    state.forbidden.insert(new);
-                }
-                reply.ok(committed)
-            }
-            MovedTasks::CODE => {
-                let (MovedTasks {}, reply) = message.open::<MovedTasks>()?;
-                let state = self.state.borrow();
-                let homes = state.homes.iter();
-                reply.ok(homes.map(|(name, place)| (name.clone(), *place)).collect())
-            }
-            NamesOf::CODE => {
-                let (NamesOf { tids }, reply) = message.open::<NamesOf>()?;
-                let state = self.state.borrow();
-                let name = |tid: &Tid| state.used.get(tid).cloned();
-                reply.ok(tids.iter().map(name).collect())
-            }
-            _ => cx.default_processing(message),
+            None => {}
         }
+        if let Some(other) = state.used.get(&task.tid) {
+            return Err(format!(
+                "the id {} was that of `{other}`; no other task of this run can have it",
+                task.tid
+            ));
+        }
+        state.used.insert(task.tid, task.name.clone());
+        state.names.insert(task.name.clone(), task.tid);
+        let before = state.past.remove(&task.name);
+        let waiters = state.waiting.remove(&task.name).unwrap_or_default();
+        drop(state);
+        if let Some(old) = before {
+            broadcast(cx, &task.name, old, Some(task.tid));
+        }
+        for waiter in waiters {
+            // A reply cannot fail.
+            let _ = waiter.reply.ok(Ok(task.tid));
+        }
+        self.state.borrow_mut().answer_waiting(cx);
+        self.notify(cx, &task, &Change::Up);
+        Ok(())
     }
 
-    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+    #[command]
+    fn find_tid(&self, cx: &Context, request: FindTid, reply: Replier<FindTid>) -> Handled {
+        self.state.borrow_mut().asked(cx, request, reply)
+    }
+
+    #[command]
+    fn chassis_news(&self, cx: &Context, ChassisNews { news }: ChassisNews) {
+        self.heard(cx, news);
+    }
+
+    #[command]
+    fn await_tid(&self, request: AwaitTid, reply: Replier<AwaitTid>) -> Handled {
+        self.state.borrow_mut().wait(request, reply)
+    }
+
+    #[command]
+    fn who_waits(&self, WhoWaits { name }: WhoWaits) -> String {
+        self.state.borrow_mut().who_waits(&name)
+    }
+
+    #[command]
+    fn monitor(&self, Monitor { name }: Monitor, reply: Replier<Monitor>) -> Handled {
+        let mut state = self.state.borrow_mut();
+        let up = state.names.contains_key(&name) && !state.down.contains(&name);
+        state
+            .monitors
+            .entry(name)
+            .or_default()
+            .insert(reply.asker());
+        reply.ok(up)
+    }
+
+    #[command]
+    fn task_changed(&self, cx: &Context, TaskChanged { task, change }: TaskChanged) {
+        if let Change::Ended { .. } = change {
+            if !self.state.borrow_mut().free(&task) {
+                return;
+            }
+            broadcast(cx, &task.name, task.tid, None);
+        }
+        self.notify(cx, &task, &change);
+    }
+
+    /// By the number of the processor.
+    #[command]
+    fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u16> {
+        let state = self.state.borrow();
+        let used = state.used.keys();
+        // In the order of their slots: the last of each processor counts.
+        used.filter(|tid| tid.chassis() == chassis)
+            .map(|tid| (tid.processor(), tid.slot().saturating_add(1)))
+            .collect()
+    }
+
+    #[command]
+    fn move_task(&self, cx: &Context, request: MoveTask, reply: Replier<MoveTask>) -> Handled {
+        let (service, here) = (self.clone(), cx.clone());
+        cx.spawn(async move {
+            // A reply cannot fail.
+            let _ = match service.carry(&here, request).await {
+                Ok(place) => reply.ok(place),
+                Err(why) => reply.fail(why),
+            };
+        });
+        Ok(())
+    }
+
+    #[command]
+    fn commit_move(&self, cx: &Context, commit: CommitMove) -> Result<(), String> {
+        self.commit(cx, commit)
+    }
+
+    #[command]
+    fn abort_move(&self, AbortMove { new }: AbortMove) -> bool {
+        let mut state = self.state.borrow_mut();
+        let committed = state.used.contains_key(&new);
+        if !committed {
+            state.forbidden.insert(new);
+        }
+        committed
+    }
+
+    #[command]
+    fn moved_tasks(&self, _: MovedTasks) -> Vec<(String, Place)> {
+        self.state.borrow().homes.clone().into_iter().collect()
+    }
+
+    #[command]
+    fn names_of(&self, NamesOf { tids }: NamesOf) -> Vec<Option<String>> {
+        let state = self.state.borrow();
+        let name = |tid: &Tid| state.used.get(tid).cloned();
+        tids.iter().map(name).collect()
+    }
+
+    #[chassis_down]
+    fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
         let here = cx.chassis();
         let gone: Vec<TaskName> = {
             let state = self.state.borrow();
@@ -229,74 +252,9 @@ impl Names {
         self.past.insert(task.name.clone(), task.tid);
         true
     }
-
-    fn first_slots(&self, chassis: u8) -> Vec<u16> {
-        let mut first = Vec::new();
-        for tid in self.used.keys().filter(|tid| tid.chassis() == chassis) {
-            let processor = usize::from(tid.processor());
-            if first.len() <= processor {
-                first.resize(processor + 1, 0);
-            }
-            if let Some(slot) = first.get_mut(processor) {
-                *slot = tid.slot().saturating_add(1).max(*slot);
-            }
-        }
-        first
-    }
 }
 
 impl TidServer {
-    fn register(&self, cx: &Context, task: TaskName) -> Result<(), String> {
-        let mut state = self.state.borrow_mut();
-        let place = |tid: Tid| {
-            let chassis = cx.chassis().name_of(tid.chassis());
-            format!("task {tid} on chassis `{chassis}`")
-        };
-        match state.names.get(&task.name) {
-            Some(tid) if *tid == task.tid => return Ok(()),
-            Some(tid) => {
-                return Err(format!(
-                    "the name `{}` belongs to {} already, so {} cannot have it",
-                    task.name,
-                    place(*tid),
-                    place(task.tid)
-                ));
-            }
-            None => {}
-        }
-        if let Some(other) = state.used.get(&task.tid) {
-            return Err(format!(
-                "the id {} was that of `{other}`; no other task of this run can have it",
-                task.tid
-            ));
-        }
-        state.used.insert(task.tid, task.name.clone());
-        state.names.insert(task.name.clone(), task.tid);
-        let before = state.past.remove(&task.name);
-        let waiters = state.waiting.remove(&task.name).unwrap_or_default();
-        drop(state);
-        if let Some(old) = before {
-            broadcast(cx, &task.name, old, Some(task.tid));
-        }
-        for waiter in waiters {
-            // A reply cannot fail.
-            let _ = waiter.reply.ok(Ok(task.tid));
-        }
-        self.state.borrow_mut().answer_waiting(cx);
-        self.notify(cx, &task, &Change::Up);
-        Ok(())
-    }
-
-    fn changed(&self, cx: &Context, task: TaskName, change: Change) {
-        if let Change::Ended { .. } = change {
-            if !self.state.borrow_mut().free(&task) {
-                return;
-            }
-            broadcast(cx, &task.name, task.tid, None);
-        }
-        self.notify(cx, &task, &change);
-    }
-
     /// Tells those who monitor a task, if the change is one.
     fn notify(&self, cx: &Context, task: &TaskName, change: &Change) {
         let mut state = self.state.borrow_mut();

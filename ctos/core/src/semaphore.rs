@@ -11,7 +11,6 @@
 //! A synchronous function must not use them: they take a lock, and their waiters are woken.
 
 mod error;
-mod gathering;
 mod ledger;
 #[doc(hidden)]
 pub mod server;
@@ -21,19 +20,18 @@ use std::{future::IntoFuture, sync::Arc, time::Duration};
 
 use futures_util::future::LocalBoxFuture;
 use serde::{Deserialize, Serialize};
-use tokio::sync::oneshot;
 
 use crate::{
-    context::{Context, DEFAULT_DEADLINE, TaskRef},
+    context::{Context, TaskRef},
     system,
 };
 pub use ctos_config::Scope;
 use ctos_message::{Tid, fault::CallError};
 use ctos_time::Instant;
 pub use error::SemaphoreError;
-use ledger::{Claim, Hold};
-use server::{AcquireSemaphore, Acquired, ArriveBarrier, Arrived};
-use store::{LocalBarrier, LocalSemaphore, Ticket};
+use ledger::{Claim, Kind};
+use server::{AwaitTurn, ListSemaphores};
+use store::{Answer, Kept, Ticket};
 
 /// How much longer than the wait itself the answer of another chassis may take.
 const GRACE: Duration = Duration::from_secs(2);
@@ -67,45 +65,129 @@ pub struct SemaphoreView {
     pub waiting: Vec<String>,
 }
 
-/// Where a semaphore or barrier is kept.
+fn server() -> TaskRef {
+    TaskRef::new("semsvr", system::SEMAPHORE_SERVER)
+}
+
+/// A semaphore or barrier as one task knows it.
 #[derive(Debug, Clone)]
-enum Kept<L> {
-    Here(L),
-    ByServer { count: u32 },
+struct Named {
+    cx: Context,
+    kind: Kind,
+    name: Arc<str>,
+    /// Permits or parties.
+    count: u32,
+    /// `None` when the server keeps it.
+    kept: Option<Arc<Kept>>,
+}
+
+impl Named {
+    /// With `count`, unless the configuration says how many.
+    fn find(cx: &Context, kind: Kind, name: &str, count: u32) -> Result<Self, SemaphoreError> {
+        let app = cx.app();
+        let kinds = match kind {
+            Kind::Semaphore => &app.semaphores,
+            Kind::Barrier => &app.barriers,
+        };
+        let declared = kinds.iter().find(|one| one.name == name);
+        let declared = declared.map(|one| (one.count, one.scope));
+        let (declared, scope) = declared.unwrap_or_default();
+        let count = declared.unwrap_or(count);
+        if count == 0 {
+            return Err(SemaphoreError::Nobody {
+                name: name.to_owned(),
+                task: cx.name().to_owned(),
+            });
+        }
+        let by_name = || match name.starts_with(APP_PREFIX) {
+            true => Scope::App,
+            false => Scope::Chassis,
+        };
+        let here = scope.unwrap_or_else(by_name) == Scope::Chassis;
+        let store = cx.chassis().blocking();
+        let named = Self {
+            cx: cx.clone(),
+            kind,
+            name: name.into(),
+            count,
+            kept: here.then(|| store.find(kind, Scope::Chassis, name, count)),
+        };
+        match named.kept.as_ref().map(|kept| kept.count()) {
+            Some(has) if has != count => Err(named.disagree(has)),
+            _ => Ok(named),
+        }
+    }
+
+    /// Waits to be served; what the ticket stands for is given back with it.
+    async fn wait(&self, high: bool, wait: Duration) -> Result<(Ticket, Passage), SemaphoreError> {
+        let cx = &self.cx;
+        // From here on, whatever happens, the ticket gives back what it stands for.
+        let ticket = Ticket::new(cx, self.kept.clone());
+        let answer = match &self.kept {
+            Some(kept) => {
+                let claim = Claim {
+                    hold: ticket.hold,
+                    task: cx.inner.record.name.clone(),
+                    tid: cx.tid(),
+                };
+                let served = kept.enter(claim, high);
+                kept.wait(cx, ticket.hold, served, wait).await
+            }
+            None => {
+                let request = AwaitTurn {
+                    kind: self.kind,
+                    name: self.name.to_string(),
+                    count: self.count,
+                    hold: ticket.hold.number,
+                    task: cx.name().to_owned(),
+                    wait,
+                    high,
+                };
+                let patience = wait.saturating_add(GRACE);
+                let answer = cx.call(&server(), request).deadline(patience).await?;
+                if self.kind == Kind::Barrier || !matches!(answer, Answer::Served(_)) {
+                    ticket.settle();
+                }
+                Some(answer)
+            }
+        };
+        let (name, task) = (self.name.to_string(), cx.name().to_owned());
+        match (answer, self.kind) {
+            (Some(Answer::Served(passage)), _) => Ok((ticket, passage)),
+            (Some(Answer::Late(late)), Kind::Semaphore) => Err(SemaphoreError::Deadline {
+                name,
+                task,
+                after: wait,
+                holders: late.holders,
+                before: late.before,
+            }),
+            (Some(Answer::Late(late)), Kind::Barrier) => Err(SemaphoreError::Missing {
+                name,
+                task,
+                after: wait,
+                arrived: late.waiting,
+                parties: self.count,
+            }),
+            (Some(Answer::Disagree { has }), _) => Err(self.disagree(has)),
+            (None, _) => Err(SemaphoreError::Ending { name, task }),
+        }
+    }
+
+    fn disagree(&self, has: u32) -> SemaphoreError {
+        SemaphoreError::Disagree {
+            name: self.name.to_string(),
+            task: self.cx.name().to_owned(),
+            has,
+            asked: self.count,
+        }
+    }
 }
 
 /// A counting semaphore, found by name with [`Context::semaphore`].
 #[derive(Debug, Clone)]
-pub struct Semaphore {
-    cx: Context,
-    name: Arc<str>,
-    kept: Kept<Arc<LocalSemaphore>>,
-}
+pub struct Semaphore(Named);
 
 impl Semaphore {
-    /// The semaphore called `name`; with `permits`, unless the configuration says how many.
-    pub(crate) fn find(cx: &Context, name: &str, permits: u32) -> Result<Self, SemaphoreError> {
-        let declared = cx.app().semaphores.iter().find(|one| one.name == name);
-        let permits = declared.and_then(|one| one.count).unwrap_or(permits);
-        let scope = declared.and_then(|one| one.scope);
-        if permits == 0 {
-            return Err(nobody(cx, name));
-        }
-        let kept = match scope.unwrap_or_else(|| scope_of(name)) {
-            Scope::App => Kept::ByServer { count: permits },
-            Scope::Chassis => {
-                let local = cx.chassis().blocking().semaphore(name, permits);
-                agree(cx, name, local.permits(), permits)?;
-                Kept::Here(local)
-            }
-        };
-        Ok(Self {
-            cx: cx.clone(),
-            name: name.into(),
-            kept,
-        })
-    }
-
     /// A permit if there is one now.
     ///
     /// # Errors
@@ -121,7 +203,7 @@ impl Semaphore {
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.name
+        &self.0.name
     }
 
     /// Waits for a permit: `.await` it. 10 s, or the task's `call_deadline_s`, at the most, unless
@@ -129,47 +211,10 @@ impl Semaphore {
     pub fn acquire(&self) -> Acquire {
         Acquire {
             semaphore: self.clone(),
-            deadline: patience(&self.cx),
+            deadline: self.0.cx.inner.call_deadline(),
             high: false,
         }
     }
-}
-
-/// How long a task waits unless it says otherwise.
-fn patience(cx: &Context) -> Duration {
-    let configured = cx.config().and_then(|config| config.call_deadline);
-    configured.unwrap_or(DEFAULT_DEADLINE)
-}
-
-fn scope_of(name: &str) -> Scope {
-    if name.starts_with(APP_PREFIX) {
-        Scope::App
-    } else {
-        Scope::Chassis
-    }
-}
-
-fn nobody(cx: &Context, name: &str) -> SemaphoreError {
-    SemaphoreError::Nobody {
-        name: name.to_owned(),
-        task: cx.name().to_owned(),
-    }
-}
-
-fn agree(cx: &Context, name: &str, has: u32, asked: u32) -> Result<(), SemaphoreError> {
-    if has == asked {
-        return Ok(());
-    }
-    Err(SemaphoreError::Disagree {
-        name: name.to_owned(),
-        task: cx.name().to_owned(),
-        has,
-        asked,
-    })
-}
-
-fn server() -> TaskRef {
-    TaskRef::new("semsvr", system::SEMAPHORE_SERVER)
 }
 
 /// A permit that has not been waited for yet; `.await` waits.
@@ -193,86 +238,6 @@ impl Acquire {
         self.high = true;
         self
     }
-
-    async fn run(self) -> Result<Permit, SemaphoreError> {
-        match &self.semaphore.kept {
-            Kept::Here(local) => self.run_here(local).await,
-            Kept::ByServer { count } => self.run_by_server(*count).await,
-        }
-    }
-
-    fn claim(&self, hold: Hold) -> Claim {
-        Claim {
-            hold,
-            task: self.semaphore.cx.name_shared(),
-            tid: self.semaphore.cx.tid(),
-        }
-    }
-
-    async fn run_here(&self, local: &Arc<LocalSemaphore>) -> Result<Permit, SemaphoreError> {
-        let cx = &self.semaphore.cx;
-        let store = cx.chassis().blocking();
-        let claim = self.claim(store.next_hold(cx.chassis().index()));
-        // From here on, whatever happens, the ticket gives back what it stands for.
-        let permit = Permit {
-            ticket: Ticket::at_semaphore(local, claim.hold),
-        };
-        if local.try_acquire(&claim, cx.now()) {
-            return Ok(permit);
-        }
-        if self.deadline.is_zero() {
-            return Err(self.late(local.late(claim.hold, cx.now())));
-        }
-        let (sender, granted) = oneshot::channel();
-        local.wait(claim.clone(), self.high, sender, cx.now());
-        match cx.timeout(self.deadline, granted).await {
-            Ok(Ok(())) => Ok(permit),
-            Ok(Err(_)) => Err(SemaphoreError::Ending {
-                name: self.semaphore.name.to_string(),
-                task: cx.name().to_owned(),
-            }),
-            Err(_) => Err(self.late(local.late(claim.hold, cx.now()))),
-        }
-    }
-
-    async fn run_by_server(&self, permits: u32) -> Result<Permit, SemaphoreError> {
-        let cx = &self.semaphore.cx;
-        let permit = Permit {
-            ticket: Ticket::at_server(cx),
-        };
-        let request = AcquireSemaphore {
-            name: self.semaphore.name.to_string(),
-            permits,
-            hold: permit.ticket.hold().number,
-            task: cx.name().to_owned(),
-            wait: self.deadline,
-            high: self.high,
-        };
-        let patience = self.deadline.saturating_add(GRACE);
-        let acquired = cx.call(&server(), request).deadline(patience).await?;
-        match acquired {
-            Acquired::Granted => Ok(permit),
-            Acquired::Late(late) => {
-                permit.ticket.settle();
-                Err(self.late(late))
-            }
-            Acquired::Disagree { has } => {
-                permit.ticket.settle();
-                agree(cx, &self.semaphore.name, has, permits)?;
-                Err(nobody(cx, &self.semaphore.name))
-            }
-        }
-    }
-
-    fn late(&self, late: Late) -> SemaphoreError {
-        SemaphoreError::Deadline {
-            name: self.semaphore.name.to_string(),
-            task: self.semaphore.cx.name().to_owned(),
-            after: self.deadline,
-            holders: late.holders,
-            before: late.before,
-        }
-    }
 }
 
 impl IntoFuture for Acquire {
@@ -280,42 +245,34 @@ impl IntoFuture for Acquire {
     type IntoFuture = LocalBoxFuture<'static, Self::Output>;
 
     fn into_future(self) -> Self::IntoFuture {
-        Box::pin(self.run())
+        Box::pin(async move {
+            let (ticket, _) = self.semaphore.0.wait(self.high, self.deadline).await?;
+            Ok(Permit(ticket))
+        })
     }
-}
-
-/// Why a permit could not be had in time: who holds one, for how long, and how many wait before.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Late {
-    pub(crate) holders: Vec<(String, Duration)>,
-    pub(crate) before: usize,
 }
 
 /// One of a semaphore's permits. Dropped, it goes to whoever waits first.
 #[must_use = "a permit that is dropped is given back at once"]
 #[derive(Debug)]
-pub struct Permit {
-    ticket: Ticket,
-}
+pub struct Permit(Ticket);
 
 impl Permit {
     /// Gives it back.
     pub fn release(self) {
-        drop(self);
+        drop(self.0);
     }
 }
 
 /// A barrier, found by name with [`Context::barrier`].
 #[derive(Debug, Clone)]
 pub struct Barrier {
-    cx: Context,
-    name: Arc<str>,
-    kept: Kept<Arc<LocalBarrier>>,
+    named: Named,
     deadline: Duration,
 }
 
 /// What became of a wait at a barrier.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Passage {
     /// Counts how often everybody has passed, from 1 on.
     pub generation: u64,
@@ -324,30 +281,6 @@ pub struct Passage {
 }
 
 impl Barrier {
-    /// The barrier called `name`; for `parties`, unless the configuration says for how many.
-    pub(crate) fn find(cx: &Context, name: &str, parties: u32) -> Result<Self, SemaphoreError> {
-        let declared = cx.app().barriers.iter().find(|one| one.name == name);
-        let parties = declared.and_then(|one| one.count).unwrap_or(parties);
-        let scope = declared.and_then(|one| one.scope);
-        if parties == 0 {
-            return Err(nobody(cx, name));
-        }
-        let kept = match scope.unwrap_or_else(|| scope_of(name)) {
-            Scope::App => Kept::ByServer { count: parties },
-            Scope::Chassis => {
-                let local = cx.chassis().blocking().barrier(name, parties);
-                agree(cx, name, local.parties(), parties)?;
-                Kept::Here(local)
-            }
-        };
-        Ok(Self {
-            cx: cx.clone(),
-            name: name.into(),
-            kept,
-            deadline: patience(cx),
-        })
-    }
-
     /// Waits at most this long.
     #[must_use]
     pub fn deadline(mut self, deadline: Duration) -> Self {
@@ -360,76 +293,17 @@ impl Barrier {
     /// # Errors
     /// [`SemaphoreError::Missing`] names those who have arrived.
     pub async fn wait(&self) -> Result<Passage, SemaphoreError> {
-        match &self.kept {
-            Kept::Here(local) => self.wait_here(local).await,
-            Kept::ByServer { count } => self.wait_at_server(*count).await,
-        }
-    }
-
-    fn missing(&self, arrived: Vec<String>, parties: u32) -> SemaphoreError {
-        SemaphoreError::Missing {
-            name: self.name.to_string(),
-            task: self.cx.name().to_owned(),
-            after: self.deadline,
-            arrived,
-            parties,
-        }
-    }
-
-    async fn wait_here(&self, local: &Arc<LocalBarrier>) -> Result<Passage, SemaphoreError> {
-        let cx = &self.cx;
-        let claim = Claim {
-            hold: cx.chassis().blocking().next_hold(cx.chassis().index()),
-            task: cx.name_shared(),
-            tid: cx.tid(),
-        };
-        let _ticket = Ticket::at_barrier(local, claim.hold);
-        let (sender, passed) = oneshot::channel();
-        local.arrive(claim, sender);
-        match cx.timeout(self.deadline, passed).await {
-            Ok(Ok(passage)) => Ok(passage),
-            Ok(Err(_)) => Err(SemaphoreError::Ending {
-                name: self.name.to_string(),
-                task: cx.name().to_owned(),
-            }),
-            Err(_) => Err(self.missing(local.arrived(), local.parties())),
-        }
-    }
-
-    async fn wait_at_server(&self, parties: u32) -> Result<Passage, SemaphoreError> {
-        let cx = &self.cx;
-        let ticket = Ticket::at_server(cx);
-        let request = ArriveBarrier {
-            name: self.name.to_string(),
-            parties,
-            hold: ticket.hold().number,
-            task: cx.name().to_owned(),
-            wait: self.deadline,
-        };
-        let patience = self.deadline.saturating_add(GRACE);
-        let arrived = cx.call(&server(), request).deadline(patience).await?;
-        ticket.settle();
-        match arrived {
-            Arrived::Passed(passage) => Ok(passage),
-            Arrived::Late(arrived) => Err(self.missing(arrived, parties)),
-            Arrived::Disagree { has } => {
-                agree(cx, &self.name, has, parties)?;
-                Err(nobody(cx, &self.name))
-            }
-        }
+        let (_, passage) = self.named.wait(false, self.deadline).await?;
+        Ok(passage)
     }
 
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.name
+        &self.named.name
     }
 }
 
-/// The app-wide semaphores, asked from any chassis.
-pub(crate) async fn of_app(cx: &Context) -> Result<Vec<SemaphoreView>, CallError> {
-    cx.call(&server(), server::ListSemaphores {}).await
-}
 impl Context {
     /// The semaphores that this task could use, who holds them and who waits: those of this chassis and
     /// those of the app.
@@ -437,7 +311,7 @@ impl Context {
     /// # Errors
     /// When the task that keeps those of the app cannot be asked.
     pub async fn semaphores(&self) -> Result<Vec<SemaphoreView>, CallError> {
-        let mut views = of_app(self).await?;
+        let mut views = self.call(&server(), ListSemaphores {}).await?;
         let here = self.chassis().semaphores().into_iter();
         views.extend(here.filter(|view| view.scope == Scope::Chassis));
         Ok(views)
@@ -450,7 +324,7 @@ impl Context {
     /// # Errors
     /// [`SemaphoreError`]: no permits at all, or another number than others use.
     pub fn semaphore(&self, name: &str, permits: u32) -> Result<Semaphore, SemaphoreError> {
-        Semaphore::find(self, name, permits)
+        Named::find(self, Kind::Semaphore, name, permits).map(Semaphore)
     }
 
     /// The barrier called `name`, for `parties` unless `[barrier.NAME]` of the configuration says for how many.
@@ -459,6 +333,8 @@ impl Context {
     /// # Errors
     /// [`SemaphoreError`]: nobody to wait for, or another number than others use.
     pub fn barrier(&self, name: &str, parties: u32) -> Result<Barrier, SemaphoreError> {
-        Barrier::find(self, name, parties)
+        let named = Named::find(self, Kind::Barrier, name, parties)?;
+        let deadline = self.inner.call_deadline();
+        Ok(Barrier { named, deadline })
     }
 }

@@ -37,6 +37,7 @@ pub struct Activity {
     began_ns: AtomicU64,
     command: AtomicU16,
     restarts: AtomicU64,
+    /// The place of the last startup phase in their order, from 1 on; 0: none was entered.
     phase: AtomicU8,
     phase_since_ns: AtomicU64,
     /// What whoever watches counts besides.
@@ -137,13 +138,8 @@ impl Activity {
 
     /// The task has entered `phase`.
     pub(crate) fn entered(&self, phase: Phase, now: Instant) {
-        let number = match phase {
-            Phase::Create => 1,
-            Phase::Connect => 2,
-            Phase::Run => 3,
-        };
         self.phase_since_ns.store(now.as_nanos(), Ordering::Relaxed);
-        self.phase.store(number, Ordering::Release);
+        self.phase.store(phase as u8 + 1, Ordering::Release);
     }
 
     fn phase_since(&self) -> Option<Instant> {
@@ -162,12 +158,9 @@ impl Activity {
             began: began.checked_sub(1).map(Instant::from_nanos),
             command: self.command.load(Ordering::Relaxed),
             restarts: self.restarts.load(Ordering::Relaxed),
-            phase: match self.phase.load(Ordering::Relaxed) {
-                1 => Some(Phase::Create),
-                2 => Some(Phase::Connect),
-                3 => Some(Phase::Run),
-                _ => None,
-            },
+            phase: Phase::ALL
+                .into_iter()
+                .find(|phase| *phase as u8 + 1 == self.phase.load(Ordering::Relaxed)),
         }
     }
 }

@@ -32,7 +32,6 @@ pub use function::{CyclicHandle, Synchronous};
 pub use histogram::Histogram;
 pub use schedule::{Schedule, ScheduleSettings};
 pub use signal::Signal;
-pub(crate) use source::Pacemaker;
 pub use source::{TickSource, TickSourceHandle};
 pub use statistics::CyclicStatistics;
 

@@ -1,5 +1,7 @@
 //! The commands of the runtime itself, and the tasks that every app has.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -62,21 +64,6 @@ pub struct Created {
     pub failed: Vec<(String, String)>,
 }
 
-/// The name of a command of the runtime that a task of an app may be at; its code, of any other.
-pub fn command_name(code: u16) -> String {
-    let known = [
-        EnterPhase::INFO,
-        Quiesce::INFO,
-        StopTask::INFO,
-        ChassisDown::INFO,
-        Ping::INFO,
-        Introspect::INFO,
-        Statistics::INFO,
-    ];
-    let found = known.into_iter().find(|command| command.code == code);
-    found.map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
-}
-
 command! {
     /// Asks whether the task is alive.
     pub struct Ping => (), 0xff00, "ping"
@@ -115,10 +102,6 @@ command! {
     pub struct RegisterTid { pub task: TaskName } => (), 0xff10, "register_tid"
 }
 command! {
-    /// Asks for the task behind a name; without one, for the names there are.
-    pub struct QueryTid { pub name: String } => Result<Tid, Vec<String>>, 0xff11, "query_tid"
-}
-command! {
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
     /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
     pub struct FindTid {
@@ -133,8 +116,8 @@ command! {
 }
 command! {
     /// Creates the tasks of this chassis. No task of an earlier incarnation has a slot from
-    /// `first_slots` on, which holds one number for each processor.
-    pub struct CreateTasks { pub first_slots: Vec<u16> } => Created, 0xff20, "create_tasks"
+    /// `first_slots` on, by the number of the processor.
+    pub struct CreateTasks { pub first_slots: BTreeMap<u8, u16> } => Created, 0xff20, "create_tasks"
 }
 command! {
     /// Ends the process.
@@ -215,7 +198,7 @@ pub struct Seen {
     pub last: Vec<Note>,
 }
 
-/// Every command of the runtime that a task may be seen at.
+/// The commands of the runtime, but for those of the services that have a list of their own.
 pub const ALL: &[CommandInfo] = &[
     Ping::INFO,
     Introspect::INFO,
@@ -227,10 +210,6 @@ pub const ALL: &[CommandInfo] = &[
     ChassisDown::INFO,
     ChassisUp::INFO,
     RestartTask::INFO,
-    RegisterTid::INFO,
-    QueryTid::INFO,
-    FindTid::INFO,
-    ChassisNews::INFO,
     CreateTasks::INFO,
     Exit::INFO,
     Progress::INFO,
@@ -247,23 +226,13 @@ pub const ALL: &[CommandInfo] = &[
     LookAt::INFO,
     Shutdown::INFO,
     Broke::INFO,
-    MoveTask::INFO,
     MoveOut::INFO,
     MoveIn::INFO,
     Transfer::INFO,
-    CommitMove::INFO,
-    AbortMove::INFO,
     Settle::INFO,
     Rebound::INFO,
     Fence::INFO,
-    AwaitTid::INFO,
-    Monitor::INFO,
-    TaskChanged::INFO,
     WaitsFor::INFO,
-    FirstSlots::INFO,
-    WhoWaits::INFO,
-    MovedTasks::INFO,
-    NamesOf::INFO,
     TaskMoved::INFO,
 ];
 command! {
@@ -345,7 +314,7 @@ command! {
 }
 command! {
     /// Asks for the first slot of each processor of a chassis that no task of this run ever had.
-    pub struct FirstSlots { pub chassis: u8 } => Vec<u16>, 0xff6f, "first_slots"
+    pub struct FirstSlots { pub chassis: u8 } => BTreeMap<u8, u16>, 0xff6f, "first_slots"
 }
 
 command! {

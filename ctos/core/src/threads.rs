@@ -13,18 +13,13 @@ use crate::{
 };
 use ctos_time::lock::lock;
 
-/// A processor's thread, from outside.
-pub struct ProcessorThread {
-    /// Ends, one way or the other, when the thread has dropped everything it ran.
-    pub ended: oneshot::Receiver<()>,
-}
-
 /// Starts a thread for each processor of `chassis`. When it returns, it is known what the system granted
-/// to each ([`Chassis::realtime`]).
+/// to each ([`Chassis::realtime`]). The receivers end, one way or the other, when their threads have dropped everything
+/// that they ran.
 ///
 /// # Errors
 /// When the system refuses a thread; those that were started are stopped.
-pub fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<ProcessorThread>> {
+pub fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<oneshot::Receiver<()>>> {
     let configs =
         || (0..chassis.processors.len()).filter_map(|index| chassis.processor_config(index));
     let memory = if configs().any(|config| config.realtime) {
@@ -68,7 +63,7 @@ pub fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Processor
             chassis.stop_processors();
             return Err(error);
         }
-        threads.push(ProcessorThread { ended });
+        threads.push(ended);
     }
     drop(prepared);
     let mut grants: Vec<_> = grants.iter().collect();

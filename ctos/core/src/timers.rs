@@ -10,12 +10,8 @@ pub(crate) struct Timers<T> {
     next: u64,
 }
 
-/// Names one timer among all that were ever set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct TimerKey {
-    at: Instant,
-    number: u64,
-}
+/// Names one timer among all that were ever set: its moment, and its number.
+pub(crate) type TimerKey = (Instant, u64);
 
 impl<T> Default for Timers<T> {
     fn default() -> Self {
@@ -29,14 +25,13 @@ impl<T> Default for Timers<T> {
 impl<T> Timers<T> {
     /// When the first timer is due.
     pub(crate) fn first(&self) -> Option<Instant> {
-        self.by_moment.first_key_value().map(|(key, _)| key.at)
+        self.by_moment.first_key_value().map(|(key, _)| key.0)
     }
 
     /// Sets a timer.
     pub(crate) fn insert(&mut self, at: Instant, value: T) -> TimerKey {
-        let number = self.next;
+        let key = (at, self.next);
         self.next += 1;
-        let key = TimerKey { at, number };
         self.by_moment.insert(key, value);
         key
     }
@@ -49,7 +44,7 @@ impl<T> Timers<T> {
     /// Takes out the first timer that is due at `now`.
     pub(crate) fn pop_due(&mut self, now: Instant) -> Option<T> {
         let first = self.by_moment.first_entry()?;
-        (first.key().at <= now).then(|| first.remove())
+        (first.key().0 <= now).then(|| first.remove())
     }
 
     /// Takes out all.

@@ -80,18 +80,17 @@ impl fmt::Display for Instant {
 /// Where a chassis takes its time from.
 #[derive(Debug, Clone)]
 pub struct Clock {
-    source: ClockSource,
+    /// The moment of the host's monotonic clock at which the app was started.
+    origin_ns: u64,
+    /// In place of the host's clock.
+    simulated: Option<Simulated>,
 }
 
-#[derive(Debug, Clone)]
-enum ClockSource {
-    /// The host's monotonic clock, less the moment at which the app was started.
-    Real { origin_ns: u64 },
-    /// A number that only the simulation advances, seen through a clock that need not be right.
-    Virtual {
-        now_ns: Arc<AtomicU64>,
-        drift: Drift,
-    },
+/// A number that only the simulation advances, seen through a clock that need not be right.
+#[derive(Debug, Clone, Default)]
+struct Simulated {
+    now_ns: Arc<AtomicU64>,
+    drift: Drift,
 }
 
 /// How a simulated clock is wrong: it started early and runs at a rate of its own. It is never set
@@ -145,8 +144,10 @@ impl Clock {
     /// an app on one host agree.
     #[must_use]
     pub fn real_from(origin_ns: u64) -> Self {
+        let simulated = None;
         Self {
-            source: ClockSource::Real { origin_ns },
+            origin_ns,
+            simulated,
         }
     }
 
@@ -154,68 +155,53 @@ impl Clock {
     #[must_use]
     pub fn virtual_clock() -> Self {
         Self {
-            source: ClockSource::Virtual {
-                now_ns: Arc::new(AtomicU64::new(0)),
-                drift: Drift::default(),
-            },
+            origin_ns: 0,
+            simulated: Some(Simulated::default()),
         }
     }
 
     /// A clock that shows the time of this virtual one wrongly, as `drift` says. A real clock is left
     /// as it is.
     pub fn drifting(&self, drift: Drift) -> Self {
-        match &self.source {
-            ClockSource::Real { .. } => self.clone(),
-            ClockSource::Virtual { now_ns, .. } => Self {
-                source: ClockSource::Virtual {
-                    now_ns: now_ns.clone(),
-                    drift,
-                },
-            },
+        let mut clock = self.clone();
+        if let Some(simulated) = &mut clock.simulated {
+            simulated.drift = drift;
         }
+        clock
     }
 
     /// The first true moment of the simulation at which this clock shows `shown`; for a real clock,
     /// which is the truth itself, that moment.
     pub fn true_at(&self, shown: Instant) -> Instant {
-        match &self.source {
-            ClockSource::Real { .. } => shown,
-            ClockSource::Virtual { drift, .. } => Instant(drift.true_at(shown.0)),
-        }
+        let simulated = self.simulated.as_ref();
+        simulated.map_or(shown, |simulated| Instant(simulated.drift.true_at(shown.0)))
     }
 
     /// The present moment.
     #[must_use]
     pub fn now(&self) -> Instant {
-        match &self.source {
-            ClockSource::Real { origin_ns } => Instant(monotonic_ns().saturating_sub(*origin_ns)),
-            ClockSource::Virtual { now_ns, drift } => {
-                Instant(drift.shown(now_ns.load(Ordering::Acquire)))
-            }
+        match &self.simulated {
+            None => Instant(monotonic_ns().saturating_sub(self.origin_ns)),
+            Some(it) => Instant(it.drift.shown(it.now_ns.load(Ordering::Acquire))),
         }
     }
 
     /// What this clock shows at a true moment of the simulation; the inverse of [`Self::true_at`].
     pub fn shown_at(&self, moment: Instant) -> Instant {
-        match &self.source {
-            ClockSource::Real { .. } => moment,
-            ClockSource::Virtual { drift, .. } => Instant(drift.shown(moment.0)),
-        }
+        let simulated = self.simulated.as_ref();
+        simulated.map_or(moment, |simulated| Instant(simulated.drift.shown(moment.0)))
     }
 
     /// The origin of a real clock, to hand to another chassis; `None` for a virtual clock.
     #[must_use]
     pub fn origin_ns(&self) -> Option<u64> {
-        match &self.source {
-            ClockSource::Real { origin_ns } => Some(*origin_ns),
-            ClockSource::Virtual { .. } => None,
-        }
+        self.simulated.is_none().then_some(self.origin_ns)
     }
 
     /// Moves a virtual clock forward to a true moment. A real clock, or a step back, is left alone.
     pub fn advance_to(&self, moment: Instant) {
-        if let ClockSource::Virtual { now_ns, .. } = &self.source {
-            now_ns.fetch_max(moment.0, Ordering::AcqRel);
+        if let Some(simulated) = &self.simulated {
+            simulated.now_ns.fetch_max(moment.0, Ordering::AcqRel);
         }
     }
 }

@@ -3,6 +3,7 @@
 //! Knows no socket: what the thread looks at while it sleeps is given to it as a [`Park`].
 
 use std::{
+    ops::Deref,
     sync::{
         Arc, OnceLock,
         atomic::{AtomicBool, Ordering},
@@ -117,36 +118,15 @@ impl Parker {
     pub fn looks_out(&self) -> bool {
         self.given.get().is_some()
     }
+}
 
-    fn place(&self) -> &dyn Park {
+impl Deref for Parker {
+    type Target = dyn Park;
+
+    fn deref(&self) -> &(dyn Park + 'static) {
         match self.given.get() {
             Some(place) => place.as_ref(),
             None => &self.own,
         }
-    }
-
-    /// [`Park::sit_down`].
-    pub fn sit_down(&self) {
-        self.place().sit_down();
-    }
-
-    /// [`Park::unpark`].
-    pub fn unpark(&self) {
-        self.place().unpark();
-    }
-
-    /// [`Park::park`].
-    pub fn park(&self, now: Instant, deadline: Option<Instant>) {
-        self.place().park(now, deadline);
-    }
-
-    /// [`Park::glance`].
-    pub fn glance(&self, glance: Glance) -> bool {
-        self.place().glance(glance)
-    }
-
-    /// [`Park::had_work`].
-    pub fn had_work(&self) {
-        self.place().had_work();
     }
 }

@@ -35,7 +35,7 @@ pub fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
             "semsvr",
             semsvr,
             &semaphore::server::COMMANDS,
-            |_| SemaphoreServer::default(),
+            |_| SemaphoreServer,
         );
         start(chassis, "bootstrap", service, &COMMANDS, move |_| {
             Bootstrap::new(seat.clone())

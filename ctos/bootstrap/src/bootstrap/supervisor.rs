@@ -331,7 +331,9 @@ impl Supervisor {
     /// Whether the policy can restart the chassis at all.
     fn may_return(&self) -> bool {
         use ctos_config::ChassisRestart::Never;
-        let policy = self.board.with(self.index, |member| member.policy.restart.when);
+        let policy = self
+            .board
+            .with(self.index, |member| member.policy.restart.when);
         policy.is_some_and(|policy| policy != Never)
     }
 

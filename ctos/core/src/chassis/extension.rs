@@ -3,7 +3,7 @@
 
 use std::{
     any::{Any, TypeId},
-    collections::HashMap,
+    collections::BTreeMap,
     sync::{Arc, Mutex},
 };
 
@@ -28,41 +28,32 @@ pub trait Extension: Any + Send + Sync {
 }
 
 /// The extensions of one chassis, one of each type.
-#[derive(Default)]
-pub(super) struct Extensions(Mutex<HashMap<TypeId, Arc<dyn Extension>>>);
-
-impl Extensions {
-    pub(super) fn set<T: Extension>(&self, extension: Arc<T>) {
-        lock(&self.0).insert(TypeId::of::<T>(), extension);
-    }
-
-    pub(super) fn all(&self) -> Vec<Arc<dyn Extension>> {
-        lock(&self.0).values().cloned().collect()
-    }
-
-    fn get<T: Extension>(&self) -> Option<Arc<T>> {
-        let found: Arc<dyn Any + Send + Sync> = lock(&self.0).get(&TypeId::of::<T>())?.clone();
-        found.downcast().ok()
-    }
-}
+pub(super) type Extensions = Mutex<BTreeMap<TypeId, Arc<dyn Extension>>>;
 
 #[doc(hidden)]
 impl Chassis {
+    pub(super) fn extensions(&self) -> Vec<Arc<dyn Extension>> {
+        lock(&self.extensions).values().cloned().collect()
+    }
+
     /// Adds what a service keeps, in place of what it has kept so far.
     pub(crate) fn extend<T: Extension>(&self, extension: Arc<T>) {
-        self.extensions.set(extension);
+        lock(&self.extensions).insert(TypeId::of::<T>(), extension);
     }
 
     /// What a service keeps; made now if there is none.
     pub fn extension<T: Extension>(&self) -> Arc<T> {
-        if let Some(found) = self.extensions.get() {
-            return found;
-        }
-        // Made outside the lock: it may look at the chassis. Should another thread be first, its own counts.
-        let new = Arc::new(T::new(self));
-        let mut all = lock(&self.extensions.0);
-        let entry = all.entry(TypeId::of::<T>());
-        let there: Arc<dyn Any + Send + Sync> = entry.or_insert_with(|| new.clone()).clone();
-        there.downcast().unwrap_or(new)
+        let id = TypeId::of::<T>();
+        let there = lock(&self.extensions).get(&id).cloned();
+        let there: Arc<dyn Any + Send + Sync> = match there {
+            Some(there) => there,
+            None => {
+                // Made outside the lock: it may look at the chassis. Should another thread be first, its own counts.
+                let new = Arc::new(T::new(self));
+                lock(&self.extensions).entry(id).or_insert(new).clone()
+            }
+        };
+        // It is a `T`, or it would not be found there.
+        there.downcast().unwrap_or_else(|_| Arc::new(T::new(self)))
     }
 }

@@ -29,19 +29,13 @@ use ctos_message::{
 };
 use ctos_time::{Instant, lock::lock};
 
-/// A request that came over a link, with the way back.
-struct Request {
-    chassis: Arc<Chassis>,
-    inbound: Arc<Inbound>,
-}
-
-impl Remote for Request {
+impl Remote for Inbound {
     fn answer(&self, answer: Answer) {
-        self.chassis.post_reply(&self.inbound, answer);
+        self.chassis.post_reply(self, answer);
     }
 
     fn is_abandoned(&self) -> bool {
-        self.inbound.is_abandoned()
+        self.abandoned.load(Ordering::Acquire)
     }
 }
 
@@ -138,7 +132,7 @@ impl Chassis {
     }
 
     /// Sends an answer back over the link that the request came by, if anybody waits for it.
-    pub(crate) fn post_reply(&self, inbound: &Inbound, answer: Answer) {
+    fn post_reply(&self, inbound: &Inbound, answer: Answer) {
         let Inbound {
             header: request,
             call,
@@ -260,6 +254,7 @@ impl Chassis {
             recorder.arrived(&header, trace, deadline, &body)
         });
         let request = Arc::new(Inbound {
+            chassis: self.clone(),
             header,
             call,
             trace,
@@ -269,16 +264,11 @@ impl Chassis {
         lock(&self.links)
             .inbound
             .insert((peer, call), request.clone());
-        let request = Arc::new(Request {
-            chassis: self.clone(),
-            inbound: request,
-        });
         // Every request between chassis waits for one or the other, so that none is lost unseen.
+        let slot = ReplySlot::remote(request);
         let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
-            let slot = ReplySlot::remote(request);
             (Some(slot), Acceptance::Silent)
         } else {
-            let slot = ReplySlot::remote(request);
             (None, Acceptance::Told(slot))
         };
         let data = Data::from(body);
@@ -315,7 +305,7 @@ impl Chassis {
     /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub fn link_down(self: &Arc<Self>, peer: u8) {
-        let ended: Vec<Pending> = {
+        let ended: Vec<(u64, Pending)> = {
             let mut links = lock(&self.links);
             if links.up.remove(&peer).is_none() {
                 return;
@@ -326,18 +316,10 @@ impl Chassis {
                 }
                 *from != peer
             });
-            let of_peer: Vec<u64> = links
-                .pending
-                .iter()
-                .filter(|(_, pending)| pending.peer() == peer)
-                .map(|(call, _)| *call)
-                .collect();
-            of_peer
-                .into_iter()
-                .filter_map(|call| links.pending.remove(&call))
-                .collect()
+            let of_peer = |_: &u64, pending: &mut Pending| pending.peer() == peer;
+            links.pending.extract_if(.., of_peer).collect()
         };
-        for pending in ended {
+        for (_, pending) in ended {
             pending.answer(Err(self.peer_down_fault(peer)));
         }
         self.directory.forget_chassis(peer);
@@ -347,12 +329,8 @@ impl Chassis {
         let chassis = self.name_of(peer).to_owned();
         tracing::debug!(chassis = %chassis, "link down");
         for task in self.tasks() {
-            self.post_system(
-                task.tid,
-                system::ChassisDown {
-                    chassis: chassis.clone(),
-                },
-            );
+            let chassis = chassis.clone();
+            self.post_system(task.tid, system::ChassisDown { chassis });
         }
     }
 }
@@ -400,8 +378,9 @@ mod tests {
     }
 
     /// Call `call` of a task of chassis 2, which waits for an answer.
-    fn asked(chassis: &Chassis, call: u64) -> Arc<Inbound> {
+    fn asked(chassis: &Arc<Chassis>, call: u64) -> Arc<Inbound> {
         let request = Arc::new(Inbound {
+            chassis: chassis.clone(),
             header: Header {
                 to: Tid::new(1, 0, 5),
                 from: Tid::new(2, 0, 5),

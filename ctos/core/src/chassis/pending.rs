@@ -8,6 +8,7 @@ use std::{
     },
 };
 
+use super::Chassis;
 use crate::reply::{Answer, ReplySlot};
 use ctos_message::{Header, frame::Link};
 
@@ -41,7 +42,8 @@ pub(super) struct Links {
 }
 
 /// A request that came over a link and waits for its answer.
-pub(crate) struct Inbound {
+pub(super) struct Inbound {
+    pub(super) chassis: Arc<Chassis>,
     pub(super) header: Header,
     pub(super) call: u64,
     pub(super) trace: u64,
@@ -51,11 +53,6 @@ pub(crate) struct Inbound {
 }
 
 impl Inbound {
-    /// Whether the caller, or its chassis, is gone.
-    pub(crate) fn is_abandoned(&self) -> bool {
-        self.abandoned.load(Ordering::Acquire)
-    }
-
     pub(super) fn abandon(&self) {
         self.abandoned.store(true, Ordering::Release);
     }

@@ -60,7 +60,7 @@ pub(crate) struct Family {
 
 impl Inner {
     /// How long a call waits if it does not say.
-    pub(super) fn call_deadline(&self) -> Duration {
+    pub(crate) fn call_deadline(&self) -> Duration {
         let config = self.config.as_ref();
         let deadline = config.and_then(|config| config.call_deadline);
         deadline.unwrap_or(DEFAULT_DEADLINE)
@@ -118,10 +118,6 @@ impl Context {
     #[must_use]
     pub fn trace(&self) -> u64 {
         self.trace
-    }
-
-    pub(crate) fn name_shared(&self) -> Arc<str> {
-        self.inner.record.name.clone()
     }
 
     /// The chassis that the task runs on.

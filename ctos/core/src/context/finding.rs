@@ -1,13 +1,11 @@
 //! Other tasks by their names.
 
 use std::{
-    future::Future,
-    pin::Pin,
-    task::{Context as PollContext, Poll},
+    future::{IntoFuture, Ready, ready},
     time::Duration,
 };
 
-use futures_util::future::LocalBoxFuture;
+use futures_util::future::{Either, LocalBoxFuture};
 
 use super::{core::Context, task_ref::TaskRef};
 use crate::system::{self, AwaitTid, FindTid, Missing, Monitor, NamesOf};
@@ -95,7 +93,6 @@ pub struct Find<'c> {
     cx: &'c Context,
     name: &'c str,
     deadline: Duration,
-    asking: Option<LocalBoxFuture<'c, Result<TaskRef, NameError>>>,
 }
 
 impl Find<'_> {
@@ -106,30 +103,18 @@ impl Find<'_> {
     }
 }
 
-impl Future for Find<'_> {
+impl<'c> IntoFuture for Find<'c> {
     type Output = Result<TaskRef, NameError>;
+    type IntoFuture = Either<Ready<Self::Output>, LocalBoxFuture<'c, Self::Output>>;
 
-    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let Self {
-            cx,
-            name,
-            deadline,
-            asking,
-        } = self.get_mut();
-        let asking = match asking {
-            Some(asking) => asking,
-            None => {
-                let known = cx.inner.chassis.directory.known(name);
-                let gone = match known {
-                    Some((name, tid)) if cx.reaches(tid) => {
-                        return Poll::Ready(Ok(TaskRef::new(name, tid)));
-                    }
-                    known => known.map(|(_, tid)| tid),
-                };
-                asking.insert(Box::pin(cx.find(name, gone, *deadline)))
+    fn into_future(self) -> Self::IntoFuture {
+        let gone = match self.cx.inner.chassis.directory.known(self.name) {
+            Some((name, tid)) if self.cx.reaches(tid) => {
+                return Either::Left(ready(Ok(TaskRef::new(name, tid))));
             }
+            known => known.map(|(_, tid)| tid),
         };
-        asking.as_mut().poll(poll)
+        Either::Right(Box::pin(self.cx.find(self.name, gone, self.deadline)))
     }
 }
 
@@ -149,7 +134,6 @@ impl Context {
             cx: self,
             name,
             deadline: self.inner.call_deadline(),
-            asking: None,
         }
     }
 

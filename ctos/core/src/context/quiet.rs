@@ -23,17 +23,6 @@ pub(crate) struct Quiet {
 }
 
 impl Quiet {
-    fn new(reason: StopReason) -> Self {
-        Self {
-            reason,
-            reply: None,
-            said: false,
-            waits: BTreeMap::new(),
-            next: 0,
-            failed: None,
-        }
-    }
-
     /// What went on beside the handler has ended with it.
     pub(super) fn forget(&mut self) -> impl Sized + use<> {
         self.said = false;
@@ -42,6 +31,12 @@ impl Quiet {
 }
 
 impl Context {
+    /// What is known of the end of the app, once that has begun.
+    fn quiet<T>(&self, look: impl FnOnce(&mut Quiet) -> T) -> Option<T> {
+        let mut family = self.inner.any_family()?;
+        family.quiet.as_deref_mut().map(look)
+    }
+
     /// Runs `rests` as a child of this task, and lets the acknowledgement of
     /// [`quiesce`](crate::handler::EventHandler::quiesce) wait for its end; the task takes messages meanwhile.
     /// Should it be late, `waits_for` tells the person what for. It is dropped when the task is stopped,
@@ -51,12 +46,11 @@ impl Context {
         waits_for: impl Fn() -> String + 'static,
         rests: impl Future<Output = Handled> + 'static,
     ) {
-        let number = self.inner.any_family().and_then(|mut family| {
-            let quiet = family.quiet.as_mut()?;
+        let number = self.quiet(|quiet| {
             let number = quiet.next;
             quiet.next += 1;
             quiet.waits.insert(number, Box::new(waits_for));
-            Some(number)
+            number
         });
         let cx = self.clone();
         self.spawn(async move {
@@ -68,8 +62,7 @@ impl Context {
     }
 
     fn rests(&self, number: u64, ended: Handled) {
-        let words = self.inner.any_family().and_then(|mut family| {
-            let quiet = family.quiet.as_mut()?;
+        let words = self.quiet(|quiet| {
             if let Err(error) = ended {
                 quiet.failed.get_or_insert(error.to_string());
             }
@@ -82,9 +75,16 @@ impl Context {
     /// The app is about to be stopped. Who waits for this task to be at rest is told later.
     pub(crate) fn begin_stop(&self, reason: &StopReason, reply: Option<Replier<Quiesce>>) {
         let mut family = self.inner.family();
-        let quiet = family
-            .quiet
-            .get_or_insert_with(|| Box::new(Quiet::new(reason.clone())));
+        let quiet = family.quiet.get_or_insert_with(|| {
+            Box::new(Quiet {
+                reason: reason.clone(),
+                reply: None,
+                said: false,
+                waits: BTreeMap::new(),
+                next: 0,
+                failed: None,
+            })
+        });
         let before = std::mem::replace(&mut quiet.reply, reply);
         // Not held while whoever waited for it is told.
         drop(family);
@@ -93,31 +93,25 @@ impl Context {
 
     /// Why the app is being stopped, if it is.
     pub(crate) fn stop_reason(&self) -> Option<StopReason> {
-        let family = self.inner.any_family()?;
-        Some(family.quiet.as_ref()?.reason.clone())
+        self.quiet(|quiet| quiet.reason.clone())
     }
 
     /// The handler is at rest, but for what goes on beside it.
     pub(crate) fn said_quiet(&self) {
-        if let Some(mut family) = self.inner.any_family()
-            && let Some(quiet) = &mut family.quiet
-        {
-            quiet.said = true;
-        }
+        self.quiet(|quiet| quiet.said = true);
         self.settle();
     }
 
     /// Tells that the task is at rest, if it is.
     fn settle(&self) {
-        let settled = self.inner.any_family().and_then(|mut family| {
-            let quiet = family.quiet.as_mut()?;
+        let settled = self.quiet(|quiet| {
             if !quiet.said || !quiet.waits.is_empty() {
                 return None;
             }
             Some((quiet.reply.take()?, quiet.failed.take()))
         });
         // A reply cannot fail.
-        let _ = match settled {
+        let _ = match settled.flatten() {
             Some((reply, None)) => reply.ok(()),
             Some((reply, Some(why))) => reply.fail(why),
             None => Ok(()),
@@ -127,10 +121,9 @@ impl Context {
     /// What this task still waits for before it is at rest, in words.
     pub(crate) fn not_quiet(&self) -> Option<String> {
         // Not held while they are called: they may reach the task.
-        let waits = std::mem::take(&mut self.inner.any_family()?.quiet.as_mut()?.waits);
+        let waits = self.quiet(|quiet| std::mem::take(&mut quiet.waits))?;
         let words: Vec<String> = waits.values().map(|words| words()).collect();
-        let mut family = self.inner.any_family()?;
-        family.quiet.as_mut()?.waits.extend(waits);
+        self.quiet(|quiet| quiet.waits.extend(waits));
         (!words.is_empty()).then(|| words.join("; "))
     }
 
@@ -138,7 +131,6 @@ impl Context {
     /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin nothing then that need not be.
     #[must_use]
     pub fn is_stopping(&self) -> bool {
-        let family = self.inner.any_family();
-        family.is_some_and(|family| family.quiet.is_some())
+        self.quiet(|_| ()).is_some()
     }
 }

@@ -6,9 +6,7 @@ use std::time::Duration;
 use super::core::Context;
 use crate::{
     realtime::{self, Grant},
-    sync::{
-        Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
-    },
+    sync::{Cyclic, CyclicError, CyclicHandle, Synchronous, TickSource, TickSourceHandle},
     system::{self, AppResult},
 };
 
@@ -32,7 +30,7 @@ impl Context {
         let function = Synchronous::new(name, function).period(period);
         self.schedule(function).unwrap_or_else(|error| {
             self.fail(&error.to_string());
-            CyclicHandle::of_nothing()
+            CyclicHandle::default()
         })
     }
 
@@ -51,16 +49,13 @@ impl Context {
             self.inner.record.tid.processor(),
         );
         let handle = self.inner.processor.handle.clone();
-        let pacemaker = Pacemaker {
-            prepare: Box::new(move || {
-                let config = chassis.processor_config(usize::from(index));
-                // Memory was locked for the whole chassis; a refusal was said for the processor.
-                let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
-            }),
-            wake: Box::new(move || handle.unpark()),
+        let prepare = move || {
+            let config = chassis.processor_config(usize::from(index));
+            // Memory was locked for the whole chassis; a refusal was said for the processor.
+            let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
         };
         let schedule = &self.inner.processor.schedule;
-        schedule.pace(Box::new(source), pacemaker)
+        schedule.pace(source, prepare, move || handle.unpark())
     }
 
     // -- the person who booted the app ------------------------------------------------------

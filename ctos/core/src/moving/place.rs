@@ -29,8 +29,8 @@ pub fn find_place(chassis: &Chassis, text: &str) -> Result<Place, NoPlace> {
         None => (text, None),
     };
     let app = &chassis.app;
-    let position = app.chassis.iter().position(|config| config.name == name);
-    let Some((index, config)) = position.and_then(|at| Some((at, app.chassis.get(at)?))) else {
+    let mut all = app.chassis.iter().enumerate();
+    let Some((index, config)) = all.find(|(_, config)| config.name == name) else {
         return Err(NoPlace {
             message: format!("there is no chassis `{name}`"),
             known: app.chassis.iter().map(|one| one.name.clone()).collect(),
@@ -63,8 +63,7 @@ pub fn find_place(chassis: &Chassis, text: &str) -> Result<Place, NoPlace> {
 
 /// A place in words.
 pub fn place_text(chassis: &Chassis, place: Place) -> String {
-    let index = usize::from(place.chassis).checked_sub(1);
-    let config = index.and_then(|index| chassis.app.chassis.get(index));
+    let config = chassis.config_of(place.chassis);
     let processor = usize::from(place.processor).checked_sub(1);
     let name = config
         .and_then(|config| config.processors.get(processor?))

@@ -1,7 +1,7 @@
 //! Names of tasks whose chassis is being restarted: who asks for one waits until its tasks have passed all
 //! phases, or until it is known that they never will.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use super::{Names, TidServer, broadcast};
 use crate::{
@@ -16,39 +16,28 @@ use ctos_message::Tid;
 /// Chassis that are not as they should be, by number.
 #[derive(Default)]
 pub(super) struct Presence {
-    /// Those that may be started again, until their tasks have passed all phases.
-    away: BTreeSet<u8>,
-    /// Those that are not started again, with why.
-    gone: BTreeMap<u8, String>,
+    /// Those that may be started again, until their tasks have passed all phases; and those that are not, with why.
+    absent: BTreeMap<u8, Option<String>>,
     /// Whether the app has been up. Before, tasks find each other as soon as they exist.
     up: bool,
     stopping: bool,
-    waiting: Vec<Waiting>,
-}
-
-/// A task that waits for another one to be back.
-struct Waiting {
-    from: Tid,
-    request: FindTid,
-    reply: Replier<FindTid>,
+    /// Tasks that wait for others to be back.
+    waiting: Vec<(FindTid, Replier<FindTid>)>,
 }
 
 impl Presence {
     /// A chassis is not linked any more.
     pub(super) fn lost(&mut self, cx: &Context, index: u8) {
-        let config = index.checked_sub(1).map(usize::from);
-        let config = config.and_then(|place| cx.app().chassis.get(place));
-        let may_return = config.is_some_and(|it| it.supervision.restart.when != ChassisRestart::Never);
-        if may_return {
-            self.away.insert(index);
-        } else if !self.away.contains(&index) {
-            let why = "is not started again, because its `restart` is \"never\"".to_owned();
-            self.gone.entry(index).or_insert(why);
-        }
+        let config = cx.chassis().config_of(index);
+        let may_return =
+            config.is_some_and(|it| it.supervision.restart.when != ChassisRestart::Never);
+        let why = "is not started again, because its `restart` is \"never\"";
+        let why = (!may_return).then(|| why.to_owned());
+        self.absent.entry(index).or_insert(why);
     }
 
     fn is_away(&self, index: u8) -> bool {
-        self.away.contains(&index)
+        self.absent.get(&index) == Some(&None)
     }
 }
 
@@ -56,19 +45,14 @@ impl Names {
     pub(super) fn asked(
         &mut self,
         cx: &Context,
-        from: Tid,
         request: FindTid,
         reply: Replier<FindTid>,
     ) -> Handled {
-        match self.find(cx, from, &request) {
+        match self.find(cx, reply.asker(), &request) {
             Err(Missing::Away { .. }) if request.waits => {
                 let waiting = &mut self.presence.waiting;
-                waiting.retain(|waiting| !waiting.reply.is_abandoned());
-                waiting.push(Waiting {
-                    from,
-                    request,
-                    reply,
-                });
+                waiting.retain(|(_, reply)| !reply.is_abandoned());
+                waiting.push((request, reply));
                 Ok(())
             }
             found => reply.ok(found),
@@ -77,14 +61,9 @@ impl Names {
 
     /// Answers those who wait for what is known now.
     pub(super) fn answer_waiting(&mut self, cx: &Context) {
-        for waiting in std::mem::take(&mut self.presence.waiting) {
-            let Waiting {
-                from,
-                request,
-                reply,
-            } = waiting;
+        for (request, reply) in std::mem::take(&mut self.presence.waiting) {
             // A reply cannot fail.
-            let _ = self.asked(cx, from, request, reply);
+            let _ = self.asked(cx, request, reply);
         }
     }
 
@@ -112,12 +91,10 @@ impl Names {
             Some(tid) if !hidden && !lost => return Ok(tid),
             // It exists, and nobody can say any more when it has passed its phases.
             Some(tid) if presence.stopping && !lost => return Ok(tid),
-            None if !presence.is_away(index) && !presence.gone.contains_key(&index) => {
-                return Err(unknown());
-            }
+            None if !presence.absent.contains_key(&index) => return Err(unknown()),
             _ => {}
         }
-        if let Some(why) = presence.gone.get(&index) {
+        if let Some(Some(why)) = presence.absent.get(&index) {
             let why = why.clone();
             return Err(Missing::Gone { chassis, why });
         }
@@ -139,20 +116,17 @@ impl TidServer {
         match news {
             News::AppUp => presence.up = true,
             News::Away(index) => {
-                presence.away.insert(index);
-                presence.gone.remove(&index);
+                presence.absent.insert(index, None);
                 // Who has found its tasks before asks again, and waits.
                 for (name, tid) in names.iter().filter(|(_, tid)| tid.chassis() == index) {
                     broadcast(cx, name, *tid, None);
                 }
             }
             News::Back(index) => {
-                presence.away.remove(&index);
-                presence.gone.remove(&index);
+                presence.absent.remove(&index);
             }
             News::Gone(index, why) => {
-                presence.away.remove(&index);
-                presence.gone.insert(index, why);
+                presence.absent.insert(index, Some(why));
             }
             News::Stopping => presence.stopping = true,
         }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use futures_util::future::join_all;
 use tokio::sync::oneshot;
 
-use super::{Move, TidServer};
+use super::TidServer;
 use crate::{
     context::{Context, TaskRef},
     moving::{find_place, place_text, redirect_for},
@@ -22,11 +22,7 @@ use ctos_message::Tid;
 const REDIRECT_DEADLINE: Duration = Duration::from_secs(180);
 
 impl TidServer {
-    pub(super) async fn move_task(
-        &self,
-        cx: &Context,
-        request: MoveTask,
-    ) -> Result<String, String> {
+    pub(super) async fn carry(&self, cx: &Context, request: MoveTask) -> Result<String, String> {
         let MoveTask { task, to } = request;
         let place = find_place(cx.chassis(), &to).map_err(|wrong| wrong.to_string())?;
         let old = {
@@ -53,7 +49,7 @@ impl TidServer {
                 let chassis = cx.chassis().name_of(place.chassis);
                 return Err(format!("chassis `{chassis}` is gone"));
             }
-            state.moves.insert(task.clone(), Move::default());
+            state.moves.insert(task.clone(), None);
             old
         };
         let moved = self.carry_out(cx, &task, old, place).await;
@@ -68,7 +64,7 @@ impl TidServer {
         // What counts is whether the name has its new place, also when its old one died just then.
         let turned = {
             let mut state = self.state.borrow_mut();
-            state.moves.get_mut(name).and_then(|one| one.turned.take())
+            state.moves.get_mut(name).and_then(Option::take)
         };
         match (turned, left) {
             (Some(turned), _) => {
@@ -112,7 +108,7 @@ impl TidServer {
         state.turning.insert(name.clone(), turning);
         let (tell, turned) = oneshot::channel();
         if let Some(one) = state.moves.get_mut(&name) {
-            one.turned = Some(turned);
+            *one = Some(turned);
         }
         drop(state);
         // Before anybody can send to the new place: whoever stops a chassis stops the tasks it has.

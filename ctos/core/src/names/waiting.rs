@@ -4,17 +4,11 @@ use std::collections::BTreeSet;
 
 use super::{Names, Waiter};
 use crate::{envelope::Replier, handled::Handled, system::AwaitTid};
-use ctos_message::Tid;
 
 impl Names {
-    pub(super) fn wait(
-        &mut self,
-        from: Tid,
-        name: String,
-        waiter: String,
-        reply: Replier<AwaitTid>,
-    ) -> Handled {
-        if let Some(tid) = self.seen_from(from.chassis(), &name) {
+    pub(super) fn wait(&mut self, request: AwaitTid, reply: Replier<AwaitTid>) -> Handled {
+        let AwaitTid { name, waiter } = request;
+        if let Some(tid) = self.seen_from(reply.asker().chassis(), &name) {
             return reply.ok(Ok(tid));
         }
         self.forget_waiters();

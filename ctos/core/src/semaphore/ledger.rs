@@ -1,12 +1,25 @@
-//! Who holds the permits of one semaphore and who waits for them: the rules, without time, threads or messages.
+//! Who has what, and who waits: for the permits of one semaphore, or for all to arrive at one barrier. Knows no clock,
+//! no lock and no chassis.
 
 use std::{collections::VecDeque, sync::Arc, time::Duration};
 
-use super::{Holder, Late};
+use serde::{Deserialize, Serialize};
+use tokio::sync::oneshot;
+
+use super::{Holder, Passage};
 use ctos_message::Tid;
 use ctos_time::Instant;
 
-/// One wait for, and later hold of, a permit. Never used twice by a process.
+/// What a task can wait for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Kind {
+    /// A permit.
+    Semaphore,
+    /// That everybody has arrived.
+    Barrier,
+}
+
+/// One wait for, and later hold of, a permit; or one arrival at a barrier. Never used twice by a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Hold {
     /// The chassis of the task.
@@ -15,7 +28,7 @@ pub(crate) struct Hold {
     pub(crate) number: u64,
 }
 
-/// Who wants or has a permit.
+/// Who wants or has something.
 #[derive(Debug, Clone)]
 pub(super) struct Claim {
     pub(super) hold: Hold,
@@ -23,88 +36,96 @@ pub(super) struct Claim {
     pub(super) tid: Tid,
 }
 
-/// The permits of one semaphore. `W` wakes somebody who waits.
-#[derive(Debug)]
-pub(super) struct Ledger<W> {
-    permits: u32,
-    /// The longest first.
-    holders: Vec<(Claim, Instant)>,
-    /// High priority, normal priority. Nobody waits while a permit is free.
-    waiting: [VecDeque<(Claim, W)>; 2],
+/// Why a wait did not end in time.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Late {
+    /// Who holds a permit, and for how long.
+    pub(super) holders: Vec<(String, Duration)>,
+    /// The tasks that wait, the asking one too if it still does.
+    pub(super) waiting: Vec<String>,
+    /// How many of them come before it.
+    pub(super) before: usize,
 }
 
-impl<W> Ledger<W> {
-    pub(super) fn new(permits: u32) -> Self {
+/// One semaphore or barrier.
+#[derive(Debug)]
+pub(super) struct Ledger {
+    kind: Kind,
+    /// Permits, or parties.
+    count: u32,
+    /// Who has a permit, the longest first.
+    holders: Vec<(Claim, Instant)>,
+    /// High priority, normal priority. Nobody waits who can be served.
+    waiting: [VecDeque<(Claim, oneshot::Sender<Passage>)>; 2],
+    /// How often all have passed the barrier.
+    generation: u64,
+}
+
+impl Ledger {
+    pub(super) fn new(kind: Kind, count: u32) -> Self {
         Self {
-            permits,
+            kind,
+            count,
             holders: Vec::new(),
             waiting: [VecDeque::new(), VecDeque::new()],
+            generation: 0,
         }
     }
 
-    pub(super) fn permits(&self) -> u32 {
-        self.permits
+    pub(super) fn count(&self) -> u32 {
+        self.count
     }
 
-    fn is_free(&self) -> bool {
-        self.holders.len() < self.permits as usize
-    }
-
-    /// Takes a permit that is free.
-    pub(super) fn try_acquire(&mut self, claim: &Claim, now: Instant) -> bool {
-        let free = self.is_free();
-        if free {
-            self.holders.push((claim.clone(), now));
-        }
-        free
-    }
-
-    /// Takes a permit or waits for one. True when it has one.
-    pub(super) fn acquire(
+    /// Stands in line; the receiver is told when it is served, at once if that is possible. What a semaphore tells
+    /// is of no meaning.
+    pub(super) fn enter(
         &mut self,
         claim: Claim,
         high: bool,
-        waiter: W,
         now: Instant,
-    ) -> Option<W> {
-        if self.try_acquire(&claim, now) {
-            return Some(waiter);
-        }
+    ) -> oneshot::Receiver<Passage> {
+        let (waiter, served) = oneshot::channel();
         let [urgent, normal] = &mut self.waiting;
         let line = if high { urgent } else { normal };
         line.push_back((claim, waiter));
-        None
+        self.serve(now);
+        served
     }
 
-    /// Ends every wait and hold that `gone` names: returns those who have a permit now, and those
-    /// who wait no longer.
-    pub(super) fn end(
-        &mut self,
-        gone: impl Fn(&Claim) -> bool,
-        now: Instant,
-    ) -> (Vec<(Hold, W)>, Vec<W>) {
-        let mut withdrawn = Vec::new();
+    /// Ends every wait and hold that `gone` names. Waits end with a closed channel.
+    pub(super) fn end(&mut self, gone: impl Fn(&Claim) -> bool, now: Instant) {
         for line in &mut self.waiting {
-            let all = std::mem::take(line);
-            for (claim, waiter) in all {
-                if gone(&claim) {
-                    withdrawn.push(waiter);
-                } else {
-                    line.push_back((claim, waiter));
-                }
-            }
+            line.retain(|(claim, _)| !gone(claim));
         }
         self.holders.retain(|(claim, _)| !gone(claim));
-        let mut granted = Vec::new();
-        while self.is_free() {
-            let [urgent, normal] = &mut self.waiting;
-            let Some((claim, waiter)) = urgent.pop_front().or_else(|| normal.pop_front()) else {
-                break;
-            };
-            granted.push((claim.hold, waiter));
-            self.holders.push((claim, now));
+        self.serve(now);
+    }
+
+    fn serve(&mut self, now: Instant) {
+        let [urgent, normal] = &mut self.waiting;
+        match self.kind {
+            Kind::Semaphore => {
+                while self.holders.len() < self.count as usize {
+                    let Some((claim, waiter)) = urgent.pop_front().or_else(|| normal.pop_front())
+                    else {
+                        break;
+                    };
+                    // Whoever waits no longer gives it back with its ticket.
+                    let _ = waiter.send(Passage::default());
+                    self.holders.push((claim, now));
+                }
+            }
+            Kind::Barrier if normal.len() >= self.count as usize => {
+                self.generation += 1;
+                let generation = self.generation;
+                while let Some((_, waiter)) = normal.pop_front() {
+                    let last = normal.is_empty();
+                    // Who gave up at this moment has passed all the same.
+                    let _ = waiter.send(Passage { generation, last });
+                }
+            }
+            Kind::Barrier => {}
         }
-        (granted, withdrawn)
     }
 
     /// What somebody is told whose time is over.
@@ -112,11 +133,13 @@ impl<W> Ledger<W> {
         let holders = self.holders.iter();
         let mut lines = self.waiting.iter().flatten();
         let place = lines.position(|(claim, _)| claim.hold == hold);
+        let waiting = self.waiting();
         Late {
             holders: holders
                 .map(|(claim, since)| (claim.task.to_string(), now.since(*since)))
-                .collect::<Vec<(String, Duration)>>(),
-            before: place.unwrap_or_else(|| self.waiting.iter().map(VecDeque::len).sum()),
+                .collect(),
+            before: place.unwrap_or(waiting.len()),
+            waiting,
         }
     }
 
@@ -131,20 +154,24 @@ impl<W> Ledger<W> {
             .collect()
     }
 
+    /// The tasks that wait, in the order in which they will be served.
     pub(super) fn waiting(&self) -> Vec<String> {
         let lines = self.waiting.iter().flatten();
         lines.map(|(claim, _)| claim.task.to_string()).collect()
     }
 
-    /// Forgets those who wait; they are told by dropping what is returned.
-    pub(super) fn close(&mut self) -> Vec<(Claim, W)> {
-        self.waiting.iter_mut().flat_map(std::mem::take).collect()
+    /// Ends all waits.
+    pub(super) fn close(&mut self) {
+        self.waiting = Default::default();
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use proptest::prelude::*;
+    use tokio::sync::oneshot::error::TryRecvError;
 
     use super::*;
 
@@ -175,6 +202,29 @@ mod tests {
         ]
     }
 
+    fn names(numbers: &[u64]) -> Vec<String> {
+        numbers.iter().map(|number| format!("t{number}")).collect()
+    }
+
+    /// Takes out what was told by now: the numbers of those who were served, and of those whose wait was ended.
+    fn told(
+        waits: &mut BTreeMap<u64, oneshot::Receiver<Passage>>,
+    ) -> (Vec<(u64, Passage)>, Vec<u64>) {
+        let (mut served, mut ended) = (Vec::new(), Vec::new());
+        waits.retain(|number, wait| match wait.try_recv() {
+            Ok(passage) => {
+                served.push((*number, passage));
+                false
+            }
+            Err(TryRecvError::Closed) => {
+                ended.push(*number);
+                false
+            }
+            Err(TryRecvError::Empty) => true,
+        });
+        (served, ended)
+    }
+
     proptest! {
         /// Never more permits out than there are, none free while somebody waits, served in order, high before
         /// normal, whoever ends and however.
@@ -183,7 +233,8 @@ mod tests {
             permits in 1_u32..4,
             steps in proptest::collection::vec(step(), 1..200),
         ) {
-            let mut ledger = Ledger::new(permits);
+            let mut ledger = Ledger::new(Kind::Semaphore, permits);
+            let mut waits = BTreeMap::new();
             // The model: who holds, and who waits, in the order in which they must be served.
             let mut held: Vec<u64> = Vec::new();
             let mut line: Vec<(bool, u64)> = Vec::new();
@@ -193,52 +244,81 @@ mod tests {
                     Step::Acquire { high } => {
                         let number = count;
                         count += 1;
-                        let granted = ledger.acquire(claim(number), high, number, Instant::START);
-                        let free = held.len() < permits as usize;
-                        prop_assert_eq!(granted.is_some(), free);
-                        if free {
-                            held.push(number);
-                        } else {
-                            let place = line.iter().position(|(other, _)| high && !other);
-                            line.insert(place.unwrap_or(line.len()), (high, number));
-                        }
-                        continue;
+                        waits.insert(number, ledger.enter(claim(number), high, Instant::START));
+                        let place = line.iter().position(|(other, _)| high && !other);
+                        line.insert(place.unwrap_or(line.len()), (high, number));
+                        Vec::new()
                     }
                     Step::End(index) if count > 0 => vec![index.index(count as usize) as u64],
                     Step::End(_) => continue,
                     Step::EndThird(third) => (0..count).filter(|number| number % 3 == third).collect(),
                 };
-                let is_gone = |claim: &Claim| gone.contains(&claim.hold.number);
-                let (granted, mut withdrawn) = ledger.end(is_gone, Instant::START);
-                let mut expected: Vec<u64> =
+                if !gone.is_empty() {
+                    ledger.end(|claim| gone.contains(&claim.hold.number), Instant::START);
+                }
+                let mut withdrawn: Vec<u64> =
                     line.iter().map(|(_, number)| *number).filter(|number| gone.contains(number)).collect();
-                expected.sort_unstable();
                 withdrawn.sort_unstable();
-                prop_assert_eq!(withdrawn, expected);
                 held.retain(|number| !gone.contains(number));
                 line.retain(|(_, number)| !gone.contains(number));
                 let room = (permits as usize - held.len()).min(line.len());
-                let served: Vec<u64> = line.drain(..room).map(|(_, number)| number).collect();
-                prop_assert_eq!(granted.iter().map(|(_, number)| *number).collect::<Vec<_>>(), served.clone());
-                held.extend(served);
+                let mut granted: Vec<u64> = line.drain(..room).map(|(_, number)| number).collect();
+                held.extend(&granted);
+                granted.sort_unstable();
+                let (served, ended) = told(&mut waits);
+                prop_assert_eq!(served.into_iter().map(|(number, _)| number).collect::<Vec<_>>(), granted);
+                prop_assert_eq!(ended, withdrawn);
                 prop_assert!(held.len() <= permits as usize);
                 prop_assert!(line.is_empty() || held.len() == permits as usize);
-                let names = |numbers: &[u64]| numbers.iter().map(|number| format!("t{number}")).collect::<Vec<_>>();
                 let holders: Vec<String> = ledger.holders().into_iter().map(|holder| holder.task).collect();
                 prop_assert_eq!(holders, names(&held));
                 let waiting: Vec<u64> = line.iter().map(|(_, number)| *number).collect();
                 prop_assert_eq!(ledger.waiting(), names(&waiting));
             }
         }
+
+        #[test]
+        fn everybody_passes_together_and_only_when_all_are_there(
+            parties in 1_u32..6,
+            steps in proptest::collection::vec((any::<bool>(), any::<prop::sample::Index>()), 1..100),
+        ) {
+            let mut barrier = Ledger::new(Kind::Barrier, parties);
+            let mut waits = BTreeMap::new();
+            let mut there: Vec<u64> = Vec::new();
+            let mut generations = 0;
+            for (number, (arrives, index)) in steps.into_iter().enumerate() {
+                let number = number as u64;
+                let mut left = Vec::new();
+                let mut passing = Vec::new();
+                if arrives || number == 0 {
+                    there.push(number);
+                    waits.insert(number, barrier.enter(claim(number), false, Instant::START));
+                    if there.len() == parties as usize {
+                        generations += 1;
+                        passing = std::mem::take(&mut there);
+                    }
+                } else {
+                    // Somebody who is there, was there, or never was.
+                    let gone = index.index(number as usize) as u64;
+                    barrier.end(|claim| claim.hold.number == gone, Instant::START);
+                    left.extend(there.extract_if(.., |other| *other == gone));
+                }
+                let (served, ended) = told(&mut waits);
+                let passage = |of: &u64| Passage { generation: generations, last: *of == number };
+                let expected: Vec<_> = passing.iter().map(|of| (*of, passage(of))).collect();
+                prop_assert_eq!(served, expected);
+                prop_assert_eq!(ended, left);
+                prop_assert_eq!(barrier.waiting(), names(&there));
+            }
+        }
     }
 
     #[test]
     fn who_is_late_hears_who_holds_and_how_many_wait_before() {
-        let mut ledger = Ledger::new(1);
+        let mut ledger = Ledger::new(Kind::Semaphore, 1);
         let at = |seconds| Instant::from_nanos(seconds * 1_000_000_000);
-        for number in 0..4 {
-            ledger.acquire(claim(number), number == 3, (), at(number));
-        }
+        let enter = |number| ledger.enter(claim(number), number == 3, at(number));
+        let _waits: Vec<_> = (0..4).map(enter).collect();
         let late = ledger.late(claim(2).hold, at(5));
         assert_eq!(late.holders, [("t0".to_owned(), Duration::from_secs(5))]);
         // The high one and the one that came first.

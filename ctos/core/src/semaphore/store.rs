@@ -1,20 +1,22 @@
-//! The semaphores and barriers that a chassis keeps, and the tickets that give back what a task has of them.
+//! The semaphores and barriers that a chassis keeps, and the tickets of those who use them. Those of the app are kept in
+//! the same way, on the chassis that boots.
 
 use std::{
     collections::BTreeMap,
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicU64, Ordering},
     },
+    time::Duration,
 };
 
+use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use super::{
-    Late, Passage, Scope, SemaphoreView,
-    gathering::Gathering,
-    ledger::{Claim, Hold, Ledger},
-    server::{ReleaseTicket, Shared},
+    Passage, Scope, SemaphoreView,
+    ledger::{Claim, Hold, Kind, Late, Ledger},
+    server::ReleaseTicket,
 };
 use crate::{
     chassis::{Chassis, Extension},
@@ -24,113 +26,97 @@ use crate::{
 use ctos_message::Tid;
 use ctos_time::{Clock, Instant, lock::lock};
 
+/// What came of a wait.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Answer {
+    /// The task has a permit, or has passed.
+    Served(Passage),
+    /// Its time was over before.
+    Late(Late),
+    /// There is one for another number.
+    Disagree { has: u32 },
+}
+
 /// All that a chassis keeps.
 #[derive(Debug)]
 pub(crate) struct Store {
-    semaphores: Mutex<BTreeMap<String, Arc<LocalSemaphore>>>,
-    barriers: Mutex<BTreeMap<String, Arc<LocalBarrier>>>,
+    kept: Mutex<BTreeMap<(Kind, Scope, String), Arc<Kept>>>,
     next: AtomicU64,
     /// What tasks of this chassis have, or want, of what the server keeps.
     elsewhere: Mutex<BTreeMap<Hold, Tid>>,
-    /// What the server keeps, on the chassis that boots.
-    pub(super) shared: Mutex<Shared>,
     clock: Clock,
 }
 
 impl Store {
-    pub(super) fn next_hold(&self, chassis: u8) -> Hold {
-        let number = self.next.fetch_add(1, Ordering::Relaxed);
-        Hold { chassis, number }
+    /// The semaphore or barrier called `name`, made with `count` permits or parties if it is new.
+    pub(super) fn find(&self, kind: Kind, scope: Scope, name: &str, count: u32) -> Arc<Kept> {
+        let mut kept = lock(&self.kept);
+        let there = kept.entry((kind, scope, name.to_owned()));
+        let new = || {
+            Arc::new(Kept {
+                ledger: Mutex::new(Ledger::new(kind, count)),
+                clock: self.clock.clone(),
+            })
+        };
+        there.or_insert_with(new).clone()
     }
 
-    /// The semaphore called `name`, made with `permits` if it is new.
-    pub(super) fn semaphore(&self, name: &str, permits: u32) -> Arc<LocalSemaphore> {
-        let mut semaphores = lock(&self.semaphores);
-        if let Some(known) = semaphores.get(name) {
-            return known.clone();
+    /// Ends every wait and hold that `gone` names.
+    pub(super) fn end(&self, gone: impl Fn(&Claim) -> bool) {
+        let all: Vec<_> = lock(&self.kept).values().cloned().collect();
+        for kept in all {
+            kept.end(&gone);
         }
-        let new = Arc::new(LocalSemaphore {
-            ledger: Mutex::new(Ledger::new(permits)),
-            clock: self.clock.clone(),
-        });
-        semaphores.insert(name.to_owned(), new.clone());
-        new
     }
 
-    /// The barrier called `name`, made for `parties` if it is new.
-    pub(super) fn barrier(&self, name: &str, parties: u32) -> Arc<LocalBarrier> {
-        let mut barriers = lock(&self.barriers);
-        if let Some(known) = barriers.get(name) {
-            return known.clone();
-        }
-        let new = Arc::new(LocalBarrier(Mutex::new(Gathering::new(parties))));
-        barriers.insert(name.to_owned(), new.clone());
-        new
-    }
-
-    /// What is kept here: the chassis's own, and, on the chassis that boots, the app's.
-    pub(crate) fn views(&self) -> Vec<SemaphoreView> {
-        let own: Vec<_> = lock(&self.semaphores)
+    /// The semaphores that are kept here: the chassis's own, and, on the chassis that boots, the app's.
+    pub(super) fn views(&self) -> Vec<SemaphoreView> {
+        let kept = lock(&self.kept);
+        let semaphores = kept
             .iter()
-            .map(|(name, semaphore)| view(name, Scope::Chassis, &lock(&semaphore.ledger)))
-            .collect();
-        let mut views = lock(&self.shared).views();
-        views.extend(own);
-        views
+            .filter(|((kind, ..), _)| *kind == Kind::Semaphore);
+        semaphores
+            .map(|((_, scope, name), kept)| {
+                let ledger = lock(&kept.ledger);
+                SemaphoreView {
+                    name: name.clone(),
+                    scope: *scope,
+                    permits: ledger.count(),
+                    holders: ledger.holders(),
+                    waiting: ledger.waiting(),
+                }
+            })
+            .collect()
     }
 }
 
 impl Extension for Store {
     fn new(chassis: &Chassis) -> Self {
         Self {
-            semaphores: Mutex::default(),
-            barriers: Mutex::default(),
+            kept: Mutex::default(),
             next: AtomicU64::new(0),
             elsewhere: Mutex::default(),
-            shared: Mutex::default(),
             clock: chassis.clock.clone(),
         }
     }
 
     // Whatever the task had, or waited for, is given back, also what it left to others.
     fn task_ended(&self, chassis: &Arc<Chassis>, tid: Tid) {
-        let semaphores: Vec<_> = lock(&self.semaphores).values().cloned().collect();
-        for semaphore in semaphores {
-            semaphore.end(|claim| claim.tid == tid);
-        }
-        let barriers: Vec<_> = lock(&self.barriers).values().cloned().collect();
-        for barrier in barriers {
-            barrier.leave(|claim| claim.tid == tid);
-        }
-        let holds: Vec<Hold> = {
-            let mut elsewhere = lock(&self.elsewhere);
-            let mut holds = Vec::new();
-            elsewhere.retain(|hold, owner| {
-                if *owner == tid {
-                    holds.push(*hold);
-                }
-                *owner != tid
-            });
-            holds
-        };
+        self.end(|claim| claim.tid == tid);
+        let of_task = |_: &Hold, owner: &mut Tid| *owner == tid;
+        let holds: Vec<Hold> = lock(&self.elsewhere)
+            .extract_if(.., of_task)
+            .map(|(hold, _)| hold)
+            .collect();
         for hold in holds {
             release_elsewhere(chassis, hold);
         }
     }
 
     fn closed(&self) {
-        let semaphores = std::mem::take(&mut *lock(&self.semaphores));
-        let barriers = std::mem::take(&mut *lock(&self.barriers));
-        let shared = std::mem::take(&mut *lock(&self.shared));
-        for semaphore in semaphores.into_values() {
-            let waiting = lock(&semaphore.ledger).close();
-            drop(waiting);
+        for kept in std::mem::take(&mut *lock(&self.kept)).into_values() {
+            lock(&kept.ledger).close();
         }
-        for barrier in barriers.into_values() {
-            let waiting = lock(&barrier.0).close();
-            drop(waiting);
-        }
-        drop(shared);
     }
 }
 
@@ -148,154 +134,95 @@ impl Chassis {
     }
 }
 
-/// A semaphore as it is now.
-pub(super) fn view<W>(name: &str, scope: Scope, ledger: &Ledger<W>) -> SemaphoreView {
-    SemaphoreView {
-        name: name.to_owned(),
-        scope,
-        permits: ledger.permits(),
-        holders: ledger.holders(),
-        waiting: ledger.waiting(),
-    }
-}
-
 fn release_elsewhere(chassis: &Arc<Chassis>, hold: Hold) {
     let release = ReleaseTicket { hold: hold.number };
     chassis.post_system(system::SEMAPHORE_SERVER, release);
 }
 
-/// A semaphore of chassis scope.
+/// A semaphore or barrier.
 #[derive(Debug)]
-pub(super) struct LocalSemaphore {
-    ledger: Mutex<Ledger<oneshot::Sender<()>>>,
+pub(super) struct Kept {
+    ledger: Mutex<Ledger>,
     clock: Clock,
 }
 
-impl LocalSemaphore {
-    pub(super) fn permits(&self) -> u32 {
-        lock(&self.ledger).permits()
+impl Kept {
+    /// Permits or parties.
+    pub(super) fn count(&self) -> u32 {
+        lock(&self.ledger).count()
     }
 
-    pub(super) fn try_acquire(&self, claim: &Claim, now: Instant) -> bool {
-        lock(&self.ledger).try_acquire(claim, now)
+    /// [`Ledger::enter`], now.
+    pub(super) fn enter(&self, claim: Claim, high: bool) -> oneshot::Receiver<Passage> {
+        lock(&self.ledger).enter(claim, high, self.now())
     }
 
-    pub(super) fn wait(&self, claim: Claim, high: bool, waiter: oneshot::Sender<()>, now: Instant) {
-        // It may have become free since it was tried.
-        let granted = lock(&self.ledger).acquire(claim, high, waiter, now);
-        if let Some(waiter) = granted {
-            let _ = waiter.send(());
+    /// Waits to be served; `None` when the wait was ended by others.
+    pub(super) async fn wait(
+        &self,
+        cx: &Context,
+        hold: Hold,
+        served: oneshot::Receiver<Passage>,
+        patience: Duration,
+    ) -> Option<Answer> {
+        match cx.timeout(patience, served).await {
+            Ok(passage) => passage.ok().map(Answer::Served),
+            Err(_) => Some(Answer::Late(lock(&self.ledger).late(hold, self.now()))),
         }
     }
 
-    pub(super) fn late(&self, hold: Hold, now: Instant) -> Late {
-        lock(&self.ledger).late(hold, now)
+    /// [`Ledger::end`], now.
+    pub(super) fn end(&self, gone: impl Fn(&Claim) -> bool) {
+        lock(&self.ledger).end(gone, self.now());
     }
 
-    fn end(&self, gone: impl Fn(&Claim) -> bool) {
-        let (granted, withdrawn) = lock(&self.ledger).end(gone, self.clock.now());
-        for (_, waiter) in granted {
-            // Whoever waits no longer gives it back with its ticket.
-            let _ = waiter.send(());
-        }
-        drop(withdrawn);
+    fn now(&self) -> Instant {
+        self.clock.now()
     }
-}
-
-/// A barrier of chassis scope.
-#[derive(Debug)]
-pub(super) struct LocalBarrier(Mutex<Gathering<oneshot::Sender<Passage>>>);
-
-impl LocalBarrier {
-    pub(super) fn parties(&self) -> u32 {
-        lock(&self.0).parties()
-    }
-
-    pub(super) fn arrived(&self) -> Vec<String> {
-        lock(&self.0).arrived()
-    }
-
-    pub fn arrive(&self, claim: Claim, waiter: oneshot::Sender<Passage>) {
-        let passing = lock(&self.0).arrive(claim, waiter);
-        for (_, waiter, passage) in passing {
-            // Who gave up at this moment has passed all the same.
-            let _ = waiter.send(passage);
-        }
-    }
-
-    fn leave(&self, gone: impl Fn(&Claim) -> bool) {
-        let left = lock(&self.0).leave(gone);
-        drop(left);
-    }
-}
-
-#[derive(Debug)]
-enum Place {
-    Semaphore(Arc<LocalSemaphore>),
-    Barrier(Arc<LocalBarrier>),
-    Server(Arc<Chassis>),
 }
 
 /// Stands for one hold, from before it is asked for. Dropped, it ends the wait or gives the permit back, whichever
 /// of the two it has come to.
 #[derive(Debug)]
 pub(super) struct Ticket {
-    place: Place,
-    hold: Hold,
-    settled: AtomicBool,
+    chassis: Arc<Chassis>,
+    /// What it is for; `None` when the server keeps that.
+    kept: Option<Arc<Kept>>,
+    pub(super) hold: Hold,
 }
 
 impl Ticket {
-    fn new(place: Place, hold: Hold) -> Self {
+    pub(super) fn new(cx: &Context, kept: Option<Arc<Kept>>) -> Self {
+        let chassis = cx.chassis().clone();
+        let store = chassis.blocking();
+        let hold = Hold {
+            chassis: chassis.index(),
+            number: store.next.fetch_add(1, Ordering::Relaxed),
+        };
+        if kept.is_none() {
+            lock(&store.elsewhere).insert(hold, cx.tid());
+        }
         Self {
-            place,
+            chassis,
+            kept,
             hold,
-            settled: AtomicBool::new(false),
         }
     }
 
-    pub(super) fn at_semaphore(semaphore: &Arc<LocalSemaphore>, hold: Hold) -> Self {
-        Self::new(Place::Semaphore(semaphore.clone()), hold)
-    }
-
-    pub(super) fn at_barrier(barrier: &Arc<LocalBarrier>, hold: Hold) -> Self {
-        Self::new(Place::Barrier(barrier.clone()), hold)
-    }
-
-    pub(super) fn at_server(cx: &Context) -> Self {
-        let chassis = cx.chassis();
-        let hold = chassis.blocking().next_hold(chassis.index());
-        lock(&chassis.blocking().elsewhere).insert(hold, cx.tid());
-        Self::new(Place::Server(chassis.clone()), hold)
-    }
-
-    pub(super) fn hold(&self) -> Hold {
-        self.hold
-    }
-
-    /// There is nothing to give back any more.
-    pub(super) fn settle(&self) {
-        self.settled.store(true, Ordering::Relaxed);
+    /// The server has nothing to be given back. Whether it had.
+    pub(super) fn settle(&self) -> bool {
+        let store = self.chassis.blocking();
+        let there = lock(&store.elsewhere).remove(&self.hold);
+        there.is_some()
     }
 }
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        let settled = self.settled.load(Ordering::Relaxed);
-        match &self.place {
-            Place::Semaphore(semaphore) if !settled => {
-                semaphore.end(|claim| claim.hold == self.hold);
-            }
-            Place::Barrier(barrier) if !settled => barrier.leave(|claim| claim.hold == self.hold),
-            Place::Semaphore(_) | Place::Barrier(_) => {}
-            Place::Server(chassis) => {
-                let there = lock(&chassis.blocking().elsewhere)
-                    .remove(&self.hold)
-                    .is_some();
-                if there && !settled {
-                    release_elsewhere(chassis, self.hold);
-                }
-            }
+        match &self.kept {
+            Some(kept) => kept.end(|claim| claim.hold == self.hold),
+            None if self.settle() => release_elsewhere(&self.chassis, self.hold),
+            None => {}
         }
     }
 }

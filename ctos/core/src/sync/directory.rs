@@ -26,8 +26,8 @@ pub struct ScheduleView {
     pub unwritten: Vec<String>,
 }
 
-/// A function of a schedule as others see it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// What is said of a function of a schedule.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct FunctionView {
     /// `task.function`.
     pub name: String,
@@ -43,49 +43,34 @@ pub struct FunctionView {
     pub writes: Vec<String>,
 }
 
-/// The synchronous functions of a chassis.
+/// What is shown of one schedule: with the statistics of each of its functions.
+pub(super) type Shown = (ScheduleView, Vec<Arc<CyclicStatistics>>);
+
+/// The schedules of a chassis, by processor.
 #[derive(Debug, Default)]
-pub(crate) struct Directory {
-    functions: Mutex<BTreeMap<String, Arc<CyclicStatistics>>>,
-    schedules: Mutex<BTreeMap<(String, usize), ScheduleView>>,
-}
+pub(crate) struct Directory(Mutex<BTreeMap<String, Vec<Shown>>>);
 
 impl Directory {
     /// All functions by name, `task.function`.
     pub(crate) fn functions(&self) -> Vec<(String, Arc<CyclicStatistics>)> {
-        let functions = lock(&self.functions);
-        functions
-            .iter()
-            .map(|(name, statistics)| (name.clone(), statistics.clone()))
-            .collect()
+        let processors = lock(&self.0);
+        let functions = processors.values().flatten().flat_map(|(view, all)| {
+            let names = view.functions.iter().map(|function| function.name.clone());
+            names.zip(all.iter().cloned())
+        });
+        let by_name: BTreeMap<_, _> = functions.collect();
+        by_name.into_iter().collect()
     }
 
     /// All schedules that have a function.
     pub(crate) fn schedules(&self) -> Vec<ScheduleView> {
-        lock(&self.schedules).values().cloned().collect()
-    }
-
-    pub(super) fn add(&self, name: &str, statistics: &Arc<CyclicStatistics>) {
-        lock(&self.functions).insert(name.to_owned(), statistics.clone());
-    }
-
-    /// Takes a function out, unless another one of the same name took its place.
-    pub(super) fn remove(&self, name: &str, statistics: &Arc<CyclicStatistics>) {
-        let mut functions = lock(&self.functions);
-        if functions
-            .get(name)
-            .is_some_and(|known| Arc::ptr_eq(known, statistics))
-        {
-            functions.remove(name);
-        }
+        let processors = lock(&self.0);
+        let shown = processors.values().flatten();
+        shown.map(|(view, _)| view.clone()).collect()
     }
 
     /// Shows the schedules of one processor as they are now.
-    pub(super) fn show(&self, processor: &str, views: Vec<ScheduleView>) {
-        let mut schedules = lock(&self.schedules);
-        schedules.retain(|(owner, _), _| owner != processor);
-        for (index, view) in views.into_iter().enumerate() {
-            schedules.insert((processor.to_owned(), index), view);
-        }
+    pub(super) fn show(&self, processor: &str, shown: Vec<Shown>) {
+        lock(&self.0).insert(processor.to_owned(), shown);
     }
 }

@@ -12,22 +12,13 @@ use petgraph::{
     graph::{DiGraph, NodeIndex},
 };
 
-use super::CyclicError;
-
-/// What a function does with signals.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Flow {
-    pub(super) name: String,
-    pub(super) reads: Vec<String>,
-    pub(super) reads_previous: Vec<String>,
-    pub(super) writes: Vec<String>,
-}
+use super::{CyclicError, FunctionView};
 
 /// The order in which functions run, as places in `flows`.
 ///
 /// # Errors
 /// [`CyclicError::Circle`] and [`CyclicError::TwoWriters`].
-pub(super) fn order(flows: &[&Flow]) -> Result<Vec<usize>, CyclicError> {
+pub(super) fn order(flows: &[&FunctionView]) -> Result<Vec<usize>, CyclicError> {
     let graph = graph(flows)?;
     // A component of more than one function is a circle; a function that reads what it wrote itself is none.
     if let Some(circle) = tarjan_scc(&graph).into_iter().find(|part| part.len() > 1) {
@@ -57,10 +48,10 @@ pub(super) fn order(flows: &[&Flow]) -> Result<Vec<usize>, CyclicError> {
 }
 
 /// Functions as nodes, in the order of `flows`, and an edge from each to those that must run after it.
-fn graph<'a>(flows: &[&'a Flow]) -> Result<DiGraph<(), &'a str>, CyclicError> {
+fn graph<'a>(flows: &[&'a FunctionView]) -> Result<DiGraph<(), &'a str>, CyclicError> {
     let mut graph = DiGraph::with_capacity(flows.len(), flows.len());
     let nodes: Vec<NodeIndex> = flows.iter().map(|_| graph.add_node(())).collect();
-    let mut writers: BTreeMap<&str, (NodeIndex, &Flow)> = BTreeMap::new();
+    let mut writers: BTreeMap<&str, (NodeIndex, &FunctionView)> = BTreeMap::new();
     for (node, flow) in nodes.iter().zip(flows) {
         for signal in &flow.writes {
             if let Some((_, first)) = writers.insert(signal, (*node, flow)) {
@@ -73,25 +64,30 @@ fn graph<'a>(flows: &[&'a Flow]) -> Result<DiGraph<(), &'a str>, CyclicError> {
         }
     }
     for (node, flow) in nodes.iter().zip(flows) {
-        for signal in &flow.reads {
-            if let Some((writer, _)) = writers.get(signal.as_str())
-                && writer != node
-            {
-                graph.update_edge(*writer, *node, signal.as_str());
-            }
-        }
-        for signal in &flow.reads_previous {
-            if let Some((writer, _)) = writers.get(signal.as_str())
-                && writer != node
-            {
-                graph.update_edge(*node, *writer, signal.as_str());
+        let reads = flow.reads.iter().map(|signal| (signal, true));
+        let previous = flow.reads_previous.iter().map(|signal| (signal, false));
+        for (signal, after) in reads.chain(previous) {
+            let Some((writer, _)) = writers.get(signal.as_str()) else {
+                continue;
+            };
+            let (from, to) = if after {
+                (writer, node)
+            } else {
+                (node, writer)
+            };
+            if writer != node {
+                graph.update_edge(*from, *to, signal.as_str());
             }
         }
     }
     Ok(graph)
 }
 
-fn error(flows: &[&Flow], graph: &DiGraph<(), &str>, mut circle: Vec<NodeIndex>) -> CyclicError {
+fn error(
+    flows: &[&FunctionView],
+    graph: &DiGraph<(), &str>,
+    mut circle: Vec<NodeIndex>,
+) -> CyclicError {
     circle.sort_unstable();
     let signals: BTreeSet<&str> = graph
         .edge_indices()
@@ -112,7 +108,7 @@ fn error(flows: &[&Flow], graph: &DiGraph<(), &str>, mut circle: Vec<NodeIndex>)
 }
 
 /// The signals that somebody reads and nobody writes.
-pub(super) fn unwritten(flows: &[&Flow]) -> Vec<String> {
+pub(super) fn unwritten(flows: &[&FunctionView]) -> Vec<String> {
     let written: BTreeSet<&str> = flows
         .iter()
         .flat_map(|flow| &flow.writes)
@@ -134,17 +130,18 @@ mod tests {
 
     use super::*;
 
-    fn flow(name: &str, reads: &[&str], previous: &[&str], writes: &[&str]) -> Flow {
+    fn flow(name: &str, reads: &[&str], previous: &[&str], writes: &[&str]) -> FunctionView {
         let list = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
-        Flow {
+        FunctionView {
             name: name.to_owned(),
             reads: list(reads),
             reads_previous: list(previous),
             writes: list(writes),
+            ..FunctionView::default()
         }
     }
 
-    fn names(flows: &[Flow]) -> Vec<&str> {
+    fn names(flows: &[FunctionView]) -> Vec<&str> {
         let order = order(&flows.iter().collect::<Vec<_>>()).unwrap();
         order
             .iter()
@@ -206,14 +203,15 @@ mod tests {
             edges in proptest::collection::btree_set((0_usize..12, 0_usize..12), 0..40),
             keys in proptest::collection::vec(any::<u32>(), 12),
         ) {
-            let mut flows: Vec<Flow> = (0..12)
+            let mut flows: Vec<FunctionView> = (0..12)
                 .map(|number| {
                     let sources = edges.iter().filter(|(from, to)| from < to && *to == number);
-                    Flow {
+                    FunctionView {
                         name: number.to_string(),
                         reads: sources.map(|(from, _)| format!("s{from}")).collect(),
                         reads_previous: Vec::new(),
                         writes: vec![format!("s{number}")],
+                        ..FunctionView::default()
                     }
                 })
                 .collect();
@@ -235,7 +233,7 @@ mod tests {
         fn any_data_flow_is_ordered_or_refused_and_never_loops(
             edges in proptest::collection::vec((0_usize..8, 0_usize..8, any::<bool>()), 0..30),
         ) {
-            let flows: Vec<Flow> = (0..8)
+            let flows: Vec<FunctionView> = (0..8)
                 .map(|number| {
                     let mut flow = flow(&number.to_string(), &[], &[], &[&format!("s{number}")]);
                     for (from, to, previous) in &edges {

@@ -1,7 +1,6 @@
 //! One synchronous function: how it is described, and what the schedule keeps of it.
 
 use std::{
-    fmt,
     rc::Rc,
     sync::{
         Arc,
@@ -10,20 +9,11 @@ use std::{
     time::Duration,
 };
 
-use super::{Cyclic, CyclicStatistics, Directory, Overrun, Tick, flow::Flow, grid::Due};
-use ctos_time::{Clock, Instant};
+use super::{Cyclic, CyclicStatistics, FunctionView, Overrun, Tick, grid::Due};
+use ctos_time::Instant;
 
 /// Called with why a function cannot go on, or the app should not.
 pub(super) type FailureHook = Rc<dyn Fn(&str)>;
-
-/// How often a function runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Rate {
-    /// At every so many base ticks of the processor.
-    Ticks(u64),
-    /// Every so often, which must be a whole number of base ticks.
-    Period(Duration),
-}
 
 /// A synchronous function and what is said of it: its name, the signals it reads and writes, its rate.
 ///
@@ -43,17 +33,17 @@ pub(super) enum Rate {
 /// ```
 #[must_use = "a function runs when it is put on a schedule"]
 pub struct Synchronous {
-    pub(super) function: Box<dyn Cyclic>,
-    pub(super) flow: Flow,
-    pub(super) rate: Rate,
-    pub(super) phase: u64,
+    pub(super) code: Box<dyn Cyclic>,
+    pub(super) view: FunctionView,
+    /// In place of `view.every`; must be a whole number of base ticks.
+    pub(super) period: Option<Duration>,
     pub(super) on_failure: Option<FailureHook>,
 }
 
 impl Synchronous {
     /// Reads these signals as they are written in the same tick: runs after whoever writes them.
     pub fn reads<S: Into<String>>(mut self, signals: impl IntoIterator<Item = S>) -> Self {
-        self.flow.reads.extend(signals.into_iter().map(Into::into));
+        self.view.reads.extend(signals.into_iter().map(Into::into));
         self
     }
 
@@ -61,31 +51,31 @@ impl Synchronous {
     /// opened here.
     pub fn reads_previous<S: Into<String>>(mut self, signals: impl IntoIterator<Item = S>) -> Self {
         let signals = signals.into_iter().map(Into::into);
-        self.flow.reads_previous.extend(signals);
+        self.view.reads_previous.extend(signals);
         self
     }
 
     /// Writes these signals; nobody else on the processor does.
     pub fn writes<S: Into<String>>(mut self, signals: impl IntoIterator<Item = S>) -> Self {
-        self.flow.writes.extend(signals.into_iter().map(Into::into));
+        self.view.writes.extend(signals.into_iter().map(Into::into));
         self
     }
 
     /// Runs every `period`, which must be a whole number of the processor's base periods. On a processor
     /// without `period_s` the first function's period becomes the base of those that fit.
     pub fn period(mut self, period: Duration) -> Self {
-        self.rate = Rate::Period(period);
+        self.period = Some(period);
         self
     }
 
     /// Runs `ticks` base ticks after the ticks that are a multiple of its period: 0 to period - 1.
     pub fn phase(mut self, ticks: u64) -> Self {
-        self.phase = ticks;
+        self.view.phase = ticks;
         self
     }
 
     pub(crate) fn renamed(mut self, name: String) -> Self {
-        self.flow.name = name;
+        self.view.name = name;
         self
     }
 
@@ -99,77 +89,39 @@ impl Synchronous {
     /// The function called `name`, which runs at every base tick of its processor and exchanges nothing.
     pub fn new(name: impl Into<String>, function: impl Cyclic + 'static) -> Self {
         Self {
-            function: Box::new(function),
-            flow: Flow {
+            code: Box::new(function),
+            view: FunctionView {
                 name: name.into(),
-                ..Flow::default()
+                every: 1,
+                ..FunctionView::default()
             },
-            rate: Rate::Ticks(1),
-            phase: 0,
+            period: None,
             on_failure: None,
         }
     }
 
     /// Runs at every `ticks`-th base tick of the processor.
     pub fn every(mut self, ticks: u64) -> Self {
-        self.rate = Rate::Ticks(ticks);
+        self.view.every = ticks;
+        self.period = None;
         self
     }
 
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.flow.name
-    }
-}
-
-impl fmt::Debug for Synchronous {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Synchronous")
-            .field("flow", &self.flow)
-            .field("rate", &self.rate)
-            .field("phase", &self.phase)
-            .finish_non_exhaustive()
+        &self.view.name
     }
 }
 
 /// Keeps a synchronous function on its schedule; dropped, it takes it off.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct CyclicHandle {
-    name: String,
-    wanted: Arc<AtomicBool>,
-    statistics: Arc<CyclicStatistics>,
-    directory: Option<Arc<Directory>>,
+    pub(super) wanted: Arc<AtomicBool>,
+    pub(super) statistics: Arc<CyclicStatistics>,
 }
 
 impl CyclicHandle {
-    pub(super) fn new(
-        name: String,
-        wanted: Arc<AtomicBool>,
-        statistics: Arc<CyclicStatistics>,
-        directory: Option<Arc<Directory>>,
-    ) -> Self {
-        if let Some(directory) = &directory {
-            directory.add(&name, &statistics);
-        }
-        Self {
-            name,
-            wanted,
-            statistics,
-            directory,
-        }
-    }
-
-    /// Of a function that is on no schedule.
-    pub(crate) fn of_nothing() -> Self {
-        Self {
-            name: String::new(),
-            wanted: Arc::default(),
-            statistics: Arc::default(),
-            directory: None,
-        }
-    }
-
     /// Lateness, duration and missed periods so far.
     #[must_use]
     pub fn statistics(&self) -> &Arc<CyclicStatistics> {
@@ -180,18 +132,16 @@ impl CyclicHandle {
 impl Drop for CyclicHandle {
     fn drop(&mut self) {
         self.wanted.store(false, Ordering::Release);
-        if let Some(directory) = &self.directory {
-            directory.remove(&self.name, &self.statistics);
-        }
     }
 }
 
 /// One function on a schedule.
 pub(super) struct Function {
+    /// Counts the functions of the schedule in the order in which they were added.
     pub(super) number: u64,
-    /// Its place in the order within a tick.
-    pub(super) rank: usize,
-    pub(super) function: Box<dyn Cyclic>,
+    pub(super) view: FunctionView,
+    /// Out while it runs; gone when it has panicked.
+    pub(super) code: Option<Box<dyn Cyclic>>,
     pub(super) wanted: Arc<AtomicBool>,
     pub(super) statistics: Arc<CyclicStatistics>,
     pub(super) on_failure: Option<FailureHook>,
@@ -205,19 +155,11 @@ impl Function {
         self.wanted.load(Ordering::Acquire)
     }
 
-    /// Runs it, now, if base tick `due` releases it. Returns the moment after it.
-    pub(super) fn run(
-        &mut self,
-        due: &Due,
-        overrun: Overrun,
-        now: Instant,
-        clock: &Clock,
-    ) -> Instant {
-        let release = self.releases.at(due.tick, overrun);
-        self.statistics.count_missed(release.missed);
-        let Some(run) = release.run else {
-            return now;
-        };
+    /// What it is told if it runs now, at base tick `due`.
+    pub(super) fn release(&mut self, due: &Due, overrun: Overrun, now: Instant) -> Option<Tick> {
+        let (missed, run) = self.releases.at(due.tick, overrun);
+        self.statistics.missed.fetch_add(missed, Ordering::Relaxed);
+        let run = run?;
         let tick = Tick {
             due: due.of_tick(run.tick),
             now,
@@ -225,14 +167,16 @@ impl Function {
             missed: run.missed,
         };
         self.statistics.lateness.record(now.since(tick.due));
-        self.function.tick(&tick);
-        let ended = clock.now();
-        self.last = ended.since(now);
+        Some(tick)
+    }
+
+    /// It ran from `began` to `ended`.
+    pub(super) fn ran(&mut self, due: &Due, began: Instant, ended: Instant) {
+        self.last = ended.since(began);
         self.statistics.duration.record(self.last);
-        if now < due.next && ended >= due.next {
-            self.statistics.count_overrun();
+        if began < due.next && ended >= due.next {
+            self.statistics.overruns.fetch_add(1, Ordering::Relaxed);
         }
-        ended
     }
 }
 
@@ -246,14 +190,6 @@ pub(super) struct Releases {
     count: u64,
     /// Releases skipped since the function ran last.
     skipped: u64,
-}
-
-/// What a base tick means to a function.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Release {
-    /// Releases that were skipped at this tick.
-    pub(super) missed: u64,
-    pub(super) run: Option<Run>,
 }
 
 /// A release at which the function runs.
@@ -276,13 +212,10 @@ impl Releases {
         }
     }
 
-    /// At base tick `tick`, all earlier ones being over.
-    pub(super) fn at(&mut self, tick: u64, overrun: Overrun) -> Release {
+    /// At base tick `tick`, all earlier ones being over: how many releases are skipped there, and the one that runs.
+    pub(super) fn at(&mut self, tick: u64, overrun: Overrun) -> (u64, Option<Run>) {
         if tick < self.next {
-            return Release {
-                missed: 0,
-                run: None,
-            };
+            return (0, None);
         }
         let passed = (tick - self.next) / self.every;
         let latest = self.next + passed * self.every;
@@ -291,19 +224,13 @@ impl Releases {
         // A release whose own tick was skipped is lost, unless it may be late.
         if latest < tick && overrun != Overrun::RunLateOnce {
             self.skipped += passed + 1;
-            return Release {
-                missed: passed + 1,
-                run: None,
-            };
+            return (passed + 1, None);
         }
-        let missed = std::mem::take(&mut self.skipped) + passed;
-        Release {
-            missed: passed,
-            run: Some(Run {
-                tick: latest,
-                count: self.count,
-                missed,
-            }),
-        }
+        let run = Run {
+            tick: latest,
+            count: self.count,
+            missed: std::mem::take(&mut self.skipped) + passed,
+        };
+        (passed, Some(run))
     }
 }

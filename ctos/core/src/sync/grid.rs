@@ -1,13 +1,9 @@
 //! The base ticks of a schedule, counted by the clock or by a device, and the functions that run at them.
 
-use std::{
-    sync::{Arc, atomic::AtomicBool},
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use super::{
-    CyclicError, FunctionView,
-    flow::{self, Flow},
+    Cyclic, FunctionView, Overrun, Tick, flow,
     function::{FailureHook, Function},
     source::Ticks,
 };
@@ -15,15 +11,6 @@ use ctos_time::Instant;
 
 /// A device that paces a schedule and gives no tick for so long has failed.
 const SILENCE: Duration = Duration::from_secs(1);
-
-/// What is said of a function: stays here while the function itself is out, running.
-pub(super) struct Node {
-    pub(super) number: u64,
-    pub(super) flow: Flow,
-    pub(super) every: u64,
-    pub(super) phase: u64,
-    pub(super) wanted: Arc<AtomicBool>,
-}
 
 /// Base ticks, and who runs at them.
 pub(super) struct Grid {
@@ -33,15 +20,11 @@ pub(super) struct Grid {
     /// The next tick.
     next: u64,
     source: Option<Paced>,
-    /// In the order in which they were added.
-    pub(super) nodes: Vec<Node>,
-    /// In running order; empty while they run.
+    /// In running order, but for those that were added last if it is `unsorted`.
     pub(super) functions: Vec<Function>,
-    running: bool,
-    /// Somebody was added while the others ran, or is to be forgotten.
     unsorted: bool,
-    /// It is not shown as it is.
-    pub(super) changed: bool,
+    /// A tick is under way: functions keep their places.
+    pub(super) running: bool,
     /// The overrun that stops the app was reported.
     stopped: bool,
 }
@@ -78,7 +61,7 @@ impl Due {
 /// What a look at the clock, or the device, brought.
 pub(super) enum Begun {
     Nothing,
-    Tick(Due, Vec<Function>),
+    Tick(Due),
     /// The device has failed, and the clock took over.
     SourceFailed(String, Vec<FailureHook>),
 }
@@ -93,11 +76,9 @@ impl Grid {
             anchor: (0, anchor),
             next: passed / base_ns + 1,
             source: None,
-            nodes: Vec::new(),
             functions: Vec::new(),
-            running: false,
             unsorted: false,
-            changed: false,
+            running: false,
             stopped: false,
         }
     }
@@ -152,7 +133,7 @@ impl Grid {
         self.source = Some(Paced { ticks, offset });
     }
 
-    /// Takes the functions out if a tick is due.
+    /// Begins a tick if one is due.
     pub(super) fn begin(&mut self, now: Instant) -> Begun {
         let due = match &self.source {
             None => self.due_by_clock(now),
@@ -172,7 +153,7 @@ impl Grid {
             Some(due) if !self.running => {
                 self.next = due.tick + 1;
                 self.running = true;
-                Begun::Tick(due, std::mem::take(&mut self.functions))
+                Begun::Tick(due)
             }
             _ => Begun::Nothing,
         }
@@ -212,95 +193,70 @@ impl Grid {
             Some(Some(reason)) => reason,
             None => format!("no tick for {} s", patience.as_secs_f64()),
         };
-        let hooks = self
-            .functions
-            .iter()
-            .filter_map(|one| one.on_failure.clone());
-        Begun::SourceFailed(reason, hooks.collect())
+        Begun::SourceFailed(reason, self.hooks())
     }
 
-    /// Puts the functions back after their tick. True when the overrun is to be reported now.
-    pub(super) fn end(&mut self, mut functions: Vec<Function>, due: &Due) -> bool {
+    /// Whom to tell when something is wrong with all of them.
+    pub(super) fn hooks(&self) -> Vec<FailureHook> {
+        let hooks = self.functions.iter().map(|one| one.on_failure.clone());
+        hooks.flatten().collect()
+    }
+
+    /// Takes out the code of the next function, from place `from` on, that the tick releases; with its place.
+    pub(super) fn take_out(
+        &mut self,
+        from: usize,
+        due: &Due,
+        overrun: Overrun,
+        now: Instant,
+    ) -> Option<(usize, Box<dyn Cyclic>, Tick)> {
+        let functions = self.functions.iter_mut().enumerate().skip(from);
+        let mut wanted = functions.filter(|(_, function)| function.is_wanted());
+        wanted.find_map(|(place, function)| {
+            let tick = function.release(due, overrun, now)?;
+            Some((place, function.code.take()?, tick))
+        })
+    }
+
+    /// The tick is over. True when the overrun is to be reported now.
+    pub(super) fn end(&mut self, due: &Due) -> bool {
         self.running = false;
-        functions.append(&mut self.functions);
-        self.functions = functions;
-        if self.unsorted || self.nodes.len() != self.functions.len() {
-            self.sort();
-        }
         let first = due.missed > 0 && !self.stopped;
         self.stopped |= due.missed > 0;
         first
     }
 
-    /// Forgets the functions that nobody wants any more; they are returned, to be dropped elsewhere.
-    pub(super) fn purge(&mut self) -> Vec<Function> {
-        let gone = |wanted: &Arc<AtomicBool>| !wanted.load(std::sync::atomic::Ordering::Acquire);
-        let before = self.nodes.len();
-        self.nodes.retain(|node| !gone(&node.wanted));
-        self.changed |= self.nodes.len() != before;
-        self.functions
-            .extract_if(.., |function| gone(&function.wanted))
-            .collect()
-    }
-
-    /// Sorts the functions by the order that the data flow demands.
-    fn sort(&mut self) {
-        self.unsorted = false;
-        self.changed = true;
-        self.nodes
-            .retain(|node| self.functions.iter().any(|one| one.number == node.number));
-        let flows: Vec<&Flow> = self.nodes.iter().map(|node| &node.flow).collect();
-        // What was ordered with more functions can be ordered with less, so there is no error.
-        let order = flow::order(&flows).unwrap_or_default();
-        for (rank, place) in order.into_iter().enumerate() {
-            let number = self.nodes.get(place).map(|node| node.number);
-            let mut functions = self.functions.iter_mut();
-            if let Some(function) = functions.find(|one| Some(one.number) == number) {
-                function.rank = rank;
-            }
-        }
-        self.functions.sort_by_key(|function| function.rank);
+    /// The functions that somebody wants.
+    pub(super) fn views(&self) -> impl Iterator<Item = &FunctionView> {
+        let wanted = self.functions.iter().filter(|one| one.is_wanted());
+        wanted.map(|one| &one.view)
     }
 
     /// Adds a function whose data flow was found to be in order.
-    pub(super) fn add(&mut self, node: Node, function: Function) {
-        self.nodes.push(node);
+    pub(super) fn add(&mut self, function: Function) {
         self.functions.push(function);
-        if self.running {
-            self.unsorted = true;
-        } else {
-            self.sort();
+        self.unsorted = true;
+    }
+
+    /// Moves the functions that nobody wants any more to `gone`, and sorts the others by the order that the data
+    /// flow demands. Whether anything has changed.
+    pub(super) fn tidy(&mut self, gone: &mut Vec<Function>) -> bool {
+        let before = gone.len();
+        gone.extend(self.functions.extract_if(.., |one| !one.is_wanted()));
+        let changed = std::mem::take(&mut self.unsorted) || gone.len() > before;
+        if !changed {
+            return false;
         }
-    }
-
-    /// The functions in running order, as others see them.
-    pub(super) fn view(&self) -> Vec<FunctionView> {
-        let flows: Vec<&Flow> = self.nodes.iter().map(|node| &node.flow).collect();
-        let order = flow::order(&flows).unwrap_or_default();
-        let nodes = order.into_iter().filter_map(|place| self.nodes.get(place));
-        nodes
-            .map(|node| FunctionView {
-                name: node.flow.name.clone(),
-                every: node.every,
-                phase: node.phase,
-                reads: node.flow.reads.clone(),
-                reads_previous: node.flow.reads_previous.clone(),
-                writes: node.flow.writes.clone(),
-            })
-            .collect()
-    }
-
-    /// What becomes of the data flow when `flow` is added.
-    ///
-    /// # Errors
-    /// As [`flow::order`].
-    pub(super) fn check(&self, flow: &Flow) -> Result<(), CyclicError> {
-        let flows: Vec<&Flow> = self
-            .nodes
-            .iter()
-            .map(|node| &node.flow)
-            .chain([flow])
-            .collect();
-        flow::order(&flows).map(|_| ())
+        self.functions.sort_by_key(|function| function.number);
+        let views: Vec<_> = self.functions.iter().map(|one| &one.view).collect();
+        // Each was checked when it was added, and what was ordered with more can be ordered with less.
+        if let Ok(order) = flow::order(&views) {
+            let mut all: Vec<_> = self.functions.drain(..).map(Some).collect();
+            let sorted = order.into_iter();
+            self.functions = sorted
+                .filter_map(|place| all.get_mut(place)?.take())
+                .collect();
+        }
+        true
     }
 }

@@ -3,7 +3,6 @@
 
 use std::{
     cell::{Cell, RefCell},
-    fmt,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc,
@@ -15,12 +14,12 @@ use std::{
 use ctos_config::{Lead, Overrun};
 
 use super::{
-    CyclicError, CyclicHandle, CyclicStatistics, Directory, ScheduleView, Synchronous, TickSource,
-    TickSourceHandle, flow,
-    function::{FailureHook, Function, Rate, Releases},
-    grid::{Begun, Due, Grid, Node},
+    CyclicError, CyclicHandle, CyclicStatistics, Directory, FunctionView, ScheduleView,
+    Synchronous, TickSource, TickSourceHandle, flow,
+    function::{FailureHook, Function, Releases},
+    grid::{Begun, Due, Grid},
     lead::Leading,
-    source::{self, Pacemaker},
+    source,
 };
 use crate::contain::{drop_contained, panic_text};
 use ctos_time::{Clock, Instant};
@@ -64,64 +63,55 @@ impl Schedule {
         grids: &mut Vec<Grid>,
         what: Synchronous,
     ) -> Result<CyclicHandle, CyclicError> {
-        let name = what.flow.name.clone();
-        let known = |grid: &Grid| grid.nodes.iter().any(|node| node.flow.name == name);
-        if grids.iter().any(known) {
-            return Err(CyclicError::SameName { function: name });
+        let mut view = what.view;
+        if grids.iter().any(|grid| has(grid, &view.name)) {
+            return Err(CyclicError::SameName {
+                function: view.name,
+            });
         }
-        let (index, base, every) = self.place(grids, &name, what.rate)?;
-        if what.phase >= every {
+        let (index, base, every) = self.place(grids, &view, what.period)?;
+        view.every = every;
+        if view.phase >= every {
             return Err(CyclicError::Phase {
-                function: name,
-                phase: what.phase,
+                function: view.name,
+                phase: view.phase,
                 every,
             });
         }
-        match grids.get(index) {
-            Some(grid) => grid.check(&what.flow)?,
-            None => flow::order(&[&what.flow]).map(|_| ())?,
-        }
+        let there = grids.get(index).into_iter().flat_map(Grid::views);
+        flow::order(&there.chain([&view]).collect::<Vec<_>>())?;
         if index >= grids.len() {
             grids.push(self.grid(base));
         }
         let number = self.next_number.get();
         self.next_number.set(number + 1);
-        let wanted = Arc::new(AtomicBool::new(true));
         let period_ns = u64::try_from(base.as_nanos()).unwrap_or(u64::MAX);
         let period = Duration::from_nanos(period_ns.saturating_mul(every));
-        let statistics = Arc::new(CyclicStatistics::new(period));
+        let handle = CyclicHandle {
+            wanted: Arc::new(AtomicBool::new(true)),
+            statistics: Arc::new(CyclicStatistics::new(period)),
+        };
         if let Some(grid) = grids.get_mut(index) {
-            let first = grid.first_release(every, what.phase);
-            let node = Node {
+            let first = grid.first_release(every, view.phase);
+            grid.add(Function {
                 number,
-                flow: what.flow,
-                every,
-                phase: what.phase,
-                wanted: wanted.clone(),
-            };
-            let function = Function {
-                number,
-                rank: 0,
-                function: what.function,
-                wanted: wanted.clone(),
-                statistics: statistics.clone(),
+                view,
+                code: Some(what.code),
+                wanted: handle.wanted.clone(),
+                statistics: handle.statistics.clone(),
                 on_failure: what.on_failure,
                 releases: Releases::new(first, every),
                 last: Duration::ZERO,
-            };
-            grid.add(node, function);
+            });
         }
         self.idle.set(false);
-        let directory = self.directory.clone();
-        Ok(CyclicHandle::new(name, wanted, statistics, directory))
+        Ok(handle)
     }
 
     /// Whether a function of that name is on the schedule.
     #[must_use]
     pub fn has(&self, name: &str) -> bool {
-        let grids = self.grids.borrow();
-        let mut nodes = grids.iter().flat_map(|grid| &grid.nodes);
-        nodes.any(|node| node.flow.name == name && node.wanted.load(Ordering::Acquire))
+        self.grids.borrow().iter().any(|grid| has(grid, name))
     }
 
     /// Whether there is nothing to run, and nothing to look at.
@@ -140,41 +130,37 @@ impl Schedule {
         }
     }
 
-    /// The grid for a rate, or one past the last for a new one; its base; the rate in base ticks.
+    /// The grid for a function, or one past the last for a new one; its base; the function's period in base ticks.
     fn place(
         &self,
         grids: &[Grid],
-        name: &str,
-        rate: Rate,
+        view: &FunctionView,
+        period: Option<Duration>,
     ) -> Result<(usize, Duration, u64), CyclicError> {
-        let function = || name.to_owned();
-        let processor = || self.settings.processor.clone();
-        match (rate, self.settings.period) {
-            (Rate::Ticks(0), _) => Err(CyclicError::NoPeriod {
-                function: function(),
-            }),
-            (Rate::Period(period), _) if period < Duration::from_micros(1) => {
-                Err(CyclicError::NoPeriod {
-                    function: function(),
-                })
+        let function = view.name.clone();
+        let processor = self.settings.processor.clone();
+        match (period, self.settings.period) {
+            (None, _) if view.every == 0 => Err(CyclicError::NoPeriod { function }),
+            (Some(period), _) if period < Duration::from_micros(1) => {
+                Err(CyclicError::NoPeriod { function })
             }
-            (Rate::Ticks(every), Some(base)) => Ok((0, base, every)),
-            (Rate::Ticks(_), None) => Err(CyclicError::NoBase {
-                function: function(),
-                processor: processor(),
+            (None, Some(base)) => Ok((0, base, view.every)),
+            (None, None) => Err(CyclicError::NoBase {
+                function,
+                processor,
             }),
             // Seconds are rounded to nanoseconds, each base period by less than one.
-            (Rate::Period(period), Some(base)) => match multiple(period, base, 1) {
+            (Some(period), Some(base)) => match multiple(period, base, 1) {
                 Some(every) => Ok((0, base, every)),
                 None => Err(CyclicError::NotAMultiple {
-                    function: function(),
+                    function,
                     period,
-                    processor: processor(),
+                    processor,
                     base,
                     nearest: nearest(period, base),
                 }),
             },
-            (Rate::Period(period), None) => {
+            (Some(period), None) => {
                 let mut fitting = grids.iter().enumerate();
                 let found = fitting.find_map(|(index, grid)| {
                     let every = multiple(period, grid.base(), 0)?;
@@ -192,8 +178,9 @@ impl Schedule {
     /// [`CyclicError::NoBase`], [`CyclicError::SameSource`], [`CyclicError::Thread`].
     pub(crate) fn pace(
         &self,
-        source: Box<dyn TickSource>,
-        pacemaker: Pacemaker,
+        source: impl TickSource + 'static,
+        prepare: impl FnOnce() + Send + 'static,
+        wake: impl Fn() + Send + 'static,
     ) -> Result<TickSourceHandle, CyclicError> {
         let processor = || self.settings.processor.clone();
         let Some(base) = self.settings.period else {
@@ -203,7 +190,7 @@ impl Schedule {
             });
         };
         if self.clock.origin_ns().is_none() {
-            return Ok(TickSourceHandle::new(None));
+            return Ok(TickSourceHandle(None));
         }
         let mut grids = self.grids.borrow_mut();
         if grids.iter().any(Grid::is_paced) {
@@ -215,78 +202,77 @@ impl Schedule {
             grids.push(self.grid(base));
         }
         let name = format!("{}/ticks", self.settings.processor);
-        let (ticks, _thread) =
-            source::start(name, source, pacemaker, self.clock.clone()).map_err(|error| {
-                CyclicError::Thread {
-                    processor: processor(),
-                    error,
-                }
-            })?;
+        let started = source::start(name, source, prepare, wake, self.clock.clone());
+        let ticks = started.map_err(|error| CyclicError::Thread {
+            processor: processor(),
+            error,
+        })?;
         if let Some(grid) = grids.first_mut() {
             grid.pace(ticks.clone(), self.clock.now());
         }
         self.idle.set(false);
-        Ok(TickSourceHandle::new(Some(ticks)))
+        Ok(TickSourceHandle(Some(ticks)))
     }
 
-    fn tick(&self, grid: usize, due: &Due, mut functions: Vec<Function>, mut now: Instant) {
-        let mut index = 0;
-        while let Some(function) = functions.get_mut(index) {
-            if !function.is_wanted() {
-                drop_contained(functions.remove(index));
-                continue;
-            }
-            let overrun = self.settings.overrun;
-            let run = || function.run(due, overrun, now, &self.clock);
-            match catch_unwind(AssertUnwindSafe(run)) {
-                Ok(ended) => {
-                    now = ended;
-                    index += 1;
+    fn tick(&self, at: usize, due: &Due, mut now: Instant) {
+        let overrun = self.settings.overrun;
+        let mut next = 0;
+        loop {
+            let mut grids = self.grids.borrow_mut();
+            let grid = grids.get_mut(at);
+            let out = grid.and_then(|grid| grid.take_out(next, due, overrun, now));
+            // Not borrowed while it runs: it may reach the schedule.
+            drop(grids);
+            let Some((place, mut code, tick)) = out else {
+                break;
+            };
+            next = place + 1;
+            let ran = catch_unwind(AssertUnwindSafe(|| code.tick(&tick)));
+            let ended = self.clock.now();
+            let mut left = Some(code);
+            let mut broken = None;
+            if let Some(grid) = self.grids.borrow_mut().get_mut(at)
+                && let Some(function) = grid.functions.get_mut(place)
+            {
+                match ran {
+                    Ok(()) => {
+                        function.ran(due, now, ended);
+                        function.code = left.take();
+                        now = ended;
+                    }
+                    Err(panic) => {
+                        function.wanted.store(false, Ordering::Release);
+                        let (name, panic) = (&function.view.name, panic_text(panic.as_ref()));
+                        let text = format!("the synchronous function `{name}` panicked: {panic}");
+                        broken = Some((function.on_failure.take(), text));
+                    }
                 }
-                Err(panic) => {
-                    let function = functions.remove(index);
-                    let text = panic_text(panic.as_ref());
-                    let name = self.name_of(grid, function.number);
-                    let text = format!("the synchronous function `{name}` panicked: {text}");
-                    report(function.on_failure.iter().cloned(), &text);
-                    drop_contained(function);
-                }
             }
+            if let Some((hook, text)) = broken {
+                report(hook, &text);
+            }
+            drop_contained(left);
         }
         let mut grids = self.grids.borrow_mut();
-        let Some(grid) = grids.get_mut(grid) else {
+        let Some(grid) = grids.get_mut(at) else {
             return;
         };
-        if grid.end(functions, due) && self.settings.overrun == Overrun::Stop {
-            let text = self.overrun_text(grid, due);
-            let hooks = grid.functions.iter();
-            let hooks: Vec<_> = hooks.filter_map(|one| one.on_failure.clone()).collect();
+        if grid.end(due) && overrun == Overrun::Stop {
+            let (text, hooks) = (self.overrun_text(grid, due), grid.hooks());
             drop(grids);
-            report(hooks.into_iter(), &text);
+            report(hooks, &text);
         }
-    }
-
-    fn name_of(&self, grid: usize, number: u64) -> String {
-        let grids = self.grids.borrow();
-        let mut nodes = grids.get(grid).map_or(&[][..], |grid| &grid.nodes).iter();
-        nodes
-            .find(|node| node.number == number)
-            .map_or_else(String::new, |node| node.flow.name.clone())
     }
 
     /// What a person is told when an overrun stops the app.
     fn overrun_text(&self, grid: &Grid, due: &Due) -> String {
         let longest = grid.functions.iter().max_by_key(|function| function.last);
-        let culprit = longest.and_then(|function| {
-            let node = grid
-                .nodes
-                .iter()
-                .find(|node| node.number == function.number)?;
-            let took_ms = function.last.as_secs_f64() * 1e3;
-            Some(format!(
-                "; of its functions `{}` took longest last time, {took_ms:.3} ms",
-                node.flow.name
-            ))
+        let culprit = longest.map(|function| {
+            format!(
+                "; of its functions `{}` took longest last time, {:.3} ms",
+                function.view.name,
+                function.last.as_secs_f64() * 1e3
+            )
         });
         format!(
             "processor `{}` missed {} of its ticks, {} ms apart{}; its configuration says overrun = \"stop\"",
@@ -297,47 +283,45 @@ impl Schedule {
         )
     }
 
-    /// After a tick: forgets grids without functions, and shows what has changed.
+    /// Forgets functions that nobody wants and grids without functions, and shows what has changed; after the tick,
+    /// if one is under way.
     fn tidy(&self) {
-        let changed = {
-            let mut grids = self.grids.borrow_mut();
-            let changed = grids.iter().any(|grid| grid.changed);
-            if changed {
-                grids.retain(|grid| grid.is_paced() || !grid.nodes.is_empty());
-                self.idle.set(grids.is_empty());
-            }
-            changed
-        };
-        if changed {
-            self.show();
+        let mut grids = self.grids.borrow_mut();
+        if grids.iter().any(|grid| grid.running) {
+            return;
         }
+        let mut gone = Vec::new();
+        let tidied: Vec<bool> = grids.iter_mut().map(|grid| grid.tidy(&mut gone)).collect();
+        if tidied.contains(&true) {
+            grids.retain(|grid| grid.is_paced() || !grid.functions.is_empty());
+            self.idle.set(grids.is_empty());
+            self.show(&grids);
+        }
+        drop(grids);
+        // Outside the borrow: their destructors may reach the schedule.
+        drop_contained(gone);
     }
 
-    fn show(&self) {
-        let mut grids = self.grids.borrow_mut();
-        for grid in grids.iter_mut() {
-            grid.changed = false;
-        }
+    fn show(&self, grids: &[Grid]) {
         let Some(directory) = &self.directory else {
             return;
         };
-        let views = grids.iter().filter(|grid| !grid.nodes.is_empty());
-        let views = views.map(|grid| {
-            let flows: Vec<_> = grid.nodes.iter().map(|node| &node.flow).collect();
-            ScheduleView {
+        let shown = grids.iter().filter(|grid| !grid.functions.is_empty());
+        let shown = shown.map(|grid| {
+            let all = grid.functions.iter();
+            let (functions, statistics): (Vec<_>, Vec<_>) = all
+                .map(|one| (one.view.clone(), one.statistics.clone()))
+                .unzip();
+            let view = ScheduleView {
                 processor: self.settings.processor.clone(),
                 period: grid.base(),
                 overrun: self.settings.overrun,
-                functions: grid.view(),
-                unwritten: flow::unwritten(&flows),
-            }
+                unwritten: flow::unwritten(&functions.iter().collect::<Vec<_>>()),
+                functions,
+            };
+            (view, statistics)
         });
-        directory.show(&self.settings.processor, views.collect());
-    }
-
-    fn spins_from_first(&self) -> Option<Instant> {
-        let grids = self.grids.borrow();
-        grids.iter().map(|grid| self.spins_from(grid)).min()
+        directory.show(&self.settings.processor, shown.collect());
     }
 
     fn spins_from(&self, grid: &Grid) -> Instant {
@@ -384,12 +368,9 @@ impl Schedule {
     pub(crate) fn clear(&self) -> bool {
         let grids = std::mem::take(&mut *self.grids.borrow_mut());
         self.idle.set(true);
+        self.show(&[]);
         let any = !grids.is_empty();
-        for grid in grids {
-            for function in grid.functions {
-                drop_contained(function);
-            }
-        }
+        drop_contained(grids);
         any
     }
 
@@ -412,17 +393,8 @@ impl Schedule {
     /// # Errors
     /// [`CyclicError`]; the schedule is then as it was.
     pub fn add(&self, what: Synchronous) -> Result<CyclicHandle, CyclicError> {
-        let mut gone = Vec::new();
-        let added = {
-            let mut grids = self.grids.borrow_mut();
-            for grid in grids.iter_mut() {
-                gone.extend(grid.purge());
-            }
-            self.add_to(&mut grids, what)
-        };
-        // Outside the borrow: their destructors may reach the schedule.
-        drop_contained(gone);
-        self.show();
+        let added = self.add_to(&mut self.grids.borrow_mut(), what);
+        self.tidy();
         added
     }
 
@@ -443,15 +415,15 @@ impl Schedule {
             };
             match begun {
                 Begun::Nothing => {}
-                Begun::Tick(due, functions) => {
+                Begun::Tick(due) => {
                     ticked = true;
-                    self.tick(index, &due, functions, now);
+                    self.tick(index, &due, now);
                 }
                 Begun::SourceFailed(reason, hooks) => {
                     let processor = &self.settings.processor;
                     let text =
                         format!("the tick source of processor `{processor}` failed: {reason}");
-                    report(hooks.into_iter(), &text);
+                    report(hooks, &text);
                 }
             }
             index += 1;
@@ -477,23 +449,19 @@ impl Schedule {
     #[inline]
     pub fn wake_at(&self) -> Option<Instant> {
         if self.idle.get() {
-            None
-        } else {
-            self.spins_from_first()
+            return None;
         }
+        let grids = self.grids.borrow();
+        grids.iter().map(|grid| self.spins_from(grid)).min()
     }
 }
 
-impl fmt::Debug for Schedule {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Schedule")
-            .field("settings", &self.settings)
-            .finish_non_exhaustive()
-    }
+fn has(grid: &Grid, name: &str) -> bool {
+    grid.views().any(|view| view.name == name)
 }
 
 /// Tells those who asked to be told; says it in the log when there is nobody.
-fn report(hooks: impl Iterator<Item = FailureHook>, text: &str) {
+fn report(hooks: impl IntoIterator<Item = FailureHook>, text: &str) {
     let mut told = false;
     for hook in hooks {
         told = true;

@@ -6,13 +6,12 @@
 //! of a tick is one wake-up on the same core.
 
 use std::{
-    fmt, io,
+    io,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicBool, Ordering},
     },
-    thread::JoinHandle,
 };
 
 use crate::contain::panic_text;
@@ -33,32 +32,23 @@ pub trait TickSource: Send {
 /// What a device's thread has seen, for the processor.
 #[derive(Debug, Default)]
 pub(super) struct Ticks {
-    /// Odd while the next two are being written.
-    version: AtomicU64,
-    count: AtomicU64,
-    stamp_ns: AtomicU64,
+    seen: Mutex<Seen>,
     /// Set when no more ticks come.
     over: AtomicBool,
-    failure: Mutex<Option<String>>,
+}
+
+#[derive(Debug, Default)]
+struct Seen {
+    /// Ticks so far, and the moment of the last one.
+    last: (u64, Instant),
+    failure: Option<String>,
 }
 
 impl Ticks {
     /// Ticks so far and the moment of the last one; `None` while they are being written: the
     /// processor is woken again when they are.
     pub(super) fn read(&self) -> Option<(u64, Instant)> {
-        let before = self.version.load(Ordering::SeqCst);
-        let count = self.count.load(Ordering::SeqCst);
-        let stamp = self.stamp_ns.load(Ordering::SeqCst);
-        let whole = before.is_multiple_of(2) && before == self.version.load(Ordering::SeqCst);
-        whole.then(|| (count, Instant::from_nanos(stamp)))
-    }
-
-    /// Only the device's thread writes.
-    fn write(&self, more: u64, at: Instant) {
-        self.version.fetch_add(1, Ordering::SeqCst);
-        self.stamp_ns.store(at.as_nanos(), Ordering::SeqCst);
-        self.count.fetch_add(more, Ordering::SeqCst);
-        self.version.fetch_add(1, Ordering::SeqCst);
+        self.seen.try_lock().ok().map(|seen| seen.last)
     }
 
     pub(super) fn is_over(&self) -> bool {
@@ -66,71 +56,54 @@ impl Ticks {
     }
 
     fn fail(&self, reason: String) {
-        *lock(&self.failure) = Some(reason);
+        lock(&self.seen).failure = Some(reason);
         self.over.store(true, Ordering::Release);
     }
 
     /// How it ended, if it has: with a failure, or because it was taken away.
     pub(super) fn end(&self) -> Option<Option<String>> {
-        self.is_over().then(|| lock(&self.failure).take())
+        self.is_over().then(|| lock(&self.seen).failure.take())
     }
 }
 
-/// Keeps a processor paced by its device; dropped, it gives the pace back to the clock.
+/// Keeps a processor paced by its device; dropped, it gives the pace back to the clock. It is empty in virtual time,
+/// where there are no devices.
 #[derive(Debug)]
-pub struct TickSourceHandle {
-    /// `None` in virtual time, where there are no devices.
-    ticks: Option<Arc<Ticks>>,
-}
-
-impl TickSourceHandle {
-    pub(super) fn new(ticks: Option<Arc<Ticks>>) -> Self {
-        Self { ticks }
-    }
-}
+pub struct TickSourceHandle(pub(super) Option<Arc<Ticks>>);
 
 impl Drop for TickSourceHandle {
     fn drop(&mut self) {
-        if let Some(ticks) = &self.ticks {
+        if let Some(ticks) = &self.0 {
             ticks.over.store(true, Ordering::Release);
         }
     }
 }
 
-/// What the thread that waits for a device needs of its processor.
-pub(crate) struct Pacemaker {
-    /// Makes the calling thread like the processor's: CPU and priority.
-    pub(crate) prepare: Box<dyn FnOnce() + Send>,
-    /// Wakes the processor.
-    pub(crate) wake: Box<dyn Fn() + Send>,
-}
-
-impl fmt::Debug for Pacemaker {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Pacemaker(..)")
-    }
-}
-
-/// Starts the thread that waits for `source`.
+/// Starts the thread that waits for `source`. It is made like the processor's by `prepare`, CPU and priority; `wake`
+/// wakes the processor.
 pub(super) fn start(
     name: String,
-    mut source: Box<dyn TickSource>,
-    pacemaker: Pacemaker,
+    mut source: impl TickSource + 'static,
+    prepare: impl FnOnce() + Send + 'static,
+    wake: impl Fn() + Send + 'static,
     clock: Clock,
-) -> io::Result<(Arc<Ticks>, JoinHandle<()>)> {
+) -> io::Result<Arc<Ticks>> {
     let ticks = Arc::new(Ticks::default());
     let written = ticks.clone();
-    let thread = std::thread::Builder::new().name(name).spawn(move || {
-        (pacemaker.prepare)();
+    std::thread::Builder::new().name(name).spawn(move || {
+        prepare();
         while !written.is_over() {
             match catch_unwind(AssertUnwindSafe(|| source.wait())) {
                 Ok(Ok(0)) => continue,
-                Ok(Ok(more)) => written.write(more, clock.now()),
+                Ok(Ok(more)) => {
+                    let last = &mut lock(&written.seen).last;
+                    *last = (last.0 + more, clock.now());
+                }
                 Ok(Err(error)) => written.fail(error.to_string()),
                 Err(panic) => written.fail(format!("it panicked: {}", panic_text(panic.as_ref()))),
             }
-            (pacemaker.wake)();
+            wake();
         }
     })?;
-    Ok((ticks, thread))
+    Ok(ticks)
 }

@@ -16,8 +16,8 @@ pub struct CyclicStatistics {
     /// How long they took.
     pub duration: Histogram,
     period: Duration,
-    missed: AtomicU64,
-    overruns: AtomicU64,
+    pub(super) missed: AtomicU64,
+    pub(super) overruns: AtomicU64,
 }
 
 impl CyclicStatistics {
@@ -52,13 +52,5 @@ impl CyclicStatistics {
     #[must_use]
     pub fn overruns(&self) -> u64 {
         self.overruns.load(Ordering::Relaxed)
-    }
-
-    pub(super) fn count_missed(&self, missed: u64) {
-        self.missed.fetch_add(missed, Ordering::Relaxed);
-    }
-
-    pub(super) fn count_overrun(&self) {
-        self.overruns.fetch_add(1, Ordering::Relaxed);
     }
 }

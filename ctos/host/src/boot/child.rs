@@ -122,7 +122,7 @@ async fn serve(
     finish(chassis, &mut mesh).await;
     chassis.stop_processors();
     // A processor that is stuck in a handler must not keep the process; it ends with it.
-    let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
+    let ended = futures_util::future::join_all(threads);
     let _ = tokio::time::timeout(FLUSH_TIMEOUT, ended).await;
     Ok(code)
 }

@@ -225,7 +225,7 @@ async fn run_processes(
     chassis.stop_processors();
     for thread in threads {
         // The service is the last thing that ran on it.
-        let _ = thread.ended.await;
+        let _ = thread.await;
     }
     chassis.close();
     let outcome = Outcome {

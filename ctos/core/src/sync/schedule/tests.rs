@@ -1,12 +1,9 @@
-use std::{io::Write, rc::Rc, thread::Thread};
+use std::{io::Write, rc::Rc};
 
 use proptest::prelude::*;
 
 use super::*;
-use crate::sync::{
-    Tick,
-    function::{Release, Run},
-};
+use crate::sync::{Tick, function::Run};
 
 const BASE: Duration = Duration::from_nanos(1_000);
 
@@ -103,7 +100,7 @@ proptest! {
         let mut pending = 0;
         for gap in gaps {
             tick += gap;
-            let Release { missed: now_missed, run } = releases.at(tick, overrun);
+            let (now_missed, run) = releases.at(tick, overrun);
             missed += now_missed;
             pending += now_missed;
             if let Some(Run { tick: due, count, missed: run_missed }) = run {
@@ -457,11 +454,10 @@ impl TickSource for Device {
     }
 }
 
-fn pacemaker(thread: Thread) -> Pacemaker {
-    Pacemaker {
-        prepare: Box::new(|| ()),
-        wake: Box::new(move || thread.unpark()),
-    }
+/// Paces the schedule by a device, whose thread wakes this one.
+fn pace(schedule: &Schedule, device: Device) -> Result<TickSourceHandle, CyclicError> {
+    let thread = std::thread::current();
+    schedule.pace(device, || (), move || thread.unpark())
 }
 
 #[test]
@@ -469,10 +465,7 @@ fn a_device_paces_the_schedule_until_it_fails_and_then_the_clock_does() {
     let period = Duration::from_millis(2);
     let schedule = Schedule::new(settings(Some(period), Overrun::Skip), Clock::real());
     let (reader, mut device) = std::io::pipe().unwrap();
-    let source = Box::new(Device(reader));
-    let _source = schedule
-        .pace(source, pacemaker(std::thread::current()))
-        .unwrap();
+    let _source = pace(&schedule, Device(reader)).unwrap();
     let log = Log::default();
     let said = Rc::new(RefCell::new(Vec::new()));
     let heard = said.clone();
@@ -493,10 +486,7 @@ fn a_device_paces_the_schedule_until_it_fails_and_then_the_clock_does() {
         .collect();
     assert_eq!(seen, [(1, 0), (2, 0), (5, 2), (6, 0)]);
     assert_eq!(handle.statistics().missed(), 2);
-    let again = schedule.pace(
-        Box::new(Device(std::io::pipe().unwrap().0)),
-        pacemaker(std::thread::current()),
-    );
+    let again = pace(&schedule, Device(std::io::pipe().unwrap().0));
     assert!(matches!(again, Err(CyclicError::SameSource { .. })));
     drop(device);
     while said.borrow().is_empty() {
@@ -516,18 +506,14 @@ fn a_device_paces_the_schedule_until_it_fails_and_then_the_clock_does() {
 #[test]
 fn a_processor_without_a_base_period_takes_no_device() {
     let schedule = Schedule::new(settings(None, Overrun::Skip), Clock::real());
-    let source = Box::new(Device(std::io::pipe().unwrap().0));
-    let refused = schedule.pace(source, pacemaker(std::thread::current()));
+    let refused = pace(&schedule, Device(std::io::pipe().unwrap().0));
     assert!(matches!(refused, Err(CyclicError::NoBase { .. })));
 }
 
 #[test]
 fn in_virtual_time_the_clock_ticks_where_a_device_would() {
     let (schedule, clock) = schedule(Overrun::Skip);
-    let source = Box::new(Device(std::io::pipe().unwrap().0));
-    let _source = schedule
-        .pace(source, pacemaker(std::thread::current()))
-        .unwrap();
+    let _source = pace(&schedule, Device(std::io::pipe().unwrap().0)).unwrap();
     let log = Log::default();
     let _handle = schedule.add(noting("f", &log)).unwrap();
     run_at(&schedule, &clock, [1_000, 2_000]);

@@ -16,7 +16,7 @@ use crate::{
     text::Say,
 };
 use ctos_bootstrap::bootstrap::{BootEvent, StopStep};
-use ctos_core::system::{self, Interrupt, QueryTid, RestartChassis, RestartTask};
+use ctos_core::system::{self, FindTid, Interrupt, RestartChassis, RestartTask};
 use ctos_message::{Tid, fault::Fault};
 
 /// The longest that a client may wait for a task.
@@ -40,8 +40,10 @@ impl Service {
         name: &str,
         timeout: Duration,
     ) -> Result<Tid, ErrorView> {
-        let query = QueryTid {
+        let query = FindTid {
             name: name.to_owned(),
+            gone: None,
+            waits: false,
         };
         let found = view::ask(&self.chassis, system::TID_SERVER, query, timeout).await?;
         found.map_err(|_| match self.chassis.app.task(name) {
