@@ -32,7 +32,7 @@ pub(super) enum Event {
     /// Nobody is connected to it any more.
     Lost,
     /// Its process is dead.
-    Dead { how: String, code: Option<i32> },
+    Dead(Ending),
     /// A task of it failed for good.
     TaskFailed { task: String, reason: String },
     /// A person wants it anew.
@@ -41,21 +41,25 @@ pub(super) enum Event {
     Stop,
 }
 
+/// How a process ended.
+#[derive(Debug)]
+pub(super) struct Ending {
+    /// Completes "the chassis ...".
+    pub(super) how: String,
+    /// Its exit code, if it ended by itself.
+    pub(super) code: Option<i32>,
+}
+
 /// A chassis, seen by its supervisor.
 pub(super) struct Member {
-    pub(super) name: String,
-    pub(super) state: ChassisState,
-    pub(super) since: Instant,
-    /// Counts its processes from 1.
-    pub(super) incarnation: u32,
+    /// What is told of it.
+    pub(super) report: MemberReport,
     pub(super) policy: ChassisSupervision,
     pub(super) intensity: Intensity,
-    pub(super) tasks: Vec<TaskName>,
     /// The phase that all its tasks have acknowledged.
     pub(super) reached: Option<Phase>,
     /// What kept its tasks from a phase while the app was booted: task and reason.
     pub(super) failures: Vec<(String, String)>,
-    pub(super) last_end: Option<String>,
     /// When the incarnation before this one failed.
     pub(super) failed_at: Option<Instant>,
     /// Who waits for it to come up again.
@@ -85,20 +89,23 @@ impl Board {
             .iter()
             .zip(1..)
             .map(|(config, index)| {
-                let member = Member {
+                let report = MemberReport {
                     name: config.name.clone(),
                     state: ChassisState::Starting,
                     since: cx.now(),
                     incarnation: 1,
+                    last_end: None,
+                    tasks: Vec::new(),
+                };
+                let member = Member {
+                    report,
                     policy: config.supervision,
                     intensity: Intensity::new(
                         config.supervision,
                         cx.rng(&format!("restarts of {}", config.name)),
                     ),
-                    tasks: Vec::new(),
                     reached: None,
                     failures: Vec::new(),
-                    last_end: None,
                     failed_at: None,
                     restarts: Vec::new(),
                     events: VecDeque::new(),
@@ -171,20 +178,11 @@ impl Board {
 
     pub(super) fn report(&self) -> AppReport {
         let members = self.members.borrow();
+        let chassis = members.values().map(|member| member.report.clone());
         AppReport {
             state: self.state.get(),
             now: self.cx.now(),
-            chassis: members
-                .values()
-                .map(|member| MemberReport {
-                    name: member.name.clone(),
-                    state: member.state,
-                    since: member.since,
-                    incarnation: member.incarnation,
-                    last_end: member.last_end.clone(),
-                    tasks: member.tasks.clone(),
-                })
-                .collect(),
+            chassis: chassis.collect(),
         }
     }
 
@@ -209,7 +207,7 @@ impl Board {
     /// All tasks, in the order in which they were created.
     pub(super) fn tasks(&self) -> Vec<TaskName> {
         let members = self.members.borrow();
-        let tasks = members.values().flat_map(|member| &member.tasks);
+        let tasks = members.values().flat_map(|member| &member.report.tasks);
         tasks.cloned().collect()
     }
 
@@ -262,9 +260,9 @@ impl Board {
     /// A task that was at `old` is at another place now.
     pub(super) fn moved(&self, task: TaskName, old: Tid) {
         self.with(old.chassis(), |member| {
-            member.tasks.retain(|one| one.tid != old);
+            member.report.tasks.retain(|one| one.tid != old);
         });
-        self.with(task.tid.chassis(), |member| member.tasks.push(task));
+        self.with(task.tid.chassis(), |member| member.report.tasks.push(task));
     }
 
     // -- one chassis --------------------------------------------------------------------------
@@ -279,7 +277,7 @@ impl Board {
 
     /// As [`Self::tell`], if the process that it is about is not an earlier one.
     pub(super) fn tell_incarnation(&self, index: u8, incarnation: u32, event: Event) {
-        let is = self.with(index, |member| member.incarnation);
+        let is = self.with(index, |member| member.report.incarnation);
         if is == Some(incarnation) {
             self.tell(index, event);
         }
@@ -310,32 +308,26 @@ impl Board {
         }
     }
 
-    /// Steps to the next state of a chassis, if there is one. Whether there was.
-    pub(super) fn step_chassis(&self, index: u8, step: ChassisStep) -> bool {
+    /// Steps to the next state of a chassis, if there is one.
+    pub(super) fn step_chassis(&self, index: u8, step: ChassisStep) {
         let now = self.cx.now();
-        let stepped = self.with(index, |member| match member.state.next(step) {
-            Some(next) => {
-                member.state = next;
-                member.since = now;
-                true
+        self.with(index, |member| {
+            if let Some(next) = member.report.state.next(step) {
+                member.report.state = next;
+                member.report.since = now;
             }
-            None => false,
         });
-        stepped.unwrap_or(false)
     }
 
     /// The chassis called `name` is not connected any more.
     pub(super) fn lost(&self, name: &str) {
-        let index = self.index_of(name);
+        let chassis = self.cx.chassis();
+        let index = chassis
+            .others()
+            .find(|index| chassis.name_of(*index) == name);
         if let Some(index) = index {
             self.tell(index, Event::Lost);
         }
-    }
-
-    fn index_of(&self, name: &str) -> Option<u8> {
-        let members = self.members.borrow();
-        let mut members = members.iter();
-        members.find_map(|(index, member)| (member.name == name).then_some(*index))
     }
 
     /// A task of chassis `index` failed for good: the failure of the app or, if the configuration says
@@ -379,15 +371,8 @@ impl Board {
         }
     }
 
-    pub(super) fn start_process(&self, index: u8, incarnation: u32) {
-        self.order(ProcessOrder::Start(index, incarnation));
-    }
-
-    pub(super) fn kill_process(&self, index: u8) {
-        self.order(ProcessOrder::Kill(index));
-    }
-
-    fn order(&self, order: ProcessOrder) {
+    /// Orders something for the process of a chassis.
+    pub(super) fn order(&self, order: ProcessOrder) {
         // Who carries it out lives until the service has ended.
         let _ = self.seat.orders.send(order);
     }

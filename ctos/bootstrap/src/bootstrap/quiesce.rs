@@ -77,7 +77,7 @@ impl Board {
         let running = indices.filter_map(|index| {
             self.with(index, |member| {
                 let runs = member.reached == Some(Phase::Run);
-                runs.then(|| member.tasks.clone())
+                runs.then(|| member.report.tasks.clone())
             })
         });
         let tasks = running.flatten().flatten();

@@ -6,7 +6,7 @@ use futures_util::future::{Either, pending, select};
 
 use crate::bootstrap::ChassisState;
 use crate::bootstrap::{
-    BootEvent, End, StopStep,
+    BootEvent, End, ProcessOrder, StopStep,
     board::{Board, Event},
     states::{BootStep, ChassisStep},
 };
@@ -59,12 +59,12 @@ async fn stop(board: &Board, end: &End) {
     let reason = end.reason();
     board.tell_names(News::Stopping);
     for index in board.indices() {
-        let state = board.with(index, |member| member.state);
+        let state = board.with(index, |member| member.report.state);
         board.step_chassis(index, ChassisStep::Stop);
         board.tell(index, Event::Stop);
         // One that is just being started has no tasks yet, and nobody can ask it to end.
         if state == Some(ChassisState::Starting) && !board.cx.chassis().is_linked(index) {
-            board.kill_process(index);
+            board.order(ProcessOrder::Kill(index));
         }
     }
     board.event(&BootEvent::Stopping {

@@ -195,7 +195,7 @@ async fn run_processes(
     });
     ctos_bootstrap::bootstrap::start_system_tasks(chassis, Some(&seat));
     if let Some(address) = chassis.app.metrics {
-        let served = crate::metrics::serve(chassis, address).await;
+        let served = crate::metrics::serve(chassis, address);
         served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
     }
     let threads =
