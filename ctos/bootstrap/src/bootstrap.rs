@@ -188,11 +188,7 @@ impl StopStep {
 
 impl std::fmt::Display for StopStep {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.pad(match self {
-            Self::Quiesce => "quiesce",
-            Self::Tasks => "tasks",
-            Self::Processes => "processes",
-        })
+        self.serialize(f)
     }
 }
 

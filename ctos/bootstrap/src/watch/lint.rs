@@ -51,13 +51,7 @@ pub enum LintCode {
 
 impl fmt::Display for LintCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::HandlerBlocks => "handler-blocks",
-            Self::HandlerWaits => "handler-waits",
-            Self::QueueGrows => "queue-grows",
-            Self::SemaphoreHeld => "semaphore-held",
-            Self::CyclicOverruns => "cyclic-overruns",
-        })
+        self.serialize(f)
     }
 }
 

@@ -5,7 +5,7 @@ use std::{os::fd::AsFd, sync::Arc};
 
 use tokio::{io::AsyncReadExt, net::unix::pipe, sync::oneshot};
 
-use crate::boot::mesh::{self, FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent};
+use crate::boot::mesh::{self, FLUSH_TIMEOUT, Identification, Mesh, MeshEvent};
 use ctos_bootstrap::watch;
 use ctos_config::App;
 use ctos_core::{chassis::Chassis, registry::Registry};
@@ -27,19 +27,9 @@ pub enum ChildError {
         /// Why not.
         reason: String,
     },
-    /// Its address is taken.
-    #[error(
-        "cannot listen on {address}: {reason}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
-    )]
-    Listen {
-        /// The address of the configuration.
-        address: String,
-        /// What the system said.
-        reason: String,
-    },
-    /// Its keys cannot be used.
+    /// It can have no links.
     #[error("{0}")]
-    Keys(String),
+    Links(String),
     /// The system refused a thread or a timer.
     #[error("cannot start: {0}")]
     System(#[from] std::io::Error),
@@ -119,7 +109,9 @@ async fn serve(
             _ = mesh.next() => {}
         }
     };
-    finish(chassis, &mut mesh).await;
+    // The last frames go out.
+    chassis.drop_links();
+    mesh.close().await;
     chassis.stop_processors();
     // A processor that is stuck in a handler must not keep the process; it ends with it.
     let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
@@ -151,12 +143,6 @@ impl Tether {
     }
 }
 
-/// Lets the last frames out.
-async fn finish(chassis: &Arc<Chassis>, mesh: &mut Mesh) {
-    chassis.drop_links();
-    mesh.close().await;
-}
-
 /// Connects to the boot and, as that says, to every other chassis.
 async fn connect(
     chassis: &Arc<Chassis>,
@@ -167,18 +153,7 @@ async fn connect(
     let mut mesh = match Mesh::start(chassis, who).await {
         Ok(mesh) => mesh,
         Err(error) => {
-            let error = match error {
-                MeshError::Listen { address, error } => ChildError::Listen {
-                    address,
-                    reason: error.to_string(),
-                },
-                MeshError::Wait(error) => ChildError::System(error),
-                MeshError::Keys(error) => ChildError::Keys(error.to_string()),
-                MeshError::Zenoh(error) => ChildError::Connect {
-                    what: "the network of [zenoh]".to_owned(),
-                    reason: error.to_string(),
-                },
-            };
+            let error = ChildError::Links(error.to_string());
             // Without keys that can be used it cannot be told; the boot sees the process end.
             let keys = mesh::keys_of(&chassis.app).ok().flatten();
             mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;

@@ -87,7 +87,9 @@ pub(crate) enum MeshEvent {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum MeshError {
     /// The address of the configuration cannot be listened at.
-    #[error("cannot listen at {address}: {error}")]
+    #[error(
+        "cannot listen on {address}: {error}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
+    )]
     Listen { address: String, error: io::Error },
     /// The system does not let it wait for its links.
     #[error("cannot wait for links: {0}")]

@@ -17,6 +17,8 @@ const LINES: usize = 1000;
 const EARLIER: usize = 3;
 /// How many of its last lines the status of a chassis shows of each process.
 const LAST_LINES: usize = 10;
+/// How many of them the error has that the end of a process causes.
+const LAST_WORDS: usize = 5;
 /// How many new lines a slow reader may be behind before it loses some, and is told so.
 const BEHIND: usize = 4096;
 
@@ -194,6 +196,15 @@ impl LogStore {
             }
         };
         processes.into_iter().flatten().map(log).collect()
+    }
+
+    /// What a chassis wrote last, one line below the other.
+    pub(crate) fn last_words(&self, chassis: &str) -> String {
+        let process = self.processes(chassis, None).pop();
+        let lines = process.map_or_else(Vec::new, |process| process.lines);
+        let from = lines.len().saturating_sub(LAST_WORDS);
+        let lines = lines.into_iter().skip(from).map(|line| line.text);
+        lines.collect::<Vec<_>>().join("\n")
     }
 
     /// The process id of the present process of a chassis.

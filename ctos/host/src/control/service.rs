@@ -12,6 +12,7 @@ use std::{
     },
 };
 
+use serde_json::Value;
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader};
 
 use crate::{
@@ -206,7 +207,7 @@ impl Service {
             Request::Logs(request) => return self.logs(&request, writer).await,
             Request::Stop { now } => return self.stop(now, writer).await,
             Request::Record(request) => return self.record(request, writer).await,
-            Request::Move { task, to } => return self.move_task(task, to, writer).await,
+            Request::Move { task, to } => return self.move_task(task, &to, writer).await,
             Request::Say(request) => self.say(request, speaker).await,
             Request::Ps {} => self.app().await.map(Answer::App),
             Request::Status { name } => self.status(&name).await,
@@ -240,20 +241,6 @@ enum Unreadable {
     Rubbish(serde_json::Error),
 }
 
-/// What every request of every version has.
-#[derive(serde::Deserialize)]
-#[expect(dead_code, reason = "it is only looked whether they are there")]
-struct AnyAsk {
-    version: u32,
-    request: AnyRequest,
-}
-
-#[derive(serde::Deserialize)]
-#[expect(dead_code, reason = "as above")]
-struct AnyRequest {
-    kind: String,
-}
-
 /// Reads a line: a request, or why this version does not know it.
 fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
     if doors::is_http(line) {
@@ -267,12 +254,12 @@ fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
             Unreadable::Cut
         });
     }
-    match serde_json::from_slice::<Ask>(line) {
-        Ok(ask) => Ok(Ok(ask)),
-        Err(reason) => match serde_json::from_slice::<AnyAsk>(line) {
-            Ok(_) => Ok(Err(reason)),
-            Err(_) => Err(Unreadable::Rubbish(reason)),
-        },
+    let said: Value = serde_json::from_slice(line).map_err(Unreadable::Rubbish)?;
+    // What every request of every version has.
+    let is_ask = said["version"].is_u64() && said["request"]["kind"].is_string();
+    match serde_json::from_value(said) {
+        Err(reason) if !is_ask => Err(Unreadable::Rubbish(reason)),
+        read => Ok(read),
     }
 }
 
