@@ -309,15 +309,10 @@ async fn create_one(
     let kind = registry
         .kind(&config.handler)
         .ok_or_else(|| format!("nobody registered the event handler `{}`", config.handler))?;
-    let (index, processor) = chassis
-        .processors
-        .iter()
-        .enumerate()
-        .skip(1)
+    let mut processors = (0..=u8::MAX).zip(&chassis.processors).skip(1);
+    let (number, (_, processor)) = processors
         .find(|(_, (name, _))| *name == config.processor)
-        .map(|(index, (_, handle))| (index, handle.clone()))
         .ok_or_else(|| format!("there is no processor `{}`", config.processor))?;
-    let number = u8::try_from(index).map_err(|_| "there are too many processors")?;
     let slot = chassis.directory.free_slot(number);
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
@@ -326,7 +321,7 @@ async fn create_one(
         tid,
         Some(config.clone()),
         kind.recipe(),
-        &processor,
+        processor,
     );
     let (built, building) = oneshot::channel();
     let home = chassis.clone();

@@ -338,8 +338,8 @@ impl Bootstrap {
         watch::start(cx);
         self.0.all_linked();
         cx.spawn(sequence::run(self.0.clone()));
-        for index in self.0.indices() {
-            cx.spawn(supervisor::supervise(self.0.clone(), index));
+        for member in &self.0.members {
+            cx.spawn(supervisor::supervise(self.0.clone(), member.clone()));
         }
     }
 

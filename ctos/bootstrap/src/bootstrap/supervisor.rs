@@ -8,11 +8,12 @@ use futures_util::future::{Either, join_all, select};
 
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
-    board::{Board, Ending, Event},
+    board::{Board, Ending, Event, Member},
     explain::explained,
     intensity::{Ended, Verdict},
     states::ChassisStep,
 };
+use ctos_config::ChassisRestart;
 use ctos_core::{
     context::{Context, TaskRef},
     phase::{Phase, StopReason},
@@ -46,16 +47,16 @@ struct Death {
     asked: bool,
 }
 
-/// Supervises chassis `index` until the app is stopped.
-pub(super) async fn supervise(board: Rc<Board>, index: u8) {
-    let supervisor = Supervisor { board, index };
+/// Supervises a chassis until the app is stopped.
+pub(super) async fn supervise(board: Rc<Board>, member: Rc<Member>) {
+    let supervisor = Supervisor { board, member };
     // Its end is that of the app, which the sequence sees to.
     let Err(Done) = supervisor.run().await;
 }
 
 struct Supervisor {
     board: Rc<Board>,
-    index: u8,
+    member: Rc<Member>,
 }
 
 impl Supervisor {
@@ -65,12 +66,10 @@ impl Supervisor {
             let failed_at = self.board.cx.now();
             self.step(ChassisStep::Fails);
             if matches!(over, Over::Asked) || self.may_return() {
-                self.board.tell_names(News::Away(self.index));
+                self.board.tell_names(News::Away(self.member.index));
             }
-            self.board.with(self.index, |member| {
-                member.reached = None;
-                member.failed_at = Some(failed_at);
-            });
+            self.member.reached.set(None);
+            self.member.failed_at.set(Some(failed_at));
             let death = self.bury(over).await?;
             let (incarnation, pause) = self.judge(death)?;
             self.step(ChassisStep::DeadMayRestart);
@@ -84,27 +83,28 @@ impl Supervisor {
             let paused = self.board.cx.timeout(pause, asked).await;
             paused.unwrap_or(Ok(()))?;
             self.step(ChassisStep::Paused);
-            self.board.with(self.index, |member| {
-                member.report.incarnation = incarnation;
-                member.report.tasks.clear();
-            });
-            let order = ProcessOrder::Start(self.index, incarnation);
+            {
+                let mut report = self.member.report.borrow_mut();
+                report.incarnation = incarnation;
+                report.tasks.clear();
+            }
+            let order = ProcessOrder::Start(self.member.index, incarnation);
             self.board.order(order);
         }
     }
 
     fn name(&self) -> String {
-        self.board.cx.chassis().name_of(self.index).to_owned()
+        self.member.report.borrow().name.clone()
     }
 
     fn step(&self, step: ChassisStep) {
-        self.board.step_chassis(self.index, step);
+        self.board.step_chassis(&self.member, step);
     }
 
     /// Waits for an event that `means` something here. [`Done`] when the app is being stopped.
     async fn until<T>(&self, means: impl Fn(Event) -> Option<T>) -> Result<T, Done> {
         loop {
-            let event = self.board.next_event(self.index).await;
+            let event = self.member.next_event().await;
             if matches!(event, Event::Stop) {
                 return Err(Done);
             }
@@ -153,7 +153,7 @@ impl Supervisor {
     /// reason, only when that fails.
     async fn up(&self) -> String {
         for phase in Phase::ALL {
-            self.board.wanted(self.index, phase).await;
+            self.board.wanted(&self.member, phase).await;
             let failures = match phase {
                 Phase::Create => match self.create().await {
                     Ok(()) => self.enter(phase).await,
@@ -164,8 +164,7 @@ impl Supervisor {
             if !failures.is_empty() {
                 return self.not_passed(phase, failures).await;
             }
-            self.board
-                .with(self.index, |member| member.reached = Some(phase));
+            self.member.reached.set(Some(phase));
             self.board.changed();
         }
         self.step(ChassisStep::Passed);
@@ -175,15 +174,13 @@ impl Supervisor {
     /// The tasks have passed all phases: whoever waits for them is told.
     async fn welcome(&self) -> String {
         let board = &self.board;
-        let known = board.with(self.index, |member| {
-            (member.failed_at, member.report.tasks.len())
-        });
-        if let Some((Some(failed_at), tasks)) = known {
+        if let Some(failed_at) = self.member.failed_at.get() {
             let chassis = self.name();
             // Before anybody is told and may look for its tasks.
-            board.tell_names(News::Back(self.index));
+            board.tell_names(News::Back(self.member.index));
             for other in board.cx.chassis().others().chain([0]) {
-                if other != self.index && (other == 0 || board.cx.chassis().is_linked(other)) {
+                if other != self.member.index && (other == 0 || board.cx.chassis().is_linked(other))
+                {
                     let announce = AnnounceUp {
                         chassis: chassis.clone(),
                     };
@@ -193,10 +190,10 @@ impl Supervisor {
             }
             board.event(&BootEvent::Restarted {
                 chassis,
-                tasks,
+                tasks: self.member.tasks().len(),
                 took: board.cx.now().since(failed_at),
             });
-            board.answer_restarts(self.index, &Ok(()));
+            self.member.answer_restarts(Ok(()));
         }
         pending().await
     }
@@ -205,8 +202,7 @@ impl Supervisor {
     /// failure of the chassis.
     async fn not_passed(&self, phase: Phase, failures: Vec<(String, String)>) -> String {
         if !self.board.is_up() {
-            self.board
-                .with(self.index, |member| member.failures = failures);
+            *self.member.failures.borrow_mut() = failures;
             self.board.changed();
             return pending().await;
         }
@@ -225,9 +221,9 @@ impl Supervisor {
         let cx = &self.board.cx;
         let timeout = cx.app().phase_timeout;
         let name = format!("agent of {}", self.name());
-        let agent = TaskRef::new(name.as_str(), system::agent_tid(self.index));
+        let agent = TaskRef::new(name.as_str(), system::agent_tid(self.member.index));
         let asked = FirstSlots {
-            chassis: self.index,
+            chassis: self.member.index,
         };
         let first_slots = match cx.call(&Context::server(), asked).deadline(timeout).await {
             Ok(first_slots) => first_slots,
@@ -236,8 +232,7 @@ impl Supervisor {
         let call = cx.call(&agent, CreateTasks { first_slots });
         match call.deadline(timeout).await {
             Ok(created) => {
-                self.board
-                    .with(self.index, |member| member.report.tasks = created.tasks);
+                self.member.report.borrow_mut().tasks = created.tasks;
                 if created.failed.is_empty() {
                     Ok(())
                 } else {
@@ -254,10 +249,7 @@ impl Supervisor {
     async fn enter(&self, phase: Phase) -> Vec<(String, String)> {
         let cx = &self.board.cx;
         let timeout = cx.app().phase_timeout;
-        let tasks = self
-            .board
-            .with(self.index, |member| member.report.tasks.clone());
-        let tasks = tasks.unwrap_or_default();
+        let tasks = self.member.tasks();
         let calls = tasks.iter().map(|task| {
             let reference = TaskRef::new(task.name.as_str(), task.tid);
             let call = cx.call(&reference, EnterPhase { phase }).deadline(timeout);
@@ -317,9 +309,7 @@ impl Supervisor {
 
     /// Whether the policy can restart the chassis at all.
     fn may_return(&self) -> bool {
-        use ctos_config::ChassisRestart::Never;
-        let policy = self.board.with(self.index, |member| member.policy.restart);
-        policy.is_some_and(|policy| policy != Never)
+        self.member.policy.restart != ChassisRestart::Never
     }
 
     fn told_failed(&self, reason: &str) {
@@ -334,13 +324,12 @@ impl Supervisor {
         let reason = StopReason::Failed {
             what: format!("chassis `{}` {why}", self.name()),
         };
-        let tasks = self
-            .board
-            .with(self.index, |member| member.report.tasks.clone());
-        for task in tasks.unwrap_or_default().iter().rev() {
-            self.board.stop_task_of(self.index, task, &reason).await;
+        for task in self.member.tasks().iter().rev() {
+            self.board
+                .stop_task_of(self.member.index, task, &reason)
+                .await;
         }
-        self.board.exit_chassis(self.index, 1).await;
+        self.board.exit_chassis(self.member.index, 1).await;
     }
 
     /// Ends when the process is dead, with how.
@@ -364,7 +353,7 @@ impl Supervisor {
             chassis: self.name(),
             signal: "SIGKILL".to_owned(),
         });
-        self.board.order(ProcessOrder::Kill(self.index));
+        self.board.order(ProcessOrder::Kill(self.member.index));
         let killed = cx.timeout(timeout, self.dead()).await;
         killed.unwrap_or_else(|_| Err(self.give_up("could not be ended".to_owned())))
     }
@@ -373,30 +362,28 @@ impl Supervisor {
     async fn links_closed(&self) -> Result<(), Done> {
         let cx = &self.board.cx;
         let mut closed = Ok(());
-        if cx.chassis().is_linked(self.index) {
+        if cx.chassis().is_linked(self.member.index) {
             let lost = self.until(|event| matches!(event, Event::Lost).then_some(()));
             closed = cx.timeout(LINK_TIMEOUT, lost).await.unwrap_or(Ok(()));
         }
-        cx.chassis().link_down(self.index);
+        cx.chassis().link_down(self.member.index);
         closed
     }
 
     /// What the policy says to the death: the number of the next incarnation and the pause before it. Where
     /// there is none the app ends.
     fn judge(&self, death: Death) -> Result<(u32, Duration), Done> {
+        let mut report = self.member.report.borrow_mut();
+        report.last_end = Some(death.reason.clone());
+        let incarnation = report.incarnation.saturating_add(1);
+        drop(report);
+        if death.asked {
+            return Ok((incarnation, Duration::ZERO));
+        }
         let now = self.board.cx.now();
-        let judged = self.board.with(self.index, |member| {
-            member.report.last_end = Some(death.reason.clone());
-            let pause = Duration::ZERO;
-            let verdict = match death.asked {
-                true => Verdict::Restart { pause },
-                false => member.intensity.judge(death.ended, now),
-            };
-            (verdict, member.report.incarnation, member.policy.window)
-        });
-        let (verdict, incarnation, window) = judged.ok_or(Done)?;
+        let verdict = self.member.intensity.borrow_mut().judge(death.ended, now);
         match verdict {
-            Verdict::Restart { pause } => Ok((incarnation.saturating_add(1), pause)),
+            Verdict::Restart { pause } => Ok((incarnation, pause)),
             Verdict::NotAllowed => {
                 let chassis = self.name();
                 let why = format!("{} and may not be started again", death.reason);
@@ -406,7 +393,7 @@ impl Supervisor {
                 let times = if restarts == 1 { "time" } else { "times" };
                 Err(self.give_up(format!(
                     "was restarted {restarts} {times} within {} s and failed again: it {}",
-                    window.as_secs_f64(),
+                    self.member.policy.window.as_secs_f64(),
                     death.reason
                 )))
             }
@@ -425,8 +412,8 @@ impl Supervisor {
     /// any more, and the app ends.
     fn gone(&self, why: String, end: End) -> Done {
         self.step(ChassisStep::DeadForGood);
-        self.board.answer_restarts(self.index, &Err(why.clone()));
-        self.board.tell_names(News::Gone(self.index, why));
+        self.member.answer_restarts(Err(&why));
+        self.board.tell_names(News::Gone(self.member.index, why));
         self.board.end(end);
         Done
     }

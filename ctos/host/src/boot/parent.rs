@@ -285,34 +285,28 @@ async fn connect(
             ended = first_exit(starter, processes) => return Err(ended),
             event = mesh.next() => event,
         };
-        let (index, reason) = match event {
+        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // said why it cannot start has said more than its end would.
+        let (index, reason, ends) = match event {
             Some(MeshEvent::Joined { chassis, .. }) => {
                 missing.remove(&chassis);
                 continue;
             }
             Some(MeshEvent::Up { .. }) => continue,
             Some(MeshEvent::Down {
-                chassis,
-                ref reason,
-                ..
-            }) => (chassis, reason.to_string()),
-            Some(MeshEvent::Unable {
-                chassis,
-                ref reason,
-            }) => (chassis, reason.clone()),
+                chassis, reason, ..
+            }) => (chassis, reason.to_string(), true),
+            Some(MeshEvent::Unable { chassis, reason }) => (chassis, reason, false),
             None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
         };
-        let error = BootError::Chassis {
+        let ended = first_exit(starter, processes);
+        if ends && let Ok(ended) = tokio::time::timeout(FLUSH_TIMEOUT, ended).await {
+            return Err(ended);
+        }
+        return Err(BootError::Chassis {
             chassis: starter.chassis.name_of(index).to_owned(),
             reason,
-        };
-        // A connection that breaks off mostly belongs to a process that is just ending; one that
-        // said why it cannot start has said more than its end would.
-        if matches!(&event, Some(MeshEvent::Unable { .. })) {
-            return Err(error);
-        }
-        let ended = tokio::time::timeout(FLUSH_TIMEOUT, first_exit(starter, processes)).await;
-        return Err(ended.unwrap_or(error));
+        });
     }
     Ok(())
 }

@@ -190,10 +190,8 @@ pub struct Client {
     socket: OwnedFd,
     /// What has come of the next answer.
     begun: Vec<u8>,
-    /// What it may mean when the other end hangs up.
+    /// What it may mean when the other end hangs up before it has answered anything.
     hung_up: Option<&'static str>,
-    /// It has answered anything.
-    heard: bool,
 }
 
 impl fmt::Debug for Client {
@@ -275,7 +273,6 @@ impl Client {
             socket,
             begun: Vec::new(),
             hung_up,
-            heard: false,
         }
     }
 
@@ -354,23 +351,17 @@ impl Client {
     /// The answer that has been read to its end.
     fn whole(&mut self) -> Result<Option<Answer>, ClientError> {
         let bytes = std::mem::take(&mut self.begun);
-        if bytes.is_empty() {
-            if self.hung_up.is_some() && !self.heard {
-                return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
-            }
+        if bytes.is_empty() && self.hung_up.is_none() {
             return Ok(None);
         }
-        let line = String::from_utf8_lossy(&bytes);
-        let answer = serde_json::from_str(&line);
         // What is no line of an app at all is the end of an attempt to speak TLS.
-        let is_line = line.starts_with('{');
-        self.heard |= is_line;
-        match answer {
+        if self.hung_up.is_some() && !bytes.starts_with(b"{") {
+            return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
+        }
+        self.hung_up = None;
+        match serde_json::from_slice(&bytes) {
             Ok(Answer::Error(error)) => Err(ClientError::Refused(error)),
             Ok(answer) => Ok(Some(answer)),
-            Err(_) if !is_line && self.hung_up.is_some() => {
-                Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
-            }
             Err(error) => Err(self.garbled(error)),
         }
     }
@@ -424,25 +415,26 @@ impl Client {
     }
 
     fn failed(&self, error: io::Error) -> ClientError {
-        match error.kind() {
-            _ if is_late(&error) => ClientError::TimedOut {
+        if is_late(&error) {
+            return ClientError::TimedOut {
                 app: self.app.app.clone(),
                 pid: self.app.pid,
                 timeout: self.timeout,
-            },
-            // What a refusal looks like from here.
-            io::ErrorKind::UnexpectedEof
-            | io::ErrorKind::ConnectionReset
-            | io::ErrorKind::BrokenPipe
-            | io::ErrorKind::InvalidData
-                if !self.heard && self.hung_up.is_some() =>
-            {
-                let hint = self.hung_up.unwrap_or_default();
-                let error = io::Error::new(error.kind(), format!("{hint} ({error})"));
-                out_of_reach(&self.app, error)
-            }
-            _ => out_of_reach(&self.app, error),
+            };
         }
+        // What a refusal looks like from here.
+        let refused = matches!(
+            error.kind(),
+            io::ErrorKind::UnexpectedEof
+                | io::ErrorKind::ConnectionReset
+                | io::ErrorKind::BrokenPipe
+                | io::ErrorKind::InvalidData
+        );
+        let error = match self.hung_up.filter(|_| refused) {
+            Some(hint) => io::Error::new(error.kind(), format!("{hint} ({error})")),
+            None => error,
+        };
+        out_of_reach(&self.app, error)
     }
 }
 

@@ -116,9 +116,8 @@ async fn meet(
         call => call.prove().await?,
     };
     let own = matches!(stream, Stream::Unix(_));
-    let (reader, writer) = tokio::io::split(stream);
+    let (reader, mut writer) = tokio::io::split(stream);
     let mut reader = BufReader::new(reader);
-    let mut writer: Writer = Box::new(writer);
     let client = match identity {
         Some(identity) => Client {
             who: format!("the key `{}`", identity.name),
@@ -151,7 +150,7 @@ async fn meet(
             }
         }
     };
-    Ok((client, Box::new(reader), writer))
+    Ok((client, reader, writer))
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use std::{
 };
 
 use serde_json::Value;
-use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader, ReadHalf, WriteHalf};
 
 use crate::{
     control::{
@@ -27,12 +27,12 @@ use crate::{
 };
 use ctos_bootstrap::refusals::Refusals;
 use ctos_core::chassis::Chassis;
-use ctos_link::security::Role;
+use ctos_link::{security::Role, transport::Stream};
 use ctos_message::Tid;
 
 /// Where a client is read, and where it is answered.
-pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
-pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
+pub(super) type Reader = BufReader<ReadHalf<Stream>>;
+pub(super) type Writer = WriteHalf<Stream>;
 
 /// A client, as far as it has proved who it is.
 pub(super) struct Client {
@@ -130,10 +130,9 @@ impl Service {
         &self,
         client: &Client,
         speaker: &mut Speaker,
-        reader: Reader,
+        mut reader: Reader,
         mut writer: Writer,
     ) -> io::Result<()> {
-        let mut reader = BufReader::new(reader);
         let mut news = self.ticker.subscribe();
         loop {
             let mut line = Vec::new();
@@ -264,7 +263,7 @@ fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
 }
 
 /// Ends when the client has closed its end, also while it is being answered.
-async fn closed(reader: &mut BufReader<Reader>) {
+async fn closed(reader: &mut Reader) {
     match reader.fill_buf().await {
         Ok([]) | Err(_) => {}
         // Its next request, which is read after this one.

@@ -22,6 +22,7 @@ use tokio::{
 use super::{
     is_same_user,
     run::{About, Common, Return, Run},
+    unpack::set_path,
     wire::{
         BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_TIMEOUT, Hello, HelloAnswer, Outbox,
         PROTOCOL, ToBoot, say_last,
@@ -251,11 +252,8 @@ impl HostAgent {
                     let Identity { name, role } = keys.identity().clone();
                     return Err(AgentError::Role { name, role });
                 }
-                for (name, path) in [("key", key), ("authority", authority)] {
-                    let path = serde_json::Value::from(path.to_string_lossy());
-                    // A JSON string is a TOML string.
-                    key_arguments.push(format!("security.{name}={path}"));
-                }
+                key_arguments.push(set_path("security.key", &key));
+                key_arguments.push(set_path("security.authority", &authority));
                 Some(Arc::new(keys))
             }
             None if !setup.listen.ip().to_canonical().is_loopback() => {
@@ -263,12 +261,7 @@ impl HostAgent {
             }
             None => None,
         };
-        let metadata = std::fs::metadata(&setup.folder);
-        let is_folder = metadata.and_then(|found| {
-            let error = || io::Error::from(io::ErrorKind::NotADirectory);
-            found.is_dir().then_some(()).ok_or_else(error)
-        });
-        is_folder.map_err(|error| AgentError::Folder {
+        std::fs::read_dir(&setup.folder).map_err(|error| AgentError::Folder {
             folder: setup.folder.clone(),
             error,
         })?;
