@@ -35,6 +35,9 @@ pub enum ChildError {
     System(#[from] std::io::Error),
 }
 
+/// Why a chassis ends that an agent no longer holds.
+const UNTETHERED: &str = "the agent that started this chassis is gone, or has ended its run";
+
 /// Runs chassis `name` of `app` until the boot at `boot` tells it to end, or is gone.
 /// Returns the process's exit code.
 ///
@@ -86,14 +89,11 @@ async fn serve(
     let mut tether = Tether::taken()?;
     let connected = tokio::select! {
         connected = tokio::time::timeout(timeout, connect(chassis, boot, who)) => connected,
-        () = tether.cut() => return Err(ChildError::Connect {
-            what: "the app".to_owned(),
-            reason: "the agent that started this chassis is gone, or has ended its run".to_owned(),
-        }),
+        () = tether.cut() => return Err(unconnected("the app", UNTETHERED)),
     };
-    let mut mesh = connected.map_err(|_| ChildError::Connect {
-        what: "the other chassis".to_owned(),
-        reason: format!("not done within {:.3} s", timeout.as_secs_f64()),
+    let mut mesh = connected.map_err(|_| {
+        let late = format!("not done within {:.3} s", timeout.as_secs_f64());
+        unconnected("the other chassis", late)
     })??;
     let threads = ctos_core::threads::start_processors(chassis)?;
     let code = loop {
@@ -101,7 +101,7 @@ async fn serve(
             // Without a sender left, every chassis thread is gone: an error exit.
             code = &mut exited => break code.unwrap_or(1),
             () = tether.cut() => {
-                tracing::error!("the agent that started this chassis is gone, or has ended its run");
+                tracing::error!("{UNTETHERED}");
                 // Its tasks are stopped as when the boot is gone.
                 chassis.link_down(0);
             }
@@ -163,23 +163,19 @@ async fn connect(
     mesh.join(boot);
     loop {
         match mesh.next().await {
-            Some(MeshEvent::Joined { .. }) => return Ok(mesh),
+            MeshEvent::Joined { .. } => return Ok(mesh),
             // Another chassis that goes is the boot's affair; without the boot there is no app.
-            Some(MeshEvent::Down {
+            MeshEvent::Down {
                 chassis: 0, reason, ..
-            }) => {
-                return Err(ChildError::Connect {
-                    what: format!("the boot at {boot}"),
-                    reason: reason.to_string(),
-                });
-            }
-            Some(_) => {}
-            None => {
-                return Err(ChildError::Connect {
-                    what: "the other chassis".to_owned(),
-                    reason: "the mesh has ended".to_owned(),
-                });
-            }
+            } => return Err(unconnected(&format!("the boot at {boot}"), reason)),
+            _ => {}
         }
+    }
+}
+
+fn unconnected(what: &str, reason: impl ToString) -> ChildError {
+    ChildError::Connect {
+        what: what.to_owned(),
+        reason: reason.to_string(),
     }
 }

@@ -237,8 +237,12 @@ impl Mesh {
     }
 
     /// What happens next.
-    pub(crate) async fn next(&mut self) -> Option<MeshEvent> {
-        self.events.recv().await
+    pub(crate) async fn next(&mut self) -> MeshEvent {
+        match self.events.recv().await {
+            Some(event) => event,
+            // The mesh itself holds the other end.
+            None => std::future::pending().await,
+        }
     }
 
     /// How many callers were refused so far.

@@ -193,7 +193,7 @@ async fn run_processes(
             () = interrupts.next() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
             started = keeper.serve() => mesh.expect(started.chassis, started.incarnation),
             // What a chassis that is gone means is decided by the tasks, which have been told.
-            Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
+            event = mesh.next() => newcomers.welcome(chassis, &event),
         }
     }
     let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
@@ -288,16 +288,15 @@ async fn connect(
         // A connection that breaks off mostly belongs to a process that is just ending; one that
         // said why it cannot start has said more than its end would.
         let (index, reason, ends) = match event {
-            Some(MeshEvent::Joined { chassis, .. }) => {
+            MeshEvent::Joined { chassis, .. } => {
                 missing.remove(&chassis);
                 continue;
             }
-            Some(MeshEvent::Up { .. }) => continue,
-            Some(MeshEvent::Down {
+            MeshEvent::Up { .. } => continue,
+            MeshEvent::Down {
                 chassis, reason, ..
-            }) => (chassis, reason.to_string(), true),
-            Some(MeshEvent::Unable { chassis, reason }) => (chassis, reason, false),
-            None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
+            } => (chassis, reason.to_string(), true),
+            MeshEvent::Unable { chassis, reason } => (chassis, reason, false),
         };
         let ended = first_exit(starter, processes);
         if ends && let Ok(ended) = tokio::time::timeout(FLUSH_TIMEOUT, ended).await {
