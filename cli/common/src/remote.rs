@@ -11,7 +11,7 @@ use ctos::{
     control::{
         LogLine, Socket,
         client::{self, Client, ClientError, Pass},
-        protocol::{Activity, Answer, AppView, Request, TaskView},
+        protocol::{Activity, Answer, AppView, ErrorCode, Request, TaskView},
     },
     doors::Secret,
     security::Keys,
@@ -121,16 +121,12 @@ pub fn failed(error: &ClientError) -> u8 {
     {
         show::say(&format!("  there are: {}", refused.known.join(", ")));
     }
-    if error.is_no_such_name() {
-        exit::NO_SUCH_NAME
-    } else if error.is_not_allowed() {
-        exit::NOT_ALLOWED
-    } else if error.is_timed_out() {
-        exit::TIMED_OUT
-    } else if error.is_refused() {
-        exit::FAILED
-    } else {
-        exit::UNREACHABLE
+    match error.code() {
+        Some(ErrorCode::NoSuchName) => exit::NO_SUCH_NAME,
+        Some(ErrorCode::NotAllowed) => exit::NOT_ALLOWED,
+        Some(ErrorCode::TimedOut) => exit::TIMED_OUT,
+        Some(ErrorCode::Failed) => exit::FAILED,
+        _ => exit::UNREACHABLE,
     }
 }
 

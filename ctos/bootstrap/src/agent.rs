@@ -6,44 +6,27 @@ use tokio::sync::oneshot;
 
 use crate::{
     survey::{seen, survey},
-    watch::{self, Gather},
+    watch::{self, Gather, Metrics},
 };
 use ctos_config::TaskConfig;
 use ctos_core::{
     chassis::{BOOT_CHASSIS, Chassis},
     circle,
     context::{Context, TaskRef},
-    envelope::{Message, Replier},
+    envelope::Replier,
     handled::{Handled, HandlerError},
-    handler::EventHandler,
     moving::{self, Arrivals},
     phase::StopReason,
+    report::{ChassisReport, RecordReport},
     runner::{TaskSpec, start_task},
     system::{
         AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, LookAt, MoveIn, MovedTasks, Place,
-        Rebound, RegisterTid, Settle, Settled, StopTask, Survey, TaskName, Transfer, WaitsFor,
+        Rebound, RegisterTid, Seen, Settle, Settled, StopTask, Survey, TaskName, Transfer, Waits,
+        WaitsFor,
     },
 };
-use ctos_message::{Command, CommandInfo, Tid};
+use ctos_message::Tid;
 use ctos_record::{Attached, BeginRecord, EndRecord, ReadRecord};
-
-/// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 14] = [
-    CreateTasks::INFO,
-    Exit::INFO,
-    Survey::INFO,
-    LookAt::INFO,
-    AnnounceUp::INFO,
-    Gather::INFO,
-    MoveIn::INFO,
-    Transfer::INFO,
-    Settle::INFO,
-    Rebound::INFO,
-    WaitsFor::INFO,
-    BeginRecord::INFO,
-    ReadRecord::INFO,
-    EndRecord::INFO,
-];
 
 /// Exit code of a chassis whose boot is gone.
 const EXIT_ORPHAN: i32 = 5;
@@ -56,88 +39,140 @@ pub(crate) struct Agent {
     records: Attached,
 }
 
-impl EventHandler for Agent {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        match message.command() {
-            CreateTasks::CODE => {
-                let (CreateTasks { first_slots }, reply) = message.open::<CreateTasks>()?;
-                cx.chassis().directory.start_slots_at(&first_slots);
-                let created = self.create(cx).await?;
-                watch::start(cx);
-                reply.ok(created)
-            }
-            Gather::CODE => {
-                let (Gather {}, reply) = message.open::<Gather>()?;
-                reply.ok(watch::gather_here(cx.chassis()))
-            }
-            Exit::CODE => {
-                let (Exit { code }, reply) = message.open::<Exit>()?;
-                // Before the answer, after which the boot may be gone at any moment.
-                cx.chassis().set_leaving();
-                reply.ok(())?;
-                cx.chassis().exit(code);
-                Ok(())
-            }
-            Survey::CODE => {
-                let (Survey {}, reply) = message.open::<Survey>()?;
-                reply.ok(survey(cx.chassis()))
-            }
-            LookAt::CODE => {
-                let (LookAt { task, without }, reply) = message.open::<LookAt>()?;
-                reply.ok(seen(cx.chassis(), task, &without))
-            }
-            AnnounceUp::CODE => {
-                let (AnnounceUp { chassis }, _) = message.open::<AnnounceUp>()?;
-                for task in cx.chassis().tasks() {
-                    let chassis = chassis.clone();
-                    cx.chassis().post_system(task.tid, ChassisUp { chassis });
-                }
-                Ok(())
-            }
-            MoveIn::CODE => {
-                let (request, reply) = message.open::<MoveIn>()?;
-                self.arrivals.expect(cx, request, reply);
-                Ok(())
-            }
-            Transfer::CODE => {
-                let (Transfer { to, what }, reply) = message.open::<Transfer>()?;
-                take_load(cx, to, what, reply)
-            }
-            Settle::CODE => {
-                let (Settle { place, how }, reply) = message.open::<Settle>()?;
-                self.settle(cx, place, how);
-                reply.ok(())
-            }
-            Rebound::CODE => {
-                let (rebound, reply) = message.open::<Rebound>()?;
-                redirect(cx, rebound, reply);
-                Ok(())
-            }
-            WaitsFor::CODE => {
-                let (WaitsFor { task }, reply) = message.open::<WaitsFor>()?;
-                reply.ok(circle::of_task(cx.chassis(), task))
-            }
-            BeginRecord::CODE => {
-                let (request, reply) = message.open::<BeginRecord>()?;
-                match self.records.begin(cx, request, watch::COMMANDS) {
-                    Ok(report) => reply.ok(report),
-                    Err(why) => reply.fail(why),
-                }
-            }
-            ReadRecord::CODE => {
-                let (ReadRecord { key }, reply) = message.open::<ReadRecord>()?;
-                reply.ok(self.records.read(key))
-            }
-            EndRecord::CODE => {
-                let (EndRecord { key }, reply) = message.open::<EndRecord>()?;
-                self.records.end(cx, key, reply);
-                Ok(())
-            }
-            _ => cx.default_processing(message),
+#[ctos_derive::handler]
+impl Agent {
+    #[command]
+    async fn create_tasks(
+        &mut self,
+        cx: &Context,
+        CreateTasks { first_slots }: CreateTasks,
+    ) -> Result<Created, HandlerError> {
+        cx.chassis().directory.start_slots_at(&first_slots);
+        let created = self.create(cx).await?;
+        watch::start(cx);
+        Ok(created)
+    }
+
+    #[command]
+    fn gather(&self, cx: &Context, _: Gather) -> Metrics {
+        watch::gather_here(cx.chassis())
+    }
+
+    #[command]
+    fn exit(&self, cx: &Context, order: Exit, reply: Replier<Exit>) -> Handled {
+        // Before the answer, after which the boot may be gone at any moment.
+        cx.chassis().set_leaving();
+        reply.ok(())?;
+        cx.chassis().exit(order.code);
+        Ok(())
+    }
+
+    #[command]
+    fn survey(&self, cx: &Context, _: Survey) -> ChassisReport {
+        survey(cx.chassis())
+    }
+
+    #[command]
+    fn look_at(&self, cx: &Context, LookAt { task, without }: LookAt) -> Option<Seen> {
+        seen(cx.chassis(), task, &without)
+    }
+
+    #[command]
+    fn announce_up(&self, cx: &Context, AnnounceUp { chassis }: AnnounceUp) {
+        for task in cx.chassis().tasks() {
+            let chassis = chassis.clone();
+            cx.chassis().post_system(task.tid, ChassisUp { chassis });
         }
     }
 
-    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+    #[command]
+    fn move_in(&mut self, cx: &Context, request: MoveIn, reply: Replier<MoveIn>) -> Handled {
+        self.arrivals.expect(cx, request, reply);
+        Ok(())
+    }
+
+    /// Takes what comes by the old place of a task.
+    #[command]
+    fn transfer(
+        &self,
+        cx: &Context,
+        Transfer { to, what }: Transfer,
+        reply: Replier<Transfer>,
+    ) -> Handled {
+        let chassis = cx.chassis();
+        let opened = match what {
+            Load::Message(message) => {
+                moving::deliver(cx, to, message, reply);
+                return Ok(());
+            }
+            Load::Sync => None,
+            Load::Gate(sender) => Some(sender),
+            Load::Without { old, .. } if old == chassis.index() || chassis.is_linked(old) => {
+                return reply.fail("the old place may still send something");
+            }
+            Load::Without { chassis, .. } => Some(chassis),
+        };
+        if let (Some(sender), Some(task)) = (opened, chassis.task(to)) {
+            task.mailbox.open_gate(sender);
+        }
+        reply.ok(Ok(Vec::new()))
+    }
+
+    /// A name has another id now, or none.
+    #[command]
+    fn rebound(&self, cx: &Context, rebound: Rebound, reply: Replier<Rebound>) -> Handled {
+        if let (Some(new), true) = (rebound.new, rebound.moved) {
+            let here = cx.clone();
+            cx.spawn(async move {
+                // A reply cannot fail.
+                let _ = match moving::redirect(&here, &rebound, new).await {
+                    Ok(()) => reply.ok(()),
+                    Err(error) => reply.fail(error),
+                };
+            });
+            return Ok(());
+        }
+        let directory = &cx.chassis().directory;
+        directory.rebind(&rebound.name, rebound.old, rebound.new);
+        reply.ok(())
+    }
+
+    #[command]
+    fn waits_for(&self, cx: &Context, WaitsFor { task }: WaitsFor) -> Option<Waits> {
+        circle::of_task(cx.chassis(), task)
+    }
+
+    #[command]
+    fn begin_record(
+        &mut self,
+        cx: &Context,
+        order: BeginRecord,
+        reply: Replier<BeginRecord>,
+    ) -> Handled {
+        match self.records.begin(cx, order, watch::COMMANDS) {
+            Ok(report) => reply.ok(report),
+            Err(why) => reply.fail(why),
+        }
+    }
+
+    #[command]
+    fn read_record(&self, ReadRecord { key }: ReadRecord) -> Option<RecordReport> {
+        self.records.read(key)
+    }
+
+    #[command]
+    fn end_record(
+        &mut self,
+        cx: &Context,
+        EndRecord { key }: EndRecord,
+        reply: Replier<EndRecord>,
+    ) -> Handled {
+        self.records.end(cx, key, reply);
+        Ok(())
+    }
+
+    #[chassis_down]
+    async fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
         let mut others = cx.chassis().others();
         if let Some(peer) = others.find(|index| cx.chassis().name_of(*index) == chassis) {
             self.arrivals.lost(cx, peer);
@@ -152,9 +187,7 @@ impl EventHandler for Agent {
         }
         Ok(())
     }
-}
 
-impl Agent {
     /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
     async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
@@ -192,7 +225,8 @@ impl Agent {
     }
 
     /// A place that a task comes to or has left is settled.
-    fn settle(&mut self, cx: &Context, place: Tid, how: Settled) {
+    #[command]
+    fn settle(&mut self, cx: &Context, Settle { place, how }: Settle) {
         match how {
             Settled::Go { gone } => {
                 let Some(record) = cx.chassis().task(place) else {
@@ -265,51 +299,6 @@ fn placed_here(
     })
 }
 
-/// Takes what comes by the old place of a task.
-fn take_load(cx: &Context, to: Tid, what: Load, reply: Replier<Transfer>) -> Handled {
-    let chassis = cx.chassis();
-    let opened = match what {
-        Load::Message(message) => {
-            moving::deliver(cx, to, message, reply);
-            return Ok(());
-        }
-        Load::Sync => None,
-        Load::Gate(sender) => Some(sender),
-        Load::Without {
-            chassis: sender,
-            old,
-        } => {
-            if old == chassis.index() || chassis.is_linked(old) {
-                return reply.fail("the old place may still send something");
-            }
-            Some(sender)
-        }
-    };
-    if let (Some(sender), Some(task)) = (opened, chassis.task(to)) {
-        task.mailbox.open_gate(sender);
-    }
-    reply.ok(Ok(Vec::new()))
-}
-
-/// A name has another id now, or none.
-fn redirect(cx: &Context, rebound: Rebound, reply: Replier<Rebound>) {
-    let here = cx.clone();
-    match rebound.new {
-        Some(new) if rebound.moved => cx.spawn(async move {
-            // A reply cannot fail, here and below.
-            let _ = match moving::redirect(&here, &rebound, new).await {
-                Ok(()) => reply.ok(()),
-                Err(error) => reply.fail(error),
-            };
-        }),
-        new => {
-            let directory = &cx.chassis().directory;
-            directory.rebind(&rebound.name, rebound.old, new);
-            let _ = reply.ok(());
-        }
-    }
-}
-
 /// Builds one task on its processor's thread.
 async fn create_one(
     cx: &Context,
@@ -320,15 +309,10 @@ async fn create_one(
     let kind = registry
         .kind(&config.handler)
         .ok_or_else(|| format!("nobody registered the event handler `{}`", config.handler))?;
-    let (index, processor) = chassis
-        .processors
-        .iter()
-        .enumerate()
-        .skip(1)
+    let mut processors = (0..=u8::MAX).zip(&chassis.processors).skip(1);
+    let (number, (_, processor)) = processors
         .find(|(_, (name, _))| *name == config.processor)
-        .map(|(index, (_, handle))| (index, handle.clone()))
         .ok_or_else(|| format!("there is no processor `{}`", config.processor))?;
-    let number = u8::try_from(index).map_err(|_| "there are too many processors")?;
     let slot = chassis.directory.free_slot(number);
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
@@ -337,7 +321,7 @@ async fn create_one(
         tid,
         Some(config.clone()),
         kind.recipe(),
-        &processor,
+        processor,
     );
     let (built, building) = oneshot::channel();
     let home = chassis.clone();

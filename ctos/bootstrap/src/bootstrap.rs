@@ -23,42 +23,24 @@ use std::{
 use crate::watch;
 use ctos_core::{
     context::Context,
-    envelope::Message,
+    envelope::Replier,
     handled::Handled,
-    handler::EventHandler,
     phase::{Phase, StopReason},
     system::{
         AllLinked, AppResult, AtBreakpoint, ChassisLinked, Finish, Interrupt, ProcessEnded,
         Progress, RestartChassis, TaskFailed, TaskMoved,
     },
 };
-use ctos_message::{Command, CommandInfo};
-
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 
-use board::{Board, Event};
+use board::{Board, Ending, Event};
 
 pub use outcome::{BootError, HostError, Outcome};
 pub use outcome::{contained, io_error};
 pub use overview::{AppReport, MemberReport, Overview};
 pub use start::start_system_tasks;
 pub use states::{BootState, ChassisState};
-
-/// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 11] = [
-    AllLinked::INFO,
-    Progress::INFO,
-    Finish::INFO,
-    TaskFailed::INFO,
-    AtBreakpoint::INFO,
-    Interrupt::INFO,
-    ProcessEnded::INFO,
-    ChassisLinked::INFO,
-    RestartChassis::INFO,
-    TaskMoved::INFO,
-    Overview::INFO,
-];
 
 /// What happens while an app is up, for whoever shows it to a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -206,11 +188,7 @@ impl StopStep {
 
 impl std::fmt::Display for StopStep {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.pad(match self {
-            Self::Quiesce => "quiesce",
-            Self::Tasks => "tasks",
-            Self::Processes => "processes",
-        })
+        self.serialize(f)
     }
 }
 
@@ -345,107 +323,96 @@ impl Seat {
 }
 
 /// The service's state.
-pub(crate) struct Bootstrap {
-    seat: Seat,
-    board: Option<Rc<Board>>,
-}
+pub(crate) struct Bootstrap(Rc<Board>);
 
 impl Bootstrap {
-    pub(crate) fn new(seat: Seat) -> Self {
-        Self { seat, board: None }
-    }
-
-    fn board(&mut self, cx: &Context) -> &Rc<Board> {
-        let seat = &self.seat;
-        self.board
-            .get_or_insert_with(|| Rc::new(Board::new(cx.clone(), seat.clone())))
+    pub(crate) fn new(cx: &Context, seat: Seat) -> Self {
+        Self(Rc::new(Board::new(cx.clone(), seat)))
     }
 }
 
-impl EventHandler for Bootstrap {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        let board = self.board(cx).clone();
-        match message.command() {
-            AllLinked::CODE => {
-                watch::start(cx);
-                board.all_linked();
-                cx.spawn(sequence::run(board.clone()));
-                for index in board.indices() {
-                    cx.spawn(supervisor::supervise(board.clone(), index));
-                }
-                Ok(())
-            }
-            Progress::CODE => {
-                let (progress, _) = message.open::<Progress>()?;
-                // How far its tasks are is no news any more once the app is being taken down.
-                if board.is_stopping() {
-                    return Ok(());
-                }
-                board.event(&BootEvent::Progress {
-                    task: progress.task,
-                    done: progress.done,
-                    total: progress.total,
-                    step: progress.step,
-                    what: progress.what,
-                });
-                Ok(())
-            }
-            Finish::CODE => {
-                let (Finish { task, result }, _) = message.open::<Finish>()?;
-                let until = cx.app().until.as_deref();
-                if until.is_none_or(|until| until == task) {
-                    board.end(End::Finished(result));
-                }
-                Ok(())
-            }
-            TaskFailed::CODE => {
-                let from = message.from().chassis();
-                let (TaskFailed { task, reason }, _) = message.open::<TaskFailed>()?;
-                board.task_failed(from, task, reason);
-                Ok(())
-            }
-            AtBreakpoint::CODE => {
-                let (AtBreakpoint { task, reason }, _) = message.open::<AtBreakpoint>()?;
-                board.end(End::Breakpoint { task, reason });
-                Ok(())
-            }
-            Interrupt::CODE => {
-                board.end(End::Interrupted);
-                Ok(())
-            }
-            ProcessEnded::CODE => {
-                let (ended, _) = message.open::<ProcessEnded>()?;
-                let dead = Event::Dead {
-                    how: ended.how,
-                    code: ended.code,
-                };
-                board.tell_incarnation(ended.chassis, ended.incarnation, dead);
-                Ok(())
-            }
-            ChassisLinked::CODE => {
-                let (linked, _) = message.open::<ChassisLinked>()?;
-                board.tell_incarnation(linked.chassis, linked.incarnation, Event::Joined);
-                Ok(())
-            }
-            RestartChassis::CODE => {
-                let (RestartChassis { chassis }, reply) = message.open::<RestartChassis>()?;
-                board.restart(chassis, reply)
-            }
-            TaskMoved::CODE => {
-                let (TaskMoved { task, old }, _) = message.open::<TaskMoved>()?;
-                board.moved(task, old);
-                Ok(())
-            }
-            Overview::CODE => {
-                let (Overview {}, reply) = message.open::<Overview>()?;
-                reply.ok(board.report())
-            }
-            _ => cx.default_processing(message),
+#[ctos_derive::handler]
+impl Bootstrap {
+    #[command]
+    fn all_linked(&self, cx: &Context, _: AllLinked) {
+        watch::start(cx);
+        self.0.all_linked();
+        cx.spawn(sequence::run(self.0.clone()));
+        for member in &self.0.members {
+            cx.spawn(supervisor::supervise(self.0.clone(), member.clone()));
         }
     }
 
-    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
-        self.board(cx).lost(chassis);
+    #[command]
+    fn progress(&self, progress: Progress) {
+        // How far its tasks are is no news any more once the app is being taken down.
+        if !self.0.is_stopping() {
+            self.0.event(&BootEvent::Progress {
+                task: progress.task,
+                done: progress.done,
+                total: progress.total,
+                step: progress.step,
+                what: progress.what,
+            });
+        }
+    }
+
+    #[command]
+    fn finish(&self, cx: &Context, Finish { task, result }: Finish) {
+        let until = cx.app().until.as_deref();
+        if until.is_none_or(|until| until == task) {
+            self.0.end(End::Finished(result));
+        }
+    }
+
+    #[command]
+    fn task_failed(&self, failed: TaskFailed) {
+        self.0
+            .task_failed(failed.chassis, failed.task, failed.reason);
+    }
+
+    #[command]
+    fn at_breakpoint(&self, AtBreakpoint { task, reason }: AtBreakpoint) {
+        self.0.end(End::Breakpoint { task, reason });
+    }
+
+    #[command]
+    fn interrupt(&self, _: Interrupt) {
+        self.0.end(End::Interrupted);
+    }
+
+    #[command]
+    fn process_ended(&self, ended: ProcessEnded) {
+        let ProcessEnded { how, code, .. } = ended;
+        let dead = Event::Dead(Ending { how, code });
+        self.0
+            .tell_incarnation(ended.chassis, ended.incarnation, dead);
+    }
+
+    #[command]
+    fn chassis_linked(&self, linked: ChassisLinked) {
+        self.0
+            .tell_incarnation(linked.chassis, linked.incarnation, Event::Joined);
+    }
+
+    #[command]
+    fn restart(&self, order: RestartChassis, reply: Replier<RestartChassis>) -> Handled {
+        self.0.restart(order.chassis, reply)
+    }
+
+    #[command]
+    fn moved(&self, TaskMoved { task, old }: TaskMoved) {
+        self.0.moved(task, old);
+    }
+
+    #[command]
+    fn overview(&self, _: Overview) -> AppReport {
+        self.0.report()
+    }
+
+    #[chassis_down]
+    async fn lost(&mut self, _: &Context, chassis: &str) -> Handled {
+        self.0.lost(chassis);
         Ok(())
     }
 }

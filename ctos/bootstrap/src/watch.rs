@@ -5,8 +5,7 @@
 //! page `docs/watching.md` lists what is told.
 
 mod lint;
-#[doc(hidden)]
-pub mod metrics;
+mod metrics;
 
 use std::time::Duration;
 
@@ -19,9 +18,7 @@ pub use lint::{Lint, LintCode};
 
 pub(crate) use lint::Watch;
 #[doc(hidden)]
-pub use metrics::{
-    ChassisMetrics, CyclicMetrics, Gather, LinkMetrics, Quantiles, TaskMetrics, gather_here,
-};
+pub use metrics::{Gather, Metrics, gather_here, page};
 
 /// Commands of the runtime that the core does not know, for records.
 pub const COMMANDS: &[CommandInfo] = &[Gather::INFO, Overview::INFO];

@@ -139,7 +139,7 @@ command! {
 }
 command! {
     /// Tells that a task failed for good.
-    pub struct TaskFailed { pub task: String, pub reason: String } => (), 0xff32, "task_failed"
+    pub struct TaskFailed { pub task: String, pub chassis: u8, pub reason: String } => (), 0xff32, "task_failed"
 }
 command! {
     /// Tells that a task is at a breakpoint at which the app shall end.

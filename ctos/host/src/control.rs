@@ -24,3 +24,4 @@ pub(crate) use gate::Gate;
 pub(crate) use logs::LogStore;
 pub(crate) use news::Ticker;
 pub(crate) use server::Server;
+pub(crate) use view::ask;

@@ -324,7 +324,14 @@ impl Listener {
     pub fn unix(name: &str) -> io::Result<Self> {
         let folder = socket_folder()?;
         remove_stale(&folder);
-        let path = folder.join(socket_name(name, noise::bytes()?));
+        Self::unix_at(folder.join(socket_name(name, noise::bytes()?)))
+    }
+
+    /// Listens at a socket of this user's own, in place of whatever has its name.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn unix_at(path: PathBuf) -> io::Result<Self> {
         let listener = listen_at(&path)?;
         Ok(Self::Unix(listener, SocketFile { path }))
     }
@@ -365,7 +372,7 @@ impl Listener {
 ///
 /// # Errors
 /// What the system says.
-pub fn listen_at(path: &Path) -> io::Result<UnixListener> {
+fn listen_at(path: &Path) -> io::Result<UnixListener> {
     let begun = path.with_extension("new");
     // One of a process of the same number that was killed.
     let _ = std::fs::remove_file(&begun);
@@ -419,8 +426,12 @@ fn socket_folder() -> io::Result<PathBuf> {
     Err(error.unwrap_or_else(|| io::Error::other("there is no folder for sockets")))
 }
 
-/// Makes sure that `folder` exists and that nobody but `user` may enter it.
-fn private_folder(folder: &Path, user: u32) -> io::Result<()> {
+/// Makes sure that `folder` exists and that nobody but `user` may enter it: whoever owns it could answer in the
+/// place of an app.
+///
+/// # Errors
+/// When it cannot be made, or somebody else may enter it.
+pub fn private_folder(folder: &Path, user: u32) -> io::Result<()> {
     match std::fs::DirBuilder::new().mode(0o700).create(folder) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
         _ => {}
@@ -428,7 +439,7 @@ fn private_folder(folder: &Path, user: u32) -> io::Result<()> {
     let found = std::fs::symlink_metadata(folder)?;
     if !found.is_dir() || found.uid() != user || found.mode() & 0o077 != 0 {
         let text = format!(
-            "{} is not a folder of this user alone (mode 0700); remove it, or set XDG_RUNTIME_DIR",
+            "{} is not a folder that belongs to you alone (mode 0700); remove it, or set XDG_RUNTIME_DIR",
             folder.display()
         );
         return Err(io::Error::new(io::ErrorKind::PermissionDenied, text));
@@ -480,7 +491,8 @@ mod tests {
         private_folder(&folder, user).unwrap();
         private_folder(&folder, user).unwrap();
         std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
-        assert!(private_folder(&folder, user).is_err());
+        let refused = private_folder(&folder, user).unwrap_err().to_string();
+        assert!(refused.contains("belongs to you alone"), "{refused}");
         let link = base.path().join("link");
         std::os::unix::fs::symlink(&folder, &link).unwrap();
         std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o700)).unwrap();

@@ -3,7 +3,8 @@
 
 use std::{
     cell::{Cell, RefCell},
-    collections::{BTreeMap, VecDeque},
+    collections::VecDeque,
+    rc::Rc,
 };
 
 use crate::bootstrap::{AppReport, BootState, ChassisState, MemberReport};
@@ -12,7 +13,7 @@ use crate::bootstrap::{
     intensity::Intensity,
     states::{BootStep, ChassisStep, Table},
 };
-use ctos_config::{ChassisSupervision, OnTaskFailure};
+use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure};
 use ctos_core::{
     context::Context,
     envelope::Replier,
@@ -32,7 +33,7 @@ pub(super) enum Event {
     /// Nobody is connected to it any more.
     Lost,
     /// Its process is dead.
-    Dead { how: String, code: Option<i32> },
+    Dead(Ending),
     /// A task of it failed for good.
     TaskFailed { task: String, reason: String },
     /// A person wants it anew.
@@ -41,28 +42,116 @@ pub(super) enum Event {
     Stop,
 }
 
+/// How a process ended.
+#[derive(Debug)]
+pub(super) struct Ending {
+    /// Completes "the chassis ...".
+    pub(super) how: String,
+    /// Its exit code, if it ended by itself.
+    pub(super) code: Option<i32>,
+}
+
+/// What is told to somebody who takes it one by one.
+struct Inbox<T> {
+    waiting: RefCell<VecDeque<T>>,
+    told: Signal,
+}
+
+impl<T> Default for Inbox<T> {
+    fn default() -> Self {
+        Self {
+            waiting: RefCell::default(),
+            told: Signal::new(),
+        }
+    }
+}
+
+impl<T> Inbox<T> {
+    fn put(&self, item: T) {
+        self.waiting.borrow_mut().push_back(item);
+        self.told.raise();
+    }
+
+    /// The next one. One future may wait at a time.
+    async fn next(&self) -> T {
+        loop {
+            let item = self.waiting.borrow_mut().pop_front();
+            match item {
+                Some(item) => return item,
+                None => self.told.wait().await,
+            }
+        }
+    }
+}
+
 /// A chassis, seen by its supervisor.
 pub(super) struct Member {
-    pub(super) name: String,
-    pub(super) state: ChassisState,
-    pub(super) since: Instant,
-    /// Counts its processes from 1.
-    pub(super) incarnation: u32,
+    pub(super) index: u8,
+    /// What is told of it.
+    pub(super) report: RefCell<MemberReport>,
     pub(super) policy: ChassisSupervision,
-    pub(super) intensity: Intensity,
-    pub(super) tasks: Vec<TaskName>,
+    pub(super) intensity: RefCell<Intensity>,
     /// The phase that all its tasks have acknowledged.
-    pub(super) reached: Option<Phase>,
+    pub(super) reached: Cell<Option<Phase>>,
     /// What kept its tasks from a phase while the app was booted: task and reason.
-    pub(super) failures: Vec<(String, String)>,
-    pub(super) last_end: Option<String>,
+    pub(super) failures: RefCell<Vec<(String, String)>>,
     /// When the incarnation before this one failed.
-    pub(super) failed_at: Option<Instant>,
+    pub(super) failed_at: Cell<Option<Instant>>,
     /// Who waits for it to come up again.
-    restarts: Vec<Replier<RestartChassis>>,
-    events: VecDeque<Event>,
-    told: Signal,
+    restarts: RefCell<Vec<Replier<RestartChassis>>>,
+    events: Inbox<Event>,
     phase_wanted: Signal,
+}
+
+impl Member {
+    fn new(cx: &Context, index: u8, config: &ChassisConfig) -> Self {
+        let rng = cx.rng(&format!("restarts of {}", config.name));
+        Self {
+            index,
+            report: RefCell::new(MemberReport {
+                name: config.name.clone(),
+                state: ChassisState::Starting,
+                since: cx.now(),
+                incarnation: 1,
+                last_end: None,
+                tasks: Vec::new(),
+            }),
+            policy: config.supervision,
+            intensity: RefCell::new(Intensity::new(config.supervision.restart, rng)),
+            reached: Cell::default(),
+            failures: RefCell::default(),
+            failed_at: Cell::default(),
+            restarts: RefCell::default(),
+            events: Inbox::default(),
+            phase_wanted: Signal::new(),
+        }
+    }
+
+    /// Tells its supervisor.
+    pub(super) fn tell(&self, event: Event) {
+        self.events.put(event);
+    }
+
+    /// What its supervisor is told next.
+    pub(super) async fn next_event(&self) -> Event {
+        self.events.next().await
+    }
+
+    /// The tasks of this incarnation.
+    pub(super) fn tasks(&self) -> Vec<TaskName> {
+        self.report.borrow().tasks.clone()
+    }
+
+    /// Answers those who wait for it to come up.
+    pub(super) fn answer_restarts(&self, answer: Result<(), &str>) {
+        for reply in self.restarts.take() {
+            // Whoever asked may have gone; nobody else wants the answer.
+            let _ = match answer {
+                Ok(()) => reply.ok(()),
+                Err(reason) => reply.fail(reason),
+            };
+        }
+    }
 }
 
 pub(super) struct Board {
@@ -71,51 +160,23 @@ pub(super) struct Board {
     state: Cell<BootState>,
     /// The phase that every chassis shall reach.
     target: Cell<Option<Phase>>,
-    members: RefCell<BTreeMap<u8, Member>>,
-    ends: RefCell<VecDeque<End>>,
-    ended: Signal,
+    /// The chassis, in declared order.
+    pub(super) members: Vec<Rc<Member>>,
+    ends: Inbox<End>,
     changed: Signal,
 }
 
 impl Board {
     pub(super) fn new(cx: Context, seat: Seat) -> Self {
-        let members = cx
-            .app()
-            .chassis
-            .iter()
-            .zip(1..)
-            .map(|(config, index)| {
-                let member = Member {
-                    name: config.name.clone(),
-                    state: ChassisState::Starting,
-                    since: cx.now(),
-                    incarnation: 1,
-                    policy: config.supervision,
-                    intensity: Intensity::new(
-                        config.supervision.restart,
-                        cx.rng(&format!("restarts of {}", config.name)),
-                    ),
-                    tasks: Vec::new(),
-                    reached: None,
-                    failures: Vec::new(),
-                    last_end: None,
-                    failed_at: None,
-                    restarts: Vec::new(),
-                    events: VecDeque::new(),
-                    told: Signal::new(),
-                    phase_wanted: Signal::new(),
-                };
-                (index, member)
-            })
-            .collect();
+        let members = (1..).zip(&cx.app().chassis);
+        let members = members.map(|(index, config)| Rc::new(Member::new(&cx, index, config)));
         Self {
+            members: members.collect(),
             cx,
             seat,
             state: Cell::default(),
             target: Cell::default(),
-            members: RefCell::new(members),
-            ends: RefCell::default(),
-            ended: Signal::new(),
+            ends: Inbox::default(),
             changed: Signal::new(),
         }
     }
@@ -149,42 +210,25 @@ impl Board {
 
     /// Whether a task's failure ends the app, which has not been acted on yet.
     pub(super) fn has_failed(&self) -> bool {
-        let ends = self.ends.borrow();
+        let ends = self.ends.waiting.borrow();
         ends.iter().any(|end| matches!(end, End::TaskFailed { .. }))
     }
 
     pub(super) fn end(&self, end: End) {
-        self.ends.borrow_mut().push_back(end);
-        self.ended.raise();
+        self.ends.put(end);
     }
 
     /// The next thing that ends the app. One future may wait at a time.
     pub(super) async fn next_end(&self) -> End {
-        loop {
-            let end = self.ends.borrow_mut().pop_front();
-            match end {
-                Some(end) => return end,
-                None => self.ended.wait().await,
-            }
-        }
+        self.ends.next().await
     }
 
     pub(super) fn report(&self) -> AppReport {
-        let members = self.members.borrow();
+        let members = self.members.iter();
         AppReport {
             state: self.state.get(),
             now: self.cx.now(),
-            chassis: members
-                .values()
-                .map(|member| MemberReport {
-                    name: member.name.clone(),
-                    state: member.state,
-                    since: member.since,
-                    incarnation: member.incarnation,
-                    last_end: member.last_end.clone(),
-                    tasks: member.tasks.clone(),
-                })
-                .collect(),
+            chassis: members.map(|one| one.report.borrow().clone()).collect(),
         }
     }
 
@@ -196,30 +240,22 @@ impl Board {
 
     // -- all chassis --------------------------------------------------------------------------
 
-    /// The numbers of the chassis, in declared order.
-    pub(super) fn indices(&self) -> Vec<u8> {
-        self.members.borrow().keys().copied().collect()
-    }
-
-    /// Reads or changes a chassis.
-    pub(super) fn with<T>(&self, index: u8, change: impl FnOnce(&mut Member) -> T) -> Option<T> {
-        self.members.borrow_mut().get_mut(&index).map(change)
+    fn member(&self, index: u8) -> Option<&Rc<Member>> {
+        self.members.iter().find(|member| member.index == index)
     }
 
     /// All tasks, in the order in which they were created.
     pub(super) fn tasks(&self) -> Vec<TaskName> {
-        let members = self.members.borrow();
-        let tasks = members.values().flat_map(|member| &member.tasks);
-        tasks.cloned().collect()
+        self.members.iter().flat_map(|one| one.tasks()).collect()
     }
 
     /// The first process of every chassis is connected.
     pub(super) fn all_linked(&self) {
         self.step(BootStep::Linked);
-        for index in self.indices() {
-            self.tell(index, Event::Joined);
-            if !self.cx.chassis().is_linked(index) {
-                self.tell(index, Event::Lost);
+        for member in &self.members {
+            member.tell(Event::Joined);
+            if !self.cx.chassis().is_linked(member.index) {
+                member.tell(Event::Lost);
             }
         }
     }
@@ -227,30 +263,25 @@ impl Board {
     /// Every chassis shall reach `phase`.
     pub(super) fn aim_at(&self, phase: Phase) {
         self.target.set(Some(phase));
-        for member in self.members.borrow().values() {
+        for member in &self.members {
             member.phase_wanted.raise();
         }
     }
 
     /// Ends when every chassis has reached `phase`, or when tasks have not: these, with the reasons.
     pub(super) async fn all_reach(&self, phase: Phase) -> Result<(), Vec<(String, String)>> {
-        loop {
-            {
-                let members = self.members.borrow();
-                let settled = |member: &Member| {
-                    !member.failures.is_empty() || member.reached.is_some_and(|at| at >= phase)
-                };
-                if members.values().all(settled) {
-                    let failures = members.values().flat_map(|member| &member.failures);
-                    let failures: Vec<_> = failures.cloned().collect();
-                    return if failures.is_empty() {
-                        Ok(())
-                    } else {
-                        Err(failures)
-                    };
-                }
-            }
+        let settled = |member: &Rc<Member>| {
+            member.reached.get() >= Some(phase) || !member.failures.borrow().is_empty()
+        };
+        while !self.members.iter().all(settled) {
             self.changed.wait().await;
+        }
+        let failures = self.members.iter().map(|one| one.failures.borrow().clone());
+        let failures = failures.collect::<Vec<_>>().concat();
+        if failures.is_empty() {
+            Ok(())
+        } else {
+            Err(failures)
         }
     }
 
@@ -261,92 +292,58 @@ impl Board {
 
     /// A task that was at `old` is at another place now.
     pub(super) fn moved(&self, task: TaskName, old: Tid) {
-        self.with(old.chassis(), |member| {
-            member.tasks.retain(|one| one.tid != old);
-        });
-        self.with(task.tid.chassis(), |member| member.tasks.push(task));
+        if let Some(member) = self.member(old.chassis()) {
+            let tasks = &mut member.report.borrow_mut().tasks;
+            tasks.retain(|one| one.tid != old);
+        }
+        if let Some(member) = self.member(task.tid.chassis()) {
+            member.report.borrow_mut().tasks.push(task);
+        }
     }
 
     // -- one chassis --------------------------------------------------------------------------
 
-    /// Tells the supervisor of chassis `index`.
-    pub(super) fn tell(&self, index: u8, event: Event) {
-        self.with(index, |member| {
-            member.events.push_back(event);
-            member.told.raise();
-        });
-    }
-
-    /// As [`Self::tell`], if the process that it is about is not an earlier one.
+    /// Tells the supervisor of chassis `index`, if the process that it is about is not an earlier one.
     pub(super) fn tell_incarnation(&self, index: u8, incarnation: u32, event: Event) {
-        let is = self.with(index, |member| member.incarnation);
-        if is == Some(incarnation) {
-            self.tell(index, event);
+        let member = self.member(index);
+        if let Some(member) = member.filter(|one| one.report.borrow().incarnation == incarnation) {
+            member.tell(event);
         }
     }
 
-    /// The next event of chassis `index`. One future may wait at a time.
-    pub(super) async fn next_event(&self, index: u8) -> Event {
-        loop {
-            let Some((event, told)) = self.with(index, |member| {
-                (member.events.pop_front(), member.told.clone())
-            }) else {
-                return Event::Stop;
-            };
-            match event {
-                Some(event) => return event,
-                None => told.wait().await,
-            }
+    /// Ends when a chassis shall reach `phase`.
+    pub(super) async fn wanted(&self, member: &Member, phase: Phase) {
+        while self.target.get() < Some(phase) {
+            member.phase_wanted.wait().await;
         }
     }
 
-    /// Ends when chassis `index` shall reach `phase`.
-    pub(super) async fn wanted(&self, index: u8, phase: Phase) {
-        while self.target.get().is_none_or(|target| target < phase) {
-            let Some(wanted) = self.with(index, |member| member.phase_wanted.clone()) else {
-                return;
-            };
-            wanted.wait().await;
+    /// Steps to the next state of a chassis, if there is one.
+    pub(super) fn step_chassis(&self, member: &Member, step: ChassisStep) {
+        let mut report = member.report.borrow_mut();
+        if let Some(next) = report.state.next(step) {
+            report.state = next;
+            report.since = self.cx.now();
         }
-    }
-
-    /// Steps to the next state of a chassis, if there is one. Whether there was.
-    pub(super) fn step_chassis(&self, index: u8, step: ChassisStep) -> bool {
-        let now = self.cx.now();
-        let stepped = self.with(index, |member| match member.state.next(step) {
-            Some(next) => {
-                member.state = next;
-                member.since = now;
-                true
-            }
-            None => false,
-        });
-        stepped.unwrap_or(false)
     }
 
     /// The chassis called `name` is not connected any more.
     pub(super) fn lost(&self, name: &str) {
-        let index = self.index_of(name);
-        if let Some(index) = index {
-            self.tell(index, Event::Lost);
+        let mut members = self.members.iter();
+        if let Some(member) = members.find(|one| one.report.borrow().name == name) {
+            member.tell(Event::Lost);
         }
-    }
-
-    fn index_of(&self, name: &str) -> Option<u8> {
-        let members = self.members.borrow();
-        let mut members = members.iter();
-        members.find_map(|(index, member)| (member.name == name).then_some(*index))
     }
 
     /// A task of chassis `index` failed for good: the failure of the app or, if the configuration says
     /// so and the app has been up, of that chassis alone.
     pub(super) fn task_failed(&self, index: u8, task: String, reason: String) {
-        let policy = self.with(index, |member| member.policy.on_task_failure);
-        let contained = self.is_up() && policy == Some(OnTaskFailure::RestartChassis);
-        if contained {
-            self.tell(index, Event::TaskFailed { task, reason });
-        } else {
-            self.end(End::TaskFailed { task, reason });
+        let contains = |one: &&Rc<Member>| {
+            self.is_up() && one.policy.on_task_failure == OnTaskFailure::RestartChassis
+        };
+        match self.member(index).filter(contains) {
+            Some(member) => member.tell(Event::TaskFailed { task, reason }),
+            None => self.end(End::TaskFailed { task, reason }),
         }
     }
 
@@ -356,38 +353,16 @@ impl Board {
             let state = self.state.get();
             return reply.fail(format!("the app is not up but in state `{state}`"));
         }
-        let mut reply = Some(reply);
-        self.with(index, |member| member.restarts.extend(reply.take()));
-        match reply {
-            Some(reply) => reply.fail(format!("there is no chassis number {index}")),
-            None => {
-                self.tell(index, Event::Restart);
-                Ok(())
-            }
-        }
+        let Some(member) = self.member(index) else {
+            return reply.fail(format!("there is no chassis number {index}"));
+        };
+        member.restarts.borrow_mut().push(reply);
+        member.tell(Event::Restart);
+        Ok(())
     }
 
-    /// Answers those who wait for chassis `index` to come up.
-    pub(super) fn answer_restarts(&self, index: u8, answer: &Result<(), String>) {
-        let waiting = self.with(index, |member| std::mem::take(&mut member.restarts));
-        for reply in waiting.into_iter().flatten() {
-            // Whoever asked may have gone; nobody else wants the answer.
-            let _ = match answer {
-                Ok(()) => reply.ok(()),
-                Err(reason) => reply.fail(reason),
-            };
-        }
-    }
-
-    pub(super) fn start_process(&self, index: u8, incarnation: u32) {
-        self.order(ProcessOrder::Start(index, incarnation));
-    }
-
-    pub(super) fn kill_process(&self, index: u8) {
-        self.order(ProcessOrder::Kill(index));
-    }
-
-    fn order(&self, order: ProcessOrder) {
+    /// Orders something for the process of a chassis.
+    pub(super) fn order(&self, order: ProcessOrder) {
         // Who carries it out lives until the service has ended.
         let _ = self.seat.orders.send(order);
     }

@@ -35,9 +35,9 @@ pub enum BootError {
         /// What should have happened to it.
         what: &'static str,
     },
-    /// The keys of `[security]` cannot be used.
-    #[error("the keys of [security] cannot be used: {0}")]
-    Keys(String),
+    /// The links of its chassis cannot be had.
+    #[error("{0}")]
+    Links(String),
     /// A chassis ended, or said no, before it was connected.
     #[error("chassis `{chassis}` did not start: {reason}")]
     Chassis {

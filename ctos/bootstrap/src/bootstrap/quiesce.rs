@@ -73,14 +73,9 @@ impl Board {
     }
 
     fn running_tasks(&self) -> Vec<TaskName> {
-        let indices = self.indices().into_iter();
-        let running = indices.filter_map(|index| {
-            self.with(index, |member| {
-                let runs = member.reached == Some(Phase::Run);
-                runs.then(|| member.tasks.clone())
-            })
-        });
-        let tasks = running.flatten().flatten();
+        let running = self.members.iter();
+        let running = running.filter(|member| member.reached.get() == Some(Phase::Run));
+        let tasks = running.flat_map(|member| member.tasks());
         tasks
             .filter(|task| self.cx.chassis().is_linked(self.place_of(task)))
             .collect()

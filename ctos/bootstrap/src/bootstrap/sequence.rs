@@ -6,7 +6,7 @@ use futures_util::future::{Either, pending, select};
 
 use crate::bootstrap::ChassisState;
 use crate::bootstrap::{
-    BootEvent, End, StopStep,
+    BootEvent, End, ProcessOrder, StopStep,
     board::{Board, Event},
     states::{BootStep, ChassisStep},
 };
@@ -58,13 +58,13 @@ async fn stop(board: &Board, end: &End) {
     board.step(BootStep::End);
     let reason = end.reason();
     board.tell_names(News::Stopping);
-    for index in board.indices() {
-        let state = board.with(index, |member| member.state);
-        board.step_chassis(index, ChassisStep::Stop);
-        board.tell(index, Event::Stop);
+    for member in &board.members {
+        let state = member.report.borrow().state;
+        board.step_chassis(member, ChassisStep::Stop);
+        member.tell(Event::Stop);
         // One that is just being started has no tasks yet, and nobody can ask it to end.
-        if state == Some(ChassisState::Starting) && !board.cx.chassis().is_linked(index) {
-            board.kill_process(index);
+        if state == ChassisState::Starting && !board.cx.chassis().is_linked(member.index) {
+            board.order(ProcessOrder::Kill(member.index));
         }
     }
     board.event(&BootEvent::Stopping {
@@ -97,7 +97,7 @@ async fn stop(board: &Board, end: &End) {
     let step = StopStep::Processes;
     board.event(&BootEvent::StopStep { step });
     let code = i32::from(!matches!(end, End::Finished(result) if result.ok));
-    for index in board.indices() {
-        board.exit_chassis(index, code).await;
+    for member in &board.members {
+        board.exit_chassis(member.index, code).await;
     }
 }

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Bootstrap, COMMANDS, Seat};
-use crate::agent::{self, Agent};
+use super::{Bootstrap, Seat};
+use crate::agent::Agent;
 use ctos_core::{
     chassis::Chassis,
     context::Context,
@@ -20,7 +20,7 @@ use ctos_message::{CommandInfo, Tid};
 /// returns, so no message to them is lost however soon it comes. `seat` is for the chassis that boots.
 pub fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
     let agent = system::agent_tid(chassis.index());
-    start(chassis, "agent", agent, &agent::COMMANDS, |_| {
+    start(chassis, "agent", agent, &Agent::COMMANDS, |_| {
         Agent::default()
     });
     if let Some(seat) = seat {
@@ -37,9 +37,13 @@ pub fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
             &semaphore::server::COMMANDS,
             |_| SemaphoreServer,
         );
-        start(chassis, "bootstrap", service, &COMMANDS, move |_| {
-            Bootstrap::new(seat.clone())
-        });
+        start(
+            chassis,
+            "bootstrap",
+            service,
+            &Bootstrap::COMMANDS,
+            move |cx| Bootstrap::new(cx, seat.clone()),
+        );
     }
 }
 

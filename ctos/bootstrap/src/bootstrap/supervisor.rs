@@ -2,17 +2,18 @@
 //! process is dead, and starts the next one as the policy allows. Steps through
 //! [`ChassisState`](super::ChassisState); what may follow what stands there.
 
-use std::{future::pending, rc::Rc, time::Duration};
+use std::{convert::Infallible, future::pending, rc::Rc, time::Duration};
 
 use futures_util::future::{Either, join_all, select};
 
 use crate::bootstrap::{
-    BootEvent, End,
-    board::{Board, Event},
+    BootEvent, End, ProcessOrder,
+    board::{Board, Ending, Event, Member},
     explain::explained,
     intensity::{Ended, Verdict},
     states::ChassisStep,
 };
+use ctos_config::ChassisRestart;
 use ctos_core::{
     context::{Context, TaskRef},
     phase::{Phase, StopReason},
@@ -26,19 +27,17 @@ const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 /// Why an incarnation of a chassis is over.
 enum Over {
     /// Its process is dead.
-    Dead { how: String, code: Option<i32> },
+    Dead(Ending),
     /// Nobody is connected to it any more.
     Lost,
     /// It must go, for a reason that completes "the chassis ...".
-    Failed { reason: String },
+    Failed(String),
     /// A person wants it anew.
     Asked,
-    /// The app is being stopped.
-    Stopped,
 }
 
-/// The app is being stopped: there is nothing more to supervise.
-struct Stopped;
+/// There is nothing more to supervise: the app ends, or is being stopped.
+struct Done;
 
 /// How a dead process ended, and whether a person wanted it to.
 struct Death {
@@ -48,107 +47,105 @@ struct Death {
     asked: bool,
 }
 
-/// Supervises chassis `index` until the app is stopped.
-pub(super) async fn supervise(board: Rc<Board>, index: u8) {
-    let supervisor = Supervisor { board, index };
+/// Supervises a chassis until the app is stopped.
+pub(super) async fn supervise(board: Rc<Board>, member: Rc<Member>) {
+    let supervisor = Supervisor { board, member };
     // Its end is that of the app, which the sequence sees to.
-    let _ = supervisor.run().await;
+    let Err(Done) = supervisor.run().await;
 }
 
 struct Supervisor {
     board: Rc<Board>,
-    index: u8,
+    member: Rc<Member>,
 }
 
 impl Supervisor {
-    async fn run(&self) -> Result<(), Stopped> {
+    async fn run(&self) -> Result<Infallible, Done> {
         loop {
-            let over = self.live().await;
+            let over = self.live().await?;
             let failed_at = self.board.cx.now();
             self.step(ChassisStep::Fails);
             if matches!(over, Over::Asked) || self.may_return() {
-                self.board.tell_names(News::Away(self.index));
+                self.board.tell_names(News::Away(self.member.index));
             }
-            self.board.with(self.index, |member| {
-                member.reached = None;
-                member.failed_at = Some(failed_at);
-            });
-            let Some(death) = self.bury(over).await? else {
-                return Ok(());
-            };
-            let Some((incarnation, pause)) = self.judge(&death) else {
-                return Ok(());
-            };
+            self.member.reached.set(None);
+            self.member.failed_at.set(Some(failed_at));
+            let death = self.bury(over).await?;
+            let (incarnation, pause) = self.judge(death)?;
             self.step(ChassisStep::DeadMayRestart);
             self.board.event(&BootEvent::Restarting {
                 chassis: self.name(),
                 incarnation,
                 pause,
             });
-            self.pause(pause).await?;
+            // A person need not wait for the pause.
+            let asked = self.until(|event| matches!(event, Event::Restart).then_some(()));
+            let paused = self.board.cx.timeout(pause, asked).await;
+            paused.unwrap_or(Ok(()))?;
             self.step(ChassisStep::Paused);
-            self.board.with(self.index, |member| {
-                member.incarnation = incarnation;
-                member.tasks.clear();
-            });
-            self.board.start_process(self.index, incarnation);
+            {
+                let mut report = self.member.report.borrow_mut();
+                report.incarnation = incarnation;
+                report.tasks.clear();
+            }
+            let order = ProcessOrder::Start(self.member.index, incarnation);
+            self.board.order(order);
         }
     }
 
     fn name(&self) -> String {
-        self.board.cx.chassis().name_of(self.index).to_owned()
+        self.member.report.borrow().name.clone()
     }
 
     fn step(&self, step: ChassisStep) {
-        self.board.step_chassis(self.index, step);
+        self.board.step_chassis(&self.member, step);
+    }
+
+    /// Waits for an event that `means` something here. [`Done`] when the app is being stopped.
+    async fn until<T>(&self, means: impl Fn(Event) -> Option<T>) -> Result<T, Done> {
+        loop {
+            let event = self.member.next_event().await;
+            if matches!(event, Event::Stop) {
+                return Err(Done);
+            }
+            if let Some(meant) = means(event) {
+                return Ok(meant);
+            }
+        }
     }
 
     /// One incarnation, from the start of its process until it is over.
-    async fn live(&self) -> Over {
+    async fn live(&self) -> Result<Over, Done> {
         let timeout = self.board.cx.app().phase_timeout;
-        let joined = self.board.cx.timeout(timeout, self.joined()).await;
-        match joined {
-            Ok(Ok(())) => self.step(ChassisStep::Joined),
-            Ok(Err(over)) => return over,
-            Err(elapsed) => {
-                let reason = format!("did not connect: {elapsed}");
-                return Over::Failed { reason };
-            }
-        }
-        let up = std::pin::pin!(self.up());
-        let trouble = std::pin::pin!(self.trouble());
-        match select(up, trouble).await {
-            Either::Left((reason, _)) => Over::Failed { reason },
-            Either::Right((over, _)) => over,
-        }
-    }
-
-    async fn joined(&self) -> Result<(), Over> {
-        loop {
-            match self.board.next_event(self.index).await {
-                Event::Joined => return Ok(()),
-                // Of the process before this one, or of a person who has what he wants.
-                Event::Lost | Event::TaskFailed { .. } | Event::Restart => {}
-                Event::Dead { how, code } => return Err(Over::Dead { how, code }),
-                Event::Stop => return Err(Over::Stopped),
-            }
-        }
-    }
-
-    /// Ends with the first thing that ends the incarnation.
-    async fn trouble(&self) -> Over {
-        loop {
-            match self.board.next_event(self.index).await {
-                Event::Joined => {}
-                Event::Lost => return Over::Lost,
-                Event::Dead { how, code } => return Over::Dead { how, code },
-                Event::TaskFailed { task, reason } => {
-                    let reason = format!("has a task that failed: `{task}`: {reason}");
-                    return Over::Failed { reason };
+        let joined = self.until(|event| match event {
+            Event::Joined => Some(None),
+            Event::Dead(ending) => Some(Some(Over::Dead(ending))),
+            // Of the process before this one, or of a person who has what he wants.
+            _ => None,
+        });
+        match self.board.cx.timeout(timeout, joined).await {
+            Ok(joined) => {
+                if let Some(over) = joined? {
+                    return Ok(over);
                 }
-                Event::Restart => return Over::Asked,
-                Event::Stop => return Over::Stopped,
             }
+            Err(elapsed) => return Ok(Over::Failed(format!("did not connect: {elapsed}"))),
+        }
+        self.step(ChassisStep::Joined);
+        let up = std::pin::pin!(self.up());
+        let trouble = std::pin::pin!(self.until(|event| match event {
+            Event::Joined | Event::Stop => None,
+            Event::Lost => Some(Over::Lost),
+            Event::Dead(ending) => Some(Over::Dead(ending)),
+            Event::TaskFailed { task, reason } => {
+                let reason = format!("has a task that failed: `{task}`: {reason}");
+                Some(Over::Failed(reason))
+            }
+            Event::Restart => Some(Over::Asked),
+        }));
+        match select(up, trouble).await {
+            Either::Left((reason, _)) => Ok(Over::Failed(reason)),
+            Either::Right((over, _)) => over,
         }
     }
 
@@ -156,7 +153,7 @@ impl Supervisor {
     /// reason, only when that fails.
     async fn up(&self) -> String {
         for phase in Phase::ALL {
-            self.board.wanted(self.index, phase).await;
+            self.board.wanted(&self.member, phase).await;
             let failures = match phase {
                 Phase::Create => match self.create().await {
                     Ok(()) => self.enter(phase).await,
@@ -167,8 +164,7 @@ impl Supervisor {
             if !failures.is_empty() {
                 return self.not_passed(phase, failures).await;
             }
-            self.board
-                .with(self.index, |member| member.reached = Some(phase));
+            self.member.reached.set(Some(phase));
             self.board.changed();
         }
         self.step(ChassisStep::Passed);
@@ -178,13 +174,13 @@ impl Supervisor {
     /// The tasks have passed all phases: whoever waits for them is told.
     async fn welcome(&self) -> String {
         let board = &self.board;
-        let known = board.with(self.index, |member| (member.failed_at, member.tasks.len()));
-        if let Some((Some(failed_at), tasks)) = known {
+        if let Some(failed_at) = self.member.failed_at.get() {
             let chassis = self.name();
             // Before anybody is told and may look for its tasks.
-            board.tell_names(News::Back(self.index));
+            board.tell_names(News::Back(self.member.index));
             for other in board.cx.chassis().others().chain([0]) {
-                if other != self.index && (other == 0 || board.cx.chassis().is_linked(other)) {
+                if other != self.member.index && (other == 0 || board.cx.chassis().is_linked(other))
+                {
                     let announce = AnnounceUp {
                         chassis: chassis.clone(),
                     };
@@ -194,10 +190,10 @@ impl Supervisor {
             }
             board.event(&BootEvent::Restarted {
                 chassis,
-                tasks,
+                tasks: self.member.tasks().len(),
                 took: board.cx.now().since(failed_at),
             });
-            board.answer_restarts(self.index, &Ok(()));
+            self.member.answer_restarts(Ok(()));
         }
         pending().await
     }
@@ -206,8 +202,7 @@ impl Supervisor {
     /// failure of the chassis.
     async fn not_passed(&self, phase: Phase, failures: Vec<(String, String)>) -> String {
         if !self.board.is_up() {
-            self.board
-                .with(self.index, |member| member.failures = failures);
+            *self.member.failures.borrow_mut() = failures;
             self.board.changed();
             return pending().await;
         }
@@ -226,9 +221,9 @@ impl Supervisor {
         let cx = &self.board.cx;
         let timeout = cx.app().phase_timeout;
         let name = format!("agent of {}", self.name());
-        let agent = TaskRef::new(name.as_str(), system::agent_tid(self.index));
+        let agent = TaskRef::new(name.as_str(), system::agent_tid(self.member.index));
         let asked = FirstSlots {
-            chassis: self.index,
+            chassis: self.member.index,
         };
         let first_slots = match cx.call(&Context::server(), asked).deadline(timeout).await {
             Ok(first_slots) => first_slots,
@@ -237,8 +232,7 @@ impl Supervisor {
         let call = cx.call(&agent, CreateTasks { first_slots });
         match call.deadline(timeout).await {
             Ok(created) => {
-                self.board
-                    .with(self.index, |member| member.tasks = created.tasks);
+                self.member.report.borrow_mut().tasks = created.tasks;
                 if created.failed.is_empty() {
                     Ok(())
                 } else {
@@ -255,8 +249,7 @@ impl Supervisor {
     async fn enter(&self, phase: Phase) -> Vec<(String, String)> {
         let cx = &self.board.cx;
         let timeout = cx.app().phase_timeout;
-        let tasks = self.board.with(self.index, |member| member.tasks.clone());
-        let tasks = tasks.unwrap_or_default();
+        let tasks = self.member.tasks();
         let calls = tasks.iter().map(|task| {
             let reference = TaskRef::new(task.name.as_str(), task.tid);
             let call = cx.call(&reference, EnterPhase { phase }).deadline(timeout);
@@ -276,65 +269,47 @@ impl Supervisor {
         join_all(calls).await.into_iter().flatten().collect()
     }
 
-    /// Makes sure that the process is dead. `None` when it cannot be ended, which ends the app.
-    async fn bury(&self, over: Over) -> Result<Option<Death>, Stopped> {
+    /// Makes sure that the process is dead.
+    async fn bury(&self, over: Over) -> Result<Death, Done> {
         let (reason, asked) = match over {
-            Over::Stopped => return Err(Stopped),
-            Over::Dead { how, code } => {
-                self.told_failed(&how);
+            Over::Dead(ending) => {
+                self.told_failed(&ending.how);
                 self.links_closed().await?;
-                return Ok(Some(Death::of(how, code)));
+                return Ok(Death::of(ending));
+            }
+            Over::Lost if !self.may_return() => {
+                // Its end need not be waited for: the app ends, and that waits for all processes.
+                let chassis = self.name();
+                self.board.end(End::ChassisDown { chassis });
+                return Err(Done);
             }
             Over::Lost => {
-                if !self.may_return() {
-                    // Its end need not be waited for: the app ends, and that waits for all processes.
-                    let chassis = self.name();
-                    self.board.end(End::ChassisDown { chassis });
-                    return Ok(None);
-                }
                 // Having lost the boot it stops its tasks by itself.
-                return match self.dead_or_killed().await? {
-                    Some((how, code)) => {
-                        self.told_failed(&how);
-                        Ok(Some(Death::of(how, code)))
-                    }
-                    None => Ok(None),
-                };
+                let ending = self.dead_or_killed().await?;
+                self.told_failed(&ending.how);
+                return Ok(Death::of(ending));
             }
-            Over::Failed { reason } => (reason, false),
+            Over::Failed(reason) => (reason, false),
             Over::Asked => ("was to be restarted".to_owned(), true),
         };
         self.told_failed(&reason);
-        let gone = {
-            let wound_down = std::pin::pin!(self.wind_down(&reason));
-            let gone = std::pin::pin!(self.gone_or_stopped());
-            match select(wound_down, gone).await {
-                Either::Left(_) => None,
-                Either::Right((gone, _)) => gone?,
-            }
+        let wound_down = Box::pin(self.wind_down(&reason));
+        let dead = std::pin::pin!(self.dead());
+        match select(wound_down, dead).await {
+            Either::Left(_) => self.dead_or_killed().await?,
+            Either::Right((dead, _)) => dead?,
         };
-        let dead = match gone {
-            Some(dead) => Some(dead),
-            None => self.dead_or_killed().await?,
-        };
-        if dead.is_none() {
-            return Ok(None);
-        }
         self.links_closed().await?;
-        Ok(Some(Death {
+        Ok(Death {
             reason,
             ended: Ended::Badly,
             asked,
-        }))
+        })
     }
 
     /// Whether the policy can restart the chassis at all.
     fn may_return(&self) -> bool {
-        use ctos_config::ChassisRestart::Never;
-        let policy = self
-            .board
-            .with(self.index, |member| member.policy.restart.when);
-        policy.is_some_and(|policy| policy != Never)
+        self.member.policy.restart.when != ChassisRestart::Never
     }
 
     fn told_failed(&self, reason: &str) {
@@ -349,141 +324,109 @@ impl Supervisor {
         let reason = StopReason::Failed {
             what: format!("chassis `{}` {why}", self.name()),
         };
-        let tasks = self.board.with(self.index, |member| member.tasks.clone());
-        for task in tasks.unwrap_or_default().iter().rev() {
-            self.board.stop_task_of(self.index, task, &reason).await;
+        for task in self.member.tasks().iter().rev() {
+            self.board
+                .stop_task_of(self.member.index, task, &reason)
+                .await;
         }
-        self.board.exit_chassis(self.index, 1).await;
+        self.board.exit_chassis(self.member.index, 1).await;
     }
 
-    /// Ends when the process is dead, with how, or when the app is being stopped.
-    async fn gone_or_stopped(&self) -> Result<Option<(String, Option<i32>)>, Stopped> {
-        loop {
-            match self.board.next_event(self.index).await {
-                Event::Dead { how, code } => return Ok(Some((how, code))),
-                Event::Stop => return Err(Stopped),
-                Event::Joined | Event::Lost | Event::TaskFailed { .. } | Event::Restart => {}
-            }
-        }
+    /// Ends when the process is dead, with how.
+    async fn dead(&self) -> Result<Ending, Done> {
+        let dead = self.until(|event| match event {
+            Event::Dead(ending) => Some(ending),
+            _ => None,
+        });
+        dead.await
     }
 
-    /// Waits for the end of the process, and ends it when that takes too long. `None` when even that
-    /// does not help: the app is ended then.
-    async fn dead_or_killed(&self) -> Result<Option<(String, Option<i32>)>, Stopped> {
+    /// Waits for the end of the process, and ends it when that takes too long. When even that does not
+    /// help, the app is ended.
+    async fn dead_or_killed(&self) -> Result<Ending, Done> {
         let cx = &self.board.cx;
         let timeout = cx.app().stop_timeout;
-        for kill in [false, true] {
-            if kill {
-                self.board.event(&BootEvent::Signalled {
-                    chassis: self.name(),
-                    signal: "SIGKILL".to_owned(),
-                });
-                self.board.kill_process(self.index);
-            }
-            if let Ok(gone) = cx.timeout(timeout, self.gone_or_stopped()).await {
-                return gone;
-            }
+        if let Ok(dead) = cx.timeout(timeout, self.dead()).await {
+            return dead;
         }
-        self.give_up("could not be ended".to_owned());
-        Ok(None)
+        self.board.event(&BootEvent::Signalled {
+            chassis: self.name(),
+            signal: "SIGKILL".to_owned(),
+        });
+        self.board.order(ProcessOrder::Kill(self.member.index));
+        let killed = cx.timeout(timeout, self.dead()).await;
+        killed.unwrap_or_else(|_| Err(self.give_up("could not be ended".to_owned())))
     }
 
     /// Waits until the links of the dead process are closed: what it had sent is then received.
-    async fn links_closed(&self) -> Result<(), Stopped> {
+    async fn links_closed(&self) -> Result<(), Done> {
         let cx = &self.board.cx;
-        let closed = async {
-            while cx.chassis().is_linked(self.index) {
-                match self.board.next_event(self.index).await {
-                    Event::Lost => break,
-                    Event::Stop => return Err(Stopped),
-                    _ => {}
-                }
-            }
-            Ok(())
-        };
-        let closed = cx.timeout(LINK_TIMEOUT, closed).await;
-        cx.chassis().link_down(self.index);
-        closed.unwrap_or(Ok(()))
+        let mut closed = Ok(());
+        if cx.chassis().is_linked(self.member.index) {
+            let lost = self.until(|event| matches!(event, Event::Lost).then_some(()));
+            closed = cx.timeout(LINK_TIMEOUT, lost).await.unwrap_or(Ok(()));
+        }
+        cx.chassis().link_down(self.member.index);
+        closed
     }
 
-    /// What the policy says to the death: the number of the next incarnation and the pause before it,
-    /// or nothing, and the app ends.
-    fn judge(&self, death: &Death) -> Option<(u32, Duration)> {
+    /// What the policy says to the death: the number of the next incarnation and the pause before it. Where
+    /// there is none the app ends.
+    fn judge(&self, death: Death) -> Result<(u32, Duration), Done> {
+        let mut report = self.member.report.borrow_mut();
+        report.last_end = Some(death.reason.clone());
+        let incarnation = report.incarnation.saturating_add(1);
+        drop(report);
+        if death.asked {
+            return Ok((incarnation, Duration::ZERO));
+        }
         let now = self.board.cx.now();
-        let verdict = self.board.with(self.index, |member| {
-            member.last_end = Some(death.reason.clone());
-            let verdict = if death.asked {
-                Verdict::Restart {
-                    pause: Duration::ZERO,
-                }
-            } else {
-                member.intensity.judge(death.ended, now)
-            };
-            (verdict, member.incarnation, member.policy.restart.window)
-        });
-        let (verdict, incarnation, window) = verdict?;
+        let verdict = self.member.intensity.borrow_mut().judge(death.ended, now);
         match verdict {
-            Verdict::Restart { pause } => return Some((incarnation.saturating_add(1), pause)),
+            Verdict::Restart { pause } => Ok((incarnation, pause)),
             Verdict::NotAllowed => {
                 let chassis = self.name();
-                self.step(ChassisStep::DeadForGood);
-                self.gone(format!("{} and may not be started again", death.reason));
-                self.board
-                    .answer_restarts(self.index, &Err(death.reason.clone()));
-                self.board.end(End::ChassisDown { chassis });
+                let why = format!("{} and may not be started again", death.reason);
+                Err(self.gone(why, End::ChassisDown { chassis }))
             }
             Verdict::TooMany { restarts } => {
                 let times = if restarts == 1 { "time" } else { "times" };
-                self.give_up(format!(
+                Err(self.give_up(format!(
                     "was restarted {restarts} {times} within {} s and failed again: it {}",
-                    window.as_secs_f64(),
+                    self.member.policy.restart.window.as_secs_f64(),
                     death.reason
-                ));
+                )))
             }
         }
-        None
     }
 
-    /// Nobody need wait for its tasks any more.
-    fn gone(&self, why: String) {
-        self.board.tell_names(News::Gone(self.index, why));
-    }
-
-    fn give_up(&self, reason: String) {
-        self.step(ChassisStep::DeadForGood);
-        self.gone(reason.clone());
-        self.board.answer_restarts(self.index, &Err(reason.clone()));
-        self.board.end(End::GivenUp {
+    fn give_up(&self, reason: String) -> Done {
+        let end = End::GivenUp {
             chassis: self.name(),
-            reason,
-        });
+            reason: reason.clone(),
+        };
+        self.gone(reason, end)
     }
 
-    async fn pause(&self, pause: Duration) -> Result<(), Stopped> {
-        let stopped = async {
-            loop {
-                match self.board.next_event(self.index).await {
-                    Event::Stop => return Err(Stopped),
-                    // A person need not wait for the pause.
-                    Event::Restart => return Ok(()),
-                    _ => {}
-                }
-            }
-        };
-        let paused = self.board.cx.timeout(pause, stopped).await;
-        paused.unwrap_or(Ok(()))
+    /// It is not started again, for a reason that completes "the chassis ...": nobody need wait for its tasks
+    /// any more, and the app ends.
+    fn gone(&self, why: String, end: End) -> Done {
+        self.step(ChassisStep::DeadForGood);
+        self.member.answer_restarts(Err(&why));
+        self.board.tell_names(News::Gone(self.member.index, why));
+        self.board.end(end);
+        Done
     }
 }
 
 impl Death {
-    fn of(how: String, code: Option<i32>) -> Self {
+    fn of(ending: Ending) -> Self {
         Self {
-            reason: how,
-            ended: if code == Some(0) {
-                Ended::Well
-            } else {
-                Ended::Badly
+            ended: match ending.code {
+                Some(0) => Ended::Well,
+                _ => Ended::Badly,
             },
+            reason: ending.how,
             asked: false,
         }
     }

@@ -51,13 +51,7 @@ pub enum LintCode {
 
 impl fmt::Display for LintCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::HandlerBlocks => "handler-blocks",
-            Self::HandlerWaits => "handler-waits",
-            Self::QueueGrows => "queue-grows",
-            Self::SemaphoreHeld => "semaphore-held",
-            Self::CyclicOverruns => "cyclic-overruns",
-        })
+        self.serialize(f)
     }
 }
 
@@ -74,18 +68,6 @@ pub struct Lint {
     pub since: Instant,
     /// The same in words.
     pub text: String,
-}
-
-impl Lint {
-    fn new(chassis: &Chassis, code: LintCode, task: &str, since: Instant, text: String) -> Self {
-        Self {
-            code,
-            task: task.to_owned(),
-            chassis: chassis.name().to_owned(),
-            since,
-            text,
-        }
-    }
 }
 
 /// What was seen of a task at earlier looks.
@@ -151,7 +133,11 @@ impl Watch {
 
     /// Looks at all tasks of `chassis`; tells what is new and what is over.
     pub(crate) fn look(&self, chassis: &Chassis, now: Instant) {
-        let mut found = Lints::new();
+        let mut look = Look {
+            chassis,
+            now,
+            found: Lints::new(),
+        };
         let mut state = lock(&self.0);
         state.last = now;
         let tasks = chassis.tasks();
@@ -160,32 +146,20 @@ impl Watch {
             .retain(|tid, _| tasks.iter().any(|task| task.tid == *tid));
         for task in &tasks {
             // The tasks of the runtime wait for others by their nature.
-            let Some(config) = chassis.app.task(&task.name) else {
-                continue;
-            };
-            let seen = state.seen.entry(task.tid).or_default();
-            let lints = [
-                handler(seen, chassis, task, config, now),
-                queue(seen, task, now),
-            ];
-            for (code, since, text) in lints.into_iter().flatten() {
-                let lint = Lint::new(chassis, code, &task.name, since, text);
-                found.insert((code, lint.task.clone()), lint);
+            if let Some(config) = chassis.app.task(&task.name) {
+                let seen = state.seen.entry(task.tid).or_default();
+                look.handler(seen, task, config);
+                look.queue(seen, task);
             }
         }
-        semaphores(chassis, now, &mut found);
-        cyclics(&mut state.cyclics, chassis, now, &mut found);
-        let before = std::mem::take(&mut state.present);
-        state.present = found.clone();
+        look.semaphores();
+        look.cyclics(&mut state.cyclics);
+        let found = look.found;
+        let before = std::mem::replace(&mut state.present, found.clone());
         drop(state);
-        for (key, lint) in &found {
-            if !before.contains_key(key) {
-                tell(chassis, lint, true);
-            }
-        }
-        for (key, lint) in &before {
-            if !found.contains_key(key) {
-                tell(chassis, lint, false);
+        for (lints, others, present) in [(&found, &before, true), (&before, &found, false)] {
+            for (_, lint) in lints.iter().filter(|(key, _)| !others.contains_key(key)) {
+                tell(chassis, lint, present);
             }
         }
     }
@@ -208,124 +182,130 @@ fn tell(chassis: &Chassis, lint: &Lint, present: bool) {
     }
 }
 
-type Found = Option<(LintCode, Instant, String)>;
-
-/// A handler that is at one message for too long.
-fn handler(
-    seen: &mut Seen,
-    chassis: &Chassis,
-    task: &TaskRecord,
-    config: &TaskConfig,
+/// One look at a chassis, and what it finds.
+struct Look<'a> {
+    chassis: &'a Chassis,
     now: Instant,
-) -> Found {
-    let poll = task.statistics.poll();
-    seen.poll = poll.map(|poll| match seen.poll {
-        Some((before, since)) if before == poll => (poll, since),
-        _ => (poll, now),
-    });
-    let counters = task.statistics.read();
-    let began = counters.began?;
-    let at_it_s = now.since(began).as_secs_f64();
-    let name = &task.name;
-    let command = command_name(chassis, &config.handler, counters.command);
-    if let Some((_, since)) = seen.poll
-        && now.since(since) >= config.handler_limit.unwrap_or(POLL_TIMEOUT)
-    {
-        let processor = format!("{}/{}", config.chassis, config.processor);
-        let text = format!(
-            "`{name}` has been at `{command}` for {at_it_s:.1} s without waiting for anything: no other task of processor `{processor}` can run"
-        );
-        return Some((LintCode::HandlerBlocks, began, text));
-    }
-    if now.since(began) >= config.handler_limit.unwrap_or(WAIT_TIMEOUT) {
-        let text = format!(
-            "`{name}` has been at `{command}` for {at_it_s:.1} s, waiting for others; what comes to it meanwhile waits too"
-        );
-        return Some((LintCode::HandlerWaits, began, text));
-    }
-    None
+    found: Lints,
 }
 
-/// A queue that grows and grows.
-fn queue(seen: &mut Seen, task: &TaskRecord, now: Instant) -> Found {
-    let (depth, capacity) = task.mailbox.depth();
-    if seen.depths.len() > GROWTH {
-        seen.depths.pop_front();
-    }
-    seen.depths.push_back(depth);
-    let grown = |(one, next): (&usize, &usize)| one < next;
-    let growing = seen.depths.len() > GROWTH
-        && seen
-            .depths
-            .iter()
-            .zip(seen.depths.iter().skip(1))
-            .all(grown);
-    // Once it grows, it is over when the queue is half empty again, and not at the first pause.
-    seen.growing = match seen.growing {
-        _ if depth * 2 <= capacity => None,
-        None if growing => Some(now),
-        before => before,
-    };
-    let since = seen.growing?;
-    let name = &task.name;
-    let text = format!(
-        "{depth} messages wait for `{name}`, whose queue holds {capacity}, and it does not get round to them"
-    );
-    Some((LintCode::QueueGrows, since, text))
-}
-
-/// Permits that are held for too long while others wait.
-fn semaphores(chassis: &Chassis, now: Instant, found: &mut Lints) {
-    for view in chassis.semaphores() {
-        let Some(next) = view.waiting.first() else {
-            continue;
+impl Look<'_> {
+    /// Something is probably not meant of `what`, which is the task or something that it has.
+    fn add(&mut self, code: LintCode, what: &str, task: &str, since: Instant, text: String) {
+        let lint = Lint {
+            code,
+            task: task.to_owned(),
+            chassis: self.chassis.name().to_owned(),
+            since,
+            text,
         };
-        for holder in &view.holders {
-            let held = now.since(holder.since);
-            if held < PERMIT_TIMEOUT {
-                continue;
-            }
-            let (name, task) = (&view.name, &holder.task);
+        self.found.insert((code, what.to_owned()), lint);
+    }
+
+    /// A handler that is at one message for too long.
+    fn handler(&mut self, seen: &mut Seen, task: &TaskRecord, config: &TaskConfig) {
+        let now = self.now;
+        let poll = task.statistics.poll();
+        seen.poll = poll.map(|poll| match seen.poll {
+            Some((before, since)) if before == poll => (poll, since),
+            _ => (poll, now),
+        });
+        let counters = task.statistics.read();
+        let Some(began) = counters.began else {
+            return;
+        };
+        let at_it_s = now.since(began).as_secs_f64();
+        let name = &task.name;
+        let command = command_name(self.chassis, &config.handler, counters.command);
+        if let Some((_, since)) = seen.poll
+            && now.since(since) >= config.handler_limit.unwrap_or(POLL_TIMEOUT)
+        {
+            let processor = format!("{}/{}", config.chassis, config.processor);
             let text = format!(
-                "`{task}` has held semaphore `{name}` for {:.1} s, and `{next}` waits for it",
-                held.as_secs_f64()
+                "`{name}` has been at `{command}` for {at_it_s:.1} s without waiting for anything: no other task of processor `{processor}` can run"
             );
-            let lint = Lint::new(chassis, LintCode::SemaphoreHeld, task, holder.since, text);
-            found.insert((lint.code, format!("{task} {name}")), lint);
+            self.add(LintCode::HandlerBlocks, name, name, began, text);
+        } else if now.since(began) >= config.handler_limit.unwrap_or(WAIT_TIMEOUT) {
+            let text = format!(
+                "`{name}` has been at `{command}` for {at_it_s:.1} s, waiting for others; what comes to it meanwhile waits too"
+            );
+            self.add(LintCode::HandlerWaits, name, name, began, text);
         }
     }
-}
 
-/// Synchronous functions that skip periods or take too long.
-fn cyclics(
-    seen: &mut BTreeMap<String, SeenCyclic>,
-    chassis: &Chassis,
-    now: Instant,
-    found: &mut Lints,
-) {
-    let all = chassis.cyclics();
-    seen.retain(|name, _| all.iter().any(|(there, _)| there == name));
-    for (name, statistics) in all {
-        let late = statistics.missed() + statistics.overruns();
-        let before = seen.entry(name.clone()).or_default();
-        if late > before.late {
-            let since = before.span.map_or(now, |(since, _)| since);
-            before.span = Some((since, now));
+    /// A queue that grows and grows.
+    fn queue(&mut self, seen: &mut Seen, task: &TaskRecord) {
+        let (depth, capacity) = task.mailbox.depth();
+        if seen.depths.len() > GROWTH {
+            seen.depths.pop_front();
         }
-        before.late = late;
-        before.span = before
-            .span
-            .filter(|(_, last)| now.since(*last) < KEPT_AGAIN);
-        let Some((since, _)) = before.span else {
-            continue;
+        seen.depths.push_back(depth);
+        let growing =
+            seen.depths.len() > GROWTH && seen.depths.iter().is_sorted_by(|one, next| one < next);
+        // Once it grows, it is over when the queue is half empty again, and not at the first pause.
+        seen.growing = match seen.growing {
+            _ if depth * 2 <= capacity => None,
+            None if growing => Some(self.now),
+            before => before,
         };
+        let Some(since) = seen.growing else {
+            return;
+        };
+        let name = &task.name;
         let text = format!(
-            "synchronous function `{name}` does not keep its schedule: {} periods missed and {} overruns so far",
-            statistics.missed(),
-            statistics.overruns()
+            "{depth} messages wait for `{name}`, whose queue holds {capacity}, and it does not get round to them"
         );
-        let task = name.split('.').next().unwrap_or_default();
-        let lint = Lint::new(chassis, LintCode::CyclicOverruns, task, since, text);
-        found.insert((lint.code, name), lint);
+        self.add(LintCode::QueueGrows, name, name, since, text);
+    }
+
+    /// Permits that are held for too long while others wait.
+    fn semaphores(&mut self) {
+        for view in self.chassis.semaphores() {
+            let Some(next) = view.waiting.first() else {
+                continue;
+            };
+            for holder in &view.holders {
+                let held = self.now.since(holder.since);
+                if held < PERMIT_TIMEOUT {
+                    continue;
+                }
+                let (name, task) = (&view.name, &holder.task);
+                let text = format!(
+                    "`{task}` has held semaphore `{name}` for {:.1} s, and `{next}` waits for it",
+                    held.as_secs_f64()
+                );
+                let what = format!("{task} {name}");
+                self.add(LintCode::SemaphoreHeld, &what, task, holder.since, text);
+            }
+        }
+    }
+
+    /// Synchronous functions that skip periods or take too long.
+    fn cyclics(&mut self, seen: &mut BTreeMap<String, SeenCyclic>) {
+        let now = self.now;
+        let all = self.chassis.cyclics();
+        seen.retain(|name, _| all.iter().any(|(there, _)| there == name));
+        for (name, statistics) in all {
+            let late = statistics.missed() + statistics.overruns();
+            let before = seen.entry(name.clone()).or_default();
+            if late > before.late {
+                let since = before.span.map_or(now, |(since, _)| since);
+                before.span = Some((since, now));
+            }
+            before.late = late;
+            before.span = before
+                .span
+                .filter(|(_, last)| now.since(*last) < KEPT_AGAIN);
+            let Some((since, _)) = before.span else {
+                continue;
+            };
+            let text = format!(
+                "synchronous function `{name}` does not keep its schedule: {} periods missed and {} overruns so far",
+                statistics.missed(),
+                statistics.overruns()
+            );
+            let task = name.split('.').next().unwrap_or_default();
+            self.add(LintCode::CyclicOverruns, &name, task, since, text);
+        }
     }
 }

@@ -77,6 +77,15 @@ fn a_handler_that_never_returns_is_named_with_the_processor_that_it_keeps() {
     let text = &lints[0].text;
     assert!(text.contains("`arm` has been at `block`"), "{text}");
     assert!(text.contains("processor `cell/main`"), "{text}");
+    let counted = crate::watch::gather_here(&chassis);
+    let page = crate::watch::page(0.0, &[("cell".to_owned(), Some(counted))]);
+    for line in [
+        "ctos_lint{code=\"handler-blocks\",task=\"arm\"} 1",
+        "ctos_queue_length{task=\"arm\"} 0",
+        "ctos_restarts_total{task=\"arm\"} 0",
+    ] {
+        assert!(page.contains(line), "{line:?} is not in\n{page}");
+    }
     released.store(true, Ordering::Release);
     while task.statistics.read().began.is_some() {
         std::thread::yield_now();

@@ -87,6 +87,7 @@ impl Context {
         tracing::error!(task = %self.name(), reason, "task failed");
         let failed = system::TaskFailed {
             task: self.name().to_owned(),
+            chassis: self.inner.chassis.index(),
             reason: reason.to_owned(),
         };
         self.inner.chassis.post_system(system::BOOTSTRAP, failed);

@@ -5,7 +5,7 @@ use std::{os::fd::AsFd, sync::Arc};
 
 use tokio::{io::AsyncReadExt, net::unix::pipe, sync::oneshot};
 
-use crate::boot::mesh::{self, FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent};
+use crate::boot::mesh::{self, FLUSH_TIMEOUT, Identification, Mesh, MeshEvent};
 use ctos_bootstrap::watch;
 use ctos_config::App;
 use ctos_core::{chassis::Chassis, registry::Registry};
@@ -27,23 +27,16 @@ pub enum ChildError {
         /// Why not.
         reason: String,
     },
-    /// Its address is taken.
-    #[error(
-        "cannot listen on {address}: {reason}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
-    )]
-    Listen {
-        /// The address of the configuration.
-        address: String,
-        /// What the system said.
-        reason: String,
-    },
-    /// Its keys cannot be used.
+    /// It can have no links.
     #[error("{0}")]
-    Keys(String),
+    Links(String),
     /// The system refused a thread or a timer.
     #[error("cannot start: {0}")]
     System(#[from] std::io::Error),
 }
+
+/// Why a chassis ends that an agent no longer holds.
+const UNTETHERED: &str = "the agent that started this chassis is gone, or has ended its run";
 
 /// Runs chassis `name` of `app` until the boot at `boot` tells it to end, or is gone.
 /// Returns the process's exit code.
@@ -96,14 +89,11 @@ async fn serve(
     let mut tether = Tether::taken()?;
     let connected = tokio::select! {
         connected = tokio::time::timeout(timeout, connect(chassis, boot, who)) => connected,
-        () = tether.cut() => return Err(ChildError::Connect {
-            what: "the app".to_owned(),
-            reason: "the agent that started this chassis is gone, or has ended its run".to_owned(),
-        }),
+        () = tether.cut() => return Err(unconnected("the app", UNTETHERED)),
     };
-    let mut mesh = connected.map_err(|_| ChildError::Connect {
-        what: "the other chassis".to_owned(),
-        reason: format!("not done within {:.3} s", timeout.as_secs_f64()),
+    let mut mesh = connected.map_err(|_| {
+        let late = format!("not done within {:.3} s", timeout.as_secs_f64());
+        unconnected("the other chassis", late)
     })??;
     let threads = ctos_core::threads::start_processors(chassis)?;
     let code = loop {
@@ -111,7 +101,7 @@ async fn serve(
             // Without a sender left, every chassis thread is gone: an error exit.
             code = &mut exited => break code.unwrap_or(1),
             () = tether.cut() => {
-                tracing::error!("the agent that started this chassis is gone, or has ended its run");
+                tracing::error!("{UNTETHERED}");
                 // Its tasks are stopped as when the boot is gone.
                 chassis.link_down(0);
             }
@@ -119,7 +109,9 @@ async fn serve(
             _ = mesh.next() => {}
         }
     };
-    finish(chassis, &mut mesh).await;
+    // The last frames go out.
+    chassis.drop_links();
+    mesh.close().await;
     chassis.stop_processors();
     // A processor that is stuck in a handler must not keep the process; it ends with it.
     let ended = futures_util::future::join_all(threads);
@@ -151,12 +143,6 @@ impl Tether {
     }
 }
 
-/// Lets the last frames out.
-async fn finish(chassis: &Arc<Chassis>, mesh: &mut Mesh) {
-    chassis.drop_links();
-    mesh.close().await;
-}
-
 /// Connects to the boot and, as that says, to every other chassis.
 async fn connect(
     chassis: &Arc<Chassis>,
@@ -167,18 +153,7 @@ async fn connect(
     let mut mesh = match Mesh::start(chassis, who).await {
         Ok(mesh) => mesh,
         Err(error) => {
-            let error = match error {
-                MeshError::Listen { address, error } => ChildError::Listen {
-                    address,
-                    reason: error.to_string(),
-                },
-                MeshError::Wait(error) => ChildError::System(error),
-                MeshError::Keys(error) => ChildError::Keys(error.to_string()),
-                MeshError::Zenoh(error) => ChildError::Connect {
-                    what: "the network of [zenoh]".to_owned(),
-                    reason: error.to_string(),
-                },
-            };
+            let error = ChildError::Links(error.to_string());
             // Without keys that can be used it cannot be told; the boot sees the process end.
             let keys = mesh::keys_of(&chassis.app).ok().flatten();
             mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
@@ -188,23 +163,19 @@ async fn connect(
     mesh.join(boot);
     loop {
         match mesh.next().await {
-            Some(MeshEvent::Joined { .. }) => return Ok(mesh),
+            MeshEvent::Joined { .. } => return Ok(mesh),
             // Another chassis that goes is the boot's affair; without the boot there is no app.
-            Some(MeshEvent::Down {
+            MeshEvent::Down {
                 chassis: 0, reason, ..
-            }) => {
-                return Err(ChildError::Connect {
-                    what: format!("the boot at {boot}"),
-                    reason: reason.to_string(),
-                });
-            }
-            Some(_) => {}
-            None => {
-                return Err(ChildError::Connect {
-                    what: "the other chassis".to_owned(),
-                    reason: "the mesh has ended".to_owned(),
-                });
-            }
+            } => return Err(unconnected(&format!("the boot at {boot}"), reason)),
+            _ => {}
         }
+    }
+}
+
+fn unconnected(what: &str, reason: impl ToString) -> ChildError {
+    ChildError::Connect {
+        what: what.to_owned(),
+        reason: reason.to_string(),
     }
 }

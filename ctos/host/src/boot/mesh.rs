@@ -87,7 +87,9 @@ pub(crate) enum MeshEvent {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum MeshError {
     /// The address of the configuration cannot be listened at.
-    #[error("cannot listen at {address}: {error}")]
+    #[error(
+        "cannot listen on {address}: {error}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
+    )]
     Listen { address: String, error: io::Error },
     /// The system does not let it wait for its links.
     #[error("cannot wait for links: {0}")]
@@ -235,8 +237,12 @@ impl Mesh {
     }
 
     /// What happens next.
-    pub(crate) async fn next(&mut self) -> Option<MeshEvent> {
-        self.events.recv().await
+    pub(crate) async fn next(&mut self) -> MeshEvent {
+        match self.events.recv().await {
+            Some(event) => event,
+            // The mesh itself holds the other end.
+            None => std::future::pending().await,
+        }
     }
 
     /// How many callers were refused so far.

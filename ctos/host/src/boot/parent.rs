@@ -9,14 +9,14 @@ use std::{
 };
 
 use tokio::{
-    signal::unix::{SignalKind, signal},
+    signal::unix::{Signal, SignalKind, signal},
     sync::oneshot,
 };
 
 use crate::{
     boot::{
         launcher::{Launcher, ProcessId},
-        mesh::{FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent},
+        mesh::{FLUSH_TIMEOUT, Identification, Mesh, MeshEvent},
         processes::{Keeper, Process, Starter},
     },
     control::{Gate, LogStore, Server, Ticker},
@@ -111,23 +111,14 @@ async fn run_processes(
         token: token.clone(),
         incarnation: 1,
     };
-    let mut mesh = Mesh::start(chassis, who)
-        .await
-        .map_err(|error| match error {
-            MeshError::Listen { address, error } => {
-                io(format!("cannot listen at {address}"))(error)
-            }
-            MeshError::Wait(error) => io("cannot wait for links")(error),
-            MeshError::Keys(error) => BootError::Keys(error.to_string()),
-            MeshError::Zenoh(error) => io("cannot join the network of [zenoh]")(error),
-        })?;
+    let mesh = Mesh::start(chassis, who).await;
+    let mut mesh = mesh.map_err(|error| BootError::Links(error.to_string()))?;
     let Some(address) = mesh.addresses().first().cloned() else {
         return Err(io("cannot listen")(
             std::io::ErrorKind::AddrNotAvailable.into(),
         ));
     };
-    let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
-    let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
+    let mut interrupts = Interrupts::new(setup.observer)?;
     let gate = match chassis.app.control {
         Some(address) => {
             let gate = open_gate(address, mesh.keys()).await;
@@ -146,15 +137,12 @@ async fn run_processes(
     };
     started.hosts = tokio::select! {
         hosts = Hosts::connect(&hosts) => hosts.map_err(BootError::Hosts)?,
-        _ = interrupt.recv() => return Ok(interrupted(chassis)),
-        _ = terminate.recv() => {
-            (setup.observer)(&BootEvent::Terminated);
-            return Ok(interrupted(chassis));
-        }
+        () = interrupts.next() => return Ok(interrupted(chassis)),
     };
     let processes = &mut started.processes;
     let logs = Arc::new(LogStore::new(chassis.clock.clone()));
     let (ticker, observer) = &Ticker::observe(setup.observer);
+    interrupts.observer = observer.clone();
     let starter = Starter {
         chassis: chassis.clone(),
         launcher: setup.launcher.clone(),
@@ -174,17 +162,13 @@ async fn run_processes(
     let timeout = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
     tokio::select! {
-        connected = tokio::time::timeout(timeout, connect(chassis, &mut mesh, processes, &mut missing)) => {
+        connected = tokio::time::timeout(timeout, connect(&starter, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
                 Err(_) => return Err(late(chassis, &missing, timeout)),
             }
         }
-        _ = interrupt.recv() => return Ok(interrupted(chassis)),
-        _ = terminate.recv() => {
-            observer(&BootEvent::Terminated);
-            return Ok(interrupted(chassis));
-        }
+        () = interrupts.next() => return Ok(interrupted(chassis)),
     };
     let (seat, orders) = Seat::new(observer);
     let mut keeper = Keeper::new(starter, orders, std::mem::take(processes));
@@ -195,7 +179,7 @@ async fn run_processes(
     });
     ctos_bootstrap::bootstrap::start_system_tasks(chassis, Some(&seat));
     if let Some(address) = chassis.app.metrics {
-        let served = crate::metrics::serve(chassis, address).await;
+        let served = crate::metrics::serve(chassis, address);
         served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
     }
     let threads =
@@ -206,14 +190,10 @@ async fn run_processes(
     loop {
         tokio::select! {
             _ = &mut exited => break,
-            _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
-            _ = terminate.recv() => {
-                observer(&BootEvent::Terminated);
-                chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
-            }
+            () = interrupts.next() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
             started = keeper.serve() => mesh.expect(started.chassis, started.incarnation),
             // What a chassis that is gone means is decided by the tasks, which have been told.
-            Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
+            event = mesh.next() => newcomers.welcome(chassis, &event),
         }
     }
     let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
@@ -290,7 +270,7 @@ impl Newcomers {
 /// Waits until all chassis are connected to each other and to this one. `missing` says at any time who
 /// is not.
 async fn connect(
-    chassis: &Arc<Chassis>,
+    starter: &Starter,
     mesh: &mut Mesh,
     processes: &mut [Process],
     missing: &mut BTreeSet<u8>,
@@ -302,55 +282,71 @@ async fn connect(
         let event = tokio::select! {
             // The process first: that it ended says more than that its connection did.
             biased;
-            ended = first_exit(processes) => return Err(ended),
+            ended = first_exit(starter, processes) => return Err(ended),
             event = mesh.next() => event,
-        };
-        let (index, reason) = match event {
-            Some(MeshEvent::Joined { chassis, .. }) => {
-                missing.remove(&chassis);
-                continue;
-            }
-            Some(MeshEvent::Up { .. }) => continue,
-            Some(MeshEvent::Down {
-                chassis,
-                ref reason,
-                ..
-            }) => (chassis, reason.to_string()),
-            Some(MeshEvent::Unable {
-                chassis,
-                ref reason,
-            }) => (chassis, reason.clone()),
-            None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
-        };
-        let error = BootError::Chassis {
-            chassis: chassis.name_of(index).to_owned(),
-            reason,
         };
         // A connection that breaks off mostly belongs to a process that is just ending; one that
         // said why it cannot start has said more than its end would.
-        if matches!(&event, Some(MeshEvent::Unable { .. })) {
-            return Err(error);
+        let (index, reason, ends) = match event {
+            MeshEvent::Joined { chassis, .. } => {
+                missing.remove(&chassis);
+                continue;
+            }
+            MeshEvent::Up { .. } => continue,
+            MeshEvent::Down {
+                chassis, reason, ..
+            } => (chassis, reason.to_string(), true),
+            MeshEvent::Unable { chassis, reason } => (chassis, reason, false),
+        };
+        let ended = first_exit(starter, processes);
+        if ends && let Ok(ended) = tokio::time::timeout(FLUSH_TIMEOUT, ended).await {
+            return Err(ended);
         }
-        let ended = tokio::time::timeout(FLUSH_TIMEOUT, first_exit(processes)).await;
-        return Err(ended.unwrap_or(error));
+        return Err(BootError::Chassis {
+            chassis: starter.chassis.name_of(index).to_owned(),
+            reason,
+        });
     }
     Ok(())
 }
 
 /// Ends when the first process does.
-async fn first_exit(processes: &mut [Process]) -> BootError {
+async fn first_exit(starter: &Starter, processes: &mut [Process]) -> BootError {
     let waits = processes.iter_mut().map(|process| {
         let name = process.name.clone();
-        let lines = process.last_lines.clone();
-        Box::pin(async move { (name, process.ended().await, lines) })
+        Box::pin(async move { (name, process.ended().await) })
     });
-    let ((chassis, ending, lines), _, _) = futures_util::future::select_all(waits).await;
+    let ((chassis, ending), _, _) = futures_util::future::select_all(waits).await;
     let how = ending.how;
-    let lines = lock(&lines).text();
+    let lines = starter.logs.last_words(&chassis);
     let reason = if lines.is_empty() {
         format!("it {how}")
     } else {
         format!("it {how}; its last lines:\n{lines}")
     };
     BootError::Chassis { chassis, reason }
+}
+
+/// What asks for the end of the app: Ctrl-C, and SIGTERM, of which the observer is told.
+struct Interrupts {
+    interrupt: Signal,
+    terminate: Signal,
+    observer: Observer,
+}
+
+impl Interrupts {
+    fn new(observer: &Observer) -> Result<Self, BootError> {
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?,
+            terminate: signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?,
+            observer: observer.clone(),
+        })
+    }
+
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => (self.observer)(&BootEvent::Terminated),
+        }
+    }
 }

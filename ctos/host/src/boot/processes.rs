@@ -8,15 +8,12 @@ use std::{
 };
 
 use rustix::process::Signal;
-use tokio::{
-    process::Command,
-    sync::{mpsc, watch},
-};
+use tokio::{process::Command, sync::watch};
 
 use crate::{
     boot::{
         launcher::{Briefing, Launcher, ProcessId},
-        spawn::{self, Ending, LastLines, Tether},
+        spawn::{self, Ending, Spawned, Tether},
     },
     control::LogStore,
     remote::{HostLink, Hosts},
@@ -30,7 +27,6 @@ use ctos_time::lock::lock;
 pub(super) struct Process {
     pub(super) name: String,
     id: ProcessId,
-    pub(super) last_lines: Arc<Mutex<LastLines>>,
     home: Home,
     ended: watch::Receiver<Option<Ending>>,
 }
@@ -38,7 +34,7 @@ pub(super) struct Process {
 /// Where a process lives.
 enum Home {
     /// A child of this process.
-    Here(mpsc::UnboundedSender<Signal>),
+    Here(Spawned),
     /// A child of the agent of that host.
     There(HostLink),
 }
@@ -59,10 +55,7 @@ impl Process {
 
     fn signal(&self, signal: Signal) {
         match &self.home {
-            Home::Here(signals) => {
-                // One that has ended needs no signal.
-                let _ = signals.send(signal);
-            }
+            Home::Here(spawned) => spawned.signal(signal),
             Home::There(link) => link.signal(self.id, signal),
         }
     }
@@ -76,7 +69,6 @@ pub(crate) struct Witness {
     host: Option<String>,
     observer: Observer,
     logs: Arc<LogStore>,
-    last_lines: Arc<Mutex<LastLines>>,
     ended: Mutex<Option<watch::Sender<Option<Ending>>>>,
 }
 
@@ -91,7 +83,6 @@ impl Witness {
             host: None,
             observer,
             logs: Arc::new(LogStore::new(chassis.clock.clone())),
-            last_lines: Arc::default(),
             ended: Mutex::new(None),
         }
     }
@@ -113,7 +104,6 @@ impl Witness {
 
     /// It has written a line to its log.
     pub(crate) fn line(&self, line: String) {
-        lock(&self.last_lines).push(line.clone());
         self.logs.add(&self.name, self.id.incarnation, &line);
         let chassis = self.name.clone();
         (self.observer)(&BootEvent::Log { chassis, line });
@@ -148,7 +138,6 @@ impl Starter {
     pub(super) fn start(&self, id: ProcessId) -> Result<Process, BootError> {
         let name = self.chassis.name_of(id.chassis).to_owned();
         let host = self.chassis.app.host_of(&name);
-        let last_lines = Arc::new(Mutex::new(LastLines::default()));
         let (ending, ended) = watch::channel(None);
         let witness = Arc::new(Witness {
             chassis: self.chassis.clone(),
@@ -157,7 +146,6 @@ impl Starter {
             host: host.map(|host| host.name.clone()),
             observer: self.observer.clone(),
             logs: self.logs.clone(),
-            last_lines: last_lines.clone(),
             ended: Mutex::new(Some(ending)),
         });
         let home = match host.and_then(|host| self.hosts.link(&host.name)) {
@@ -170,7 +158,6 @@ impl Starter {
         Ok(Process {
             name,
             id,
-            last_lines,
             home,
             ended,
         })
@@ -200,7 +187,7 @@ impl Starter {
             witness.name
         )))?;
         witness.started(spawned.pid);
-        Ok(Home::Here(spawned.signals))
+        Ok(Home::Here(spawned))
     }
 }
 

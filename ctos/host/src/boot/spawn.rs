@@ -3,7 +3,6 @@
 //! The boot starts chassis with it, and so does the agent of another host. Knows nothing of either.
 
 use std::{
-    collections::VecDeque,
     process::{ExitStatus, Stdio},
     time::Duration,
 };
@@ -11,7 +10,7 @@ use std::{
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::{Deserialize, Serialize};
 use tokio::{
-    io::{AsyncBufReadExt, BufReader},
+    io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     process::{Child, ChildStderr, ChildStdin, Command},
     sync::mpsc,
 };
@@ -64,10 +63,16 @@ pub(crate) enum Tether {
 /// A process that was started.
 pub(crate) struct Spawned {
     pub(crate) pid: Option<u32>,
-    /// Takes signals for it; those for one that has ended go nowhere.
-    pub(crate) signals: mpsc::UnboundedSender<Signal>,
+    signals: mpsc::UnboundedSender<Signal>,
     /// Dropped to let it go, where it has a [`Tether`].
     pub(crate) tether: Option<ChildStdin>,
+}
+
+impl Spawned {
+    /// Sends it a signal. One that has ended needs none.
+    pub(crate) fn signal(&self, signal: Signal) {
+        let _ = self.signals.send(signal);
+    }
 }
 
 /// Starts `command` in a process group of its own. `line` is told each line of its standard error,
@@ -137,66 +142,22 @@ async fn wait(
     }
 }
 
-/// Tells what a process writes to its standard error.
+/// Tells what a process writes to its standard error, line by line.
 async fn read(stderr: ChildStderr, mut line: impl FnMut(String)) {
     let mut reader = BufReader::new(stderr);
-    let mut bytes = Vec::new();
-    let mut tell = |bytes: &[u8]| line(String::from_utf8_lossy(bytes).into_owned());
+    let mut is_rest = false;
     loop {
-        let space = LINE_LIMIT.saturating_sub(bytes.len());
-        let whole = match next_part(&mut reader, &mut bytes, space).await {
-            Ok(Some(whole)) => whole,
-            Ok(None) | Err(_) => {
-                if !bytes.is_empty() {
-                    tell(&bytes);
-                }
-                return;
-            }
-        };
-        if whole {
-            tell(&bytes);
-            bytes.clear();
+        let mut part = Vec::new();
+        let mut limited = (&mut reader).take(LINE_LIMIT as u64);
+        if !matches!(limited.read_until(b'\n', &mut part).await, Ok(1..)) {
+            return;
         }
-    }
-}
-
-/// Adds at most `space` bytes of the line to `bytes` and skips what is beyond. Whether the line is whole;
-/// `None` at the end.
-async fn next_part(
-    reader: &mut BufReader<ChildStderr>,
-    bytes: &mut Vec<u8>,
-    space: usize,
-) -> std::io::Result<Option<bool>> {
-    let buffer = reader.fill_buf().await?;
-    if buffer.is_empty() {
-        return Ok(None);
-    }
-    let end = buffer.iter().position(|byte| *byte == b'\n');
-    let part = end.map_or(buffer, |end| buffer.get(..end).unwrap_or(buffer));
-    bytes.extend(part.iter().take(space));
-    let used = end.map_or(buffer.len(), |end| end + 1);
-    reader.consume(used);
-    Ok(Some(end.is_some()))
-}
-
-/// The last lines of a log.
-#[derive(Debug, Default)]
-pub(crate) struct LastLines(VecDeque<String>);
-
-impl LastLines {
-    /// How many are kept, for the error that the end of a process causes.
-    const COUNT: usize = 5;
-
-    pub(crate) fn push(&mut self, line: String) {
-        if self.0.len() == Self::COUNT {
-            self.0.pop_front();
+        let is_whole = part.pop_if(|byte| *byte == b'\n').is_some();
+        if !is_rest {
+            line(String::from_utf8_lossy(&part).into_owned());
         }
-        self.0.push_back(line);
-    }
-
-    /// All of them, one below the other.
-    pub(crate) fn text(&self) -> String {
-        self.0.iter().cloned().collect::<Vec<_>>().join("\n")
+        // What is beyond the limit is not kept.
+        is_rest = !is_whole;
     }
 }
 

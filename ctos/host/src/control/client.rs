@@ -3,13 +3,17 @@
 use std::{
     fmt,
     io::{self, BufRead, BufReader, Read, Write},
-    net::{SocketAddr, TcpStream, ToSocketAddrs},
-    os::unix::net::UnixStream,
+    net::{TcpStream, ToSocketAddrs},
+    os::{
+        fd::{AsFd, OwnedFd},
+        unix::net::UnixStream,
+    },
     path::PathBuf,
     time::Duration,
 };
 
 use base64::{Engine, engine::general_purpose::STANDARD};
+use rustix::net::sockopt::{Timeout, set_socket_timeout};
 
 use crate::{
     control::{
@@ -20,7 +24,7 @@ use crate::{
     },
     doors::{Secret, SecretError},
 };
-use ctos_link::security::{BlockingStream, KeyError, Keys, Role};
+use ctos_link::security::{KeyError, Keys, Role};
 use ctos_message::{Command, Data};
 
 /// Why an app could not be asked, or said no.
@@ -104,40 +108,19 @@ fn of(pid: u32) -> String {
 }
 
 impl ClientError {
-    /// Whether a name was wrong.
+    /// What kind of error it is, in the words of the protocol; `None` when the app could not be reached or
+    /// understood.
     #[must_use]
-    pub fn is_no_such_name(&self) -> bool {
+    pub fn code(&self) -> Option<ErrorCode> {
         match self {
-            Self::NoSuchApp { .. } => true,
-            Self::Refused(error) => error.code == ErrorCode::NoSuchName,
-            _ => false,
+            Self::NoSuchApp { .. } => Some(ErrorCode::NoSuchName),
+            Self::TimedOut { .. } => Some(ErrorCode::TimedOut),
+            Self::Key { .. } | Self::Impostor { .. } | Self::Secret(_) => {
+                Some(ErrorCode::NotAllowed)
+            }
+            Self::Refused(error) => Some(error.code),
+            _ => None,
         }
-    }
-
-    /// Whether something took too long.
-    #[must_use]
-    pub fn is_timed_out(&self) -> bool {
-        match self {
-            Self::TimedOut { .. } => true,
-            Self::Refused(error) => error.code == ErrorCode::TimedOut,
-            _ => false,
-        }
-    }
-
-    /// Whether a key, or its role, is not enough.
-    #[must_use]
-    pub fn is_not_allowed(&self) -> bool {
-        match self {
-            Self::Key { .. } | Self::Impostor { .. } | Self::Secret(_) => true,
-            Self::Refused(error) => error.code == ErrorCode::NotAllowed,
-            _ => false,
-        }
-    }
-
-    /// Whether the app said no.
-    #[must_use]
-    pub fn is_refused(&self) -> bool {
-        matches!(self, Self::Refused(error) if error.code == ErrorCode::Failed)
     }
 }
 
@@ -175,25 +158,9 @@ fn choose(apps: Vec<Socket>, name: Option<&str>) -> Result<Socket, ClientError> 
 }
 
 /// What an app is spoken to over.
-trait Wire: Read + Write + Send {
-    /// How long each reading may take.
-    fn read_within(&self, timeout: Option<Duration>) -> io::Result<()>;
-}
+trait Wire: Read + Write + Send {}
 
-macro_rules! wire {
-    ($stream:ty, $socket:ident => $of:expr) => {
-        impl Wire for $stream {
-            fn read_within(&self, timeout: Option<Duration>) -> io::Result<()> {
-                let $socket = self;
-                $of.set_read_timeout(timeout)
-            }
-        }
-    };
-}
-
-wire!(UnixStream, stream => stream);
-wire!(TcpStream, stream => stream);
-wire!(BlockingStream, stream => stream.sock);
+impl<T: Read + Write + Send> Wire for T {}
 
 /// What a tool shows to an app on another host.
 #[derive(Debug)]
@@ -219,12 +186,12 @@ pub struct Client {
     app: Socket,
     timeout: Duration,
     stream: BufReader<Box<dyn Wire>>,
+    /// The socket below it, for its time-outs.
+    socket: OwnedFd,
     /// What has come of the next answer.
     begun: Vec<u8>,
-    /// What it may mean when the other end hangs up.
+    /// What it may mean when the other end hangs up before it has answered anything.
     hung_up: Option<&'static str>,
-    /// It has answered anything.
-    heard: bool,
 }
 
 impl fmt::Debug for Client {
@@ -240,12 +207,11 @@ impl Client {
     /// [`ClientError::Unreachable`].
     pub fn connect(app: Socket, timeout: Duration) -> Result<Self, ClientError> {
         let connected = UnixStream::connect(&app.path).and_then(|stream| {
-            stream.set_write_timeout(Some(timeout))?;
-            stream.set_read_timeout(Some(timeout))?;
-            Ok(stream)
+            let socket = timed(&stream, timeout)?;
+            Ok((stream, socket))
         });
-        let stream = connected.map_err(|error| out_of_reach(&app, error))?;
-        Ok(Self::over(Box::new(stream), app, timeout, None))
+        let (stream, socket) = connected.map_err(|error| out_of_reach(&app, error))?;
+        Ok(Self::over(Box::new(stream), socket, app, timeout, None))
     }
 
     /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
@@ -261,39 +227,41 @@ impl Client {
             path: PathBuf::new(),
         };
         let unreachable = |error| out_of_reach(&app, error);
-        let mut stream = called(at, timeout).map_err(unreachable)?;
-        let keys = match pass {
-            Pass::Key(keys) => keys,
+        let (mut stream, socket) = called(at, timeout).map_err(unreachable)?;
+        let (stream, hint): (Box<dyn Wire>, _) = match pass {
+            Pass::Key(keys) => {
+                let at = at.to_owned();
+                let (stream, identity) = match keys.call_blocking(stream) {
+                    Ok(met) => met,
+                    Err(error) => return Err(ClientError::Key { at, error }),
+                };
+                if !identity.may(Role::Boot) {
+                    let role = identity.role;
+                    return Err(ClientError::Impostor { at, role });
+                }
+                let hint = "it hung up; is this key of its authority?";
+                (Box::new(stream), hint)
+            }
             Pass::Secret(_) | Pass::OwnPort => {
                 let token = match pass {
-                    Pass::Secret(secret) => secret.clone(),
-                    _ => own_secret(&stream).map_err(unreachable)?,
+                    Pass::Secret(secret) => Ok(secret.clone()),
+                    _ => own_secret(&stream),
                 };
-                let shown = serde_json::to_string(&Shown { token });
-                let shown = shown.map_err(io::Error::other).map_err(unreachable)?;
-                let told = stream.write_all(format!("{shown}\n").as_bytes());
+                let told = token.and_then(|token| {
+                    let shown = serde_json::to_string(&Shown { token })?;
+                    stream.write_all(format!("{shown}\n").as_bytes())
+                });
                 told.map_err(unreachable)?;
                 let hint = "it hung up; does it want a key (--key), or belong to another user?";
-                return Ok(Self::over(Box::new(stream), app, timeout, Some(hint)));
+                (Box::new(stream), hint)
             }
         };
-        let key = |error| ClientError::Key {
-            at: at.to_owned(),
-            error,
-        };
-        let (stream, identity) = keys.call_blocking(stream).map_err(key)?;
-        if !identity.may(Role::Boot) {
-            return Err(ClientError::Impostor {
-                at: at.to_owned(),
-                role: identity.role,
-            });
-        }
-        let hint = "it hung up; is this key of its authority?";
-        Ok(Self::over(Box::new(stream), app, timeout, Some(hint)))
+        Ok(Self::over(stream, socket, app, timeout, Some(hint)))
     }
 
     fn over(
         stream: Box<dyn Wire>,
+        socket: OwnedFd,
         app: Socket,
         timeout: Duration,
         hung_up: Option<&'static str>,
@@ -302,9 +270,9 @@ impl Client {
             app,
             timeout,
             stream: BufReader::new(stream),
+            socket,
             begun: Vec::new(),
             hung_up,
-            heard: false,
         }
     }
 
@@ -320,8 +288,13 @@ impl Client {
     /// # Errors
     /// [`ClientError::Unreachable`].
     pub fn wait_for_ever(&mut self) -> Result<(), ClientError> {
-        let set = self.stream.get_ref().read_within(None);
-        set.map_err(|error| self.failed(error))
+        self.patience(None)
+    }
+
+    /// How long each reading may take.
+    fn patience(&self, timeout: Option<Duration>) -> Result<(), ClientError> {
+        let set = set_socket_timeout(&self.socket, Timeout::Recv, timeout);
+        set.map_err(|error| self.failed(error.into()))
     }
 
     /// Asks. The answers are read with [`Self::read`].
@@ -362,11 +335,9 @@ impl Client {
     /// # Errors
     /// As [`Self::read`].
     pub fn read_within(&mut self, timeout: Duration) -> Result<Within, ClientError> {
-        let set = self.stream.get_ref().read_within(Some(timeout));
-        set.map_err(|error| self.failed(error))?;
+        self.patience(Some(timeout))?;
         let read = self.stream.read_until(b'\n', &mut self.begun);
-        let usual = self.stream.get_ref().read_within(Some(self.timeout));
-        usual.map_err(|error| self.failed(error))?;
+        self.patience(Some(self.timeout))?;
         match read {
             Ok(_) => Ok(match self.whole()? {
                 Some(answer) => Within::Answer(Box::new(answer)),
@@ -380,23 +351,17 @@ impl Client {
     /// The answer that has been read to its end.
     fn whole(&mut self) -> Result<Option<Answer>, ClientError> {
         let bytes = std::mem::take(&mut self.begun);
-        if bytes.is_empty() {
-            if self.hung_up.is_some() && !self.heard {
-                return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
-            }
+        if bytes.is_empty() && self.hung_up.is_none() {
             return Ok(None);
         }
-        let line = String::from_utf8_lossy(&bytes);
-        let answer = serde_json::from_str(&line);
         // What is no line of an app at all is the end of an attempt to speak TLS.
-        let is_line = line.starts_with('{');
-        self.heard |= is_line;
-        match answer {
+        if self.hung_up.is_some() && !bytes.starts_with(b"{") {
+            return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
+        }
+        self.hung_up = None;
+        match serde_json::from_slice(&bytes) {
             Ok(Answer::Error(error)) => Err(ClientError::Refused(error)),
             Ok(answer) => Ok(Some(answer)),
-            Err(_) if !is_line && self.hung_up.is_some() => {
-                Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
-            }
             Err(error) => Err(self.garbled(error)),
         }
     }
@@ -450,25 +415,26 @@ impl Client {
     }
 
     fn failed(&self, error: io::Error) -> ClientError {
-        match error.kind() {
-            _ if is_late(&error) => ClientError::TimedOut {
+        if is_late(&error) {
+            return ClientError::TimedOut {
                 app: self.app.app.clone(),
                 pid: self.app.pid,
                 timeout: self.timeout,
-            },
-            // What a refusal looks like from here.
-            io::ErrorKind::UnexpectedEof
-            | io::ErrorKind::ConnectionReset
-            | io::ErrorKind::BrokenPipe
-            | io::ErrorKind::InvalidData
-                if !self.heard && self.hung_up.is_some() =>
-            {
-                let hint = self.hung_up.unwrap_or_default();
-                let error = io::Error::new(error.kind(), format!("{hint} ({error})"));
-                out_of_reach(&self.app, error)
-            }
-            _ => out_of_reach(&self.app, error),
+            };
         }
+        // What a refusal looks like from here.
+        let refused = matches!(
+            error.kind(),
+            io::ErrorKind::UnexpectedEof
+                | io::ErrorKind::ConnectionReset
+                | io::ErrorKind::BrokenPipe
+                | io::ErrorKind::InvalidData
+        );
+        let error = match self.hung_up.filter(|_| refused) {
+            Some(hint) => io::Error::new(error.kind(), format!("{hint} ({error})")),
+            None => error,
+        };
+        out_of_reach(&self.app, error)
     }
 }
 
@@ -499,17 +465,23 @@ fn is_late(error: &io::Error) -> bool {
     )
 }
 
+/// The socket below `stream`, each of whose readings and writings may take `timeout`.
+fn timed(stream: &impl AsFd, timeout: Duration) -> io::Result<OwnedFd> {
+    let socket = stream.as_fd().try_clone_to_owned()?;
+    set_socket_timeout(&socket, Timeout::Recv, Some(timeout))?;
+    set_socket_timeout(&socket, Timeout::Send, Some(timeout))?;
+    Ok(socket)
+}
+
 /// Calls the first address of `at` that answers.
-fn called(at: &str, timeout: Duration) -> io::Result<TcpStream> {
-    let addresses: Vec<SocketAddr> = at.to_socket_addrs()?.collect();
+fn called(at: &str, timeout: Duration) -> io::Result<(TcpStream, OwnedFd)> {
     let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name leads to no address");
-    for address in addresses {
+    for address in at.to_socket_addrs()? {
         match TcpStream::connect_timeout(&address, timeout) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
-                stream.set_read_timeout(Some(timeout))?;
-                stream.set_write_timeout(Some(timeout))?;
-                return Ok(stream);
+                let socket = timed(&stream, timeout)?;
+                return Ok((stream, socket));
             }
             Err(error) => failed = error,
         }
@@ -541,7 +513,7 @@ mod tests {
         let only = choose(vec![socket("lab", 9)], None);
         assert_eq!(only.map(|app| app.pid).ok(), Some(9));
         let error = choose(both(), Some("leb")).unwrap_err();
-        assert!(error.is_no_such_name() && error.to_string().contains("lab-9"));
+        assert!(error.code() == Some(ErrorCode::NoSuchName) && error.to_string().contains("lab-9"));
         assert!(matches!(choose(Vec::new(), None), Err(ClientError::NoApp)));
     }
 }

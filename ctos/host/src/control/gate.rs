@@ -1,5 +1,5 @@
-//! Where tools of other hosts come in: over TLS, each with what the role of its key permits; at the
-//! loopback without keys those of the same user, who know the secret of the port.
+//! Where tools come in: those of the app's own user by its socket; of other hosts over TLS, each with what the
+//! role of its key permits; at the loopback without keys those of the same user, who know the secret of the port.
 //!
 //! Everything a stranger does is bounded, and who is refused is logged and counted.
 
@@ -13,6 +13,7 @@ use tokio::{
 };
 
 use super::{
+    place,
     protocol::ErrorCode,
     service::{Client, Reader, Service, Writer, busy, error, tell},
 };
@@ -22,11 +23,11 @@ use crate::{
 };
 use ctos_link::{
     security::{KeyError, Role},
-    transport::{Call, Listener},
+    transport::{Call, Listener, Stream},
 };
 
-/// How many of the places for clients they may have, so that there is always one for the app's own user.
-const PLACES: usize = 32;
+/// How many of the places for clients those of other hosts may have, so that there is always one for the app's own user.
+pub(super) const PLACES: usize = 32;
 
 /// The longest line with a secret, bytes.
 const SECRET_LIMIT: u64 = 512;
@@ -44,24 +45,31 @@ enum GateError {
     Key(#[from] KeyError),
     #[error("it does not belong to the user of the app, who gave it no keys ([security])")]
     User,
+    #[error("the socket is its user's own")]
+    Socket,
     #[error("it does not know the secret of this port")]
     Secret,
     #[error(transparent)]
     Turned(#[from] Turned),
 }
 
-/// Where tools of other hosts call, and what they say there when there are no keys.
+/// Where tools call, and what those of other hosts say there when there are no keys.
 pub(crate) struct Gate {
     pub(crate) listener: Listener,
     pub(crate) secret: Option<PortSecret>,
 }
 
-/// Serves tools until it is aborted.
-pub(super) async fn serve(gate: Gate, service: Arc<Service>, clients: Arc<Semaphore>) {
+/// Serves tools, `places` at a time, until it is aborted.
+pub(super) async fn serve(
+    gate: Gate,
+    places: usize,
+    service: Arc<Service>,
+    clients: Arc<Semaphore>,
+) {
     let Gate { listener, secret } = gate;
     let secret = Arc::new(secret);
     let lobby = Lobby::new(STRANGERS);
-    let places = Arc::new(Semaphore::new(PLACES));
+    let places = Arc::new(Semaphore::new(places));
     let mut serving = JoinSet::new();
     loop {
         let refuse = |_: Option<&Call>, why: &str| service.refuse("a caller", why);
@@ -97,14 +105,28 @@ async fn meet(
     from: &str,
     secret: Option<&PortSecret>,
 ) -> Result<(Client, Reader, Writer), GateError> {
-    let (stream, identity) = call.prove().await?;
-    let (reader, writer) = tokio::io::split(stream);
+    let (stream, identity) = match call {
+        Call::Unix(stream) => {
+            let theirs = stream.peer_cred().map_err(KeyError::from)?.uid();
+            if theirs != 0 && theirs != place::uid() {
+                return Err(GateError::Socket);
+            }
+            (Stream::Unix(stream), None)
+        }
+        call => call.prove().await?,
+    };
+    let own = matches!(stream, Stream::Unix(_));
+    let (reader, mut writer) = tokio::io::split(stream);
     let mut reader = BufReader::new(reader);
-    let mut writer: Writer = Box::new(writer);
     let client = match identity {
         Some(identity) => Client {
             who: format!("the key `{}`", identity.name),
             role: identity.role,
+        },
+        // The user may do what he likes with what is his.
+        None if own => Client {
+            who: "its user".to_owned(),
+            role: Role::Boot,
         },
         None => {
             if !ends.is_some_and(|(peer, ours)| is_same_user(peer, ours).unwrap_or(false)) {
@@ -128,7 +150,7 @@ async fn meet(
             }
         }
     };
-    Ok((client, Box::new(reader), writer))
+    Ok((client, reader, writer))
 }
 
 #[cfg(test)]
@@ -182,7 +204,8 @@ mod tests {
             listener,
             secret: Some(secret),
         };
-        tokio::spawn(serve(gate, service, Arc::new(Semaphore::new(64))));
+        let clients = Arc::new(Semaphore::new(64));
+        tokio::spawn(serve(gate, PLACES, service, clients));
         let shown = serde_json::to_string(&Shown { token }).unwrap();
         (address, format!("{shown}\n"), chassis)
     }

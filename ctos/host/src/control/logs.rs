@@ -17,6 +17,8 @@ const LINES: usize = 1000;
 const EARLIER: usize = 3;
 /// How many of its last lines the status of a chassis shows of each process.
 const LAST_LINES: usize = 10;
+/// How many of them the error has that the end of a process causes.
+const LAST_WORDS: usize = 5;
 /// How many new lines a slow reader may be behind before it loses some, and is told so.
 const BEHIND: usize = 4096;
 
@@ -95,18 +97,11 @@ impl LogLine {
     }
 }
 
-#[derive(Debug)]
-struct Process {
-    incarnation: u32,
-    pid: Option<u32>,
-    lines: VecDeque<LogLine>,
-}
-
 /// The logs of an app.
 #[derive(Debug)]
 pub(crate) struct LogStore {
     clock: Clock,
-    chassis: Mutex<BTreeMap<String, VecDeque<Process>>>,
+    chassis: Mutex<BTreeMap<String, VecDeque<ProcessLog>>>,
     new: broadcast::Sender<LogLine>,
 }
 
@@ -126,7 +121,7 @@ impl LogStore {
         if processes.len() > EARLIER {
             processes.pop_front();
         }
-        processes.push_back(Process {
+        processes.push_back(ProcessLog {
             incarnation,
             pid,
             lines: VecDeque::new(),
@@ -144,9 +139,8 @@ impl LogStore {
         };
         {
             let mut all = lock(&self.chassis);
-            let processes = all.get_mut(chassis).into_iter().flatten();
-            let mut processes = processes.filter(|process| process.incarnation == incarnation);
-            if let Some(process) = processes.next() {
+            let mut processes = all.get_mut(chassis).into_iter().flatten();
+            if let Some(process) = processes.find(|one| one.incarnation == incarnation) {
                 if process.lines.len() == LINES {
                     process.lines.pop_front();
                 }
@@ -181,19 +175,28 @@ impl LogStore {
         let all = lock(&self.chassis);
         let processes = all.get(chassis);
         let present = processes.and_then(|processes| Some(processes.back()?.incarnation));
-        let log = |process: &Process| {
+        let log = |process: &ProcessLog| {
             let task = task.filter(|_| present == Some(process.incarnation));
             let wanted = |line: &&LogLine| task.is_none_or(|task| line.is_about(task));
-            let last = process.lines.iter().rev().filter(wanted).take(LAST_LINES);
-            let mut lines: Vec<LogLine> = last.cloned().collect();
-            lines.reverse();
-            ProcessLog {
-                incarnation: process.incarnation,
-                pid: process.pid,
-                lines,
+            let mut log = ProcessLog {
+                lines: VecDeque::new(),
+                ..*process
+            };
+            for line in process.lines.iter().rev().filter(wanted).take(LAST_LINES) {
+                log.lines.push_front(line.clone());
             }
+            log
         };
         processes.into_iter().flatten().map(log).collect()
+    }
+
+    /// What a chassis wrote last, one line below the other.
+    pub(crate) fn last_words(&self, chassis: &str) -> String {
+        let process = self.processes(chassis, None).pop();
+        let lines = process.map_or_else(VecDeque::new, |process| process.lines);
+        let from = lines.len().saturating_sub(LAST_WORDS);
+        let lines = lines.into_iter().skip(from).map(|line| line.text);
+        lines.collect::<Vec<_>>().join("\n")
     }
 
     /// The process id of the present process of a chassis.

@@ -12,7 +12,6 @@ use ctos_core::{
     system::{self, MoveTask, Place},
 };
 use ctos_message::fault::Fault;
-use ctos_time::Instant;
 
 /// How often a client is told what a move waits for.
 const TELL: Duration = Duration::from_secs(1);
@@ -21,27 +20,19 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// How long the task identification service may take to say where a task is.
 const FIND_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// A move, as a client sees it.
-struct Move {
-    task: String,
-    from: String,
-    to: String,
-    began: Instant,
-}
-
 impl Service {
     /// Moves a task and tells the client about it. A client that goes before the end does not end the move.
     pub(super) async fn move_task(
         &self,
         task: String,
-        to: String,
+        to: &str,
         writer: &mut Writer,
     ) -> io::Result<()> {
-        let mut moving = match self.begin_move(task, &to).await {
+        let began = self.chassis.clock.now();
+        let mut moving = match self.begin_move(task, to).await {
             Ok(moving) => moving,
             Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
         };
-        tell(writer, &Answer::Moving(self.view(&moving, None))).await?;
         let timeout = PATIENCE + self.chassis.app.phase_timeout.saturating_mul(4);
         let order = MoveTask {
             task: moving.task.clone(),
@@ -50,15 +41,18 @@ impl Service {
         let moved = view::ask(&self.chassis, system::TID_SERVER, order, timeout);
         let mut moved = std::pin::pin!(moved);
         loop {
+            moving.took_s = self.chassis.clock.now().since(began).as_secs_f64();
+            tell(writer, &Answer::Moving(moving.clone())).await?;
             let answer = match tokio::time::timeout(TELL, &mut moved).await {
-                Ok(Ok(place)) => {
-                    moving.to = place;
-                    Answer::Moved(self.view(&moving, None))
-                }
+                Ok(Ok(place)) => Answer::Moved(MoveView {
+                    to: place,
+                    took_s: self.chassis.clock.now().since(began).as_secs_f64(),
+                    at: None,
+                    ..moving
+                }),
                 Ok(Err(fault)) => Answer::Error(failure(&moving.task, fault)),
                 Err(_) => {
-                    let at = self.activity(&moving.task).await;
-                    tell(writer, &Answer::Moving(self.view(&moving, at))).await?;
+                    moving.at = self.activity(&moving.task).await;
                     continue;
                 }
             };
@@ -67,8 +61,7 @@ impl Service {
     }
 
     /// Finds both ends of the way.
-    async fn begin_move(&self, task: String, to: &str) -> Result<Move, ErrorView> {
-        let began = self.chassis.clock.now();
+    async fn begin_move(&self, task: String, to: &str) -> Result<MoveView, ErrorView> {
         let to = find_place(&self.chassis, to).map_err(|wrong| ErrorView {
             code: ErrorCode::NoSuchName,
             message: wrong.message,
@@ -85,22 +78,13 @@ impl Service {
             chassis: old.chassis(),
             processor: old.processor(),
         };
-        Ok(Move {
+        Ok(MoveView {
             task,
             from: place_text(&self.chassis, from),
             to: place_text(&self.chassis, to),
-            began,
+            took_s: 0.0,
+            at: None,
         })
-    }
-
-    fn view(&self, moving: &Move, at: Option<String>) -> MoveView {
-        MoveView {
-            task: moving.task.clone(),
-            from: moving.from.clone(),
-            to: moving.to.clone(),
-            took_s: self.chassis.clock.now().since(moving.began).as_secs_f64(),
-            at,
-        }
     }
 
     /// What a task's handler is at: a task moves between two messages.

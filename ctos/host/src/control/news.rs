@@ -45,12 +45,7 @@ impl Ticker {
 
 /// Ends when the app has.
 pub(super) async fn ended(news: &mut broadcast::Receiver<News>) {
-    loop {
-        match news.recv().await {
-            Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return,
-            Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-        }
-    }
+    while restarted(news).await.is_some() {}
 }
 
 /// The next chassis that is started again; `None` when the app has ended.

@@ -2,9 +2,10 @@
 
 use std::{
     fs, io,
-    os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt},
     path::{Path, PathBuf},
 };
+
+use ctos_link::transport::private_folder;
 
 /// A control socket in the folder.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,39 +33,12 @@ pub fn folder() -> PathBuf {
 /// When it cannot be made, or does not belong to this user alone.
 pub fn prepared_folder() -> io::Result<PathBuf> {
     let folder = folder();
-    prepare(&folder)?;
+    private_folder(&folder, uid())?;
     Ok(folder)
 }
 
 pub(crate) fn uid() -> u32 {
     rustix::process::getuid().as_raw()
-}
-
-/// Makes `folder` if it is missing.
-///
-/// # Errors
-/// When it cannot be made, or is another user's, or others may look into it: whoever owns it could
-/// answer in the place of the app.
-pub(crate) fn prepare(folder: &Path) -> io::Result<()> {
-    let made = fs::DirBuilder::new().mode(0o700).create(folder);
-    if let Err(error) = made
-        && error.kind() != io::ErrorKind::AlreadyExists
-    {
-        return Err(error);
-    }
-    let known = fs::symlink_metadata(folder)?;
-    let private = known.is_dir() && known.uid() == uid() && known.permissions().mode() & 0o077 == 0;
-    if private {
-        Ok(())
-    } else {
-        Err(io::Error::new(
-            io::ErrorKind::PermissionDenied,
-            format!(
-                "{} is not a folder that belongs to you alone; remove it, or set XDG_RUNTIME_DIR",
-                folder.display()
-            ),
-        ))
-    }
 }
 
 /// The socket of app `name`, booted by process `pid`, in `folder`.
@@ -170,21 +144,5 @@ mod tests {
         }
         assert_eq!(sockets(folder.path()), []);
         assert!(paths.iter().all(|path| path.exists()));
-    }
-
-    #[test]
-    fn a_folder_that_others_may_use_is_refused() {
-        let outer = tempfile::tempdir().unwrap();
-        let folder = outer.path().join("ctos");
-        prepare(&folder).unwrap();
-        prepare(&folder).unwrap();
-        let mode = fs::metadata(&folder).unwrap().permissions().mode();
-        assert_eq!(mode & 0o777, 0o700);
-        fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).unwrap();
-        let refused = prepare(&folder).unwrap_err().to_string();
-        assert!(refused.contains("belongs to you alone"), "{refused}");
-        let link = outer.path().join("link");
-        std::os::unix::fs::symlink(outer.path(), &link).unwrap();
-        assert!(prepare(&link).is_err());
     }
 }

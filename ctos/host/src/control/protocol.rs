@@ -2,6 +2,8 @@
 //! that this version does not know is answered with an error and the connection lives on; what is no request at all
 //! ends it. At a port without keys a first line says its secret: `{"token":"..."}`.
 
+use std::collections::VecDeque;
+
 use serde::{Deserialize, Serialize};
 
 use crate::control::{Level, LogLine};
@@ -409,7 +411,7 @@ pub struct ProcessLog {
     /// Its process id.
     pub pid: Option<u32>,
     /// Its last lines.
-    pub lines: Vec<LogLine>,
+    pub lines: VecDeque<LogLine>,
 }
 
 /// A record of a running app.

@@ -58,18 +58,46 @@ impl Service {
         request: RecordRequest,
         writer: &mut Writer,
     ) -> io::Result<()> {
+        let chassis = &self.chassis;
         let mut news = self.ticker.subscribe();
-        let begun = Recording::begin(&self.chassis, &self.recordings, request).await;
-        let mut recording = match begun {
+        let mut recording = match Recording::begin(chassis, &self.recordings, request).await {
             Ok(recording) => recording,
             Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
         };
-        tell(writer, &Answer::Recording(recording.view())).await?;
-        while !recording.over {
-            let answer = recording.next(restarted(&mut news)).await;
-            tell(writer, &answer).await?;
+        let stop = recording.stop.clone();
+        loop {
+            let view = recording.view();
+            tell(writer, &Answer::Recording(view)).await?;
+            let pause = recording.left().map_or(TELL, |left| left.min(TELL));
+            tokio::select! {
+                biased;
+                () = stop.notified() => break,
+                name = restarted(&mut news) => match name {
+                    Some(name) => {
+                        let is_it = |index: &u8| chassis.name_of(*index) == name;
+                        recording.begin_on(chassis.others().filter(is_it)).await;
+                    }
+                    None => {
+                        // Every process has closed its part with the rest of it.
+                        recording.over = true;
+                        let view = recording.view();
+                        return tell(writer, &Answer::Recorded(view)).await;
+                    }
+                },
+                () = tokio::time::sleep(pause) => {
+                    if recording.left() == Some(Duration::ZERO) {
+                        break;
+                    }
+                    let key = recording.key;
+                    recording.ask(|| ReadRecord { key }, TIMEOUT).await;
+                }
+            }
         }
-        Ok(())
+        recording.over = true;
+        let (took_s, key) = (recording.view().took_s, recording.key);
+        recording.ask(|| EndRecord { key }, CLOSE_TIMEOUT).await;
+        let view = recording.view();
+        tell(writer, &Answer::Recorded(RecordView { took_s, ..view })).await
     }
 }
 
@@ -96,96 +124,65 @@ impl Recording {
         all: &Arc<Recordings>,
         request: RecordRequest,
     ) -> Result<Self, ErrorView> {
-        let key = all.last.fetch_add(1, Ordering::Relaxed) + 1;
-        let stop = Arc::new(Notify::new());
-        lock(&all.stops).insert(key, stop.clone());
         let mut recording = Self {
             chassis: chassis.clone(),
             all: all.clone(),
             request,
-            key,
-            stop,
+            key: all.last.fetch_add(1, Ordering::Relaxed) + 1,
+            stop: Arc::default(),
             began: chassis.clock.now(),
             files: BTreeMap::new(),
             over: false,
         };
-        let everybody: Vec<u8> = [0].into_iter().chain(chassis.others()).collect();
-        recording.begin_on(&everybody).await;
-        if recording.files.values().any(|file| file.trouble.is_none()) {
+        lock(&all.stops).insert(recording.key, recording.stop.clone());
+        recording
+            .begin_on([0].into_iter().chain(chassis.others()))
+            .await;
+        let files = recording.files.values();
+        let mut reasons: Vec<String> = files.filter_map(|file| file.trouble.clone()).collect();
+        if reasons.len() < recording.files.len() {
             return Ok(recording);
         }
-        let mut reasons: Vec<String> = recording
-            .files
-            .values()
-            .filter_map(|file| file.trouble.clone())
-            .collect();
         reasons.dedup();
         Err(ErrorView::new(ErrorCode::Failed, reasons.join("; ")))
     }
 
-    async fn begin_on(&mut self, members: &[u8]) {
-        let names = self.names().await;
-        let there = |index: &u8| *index == 0 || self.chassis.is_linked(*index);
-        let members = members.iter().copied().filter(there);
+    async fn begin_on(&mut self, members: impl Iterator<Item = u8>) {
+        let surveys = view::surveys(&self.chassis).await;
+        let tasks = surveys.into_iter().flatten().flat_map(|one| one.tasks);
+        let tasks = tasks.filter(|task| task.tid.processor() > 0);
+        let names: Vec<TaskName> = tasks
+            .map(|task| TaskName {
+                name: task.name,
+                tid: task.tid,
+            })
+            .collect();
         let order = || BeginRecord {
             key: self.key,
             folder: self.request.folder.clone(),
             channels: self.request.channels.clone(),
             names: names.clone(),
         };
-        let begun = ask_all(&self.chassis, members, order, TIMEOUT).await;
-        self.files.extend(begun.into_iter().map(|(index, begun)| {
+        let members = members.filter(|index| *index == 0 || self.chassis.is_linked(*index));
+        for (index, begun) in ask_all(&self.chassis, members, order, TIMEOUT).await {
             let file = begun.unwrap_or_else(|fault| RecordReport {
                 trouble: Some(ErrorView::from(fault).message),
                 ..RecordReport::default()
             });
-            (index, file)
-        }));
+            self.files.insert(index, file);
+        }
     }
 
-    /// The names of the tasks of all chassis, by their ids.
-    async fn names(&self) -> Vec<TaskName> {
-        let surveys = view::surveys(&self.chassis).await;
-        let tasks = surveys.into_iter().flatten().flat_map(|one| one.tasks);
-        tasks
-            .filter(|task| task.tid.processor() > 0)
-            .map(|task| TaskName {
-                name: task.name,
-                tid: task.tid,
-            })
-            .collect()
-    }
-
-    /// What the client is told next. `restarted` ends with the name of a chassis that was started again, or with the
-    /// app.
-    async fn next(&mut self, restarted: impl Future<Output = Option<String>>) -> Answer {
-        let pause = self.left().map_or(TELL, |left| left.min(TELL));
-        let stop = self.stop.clone();
-        tokio::select! {
-            biased;
-            () = stop.notified() => self.end().await,
-            name = restarted => match name {
-                Some(name) => {
-                    let chassis = self.chassis.clone();
-                    let index = chassis.others().find(|index| chassis.name_of(*index) == name);
-                    self.begin_on(index.as_slice()).await;
-                    Answer::Recording(self.view())
-                }
-                // Every process has closed its part with the rest of it.
-                None => {
-                    self.over = true;
-                    Answer::Recorded(self.view())
-                }
-            },
-            () = tokio::time::sleep(pause) => {
-                if self.left() == Some(Duration::ZERO) {
-                    return self.end().await;
-                }
-                let members = self.files.keys().copied();
-                let key = self.key;
-                let told = ask_all(&self.chassis, members, || ReadRecord { key }, TIMEOUT).await;
-                self.told(told);
-                Answer::Recording(self.view())
+    /// Asks all that have a part of it how that is. One that does not answer is told by its own means.
+    async fn ask<C: Command<Reply = Option<RecordReport>>>(
+        &mut self,
+        order: impl Fn() -> C,
+        timeout: Duration,
+    ) {
+        let members = self.files.keys().copied();
+        for (index, told) in ask_all(&self.chassis, members, order, timeout).await {
+            if let Ok(Some(file)) = told {
+                self.files.insert(index, file);
             }
         }
     }
@@ -198,36 +195,15 @@ impl Recording {
     }
 
     fn view(&self) -> RecordView {
-        let files = self.files.iter();
+        let file = |(index, record): (&u8, &RecordReport)| RecordFile {
+            chassis: self.chassis.name_of(*index).to_owned(),
+            record: record.clone(),
+        };
         RecordView {
             key: self.key,
             took_s: self.chassis.clock.now().since(self.began).as_secs_f64(),
-            files: files
-                .map(|(index, record)| RecordFile {
-                    chassis: self.chassis.name_of(*index).to_owned(),
-                    record: record.clone(),
-                })
-                .collect(),
+            files: self.files.iter().map(file).collect(),
         }
-    }
-
-    /// What chassis tell of their records. One that does not answer is told by its own means.
-    fn told(&mut self, told: Vec<(u8, Result<Option<RecordReport>, Fault>)>) {
-        let told = told.into_iter();
-        self.files
-            .extend(told.filter_map(|(index, told)| Some((index, told.ok()??))));
-    }
-
-    async fn end(&mut self) -> Answer {
-        self.over = true;
-        let took_s = self.view().took_s;
-        let (members, key) = (self.files.keys().copied(), self.key);
-        let told = ask_all(&self.chassis, members, || EndRecord { key }, CLOSE_TIMEOUT).await;
-        self.told(told);
-        Answer::Recorded(RecordView {
-            took_s,
-            ..self.view()
-        })
     }
 }
 
@@ -236,10 +212,9 @@ impl Drop for Recording {
         lock(&self.all.stops).remove(&self.key);
         if !self.over {
             let (chassis, key) = (self.chassis.clone(), self.key);
-            let members: Vec<u8> = self.files.keys().copied().collect();
+            let members = std::mem::take(&mut self.files).into_keys();
             tokio::spawn(async move {
-                let order = || EndRecord { key };
-                ask_all(&chassis, members.into_iter(), order, CLOSE_TIMEOUT).await;
+                ask_all(&chassis, members, || EndRecord { key }, CLOSE_TIMEOUT).await;
             });
         }
     }

@@ -12,7 +12,8 @@ use std::{
     },
 };
 
-use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader};
+use serde_json::Value;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader, ReadHalf, WriteHalf};
 
 use crate::{
     control::{
@@ -26,12 +27,12 @@ use crate::{
 };
 use ctos_bootstrap::refusals::Refusals;
 use ctos_core::chassis::Chassis;
-use ctos_link::security::Role;
+use ctos_link::{security::Role, transport::Stream};
 use ctos_message::Tid;
 
 /// Where a client is read, and where it is answered.
-pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
-pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
+pub(super) type Reader = BufReader<ReadHalf<Stream>>;
+pub(super) type Writer = WriteHalf<Stream>;
 
 /// A client, as far as it has proved who it is.
 pub(super) struct Client {
@@ -129,10 +130,9 @@ impl Service {
         &self,
         client: &Client,
         speaker: &mut Speaker,
-        reader: Reader,
+        mut reader: Reader,
         mut writer: Writer,
     ) -> io::Result<()> {
-        let mut reader = BufReader::new(reader);
         let mut news = self.ticker.subscribe();
         loop {
             let mut line = Vec::new();
@@ -206,7 +206,7 @@ impl Service {
             Request::Logs(request) => return self.logs(&request, writer).await,
             Request::Stop { now } => return self.stop(now, writer).await,
             Request::Record(request) => return self.record(request, writer).await,
-            Request::Move { task, to } => return self.move_task(task, to, writer).await,
+            Request::Move { task, to } => return self.move_task(task, &to, writer).await,
             Request::Say(request) => self.say(request, speaker).await,
             Request::Ps {} => self.app().await.map(Answer::App),
             Request::Status { name } => self.status(&name).await,
@@ -240,20 +240,6 @@ enum Unreadable {
     Rubbish(serde_json::Error),
 }
 
-/// What every request of every version has.
-#[derive(serde::Deserialize)]
-#[expect(dead_code, reason = "it is only looked whether they are there")]
-struct AnyAsk {
-    version: u32,
-    request: AnyRequest,
-}
-
-#[derive(serde::Deserialize)]
-#[expect(dead_code, reason = "as above")]
-struct AnyRequest {
-    kind: String,
-}
-
 /// Reads a line: a request, or why this version does not know it.
 fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
     if doors::is_http(line) {
@@ -267,17 +253,17 @@ fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
             Unreadable::Cut
         });
     }
-    match serde_json::from_slice::<Ask>(line) {
-        Ok(ask) => Ok(Ok(ask)),
-        Err(reason) => match serde_json::from_slice::<AnyAsk>(line) {
-            Ok(_) => Ok(Err(reason)),
-            Err(_) => Err(Unreadable::Rubbish(reason)),
-        },
+    let said: Value = serde_json::from_slice(line).map_err(Unreadable::Rubbish)?;
+    // What every request of every version has.
+    let is_ask = said["version"].is_u64() && said["request"]["kind"].is_string();
+    match serde_json::from_value(said) {
+        Err(reason) if !is_ask => Err(Unreadable::Rubbish(reason)),
+        read => Ok(read),
     }
 }
 
 /// Ends when the client has closed its end, also while it is being answered.
-async fn closed(reader: &mut BufReader<Reader>) {
+async fn closed(reader: &mut Reader) {
     match reader.fill_buf().await {
         Ok([]) | Err(_) => {}
         // Its next request, which is read after this one.

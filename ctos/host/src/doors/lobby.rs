@@ -34,11 +34,17 @@ pub(crate) struct Lobby {
 
 #[derive(Default)]
 struct Guests {
+    /// Counts all that happens: who came, or was served, later has the greater number.
     last: u64,
-    /// Those that may be turned out, the longest silent first.
-    silent: BTreeMap<u64, oneshot::Sender<()>>,
-    /// Those that may not.
-    served: usize,
+    seats: BTreeMap<u64, Taken>,
+}
+
+/// A seat that is taken.
+struct Taken {
+    /// Since when its guest has said nothing; `None` while it is served, and not turned out.
+    silent: Option<u64>,
+    /// Dropped with the seat, which the guest hears.
+    _turned: oneshot::Sender<()>,
 }
 
 impl Lobby {
@@ -51,11 +57,7 @@ impl Lobby {
 
     /// Lets one more in, for whom the longest silent one goes; `None` when all are being served.
     async fn enter(self: &Arc<Self>) -> Option<Guest> {
-        let crowded = {
-            let guests = lock(&self.guests);
-            guests.silent.len() + guests.served >= self.most
-        };
-        if crowded {
+        if lock(&self.guests).seats.len() >= self.most {
             let turned = self.turn_out();
             tokio::time::sleep(PAUSE).await;
             if !turned {
@@ -63,10 +65,16 @@ impl Lobby {
             }
         }
         let (sender, turned) = oneshot::channel();
-        let number = lock(&self.guests).seat(sender);
+        let mut guests = lock(&self.guests);
+        let number = guests.next();
+        let taken = Taken {
+            silent: Some(number),
+            _turned: sender,
+        };
+        guests.seats.insert(number, taken);
         let seat = Arc::new(Seat {
             lobby: self.clone(),
-            number: Mutex::new(Some(number)),
+            number,
         });
         Some(Guest { seat, turned })
     }
@@ -96,15 +104,17 @@ impl Lobby {
 
     /// Turns out the longest silent one, if there is one.
     fn turn_out(&self) -> bool {
-        // Its sender is dropped, which it hears.
-        lock(&self.guests).silent.pop_first().is_some()
+        let mut guests = lock(&self.guests);
+        let silent = guests.seats.iter();
+        let silent = silent.filter_map(|(number, taken)| Some((taken.silent?, *number)));
+        let longest = silent.min().map(|(_, number)| number);
+        longest.is_some_and(|number| guests.seats.remove(&number).is_some())
     }
 }
 
 impl Guests {
-    fn seat(&mut self, sender: oneshot::Sender<()>) -> u64 {
+    fn next(&mut self) -> u64 {
         self.last += 1;
-        self.silent.insert(self.last, sender);
         self.last
     }
 }
@@ -118,8 +128,7 @@ pub(crate) struct Guest {
 /// Its place there; free when this is dropped.
 pub(crate) struct Seat {
     lobby: Arc<Lobby>,
-    /// Nothing while it is served.
-    number: Mutex<Option<u64>>,
+    number: u64,
 }
 
 impl Guest {
@@ -158,44 +167,30 @@ impl Guest {
 }
 
 /// A caller that is being served, and so not turned out.
-pub(crate) struct Served {
-    seat: Arc<Seat>,
-    sender: Option<oneshot::Sender<()>>,
-}
+pub(crate) struct Served(Arc<Seat>);
 
 impl Seat {
     /// Not turned out until what is returned is dropped; `None` when it has been.
     pub(crate) fn serve(self: &Arc<Self>) -> Option<Served> {
-        let number = lock(&self.number).take()?;
         let mut guests = lock(&self.lobby.guests);
-        let sender = guests.silent.remove(&number)?;
-        guests.served += 1;
-        drop(guests);
-        Some(Served {
-            seat: self.clone(),
-            sender: Some(sender),
-        })
+        guests.seats.get_mut(&self.number)?.silent = None;
+        Some(Served(self.clone()))
     }
 }
 
 impl Drop for Served {
     fn drop(&mut self) {
-        let Some(sender) = self.sender.take() else {
-            return;
-        };
-        let mut guests = lock(&self.seat.lobby.guests);
-        guests.served -= 1;
-        let number = guests.seat(sender);
-        drop(guests);
-        *lock(&self.seat.number) = Some(number);
+        let mut guests = lock(&self.0.lobby.guests);
+        let now = guests.next();
+        if let Some(taken) = guests.seats.get_mut(&self.0.number) {
+            taken.silent = Some(now);
+        }
     }
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        if let Some(number) = lock(&self.number).take() {
-            lock(&self.lobby.guests).silent.remove(&number);
-        }
+        lock(&self.lobby.guests).seats.remove(&self.number);
     }
 }
 

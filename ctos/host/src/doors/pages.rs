@@ -13,7 +13,6 @@ use hyper::{
     HeaderMap, Request, Response, StatusCode,
     body::{Body, Incoming},
     header::{CONNECTION, HOST, HeaderName, HeaderValue, ORIGIN},
-    rt::{Read, Write},
     server::conn::http1,
     service::{Service, service_fn},
 };
@@ -22,10 +21,10 @@ use tokio::{net::TcpListener, task::JoinSet};
 
 use super::{
     STRANGER_TIMEOUT,
-    lobby::{Guest, Lobby, Seat},
+    lobby::{Guest, Lobby},
 };
 use ctos_bootstrap::refusals::Refusals;
-use ctos_link::security::Keys;
+use ctos_link::{security::Keys, transport::Stream};
 use ctos_time::Clock;
 
 /// How many connections there are at a time. Browsers keep some open for nothing; those go first.
@@ -146,20 +145,19 @@ impl Pages {
                 who: peer,
                 here: here.ip(),
                 site: site.clone(),
-                seat: guest.seat(),
             };
             serving.spawn(async move {
-                let Some(tls) = tls else {
-                    return attend(guest, TokioIo::new(stream), caller, service).await;
+                let stream = match tls {
+                    None => Ok(Stream::Tcp(stream)),
+                    Some(tls) => {
+                        let met = tokio::time::timeout(STRANGER_TIMEOUT, tls.accept(stream)).await;
+                        met.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
+                            .map(|stream| Stream::Other(Box::new(stream)))
+                    }
                 };
-                let site = caller.site.clone();
-                let met = async {
-                    let met = tokio::time::timeout(STRANGER_TIMEOUT, tls.accept(stream)).await;
-                    met.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
-                };
-                match met.await {
-                    Ok(stream) => attend(guest, TokioIo::new(stream), caller, service).await,
-                    Err(error) => site.refuse(&peer.to_string(), &error.to_string()),
+                match stream {
+                    Ok(stream) => attend(guest, stream, caller, service).await,
+                    Err(error) => caller.refuse(&error.to_string()),
                 }
             });
         }
@@ -179,24 +177,27 @@ struct Caller {
     /// The address of this host that it called.
     here: IpAddr,
     site: Arc<Site>,
-    seat: Arc<Seat>,
+}
+
+impl Caller {
+    fn refuse(&self, reason: &str) {
+        self.site.refuse(&self.who.to_string(), reason);
+    }
 }
 
 /// Answers the requests of a connection, until it ends or is turned out.
-async fn attend<T, S, B>(guest: Guest, stream: T, caller: Caller, service: S)
+async fn attend<S, B>(guest: Guest, stream: Stream, caller: Caller, service: S)
 where
-    T: Read + Write + Unpin + Send + 'static,
     S: Service<Request<Incoming>, Response = Response<B>, Error = Infallible>,
     B: Body + From<String> + 'static,
     B::Error: Into<Box<dyn std::error::Error + Send + Sync>>,
 {
-    let (site, who) = (caller.site.clone(), caller.who.to_string());
+    let (seat, asking) = (guest.seat(), &caller);
     let answers = service_fn(move |request: Request<Incoming>| {
-        let meant = caller.site.meant(caller.here, request.headers());
-        let answer = match meant {
-            Ok(()) => Ok((caller.seat.serve(), service.call(request))),
+        let answer = match asking.site.meant(asking.here, request.headers()) {
+            Ok(()) => Ok((seat.serve(), service.call(request))),
             Err(reason) => {
-                caller.site.refuse(&caller.who.to_string(), reason);
+                asking.refuse(reason);
                 Err(refusal(reason))
             }
         };
@@ -212,13 +213,13 @@ where
         .half_close(true)
         .timer(TokioTimer::new())
         .header_read_timeout(SILENCE)
-        .serve_connection(stream, answers)
+        .serve_connection(TokioIo::new(stream), answers)
         .with_upgrades();
     // The end of a connection is nobody's failure.
     match guest.stay(served).await {
         Ok(Ok(())) => {}
         Ok(Err(error)) => tracing::debug!(error = %error, "a browser went away"),
-        Err(turned) => site.refuse(&who, &turned.to_string()),
+        Err(turned) => caller.refuse(&turned.to_string()),
     }
 }
 

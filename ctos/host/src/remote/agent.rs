@@ -22,6 +22,7 @@ use tokio::{
 use super::{
     is_same_user,
     run::{About, Common, Return, Run},
+    unpack::set_path,
     wire::{
         BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_TIMEOUT, Hello, HelloAnswer, Outbox,
         PROTOCOL, ToBoot, say_last,
@@ -33,7 +34,7 @@ use ctos_core::registry::Registry;
 use ctos_link::{
     handshake::{self, HandshakeError, Process},
     security::{Identity, KeyError, Keys, Role},
-    transport::{Call, Listener, Stream},
+    transport::{Address, Call, Listener, Stream},
 };
 use ctos_time::{Clock, lock::lock};
 
@@ -251,11 +252,8 @@ impl HostAgent {
                     let Identity { name, role } = keys.identity().clone();
                     return Err(AgentError::Role { name, role });
                 }
-                for (name, path) in [("key", key), ("authority", authority)] {
-                    let path = serde_json::Value::from(path.to_string_lossy());
-                    // A JSON string is a TOML string.
-                    key_arguments.push(format!("security.{name}={path}"));
-                }
+                key_arguments.push(set_path("security.key", &key));
+                key_arguments.push(set_path("security.authority", &authority));
                 Some(Arc::new(keys))
             }
             None if !setup.listen.ip().to_canonical().is_loopback() => {
@@ -263,12 +261,7 @@ impl HostAgent {
             }
             None => None,
         };
-        let metadata = std::fs::metadata(&setup.folder);
-        let is_folder = metadata.and_then(|found| {
-            let error = || io::Error::from(io::ErrorKind::NotADirectory);
-            found.is_dir().then_some(()).ok_or_else(error)
-        });
-        is_folder.map_err(|error| AgentError::Folder {
+        std::fs::read_dir(&setup.folder).map_err(|error| AgentError::Folder {
             folder: setup.folder.clone(),
             error,
         })?;
@@ -277,9 +270,9 @@ impl HostAgent {
             error,
         };
         let listener = Listener::tcp(setup.listen, keys).await.map_err(failed)?;
-        let address = match &listener {
-            Listener::Tcp(listener, _) => listener.local_addr()?,
-            Listener::Unix(..) | Listener::Zenoh(..) => setup.listen,
+        let address = match listener.address()? {
+            Address::Tcp(address) => address,
+            _ => setup.listen,
         };
         let secret = match setup.key {
             Some(_) => None,
@@ -353,17 +346,6 @@ impl HostAgent {
     async fn hear(&self, call: Call) -> Result<Heard, RefusedError> {
         let ends = call.ends();
         let (mut stream, identity) = call.prove().await?;
-        let refused = match &identity {
-            Some(identity) if !identity.may(Role::Boot) => {
-                Some(RefusedError::Role(identity.clone()))
-            }
-            Some(_) => None,
-            None => {
-                let same =
-                    ends.is_some_and(|(peer, ours)| is_same_user(peer, ours).unwrap_or(false));
-                (!same).then_some(RefusedError::User)
-            }
-        };
         let mut protocol = GREETING;
         tokio::io::AsyncReadExt::read_exact(&mut stream, &mut protocol)
             .await
@@ -372,39 +354,57 @@ impl HostAgent {
             return Err(HandshakeError::Version.into());
         }
         let hello: Hello = handshake::hear(&mut stream).await?;
-        let versions = (hello.protocol, hello.version.as_str());
-        let refused = refused.or_else(|| {
-            (versions != (PROTOCOL, env!("CARGO_PKG_VERSION"))).then(|| RefusedError::Version {
-                boot: hello.version.clone(),
-                protocol: hello.protocol,
-            })
-        });
-        let refused = refused.or_else(|| {
-            let secret = self.secret.as_ref();
-            let knows = secret.is_none_or(|secret| secret.is(hello.secret.as_ref()));
-            (!knows).then_some(RefusedError::Secret)
-        });
         Ok(Heard {
             stream,
             identity,
             hello,
-            refused,
+            ends,
         })
+    }
+
+    /// Why a caller gets no run, if that is so.
+    fn objection(&self, heard: &Heard, is_known: bool) -> Option<RefusedError> {
+        let Heard { hello, ends, .. } = heard;
+        match &heard.identity {
+            Some(identity) if !identity.may(Role::Boot) => {
+                return Some(RefusedError::Role(identity.clone()));
+            }
+            Some(_) => {}
+            None => {
+                let same = |(peer, ours)| is_same_user(peer, ours).unwrap_or(false);
+                if !ends.is_some_and(same) {
+                    return Some(RefusedError::User);
+                }
+            }
+        }
+        let versions = (hello.protocol, hello.version.as_str());
+        if versions != (PROTOCOL, env!("CARGO_PKG_VERSION")) {
+            return Some(RefusedError::Version {
+                boot: hello.version.clone(),
+                protocol: hello.protocol,
+            });
+        }
+        let secret = self.secret.as_ref();
+        if !secret.is_none_or(|secret| secret.is(hello.secret.as_ref())) {
+            return Some(RefusedError::Secret);
+        }
+        let is_full = !is_known && lock(&self.runs).len() >= RUNS;
+        is_full.then_some(RefusedError::Full)
     }
 
     /// Gives the caller a run, or says why not.
     async fn admit(self: &Arc<Self>, heard: Heard, from: Option<SocketAddr>) {
+        let known = lock(&self.runs).get(&heard.hello.run.0).cloned();
+        let objection = self.objection(&heard, known.is_some());
         let Heard {
             mut stream,
             identity,
             hello,
-            refused,
+            ..
         } = heard;
-        let known = lock(&self.runs).get(&hello.run.0).cloned();
-        let is_full = known.is_none() && lock(&self.runs).len() >= RUNS;
-        if let Some(refused) = refused.or(is_full.then_some(RefusedError::Full)) {
-            self.refuse(from, &refused.to_string());
+        if let Some(refused) = objection {
             let reason = refused.to_string();
+            self.refuse(from, &reason);
             return say_last(stream, &HelloAnswer::Refused { reason }).await;
         }
         let silence =
@@ -458,5 +458,6 @@ struct Heard {
     stream: Stream,
     identity: Option<Identity>,
     hello: Hello,
-    refused: Option<RefusedError>,
+    /// Where it comes from, and where it arrived.
+    ends: Option<(SocketAddr, SocketAddr)>,
 }

@@ -167,38 +167,37 @@ impl Link {
         let begun = async {
             for _ in 0..SAMPLES {
                 self.ping();
-                loop {
-                    match connection.hear().await.map_err(|error| error.to_string())? {
-                        ToBoot::Pong {
-                            number,
-                            monotonic_ns,
-                        } => {
-                            self.pong(number, monotonic_ns);
-                            break;
-                        }
-                        ToBoot::Refused { reason } => return Err(reason),
-                        _ => {}
-                    }
-                }
+                let is_pong = |said: &ToBoot| matches!(said, ToBoot::Pong { .. });
+                self.hear_until(connection, is_pong).await?;
             }
-            self.outbox
-                .say(ToAgent::App(Box::new((*self.files).clone())));
-            loop {
-                match connection.hear().await.map_err(|error| error.to_string())? {
-                    ToBoot::Unpacked => return Ok(()),
-                    ToBoot::Refused { reason } => return Err(reason),
-                    _ => {}
-                }
-            }
+            let files = (*self.files).clone();
+            self.outbox.say(ToAgent::App(Box::new(files)));
+            self.hear_until(connection, |said| *said == ToBoot::Unpacked)
+                .await
         };
         let begun = tokio::time::timeout(timeout, begun).await;
         let begun = begun.unwrap_or_else(|_| {
             Err(format!(
                 "its agent did not take the app within {:.3} s",
-                self.phase.as_secs_f64()
+                timeout.as_secs_f64()
             ))
         });
         begun.map_err(|reason| self.error(reason))
+    }
+
+    async fn hear_until(
+        &mut self,
+        connection: &mut Connection,
+        is_it: impl Fn(&ToBoot) -> bool,
+    ) -> Result<(), String> {
+        loop {
+            let said = connection.hear().await.map_err(|error| error.to_string())?;
+            let done = is_it(&said);
+            self.heard(said)?;
+            if done {
+                return Ok(());
+            }
+        }
     }
 
     pub(super) fn ping(&mut self) {

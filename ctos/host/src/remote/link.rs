@@ -402,7 +402,7 @@ impl Link {
     }
 
     /// Passes on what the agent says.
-    fn heard(&mut self, said: ToBoot) -> Result<(), String> {
+    pub(super) fn heard(&mut self, said: ToBoot) -> Result<(), String> {
         let host = self.host.name.clone();
         match said {
             ToBoot::Started(id, pid) => {

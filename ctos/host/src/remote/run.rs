@@ -5,7 +5,6 @@
 
 use std::{
     collections::BTreeMap,
-    io,
     path::PathBuf,
     sync::{
         Arc,
@@ -15,10 +14,7 @@ use std::{
 };
 
 use rustix::process::Signal;
-use tokio::{
-    process::ChildStdin,
-    sync::{mpsc, watch},
-};
+use tokio::sync::{mpsc, watch};
 
 use super::{
     agent::{AgentEvent, AgentObserver},
@@ -29,7 +25,7 @@ use super::{
 };
 use crate::boot::{
     launcher::{Briefing, ProcessId, TETHER_VARIABLE},
-    spawn::{self, Ending, LAST_WORDS, Tether},
+    spawn::{self, Ending, LAST_WORDS, Spawned, Tether},
 };
 use ctos_core::registry::Registry;
 use ctos_time::Clock;
@@ -65,23 +61,30 @@ pub(super) struct About {
 struct Child {
     name: String,
     id: ProcessId,
-    pid: Option<u32>,
-    signals: Option<mpsc::UnboundedSender<Signal>>,
-    tether: Option<ChildStdin>,
     /// How many lines its log has so far.
     lines: Arc<AtomicU64>,
-    ended: Option<Ending>,
+    /// It runs, or how it has ended.
+    state: Result<Spawned, Ending>,
 }
 
 /// A process has ended.
 type Gone = (ProcessId, Ending);
 
-/// Why a run is over.
-enum Over {
-    Bye,
-    Lost(String),
-    Refused,
-    Stopping,
+/// Why a run is over, and whether its boot is there to hear of it.
+struct Over {
+    why: String,
+    heard: bool,
+}
+
+impl Over {
+    fn new(why: impl Into<String>) -> Self {
+        let (why, heard) = (why.into(), true);
+        Self { why, heard }
+    }
+
+    fn lost(why: String) -> Self {
+        Self { why, heard: false }
+    }
 }
 
 /// A run.
@@ -114,17 +117,11 @@ impl Run {
         mut anew: mpsc::UnboundedReceiver<Return>,
     ) {
         let mut connection = Some(first);
-        let why = match self.live(&mut connection, &mut anew).await {
-            Over::Bye => "the boot has ended it".to_owned(),
-            Over::Refused => "it cannot run here".to_owned(),
-            Over::Stopping => "the agent is being stopped".to_owned(),
-            Over::Lost(reason) => {
-                tracing::warn!(app = self.about.app, reason, "a run is ended");
-                // Nobody is left to hear of it.
-                connection = None;
-                reason
-            }
-        };
+        let Over { why, heard } = self.live(&mut connection, &mut anew).await;
+        if !heard {
+            tracing::warn!(app = self.about.app, reason = why, "a run is ended");
+            connection = None;
+        }
         self.end().await;
         if let Some(unpacked) = self.unpacked.take() {
             unpacked.remove();
@@ -161,7 +158,7 @@ impl Run {
             };
             tokio::select! {
                 heard = heard => match heard {
-                    Ok(ToAgent::Bye) => return Over::Bye,
+                    Ok(ToAgent::Bye) => return Over::new("the boot has ended it"),
                     Ok(said) => {
                         pulse.heard();
                         if let (ToAgent::App(_), Some(connection)) = (&said, connection.as_mut()) {
@@ -172,11 +169,7 @@ impl Run {
                         }
                     }
                     Err(WireError::Garbled(error)) => {
-                        return Over::Lost(format!("the boot says what cannot be read: {error}"));
-                    }
-                    // A frame that is too long, or what is no TLS.
-                    Err(WireError::Io(error)) if error.kind() == io::ErrorKind::InvalidData => {
-                        return Over::Lost(format!("the boot says what cannot be read: {error}"));
+                        return Over::lost(format!("the boot says what cannot be read: {error}"));
                     }
                     Err(error) => {
                         tracing::debug!(app = self.about.app, error = %error, "a boot is away");
@@ -190,14 +183,14 @@ impl Run {
                         *connection = Some(new);
                         self.say_all();
                     }
-                    Return::Anew => return Over::Lost("its boot has begun anew".to_owned()),
+                    Return::Anew => return Over::lost("its boot has begun anew".to_owned()),
                 },
                 Some(gone) = self.gone.1.recv() => self.ended(gone),
                 _ = ticks.tick() => if let Err(error) = pulse.look() {
                     let reason = if connection.is_some() { error.to_string() } else { broke };
-                    return Over::Lost(format!("its boot is gone: {reason}"));
+                    return Over::lost(format!("its boot is gone: {reason}"));
                 },
-                _ = stopping.wait_for(|stopping| *stopping) => return Over::Stopping,
+                _ = stopping.wait_for(|stopping| *stopping) => return Over::new("the agent is being stopped"),
             }
         }
     }
@@ -212,16 +205,15 @@ impl Run {
                         reason: reason.clone(),
                     });
                     self.outbox.say(ToBoot::Refused { reason });
-                    return Err(Over::Refused);
+                    return Err(Over::new("it cannot run here"));
                 }
             },
             ToAgent::Start(chassis, briefing) => self.start(chassis, &briefing),
             ToAgent::Signal(id, signal) => {
                 let child = self.children.get(&id.chassis);
                 let child = child.filter(|child| child.id == id);
-                if let Some(signals) = child.and_then(|child| child.signals.as_ref()) {
-                    // One that has ended needs none.
-                    let _ = signals.send(match signal {
+                if let Some(Ok(spawned)) = child.map(|child| &child.state) {
+                    spawned.signal(match signal {
                         Asked::Term => Signal::TERM,
                         Asked::Kill => Signal::KILL,
                     });
@@ -258,30 +250,20 @@ impl Run {
             incarnation,
         };
         let lines = Arc::default();
-        let (mut pid, mut signals, mut tether, mut ended) = (None, None, None, None);
-        match self.spawn(id, briefing, &lines) {
-            Ok(spawned) => {
-                pid = spawned.pid;
-                signals = Some(spawned.signals);
-                tether = spawned.tether;
-                self.tell(&AgentEvent::Started {
-                    app: self.about.app.clone(),
-                    chassis: briefing.name.clone(),
-                    pid,
-                });
-            }
-            Err(reason) => {
-                ended = Some(Ending::unseen(format!("could not be started: {reason}")));
-            }
+        let spawned = self.spawn(id, briefing, &lines);
+        if let Ok(spawned) = &spawned {
+            self.tell(&AgentEvent::Started {
+                app: self.about.app.clone(),
+                chassis: briefing.name.clone(),
+                pid: spawned.pid,
+            });
         }
+        let failed = |reason| Ending::unseen(format!("could not be started: {reason}"));
         let child = Child {
             name: briefing.name.clone(),
             id,
-            pid,
-            signals,
-            tether,
             lines,
-            ended,
+            state: spawned.map_err(failed),
         };
         self.say_of(&child);
         self.children.insert(chassis, child);
@@ -292,7 +274,7 @@ impl Run {
         id: ProcessId,
         briefing: &Briefing,
         lines: &Arc<AtomicU64>,
-    ) -> Result<spawn::Spawned, String> {
+    ) -> Result<Spawned, String> {
         let unpacked = self.unpacked.as_ref();
         let unpacked = unpacked.ok_or("the app's files were not sent")?;
         let mut command = unpacked.command(&self.common);
@@ -317,29 +299,26 @@ impl Run {
         let Some(child) = child.filter(|child| child.id == id) else {
             return;
         };
-        child.signals = None;
-        child.tether = None;
         let event = AgentEvent::Ended {
             app: self.about.app.clone(),
             chassis: child.name.clone(),
             how: ending.how.clone(),
         };
-        child.ended = Some(ending);
+        child.state = Err(ending);
         self.tell(&event);
-        self.children
-            .get(&id.chassis)
-            .into_iter()
-            .for_each(|child| self.say_of(child));
+        if let Some(child) = self.children.get(&id.chassis) {
+            self.say_of(child);
+        }
     }
 
     /// Says how a process is.
     fn say_of(&self, child: &Child) {
-        self.outbox.say(match &child.ended {
-            Some(ending) => {
+        self.outbox.say(match &child.state {
+            Ok(spawned) => ToBoot::Started(child.id, spawned.pid),
+            Err(ending) => {
                 let lines = child.lines.load(Ordering::Relaxed);
                 ToBoot::Ended(child.id, ending.clone(), lines)
             }
-            None => ToBoot::Started(child.id, child.pid),
         });
     }
 
@@ -356,32 +335,32 @@ impl Run {
     /// Ends what is left of the run: lets it go, which it takes as the loss of its boot and stops in
     /// order, then SIGTERM, then SIGKILL.
     async fn end(&mut self) {
-        for child in self.children.values_mut() {
-            child.tether = None;
-        }
         let rung = self.about.stop;
-        for signal in [None, Some(Signal::TERM), Some(Signal::KILL)] {
-            if let Some(signal) = signal {
-                for child in self.children.values() {
-                    if let Some(signals) = &child.signals {
-                        tracing::warn!(chassis = child.name, signal = ?signal, "does not end by itself");
-                        // One that has ended needs none.
-                        let _ = signals.send(signal);
-                    }
+        // The end of the last one is seen when its log is read, for which it has some time.
+        let last = rung.max(2 * LAST_WORDS);
+        let rungs = [
+            (None, rung),
+            (Some(Signal::TERM), rung),
+            (Some(Signal::KILL), last),
+        ];
+        for (signal, timeout) in rungs {
+            for child in self.children.values_mut() {
+                let Ok(spawned) = &mut child.state else {
+                    continue;
+                };
+                spawned.tether = None;
+                if let Some(signal) = signal {
+                    tracing::warn!(chassis = child.name, signal = ?signal, "does not end by itself");
+                    spawned.signal(signal);
                 }
             }
             let all = async {
-                while self.children.values().any(|child| child.ended.is_none()) {
+                while self.children.values().any(|child| child.state.is_ok()) {
                     match self.gone.1.recv().await {
                         Some(gone) => self.ended(gone),
                         None => return,
                     }
                 }
-            };
-            let timeout = match signal {
-                // Its end is seen when its log is read, for which it has some time.
-                Some(Signal::KILL) => rung.max(2 * LAST_WORDS),
-                _ => rung,
             };
             if tokio::time::timeout(timeout, all).await.is_ok() {
                 return;

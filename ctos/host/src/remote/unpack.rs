@@ -1,7 +1,12 @@
 //! The files of an app on the agent's host: whether this program can run the app, and the folder in which
 //! they are laid down.
 
-use std::{collections::BTreeMap, fs::Permissions, os::unix::fs::PermissionsExt, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    fs::Permissions,
+    os::unix::fs::PermissionsExt,
+    path::{Path, PathBuf},
+};
 
 use tempfile::TempDir;
 use tokio::process::Command;
@@ -69,9 +74,7 @@ impl Unpacked {
             command.args(["--set", set]);
         }
         if let Some(record) = &self.record {
-            let path = serde_json::Value::from(record.to_string_lossy());
-            // A JSON string is a TOML string.
-            command.args(["--set", &format!("record.file={path}")]);
+            command.args(["--set", &set_path("record.file", record)]);
         }
         for (name, value) in &self.variables {
             match value {
@@ -82,6 +85,12 @@ impl Unpacked {
         command.args(&self.options);
         command
     }
+}
+
+/// What is said behind `--set`, so that `key` is `path`.
+pub(super) fn set_path(key: &str, path: &Path) -> String {
+    // A JSON string is a TOML string.
+    format!("{key}={}", serde_json::Value::from(path.to_string_lossy()))
 }
 
 /// What of `wanted` this program lacks.

@@ -224,8 +224,9 @@ pub(crate) enum WireError {
     Io(#[from] io::Error),
     #[error("the other end hung up")]
     HungUp,
+    /// Also a frame that is too long, or what is no TLS.
     #[error("what it says cannot be read: {0}")]
-    Garbled(#[from] postcard::Error),
+    Garbled(String),
     #[error("nothing was heard of it for {:.3} s", .0.as_secs_f64())]
     Silence(Duration),
 }
@@ -268,8 +269,11 @@ impl Connection {
     pub(crate) async fn hear<T: DeserializeOwned>(&mut self) -> Result<T, WireError> {
         tokio::select! {
             frame = self.frames.next() => {
-                let frame = frame.ok_or(WireError::HungUp)??;
-                Ok(postcard::from_bytes(&frame)?)
+                let frame = frame.ok_or(WireError::HungUp)?.map_err(|error| match error.kind() {
+                    io::ErrorKind::InvalidData => WireError::Garbled(error.to_string()),
+                    _ => error.into(),
+                })?;
+                postcard::from_bytes(&frame).map_err(|error| WireError::Garbled(error.to_string()))
             }
             error = &mut self.writer => Err(error.unwrap_or(WireError::HungUp)),
         }
@@ -291,7 +295,7 @@ async fn write<T: Said>(
         let item = outbox.next().await;
         let frame = match postcard::to_stdvec(&item) {
             Ok(body) => framed(body),
-            Err(error) => return error.into(),
+            Err(error) => return WireError::Garbled(error.to_string()),
         };
         let written = async {
             stream.write_all(&frame).await?;

@@ -82,7 +82,7 @@ impl Node {
     /// The next event that is not the arrival of a link.
     async fn event(&mut self) -> MeshEvent {
         loop {
-            match self.mesh.next().await.unwrap() {
+            match self.mesh.next().await {
                 MeshEvent::Up { .. } => {}
                 other => return other,
             }
@@ -92,7 +92,7 @@ impl Node {
     /// Waits until a chassis is connected to this one.
     async fn linked(&mut self, chassis: u8) {
         while !self.chassis.is_linked(chassis) {
-            self.mesh.next().await.unwrap();
+            self.mesh.next().await;
         }
     }
 
@@ -344,7 +344,7 @@ fn a_chassis_that_was_started_again_joins_and_its_predecessors_link_goes_down_fi
         // What the boot sees of chassis 2; of its first life it may hear again that it has joined.
         let mut seen = Vec::new();
         while seen.last() != Some(&("joined", 2)) {
-            match boot.mesh.next().await.unwrap() {
+            match boot.mesh.next().await {
                 MeshEvent::Up {
                     chassis: 2,
                     incarnation,

@@ -126,16 +126,12 @@ impl Service {
             }
         }
         let mut news = self.ticker.subscribe();
-        let (lines, mut following) = self.logs.follow();
+        let (mut lines, mut following) = self.logs.follow();
         let last_at = lines.last().map_or(f64::NEG_INFINITY, |line| line.at_s);
-        let chosen: Vec<LogLine> = lines
-            .into_iter()
-            .filter(|line| self.is_wanted(line, request))
-            .collect();
-        let skipped = request
-            .last
-            .map_or(0, |last| chosen.len().saturating_sub(last));
-        for line in chosen.into_iter().skip(skipped) {
+        lines.retain(|line| self.is_wanted(line, request));
+        let kept = request.last.unwrap_or(usize::MAX);
+        let skipped = lines.len().saturating_sub(kept);
+        for line in lines.into_iter().skip(skipped) {
             tell(writer, &Answer::Log(line)).await?;
         }
         let mut is_over = false;
