@@ -19,7 +19,7 @@ use ctos_core::{
     system::{self, FindTid, Missing},
     tap::WaitFor,
 };
-use ctos_message::{Command, Data, Flags, Tid, ToJson, fault::Fault};
+use ctos_message::{Command, Data, DataType, Flags, Tid, fault::Fault};
 use ctos_time::{Clock, Instant, lock::lock};
 
 /// Text of data in a difference is cut here, letters.
@@ -277,10 +277,10 @@ impl Others {
             return state.report.same();
         }
         let known = self.names.command(&self.names.task(self.task), command);
-        let to_json = known.map(|known| known.reply);
+        let kind = known.map(|known| known.reply);
         let name = self.command_name(self.task, command);
         let shown = |answer: &Result<Vec<u8>, Fault>| match answer {
-            Ok(data) => format!("answer to `{name}`: {}", text_of(data, to_json)),
+            Ok(data) => format!("answer to `{name}`: {}", text_of(data, kind)),
             Err(fault) => format!("answer to `{name}`: {fault}"),
         };
         let got = got.as_ref().map_or_else(|| "no answer".to_owned(), shown);
@@ -345,10 +345,11 @@ fn bytes_of(data: &Data) -> Result<Vec<u8>, Fault> {
 }
 
 /// Data in words: as JSON where its type is known.
-fn text_of(data: &[u8], to_json: Option<ToJson>) -> String {
+fn text_of(data: &[u8], kind: Option<DataType>) -> String {
     let mut json = Vec::new();
-    let known = to_json.is_some_and(|to_json| to_json.convert(data, &mut json).is_ok());
-    if !known {
+    let shape = kind.and_then(DataType::shape);
+    let read = shape.and_then(|shape| shape.convert(data, &mut json));
+    if read.is_none() {
         return hex(data);
     }
     let text = String::from_utf8_lossy(&json);
