@@ -92,7 +92,7 @@ impl Joined {
     /// Writes what can be written at once, from whatever thread. The driver finds a stream that fails, and writes
     /// where only it may.
     fn pump(&mut self, now: Instant) {
-        let failed = match &self.writer {
+        let needs_driver = match &self.writer {
             Some(Writer::Direct(carrier)) => {
                 let pumped = self.core.pump(now, |slices| carrier.try_write(slices));
                 pumped.is_err()
@@ -100,7 +100,7 @@ impl Joined {
             Some(Writer::Driven(_)) => true,
             None => false,
         };
-        if failed && let Some(driver) = &self.driver {
+        if needs_driver && let Some(driver) = &self.driver {
             driver.wake_by_ref();
         }
     }

@@ -143,21 +143,13 @@ pub fn put_head(into: &mut BytesMut, kind: Kind, numbers: [u64; 2], size: usize)
     into.put_slice(&head);
 }
 
-/// A packet whose head has come.
-#[derive(Clone, Copy)]
-struct Begun {
-    kind: Kind,
-    numbers: [u64; 2],
-    /// How much of its data has not come.
-    missing: usize,
-}
-
 /// Reads packets out of a stream that is cut anywhere.
 #[derive(Default)]
 pub struct Decoder {
     /// What has come of the packet's head, and of the fixed part behind it.
     head: Vec<u8>,
-    begun: Option<Begun>,
+    /// A packet whose head has come, and how much of its data has not.
+    begun: Option<(Packet, usize)>,
     body: Vec<u8>,
     /// What has come of a frame that comes in pieces.
     pieces: Vec<u8>,
@@ -173,47 +165,40 @@ impl Decoder {
             if !fill(&mut self.head, PACKET_HEAD, bytes) {
                 return Ok(None);
             }
-            let mut begun = match self.begun {
+            let (mut packet, mut missing) = match self.begun.take() {
                 Some(begun) => begun,
                 None => self.begin()?,
             };
-            if fill(&mut self.head, PACKET_HEAD + begun.kind.fixed(), bytes) {
-                let (now, later) = bytes.split_at(begun.missing.min(bytes.len()));
-                let is_piece = begun.kind == Kind::Piece;
+            if fill(&mut self.head, PACKET_HEAD + packet.kind.fixed(), bytes) {
+                let (now, later) = bytes.split_at(missing.min(bytes.len()));
+                let is_piece = packet.kind == Kind::Piece;
                 let into = if is_piece {
                     &mut self.pieces
                 } else {
                     &mut self.body
                 };
                 into.extend_from_slice(now);
-                begun.missing -= now.len();
+                missing -= now.len();
                 *bytes = later;
-                if begun.missing == 0 {
-                    let content = self.finish(begun.kind)?;
+                if missing == 0 {
+                    packet.content = self.finish(packet.kind)?;
                     if is_piece {
                         continue;
                     }
-                    let [number, received] = begun.numbers;
-                    let kind = begun.kind;
-                    return Ok(Some(Packet {
-                        kind,
-                        number,
-                        received,
-                        content,
-                    }));
+                    return Ok(Some(packet));
                 }
             }
-            self.begun = Some(begun);
+            self.begun = Some((packet, missing));
             return Ok(None);
         }
     }
 
     /// Reads the head, which is there.
-    fn begin(&mut self) -> Result<Begun, PacketError> {
+    fn begin(&mut self) -> Result<(Packet, usize), PacketError> {
         let mut head = self.head.as_slice();
         let length = usize::try_from(head.get_u32_le()).unwrap_or(usize::MAX);
         let byte = head.get_u8();
-        let numbers = [head.get_u64_le(), head.get_u64_le()];
+        let (number, received) = (head.get_u64_le(), head.get_u64_le());
         let kind = Kind::from_byte(byte).ok_or(PacketError::Kind(byte))?;
         let allowed = kind.sizes();
         let size = length.wrapping_sub(PACKET_HEAD - 4);
@@ -227,28 +212,28 @@ impl Decoder {
         }
         let missing = size - kind.fixed();
         if kind == Kind::Piece {
-            let at = numbers[0];
-            if at == 0 {
+            if number == 0 {
                 // The first of a frame; perhaps of one that begins anew.
                 self.pieces.clear();
             }
             let come = self.pieces.len();
-            if at != come as u64 || come + size > FRAME_LIMIT {
-                return Err(PacketError::Piece { at, come });
+            if number != come as u64 || come + size > FRAME_LIMIT {
+                return Err(PacketError::Piece { at: number, come });
             }
         } else {
             self.body.reserve_exact(missing.min(RESERVE));
         }
-        Ok(Begun {
+        let packet = Packet {
             kind,
-            numbers,
-            missing,
-        })
+            number,
+            received,
+            content: Content::Nothing,
+        };
+        Ok((packet, missing))
     }
 
     /// What the packet carries that has come as a whole.
     fn finish(&mut self, kind: Kind) -> Result<Content, PacketError> {
-        self.begun = None;
         let mut body = std::mem::take(&mut self.body);
         let content = match kind {
             Kind::Frame => {
