@@ -25,7 +25,7 @@ use ctos_config::{Bundle, load};
 use ctos_core::registry::Registry;
 use ctos_link::{
     handshake::{self, Token},
-    transport::{Address, Stream},
+    transport::Address,
 };
 
 /// A test that takes longer hangs; none takes a fraction of it.
