@@ -58,32 +58,21 @@ struct Case {
     size: usize,
     /// They come back.
     back: bool,
-    /// They are made where others can read them, and not anywhere.
-    placed: bool,
     /// How often at most.
     most: usize,
 }
 
-const CASES: [Case; 3] = [
+const CASES: [Case; 2] = [
     Case {
         name: "call, 64 B there and back",
         size: 64,
         back: true,
-        placed: false,
         most: 200_000,
     },
     Case {
-        name: "image, 750 kB there, made anywhere",
+        name: "image, 750 kB there",
         size: 750_000,
         back: false,
-        placed: false,
-        most: 1_000,
-    },
-    Case {
-        name: "image, 750 kB there, made in the memory of the chassis",
-        size: 750_000,
-        back: false,
-        placed: true,
         most: 5_000,
     },
 ];
@@ -112,23 +101,13 @@ impl EventHandler for Caller {
             let far = cx.task("far").await.unwrap();
             let mut lines = Vec::new();
             for Case {
-                size,
-                back,
-                placed,
-                most,
-                ..
+                size, back, most, ..
             } in CASES
             {
                 let mut times = Vec::new();
                 let clock = Clock::real();
                 // As the raw peers do, the same bytes again and again.
-                let all = if placed {
-                    let mut all = cx.blob(size);
-                    all.fill(1);
-                    all.freeze()
-                } else {
-                    Blob::from(vec![1; size])
-                };
+                let all = Blob::from(vec![1; size]);
                 while times.len() < most && clock.now().since_start() < LIMIT {
                     let bytes = all.clone();
                     let began = clock.now();

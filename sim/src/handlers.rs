@@ -302,12 +302,12 @@ impl SimCamera {
             let truth = self.renderer.truth();
             (truth.width, truth.height)
         };
-        let mut pixels = cx.blob(width * height);
+        let mut pixels = vec![0; width * height];
         self.renderer.render_into(&scene, number, &mut pixels);
         Ok(Frame {
             width,
             height,
-            pixels: pixels.freeze(),
+            pixels: pixels.into(),
             stamp: cx.now().since_start(),
             number,
         })

@@ -121,8 +121,8 @@ pub mod time {
 /// Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
 pub mod message {
     pub use ctos_message::{
-        Command, CommandInfo, Data, Fields, Flags, Header, Payload, PayloadError, SYSTEM_COMMANDS,
-        Tid, ToJson, trimmed,
+        Command, CommandInfo, Data, DataType, Flags, Header, Payload, PayloadError,
+        SYSTEM_COMMANDS, Tid, trimmed,
     };
 
     pub use crate::envelope::{Message, Replier};

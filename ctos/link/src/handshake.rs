@@ -12,7 +12,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use crate::{address::Address, noise};
 
 /// The first bytes of a caller: the protocol, and its version.
-const GREETING: [u8; 8] = *b"ctos\0\0\0\x05";
+const GREETING: [u8; 8] = *b"ctos\0\0\0\x06";
 
 /// The most that is read before both ends know each other, bytes.
 pub const HANDSHAKE_LIMIT: usize = 16 * 1024;

@@ -11,7 +11,6 @@ mod sources;
 
 use std::{
     io,
-    os::fd::BorrowedFd,
     sync::{
         Arc, Mutex, MutexGuard, OnceLock, TryLockError,
         atomic::{AtomicBool, AtomicU64, Ordering, fence},
@@ -19,8 +18,6 @@ use std::{
     thread::Thread,
     time::Duration,
 };
-
-use mio::Token;
 
 pub use self::sources::{Happened, Seen, Source, Visible};
 use self::sources::{LOOKS_PER_POLL, Poller, Sources};
@@ -190,21 +187,13 @@ impl Reactor {
     ///
     /// # Errors
     /// What the system says.
-    pub fn add(
-        self: &Arc<Self>,
-        make: impl FnOnce(Token) -> Arc<dyn Source>,
-    ) -> io::Result<Watched> {
-        let (id, source) = self.sources.add(make)?;
+    pub fn add(self: &Arc<Self>, source: Arc<dyn Source>) -> io::Result<Watched> {
+        let id = self.sources.add(source.clone())?;
         Ok(Watched {
             reactor: self.clone(),
             source,
             id,
         })
-    }
-
-    /// Tells a source anew what has happened to it, and from now on also when it is writable, or no longer.
-    pub fn tell(&self, fd: BorrowedFd<'_>, token: Token, writable: bool) {
-        self.sources.tell(fd, token, writable);
     }
 
     /// Ends the standby; nobody looks at the links any more.

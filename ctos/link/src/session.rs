@@ -5,7 +5,7 @@
 //! time. Packets are numbered and kept until the other end has acknowledged them; a new stream goes on
 //! where the old one broke. Signs of life tell a peer that is frozen or cut off from one that is idle.
 //! All that is in `core.rs`; here it is shared by threads, joined to a stream that takes bytes
-//! ([`Writer`]) and to a [`Receiver`]. Who connects to whom is decided elsewhere.
+//! and to a [`Receiver`]. Who connects to whom is decided elsewhere.
 
 mod core;
 mod direct;
@@ -14,26 +14,25 @@ mod line;
 pub mod packet;
 pub mod state;
 mod window;
-mod writer;
 
 use std::{
     fmt, io,
+    pin::Pin,
     sync::{Arc, Mutex},
     task::{Context as PollContext, Poll, Waker},
     time::Duration,
 };
 
-use tokio::sync::watch;
+use tokio::{io::AsyncWrite, sync::watch};
 
 pub use self::core::{AttachError, Limits};
 pub use self::state::DownReason;
-pub use self::writer::{Bytes, Writer};
 use self::{
     core::Core,
+    direct::Carrier,
     packet::Content,
     state::{Event, State},
-    window::Pumped,
-    writer::Socket,
+    window::{PIECE, PIECE_NEARBY},
 };
 use crate::{
     frame::{Counts, Frame, Full, Link},
@@ -65,6 +64,14 @@ pub struct Session {
     state: watch::Sender<State>,
 }
 
+/// Where a session writes.
+enum Writer {
+    /// From any thread.
+    Direct(Arc<Carrier>),
+    /// From its driver only.
+    Driven(Box<dyn AsyncWrite + Send + Unpin>),
+}
+
 /// The core of a session, joined to its stream.
 struct Joined {
     core: Core,
@@ -82,27 +89,20 @@ pub(super) struct Read {
 }
 
 impl Joined {
-    /// Writes what can be written at once, from whatever thread.
-    fn pump(&mut self, now: Instant) -> io::Result<Pumped> {
-        match &self.writer {
-            Some(writer) => self.core.pump(now, |slices| writer.try_write(slices)),
-            None => Ok(Pumped::Idle),
-        }
-    }
-
-    /// Writes, or lets the driver write: it finds a stream that fails, and only it may be told that one is writable
-    /// again. Whether the stream takes no more.
-    fn pump_or_wake(&mut self, now: Instant) -> bool {
-        let pumped = self.pump(now);
-        let needs_driver = match pumped {
-            Ok(Pumped::Idle) => self.core.is_injured(),
-            Ok(Pumped::Blocked) => !self.writer.as_ref().is_some_and(Writer::is_watched),
-            Err(_) => true,
+    /// Writes what can be written at once, from whatever thread. The driver finds a stream that fails, and writes
+    /// where only it may.
+    fn pump(&mut self, now: Instant) {
+        let needs_driver = match &self.writer {
+            Some(Writer::Direct(carrier)) => {
+                let pumped = self.core.pump(now, |slices| carrier.try_write(slices));
+                pumped.is_err()
+            }
+            Some(Writer::Driven(_)) => true,
+            None => false,
         };
         if needs_driver && let Some(driver) = &self.driver {
             driver.wake_by_ref();
         }
-        matches!(pumped, Ok(Pumped::Blocked))
     }
 
     /// The state is another one: a stream that is of no more use is let go.
@@ -111,7 +111,7 @@ impl Joined {
             State::Broken => self.writer = None,
             State::Down => {
                 // A last attempt; nobody waits for it.
-                let _ = self.pump(now);
+                self.pump(now);
                 self.writer = None;
             }
             State::Waiting | State::Up | State::Draining | State::Closing => {}
@@ -182,21 +182,25 @@ impl Session {
     ///
     /// # Errors
     /// When the session is over, or the other end claims to have what was never sent.
-    pub fn attach(self: &Arc<Self>, writer: Writer, received: u64) -> Result<u64, AttachError> {
+    fn attach(self: &Arc<Self>, writer: Writer, received: u64) -> Result<u64, AttachError> {
         let _handing = lock(&self.handing);
-        let attached = {
+        let stream = {
             let mut joined = lock(&self.joined);
             let now = self.clock.now();
-            let attached = joined.core.attach(received, writer.piece(), now)?;
+            let piece = match &writer {
+                Writer::Direct(carrier) if carrier.is_nearby() => PIECE_NEARBY,
+                _ => PIECE,
+            };
+            let stream = joined.core.attach(received, piece, now)?;
             joined.writer = Some(writer);
-            attached
+            stream
         };
         self.state.send_replace(State::Up);
-        if attached.first {
+        if stream == 1 {
             self.receiver.up(self.clone());
         }
         self.wake_driver();
-        Ok(attached.stream)
+        Ok(stream)
     }
 
     /// The session of `stream` lost it.
@@ -214,7 +218,7 @@ impl Session {
                 let mut joined = lock(&self.joined);
                 let heard = joined.core.read(stream, &mut bytes, now);
                 if heard.writes {
-                    joined.pump_or_wake(now);
+                    joined.pump(now);
                 }
                 if heard.changed {
                     joined.settle(now);
@@ -244,13 +248,11 @@ impl Session {
         }
     }
 
-    /// Goes on writing to `stream`, which may be writable again. A `socket` is awaited as long as it is not.
-    pub(super) fn pump(&self, stream: u64, socket: Option<&Socket>) {
+    /// Goes on writing to `stream`, which may be writable again.
+    pub(super) fn pump(&self, stream: u64) {
         let mut joined = lock(&self.joined);
-        let blocked = joined.core.stream() == stream && joined.pump_or_wake(self.clock.now());
-        if let (false, Some(socket)) = (blocked, socket) {
-            // Whoever is blocked later asks behind this: under the lock, too.
-            socket.await_writable(false);
+        if joined.core.stream() == stream {
+            joined.pump(self.clock.now());
         }
     }
 
@@ -271,16 +273,25 @@ impl Session {
             return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
         }
         *driver = Some(cx.waker().clone());
-        let pumped = core.pump(now, |slices| match writer.poll_write(cx, slices) {
-            Poll::Ready(written) => written,
-            Poll::Pending => Err(io::ErrorKind::WouldBlock.into()),
+        let stream = match writer {
+            Writer::Direct(carrier) => {
+                let pumped = core.pump(now, |slices| carrier.try_write(slices));
+                return pumped.err().map_or(Poll::Pending, Poll::Ready);
+            }
+            Writer::Driven(stream) => stream,
+        };
+        let pumped = core.pump(now, |slices| {
+            match Pin::new(&mut *stream).poll_write_vectored(cx, slices) {
+                Poll::Ready(written) => written,
+                Poll::Pending => Err(io::ErrorKind::WouldBlock.into()),
+            }
         });
-        match pumped {
-            Err(error) => Poll::Ready(error),
-            Ok(_) => match writer.poll_flush(cx) {
-                Poll::Ready(Err(error)) => Poll::Ready(error),
-                Poll::Ready(Ok(())) | Poll::Pending => Poll::Pending,
-            },
+        if let Err(error) = pumped {
+            return Poll::Ready(error);
+        }
+        match Pin::new(stream).poll_flush(cx) {
+            Poll::Ready(Err(error)) => Poll::Ready(error),
+            Poll::Ready(Ok(())) | Poll::Pending => Poll::Pending,
         }
     }
 
@@ -361,7 +372,7 @@ impl Session {
         let now = self.clock.now();
         let mut joined = lock(&self.joined);
         let put = put(&mut joined.core, now);
-        joined.pump_or_wake(now);
+        joined.pump(now);
         put
     }
 }

@@ -4,97 +4,49 @@
 //! for other hosts; zenoh finds its own way. Knows nothing of sessions and frames.
 
 use std::{
+    any::Any,
     ffi::OsStr,
     io,
     net::SocketAddr,
     os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt},
     path::{Path, PathBuf},
-    pin::Pin,
     sync::Arc,
-    task::{Context, Poll},
 };
 
 use tokio::{
-    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf},
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
     net::{TcpListener, TcpStream, UnixListener, UnixStream},
 };
-use tokio_rustls::TlsStream;
 
 pub use crate::address::{Address, AddressError};
 use crate::{
     noise,
     security::{Identity, KeyError, Keys},
-    session::Bytes,
     zenoh,
 };
 
-/// A stream between two processes.
-pub enum Stream {
-    Tcp(TcpStream),
-    Unix(UnixStream),
-    /// With TLS, or over zenoh.
-    Other(Box<dyn Bytes>),
+/// What a stream must be able to do. Any says what it is.
+pub trait Bytes: AsyncRead + AsyncWrite + Send + Unpin + Any {}
+
+impl<S: AsyncRead + AsyncWrite + Send + Unpin + Any> Bytes for S {}
+
+/// A stream between two processes: a plain socket, TLS, or one over zenoh.
+pub type Stream = Box<dyn Bytes>;
+
+/// Whether it is a plain socket of this kind.
+pub fn is<S: Any>(stream: &Stream) -> bool {
+    let stream: &dyn Any = &**stream;
+    stream.is::<S>()
 }
 
-impl Stream {
-    /// Whether its other end is known to be a process of this host.
-    pub fn is_nearby(&self) -> bool {
-        match self {
-            Self::Tcp(stream) => stream.peer_addr().is_ok_and(|peer| peer.ip().is_loopback()),
-            Self::Unix(_) => true,
-            Self::Other(_) => false,
-        }
-    }
-}
-
-macro_rules! each_stream {
-    ($stream:expr, $inner:ident => $does:expr) => {
-        match $stream {
-            Stream::Tcp($inner) => $does,
-            Stream::Unix($inner) => $does,
-            Stream::Other($inner) => $does,
-        }
-    };
-}
-
-impl AsyncRead for Stream {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        into: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_read(cx, into))
-    }
-}
-
-impl AsyncWrite for Stream {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_write(cx, bytes))
-    }
-
-    fn poll_write_vectored(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        slices: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_write_vectored(cx, slices))
-    }
-
-    fn is_write_vectored(&self) -> bool {
-        each_stream!(self, stream => stream.is_write_vectored())
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_flush(cx))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_shutdown(cx))
-    }
+/// A stream as the socket that it is.
+///
+/// # Errors
+/// When it is another.
+pub fn socket<S: Any>(stream: Stream) -> io::Result<S> {
+    let stream: Box<dyn Any> = stream;
+    let socket = stream.downcast().map_err(|_| io::ErrorKind::Unsupported)?;
+    Ok(*socket)
 }
 
 /// A connection that could not be made, or whose other end did not prove who it is.
@@ -119,22 +71,11 @@ impl ConnectError {
     }
 }
 
-/// [`connect_over`] no zenoh network.
-///
-/// # Errors
-/// [`ConnectError`].
-pub async fn connect(
-    address: &Address,
-    keys: Option<&Arc<Keys>>,
-) -> Result<(Stream, Option<Identity>), ConnectError> {
-    connect_over(address, keys, None).await
-}
-
 /// Calls `address`; over whatever others could listen to with keys, when there are any.
 ///
 /// # Errors
 /// [`ConnectError`].
-pub async fn connect_over(
+pub async fn connect(
     address: &Address,
     keys: Option<&Arc<Keys>>,
     fabric: Option<&Arc<zenoh::Fabric>>,
@@ -150,12 +91,12 @@ pub async fn connect_over(
     match address {
         Address::Unix(path) => {
             let stream = UnixStream::connect(path).await.map_err(io)?;
-            Ok((Stream::Unix(stream), None))
+            Ok((Box::new(stream), None))
         }
         Address::Tcp(to) => {
             let stream = TcpStream::connect(to).await.map_err(io)?;
             stream.set_nodelay(true).map_err(io)?;
-            call(stream, Stream::Tcp, keys).await.map_err(key)
+            call(stream, keys).await.map_err(key)
         }
         Address::Zenoh(to) => {
             let none = || io::Error::other("this process is in no zenoh network");
@@ -164,39 +105,33 @@ pub async fn connect_over(
                 None => Err(none()),
             };
             let stream = stream.map_err(io)?;
-            call(stream, other, keys).await.map_err(key)
+            call(stream, keys).await.map_err(key)
         }
     }
 }
 
-/// Both ends of a call prove who they are, where there are keys; without, it is the stream that `plain` makes.
-async fn call<S: Bytes + 'static>(
-    stream: S,
-    plain: fn(S) -> Stream,
+/// Both ends of a call prove who they are, where there are keys.
+async fn call(
+    stream: impl Bytes,
     keys: Option<&Arc<Keys>>,
 ) -> Result<(Stream, Option<Identity>), KeyError> {
     let Some(keys) = keys else {
-        return Ok((plain(stream), None));
+        return Ok((Box::new(stream), None));
     };
     let (stream, identity) = keys.call(stream).await?;
-    Ok((other(TlsStream::from(stream)), Some(identity)))
+    Ok((Box::new(stream), Some(identity)))
 }
 
 /// As [`call`], where one is called.
-async fn answer<S: Bytes + 'static>(
-    stream: S,
-    plain: fn(S) -> Stream,
+async fn answer(
+    stream: impl Bytes,
     keys: Option<Arc<Keys>>,
 ) -> Result<(Stream, Option<Identity>), KeyError> {
     let Some(keys) = keys else {
-        return Ok((plain(stream), None));
+        return Ok((Box::new(stream), None));
     };
     let (stream, identity) = keys.answer(stream).await?;
-    Ok((other(TlsStream::from(stream)), Some(identity)))
-}
-
-fn other(stream: impl Bytes + 'static) -> Stream {
-    Stream::Other(Box::new(stream))
+    Ok((Box::new(stream), Some(identity)))
 }
 
 /// How much of what a browser says is read before it is hung up on, bytes.
@@ -244,14 +179,14 @@ impl Call {
                 if theirs != ours && ours != 0 {
                     return Err(KeyError::User { user: theirs });
                 }
-                Ok((Stream::Unix(stream), None))
+                Ok((Box::new(stream), None))
             }
             Self::Tcp(mut stream, keys) => {
                 stream.set_nodelay(true)?;
                 refuse_browser(&mut stream).await?;
-                answer(stream, Stream::Tcp, keys).await
+                answer(stream, keys).await
             }
-            Self::Zenoh(caller, keys) => answer(caller.answer().await?, other, keys).await,
+            Self::Zenoh(caller, keys) => answer(caller.answer().await?, keys).await,
         }
     }
 }
@@ -470,18 +405,6 @@ fn remove_stale(folder: &Path) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[tokio::test]
-    async fn only_a_stream_whose_other_end_is_known_to_be_on_this_host_is_nearby() {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let there = TcpStream::connect(listener.local_addr().unwrap());
-        assert!(Stream::Tcp(there.await.unwrap()).is_nearby());
-        let (here, _there) = UnixStream::pair().unwrap();
-        assert!(Stream::Unix(here).is_nearby());
-        // What is behind a router may be anywhere.
-        let (here, _there) = tokio::io::duplex(1);
-        assert!(!Stream::Other(Box::new(here)).is_nearby());
-    }
 
     #[test]
     fn a_folder_that_others_may_enter_is_not_used() {

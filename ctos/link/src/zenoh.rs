@@ -28,10 +28,7 @@ use ::zenoh::{
 use tokio::sync::{Mutex as AsyncMutex, mpsc, oneshot};
 
 pub use self::stream::ZenohStream;
-use self::{
-    settings::{Part, settings},
-    stream::{End, StreamKeys},
-};
+use self::{settings::settings, stream::End};
 use crate::{address::is_plain_key, config::App, lock::lock, noise, security};
 
 /// Every key begins so.
@@ -106,12 +103,17 @@ impl Fabric {
         let Some(config) = &app.links.zenoh else {
             return Ok(None);
         };
-        let part = if is_boot { Part::Boot } else { Part::Chassis };
         let keys = app.security.as_ref().map(|security| {
             let place = |path: &Path| app.folder.join(path);
             security::KeyFiles::of(&place(&security.key), &place(&security.authority))
         });
-        let settings = settings(config, part, &app.links, app.phase_timeout, keys.as_ref());
+        let settings = settings(
+            config,
+            is_boot,
+            &app.links,
+            app.phase_timeout,
+            keys.as_ref(),
+        );
         let session = on_thread(move || {
             let mut config = ::zenoh::Config::default();
             for (key, value) in settings {
@@ -265,7 +267,7 @@ fn call(session: &Session, key: &str, ended: impl Fn() -> bool) -> io::Result<En
         }
         // A stream of its own for each attempt: an answer that comes too late must not meet the next.
         let id = noise::text(noise::bytes::<12>()?);
-        let end = End::open(session, &StreamKeys::of_caller(key, &id)).map_err(failed())?;
+        let end = End::open(session, &format!("{key}/{id}"), ["up", "down"]).map_err(failed())?;
         let replies = querier.get().payload(id).wait().map_err(failed())?;
         // Ends with an answer, without one, or with the querier's deadline.
         if replies.recv().is_ok_and(|reply| reply.result().is_ok()) {
@@ -322,7 +324,8 @@ impl Caller {
         let id = id.ok_or_else(|| io::Error::other("a call over zenoh without a stream's id"))?;
         let open = move |session: &Session, _: &dyn Fn() -> bool| {
             let failed = || refused("cannot answer a call");
-            let end = End::open(session, &StreamKeys::of_called(&key, &id)).map_err(failed())?;
+            let end =
+                End::open(session, &format!("{key}/{id}"), ["down", "up"]).map_err(failed())?;
             let answer = query.reply(query.key_expr().clone(), id);
             // The answer ends with the query, which goes with this.
             answer.wait().map_err(failed())?;

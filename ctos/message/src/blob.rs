@@ -10,11 +10,7 @@
 //! this thread and this moment, to the one who collects the bytes; and what a message is read from is
 //! lent to the blobs in it. Nothing of that is left behind when the message is written or read.
 
-use std::{
-    cell::RefCell,
-    fmt,
-    ops::{Deref, DerefMut},
-};
+use std::{cell::RefCell, fmt, ops::Deref};
 
 use bytes::Bytes;
 use serde::{
@@ -78,12 +74,6 @@ impl From<Vec<u8>> for Blob {
     }
 }
 
-impl FromIterator<u8> for Blob {
-    fn from_iter<I: IntoIterator<Item = u8>>(bytes: I) -> Self {
-        bytes.into_iter().collect::<Vec<u8>>().into()
-    }
-}
-
 impl From<Bytes> for Blob {
     fn from(bytes: Bytes) -> Self {
         Self(bytes)
@@ -100,42 +90,6 @@ impl From<Blob> for Vec<u8> {
 impl fmt::Debug for Blob {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Blob({} bytes)", self.0.len())
-    }
-}
-
-/// Bytes that are written once and then sent (`Context::blob`).
-pub struct BlobMut(Vec<u8>);
-
-impl BlobMut {
-    /// So many bytes, to be written.
-    pub fn new(size: usize) -> Self {
-        Self(vec![0; size])
-    }
-
-    /// The blob: nothing is written to it any more.
-    #[must_use]
-    pub fn freeze(self) -> Blob {
-        self.0.into()
-    }
-}
-
-impl Deref for BlobMut {
-    type Target = [u8];
-
-    fn deref(&self) -> &[u8] {
-        &self.0
-    }
-}
-
-impl DerefMut for BlobMut {
-    fn deref_mut(&mut self) -> &mut [u8] {
-        &mut self.0
-    }
-}
-
-impl fmt::Debug for BlobMut {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "BlobMut({} bytes)", self.len())
     }
 }
 
@@ -216,18 +170,6 @@ impl Body {
         self.bytes.len() + rest.sum::<usize>()
     }
 
-    /// The bytes, when they are in one piece.
-    ///
-    /// # Errors
-    /// The body as it is, when blobs belong in between.
-    pub fn into_bytes(self) -> Result<Vec<u8>, Self> {
-        if self.rest.is_empty() {
-            Ok(self.bytes)
-        } else {
-            Err(self)
-        }
-    }
-
     /// Appends all of it to `buffer`.
     pub fn append_to(&self, buffer: &mut Vec<u8>) {
         buffer.reserve(self.len());
@@ -247,9 +189,23 @@ impl Body {
         all
     }
 
-    /// In its parts, the first apart from the others, of which there are mostly none.
-    pub fn into_parts(self) -> (Bytes, Vec<Bytes>) {
-        (self.bytes.into(), self.rest)
+    /// The same in parts that can be shared.
+    #[must_use]
+    pub fn shared(mut self) -> Self {
+        if !self.bytes.is_empty() {
+            self.rest.insert(0, std::mem::take(&mut self.bytes).into());
+        }
+        self
+    }
+
+    /// What stands before the parts that can be shared.
+    pub fn start(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The parts that can be shared.
+    pub fn parts(&self) -> &[Bytes] {
+        &self.rest
     }
 }
 
@@ -324,15 +280,10 @@ pub fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T {
     if bytes.len() < LEAST {
         return decode(&bytes);
     }
-    let (bytes, _emptied) = lend(bytes);
-    decode(&bytes)
-}
-
-fn lend(bytes: Vec<u8>) -> (Bytes, Emptied<Bytes>) {
     let bytes = Bytes::from(bytes);
-    let emptied = Emptied(&READ);
+    let _emptied = Emptied(&READ);
     READ.set(Some(bytes.clone()));
-    (bytes, emptied)
+    decode(&bytes)
 }
 
 #[cfg(test)]
@@ -359,8 +310,9 @@ mod tests {
             prop_assert_eq!(&postcard::to_stdvec(&blobs).unwrap(), &wire);
             let body = Data::of(blobs.clone()).into_body().unwrap();
             prop_assert_eq!(body.len(), wire.len());
-            let (first, rest) = body.clone().into_parts();
-            let parts: Vec<u8> = std::iter::once(first).chain(rest).flatten().collect();
+            let shared = body.clone().shared();
+            let parts: Vec<u8> = shared.parts().iter().flatten().copied().collect();
+            prop_assert!(shared.start().is_empty());
             prop_assert_eq!(&parts, &wire);
             let again = Data::from(body.clone()).take::<Pair>().unwrap();
             prop_assert_eq!(&again, &blobs);
@@ -379,9 +331,9 @@ mod tests {
     fn a_large_blob_is_the_same_memory_before_and_behind_the_wire() {
         let sent = pair([LEAST, 3 * LEAST]);
         let places = [sent.1.as_ptr(), sent.3.as_ptr()];
-        let (_, rest) = Data::of(sent.clone()).into_body().unwrap().into_parts();
+        let body = Data::of(sent.clone()).into_body().unwrap();
         for place in places {
-            assert!(rest.iter().any(|part| part.as_ptr() == place));
+            assert!(body.parts().iter().any(|part| part.as_ptr() == place));
         }
         let wire = Data::of(sent).into_body().unwrap().into_vec();
         let range = wire.as_ptr_range();

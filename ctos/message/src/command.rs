@@ -4,7 +4,11 @@ use std::fmt;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Fields, shape::Shape};
+use crate::{
+    PayloadError,
+    fields::{fields_of, split},
+    shape::Shape,
+};
 
 pub use ctos_derive::Command;
 
@@ -38,10 +42,8 @@ pub trait Command: Serialize + DeserializeOwned + Send + 'static {
         code: Self::CODE,
         name: Self::NAME,
         doc: Self::DOC,
-        request: ToJson::of::<Self>(),
-        reply: ToJson::of::<Self::Reply>(),
-        request_fields: Fields::of::<Self>(),
-        reply_fields: Fields::of::<Self::Reply>(),
+        request: DataType::of::<Self>(),
+        reply: DataType::of::<Self::Reply>(),
     };
 }
 
@@ -60,45 +62,65 @@ pub struct CommandInfo {
     pub name: &'static str,
     /// One line of help.
     pub doc: &'static str,
-    /// Turns the bytes of a request into text.
-    pub request: ToJson,
-    /// Turns the bytes of a reply into text.
-    pub reply: ToJson,
-    /// Takes the bytes of a request apart.
-    pub request_fields: Fields,
-    /// Takes the bytes of a reply apart.
-    pub reply_fields: Fields,
+    /// The type of a request.
+    pub request: DataType,
+    /// The type of a reply.
+    pub reply: DataType,
 }
 
-/// Finds the shape of one type, with which its postcard bytes are read as JSON.
+/// A type of data, for programs that do not know it and have the postcard bytes of its values.
 #[derive(Clone, Copy)]
-pub struct ToJson(fn() -> Option<Shape>);
+pub struct DataType {
+    shape: fn() -> Option<Shape>,
+    fields: fn() -> usize,
+    split: fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>,
+}
 
-impl ToJson {
+impl DataType {
     /// For values of type `T`.
     #[must_use]
     pub const fn of<T: DeserializeOwned>() -> Self {
-        Self(Shape::of::<T>)
+        Self {
+            shape: Shape::of::<T>,
+            fields: fields_of::<T>,
+            split: split::<T>,
+        }
     }
 
-    /// What such values look like, where that can be found.
+    /// What its values look like, where that can be found: by it they become JSON.
+    #[must_use]
     pub fn shape(self) -> Option<Shape> {
-        (self.0)()
+        (self.shape)()
+    }
+
+    /// How many fields the type has: a structure or a tuple those that it declares, a unit none, and any other
+    /// type is one.
+    #[must_use]
+    pub fn fields(self) -> usize {
+        (self.fields)()
+    }
+
+    /// The postcard bytes of each field of a value, in order.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn split(self, bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
+        (self.split)(bytes)
     }
 }
 
-/// Code, name and documentation say what a command is; how it is turned into text follows from them.
-impl PartialEq for ToJson {
+/// Code, name and documentation say what a command is; the types of its data follow from them.
+impl PartialEq for DataType {
     fn eq(&self, _: &Self) -> bool {
         true
     }
 }
 
-impl Eq for ToJson {}
+impl Eq for DataType {}
 
-impl fmt::Debug for ToJson {
+impl fmt::Debug for DataType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("ToJson")
+        f.write_str("DataType")
     }
 }
 

@@ -1,82 +1,35 @@
 //! A value in fields: how many a type has, and the postcard bytes of each. For whoever carries replies of types
 //! that it does not know, and keeps their parts apart.
 
-use std::{cell::Cell, fmt};
+use std::cell::Cell;
 
 use postcard::de_flavors::Flavor;
 use serde::{
-    Deserializer, Serialize,
+    Deserializer,
     de::{DeserializeOwned, DeserializeSeed, SeqAccess, Visitor},
 };
 
-use super::{PayloadError, data::decode, shape::fields_of};
+use super::{PayloadError, data::decode};
 
-type Split = fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>;
-
-/// Takes postcard bytes of one type apart into its fields. A structure or a tuple has those that it
-/// declares, a unit has none, and a value of any other type is one field.
-#[derive(Clone, Copy)]
-pub struct Fields {
-    count: fn() -> usize,
-    split: Split,
+/// How many fields `T` has: it says so when it is read, also from nothing.
+pub(super) fn fields_of<T: DeserializeOwned>() -> usize {
+    let (left, count) = (Cell::new(&[][..]), Cell::new(1));
+    // It need not be anything that nothing is.
+    let _ = T::deserialize(Apart::of(&left, &count, &mut Vec::new()));
+    count.get()
 }
 
-impl Fields {
-    /// For values of type `T`.
-    #[must_use]
-    pub const fn of<T: Serialize + DeserializeOwned + 'static>() -> Self {
-        Self {
-            count: fields_of::<T>,
-            split: split::<T>,
-        }
-    }
-
-    /// How many fields the type has.
-    #[must_use]
-    pub fn count(self) -> usize {
-        (self.count)()
-    }
-
-    /// The postcard bytes of each field, in order.
-    ///
-    /// # Errors
-    /// What is wrong with the bytes.
-    pub fn split(self, bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
-        (self.split)(bytes)
-    }
-}
-
-/// Which fields a command's reply has follows from its code and name.
-impl PartialEq for Fields {
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
-
-impl Eq for Fields {}
-
-impl fmt::Debug for Fields {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Fields")
-    }
-}
-
-fn split<T: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
-    let count = fields_of::<T>();
-    if count < 2 {
+/// The bytes of each field of a `T`.
+pub(super) fn split<T: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
+    let count = Cell::new(fields_of::<T>());
+    if count.get() < 2 {
         decode::<T>(bytes)?;
         // Also of a structure of one field, whose bytes are those of the field.
-        return Ok(vec![bytes.to_vec(); count]);
+        return Ok(vec![bytes.to_vec(); count.get()]);
     }
     let left = Cell::new(bytes);
     let mut parts = Vec::new();
-    let apart = Apart {
-        from: &mut postcard::Deserializer::from_flavor(Left(&left)),
-        left: &left,
-        parts: &mut parts,
-        count: 0,
-    };
-    T::deserialize(apart).map_err(PayloadError::of::<T>)?;
+    T::deserialize(Apart::of(&left, &count, &mut parts)).map_err(PayloadError::of::<T>)?;
     match left.get() {
         [] => Ok(parts),
         rest => Err(PayloadError::too_long::<T>(rest)),
@@ -113,13 +66,17 @@ impl<'de> Flavor<'de> for Left<'de> {
     }
 }
 
-/// Reads the outermost structure or tuple, and notes the bytes of each of its fields.
+/// Reads the outermost structure or tuple, and notes how many fields it has and the bytes of each.
 struct Apart<'a, 'de> {
-    from: &'a mut postcard::Deserializer<'de, Left<'de>>,
     left: &'de Cell<&'de [u8]>,
+    count: &'a Cell<usize>,
     parts: &'a mut Vec<Vec<u8>>,
-    /// How many fields are still to come.
-    count: usize,
+}
+
+impl<'a, 'de> Apart<'a, 'de> {
+    fn of(left: &'de Cell<&'de [u8]>, count: &'a Cell<usize>, parts: &'a mut Vec<Vec<u8>>) -> Self {
+        Self { left, count, parts }
+    }
 }
 
 impl<'de> SeqAccess<'de> for Apart<'_, 'de> {
@@ -129,19 +86,18 @@ impl<'de> SeqAccess<'de> for Apart<'_, 'de> {
         &mut self,
         seed: T,
     ) -> postcard::Result<Option<T::Value>> {
-        let Some(count) = self.count.checked_sub(1) else {
+        if self.parts.len() == self.count.get() {
             return Ok(None);
-        };
-        self.count = count;
+        }
         let before = self.left.get();
-        let value = seed.deserialize(&mut *self.from)?;
+        let value = seed.deserialize(&mut postcard::Deserializer::from_flavor(Left(self.left)))?;
         let size = before.len() - self.left.get().len();
         self.parts.extend(before.get(..size).map(<[u8]>::to_vec));
         Ok(Some(value))
     }
 
     fn size_hint(&self) -> Option<usize> {
-        Some(self.count)
+        Some(self.count.get() - self.parts.len())
     }
 }
 
@@ -152,9 +108,22 @@ impl<'de> Deserializer<'de> for Apart<'_, 'de> {
         false
     }
 
-    /// No structure and no tuple: [`fields_of`] says so, and nobody comes here with one.
+    /// No structure and no tuple, which is one field: that is counted, and no bytes are read so.
     fn deserialize_any<V: Visitor<'de>>(self, _: V) -> postcard::Result<V::Value> {
         Err(postcard::Error::WontImplement)
+    }
+
+    fn deserialize_unit<V: Visitor<'de>>(self, visitor: V) -> postcard::Result<V::Value> {
+        self.count.set(0);
+        visitor.visit_unit()
+    }
+
+    fn deserialize_unit_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        visitor: V,
+    ) -> postcard::Result<V::Value> {
+        self.deserialize_unit(visitor)
     }
 
     fn deserialize_newtype_struct<V: Visitor<'de>>(
@@ -170,7 +139,8 @@ impl<'de> Deserializer<'de> for Apart<'_, 'de> {
         count: usize,
         visitor: V,
     ) -> postcard::Result<V::Value> {
-        visitor.visit_seq(Self { count, ..self })
+        self.count.set(count);
+        visitor.visit_seq(self)
     }
 
     fn deserialize_tuple_struct<V: Visitor<'de>>(
@@ -193,15 +163,16 @@ impl<'de> Deserializer<'de> for Apart<'_, 'de> {
 
     serde::forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf
-        option unit unit_struct seq map enum identifier ignored_any
+        option seq map enum identifier ignored_any
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use serde::Deserialize;
+    use serde::{Deserialize, Serialize};
 
     use super::*;
+    use crate::DataType;
 
     #[derive(Serialize, Deserialize)]
     struct Seen {
@@ -242,25 +213,28 @@ mod tests {
 
     #[test]
     fn a_structure_and_a_tuple_have_their_fields_and_anything_else_is_one() {
-        assert_eq!(Fields::of::<Seen>().count(), 3);
-        assert_eq!(Fields::of::<Named>().count(), 3);
-        assert_eq!(Fields::of::<(u8, String)>().count(), 2);
-        assert_eq!(Fields::of::<[f64; 4]>().count(), 4);
-        assert_eq!(Fields::of::<Vec<(u8, u8)>>().count(), 1);
-        assert_eq!(Fields::of::<Option<(u8, u8)>>().count(), 1);
-        assert_eq!(Fields::of::<Either>().count(), 1);
-        assert_eq!(Fields::of::<u64>().count(), 1);
-        assert_eq!(Fields::of::<()>().count(), 0);
-        assert_eq!(Fields::of::<Choosy>().count(), 2);
-        assert_eq!(Fields::of::<Tree>().count(), 2);
+        assert_eq!(fields_of::<Seen>(), 3);
+        assert_eq!(fields_of::<Named>(), 3);
+        assert_eq!(fields_of::<(u8, String)>(), 2);
+        assert_eq!(fields_of::<[f64; 4]>(), 4);
+        assert_eq!(fields_of::<Vec<(u8, u8)>>(), 1);
+        assert_eq!(fields_of::<Option<(u8, u8)>>(), 1);
+        assert_eq!(fields_of::<Either>(), 1);
+        assert_eq!(fields_of::<u64>(), 1);
+        assert_eq!(fields_of::<()>(), 0);
+        assert_eq!(fields_of::<Choosy>(), 2);
+        assert_eq!(fields_of::<Tree>(), 2);
     }
 
     #[test]
     fn each_field_is_a_value_by_itself_and_all_of_them_are_the_whole() {
         for (fields, bytes) in [
-            (Fields::of::<Seen>(), postcard::to_stdvec(&seen()).unwrap()),
             (
-                Fields::of::<Named>(),
+                DataType::of::<Seen>(),
+                postcard::to_stdvec(&seen()).unwrap(),
+            ),
+            (
+                DataType::of::<Named>(),
                 postcard::to_stdvec(&Named(seen())).unwrap(),
             ),
         ] {
@@ -277,14 +251,14 @@ mod tests {
             );
         }
         let one = postcard::to_stdvec(&Either::One(1, 2)).unwrap();
-        assert_eq!(Fields::of::<Either>().split(&one), Ok(vec![one]));
+        assert_eq!(split::<Either>(&one), Ok(vec![one]));
     }
 
     #[test]
     fn what_is_no_such_value_is_refused() {
         let bytes = postcard::to_stdvec(&seen()).unwrap();
         for bytes in [&bytes[..bytes.len() - 1], &[&bytes[..], &[0]].concat(), &[]] {
-            assert!(Fields::of::<Seen>().split(bytes).is_err());
+            assert!(split::<Seen>(bytes).is_err());
         }
         let _ = Either::None;
     }

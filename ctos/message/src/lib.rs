@@ -22,8 +22,7 @@ mod header;
 mod shape;
 mod trace;
 
-pub use command::{Command, CommandInfo, FENCE, SYSTEM_COMMANDS, ToJson, trimmed};
+pub use command::{Command, CommandInfo, DataType, FENCE, SYSTEM_COMMANDS, trimmed};
 pub use data::{Data, Payload, PayloadError, append};
-pub use fields::Fields;
 pub use header::{Flags, Header, Tid};
 pub use shape::Shape;

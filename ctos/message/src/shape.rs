@@ -2,20 +2,23 @@
 //! reads postcard bytes as JSON.
 //! How it is found, `trace.rs` says.
 
-use std::{mem::discriminant, panic::AssertUnwindSafe};
+use std::panic::AssertUnwindSafe;
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::trace::{outermost, shape_of};
+use super::trace::shape_of;
 
 /// How deep values may lie in one another.
 const DEPTH: usize = 64;
 /// The longest JSON that is made, bytes.
 const LIMIT: usize = 256 * 1024;
 
-/// A value that holds no others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Leaf {
+/// What kind of type it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub(super) enum Kind {
+    /// Not found yet.
+    #[default]
+    Unknown,
     Unit,
     /// A variant that is a name and no more.
     Nothing,
@@ -35,29 +38,35 @@ pub enum Leaf {
     Char,
     Text,
     Bytes,
+    /// Such a value, or none.
+    Option,
+    /// Any number of such values.
+    Sequence,
+    /// From keys to values.
+    Map,
+    /// One value of each.
+    Tuple,
+    /// One value of each, with the fields' names.
+    Struct,
+    /// One of these, with the variants' names.
+    Enum,
+    /// The type of this name, within which it stands.
+    Around,
 }
 
 /// The shape of a type.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum Shape {
-    /// Not found yet.
-    Unknown,
-    /// A number, a text and the like.
-    Leaf(Leaf),
-    /// Such a value, or none.
-    Option(Box<Shape>),
-    /// Any number of such values.
-    Sequence(Box<Shape>),
-    /// From keys to values.
-    Map(Box<[Shape; 2]>),
-    /// One value of each.
-    Tuple(Vec<Shape>),
-    /// The type's name, the fields' names, and these.
-    Struct(String, Vec<String>, Vec<Shape>),
-    /// The type's name, the variants' names, and these.
-    Enum(String, Vec<String>, Vec<Shape>),
-    /// The type of this name, within which it stands.
-    Around(String),
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Shape {
+    kind: Kind,
+    /// The type's name, where it may stand in itself.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    name: String,
+    /// The names of its fields or variants.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    names: Vec<String>,
+    /// What is in it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    inner: Vec<Self>,
 }
 
 impl Shape {
@@ -70,36 +79,35 @@ impl Shape {
             .flatten()
     }
 
+    /// One that holds `count` others, of which nothing is known.
+    pub(super) fn holding(kind: Kind, count: usize) -> Self {
+        Self {
+            kind,
+            inner: vec![Self::default(); count],
+            ..Self::default()
+        }
+    }
+
+    /// One with a name, and with names for what it holds.
+    pub(super) fn named(kind: Kind, name: &str, names: &[&str]) -> Self {
+        Self {
+            name: name.to_owned(),
+            names: names.iter().map(|&name| name.to_owned()).collect(),
+            ..Self::holding(kind, names.len())
+        }
+    }
+
     /// Whether nothing is unknown.
     pub(super) fn is_whole(&self) -> bool {
-        match self {
-            Self::Unknown => false,
-            Self::Leaf(_) | Self::Around(_) => true,
-            Self::Option(inner) | Self::Sequence(inner) => inner.is_whole(),
-            Self::Map(inner) => inner.iter().all(Self::is_whole),
-            Self::Tuple(inner) | Self::Struct(.., inner) | Self::Enum(.., inner) => {
-                inner.iter().all(Self::is_whole)
-            }
-        }
+        self.kind != Kind::Unknown && self.inner.iter().all(Self::is_whole)
     }
 
     /// What is in this, which becomes `new` unless it is of that kind.
     pub(super) fn within(&mut self, new: Self) -> &mut [Self] {
-        if discriminant(self) != discriminant(&new) {
+        if self.kind != new.kind {
             *self = new;
         }
-        match self {
-            Self::Option(inner) | Self::Sequence(inner) => std::slice::from_mut(inner),
-            Self::Map(inner) => &mut inner[..],
-            Self::Tuple(inner) | Self::Struct(.., inner) | Self::Enum(.., inner) => inner,
-            Self::Unknown | Self::Leaf(_) | Self::Around(_) => &mut [],
-        }
-    }
-
-    /// Fields or variants of which nothing is known, with their names.
-    pub(super) fn unknown(names: &[&str]) -> (Vec<String>, Vec<Self>) {
-        let unknown = vec![Self::Unknown; names.len()];
-        (names.iter().map(|&name| name.to_owned()).collect(), unknown)
+        &mut self.inner
     }
 
     /// Appends `bytes` as JSON to `json`, which is left as it was when they are no such value.
@@ -109,9 +117,9 @@ impl Shape {
             bytes,
             json,
             limit: start + LIMIT,
-            around: Vec::new(),
+            depth: 0,
         };
-        let read = reader.value(self, 0);
+        let read = reader.value(self, None);
         let whole = read.filter(|()| reader.bytes.is_empty());
         if whole.is_none() {
             json.truncate(start);
@@ -120,22 +128,17 @@ impl Shape {
     }
 }
 
-/// How many fields `T` has: a structure or a tuple those that it declares, a unit none, anything else is one.
-pub(super) fn fields_of<T: DeserializeOwned>() -> usize {
-    let shape = std::panic::catch_unwind(AssertUnwindSafe(outermost::<T>));
-    match shape {
-        Ok(Shape::Struct(.., fields) | Shape::Tuple(fields)) => fields.len(),
-        Ok(Shape::Leaf(Leaf::Unit)) => 0,
-        Ok(_) | Err(_) => 1,
-    }
-}
-
 struct Reader<'a> {
     bytes: &'a [u8],
     json: &'a mut Vec<u8>,
     limit: usize,
-    /// The types with names around what is read.
-    around: Vec<&'a Shape>,
+    depth: usize,
+}
+
+/// A type with a name around what is read, and those around it.
+struct Around<'a> {
+    shape: &'a Shape,
+    outer: Option<&'a Around<'a>>,
 }
 
 impl<'a> Reader<'a> {
@@ -158,83 +161,75 @@ impl<'a> Reader<'a> {
         self.json.push(byte);
     }
 
-    fn value(&mut self, shape: &'a Shape, depth: usize) -> Option<()> {
-        if depth > DEPTH || self.json.len() > self.limit {
+    /// Reads a value. After `None`, nothing more is read.
+    fn value(&mut self, shape: &Shape, around: Option<&Around<'_>>) -> Option<()> {
+        if self.depth > DEPTH || self.json.len() > self.limit {
             return None;
         }
-        let depth = depth + 1;
-        match shape {
-            Shape::Unknown => None,
-            Shape::Leaf(leaf) => self.leaf(*leaf),
-            Shape::Option(some) => match self.take::<u8>()? {
+        self.depth += 1;
+        let within = Some(&Around {
+            shape,
+            outer: around,
+        });
+        match shape.kind {
+            Kind::Unknown => None,
+            Kind::Unit | Kind::Nothing => self.put(&()),
+            Kind::Bool => self.copy::<bool>(),
+            Kind::I8 => self.copy::<i8>(),
+            Kind::I16 => self.copy::<i16>(),
+            Kind::I32 => self.copy::<i32>(),
+            Kind::I64 => self.copy::<i64>(),
+            Kind::I128 => self.copy::<i128>(),
+            Kind::U8 => self.copy::<u8>(),
+            Kind::U16 => self.copy::<u16>(),
+            Kind::U32 => self.copy::<u32>(),
+            Kind::U64 => self.copy::<u64>(),
+            Kind::U128 => self.copy::<u128>(),
+            Kind::F32 => self.copy::<f32>(),
+            Kind::F64 => self.copy::<f64>(),
+            Kind::Char => self.copy::<char>(),
+            Kind::Text => self.copy::<&str>(),
+            Kind::Bytes => self.copy::<&[u8]>(),
+            Kind::Option => match self.take::<u8>()? {
                 0 => self.put(&()),
-                1 => self.value(some, depth),
+                1 => self.value(shape.inner.first()?, around),
                 _ => None,
             },
-            Shape::Sequence(each) => {
-                let count = self.take::<usize>()?;
-                self.many(std::iter::repeat_n((None, &**each), count), b"[]", depth)
+            Kind::Sequence => {
+                let (each, count) = (shape.inner.first()?, self.take::<usize>()?);
+                self.many(std::iter::repeat_n((None, each), count), b"[]", around)
             }
-            Shape::Map(entry) => self.map(entry, depth),
-            Shape::Tuple(inner) => self.many(inner.iter().map(|shape| (None, shape)), b"[]", depth),
-            Shape::Struct(_, names, inner) => {
-                self.around.push(shape);
-                let members = names.iter().map(Some).zip(inner);
-                let read = self.many(members, b"{}", depth);
-                self.around.pop();
-                read
+            Kind::Map => self.map(shape, around),
+            Kind::Tuple => self.many(shape.inner.iter().map(|each| (None, each)), b"[]", around),
+            Kind::Struct => {
+                let members = shape.names.iter().map(Some).zip(&shape.inner);
+                self.many(members, b"{}", within)
             }
-            Shape::Enum(_, names, inner) => {
-                self.around.push(shape);
-                let read = self.variant(names, inner, depth);
-                self.around.pop();
-                read
+            Kind::Enum => {
+                let number = usize::try_from(self.take::<u32>()?).ok()?;
+                let (name, variant) = (shape.names.get(number)?, shape.inner.get(number)?);
+                if variant.kind == Kind::Nothing {
+                    self.put(name)
+                } else {
+                    self.many(std::iter::once((Some(name), variant)), b"{}", within)
+                }
             }
-            Shape::Around(name) => self.again(name, depth),
-        }
-    }
-
-    fn leaf(&mut self, leaf: Leaf) -> Option<()> {
-        match leaf {
-            Leaf::Unit | Leaf::Nothing => self.put(&()),
-            Leaf::Bool => self.copy::<bool>(),
-            Leaf::I8 => self.copy::<i8>(),
-            Leaf::I16 => self.copy::<i16>(),
-            Leaf::I32 => self.copy::<i32>(),
-            Leaf::I64 => self.copy::<i64>(),
-            Leaf::I128 => self.copy::<i128>(),
-            Leaf::U8 => self.copy::<u8>(),
-            Leaf::U16 => self.copy::<u16>(),
-            Leaf::U32 => self.copy::<u32>(),
-            Leaf::U64 => self.copy::<u64>(),
-            Leaf::U128 => self.copy::<u128>(),
-            Leaf::F32 => self.copy::<f32>(),
-            Leaf::F64 => self.copy::<f64>(),
-            Leaf::Char => self.copy::<char>(),
-            Leaf::Text => self.copy::<&str>(),
-            Leaf::Bytes => self.copy::<&[u8]>(),
-        }
-    }
-
-    /// Reads a type within itself.
-    fn again(&mut self, name: &str, depth: usize) -> Option<()> {
-        let place = self.around.iter().rposition(|around| {
-            matches!(around, Shape::Struct(known, ..) | Shape::Enum(known, ..) if known == name)
-        })?;
-        let shape = *self.around.get(place)?;
-        // What stands around it there stands around it here.
-        let inner = self.around.split_off(place);
-        let read = self.value(shape, depth);
-        self.around.extend(inner);
-        read
+            Kind::Around => {
+                let mut outer = std::iter::successors(around, |around| around.outer);
+                let again = outer.find(|around| around.shape.name == shape.name)?;
+                self.value(again.shape, again.outer)
+            }
+        }?;
+        self.depth -= 1;
+        Some(())
     }
 
     /// Values in brackets, each behind its name if it has one.
-    fn many(
+    fn many<'s>(
         &mut self,
-        values: impl Iterator<Item = (Option<&'a String>, &'a Shape)>,
+        values: impl Iterator<Item = (Option<&'s String>, &'s Shape)>,
         [open, close]: &[u8; 2],
-        depth: usize,
+        around: Option<&Around<'_>>,
     ) -> Option<()> {
         self.byte(*open);
         for (index, (name, shape)) in values.enumerate() {
@@ -245,13 +240,16 @@ impl<'a> Reader<'a> {
                 self.put(name)?;
                 self.byte(b':');
             }
-            self.value(shape, depth)?;
+            self.value(shape, around)?;
         }
         self.byte(*close);
         Some(())
     }
 
-    fn map(&mut self, [key, value]: &'a [Shape; 2], depth: usize) -> Option<()> {
+    fn map(&mut self, shape: &Shape, around: Option<&Around<'_>>) -> Option<()> {
+        let [key, value] = shape.inner.as_slice() else {
+            return None;
+        };
         let count = self.take::<usize>()?;
         self.byte(b'{');
         for index in 0..count {
@@ -259,7 +257,7 @@ impl<'a> Reader<'a> {
                 self.byte(b',');
             }
             let start = self.json.len();
-            self.value(key, depth)?;
+            self.value(key, around)?;
             // The keys of an object are texts; numbers become some.
             match self.json.get(start) {
                 Some(b'"') => {}
@@ -270,19 +268,10 @@ impl<'a> Reader<'a> {
                 }
             }
             self.byte(b':');
-            self.value(value, depth)?;
+            self.value(value, around)?;
         }
         self.byte(b'}');
         Some(())
-    }
-
-    fn variant(&mut self, names: &'a [String], inner: &'a [Shape], depth: usize) -> Option<()> {
-        let number = usize::try_from(self.take::<u32>()?).ok()?;
-        let (name, shape) = (names.get(number)?, inner.get(number)?);
-        if *shape == Shape::Leaf(Leaf::Nothing) {
-            return self.put(name);
-        }
-        self.many(std::iter::once((Some(name), shape)), b"{}", depth)
     }
 }
 
@@ -429,10 +418,11 @@ mod tests {
     #[test]
     fn a_shape_without_bottom_or_measure_is_refused() {
         let mut json = Vec::new();
-        let itself = Shape::Around("A".to_owned());
-        let bottomless = Shape::Struct("A".to_owned(), vec!["a".to_owned()], vec![itself]);
+        let mut bottomless = Shape::named(Kind::Struct, "A", &["a"]);
+        bottomless.inner = vec![Shape::named(Kind::Around, "A", &[])];
         assert_eq!(bottomless.convert(&[], &mut json), None);
-        let endless = Shape::Sequence(Box::new(Shape::Leaf(Leaf::Unit)));
+        let mut endless = Shape::holding(Kind::Sequence, 1);
+        endless.inner = vec![Shape::holding(Kind::Unit, 0)];
         let count = postcard::to_stdvec(&u64::MAX).unwrap();
         assert_eq!(endless.convert(&count, &mut json), None);
         assert!(json.is_empty());

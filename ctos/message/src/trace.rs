@@ -1,16 +1,15 @@
 //! Finds the shape of a type: lets it read itself from nothing, and notes what it asks for.
 
-use std::{fmt, marker::PhantomData};
-
 use serde::{
     Deserializer,
     de::{
-        DeserializeOwned, DeserializeSeed, EnumAccess, IntoDeserializer, MapAccess, SeqAccess,
-        VariantAccess, Visitor, value::U32Deserializer,
+        DeserializeOwned, DeserializeSeed, EnumAccess, Error, IntoDeserializer, VariantAccess,
+        Visitor,
+        value::{Error as NoShape, MapDeserializer, SeqDeserializer, U32Deserializer},
     },
 };
 
-use super::shape::{Leaf, Shape};
+use super::shape::{Kind, Shape};
 
 /// How often a type is read at most: about once for each variant of its enums.
 const PASSES: usize = 4096;
@@ -19,166 +18,91 @@ const DEPTH: usize = 64;
 
 /// The shape of `T`, if it reads itself from small numbers and short texts.
 pub(super) fn shape_of<T: DeserializeOwned>() -> Option<Shape> {
-    let mut shape = Shape::Unknown;
+    let mut whole = Shape::default();
     for _ in 0..PASSES {
-        Way::default().read(&mut shape, PhantomData::<T>).ok()?;
-        if shape.is_whole() {
-            return Some(shape);
+        let (shape, here) = (&mut whole, Here::default());
+        T::deserialize(Nothing { shape, here }).ok()?;
+        if whole.is_whole() {
+            return Some(whole);
         }
     }
     None
 }
 
-/// What `T` is at its outside. A type that does not read itself from what it gets says that much, too.
-pub(super) fn outermost<T: DeserializeOwned>() -> Shape {
-    let mut shape = Shape::Unknown;
-    // Only what it asks for first matters here.
-    let _ = Way::default().read(&mut shape, PhantomData::<T>);
-    shape
+/// A type with a name, and those around it.
+struct Around<'a> {
+    name: &'static str,
+    outer: Option<&'a Around<'a>>,
 }
 
-/// Why a type has no shape that can be found.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-struct NoShape(String);
+/// Where the type stands that is read.
+#[derive(Clone, Copy, Default)]
+struct Here<'a> {
+    around: Option<&'a Around<'a>>,
+    depth: usize,
+    /// One of those around it is around itself: as little as can be is read, and nothing noted.
+    again: bool,
+}
 
-impl serde::de::Error for NoShape {
-    fn custom<T: fmt::Display>(text: T) -> Self {
-        Self(text.to_string())
+impl Here<'_> {
+    /// Inside the type that stands here.
+    fn inside(mut self) -> Result<Self, NoShape> {
+        if self.depth > DEPTH {
+            return Err(NoShape::custom("it has no bottom"));
+        }
+        self.depth += 1;
+        Ok(self)
     }
 }
 
 /// What a type is read from.
 struct Nothing<'a> {
     shape: &'a mut Shape,
-    way: &'a mut Way,
+    here: Here<'a>,
 }
 
-/// What is around the type that is read.
-#[derive(Default)]
-struct Way {
-    /// The types that have names.
-    around: Vec<&'static str>,
-    depth: usize,
-    /// How many of them are around themselves: then as little as can be is read, and nothing noted.
-    again: usize,
-}
-
-impl Way {
-    /// Reads a type within those around it.
-    fn read<'de, S: DeserializeSeed<'de>>(
-        &mut self,
-        shape: &mut Shape,
-        seed: S,
-    ) -> Result<S::Value, NoShape> {
-        self.depth += 1;
-        let value = seed.deserialize(Nothing { shape, way: self });
-        self.depth -= 1;
-        value
+impl<'a> Nothing<'a> {
+    /// What the members of a type of the kind of `new` are read from.
+    fn members(self, new: Shape) -> Result<impl Iterator<Item = Self>, NoShape> {
+        let here = self.here.inside()?;
+        let members = self.shape.within(new).iter_mut();
+        Ok(members.map(move |shape| Self { shape, here }))
     }
 
-    fn is_again(&self) -> bool {
-        self.again > 0
+    /// As [`Self::members`], where there need not be any.
+    fn some_members(self, new: Shape) -> Result<impl Iterator<Item = Self>, NoShape> {
+        let most = if self.here.again { 0 } else { usize::MAX };
+        Ok(self.members(new)?.take(most))
     }
 
-    /// Enters a type that has a name: whether it is not around itself, and where its shape is noted.
-    fn enter<'s>(
-        &mut self,
-        name: &'static str,
-        shape: &'s mut Shape,
-        unnoted: &'s mut Shape,
-    ) -> Result<(bool, &'s mut Shape), NoShape> {
-        self.has_bottom()?;
-        let new = !self.is_again() && !self.around.contains(&name);
-        if new {
-            self.around.push(name);
-            return Ok((true, shape));
+    /// Enters the type named by `around`. Within itself it is noted in a place of nobody's.
+    fn enter(self, around: &'a Around<'a>, nowhere: &'a mut Shape) -> Self {
+        let Self { shape, mut here } = self;
+        let mut outer = std::iter::successors(around.outer, |around| around.outer);
+        if here.again || outer.any(|outer| outer.name == around.name) {
+            *shape = Shape::named(Kind::Around, around.name, &[]);
+            here.again = true;
+            return Self {
+                shape: nowhere,
+                here,
+            };
         }
-        *shape = Shape::Around(name.to_owned());
-        self.again += 1;
-        Ok((false, unnoted))
-    }
-
-    fn leave(&mut self, new: bool) {
-        if new {
-            self.around.pop();
-        } else {
-            self.again -= 1;
-        }
-    }
-
-    fn has_bottom(&self) -> Result<(), NoShape> {
-        if self.depth > DEPTH {
-            return Err(NoShape("it has no bottom".to_owned()));
-        }
-        Ok(())
+        here.around = Some(around);
+        Self { shape, here }
     }
 }
 
-/// The members of a tuple or a struct, or one entry of a map.
-struct Members<'a> {
-    way: &'a mut Way,
-    shapes: std::slice::IterMut<'a, Shape>,
-}
+impl<'de> IntoDeserializer<'de, NoShape> for Nothing<'_> {
+    type Deserializer = Self;
 
-impl<'a> Members<'a> {
-    fn new(way: &'a mut Way, shapes: &'a mut [Shape]) -> Self {
-        let shapes = shapes.iter_mut();
-        Self { way, shapes }
+    fn into_deserializer(self) -> Self {
+        self
     }
-
-    fn next<'de, S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, NoShape> {
-        let Some(shape) = self.shapes.next() else {
-            return Ok(None);
-        };
-        self.way.read(shape, seed).map(Some)
-    }
-}
-
-impl<'de> SeqAccess<'de> for Members<'_> {
-    type Error = NoShape;
-
-    fn next_element_seed<T: DeserializeSeed<'de>>(
-        &mut self,
-        seed: T,
-    ) -> Result<Option<T::Value>, NoShape> {
-        self.next(seed)
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        Some(self.shapes.len())
-    }
-}
-
-impl<'de> MapAccess<'de> for Members<'_> {
-    type Error = NoShape;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(
-        &mut self,
-        seed: K,
-    ) -> Result<Option<K::Value>, NoShape> {
-        self.next(seed)
-    }
-
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, NoShape> {
-        let none = || NoShape("a value was asked for without its key".to_owned());
-        self.next(seed)?.ok_or_else(none)
-    }
-}
-
-fn tuple(count: usize) -> Shape {
-    Shape::Tuple(vec![Shape::Unknown; count])
-}
-
-fn structure(name: &str, fields: &[&str]) -> Shape {
-    let (names, unknown) = Shape::unknown(fields);
-    Shape::Struct(name.to_owned(), names, unknown)
 }
 
 /// One variant of an enum.
 struct Variant<'a> {
-    way: &'a mut Way,
-    shape: &'a mut Shape,
+    variant: Nothing<'a>,
     number: u32,
 }
 
@@ -196,16 +120,16 @@ impl<'de> VariantAccess<'de> for Variant<'_> {
     type Error = NoShape;
 
     fn unit_variant(self) -> Result<(), NoShape> {
-        *self.shape = Shape::Leaf(Leaf::Nothing);
+        *self.variant.shape = Shape::holding(Kind::Nothing, 0);
         Ok(())
     }
 
     fn newtype_variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<T::Value, NoShape> {
-        self.way.read(self.shape, seed)
+        seed.deserialize(self.variant)
     }
 
     fn tuple_variant<V: Visitor<'de>>(self, len: usize, visitor: V) -> Result<V::Value, NoShape> {
-        visitor.visit_seq(Members::new(self.way, self.shape.within(tuple(len))))
+        self.variant.deserialize_tuple(len, visitor)
     }
 
     fn struct_variant<V: Visitor<'de>>(
@@ -213,17 +137,15 @@ impl<'de> VariantAccess<'de> for Variant<'_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        visitor.visit_seq(Members::new(
-            self.way,
-            self.shape.within(structure("", fields)),
-        ))
+        let members = self.variant.members(Shape::named(Kind::Struct, "", fields));
+        visitor.visit_seq(SeqDeserializer::new(members?))
     }
 }
 
 macro_rules! leaves {
     ($($method:ident => $leaf:ident, $visit:ident, $value:expr;)*) => {
         $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-            *self.shape = Shape::Leaf(Leaf::$leaf);
+            *self.shape = Shape::holding(Kind::$leaf, 0);
             visitor.$visit($value)
         })*
     };
@@ -259,7 +181,7 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
     }
 
     fn deserialize_unit<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-        *self.shape = Shape::Leaf(Leaf::Unit);
+        *self.shape = Shape::holding(Kind::Unit, 0);
         visitor.visit_unit()
     }
 
@@ -276,36 +198,22 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         _: &'static str,
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        let Self { shape, way } = self;
-        way.has_bottom()?;
-        way.depth += 1;
-        let value = visitor.visit_newtype_struct(Nothing { shape, way });
-        way.depth -= 1;
-        value
+        let Self { shape, here } = self;
+        let here = here.inside()?;
+        visitor.visit_newtype_struct(Nothing { shape, here })
     }
 
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-        let Self { shape, way } = self;
-        if way.is_again() {
-            return visitor.visit_none();
+        let mut some = self.some_members(Shape::holding(Kind::Option, 1))?;
+        match some.next() {
+            Some(inner) => visitor.visit_some(inner),
+            None => visitor.visit_none(),
         }
-        let [shape] = shape.within(Shape::Option(Box::new(Shape::Unknown))) else {
-            return visitor.visit_none();
-        };
-        way.depth += 1;
-        let value = visitor.visit_some(Nothing { shape, way });
-        way.depth -= 1;
-        value
     }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-        let Self { shape, way } = self;
-        let members = if way.is_again() {
-            &mut []
-        } else {
-            shape.within(Shape::Sequence(Box::new(Shape::Unknown)))
-        };
-        visitor.visit_seq(Members::new(way, members))
+        let members = self.some_members(Shape::holding(Kind::Sequence, 1))?;
+        visitor.visit_seq(SeqDeserializer::new(members))
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(
@@ -313,7 +221,8 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         len: usize,
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        visitor.visit_seq(Members::new(self.way, self.shape.within(tuple(len))))
+        let members = self.members(Shape::holding(Kind::Tuple, len))?;
+        visitor.visit_seq(SeqDeserializer::new(members))
     }
 
     fn deserialize_tuple_struct<V: Visitor<'de>>(
@@ -326,13 +235,9 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
     }
 
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-        let Self { shape, way } = self;
-        let entry = if way.is_again() {
-            &mut []
-        } else {
-            shape.within(Shape::Map(Box::new([Shape::Unknown, Shape::Unknown])))
-        };
-        visitor.visit_map(Members::new(way, entry))
+        let mut entry = self.some_members(Shape::holding(Kind::Map, 2))?;
+        let entry = entry.next().zip(entry.next());
+        visitor.visit_map(MapDeserializer::new(entry.into_iter()))
     }
 
     fn deserialize_struct<V: Visitor<'de>>(
@@ -341,13 +246,11 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        let name = std::any::type_name::<V::Value>();
-        let Self { shape, way } = self;
-        let mut unnoted = Shape::Unknown;
-        let (new, shape) = way.enter(name, shape, &mut unnoted)?;
-        let value = visitor.visit_seq(Members::new(way, shape.within(structure(name, fields))));
-        way.leave(new);
-        value
+        let (name, outer) = (std::any::type_name::<V::Value>(), self.here.around);
+        let (around, mut nowhere) = (Around { name, outer }, Shape::default());
+        let whole = Nothing::enter(self, &around, &mut nowhere);
+        let members = whole.members(Shape::named(Kind::Struct, name, fields))?;
+        visitor.visit_seq(SeqDeserializer::new(members))
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -356,32 +259,26 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         variants: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        let name = std::any::type_name::<V::Value>();
-        let Self { shape, way } = self;
-        let mut unnoted = Shape::Unknown;
-        let (new, shape) = way.enter(name, shape, &mut unnoted)?;
-        let (names, unknown) = Shape::unknown(variants);
-        let shapes = shape.within(Shape::Enum(name.to_owned(), names, unknown));
+        let (name, outer) = (std::any::type_name::<V::Value>(), self.here.around);
+        let (around, mut nowhere) = (Around { name, outer }, Shape::default());
+        let whole = Nothing::enter(self, &around, &mut nowhere);
+        let here = whole.here.inside()?;
+        let shapes = whole.shape.within(Shape::named(Kind::Enum, name, variants));
         // The first of which something is unknown, or the first of all.
         let missing = shapes.iter().position(|shape| !shape.is_whole());
         let number = missing.unwrap_or(0);
-        let value = match (u32::try_from(number), shapes.get_mut(number)) {
-            (Ok(number), Some(shape)) => visitor.visit_enum(Variant { way, shape, number }),
-            _ => Err(NoShape("it has no variants".to_owned())),
-        };
-        way.leave(new);
-        value
+        match (u32::try_from(number), shapes.get_mut(number)) {
+            (Ok(number), Some(shape)) => {
+                let variant = Nothing { shape, here };
+                visitor.visit_enum(Variant { variant, number })
+            }
+            _ => Err(NoShape::custom("it has no variants")),
+        }
     }
 
     fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, NoShape> {
-        Err(NoShape("it reads itself from anything".to_owned()))
+        Err(NoShape::custom("it reads itself from anything"))
     }
 
-    fn deserialize_identifier<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-        self.deserialize_any(visitor)
-    }
-
-    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
-        self.deserialize_any(visitor)
-    }
+    serde::forward_to_deserialize_any! { identifier ignored_any }
 }

@@ -10,7 +10,7 @@ use std::{
 };
 
 use ctos::{
-    Command as _,
+    Blob, Command as _,
     call::{CallError, Fault},
     message::{CommandInfo, Message},
     recent::{Ending, TaskLook},
@@ -720,9 +720,7 @@ async fn images_stay_the_same_while_anybody_has_them(suite: Suite) -> Outcome {
     // More than fits into what chassis share, so that some go the ordinary way.
     let mut kept = Vec::new();
     for number in 0..80_u8 {
-        let mut image = suite.cx.blob(300_000);
-        image.fill(number);
-        let bytes = image.freeze();
+        let bytes = Blob::from(vec![number; 300_000]);
         kept.push((number, bytes.clone()));
         kept.push((number, suite.cx.call(&suite.peer, Mirror { bytes }).await?));
         if number % 3 == 0 {

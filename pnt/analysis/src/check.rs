@@ -16,7 +16,7 @@ use std::{
 
 use ctos::{
     diagnostic::{Finding, Findings, Place as At},
-    message::Fields,
+    message::DataType,
     registry::Vocabulary,
 };
 
@@ -60,7 +60,7 @@ pub struct FunctionNames {
     /// Enabling functions, for `when` lines.
     pub enabling: BTreeSet<String>,
     /// The local functions that take and give data objects, each with its argument and its result.
-    pub typed: BTreeMap<String, (Fields, Fields)>,
+    pub typed: BTreeMap<String, (DataType, DataType)>,
 }
 
 impl FunctionNames {

@@ -10,7 +10,7 @@ use std::{
 };
 
 use ctos::{
-    message::{Data, Fields},
+    message::{Data, DataType},
     task::{Context, HandlerError},
 };
 use serde::{Serialize, de::DeserializeOwned};
@@ -154,8 +154,8 @@ pub(crate) enum Local<S> {
     /// From the bytes of its argument to those of its result.
     Typed {
         call: Call<S>,
-        argument: Fields,
-        result: Fields,
+        argument: DataType,
+        result: DataType,
     },
 }
 
@@ -231,8 +231,8 @@ impl<S: 'static> Library<S> {
         });
         let typed = Local::Typed {
             call,
-            argument: Fields::of::<A>(),
-            result: Fields::of::<R>(),
+            argument: DataType::of::<A>(),
+            result: DataType::of::<R>(),
         };
         self.actions.insert(name.to_owned(), typed);
         self

@@ -23,7 +23,7 @@ use crate::{
     task_record::TaskRecord,
 };
 use ctos_config::{TaskConfig, diagnostic::Finding};
-use ctos_message::{CommandInfo, Tid, blob::BlobMut};
+use ctos_message::{CommandInfo, Tid};
 use ctos_time::Instant;
 
 /// How long a call waits for its reply unless it, or the task's configuration, says otherwise.
@@ -208,13 +208,6 @@ impl Context {
         for child in children.into_values() {
             self.inner.processor.cancel(child);
         }
-    }
-
-    /// So many bytes of data that is made here and then sent: an image, a scan. What stands in it at first is of
-    /// no meaning: it is to be written as a whole.
-    #[must_use]
-    pub fn blob(&self, size: usize) -> BlobMut {
-        BlobMut::new(size)
     }
 
     /// The task's arguments, `[task.NAME.args]` of the configuration.

@@ -277,7 +277,7 @@ fn spins_until_a_link_brings_something(visible: bool) -> Arc<Shows> {
         wakes: Mutex::new(lock(&wakes).take()),
     });
     let shown = source.clone();
-    let watched = reactor.add(move |_| shown).unwrap();
+    let watched = reactor.add(shown).unwrap();
     assert!(processor.spin(processor.now()), "nothing has come");
     assert_eq!(processor.ready_count(), 1);
     drop(watched);

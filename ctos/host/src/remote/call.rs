@@ -109,7 +109,7 @@ impl Link {
 
     async fn say_hello(&self) -> Result<(Stream, bool, Process), String> {
         let agent = Address::Tcp(self.host.agent);
-        let (mut stream, identity) = connect(&agent, self.keys.as_ref())
+        let (mut stream, identity) = connect(&agent, self.keys.as_ref(), None)
             .await
             .map_err(|error| self.explained(&error))?;
         if let Some(identity) = identity.filter(|identity| !identity.may(Role::Boot)) {

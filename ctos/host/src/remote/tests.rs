@@ -25,7 +25,7 @@ use ctos_config::{Bundle, load};
 use ctos_core::registry::Registry;
 use ctos_link::{
     handshake::{self, Token},
-    transport::{Address, Stream},
+    transport::Address,
 };
 
 /// A test that takes longer hangs; none takes a fraction of it.
@@ -181,8 +181,7 @@ impl Boot {
         };
         assert_eq!(known, expect_known);
         let outbox = Outbox::new();
-        let connection =
-            Connection::new(Stream::Tcp(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
+        let connection = Connection::new(Box::new(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
         Self { connection, outbox }
     }
 
@@ -346,8 +345,7 @@ fn nothing_of_a_lost_run_is_left_when_the_one_that_replaces_it_begins() {
         let (stream, answer) = say_hello(host.address, &hello).await;
         assert!(matches!(answer, HelloAnswer::Welcome { known: false, .. }));
         let outbox = Outbox::new();
-        let connection =
-            Connection::new(Stream::Tcp(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
+        let connection = Connection::new(Box::new(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
         let mut anew = Boot { connection, outbox };
         anew.outbox.say(ToAgent::App(Box::new(files(&[]))));
         assert_eq!(anew.hear().await, ToBoot::Unpacked);

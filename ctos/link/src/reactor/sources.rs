@@ -47,12 +47,14 @@ pub enum Seen {
     Nothing,
     /// Frames, which were handed on.
     Frames,
+    /// The same, and there may be more: it is to be told again.
+    More,
     /// It is over and need not be looked at again.
     End,
 }
 
-/// What has happened to a source. It is told once: a source reads until nothing is left, or asks to be told
-/// again (`Sources::tell`).
+/// What has happened to a source. It is told once: a source reads until nothing is left, or says
+/// that there may be more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Happened {
     /// It may be readable.
@@ -148,24 +150,15 @@ impl Sources {
         Ok((sources, poller))
     }
 
-    /// Polls the source that `make` makes with its token; its number.
+    /// Polls a source; its number.
     ///
     /// # Errors
     /// What the system says.
-    pub(super) fn add(
-        &self,
-        make: impl FnOnce(Token) -> Arc<dyn Source>,
-    ) -> io::Result<(usize, Arc<dyn Source>)> {
+    pub(super) fn add(&self, source: Arc<dyn Source>) -> io::Result<usize> {
         let id = self.next.fetch_add(1, Ordering::Relaxed);
-        let source = make(Token(id));
         self.write().insert(id, source.clone());
         self.version.fetch_add(1, Ordering::Release);
-        let interest = match source.visible() {
-            Some(_) => Interest::READABLE,
-            // The first event writes what was posted before.
-            None => Interest::READABLE | Interest::WRITABLE,
-        };
-        let fd = source.fd().as_raw_fd();
+        let (fd, interest) = (source.fd().as_raw_fd(), interest(&*source));
         let registered = self
             .registry
             .register(&mut SourceFd(&fd), Token(id), interest);
@@ -174,20 +167,7 @@ impl Sources {
         }
         // A leader that looks at the memory already must see this one too.
         self.wake();
-        registered.map(|()| (id, source))
-    }
-
-    /// Tells a source anew what has happened to it, and from now on also when it is writable, or no longer.
-    pub(super) fn tell(&self, fd: BorrowedFd<'_>, token: Token, writable: bool) {
-        let interest = if writable {
-            Interest::READABLE | Interest::WRITABLE
-        } else {
-            Interest::READABLE
-        };
-        // One that is no longer looked at needs to be told nothing.
-        let _ = self
-            .registry
-            .reregister(&mut SourceFd(&fd.as_raw_fd()), token, interest);
+        registered.map(|()| id)
     }
 
     /// Polls it no longer.
@@ -250,6 +230,19 @@ impl Sources {
         match seen {
             Seen::Nothing => before,
             Seen::Frames => Seen::Frames,
+            Seen::More => {
+                if let Some(source) = self.read().get(&id) {
+                    let (fd, interest) = (source.fd().as_raw_fd(), interest(&**source));
+                    // What is there already happens once more.
+                    let again = self
+                        .registry
+                        .reregister(&mut SourceFd(&fd), Token(id), interest);
+                    if let Err(error) = again {
+                        tracing::error!(%error, "a link is no longer read");
+                    }
+                }
+                Seen::Frames
+            }
             Seen::End => {
                 self.remove(id);
                 before
@@ -346,6 +339,15 @@ impl Poller {
         {
             visible.set_asleep(asleep);
         }
+    }
+}
+
+/// What the system is to say of a source: a bell only rings, and the first that is said of a socket, that it is
+/// writable, makes it write what was posted before.
+fn interest(source: &dyn Source) -> Interest {
+    match source.visible() {
+        Some(_) => Interest::READABLE,
+        None => Interest::READABLE | Interest::WRITABLE,
     }
 }
 

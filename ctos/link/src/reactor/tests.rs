@@ -1,7 +1,10 @@
 //! Who leads, and that no wake-up is lost.
 
 use std::{
-    os::{fd::AsFd, unix::net::UnixStream},
+    os::{
+        fd::{AsFd, BorrowedFd},
+        unix::net::UnixStream,
+    },
     sync::mpsc,
     thread::ThreadId,
 };
@@ -55,17 +58,13 @@ fn joined(reactor: Arc<Reactor>, handles: Option<Arc<LinkParker>>) -> Joined {
     let (stream, other_end) = UnixStream::pair().unwrap();
     stream.set_nonblocking(true).unwrap();
     let (sender, served) = mpsc::channel();
-    let watched = reactor.add(|token| {
-        assert!(token != WAKER && token != TIMER);
-        Arc::new(Pipe {
-            stream,
-            served: sender,
-            handles,
-        })
-    });
-    let watched = watched.unwrap();
-    // As a socket's writer does when there is nothing to be written.
-    reactor.tell(watched.source.fd(), Token(watched.id), false);
+    let pipe = Pipe {
+        stream,
+        served: sender,
+        handles,
+    };
+    let watched = reactor.add(Arc::new(pipe)).unwrap();
+    assert!(watched.id != WAKER.0 && watched.id != TIMER.0);
     Joined {
         reactor,
         other_end,

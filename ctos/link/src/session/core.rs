@@ -10,7 +10,7 @@ use super::{
     line::{Line, gives_up, is_fence, lane_of_request},
     packet::{Content, Decoder, Kind, Packet, PacketError},
     state::{DownReason, Event, State},
-    window::{Arrival, Incoming, Lane, Outgoing, Pumped},
+    window::{Arrival, Incoming, Lane, Outgoing},
 };
 use crate::{
     frame::{Counts, Frame, Full},
@@ -48,15 +48,6 @@ pub enum AttachError {
     Packet(#[from] PacketError),
     #[error("the link is cut on purpose")]
     Cut,
-}
-
-/// A new stream.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Attached {
-    /// Its number; what comes from it must be handed in under that number.
-    pub stream: u64,
-    /// It is the first one.
-    pub first: bool,
 }
 
 /// What came of some bytes.
@@ -145,7 +136,8 @@ impl Core {
     }
 
     /// Goes on over a new stream, whose other end has received everything up to `received`. Frames with more data
-    /// than `piece` bytes are cut on it.
+    /// than `piece` bytes are cut on it. The number is the stream's, the first is 1; what comes from it must be
+    /// handed in under that number.
     ///
     /// # Errors
     /// When the session is over, or the other end claims to have what was never sent.
@@ -154,7 +146,7 @@ impl Core {
         received: u64,
         piece: usize,
         now: Instant,
-    ) -> Result<Attached, AttachError> {
+    ) -> Result<u64, AttachError> {
         if self.is_cut(now) {
             return Err(AttachError::Cut);
         }
@@ -173,10 +165,7 @@ impl Core {
         self.heard = now;
         self.stream += 1;
         self.counts.streams += 1;
-        Ok(Attached {
-            stream: self.stream,
-            first: self.stream == 1,
-        })
+        Ok(self.stream)
     }
 
     /// Something happened, and why; whether the state is another one now.
@@ -281,7 +270,7 @@ impl Core {
         &mut self,
         now: Instant,
         write: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
-    ) -> io::Result<Pumped> {
+    ) -> io::Result<()> {
         self.outgoing.pump(self.incoming.received(), now, write)
     }
 

@@ -1,19 +1,16 @@
-//! Streams that are read where their frames are handled: plain sockets and shared memory, by whichever
+//! Streams that are read and written where frames are handled: plain sockets and shared memory, by whichever
 //! thread of the chassis is at the links.
 
 use std::{
+    io::{self, IoSlice},
     os::fd::{AsFd, BorrowedFd, OwnedFd},
     sync::{Arc, Mutex},
 };
 
-use mio::Token;
-use rustix::{
-    io::Errno,
-    net::{RecvFlags, recv},
-};
+use rustix::net::{RecvFlags, SendAncillaryBuffer, SendFlags, recv, send, sendmsg};
 use tokio::sync::oneshot;
 
-use super::{Session, writer::Socket};
+use super::Session;
 use crate::{
     lock::lock,
     reactor::{Happened, Seen, Source, Visible},
@@ -26,23 +23,53 @@ const CHUNK: usize = 64 * 1024;
 /// How often one stream is read before others are polled.
 const READS: usize = 64;
 
-/// What a stream is read from.
+/// What brings bytes to the other end and back without waiting.
 pub(super) enum Carrier {
-    Socket(Arc<Socket>),
+    /// A socket that does not block, and whether the other end is a process of this host.
+    Socket { fd: OwnedFd, is_nearby: bool },
     Shared {
+        sender: shm::Sender,
         receiver: shm::Receiver,
         bell: OwnedFd,
     },
 }
 
-/// How one read ended.
-enum Read {
-    /// Something came, and there may be more.
-    More,
-    /// That was all for now.
-    Drained,
-    /// Nothing will come any more.
-    End,
+impl Carrier {
+    /// Whether the other end is a process of this host.
+    pub(super) fn is_nearby(&self) -> bool {
+        match self {
+            Self::Socket { is_nearby, .. } => *is_nearby,
+            Self::Shared { .. } => true,
+        }
+    }
+
+    /// Writes from any thread what can be written at once. The reactor sees when more can be.
+    pub(super) fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+        let flags = SendFlags::NOSIGNAL | SendFlags::DONTWAIT;
+        match (self, slices) {
+            (Self::Shared { sender, .. }, slices) => sender.try_write(slices),
+            (Self::Socket { fd, .. }, [only]) => Ok(send(fd, only, flags)?),
+            (Self::Socket { fd, .. }, slices) => {
+                let nothing = &mut SendAncillaryBuffer::default();
+                Ok(sendmsg(fd, slices, nothing, flags)?)
+            }
+        }
+    }
+
+    /// Reads what has come; no bytes at the end of a socket.
+    ///
+    /// # Errors
+    /// `InvalidData` when the other side spoilt the memory, and what the system says.
+    fn try_read(&self, chunk: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Socket { fd, .. } => Ok(recv(fd, chunk, RecvFlags::DONTWAIT)?.1),
+            Self::Shared { receiver, .. } => match receiver.read(chunk) {
+                Ok(0) => Err(io::ErrorKind::WouldBlock.into()),
+                Ok(count) => Ok(count),
+                Err(corrupt) => Err(io::Error::new(io::ErrorKind::InvalidData, corrupt)),
+            },
+        }
+    }
 }
 
 struct Reading {
@@ -55,7 +82,7 @@ struct Reading {
 pub(super) struct DirectStream {
     session: Arc<Session>,
     number: u64,
-    carrier: Carrier,
+    carrier: Arc<Carrier>,
     reading: Mutex<Reading>,
 }
 
@@ -64,7 +91,7 @@ impl DirectStream {
     pub(super) fn new(
         session: Arc<Session>,
         number: u64,
-        carrier: Carrier,
+        carrier: Arc<Carrier>,
     ) -> (Self, oneshot::Receiver<()>) {
         let (ended, ends) = oneshot::channel();
         let stream = Self {
@@ -79,64 +106,37 @@ impl DirectStream {
         (stream, ends)
     }
 
-    /// Its token at the reactor.
-    pub(super) fn set_token(&self, token: Token) {
-        if let Carrier::Socket(socket) = &self.carrier {
-            socket.set_token(token);
-        }
-    }
-
     /// Reads what there is, up to the end if the other end has `closed`. What came.
     fn read(&self, chunk: &mut [u8], closed: bool) -> Seen {
         let mut seen = Seen::Nothing;
         for _ in 0..READS {
-            let (end, count) = self.read_once(chunk, closed);
-            if count > 0 {
-                let bytes = chunk.get(..count).unwrap_or_default();
-                let read = self.session.read(self.number, bytes);
-                if read.frames {
-                    seen = Seen::Frames;
-                }
-                if !read.goes_on {
-                    return Seen::End;
-                }
+            let count = match self.carrier.try_read(chunk) {
+                Ok(0) => return Seen::End,
+                Ok(count) => count,
+                Err(error) => match error.kind() {
+                    io::ErrorKind::WouldBlock if !closed => return seen,
+                    io::ErrorKind::Interrupted => continue,
+                    io::ErrorKind::InvalidData => {
+                        self.session.rubbish(&error);
+                        return Seen::End;
+                    }
+                    _ => return Seen::End,
+                },
+            };
+            let bytes = chunk.get(..count).unwrap_or_default();
+            let read = self.session.read(self.number, bytes);
+            if read.frames {
+                seen = Seen::Frames;
             }
-            match end {
-                Read::More => {}
-                Read::Drained => return seen,
-                Read::End => return Seen::End,
+            if !read.goes_on {
+                return Seen::End;
+            }
+            // What gave less than there was place for has no more, but perhaps its end.
+            if count < chunk.len() && !closed {
+                return seen;
             }
         }
-        if let Carrier::Socket(socket) = &self.carrier {
-            socket.tell_again();
-        }
-        seen
-    }
-
-    /// One read, and how many bytes it gave.
-    fn read_once(&self, chunk: &mut [u8], closed: bool) -> (Read, usize) {
-        match &self.carrier {
-            Carrier::Socket(socket) => {
-                match recv(socket.fd(), &mut *chunk, RecvFlags::DONTWAIT) {
-                    Ok((_, 0)) => (Read::End, 0),
-                    // A socket that gave less than there was place for has no more, but perhaps its end.
-                    Ok((_, count)) if count < chunk.len() && !closed => (Read::Drained, count),
-                    Ok((_, count)) => (Read::More, count),
-                    Err(Errno::AGAIN) => (Read::Drained, 0),
-                    Err(Errno::INTR) => (Read::More, 0),
-                    Err(_) => (Read::End, 0),
-                }
-            }
-            Carrier::Shared { receiver, .. } => match receiver.read(chunk) {
-                Ok(0) if closed => (Read::End, 0),
-                Ok(0) => (Read::Drained, 0),
-                Ok(count) => (Read::More, count),
-                Err(error) => {
-                    self.session.rubbish(&error);
-                    (Read::End, 0)
-                }
-            },
-        }
+        Seen::More
     }
 }
 
@@ -154,31 +154,26 @@ impl Source for DirectStream {
                 return Seen::End;
             }
         }
-        match &self.carrier {
-            Carrier::Socket(socket) if happened.writable => {
-                self.session.pump(self.number, Some(socket));
-            }
-            Carrier::Socket(_) => {}
+        let waits = match &*self.carrier {
+            Carrier::Socket { .. } => false,
             // The bell of shared memory rings for what comes and for space.
-            Carrier::Shared { receiver, .. } => {
-                if happened.writable || receiver.waits_for_space() {
-                    self.session.pump(self.number, None);
-                }
-            }
+            Carrier::Shared { receiver, .. } => receiver.waits_for_space(),
+        };
+        if happened.writable || waits {
+            self.session.pump(self.number);
         }
         seen
     }
 
     fn fd(&self) -> BorrowedFd<'_> {
-        match &self.carrier {
-            Carrier::Socket(socket) => socket.fd(),
-            Carrier::Shared { bell, .. } => bell.as_fd(),
+        match &*self.carrier {
+            Carrier::Socket { fd, .. } | Carrier::Shared { bell: fd, .. } => fd.as_fd(),
         }
     }
 
     fn visible(&self) -> Option<&dyn Visible> {
-        match &self.carrier {
-            Carrier::Socket(_) => None,
+        match &*self.carrier {
+            Carrier::Socket { .. } => None,
             Carrier::Shared { receiver, .. } => Some(receiver),
         }
     }

@@ -1,19 +1,22 @@
 //! Drivers: what moves bytes between a session and one stream, until the stream ends.
 
-use std::{future::poll_fn, io, os::fd::OwnedFd, pin::pin, sync::Arc, task::Poll, time::Duration};
+use std::{future::poll_fn, io, pin::pin, sync::Arc, task::Poll, time::Duration};
 
 use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
-    net::UnixStream,
+    net::{TcpStream, UnixStream},
 };
 
 use super::{
     AttachError, Session, Writer,
     direct::{Carrier, DirectStream},
-    writer::Socket,
 };
-use crate::{reactor::Reactor, shm, transport::Stream};
+use crate::{
+    reactor::Reactor,
+    shm,
+    transport::{Stream, is, socket},
+};
 
 /// How much a Unix socket holds that has not been read, bytes; TCP finds its own measure.
 const SEND_BUFFER: usize = 1 << 20;
@@ -38,26 +41,24 @@ pub async fn drive(
     received: u64,
     reactor: &Arc<Reactor>,
 ) -> Result<(), AttachError> {
-    let stream = match stream {
-        // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
-        Stream::Other(_) => stream,
-        _ if session.is_injured() => stream,
-        Stream::Tcp(_) | Stream::Unix(_) => {
-            let is_nearby = stream.is_nearby();
-            return match fd_of(stream) {
-                Ok(fd) => {
-                    let socket = Socket::new(fd, is_nearby, Arc::downgrade(reactor));
-                    drive_socket(session, socket, received, reactor).await
-                }
-                Err(error) => {
-                    broke(&error);
-                    Ok(())
-                }
-            };
+    let is_plain = is::<TcpStream>(&stream) || is::<UnixStream>(&stream);
+    // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
+    if !is_plain || session.is_injured() {
+        return driven(session, stream, received).await;
+    }
+    match plain(stream) {
+        Ok(carrier) => direct(session, carrier, received, reactor, std::future::pending()).await,
+        Err(error) => {
+            broke(&error);
+            Ok(())
         }
-    };
+    }
+}
+
+/// Carries `session` over a stream that is not a plain socket.
+async fn driven(session: &Arc<Session>, stream: Stream, received: u64) -> Result<(), AttachError> {
     let (mut reader, writer) = tokio::io::split(stream);
-    let number = session.attach(Writer::Other(Box::new(writer)), received)?;
+    let number = session.attach(Writer::Driven(Box::new(writer)), received)?;
     let mut read = pin!(read_all(session, number, &mut reader));
     let write = poll_fn(|cx| session.poll_pump(cx, number));
     let late = async {
@@ -87,21 +88,24 @@ pub async fn drive(
     Ok(())
 }
 
-/// The file descriptor of a plain socket; it stays non-blocking.
-fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
-    match stream {
-        Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
-        Stream::Unix(stream) => {
-            let stream = stream.into_std()?;
-            // An image leaves at once, and its receiver is woken once. What the system refuses is no reason to do
-            // without the socket.
-            if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
-                tracing::debug!(error = %error, "a socket keeps its small buffer");
-            }
-            Ok(stream.into())
-        }
-        Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
+/// A plain socket; it stays non-blocking.
+fn plain(stream: Stream) -> io::Result<Carrier> {
+    if is::<TcpStream>(&stream) {
+        let stream: TcpStream = socket(stream)?;
+        let is_nearby = stream.peer_addr().is_ok_and(|peer| peer.ip().is_loopback());
+        let fd = stream.into_std()?.into();
+        return Ok(Carrier::Socket { fd, is_nearby });
     }
+    let stream = socket::<UnixStream>(stream)?.into_std()?;
+    // An image leaves at once, and its receiver is woken once. What the system refuses is no reason to do
+    // without the socket.
+    if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
+        tracing::debug!(error = %error, "a socket keeps its small buffer");
+    }
+    Ok(Carrier::Socket {
+        fd: stream.into(),
+        is_nearby: true,
+    })
 }
 
 async fn read_all(
@@ -135,40 +139,26 @@ pub async fn drive_shared(
     reactor: &Arc<Reactor>,
 ) -> Result<(), AttachError> {
     let (sender, receiver, bell) = shared.split();
-    let number = session.attach(Writer::Shared(sender), received)?;
-    let carrier = Carrier::Shared { receiver, bell };
-    watched(session, number, carrier, reactor, hung_up(&socket)).await;
-    Ok(())
+    let carrier = Carrier::Shared {
+        sender,
+        receiver,
+        bell,
+    };
+    direct(session, carrier, received, reactor, hung_up(&socket)).await
 }
 
-/// Carries `session` over a plain socket that the reactor reads.
-async fn drive_socket(
+/// Has the reactor read what `carrier` brings until it ends, or until the other end has `hung_up`.
+async fn direct(
     session: &Arc<Session>,
-    socket: Socket,
+    carrier: Carrier,
     received: u64,
     reactor: &Arc<Reactor>,
-) -> Result<(), AttachError> {
-    let socket = Arc::new(socket);
-    let number = session.attach(Writer::Socket(socket.clone()), received)?;
-    let carrier = Carrier::Socket(socket);
-    watched(session, number, carrier, reactor, std::future::pending()).await;
-    Ok(())
-}
-
-/// Has the reactor read stream `number` until it ends, or until the other end has `hung_up`.
-async fn watched(
-    session: &Arc<Session>,
-    number: u64,
-    carrier: Carrier,
-    reactor: &Arc<Reactor>,
     hung_up: impl Future<Output = ()>,
-) {
+) -> Result<(), AttachError> {
+    let carrier = Arc::new(carrier);
+    let number = session.attach(Writer::Direct(carrier.clone()), received)?;
     let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
-    let watched = reactor.add(move |token| {
-        stream.set_token(token);
-        Arc::new(stream)
-    });
-    match watched {
+    match reactor.add(Arc::new(stream)) {
         Ok(watched) => {
             tokio::select! {
                 _ = &mut ended => {}
@@ -186,6 +176,7 @@ async fn watched(
         Err(error) => broke(&error),
     }
     session.lost(number);
+    Ok(())
 }
 
 fn broke(error: &io::Error) {
@@ -205,5 +196,24 @@ async fn hung_up(socket: &UnixStream) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(_) => return,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::net::TcpListener;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn only_a_stream_whose_other_end_is_known_to_be_on_this_host_is_nearby() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let there = TcpStream::connect(listener.local_addr().unwrap());
+        assert!(plain(Box::new(there.await.unwrap())).unwrap().is_nearby());
+        let (here, _there) = UnixStream::pair().unwrap();
+        assert!(plain(Box::new(here)).unwrap().is_nearby());
+        // What is behind a router may be anywhere.
+        let (here, _there) = tokio::io::duplex(1);
+        assert!(plain(Box::new(here)).is_err());
     }
 }

@@ -7,7 +7,10 @@
 
 use bytes::{Buf, BufMut, BytesMut};
 
-use crate::frame::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
+use crate::{
+    frame::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError},
+    message::Header,
+};
 
 /// Length, kind, two numbers.
 pub const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
@@ -34,10 +37,8 @@ pub enum Kind {
     /// The other end has been given up.
     GivenUp = 6,
     /// The next bytes of the data of a large frame, which others may come between. The first number: how
-    /// many bytes of it came before.
+    /// many bytes of it came before. The last ones come with the frame.
     Piece = 7,
-    /// A frame with the last bytes of its data; the others have come in pieces.
-    Last = 8,
 }
 
 impl Kind {
@@ -50,7 +51,6 @@ impl Kind {
             Self::Again,
             Self::GivenUp,
             Self::Piece,
-            Self::Last,
         ]
         .into_iter()
         .find(|kind| *kind as u8 == byte)
@@ -58,13 +58,18 @@ impl Kind {
 
     /// Whether packets of this kind are numbered, kept until acknowledged and sent again when lost.
     pub fn is_numbered(self) -> bool {
-        matches!(self, Self::Frame | Self::Notice | Self::Bye | Self::Last)
+        matches!(self, Self::Frame | Self::Notice | Self::Bye)
+    }
+
+    /// Bytes between the packet's head and its data.
+    fn fixed(self) -> usize {
+        if self == Self::Frame { FRAME_FIXED } else { 0 }
     }
 
     /// The bytes that must, and those that may, follow the packet's head.
     fn sizes(self) -> std::ops::RangeInclusive<usize> {
         match self {
-            Self::Frame | Self::Last => FRAME_FIXED..=FRAME_LIMIT,
+            Self::Frame => FRAME_FIXED..=FRAME_LIMIT,
             Self::Piece => 1..=FRAME_LIMIT,
             Self::Notice => 0..=NOTICE_LIMIT,
             Self::Bye | Self::Pulse | Self::Again | Self::GivenUp => 0..=0,
@@ -138,50 +143,16 @@ pub fn put_head(into: &mut BytesMut, kind: Kind, numbers: [u64; 2], size: usize)
     into.put_slice(&head);
 }
 
-enum Stage {
-    /// The head of the next packet, so far.
-    Head,
-    /// The rest of a packet, so far, and how long it is.
-    Rest {
-        kind: Kind,
-        numbers: [u64; 2],
-        size: usize,
-        /// How much of its data came in pieces before.
-        before: usize,
-    },
-}
-
-impl Stage {
-    /// How much data of the packet is missing, when so much of it is there.
-    fn missing(&self, there: usize) -> usize {
-        match self {
-            Self::Head => 0,
-            Self::Rest {
-                kind, size, before, ..
-            } => (before + size - fixed_size(*kind)).saturating_sub(there),
-        }
-    }
-}
-
 /// Reads packets out of a stream that is cut anywhere.
+#[derive(Default)]
 pub struct Decoder {
-    stage: Stage,
-    /// What has come of the packet's head, or of its fixed part behind the head.
-    head: BytesMut,
+    /// What has come of the packet's head, and of the fixed part behind it.
+    head: Vec<u8>,
+    /// A packet whose head has come, and how much of its data has not.
+    begun: Option<(Packet, usize)>,
     body: Vec<u8>,
     /// What has come of a frame that comes in pieces.
     pieces: Vec<u8>,
-}
-
-impl Default for Decoder {
-    fn default() -> Self {
-        Self {
-            stage: Stage::Head,
-            head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
-            body: Vec::new(),
-            pieces: Vec::new(),
-        }
-    }
 }
 
 impl Decoder {
@@ -191,117 +162,100 @@ impl Decoder {
     /// [`PacketError`]; the stream is of no use afterwards.
     pub fn feed(&mut self, bytes: &mut &[u8]) -> Result<Option<Packet>, PacketError> {
         loop {
-            match self.stage {
-                Stage::Head => {
-                    let head = match bytes.split_first_chunk::<PACKET_HEAD>() {
-                        // Read where it stands.
-                        Some((head, rest)) if self.head.is_empty() => {
-                            *bytes = rest;
-                            *head
-                        }
-                        _ => {
-                            let whole = fill(&mut self.head, PACKET_HEAD, bytes);
-                            match self.head.first_chunk() {
-                                Some(head) if whole => *head,
-                                _ => return Ok(None),
-                            }
-                        }
-                    };
-                    self.begin(&head)?;
-                }
-                Stage::Rest { kind, numbers, .. } => {
-                    if !fill(&mut self.head, fixed_size(kind), bytes) {
-                        return Ok(None);
-                    }
-                    let missing = self.stage.missing(self.body.len());
-                    let (now, later) = bytes.split_at(missing.min(bytes.len()));
-                    self.body.extend_from_slice(now);
-                    *bytes = later;
-                    if now.len() < missing {
-                        return Ok(None);
-                    }
-                    if kind == Kind::Piece {
-                        self.pieces = std::mem::take(&mut self.body);
-                        self.head.clear();
-                        self.stage = Stage::Head;
+            if !fill(&mut self.head, PACKET_HEAD, bytes) {
+                return Ok(None);
+            }
+            let (mut packet, mut missing) = match self.begun.take() {
+                Some(begun) => begun,
+                None => self.begin()?,
+            };
+            if fill(&mut self.head, PACKET_HEAD + packet.kind.fixed(), bytes) {
+                let (now, later) = bytes.split_at(missing.min(bytes.len()));
+                let is_piece = packet.kind == Kind::Piece;
+                let into = if is_piece {
+                    &mut self.pieces
+                } else {
+                    &mut self.body
+                };
+                into.extend_from_slice(now);
+                missing -= now.len();
+                *bytes = later;
+                if missing == 0 {
+                    packet.content = self.finish(packet.kind)?;
+                    if is_piece {
                         continue;
                     }
-                    return self.finish(kind, numbers).map(Some);
+                    return Ok(Some(packet));
                 }
             }
+            self.begun = Some((packet, missing));
+            return Ok(None);
         }
     }
 
-    fn begin(&mut self, head: &[u8; PACKET_HEAD]) -> Result<(), PacketError> {
-        let mut head = &head[..];
-        // All of them are there.
+    /// Reads the head, which is there.
+    fn begin(&mut self) -> Result<(Packet, usize), PacketError> {
+        let mut head = self.head.as_slice();
         let length = usize::try_from(head.get_u32_le()).unwrap_or(usize::MAX);
         let byte = head.get_u8();
-        let numbers = [head.get_u64_le(), head.get_u64_le()];
+        let (number, received) = (head.get_u64_le(), head.get_u64_le());
         let kind = Kind::from_byte(byte).ok_or(PacketError::Kind(byte))?;
         let allowed = kind.sizes();
-        let wrong = PacketError::Length {
+        let size = length.wrapping_sub(PACKET_HEAD - 4);
+        if length < PACKET_HEAD - 4 || !allowed.contains(&size) {
+            return Err(PacketError::Length {
+                kind,
+                length,
+                least: PACKET_HEAD - 4 + allowed.start(),
+                most: PACKET_HEAD - 4 + allowed.end(),
+            });
+        }
+        let missing = size - kind.fixed();
+        if kind == Kind::Piece {
+            if number == 0 {
+                // The first of a frame; perhaps of one that begins anew.
+                self.pieces.clear();
+            }
+            let come = self.pieces.len();
+            if number != come as u64 || come + size > FRAME_LIMIT {
+                return Err(PacketError::Piece { at: number, come });
+            }
+        } else {
+            self.body.reserve_exact(missing.min(RESERVE));
+        }
+        let packet = Packet {
             kind,
-            length,
-            least: PACKET_HEAD - 4 + allowed.start(),
-            most: PACKET_HEAD - 4 + allowed.end(),
+            number,
+            received,
+            content: Content::Nothing,
         };
-        let size = length
-            .checked_sub(PACKET_HEAD - 4)
-            .filter(|size| allowed.contains(size))
-            .ok_or(wrong)?;
-        self.head.clear();
-        let before = self.body_before(kind, numbers, size)?;
-        self.stage = Stage::Rest {
-            kind,
-            numbers,
-            size,
-            before,
-        };
-        Ok(())
+        Ok((packet, missing))
     }
 
-    /// Prepares the body of a packet: a new one, or what came in pieces before, of which it says the size.
-    fn body_before(
-        &mut self,
-        kind: Kind,
-        [at, _]: [u64; 2],
-        size: usize,
-    ) -> Result<usize, PacketError> {
-        if !matches!(kind, Kind::Piece | Kind::Last) {
-            self.body = Vec::with_capacity((size - fixed_size(kind)).min(RESERVE));
-            return Ok(0);
-        }
-        let mut pieces = std::mem::take(&mut self.pieces);
-        if kind == Kind::Piece && at == 0 {
-            // The first of a frame; perhaps of one that begins anew.
-            pieces.clear();
-        }
-        let before = pieces.len();
-        let fits = kind == Kind::Last || at == before as u64;
-        if !fits || before + size > FRAME_LIMIT {
-            return Err(PacketError::Piece { at, come: before });
-        }
-        self.body = pieces;
-        Ok(before)
-    }
-
-    fn finish(&mut self, kind: Kind, numbers: [u64; 2]) -> Result<Packet, PacketError> {
-        self.stage = Stage::Head;
-        let body = std::mem::take(&mut self.body);
+    /// What the packet carries that has come as a whole.
+    fn finish(&mut self, kind: Kind) -> Result<Content, PacketError> {
+        let mut body = std::mem::take(&mut self.body);
         let content = match kind {
-            Kind::Frame | Kind::Last => Content::Frame(Frame::from_parts(&self.head, body.into())?),
+            Kind::Frame => {
+                let fixed = self.head.get(PACKET_HEAD..).unwrap_or_default();
+                let header = fixed.first_chunk().map(Header::decode);
+                if header.is_some_and(|header| header.size as usize > body.len()) {
+                    let mut whole = std::mem::take(&mut self.pieces);
+                    let come = whole.len();
+                    if FRAME_FIXED + come + body.len() > FRAME_LIMIT {
+                        let at = come as u64;
+                        return Err(PacketError::Piece { at, come });
+                    }
+                    whole.append(&mut body);
+                    body = whole;
+                }
+                Content::Frame(Frame::from_parts(fixed, body.into())?)
+            }
             Kind::Notice => Content::Notice(body),
             Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp | Kind::Piece => Content::Nothing,
         };
         self.head.clear();
-        let [number, received] = numbers;
-        Ok(Packet {
-            kind,
-            number,
-            received,
-            content,
-        })
+        Ok(content)
     }
 
     /// Bytes that are reserved for the body of the packet that is being read.
@@ -311,16 +265,8 @@ impl Decoder {
     }
 }
 
-/// What stands between a packet's head and its data.
-fn fixed_size(kind: Kind) -> usize {
-    match kind {
-        Kind::Frame | Kind::Last => FRAME_FIXED,
-        Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp | Kind::Piece => 0,
-    }
-}
-
 /// Moves bytes into `head` until it holds `wanted`; whether it does.
-fn fill(head: &mut BytesMut, wanted: usize, bytes: &mut &[u8]) -> bool {
+fn fill(head: &mut Vec<u8>, wanted: usize, bytes: &mut &[u8]) -> bool {
     let missing = wanted.saturating_sub(head.len());
     let (now, later) = bytes.split_at(missing.min(bytes.len()));
     head.extend_from_slice(now);

@@ -56,7 +56,7 @@ fn joined(test: impl AsyncFnOnce([(Arc<Session>, Arc<Mutex<Told>>); 2])) {
         for ((session, _), stream) in pair.clone().into_iter().zip([one, other]) {
             let reactor = reactor.clone();
             tokio::spawn(async move {
-                let stream = crate::transport::Stream::Unix(stream);
+                let stream = Box::new(stream);
                 let driven = drive::drive(&session, stream, 0, &reactor);
                 driven.await.unwrap();
             });

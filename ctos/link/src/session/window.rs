@@ -50,12 +50,8 @@ struct Kept {
     kind: Kind,
     /// The fixed part of a frame.
     head: Option<[u8; FRAME_FIXED]>,
-    /// All its data, where that is little: never sent in pieces.
-    small: Vec<u8>,
-    /// The beginning of its data, where that is much.
-    body: Bytes,
-    /// What follows the body: blobs that were not copied, and what is between them.
-    more: Vec<Bytes>,
+    /// What follows: shared where it is much.
+    body: Body,
     lane: Lane,
     /// How much of its data has left in pieces on this stream.
     cut: usize,
@@ -69,36 +65,14 @@ impl Kept {
         self.head.as_ref().map_or(&[], |head| head)
     }
 
-    /// What follows the packet's head.
-    fn rest(&self) -> usize {
-        let more = self.more.iter().map(Bytes::len);
-        self.head().len() + self.small.len() + self.body.len() + more.sum::<usize>()
-    }
-
     fn size(&self) -> usize {
-        PACKET_HEAD + self.rest()
+        PACKET_HEAD + self.head().len() + self.body.len()
     }
 
-    /// Whether it may be sent.
-    fn is_ready(&self, now: Instant) -> bool {
-        self.ready <= now
-    }
-
-    /// Its data, in parts, where it is much.
-    fn parts(&self) -> impl Iterator<Item = &Bytes> {
-        std::iter::once(&self.body).chain(&self.more)
-    }
-
-    /// How many bytes its data has.
-    fn data(&self) -> usize {
-        self.rest() - self.head().len()
-    }
-
-    /// The next `size` bytes of data, of which so many have left before.
-    fn data_from(&self, from: usize, size: usize) -> impl Iterator<Item = Bytes> {
-        let mut skip = from;
-        let mut left = size;
-        self.parts().filter_map(move |part| {
+    /// The next `size` bytes of shared data, of which `cut` have left before.
+    fn next_data(&self, size: usize) -> impl Iterator<Item = Bytes> {
+        let (mut skip, mut left) = (self.cut, size);
+        self.body.parts().iter().filter_map(move |part| {
             let begin = skip.min(part.len());
             skip -= begin;
             let end = begin + left.min(part.len() - begin);
@@ -106,15 +80,6 @@ impl Kept {
             (end > begin).then(|| part.slice(begin..end))
         })
     }
-}
-
-/// How far a stream took what there was.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Pumped {
-    /// All of it.
-    Idle,
-    /// The stream takes no more for the moment.
-    Blocked,
 }
 
 /// The sending half.
@@ -198,20 +163,10 @@ impl Outgoing {
             None => Instant::START,
         };
         let small = body.len() <= COPIED.min(self.piece);
-        let (small, body, more) = match body.into_bytes() {
-            Ok(bytes) if small => (bytes, Bytes::new(), Vec::new()),
-            Ok(bytes) => (Vec::new(), bytes.into(), Vec::new()),
-            Err(body) => {
-                let (body, more) = body.into_parts();
-                (Vec::new(), body, more)
-            }
-        };
         let kept = Kept {
             kind,
             head,
-            small,
-            body,
-            more,
+            body: if small { body } else { body.shared() },
             lane,
             cut: 0,
             ready,
@@ -241,11 +196,6 @@ impl Outgoing {
     /// The last number that was given out.
     pub fn last(&self) -> u64 {
         self.acked + self.kept.len() as u64
-    }
-
-    /// The last number that went to the stream.
-    fn sent(&self) -> u64 {
-        self.next - 1
     }
 
     /// Whether the other end has acknowledged everything.
@@ -317,13 +267,13 @@ impl Outgoing {
         received: u64,
         now: Instant,
         mut write: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
-    ) -> io::Result<Pumped> {
+    ) -> io::Result<()> {
         loop {
             if !self.is_staged() {
                 self.stage(received, now);
             }
             if !self.is_staged() {
-                return Ok(Pumped::Idle);
+                return Ok(());
             }
             let most = match &self.injury {
                 Some(injury) => injury.bytes_left()?,
@@ -346,9 +296,7 @@ impl Outgoing {
             match written {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(written) => self.written(written),
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    return Ok(Pumped::Blocked);
-                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error),
             }
@@ -384,80 +332,57 @@ impl Outgoing {
 
     /// Makes the next packets ready to be written, when nothing is.
     fn stage(&mut self, received: u64, now: Instant) {
-        let mut small = std::mem::take(&mut self.small);
         let mut size = 0;
         while size < BATCH {
             let Some(index) = usize::try_from(self.next - self.acked - 1).ok() else {
-                break;
+                return;
             };
             // A pulse tells what was sent before it, so it goes in between where it was asked for.
             if let Some(kind) = self.pulse.take() {
-                if !self.loses() {
-                    put_head(&mut small, kind, [self.sent(), received], 0);
+                if !self.injury.as_mut().is_some_and(Injury::loses) {
+                    put_head(&mut self.small, kind, [self.next - 1, received], 0);
                     size += PACKET_HEAD;
                 }
                 continue;
             }
-            let Some(kept) = self.kept.get(index).filter(|kept| kept.is_ready(now)) else {
-                break;
+            let Some(kept) = self.kept.get_mut(index).filter(|kept| kept.ready <= now) else {
+                return;
             };
-            if self.injury.is_none()
+            let is_cut = self.injury.is_none()
                 && kept.kind == Kind::Frame
                 && kept.lane != Lane::Urgent
-                && (kept.cut > 0 || kept.data() > self.piece)
-            {
-                size += self.stage_piece(&mut small, index, received);
-                continue;
+                && kept.body.start().is_empty();
+            let left = kept.body.len() - kept.cut;
+            let data = if is_cut { left.min(self.piece) } else { left };
+            size += PACKET_HEAD + data;
+            let is_last = data == left;
+            if is_last {
+                let number = self.next;
+                self.next += 1;
+                self.known = self.known.max(number);
+                if self.injury.as_mut().is_some_and(Injury::loses) {
+                    continue;
+                }
+                let rest = kept.head().len() + data;
+                put_head(&mut self.small, kept.kind, [number, received], rest);
+                self.small.put_slice(kept.head());
+                self.small.put_slice(kept.body.start());
+            } else {
+                let numbers = [kept.cut as u64, received];
+                put_head(&mut self.small, Kind::Piece, numbers, data);
             }
-            let number = self.next;
-            self.next += 1;
-            self.known = self.known.max(number);
-            size += kept.size();
-            if self.injury.as_mut().is_some_and(Injury::loses) {
-                continue;
-            }
-            put_head(&mut small, kept.kind, [number, received], kept.rest());
-            small.put_slice(kept.head());
-            small.put_slice(&kept.small);
-            for part in kept.parts() {
+            for part in kept.next_data(data) {
                 if part.len() <= COPIED {
-                    small.put_slice(part);
+                    self.small.put_slice(&part);
                 } else {
-                    if !small.is_empty() {
-                        self.staged.push_back(small.split().freeze());
+                    if !self.small.is_empty() {
+                        self.staged.push_back(self.small.split().freeze());
                     }
-                    self.staged.push_back(part.clone());
+                    self.staged.push_back(part);
                 }
             }
+            kept.cut = if is_last { 0 } else { kept.cut + data };
         }
-        self.small = small;
-    }
-
-    /// Makes the next piece of the large frame at `index` ready; how large it is.
-    fn stage_piece(&mut self, small: &mut BytesMut, index: usize, received: u64) -> usize {
-        let Some(kept) = self.kept.get_mut(index) else {
-            return 0;
-        };
-        let from = kept.cut;
-        let size = (kept.data() - from).min(self.piece);
-        if from + size < kept.data() {
-            put_head(small, Kind::Piece, [from as u64, received], size);
-            kept.cut += size;
-        } else {
-            let rest = kept.head().len() + size;
-            put_head(small, Kind::Last, [self.next, received], rest);
-            small.put_slice(kept.head());
-            kept.cut = 0;
-            self.known = self.known.max(self.next);
-            self.next += 1;
-        }
-        self.staged.push_back(small.split().freeze());
-        self.staged.extend(kept.data_from(from, size));
-        size
-    }
-
-    fn loses(&mut self) -> bool {
-        self.injury.as_mut().is_some_and(Injury::loses)
     }
 }
 

@@ -13,7 +13,7 @@ use rustix::net::{
 use tokio::{io::Interest, net::UnixStream};
 
 use super::Shared;
-use crate::transport::Stream;
+use crate::transport::{Stream, socket};
 
 /// The byte that file descriptors come with.
 const BYTE: u8 = b'm';
@@ -25,10 +25,11 @@ const COUNT: usize = 3;
 ///
 /// # Errors
 /// What the system says.
-pub async fn send(socket: &UnixStream) -> io::Result<Shared> {
+pub async fn send(stream: Stream) -> io::Result<(UnixStream, Shared)> {
+    let socket = socket(stream)?;
     let (shared, passed) = Shared::make()?;
-    pass(socket, &passed).await?;
-    Ok(shared)
+    pass(&socket, &passed).await?;
+    Ok((socket, shared))
 }
 
 /// Takes the memory that the other side passes.
@@ -36,9 +37,7 @@ pub async fn send(socket: &UnixStream) -> io::Result<Shared> {
 /// # Errors
 /// When it passes something else.
 pub async fn receive(stream: Stream) -> io::Result<(UnixStream, Shared)> {
-    let Stream::Unix(socket) = stream else {
-        return Err(io::ErrorKind::Unsupported.into());
-    };
+    let socket = socket(stream)?;
     let shared = Shared::take(take(&socket).await?)?;
     Ok((socket, shared))
 }

@@ -19,27 +19,20 @@ const BATCHES: u32 = 16;
 /// A connection that is lost is looked for after so long, ms; each time later, up to the last.
 const RETRY_MS: (u32, u32) = (50, 500);
 
-/// What a process is in its app.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
-    Boot,
-    Chassis,
-}
-
-/// zenoh's settings by their keys. A router that does not answer is waited for as long as `patience`.
+/// zenoh's settings by their keys, for the boot or for a chassis. A router that does not answer is waited for as long as `patience`.
 pub(super) fn settings(
     config: &ZenohConfig,
-    part: Part,
+    is_boot: bool,
     links: &LinkConfig,
     patience: Duration,
     keys: Option<&KeyFiles>,
 ) -> Vec<(&'static str, Value)> {
-    let (mode, connect, listen) = match (config.mode, part) {
+    let (mode, connect, listen) = match (config.mode, is_boot) {
         (ZenohMode::Peer, _) => ("peer", &config.connect[..], &config.listen[..]),
         (ZenohMode::Client, _) => ("client", &config.connect[..], &[][..]),
         // The boot is the router of its app, and the chassis find it where it listens.
-        (ZenohMode::Router, Part::Boot) => ("router", &config.connect[..], &config.listen[..]),
-        (ZenohMode::Router, Part::Chassis) => ("client", &config.listen[..], &[][..]),
+        (ZenohMode::Router, true) => ("router", &config.connect[..], &config.listen[..]),
+        (ZenohMode::Router, false) => ("client", &config.listen[..], &[][..]),
     };
     let texts = |endpoints: &[ZenohEndpoint]| {
         endpoints
@@ -144,9 +137,15 @@ mod tests {
         KeyFiles::of("keys/cell".as_ref(), "keys/ca.pem".as_ref())
     }
 
-    fn all(config: &ZenohConfig, part: Part) -> Vec<(&'static str, Value)> {
+    fn all(config: &ZenohConfig, is_boot: bool) -> Vec<(&'static str, Value)> {
         let links = LinkConfig::default();
-        settings(config, part, &links, Duration::from_secs(3), Some(&keys()))
+        settings(
+            config,
+            is_boot,
+            &links,
+            Duration::from_secs(3),
+            Some(&keys()),
+        )
     }
 
     fn value(settings: &[(&'static str, Value)], key: &str) -> Value {
@@ -159,9 +158,9 @@ mod tests {
     #[test]
     fn zenoh_knows_every_setting_and_takes_its_value() {
         for mode in [ZenohMode::Peer, ZenohMode::Client, ZenohMode::Router] {
-            for part in [Part::Boot, Part::Chassis] {
+            for is_boot in [true, false] {
                 let mut told = ::zenoh::Config::default();
-                for (key, value) in all(&config(mode), part) {
+                for (key, value) in all(&config(mode), is_boot) {
                     told.insert_json5(key, &value.to_string())
                         .unwrap_or_else(|error| panic!("{key} = {value}: {error}"));
                 }
@@ -172,7 +171,7 @@ mod tests {
     #[test]
     fn the_boot_is_the_router_of_its_app_and_the_chassis_connect_to_it() {
         let config = config(ZenohMode::Router);
-        let boot = all(&config, Part::Boot);
+        let boot = all(&config, true);
         assert_eq!(value(&boot, "mode"), "router");
         assert_eq!(
             value(&boot, "listen/endpoints"),
@@ -182,7 +181,7 @@ mod tests {
             value(&boot, "connect/endpoints"),
             json!(["tls/10.0.0.5:7447"])
         );
-        let chassis = all(&config, Part::Chassis);
+        let chassis = all(&config, false);
         assert_eq!(value(&chassis, "mode"), "client");
         assert_eq!(value(&chassis, "listen/endpoints"), json!([]));
         assert_eq!(
@@ -194,7 +193,7 @@ mod tests {
     #[test]
     fn plain_connections_are_made_only_where_one_is_configured() {
         let mut config = config(ZenohMode::Peer);
-        let protocols = |config: &_| value(&all(config, Part::Chassis), "transport/link/protocols");
+        let protocols = |config: &_| value(&all(config, false), "transport/link/protocols");
         assert_eq!(protocols(&config), json!(["tls"]));
         config.connect = vec!["tcp/10.0.0.5:7447".parse().unwrap()];
         assert_eq!(protocols(&config), json!(["tls", "tcp"]));
@@ -203,7 +202,7 @@ mod tests {
     #[test]
     fn discovery_is_off_unless_an_interface_is_named() {
         let mut config = config(ZenohMode::Peer);
-        let enabled = |config: &_| value(&all(config, Part::Chassis), "scouting/multicast/enabled");
+        let enabled = |config: &_| value(&all(config, false), "scouting/multicast/enabled");
         assert_eq!(enabled(&config), true);
         config.multicast = None;
         assert_eq!(enabled(&config), false);

@@ -76,31 +76,6 @@ impl Shared {
     }
 }
 
-/// The keys of one end of a stream.
-pub(super) struct StreamKeys {
-    outgoing: String,
-    incoming: String,
-}
-
-impl StreamKeys {
-    /// Those of the caller of `key`, for the stream `id`.
-    pub(super) fn of_caller(key: &str, id: &str) -> Self {
-        Self {
-            outgoing: format!("{key}/{id}/up"),
-            incoming: format!("{key}/{id}/down"),
-        }
-    }
-
-    /// Those of who is called.
-    pub(super) fn of_called(key: &str, id: &str) -> Self {
-        let Self { outgoing, incoming } = Self::of_caller(key, id);
-        Self {
-            outgoing: incoming,
-            incoming: outgoing,
-        }
-    }
-}
-
 /// One end of a stream on the network. What it has declared there goes with it.
 pub(super) struct End {
     shared: Arc<Shared>,
@@ -112,15 +87,21 @@ pub(super) struct End {
 }
 
 impl End {
-    /// Declares an end. Waits for the network; not for threads of a tokio runtime.
+    /// Declares the end of stream `key` that sends and hears under two parts of it. Waits for the network; not for
+    /// threads of a tokio runtime.
     ///
     /// # Errors
     /// When the session is over.
-    pub(super) fn open(session: &Session, keys: &StreamKeys) -> Result<Self, ::zenoh::Error> {
+    pub(super) fn open(
+        session: &Session,
+        key: &str,
+        [sends, hears]: [&str; 2],
+    ) -> Result<Self, ::zenoh::Error> {
+        let (outgoing, incoming) = (format!("{key}/{sends}"), format!("{key}/{hears}"));
         let shared = Arc::new(Shared::default());
         let to = shared.clone();
         let arrivals = session
-            .declare_subscriber(keys.incoming.clone())
+            .declare_subscriber(incoming.clone())
             .callback(move |sample: Sample| {
                 let chunk = sample.payload().to_bytes();
                 to.change(|pipe| pipe.arrive(&chunk));
@@ -129,7 +110,7 @@ impl End {
         let to = shared.clone();
         let watch = session
             .liveliness()
-            .declare_subscriber(format!("{}/alive", keys.incoming))
+            .declare_subscriber(format!("{incoming}/alive"))
             .history(true)
             .callback(move |change: Sample| {
                 if change.kind() == SampleKind::Delete {
@@ -139,10 +120,10 @@ impl End {
             .wait()?;
         let token = session
             .liveliness()
-            .declare_token(format!("{}/alive", keys.outgoing))
+            .declare_token(format!("{outgoing}/alive"))
             .wait()?;
         let publisher = session
-            .declare_publisher(keys.outgoing.clone())
+            .declare_publisher(outgoing)
             .congestion_control(CongestionControl::Block)
             // Chunks are as full as they can be; waiting for more would only delay them.
             .express(true)

@@ -1,7 +1,7 @@
 //! Whether an action's data objects fit what it calls: as many as there are fields, or one that is all of them.
 //! It knows how many fields a type has, and nothing of what is in an object.
 
-use ctos::{diagnostic::Finding, message::Fields};
+use ctos::{diagnostic::Finding, message::DataType};
 
 /// The data objects of an action: those that go along, and those that its result is stored as.
 pub type Objects<'a> = (&'a [String], &'a [String]);
@@ -13,10 +13,10 @@ const CODE: &str = "pnt::net::data_objects";
 pub fn check(
     what: &str,
     (inputs, outputs): Objects<'_>,
-    (arguments, results): (Fields, Fields),
+    (arguments, results): (DataType, DataType),
 ) -> Vec<Finding> {
     let mut found = Vec::new();
-    let (given, wanted) = (inputs.len(), arguments.count());
+    let (given, wanted) = (inputs.len(), arguments.fields());
     if given != wanted && !(given == 1 && wanted > 1) {
         let text = format!(
             "{what} takes {}, and {} with it",
@@ -29,7 +29,7 @@ pub fn check(
             _ => "name one data object before `->` for each argument, in order, or one that holds all of them",
         }));
     }
-    let (taken, given) = (outputs.len(), results.count());
+    let (taken, given) = (outputs.len(), results.fields());
     if taken > 1 && taken != given {
         let text = format!(
             "{what} gives {}, and {} there to take them",
@@ -73,7 +73,7 @@ fn there(count: usize, one: &str, more: &str) -> String {
 mod tests {
     use super::*;
 
-    fn found(inputs: usize, outputs: usize, types: (Fields, Fields)) -> Vec<String> {
+    fn found(inputs: usize, outputs: usize, types: (DataType, DataType)) -> Vec<String> {
         let names = |count| vec![String::from("o"); count];
         let (inputs, outputs) = (names(inputs), names(outputs));
         let found = check("it", (&inputs, &outputs), types);
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn as_many_objects_as_fields_or_one_for_all_of_them() {
-        let types = (Fields::of::<(u8, u8, u8)>(), Fields::of::<(u8, u8)>());
+        let types = (DataType::of::<(u8, u8, u8)>(), DataType::of::<(u8, u8)>());
         for (inputs, outputs) in [(3, 0), (3, 1), (3, 2), (1, 2)] {
             assert_eq!(found(inputs, outputs, types), Vec::<String>::new());
         }
@@ -97,7 +97,7 @@ mod tests {
             found(0, 2, types),
             ["it takes 3 arguments, and no data objects go with it"]
         );
-        let plain = (Fields::of::<()>(), Fields::of::<u64>());
+        let plain = (DataType::of::<()>(), DataType::of::<u64>());
         assert_eq!(found(0, 1, plain), Vec::<String>::new());
         assert_eq!(
             found(1, 2, plain),

@@ -5,7 +5,7 @@ use std::{rc::Rc, time::Duration};
 
 use ctos::{
     DEFAULT_DEADLINE,
-    message::Fields,
+    message::DataType,
     task::{Context, HandlerError},
 };
 use futures_util::future::{AbortRegistration, Abortable, Aborted};
@@ -209,7 +209,7 @@ impl<S: 'static> Engine<S> {
         let request = gathered(action, inputs).await?;
         let to = cx.task(task).await?;
         let reply = cx.call_raw(&to, info, request, limit).await?;
-        store(action, outputs, reply, info.reply_fields).await
+        store(action, outputs, reply, info.reply).await
     }
 
     /// The request that an action of this firing is, at whoever is asked by it: the same when it is asked
@@ -273,13 +273,13 @@ async fn store<S>(
     action: &Action<S>,
     outputs: &[String],
     result: Vec<u8>,
-    fields: Fields,
+    kind: DataType,
 ) -> Acted {
     match outputs {
         [] => Ok(()),
         [object] => action.put_data(object, result).await,
         objects => {
-            let parts = fields.split(&result)?;
+            let parts = kind.split(&result)?;
             if parts.len() != objects.len() {
                 return Err(HandlerError::new(format!(
                     "{} results came for {} data objects",

@@ -203,7 +203,7 @@ fn check_messages_of(
         } else {
             match registry.command_of(app, task, command) {
                 Ok(info) => {
-                    let types = (info.request_fields, info.reply_fields);
+                    let types = (info.request, info.reply);
                     let what = format!("command `{command}` of task `{task}`");
                     objects::check(&what, objects, types)
                 }

@@ -4,7 +4,10 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::UnixStream,
+};
 
 use super::{Inner, Member, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
@@ -16,7 +19,7 @@ use ctos_link::{
         state::{Event, State},
     },
     shm,
-    transport::{Address, ConnectError, Stream, connect, connect_over},
+    transport::{Address, ConnectError, Stream, connect, is},
 };
 use ctos_time::{lock::lock, seed::mix};
 
@@ -137,13 +140,12 @@ impl Inner {
             self.runtime
                 .spawn(super::peer::watch(session.clone(), process.pid));
         }
-        let carried = match (shared, stream) {
-            (true, Stream::Unix(socket)) => {
-                let made = shm::pass::send(&socket).await;
-                let shared = made.map_err(HandshakeError::from)?;
-                drive::drive_shared(session, socket, shared, received, &self.reactor).await
-            }
-            (_, stream) => drive::drive(session, stream, received, &self.reactor).await,
+        let carried = if shared {
+            let made = shm::pass::send(stream).await;
+            let (socket, shared) = made.map_err(HandshakeError::from)?;
+            drive::drive_shared(session, socket, shared, received, &self.reactor).await
+        } else {
+            drive::drive(session, stream, received, &self.reactor).await
         };
         if let Err(error) = carried {
             tracing::debug!(error = %error, "a stream was not wanted");
@@ -157,10 +159,9 @@ impl Inner {
         address: &Address,
     ) -> Result<(Stream, Answer), CallError> {
         let (keys, fabric) = (self.keys.as_ref(), self.fabric.as_ref());
-        let (mut stream, identity) = connect_over(address, keys, fabric).await?;
+        let (mut stream, identity) = connect(address, keys, fabric).await?;
         may_be_chassis(identity.as_ref())?;
-        let shared =
-            self.shares_memory && matches!(stream, Stream::Unix(_)) && !session.is_injured();
+        let shared = self.shares_memory && is::<UnixStream>(&stream) && !session.is_injured();
         let greeting = Greeting::Hello {
             token: self.who.token.clone(),
             hello: Hello {
@@ -202,7 +203,7 @@ pub(crate) async fn unable(
     reason: &str,
 ) {
     let tell = async {
-        let (mut stream, _) = connect(boot, keys).await.ok()?;
+        let (mut stream, _) = connect(boot, keys, None).await.ok()?;
         let greeting = Greeting::Unable {
             token: token.clone(),
             chassis: chassis.index(),

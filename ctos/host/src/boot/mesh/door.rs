@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use tokio::net::UnixStream;
+
 use super::{Inner, Member, MeshEvent};
 use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
@@ -13,7 +15,7 @@ use ctos_link::{
     security::{Identity, KeyError, Role},
     session::{AttachError, drive},
     shm,
-    transport::{Call, Listener, Stream},
+    transport::{Call, Listener, Stream, is},
 };
 
 /// Why a caller was not let in.
@@ -122,8 +124,7 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         process,
         listen,
     });
-    let shared =
-        shared && mesh.shares_memory && matches!(stream, Stream::Unix(_)) && !session.is_injured();
+    let shared = shared && mesh.shares_memory && is::<UnixStream>(&stream) && !session.is_injured();
     let welcome = Answer::Welcome {
         chassis: mesh.chassis.index(),
         incarnation: mesh.who.incarnation,

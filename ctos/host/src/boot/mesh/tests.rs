@@ -181,7 +181,7 @@ fn strangers_delay_nobody_and_are_counted() {
             lines.push(stream);
         }
         // Knows everything but the secret.
-        let mut guesses = connect(&boot.address(), None).await.unwrap().0;
+        let mut guesses = connect(&boot.address(), None, None).await.unwrap().0;
         let greeting = Greeting::Hello {
             token: Token("guessed".to_owned()),
             hello: hello(1, 1),
@@ -190,7 +190,7 @@ fn strangers_delay_nobody_and_are_counted() {
         assert!(hear::<Answer>(&mut guesses).await.is_err());
         // Knows the secret and calls itself what nobody is.
         for nobody in [0, 4, 200] {
-            let mut stream = connect(&boot.address(), None).await.unwrap().0;
+            let mut stream = connect(&boot.address(), None, None).await.unwrap().0;
             say_hello(&mut stream, hello(nobody, 1)).await;
             assert!(hear::<Answer>(&mut stream).await.is_err());
         }
@@ -262,7 +262,7 @@ async fn say_hello(stream: &mut Stream, hello: Hello) {
 
 /// Calls `node` as chassis 1 and shakes hands; what comes then is the test's.
 async fn impostor(node: &Node) -> Stream {
-    let mut stream = connect(&node.address(), None).await.unwrap().0;
+    let mut stream = connect(&node.address(), None, None).await.unwrap().0;
     say_hello(&mut stream, hello(1, 1)).await;
     let answer = hear::<Answer>(&mut stream).await.unwrap();
     assert!(matches!(answer, Answer::Welcome { .. }));
@@ -307,12 +307,12 @@ fn a_peer_that_falls_silent_is_down_within_the_time_and_may_not_come_back() {
         let reason = boot.went_down(1).await;
         assert_eq!(reason, DownReason::Silence(Duration::from_millis(200)));
         assert!(boot.chassis.clock.now().since(began) >= Duration::from_millis(150));
-        let mut again = connect(&boot.address(), None).await.unwrap().0;
+        let mut again = connect(&boot.address(), None, None).await.unwrap().0;
         say_hello(&mut again, hello(1, 1)).await;
         assert_eq!(hear::<Answer>(&mut again).await.unwrap(), Answer::GivenUp);
         // Its successor may.
         boot.mesh.expect(1, 2);
-        let mut successor = connect(&boot.address(), None).await.unwrap().0;
+        let mut successor = connect(&boot.address(), None, None).await.unwrap().0;
         say_hello(&mut successor, hello(1, 2)).await;
         let answer = hear::<Answer>(&mut successor).await.unwrap();
         assert!(matches!(answer, Answer::Welcome { .. }));
@@ -390,7 +390,7 @@ fn a_goodbye_is_heard_by_all_and_the_end_of_a_process_only_after_its_last_words(
 }
 
 async fn impostor_of(node: &Node, chassis: u8) -> Stream {
-    let mut stream = connect(&node.address(), None).await.unwrap().0;
+    let mut stream = connect(&node.address(), None, None).await.unwrap().0;
     say_hello(&mut stream, hello(chassis, 1)).await;
     hear::<Answer>(&mut stream).await.unwrap();
     stream
@@ -542,7 +542,7 @@ fn with_keys_only_those_of_role_boot_become_chassis() {
         pretends.went_down(0).await;
         assert!(boot.mesh.refused() > 0);
         // Without any key it is not even heard.
-        let mut plain = connect(&boot.address(), None).await.unwrap().0;
+        let mut plain = connect(&boot.address(), None, None).await.unwrap().0;
         say_hello(&mut plain, hello(1, 1)).await;
         assert!(hear::<Answer>(&mut plain).await.is_err());
         let a = Node::start(1, 1, &sets).await;

@@ -52,7 +52,7 @@ impl End {
 
     fn attach(&mut self) -> Result<u64, AttachError> {
         let attached = self.core.attach(0, PIECE, self.now)?;
-        Ok(attached.stream)
+        Ok(attached)
     }
 
     fn changed(&mut self, changed: bool) {
@@ -274,8 +274,8 @@ fn a_stream_whose_other_end_claims_what_was_never_sent_is_refused_and_the_state_
     let mut end = End::new();
     assert!(end.core.attach(5, PIECE, end.now).is_err());
     assert_eq!((end.core.state(), end.core.stream()), (State::Waiting, 0));
-    assert!(end.core.attach(0, PIECE, end.now).unwrap().first);
-    assert!(!end.core.attach(0, PIECE, end.now).unwrap().first);
+    assert_eq!(end.core.attach(0, PIECE, end.now).unwrap(), 1);
+    assert_eq!(end.core.attach(0, PIECE, end.now).unwrap(), 2);
 }
 
 #[test]
@@ -407,7 +407,7 @@ impl Pair {
         for index in 0..2 {
             let End { core, now, .. } = &mut self.ends[index];
             let attached = core.attach(received[1 - index], 100_000, *now);
-            self.streams[index] = attached.unwrap().stream;
+            self.streams[index] = attached.unwrap();
             self.wires[index].clear();
         }
     }

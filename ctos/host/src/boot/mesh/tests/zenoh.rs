@@ -3,7 +3,7 @@
 use ::zenoh::{Session, Wait};
 
 use super::*;
-use ctos_link::transport::connect_over;
+use ctos_link::transport;
 
 /// An address at which nobody listens at the moment.
 fn free_address() -> SocketAddr {
@@ -211,14 +211,14 @@ fn keys_are_proved_from_end_to_end_and_nobody_talks_to_strangers() {
         viewer.mesh.join(&boot.address());
         let inner = &viewer.mesh.inner;
         let called =
-            connect_over(&boot.address(), inner.keys.as_ref(), inner.fabric.as_ref()).await;
+            transport::connect(&boot.address(), inner.keys.as_ref(), inner.fabric.as_ref()).await;
         let (mut stream, identity) = called.unwrap();
         assert_eq!(identity.unwrap().role, Role::Boot);
         say_hello(&mut stream, hello(1, 2)).await;
         assert!(hear::<Answer>(&mut stream).await.is_err());
         assert!(boot.mesh.refused() > 0);
         // Without keys, over the same network: nobody talks to it.
-        let bare = connect_over(&boot.address(), None, inner.fabric.as_ref()).await;
+        let bare = transport::connect(&boot.address(), None, inner.fabric.as_ref()).await;
         let mut bare = bare.unwrap().0;
         say_hello(&mut bare, hello(1, 2)).await;
         assert!(hear::<Answer>(&mut bare).await.is_err());
@@ -227,7 +227,7 @@ fn keys_are_proved_from_end_to_end_and_nobody_talks_to_strangers() {
         let stranger = Node::start(1, 2, &stranger.each_ref().map(String::as_str)).await;
         let inner = &stranger.mesh.inner;
         let called =
-            connect_over(&boot.address(), inner.keys.as_ref(), inner.fabric.as_ref()).await;
+            transport::connect(&boot.address(), inner.keys.as_ref(), inner.fabric.as_ref()).await;
         assert!(called.is_err());
         all_ask_all(&boot, &others).await;
         boot.mesh.close().await;
