@@ -3,7 +3,6 @@
 
 use std::cell::Cell;
 
-use postcard::de_flavors::Flavor;
 use serde::{
     Deserializer,
     de::{DeserializeOwned, DeserializeSeed, SeqAccess, Visitor},
@@ -13,9 +12,14 @@ use super::{PayloadError, data::decode};
 
 /// How many fields `T` has: it says so when it is read, also from nothing.
 pub(super) fn fields_of<T: DeserializeOwned>() -> usize {
-    let (left, count) = (Cell::new(&[][..]), Cell::new(1));
+    let count = Cell::new(1);
+    let apart = Apart {
+        left: &mut &[][..],
+        count: &count,
+        parts: &mut Vec::new(),
+    };
     // It need not be anything that nothing is.
-    let _ = T::deserialize(Apart::of(&left, &count, &mut Vec::new()));
+    let _ = T::deserialize(apart);
     count.get()
 }
 
@@ -27,56 +31,24 @@ pub(super) fn split<T: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<Vec<u8>>, P
         // Also of a structure of one field, whose bytes are those of the field.
         return Ok(vec![bytes.to_vec(); count.get()]);
     }
-    let left = Cell::new(bytes);
-    let mut parts = Vec::new();
-    T::deserialize(Apart::of(&left, &count, &mut parts)).map_err(PayloadError::of::<T>)?;
-    match left.get() {
+    let (mut left, mut parts) = (bytes, Vec::new());
+    let apart = Apart {
+        left: &mut left,
+        count: &count,
+        parts: &mut parts,
+    };
+    T::deserialize(apart).map_err(PayloadError::of::<T>)?;
+    match left {
         [] => Ok(parts),
         rest => Err(PayloadError::too_long::<T>(rest)),
     }
 }
 
-/// Bytes that are read, and can be seen meanwhile.
-struct Left<'de>(&'de Cell<&'de [u8]>);
-
-impl<'de> Flavor<'de> for Left<'de> {
-    type Remainder = ();
-    type Source = ();
-
-    fn pop(&mut self) -> postcard::Result<u8> {
-        let [byte] = *self.try_take_n(1)? else {
-            return Err(postcard::Error::DeserializeUnexpectedEnd);
-        };
-        Ok(byte)
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        Some(self.0.get().len())
-    }
-
-    fn try_take_n(&mut self, count: usize) -> postcard::Result<&'de [u8]> {
-        let split = self.0.get().split_at_checked(count);
-        let (taken, left) = split.ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-        self.0.set(left);
-        Ok(taken)
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
-    }
-}
-
 /// Reads the outermost structure or tuple, and notes how many fields it has and the bytes of each.
 struct Apart<'a, 'de> {
-    left: &'de Cell<&'de [u8]>,
+    left: &'a mut &'de [u8],
     count: &'a Cell<usize>,
     parts: &'a mut Vec<Vec<u8>>,
-}
-
-impl<'a, 'de> Apart<'a, 'de> {
-    fn of(left: &'de Cell<&'de [u8]>, count: &'a Cell<usize>, parts: &'a mut Vec<Vec<u8>>) -> Self {
-        Self { left, count, parts }
-    }
 }
 
 impl<'de> SeqAccess<'de> for Apart<'_, 'de> {
@@ -89,10 +61,13 @@ impl<'de> SeqAccess<'de> for Apart<'_, 'de> {
         if self.parts.len() == self.count.get() {
             return Ok(None);
         }
-        let before = self.left.get();
-        let value = seed.deserialize(&mut postcard::Deserializer::from_flavor(Left(self.left)))?;
-        let size = before.len() - self.left.get().len();
-        self.parts.extend(before.get(..size).map(<[u8]>::to_vec));
+        // A field is read as `decode` reads it, so that the code for its type exists once.
+        let mut field = postcard::Deserializer::from_bytes(self.left);
+        let value = seed.deserialize(&mut field)?;
+        let left = field.finalize()?;
+        let size = self.left.len() - left.len();
+        self.parts.extend(self.left.get(..size).map(<[u8]>::to_vec));
+        *self.left = left;
         Ok(Some(value))
     }
 
