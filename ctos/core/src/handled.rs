@@ -1,19 +1,22 @@
 //! How a handler ends.
 
-use std::fmt;
+use std::{fmt, sync::Arc};
 
 /// What a handler returns.
 pub type Handled = Result<(), HandlerError>;
 
 /// Why a handler could not do what it was asked. The caller gets the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HandlerError(Box<str>);
+pub struct HandlerError(
+    /// One pointer, so that what a handler returns costs nothing to pass on.
+    Arc<String>,
+);
 
 impl HandlerError {
     /// An error that says `text`.
     #[must_use]
-    pub fn new(text: impl Into<Box<str>>) -> Self {
-        Self(text.into())
+    pub fn new(text: impl Into<String>) -> Self {
+        Self(Arc::new(text.into()))
     }
 }
 

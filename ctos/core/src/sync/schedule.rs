@@ -290,9 +290,11 @@ impl Schedule {
         if grids.iter().any(|grid| grid.running) {
             return;
         }
-        let mut gone = Vec::new();
-        let tidied: Vec<bool> = grids.iter_mut().map(|grid| grid.tidy(&mut gone)).collect();
-        if tidied.contains(&true) {
+        let (mut gone, mut changed) = (Vec::new(), false);
+        for grid in grids.iter_mut() {
+            changed |= grid.tidy(&mut gone);
+        }
+        if changed {
             grids.retain(|grid| grid.is_paced() || !grid.functions.is_empty());
             self.idle.set(grids.is_empty());
             self.show(&grids);
@@ -400,7 +402,7 @@ impl Schedule {
 
     /// Runs the functions that are released, if a base tick is due. True when one was.
     ///
-    /// Allocates nothing, takes no lock and logs nothing, unless the schedule changes or a function fails.
+    /// Allocates nothing, waits for no lock and logs nothing, unless the schedule changes or a function fails.
     pub fn run(&self) -> bool {
         if self.idle.get() {
             return false;
