@@ -53,7 +53,7 @@ ctos::command! {
 }
 
 /// A net that begins when it is told to, since there is no boot.
-struct Net(NetTask<()>);
+struct Net(NetTask);
 
 impl EventHandler for Net {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {

@@ -23,12 +23,12 @@ pub type Later<T> = Pin<Box<dyn Future<Output = T>>>;
 /// How an action ends; an error takes the failure branch and is told to whoever waits.
 pub type Acted = Result<(), HandlerError>;
 
-type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
-type Call<S> = Rc<dyn Fn(Action<S>, Vec<u8>) -> Later<Result<Vec<u8>, HandlerError>>>;
-type Ask<S> = Box<dyn Fn(&S) -> bool>;
-type Change<S> = Box<dyn Fn(&mut S)>;
-type Save<S> = Box<dyn Fn(&S) -> postcard::Result<Vec<u8>>>;
-type Load<S> = Box<dyn Fn(&mut S, &[u8]) -> postcard::Result<()>>;
+type Act = Rc<dyn Fn(Action<()>) -> Later<Acted>>;
+type Call = Rc<dyn Fn(Action<()>, Vec<u8>) -> Later<Result<Vec<u8>, HandlerError>>>;
+type Ask = Box<dyn Fn() -> bool>;
+type Change = Box<dyn Fn()>;
+type Save = Box<dyn Fn() -> postcard::Result<Vec<u8>>>;
+type Load = Box<dyn Fn(&[u8]) -> postcard::Result<()>>;
 
 /// Where data objects are kept. An app's data object manager task stands behind it.
 pub trait DataStore {
@@ -57,6 +57,20 @@ pub struct Action<S> {
     pub(crate) command: Option<CommandLine>,
     pub(crate) data: Option<Rc<dyn DataStore>>,
     pub(crate) notes: Rc<RefCell<Vec<String>>>,
+}
+
+impl Action<()> {
+    /// The same for a function with a state.
+    fn over<S>(self, state: &Rc<RefCell<S>>) -> Action<S> {
+        Action {
+            cx: self.cx,
+            state: Rc::clone(state),
+            transition: self.transition,
+            command: self.command,
+            data: self.data,
+            notes: self.notes,
+        }
+    }
 }
 
 impl<S> Action<S> {
@@ -148,41 +162,32 @@ impl<S> Clone for Action<S> {
 }
 
 /// A local function.
-pub(crate) enum Local<S> {
+#[derive(Clone)]
+pub(crate) enum Local {
     /// It reads and stores what it likes.
-    Plain(Act<S>),
+    Plain(Act),
     /// From the bytes of its argument to those of its result.
     Typed {
-        call: Call<S>,
+        call: Call,
         argument: DataType,
         result: DataType,
     },
 }
 
-impl<S> Clone for Local<S> {
-    fn clone(&self) -> Self {
-        match self {
-            Self::Plain(act) => Self::Plain(Rc::clone(act)),
-            Self::Typed {
-                call,
-                argument,
-                result,
-            } => Self::Typed {
-                call: Rc::clone(call),
-                argument: *argument,
-                result: *result,
-            },
-        }
-    }
-}
-
 /// Functions by the names that nets use, and the state they share.
 pub struct Library<S> {
-    pub(crate) state: Rc<RefCell<S>>,
-    actions: BTreeMap<String, Local<S>>,
-    enabling: BTreeMap<String, Ask<S>>,
-    kept: Option<(Save<S>, Load<S>)>,
-    stopping: Option<Change<S>>,
+    state: Rc<RefCell<S>>,
+    pub(crate) functions: Functions,
+}
+
+/// What a library's net sees of it: functions that hold their state, whatever its type is. So what runs a net is
+/// compiled once, and not for each library.
+pub(crate) struct Functions {
+    actions: BTreeMap<String, Local>,
+    enabling: BTreeMap<String, Ask>,
+    kept: Option<(Save, Load)>,
+    stopping: Option<Change>,
+    stateless: bool,
 }
 
 impl<S: 'static> Library<S> {
@@ -191,10 +196,13 @@ impl<S: 'static> Library<S> {
     pub fn new(state: S) -> Self {
         Self {
             state: Rc::new(RefCell::new(state)),
-            actions: BTreeMap::new(),
-            enabling: BTreeMap::new(),
-            kept: None,
-            stopping: None,
+            functions: Functions {
+                actions: BTreeMap::new(),
+                enabling: BTreeMap::new(),
+                kept: None,
+                stopping: None,
+                stateless: size_of::<S>() == 0,
+            },
         }
     }
 
@@ -205,8 +213,10 @@ impl<S: 'static> Library<S> {
         F: Fn(Action<S>) -> Fut + 'static,
         Fut: Future<Output = Acted> + 'static,
     {
-        let act: Act<S> = Rc::new(move |action| Box::pin(function(action)));
-        self.actions.insert(name.to_owned(), Local::Plain(act));
+        let state = Rc::clone(&self.state);
+        let act: Act = Rc::new(move |action| Box::pin(function(action.over(&state))));
+        let actions = &mut self.functions.actions;
+        actions.insert(name.to_owned(), Local::Plain(act));
         self
     }
 
@@ -221,9 +231,9 @@ impl<S: 'static> Library<S> {
         F: Fn(Action<S>, A) -> Fut + 'static,
         Fut: Future<Output = Result<R, HandlerError>> + 'static,
     {
-        let function = Rc::new(function);
-        let call: Call<S> = Rc::new(move |action, bytes| {
-            let function = Rc::clone(&function);
+        let (state, function) = (Rc::clone(&self.state), Rc::new(function));
+        let call: Call = Rc::new(move |action, bytes| {
+            let (action, function) = (action.over(&state), Rc::clone(&function));
             Box::pin(async move {
                 let result = function(action, Data::Bytes(bytes).take::<A>()?).await?;
                 Ok(postcard::to_stdvec(&result)?)
@@ -234,7 +244,7 @@ impl<S: 'static> Library<S> {
             argument: DataType::of::<A>(),
             result: DataType::of::<R>(),
         };
-        self.actions.insert(name.to_owned(), typed);
+        self.functions.actions.insert(name.to_owned(), typed);
         self
     }
 
@@ -242,7 +252,9 @@ impl<S: 'static> Library<S> {
     /// must be quick and depend on the state only.
     #[must_use]
     pub fn enabling(mut self, name: &str, function: impl Fn(&S) -> bool + 'static) -> Self {
-        self.enabling.insert(name.to_owned(), Box::new(function));
+        let state = Rc::clone(&self.state);
+        let ask: Ask = Box::new(move || function(&state.borrow()));
+        self.functions.enabling.insert(name.to_owned(), ask);
         self
     }
 
@@ -250,15 +262,9 @@ impl<S: 'static> Library<S> {
     /// in work to its end: no more positions, say.
     #[must_use]
     pub fn when_stopping(mut self, change: impl Fn(&mut S) + 'static) -> Self {
-        self.stopping = Some(Box::new(change));
+        let state = Rc::clone(&self.state);
+        self.functions.stopping = Some(Box::new(move || change(&mut state.borrow_mut())));
         self
-    }
-
-    /// The app is about to be stopped.
-    pub(crate) fn stopping(&self) {
-        if let Some(change) = &self.stopping {
-            change(&mut self.state.borrow_mut());
-        }
     }
 
     /// Has the state stored with the marking of a durable net: `save` says what of it, `load` puts that
@@ -269,38 +275,54 @@ impl<S: 'static> Library<S> {
         save: impl Fn(&S) -> K + 'static,
         load: impl Fn(&mut S, K) + 'static,
     ) -> Self {
-        let save: Save<S> = Box::new(move |state| postcard::to_stdvec(&save(state)));
-        let load: Load<S> = Box::new(move |state, bytes| {
-            load(state, postcard::from_bytes(bytes)?);
+        let state = Rc::clone(&self.state);
+        let save: Save = Box::new(move || postcard::to_stdvec(&save(&state.borrow())));
+        let state = Rc::clone(&self.state);
+        let load: Load = Box::new(move |bytes| {
+            load(&mut state.borrow_mut(), postcard::from_bytes(bytes)?);
             Ok(())
         });
-        self.kept = Some((save, load));
+        self.functions.kept = Some((save, load));
         self
+    }
+
+    /// The names of all functions, for checking nets before anything starts.
+    #[must_use]
+    pub fn names(&self) -> FunctionNames {
+        self.functions.names()
+    }
+}
+
+impl Functions {
+    /// The app is about to be stopped.
+    pub(crate) fn stopping(&self) {
+        if let Some(change) = &self.stopping {
+            change();
+        }
     }
 
     /// Whether a net with this library may be durable: its state is kept, or there is none.
     pub(crate) fn survives(&self) -> bool {
-        self.kept.is_some() || size_of::<S>() == 0
+        self.kept.is_some() || self.stateless
     }
 
     /// The state in bytes, if it is kept.
     pub(crate) fn saved(&self) -> Result<Option<Vec<u8>>, HandlerError> {
         let kept = self.kept.as_ref();
-        let saved = kept.map(|(save, _)| save(&self.state.borrow()));
+        let saved = kept.map(|(save, _)| save());
         Ok(saved.transpose()?)
     }
 
     /// Takes up a state that was kept.
     pub(crate) fn restore(&self, bytes: &[u8]) -> Result<(), HandlerError> {
         if let Some((_, load)) = &self.kept {
-            load(&mut self.state.borrow_mut(), bytes)?;
+            load(bytes)?;
         }
         Ok(())
     }
 
-    /// The names of all functions, for checking nets before anything starts.
-    #[must_use]
-    pub fn names(&self) -> FunctionNames {
+    /// The names of all functions.
+    pub(crate) fn names(&self) -> FunctionNames {
         let names = |keys: &mut dyn Iterator<Item = &String>| -> BTreeSet<String> {
             keys.cloned().collect()
         };
@@ -323,11 +345,11 @@ impl<S: 'static> Library<S> {
     /// What an enabling function says; nothing when there is no such function.
     pub(crate) fn ask(&self, name: &str) -> Option<bool> {
         let function = self.enabling.get(name)?;
-        Some(function(&self.state.borrow()))
+        Some(function())
     }
 
     /// A local function.
-    pub(crate) fn local(&self, name: &str) -> Option<Local<S>> {
+    pub(crate) fn local(&self, name: &str) -> Option<Local> {
         self.actions.get(name).cloned()
     }
 }

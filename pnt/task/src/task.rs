@@ -45,7 +45,7 @@ use ctos::{
 
 use crate::{
     layout::LayoutFile,
-    library::{DataStore, Library},
+    library::{DataStore, Functions, Library},
     store::{Contents, Owner, Store},
     stream::{Describe, Follow},
 };
@@ -80,14 +80,14 @@ pub fn register<S: 'static>(
 }
 
 /// Runs one net.
-pub struct NetTask<S> {
-    engine: Rc<Engine<S>>,
+pub struct NetTask {
+    engine: Rc<Engine>,
 }
 
-impl<S: 'static> NetTask<S> {
+impl NetTask {
     /// A task for a net, with the functions it names and, if it has any data objects, their store.
     #[must_use]
-    pub fn new(
+    pub fn new<S: 'static>(
         cx: &Context,
         net: Net,
         library: Library<S>,
@@ -98,14 +98,14 @@ impl<S: 'static> NetTask<S> {
         Self::of(Engine::new(
             cx.clone(),
             net,
-            library,
+            library.functions,
             conflicts,
             data,
             plain,
         ))
     }
 
-    fn of(engine: Engine<S>) -> Self {
+    fn of(engine: Engine) -> Self {
         Self {
             engine: Rc::new(engine),
         }
@@ -116,9 +116,17 @@ impl<S: 'static> NetTask<S> {
     ///
     /// # Errors
     /// What is wrong with the arguments or with the net.
-    pub fn from_args(
+    pub fn from_args<S: 'static>(
         cx: &Context,
         library: Library<S>,
+        data: Option<Rc<dyn DataStore>>,
+    ) -> Result<Self, HandlerError> {
+        Self::configured(cx, library.functions, data)
+    }
+
+    fn configured(
+        cx: &Context,
+        library: Functions,
         data: Option<Rc<dyn DataStore>>,
     ) -> Result<Self, HandlerError> {
         let config = cx
@@ -128,7 +136,7 @@ impl<S: 'static> NetTask<S> {
         let net = load(&cx.path(&settings.net))?;
         // What is wrong with it was said when the app was checked; a net runs without it.
         let layout = LayoutFile::of_net(&cx.path(&settings.net), &mut Findings::new());
-        let task = Self::with_settings(cx, net, library, data, settings)?;
+        let task = Self::resumed(cx, net, library, data, settings)?;
         layout.pin(&mut task.engine.view.borrow_mut());
         Ok(task)
     }
@@ -138,10 +146,20 @@ impl<S: 'static> NetTask<S> {
     ///
     /// # Errors
     /// What is wrong with the settings or with what was stored.
-    pub fn with_settings(
+    pub fn with_settings<S: 'static>(
         cx: &Context,
         net: Net,
         library: Library<S>,
+        data: Option<Rc<dyn DataStore>>,
+        settings: Settings,
+    ) -> Result<Self, HandlerError> {
+        Self::resumed(cx, net, library.functions, data, settings)
+    }
+
+    fn resumed(
+        cx: &Context,
+        net: Net,
+        library: Functions,
         data: Option<Rc<dyn DataStore>>,
         settings: Settings,
     ) -> Result<Self, HandlerError> {
@@ -180,7 +198,7 @@ impl<S: 'static> NetTask<S> {
     }
 }
 
-impl<S: 'static> EventHandler for NetTask<S> {
+impl EventHandler for NetTask {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
             PutTape::CODE => {

@@ -8,6 +8,7 @@ use std::{net::SocketAddr, sync::Arc};
 use serde::{Deserialize, Serialize};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
+    net::UnixStream,
     sync::Semaphore,
     task::JoinSet,
 };
@@ -23,7 +24,7 @@ use crate::{
 };
 use ctos_link::{
     security::{KeyError, Role},
-    transport::{Call, Listener, Stream},
+    transport::{Call, Listener, Stream, is},
 };
 
 /// How many of the places for clients those of other hosts may have, so that there is always one for the app's own user.
@@ -111,11 +112,11 @@ async fn meet(
             if theirs != 0 && theirs != place::uid() {
                 return Err(GateError::Socket);
             }
-            (Stream::Unix(stream), None)
+            (Box::new(stream) as Stream, None)
         }
         call => call.prove().await?,
     };
-    let own = matches!(stream, Stream::Unix(_));
+    let own = is::<UnixStream>(&stream);
     let (reader, mut writer) = tokio::io::split(stream);
     let mut reader = BufReader::new(reader);
     let client = match identity {

@@ -148,11 +148,11 @@ impl Pages {
             };
             serving.spawn(async move {
                 let stream = match tls {
-                    None => Ok(Stream::Tcp(stream)),
+                    None => Ok(Box::new(stream) as Stream),
                     Some(tls) => {
                         let met = tokio::time::timeout(STRANGER_TIMEOUT, tls.accept(stream)).await;
                         met.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
-                            .map(|stream| Stream::Other(Box::new(stream)))
+                            .map(|stream| Box::new(stream) as Stream)
                     }
                 };
                 match stream {

@@ -35,12 +35,12 @@ const MOST_TRIES: u32 = 4;
 /// The wait before the second try; it doubles for each further one.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     pub(super) async fn act(
         self: Rc<Self>,
         id: TransitionId,
         firing: FiringId,
-        action: Action<S>,
+        action: Action<()>,
         cancel: AbortRegistration,
     ) {
         let (notes, cx) = (Rc::clone(&action.notes), action.cx.clone());
@@ -138,7 +138,7 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Runs a transition's action within its limit.
-    async fn action(&self, id: TransitionId, firing: FiringId, action: Action<S>) -> Acted {
+    async fn action(&self, id: TransitionId, firing: FiringId, action: Action<()>) -> Acted {
         let net = self.net();
         let transition = &net[id];
         let acting = async {
@@ -173,7 +173,7 @@ impl<S: 'static> Engine<S> {
 
     async fn local(
         &self,
-        action: Action<S>,
+        action: Action<()>,
         function: &str,
         (inputs, outputs): Objects<'_>,
     ) -> Acted {
@@ -192,7 +192,7 @@ impl<S: 'static> Engine<S> {
 
     async fn message(
         &self,
-        action: &Action<S>,
+        action: &Action<()>,
         (task, command, request): (&str, &str, RequestId),
         (inputs, outputs): Objects<'_>,
         limit: Duration,
@@ -229,7 +229,7 @@ impl<S: 'static> Engine<S> {
     /// takes the command once.
     async fn dispatch(
         &self,
-        action: &Action<S>,
+        action: &Action<()>,
         net: &str,
         (symbol, request): (&str, RequestId),
         limit: Duration,
@@ -260,7 +260,7 @@ impl<S: 'static> Engine<S> {
 
 /// One value of several data objects: fields that stand one after the other are how postcard encodes a
 /// structure.
-async fn gathered<S>(action: &Action<S>, inputs: &[String]) -> Result<Vec<u8>, HandlerError> {
+async fn gathered(action: &Action<()>, inputs: &[String]) -> Result<Vec<u8>, HandlerError> {
     let mut bytes = Vec::new();
     for object in inputs {
         bytes.extend(action.get_data(object).await?);
@@ -269,12 +269,7 @@ async fn gathered<S>(action: &Action<S>, inputs: &[String]) -> Result<Vec<u8>, H
 }
 
 /// Stores a result as one data object, or each of its fields as one: all of them or none.
-async fn store<S>(
-    action: &Action<S>,
-    outputs: &[String],
-    result: Vec<u8>,
-    kind: DataType,
-) -> Acted {
+async fn store(action: &Action<()>, outputs: &[String], result: Vec<u8>, kind: DataType) -> Acted {
     match outputs {
         [] => Ok(()),
         [object] => action.put_data(object, result).await,

@@ -129,7 +129,7 @@ impl Kept {
     }
 }
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// The breakpoints that were kept, where people may control the net: elsewhere nobody could release it.
     pub(super) fn kept_breakpoints(&self) -> Vec<String> {
         if !self.settings.allow_control {

@@ -26,7 +26,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 /// How long a net is waited for that is not there, before it is looked for again.
 const COME_BACK: Duration = Duration::from_secs(5);
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// Sends tokens to their nets.
     pub(super) fn post(self: &Rc<Self>, cx: &Context, bundle: &Bundle) {
         for route in bundle.iter() {

@@ -17,7 +17,7 @@ use super::{
 use crate::stream::{EventPhase, Happened};
 use pnt_language::net::TransitionId;
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// Sets the breakpoints of the configuration, and those that people left, before anything is fired.
     pub(super) fn arm(&self) -> Result<(), HandlerError> {
         let kept = self.kept_breakpoints();

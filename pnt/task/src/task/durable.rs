@@ -74,7 +74,7 @@ struct NewNet {
     text: String,
 }
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// Does something that others see, once everything up to now is stored. The caller holds no borrow.
     pub(super) fn when_stored(self: &Rc<Self>, effect: impl FnOnce(&Rc<Self>) + 'static) {
         let change = self.core.borrow().changes;

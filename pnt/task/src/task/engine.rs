@@ -32,7 +32,7 @@ use super::{
     transfers::Transfers,
 };
 use crate::{
-    library::{DataStore, Library},
+    library::{DataStore, Functions},
     store::Store,
     stream::{EventPhase, Happened, NetView, Source},
 };
@@ -41,11 +41,11 @@ use pnt_language::{
     net::{Net, PlaceId, TransitionId},
 };
 
-pub(super) struct Engine<S> {
+pub(super) struct Engine {
     pub(super) cx: Context,
     /// The net's name, which is its task's.
     pub(super) name: Arc<str>,
-    pub(super) library: Library<S>,
+    pub(super) library: Functions,
     pub(super) data: Option<Rc<dyn DataStore>>,
     pub(super) settings: Settings,
     /// What displays and records are told of the net once.
@@ -129,11 +129,11 @@ pub(super) struct Core {
     pub(super) changes: u64,
 }
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     pub(super) fn new(
         cx: Context,
         net: Net,
-        library: Library<S>,
+        library: Functions,
         conflicts: Conflicts,
         data: Option<Rc<dyn DataStore>>,
         (settings, store): (Settings, Option<Arc<Store>>),

@@ -23,7 +23,7 @@ use pnt_language::{
 /// Firings without any action between them after which a net is taken to run in a circle.
 const MOST_AT_ONCE: u32 = 100_000;
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// Fires until nothing is enabled but what waits for actions, tokens or commands. All of it belongs
     /// to the trace of `cx`: of the message that made it possible; what a command on the tape begins, to
     /// that command's.
@@ -190,7 +190,7 @@ impl<S: 'static> Engine<S> {
         });
         let action = Action {
             cx: cx.clone(),
-            state: Rc::clone(&self.library.state),
+            state: Rc::default(),
             transition: net[id].name.as_str().into(),
             data: self.data.clone(),
             // Without a command there will be no answer that takes the notes away.

@@ -23,7 +23,7 @@ struct Whole {
     state: State,
 }
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// Notes what happened, and publishes it once the change that it came with is stored. Whoever changes
     /// something counts that first.
     pub(super) fn note(self: &Rc<Self>, core: &mut Core, cx: &Context, what: Happened) {

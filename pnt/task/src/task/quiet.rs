@@ -16,7 +16,7 @@ use super::{
     requests::BEING_STOPPED,
 };
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// The app is about to be stopped.
     pub(super) fn quiesce(self: &Rc<Self>, cx: &Context) {
         self.stopping.set(true);

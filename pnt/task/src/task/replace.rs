@@ -25,7 +25,7 @@ use pnt_language::{
     net::{CommandId, Net},
 };
 
-impl<S: 'static> Engine<S> {
+impl Engine {
     /// Checks a net, and puts it in place at the next safe marking.
     pub(super) fn replace(
         self: &Rc<Self>,
