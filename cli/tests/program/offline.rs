@@ -8,7 +8,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use crate::common::{good, root};
+use crate::common::{example, good, root};
 use serde_json::Value;
 
 /// An app with nothing wrong that needs no handler to be read.
@@ -365,7 +365,7 @@ fn what_new_writes_boots_in_processes_and_on_the_virtual_clock_and_its_readme_is
     good(&run(&["new", "-q", &app.display().to_string()]));
     let file = app.join("app.toml").display().to_string();
     let template = |arguments: &[&str]| {
-        common::example("template")
+        example("template")
             .args(arguments)
             .output()
             .expect("the example runs")
@@ -390,7 +390,7 @@ fn a_profile_and_the_environment_reach_the_processes_of_the_chassis() {
     let mut text = fs::read_to_string(&file).expect("a text");
     text.push_str("[profile.quick.task.client.args]\nnumbers = [20, 1]\nevery_s = 0.01\nadder = \"${ADDER}\"\n");
     fs::write(&file, text).expect("a file");
-    let output = common::example("template")
+    let output = example("template")
         .arg("boot")
         .args([file.as_os_str(), "--profile".as_ref(), "quick".as_ref()])
         .env("ADDER", "adder")

@@ -68,12 +68,14 @@ pub struct CommandInfo {
     pub reply: DataType,
 }
 
+type Split = fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>;
+
 /// A type of data, for programs that do not know it and have the postcard bytes of its values.
 #[derive(Clone, Copy)]
 pub struct DataType {
     shape: fn() -> Option<Shape>,
     fields: fn() -> usize,
-    split: fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>,
+    split: Split,
 }
 
 impl DataType {

@@ -52,7 +52,7 @@ impl Glossary {
     pub(crate) fn of(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
         let mut all = Self::default();
         let system = [
-            &system::ALL,
+            system::ALL,
             runtime,
             &names::COMMANDS,
             &semaphore::server::COMMANDS,
