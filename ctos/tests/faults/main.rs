@@ -27,7 +27,7 @@ use app::Policy;
 use run::{Trial, trial};
 
 /// How many seeds a profile is tried with.
-const SEEDS: Range<u64> = 0..1000;
+const SEEDS: Range<u64> = 0..100;
 
 /// So many findings are shown of one seed.
 const SHOWN: usize = 12;
