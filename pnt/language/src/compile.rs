@@ -24,17 +24,95 @@ use structures::Expanded;
 /// Parses and compiles one net that includes no files.
 ///
 /// # Errors
-/// All findings of the parser, or else all of the compiler.
+/// All findings of the parser and the compiler.
 pub fn net(source: &Source) -> Result<Net, Findings> {
-    runnable(&text::parse(source)?)
+    match text::parse(source) {
+        Ok(draft) => runnable(&draft),
+        // Only to give all findings.
+        Err(_) => net_with(source, &mut text::no_include),
+    }
 }
 
 /// The same for a net that may include files, whose texts `include` gives.
 ///
 /// # Errors
-/// All findings of the parser, or else all of the compiler.
+/// All findings of the parser and the compiler.
 pub fn net_with(source: &Source, include: text::Include<'_>) -> Result<Net, Findings> {
-    runnable(&text::parse_with(source, include)?)
+    let read = read(source, include);
+    if read.findings.has_errors() {
+        return Err(read.findings);
+    }
+    runnable(&read.draft)
+}
+
+/// What there is of a net text, right or wrong.
+#[derive(Debug)]
+pub struct Read {
+    /// The net, without the lines that cannot be read.
+    pub draft: Draft,
+    /// Everything that is wrong with lines, and with names where the lines with errors leave no doubt.
+    pub findings: Findings,
+}
+
+/// Reads a text. Names are looked at, too, where some lines cannot be read: but for those that may stand on these.
+pub(crate) fn read(source: &Source, include: text::Include<'_>) -> Read {
+    let (draft, mut findings) = text::parse_all(source, include);
+    if findings.has_errors() && !enough(&findings) {
+        let doubtful = words_of(&findings);
+        let (_, of_names) = compiled(&draft);
+        for finding in of_names.into_sorted() {
+            let sure = match finding.code {
+                "pnt::net::unknown_place"
+                | "pnt::net::unknown_symbol"
+                | "pnt::net::unknown_coordinator"
+                | "pnt::net::unknown_request" => {
+                    let name = finding.place.as_ref().map(text_at).unwrap_or_default();
+                    !name.split('.').any(|part| doubtful.contains(part))
+                }
+                "pnt::net::duplicate"
+                | "pnt::net::over_capacity"
+                | "pnt::net::remote_input"
+                | "pnt::net::second_requester"
+                | "pnt::net::itself" => true,
+                // What a transition has or lacks is not known while some of its lines are not.
+                _ => false,
+            };
+            if sure {
+                findings.push(finding);
+            }
+        }
+    }
+    Read { draft, findings }
+}
+
+/// The text that a place points to, without quotes.
+fn text_at(place: &At) -> &str {
+    let text = place.source.text().get(place.range.clone());
+    text.unwrap_or_default().trim_matches('"')
+}
+
+/// Every word on the lines that findings are about.
+fn words_of(findings: &Findings) -> BTreeSet<String> {
+    let mut words = BTreeSet::new();
+    for place in findings.iter().filter_map(|finding| finding.place.as_ref()) {
+        let text = place.source.text();
+        let at = place.range.start.min(text.len());
+        let Some((before, after)) = text.split_at_checked(at) else {
+            continue;
+        };
+        let start = before.rfind('\n').map_or(0, |end| end + 1);
+        let end = at + after.find('\n').unwrap_or(after.len());
+        let line = text.get(start..end).unwrap_or_default();
+        let plain = line.split(|c: char| !(c.is_alphanumeric() || c == '_'));
+        words.extend(plain.chain(line.split('"')).map(str::to_owned));
+    }
+    words
+}
+
+/// The net of a draft without what is wrong with it, to look at how it fits to others.
+#[must_use]
+pub fn as_far_as_known(draft: &Draft) -> Net {
+    compiled(draft).0
 }
 
 /// Compiles a net that is to be run, which must not fire for ever.
@@ -92,6 +170,16 @@ pub fn endless(net: &Net) -> Findings {
 /// # Errors
 /// All findings about names used twice or not known in this net.
 pub fn compile(draft: &Draft) -> Result<Net, Findings> {
+    let (net, findings) = compiled(draft);
+    if findings.has_errors() {
+        Err(findings)
+    } else {
+        Ok(net)
+    }
+}
+
+/// The net without what is wrong with it, and all findings.
+fn compiled(draft: &Draft) -> (Net, Findings) {
     let mut findings = Findings::new();
     check_declarations(draft, &mut findings);
     let expanded = structures::expand(draft, &mut findings);
@@ -107,10 +195,8 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
         .map_while(|part| (!enough(&compiler.findings)).then(|| compiler.transition(part)))
         .collect();
     let safe = draft.safe.iter().map(|arcs| compiler.arcs(arcs)).collect();
-    if compiler.findings.has_errors() {
-        return Err(compiler.findings);
-    }
-    Ok(Net {
+    let findings = compiler.findings;
+    let net = Net {
         name: draft.name.text.clone(),
         at: draft.name.at.clone(),
         title: draft.title.clone(),
@@ -147,7 +233,8 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
             .map(|side| partner(&side.net, &side.requests))
             .collect(),
         safe,
-    })
+    };
+    (net, findings)
 }
 
 fn texts(words: &[Word]) -> Vec<String> {

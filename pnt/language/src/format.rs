@@ -7,11 +7,15 @@ use std::{fs, io::Read as _, path::Path};
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::{net::Net, pnml, text, tina};
+use crate::{compile, net::Net, pnml, text, tina};
 pub use file::{Format, NetFile, Positions};
 
 /// The longest file that is read, bytes.
 const LONGEST: u64 = 256 << 20;
+
+/// The longest PNML file, bytes: the largest public models of robots and factories have a tenth of it, and reading
+/// one takes some fifteen times as much memory.
+const LONGEST_PNML: usize = 16 << 20;
 
 /// The longest line of net text or TINA text, bytes; people and programs write shorter ones.
 const LONGEST_LINE: usize = 1 << 20;
@@ -26,11 +30,39 @@ pub fn load(path: &Path) -> Result<(Net, Findings), Findings> {
     Ok((net, file.warnings))
 }
 
+/// The net of a file as far as it can be read, and all findings about it. A net with errors serves only to see how
+/// it fits to others.
+#[must_use]
+pub fn load_all(path: &Path) -> (Option<Net>, Findings) {
+    let source = match source(path) {
+        Ok(source) => source,
+        Err(found) => return (None, found),
+    };
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    let mut include = |file: &str| Source::read(&folder.join(file));
+    let found = match read_with(&source, &mut include) {
+        Ok(file) => match file.compile() {
+            Ok(net) => return (Some(net), file.warnings),
+            Err(found) => found,
+        },
+        Err(found) => found,
+    };
+    let text = sniff(source.text()) == Format::Text && endless_line(&source).is_none();
+    let net = text.then(|| compile::as_far_as_known(&compile::read(&source, &mut include).draft));
+    (net.filter(|net| !net.name().is_empty()), found)
+}
+
 /// Reads a file.
 ///
 /// # Errors
 /// All findings about the file and what it holds.
 pub fn read(path: &Path) -> Result<NetFile, Findings> {
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    read_with(&source(path)?, &mut |file| Source::read(&folder.join(file)))
+}
+
+/// The text of a file.
+fn source(path: &Path) -> Result<Source, Findings> {
     let name = path.display().to_string();
     let unreadable = |error: &std::io::Error| {
         Finding::error(
@@ -45,10 +77,7 @@ pub fn read(path: &Path) -> Result<NetFile, Findings> {
         .read_to_end(&mut bytes)
         .map_err(|error| unreadable(&error))?;
     too_long(&name, &bytes)?;
-    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-    read_with(&decode(&name, &bytes)?, &mut |file| {
-        Source::read(&folder.join(file))
-    })
+    decode(&name, &bytes)
 }
 
 /// Reads what a file called `name` holds; it can include no others.
@@ -74,11 +103,7 @@ fn too_long(name: &str, bytes: &[u8]) -> Result<(), Finding> {
 /// # Errors
 /// All findings about it.
 pub fn read_source(source: &Source) -> Result<NetFile, Findings> {
-    read_with(source, &mut |file| {
-        let text = format!("`{file}` cannot be included here");
-        Err(Finding::error("pnt::text::subnet", text)
-            .help("only a net that is read from a file can include others"))
-    })
+    read_with(source, &mut text::no_include)
 }
 
 /// Reads a text that is decoded already; `include` gives the texts of the files that it includes.
@@ -88,6 +113,16 @@ pub fn read_source(source: &Source) -> Result<NetFile, Findings> {
 pub fn read_with(source: &Source, include: text::Include<'_>) -> Result<NetFile, Findings> {
     let format = sniff(source.text());
     if format == Format::Pnml {
+        let length = source.text().len();
+        if length > LONGEST_PNML {
+            let (limit, size) = (LONGEST_PNML >> 20, length.div_ceil(1 << 20));
+            let text = format!(
+                "`{}` has {size} MiB of PNML, and at most {limit} MiB are read",
+                source.name()
+            );
+            let help = "is it the right file? A net of this size can be written as net text or in the form of TINA";
+            return Err(Finding::error("pnt::file::size", text).help(help).into());
+        }
         return pnml::read(source);
     }
     if let Some(finding) = endless_line(source) {
@@ -95,7 +130,13 @@ pub fn read_with(source: &Source, include: text::Include<'_>) -> Result<NetFile,
     }
     let draft = match format {
         Format::Tina => tina::read(source)?,
-        _ => text::parse_with(source, include)?,
+        _ => {
+            let read = compile::read(source, include);
+            if read.findings.has_errors() {
+                return Err(read.findings);
+            }
+            read.draft
+        }
     };
     Ok(NetFile {
         format,

@@ -17,4 +17,4 @@ mod tests;
 
 pub use kept::{Kept, KeptElement};
 pub use read::read;
-pub use write::write;
+pub use write::{only_here, write};

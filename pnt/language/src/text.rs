@@ -40,13 +40,17 @@ pub fn name_in_text(name: &str) -> String {
 /// # Errors
 /// All findings, when at least one of them is an error.
 pub fn parse(source: &Source) -> Result<Draft, Findings> {
-    parse_with(source, &mut |file| {
-        Err(Finding::error(
-            "pnt::text::subnet",
-            format!("`{file}` cannot be included here"),
-        )
+    parse_with(source, &mut no_include)
+}
+
+/// Refuses to include a file.
+///
+/// # Errors
+/// Always.
+pub(crate) fn no_include(file: &str) -> Result<Source, Finding> {
+    let text = format!("`{file}` cannot be included here");
+    Err(Finding::error("pnt::text::subnet", text)
         .help("only a net that is read from a file can include others"))
-    })
 }
 
 /// Parses one net; `include` gives the texts of the files that it includes, by the names it has for
@@ -55,6 +59,16 @@ pub fn parse(source: &Source) -> Result<Draft, Findings> {
 /// # Errors
 /// All findings, when at least one of them is an error.
 pub fn parse_with(source: &Source, include: Include<'_>) -> Result<Draft, Findings> {
+    let (draft, findings) = parse_all(source, include);
+    if findings.has_errors() {
+        Err(findings)
+    } else {
+        Ok(draft)
+    }
+}
+
+/// What can be read of a net, without the lines that cannot, and all findings about those.
+pub(crate) fn parse_all(source: &Source, include: Include<'_>) -> (Draft, Findings) {
     let mut findings = Findings::new();
     let lines = subnet::cut(source, source.text(), 0, &mut findings);
     let mut subnets = Subnets::default();
@@ -71,11 +85,7 @@ pub fn parse_with(source: &Source, include: Include<'_>) -> Result<Draft, Findin
                 .help("begin with a line such as `net dispatcher \"what it does\"`"),
         );
     }
-    if parser.findings.has_errors() {
-        Err(parser.findings)
-    } else {
-        Ok(parser.draft)
-    }
+    (parser.draft, parser.findings)
 }
 
 /// Reads lines of a transition that stand at byte `start` of another file.
@@ -398,13 +408,12 @@ fn clause(
         "servers" => once(&mut transition.servers, keyword, words.servers()?)?,
         "priority" => transition.priority = words.whole("the priority", 0)?,
         "when" => {
-            let first = words.name("an enabling function")?;
-            let negated = first.text == "not" && !words.at_end();
-            let function = if negated {
-                words.name("an enabling function")?
-            } else {
-                first
-            };
+            // A function called `not` stands in quotes.
+            let negated = words.keyword("not");
+            let function = words.name(match negated {
+                true => "an enabling function after `not`",
+                false => "an enabling function",
+            })?;
             once(
                 &mut transition.when,
                 keyword,

@@ -47,3 +47,78 @@ fn a_declared_safe_marking_asks_for_its_tokens_and_an_undeclared_one_is_rest() {
     assert!(undeclared.is_safe(&[1, 0, 0]));
     assert!(!undeclared.is_safe(&[1, 1, 0]) && !undeclared.is_safe(&[1, 0]));
 }
+
+/// The findings about a text, each on a line.
+fn found(text: &str) -> Vec<String> {
+    let findings = net(&Source::new("n.net", text)).unwrap_err();
+    let findings = findings.into_sorted();
+    findings.iter().map(ToString::to_string).collect()
+}
+
+#[test]
+fn mistakes_of_lines_and_of_names_are_found_in_one_pass() {
+    let text = "net n
+place idle = 1, busy
+place part =
+place idle
+command go -> gone
+transition begin
+  in idel
+  tape goo
+  out busy, part
+transition end
+  in busy *
+  when not
+  out idle
+  write gon
+";
+    let found = found(text);
+    let at: Vec<&str> = found
+        .iter()
+        .filter_map(|line| line.split(": ").next())
+        .collect();
+    assert_eq!(
+        at,
+        [
+            "n.net:3:13",
+            "n.net:4:7",
+            "n.net:7:6",
+            "n.net:8:8",
+            "n.net:11:12",
+            "n.net:12:11",
+            "n.net:14:9"
+        ],
+        "{found:#?}"
+    );
+    // `part` stands on a line that cannot be read: nothing is said of it.
+    assert!(
+        !found.iter().any(|line| line.contains("no place `part`")),
+        "{found:#?}"
+    );
+}
+
+#[test]
+fn what_a_transition_lacks_is_not_said_while_one_of_its_lines_cannot_be_read() {
+    let found = found("net n\nplace a = 1\ntransition t\n  inn a\n  fail a\n  doo f\n");
+    assert_eq!(found.len(), 2, "{found:#?}");
+}
+
+#[test]
+fn a_negation_without_its_function_is_refused_and_a_function_called_not_stands_in_quotes() {
+    let text =
+        |when: &str| format!("net n\nplace a = 1\ntransition t\n  in a\n  when {when}\n  out a\n");
+    let found = found(&text("not"));
+    assert!(
+        found[0].starts_with("n.net:5:11: error: expected an enabling function after `not`"),
+        "{found:#?}"
+    );
+    for (when, negated) in [("\"not\"", false), ("not not", true), ("not \"not\"", true)] {
+        let source = Source::new("n.net", text(when));
+        let draft = crate::text::parse(&source).unwrap();
+        let read = compiled(&text(when));
+        let given = read.transitions()[0].when.as_ref().unwrap();
+        assert_eq!((given.function.as_str(), given.negated), ("not", negated));
+        let again = crate::text::parse(&Source::new("again.net", draft.to_string())).unwrap();
+        assert_eq!(again, draft);
+    }
+}

@@ -137,7 +137,10 @@ impl fmt::Display for DraftArc {
 impl fmt::Display for DraftWhen {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let not = if self.negated { "not " } else { "" };
-        write!(f, "when {not}{}", self.function.in_text())
+        match self.function.text.as_str() {
+            "not" => write!(f, "when {not}\"not\""),
+            _ => write!(f, "when {not}{}", self.function.in_text()),
+        }
     }
 }
 

@@ -41,6 +41,7 @@ pub fn read(source: &Source) -> Result<NetFile, Findings> {
         transition_names: Vec::new(),
         positions: Positions::default(),
         kept: Kept::default(),
+        counted: (0, 1, 1),
     };
     reader.read(net)
 }
@@ -152,7 +153,12 @@ struct Reader<'s, 'a, 'i> {
     transition_names: Vec<String>,
     positions: Positions,
     kept: Kept,
+    /// The byte up to which lines were counted, with its line and column.
+    counted: (usize, usize, usize),
 }
+
+/// Bytes of blanks at most that bring a text of our own to the line and column it has in the file.
+const MOST_BLANKS: usize = 1 << 12;
 
 impl<'a, 'i> Reader<'_, 'a, 'i> {
     fn read(mut self, net: Node<'a, 'i>) -> Result<NetFile, Findings> {
@@ -400,11 +406,31 @@ impl<'a, 'i> Reader<'_, 'a, 'i> {
             return Some((self.source.clone(), whole, range.start));
         }
         // Escapes and CDATA move the bytes: findings point to the right line of a text of its own.
-        let (line, column) = self.source.line_column(range.start);
+        let (line, column) = self.line_column(range.start);
+        if line + column > MOST_BLANKS {
+            let name = format!("{}:{line}:{column}", self.source.name());
+            return Some((Source::new(name, whole.as_str()), whole, 0));
+        }
         let before = "\n".repeat(line - 1) + &" ".repeat(column - 1);
         let start = before.len();
         let source = Source::new(self.source.name(), before + &whole);
         Some((source, whole, start))
+    }
+
+    /// The line and column of a byte. Sections come one after the other, so only what lies between them is read.
+    fn line_column(&mut self, to: usize) -> (usize, usize) {
+        let (from, mut line, mut column) = match self.counted {
+            counted if counted.0 <= to => counted,
+            _ => (0, 1, 1),
+        };
+        for character in self.source.text().get(from..to).unwrap_or_default().chars() {
+            column += 1;
+            if character == '\n' {
+                (line, column) = (line + 1, 1);
+            }
+        }
+        self.counted = (to, line, column);
+        (line, column)
     }
 
     fn arc_kind(&mut self, node: Node<'a, 'i>) -> Result<ArcKind, Finding> {

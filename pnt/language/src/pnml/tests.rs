@@ -604,3 +604,79 @@ proptest! {
         let _ = format::read_bytes("any", document(&parts.concat()).as_bytes());
     }
 }
+
+#[test]
+fn what_other_tools_do_not_read_is_told_by_kind() {
+    let text = "net n
+place a = 1 capacity 3, b
+transition t
+  in a
+  inhibit b
+  do f
+  out b, p@other
+transition u
+  in b
+  read a
+  reset b
+  time 2 s
+  out a
+";
+    let source = ctos::diagnostic::Source::new("n.net", text);
+    let draft = crate::text::parse(&source).unwrap();
+    let told = only_here(&draft);
+    let told: Vec<String> = told.into_sorted().iter().map(ToString::to_string).collect();
+    for kind in [
+        "capacities",
+        "inhibitor arcs",
+        "reset arcs",
+        "read arcs",
+        "times,",
+        "actions,",
+        "tokens for other nets",
+    ] {
+        assert!(
+            told.iter().any(|line| line.contains(kind)),
+            "{kind}: {told:#?}"
+        );
+    }
+    assert_eq!(told.len(), 7);
+    let plain = crate::text::parse(&ctos::diagnostic::Source::new(
+        "n.net",
+        "net n\nplace a = 1\ntransition t\n  in a\n  out a*2\n",
+    ));
+    assert!(only_here(&plain.unwrap()).is_empty());
+}
+
+#[test]
+fn a_file_beyond_the_limit_is_refused_by_limit_and_size_and_one_line_below_it_is_read() {
+    let places = |count: usize| {
+        let each = (0..count).map(|n| format!("<place id=\"p{n}\"/>"));
+        each.collect::<String>()
+            + "<transition id=\"t\"/><arc id=\"a\" source=\"p0\" target=\"t\"/>"
+    };
+    let found = bytes_findings(document(&places(900_000)).as_bytes());
+    assert_eq!(found.len(), 1);
+    assert!(
+        found[0].contains("MiB of PNML, and at most 16 MiB are read"),
+        "{found:#?}"
+    );
+    assert_eq!(
+        read_text(&document(&places(50_000))).draft.places.len(),
+        50_000
+    );
+}
+
+#[test]
+fn findings_in_sections_far_down_a_line_have_the_place_in_their_names() {
+    let own =
+        "<toolspecific tool=\"pnt\" version=\"1\"><text>doo f(a -&gt; b)</text></toolspecific>";
+    let text = document(&format!(
+        "{}<transition id=\"t\">{own}</transition>",
+        " ".repeat(10_000)
+    ));
+    let found = bytes_findings(text.as_bytes());
+    assert!(
+        found.iter().any(|line| line.contains("a.pnml:4:10")),
+        "{found:#?}"
+    );
+}

@@ -47,6 +47,71 @@ pub fn write(file: &NetFile) -> Result<String, Findings> {
     Ok(writer.out)
 }
 
+/// What of a net other tools read otherwise or not at all when it is written as PNML: one warning for each kind.
+#[must_use]
+pub fn only_here(draft: &Draft) -> Findings {
+    let mut findings = Findings::new();
+    let here = |arc: &&DraftArc| arc.net.is_none();
+    let mut warn = |words: &mut dyn Iterator<Item = &Word>, what: &str, instead: &str| {
+        let Some(first) = words.next() else { return };
+        let (count, name) = (words.count() + 1, &first.text);
+        let text = match count {
+            1 => format!("{what} (`{name}`): {instead}"),
+            _ => format!("{what} (`{name}` and {} more): {instead}", count - 1),
+        };
+        findings.push(
+            Finding::warning("pnt::pnml::only_here", text)
+                .at(first.at.clone())
+                .help("PNML of ISO/IEC 15909-2 has places, transitions and weighted arcs only; this tool reads back all of it"),
+        );
+    };
+    let transitions = || draft.transitions.iter();
+    let places = draft.places.iter();
+    let capped = places.filter(|place| place.capacity.is_some());
+    warn(
+        &mut capped.map(|place| &place.name),
+        "capacities",
+        "other tools read a place that holds any number of tokens",
+    );
+    warn(
+        &mut transitions().flat_map(|t| t.inhibitors.iter().filter(here).map(|arc| &arc.place)),
+        "inhibitor arcs",
+        "TAPAAL and PIPE know them by their `type`; other tools refuse them or take them for ordinary arcs",
+    );
+    warn(
+        &mut transitions().flat_map(|t| &t.resets),
+        "reset arcs",
+        "few tools know the `type` of such an arc; others refuse it or take it for an ordinary arc",
+    );
+    warn(
+        &mut transitions().flat_map(|t| t.reads.iter().filter(here).map(|arc| &arc.place)),
+        "read arcs",
+        "other tools read a loop, which takes the tokens and puts them back",
+    );
+    let timed =
+        |t: &&DraftTransition| !t.timing.is_immediate() || t.priority > 0 || t.servers.is_some();
+    warn(
+        &mut transitions().filter(timed).map(|t| &t.name),
+        "times, priorities and servers",
+        "other tools read transitions that fire whenever their tokens are there",
+    );
+    let acts = |t: &&DraftTransition| {
+        t.action.is_some() || t.when.is_some() || t.tape.is_some() || t.write.is_some()
+    };
+    warn(
+        &mut transitions().filter(acts).map(|t| &t.name),
+        "actions, failures, functions and tapes",
+        "other tools read transitions that fire in one step, always as if they had succeeded",
+    );
+    let remote = transitions().flat_map(|t| t.outputs.iter().chain(&t.fail));
+    warn(
+        &mut remote.filter(|arc| arc.net.is_some()).map(|arc| &arc.place),
+        "tokens for other nets",
+        "other tools do not see them",
+    );
+    findings
+}
+
 /// What XML cannot hold, or would give back as something else.
 fn unkept(c: char) -> bool {
     c.is_control() || ['\u{fffe}', '\u{ffff}'].contains(&c)

@@ -37,10 +37,6 @@ impl<'a> Words<'a> {
         }
     }
 
-    pub(super) fn at_end(&self) -> bool {
-        self.rest.is_empty()
-    }
-
     fn next(&mut self) -> Option<&'a Token> {
         let (first, rest) = self.rest.split_first()?;
         self.rest = rest;
