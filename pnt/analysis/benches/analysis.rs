@@ -25,6 +25,7 @@ use pnt_analysis::{
     analysis::{
         explicit::{Limits, explore},
         model::{Model, Place, Transition},
+        stop::Stop,
         symbolic,
         verdict::Engines,
     },
@@ -255,19 +256,30 @@ fn wide_net_explicit_on_threads(bencher: Bencher, threads: usize) {
 #[divan::bench(args = [20, 40], sample_count = 3, sample_size = 1)]
 fn philosophers_by_diagrams(bencher: Bencher, count: usize) {
     let model = model(&philosophers(count));
-    bencher.bench_local(|| symbolic::count(&model, 256 << 20).unwrap().markings);
+    bencher.bench_local(|| {
+        symbolic::count(&model, 256 << 20, Stop::default())
+            .unwrap()
+            .markings
+    });
 }
 
 #[divan::bench(args = [5, 10], sample_count = 3, sample_size = 1)]
 fn kanban_by_diagrams(bencher: Bencher, cards: usize) {
     let model = kanban(cards);
-    bencher.bench_local(|| symbolic::count(&model, 256 << 20).unwrap().markings);
+    bencher.bench_local(|| {
+        symbolic::count(&model, 256 << 20, Stop::default())
+            .unwrap()
+            .markings
+    });
 }
 
 /// From the texts to the verdict, as `ctos net check` does it, with every command by itself.
 fn whole_check(texts: &[String]) -> u128 {
     let nets: Vec<Arc<Net>> = texts.iter().map(|text| net(text)).collect();
-    let rule = Rule::of(&nets);
+    let rule = match Rule::of(&nets) {
+        Rule::Rest => Rule::Rest,
+        Rule::Alone | Rule::Closed => Rule::Closed,
+    };
     let options = Options {
         engines: Engines::Both,
         workflows: rule == Rule::Rest,

@@ -4,7 +4,7 @@
 //! - [`explicit`]: its markings one by one; [`returns`]: where they lead in the end;
 //! - [`symbolic`]: the markings as a decision diagram; [`stubborn`]: whether any is dead, by looking at few;
 //! - [`cover`]: what an unbounded net can cover; [`structure`]: what follows from the arcs alone;
-//! - [`question`]: what an author asks about them;
+//! - [`question`]: what an author asks about them; [`play`]: a firing sequence, step by step;
 //! - [`verdict`]: all that in numbers.
 //!
 //! Only [`question`] reads a text and makes findings of it, about that text. The rest knows numbers only;
@@ -15,8 +15,10 @@ pub mod cover;
 pub mod explicit;
 mod layout;
 pub mod model;
+pub mod play;
 pub mod question;
 pub mod returns;
+pub mod stop;
 mod store;
 pub mod structure;
 pub mod stubborn;

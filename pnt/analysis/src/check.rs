@@ -15,7 +15,7 @@ use std::{
 };
 
 use ctos::{
-    diagnostic::{Finding, Findings, Place as At},
+    diagnostic::{Finding, Findings, Place as At, Severity},
     message::DataType,
     registry::Vocabulary,
 };
@@ -25,21 +25,22 @@ use commands::Workflow;
 use crate::{
     analysis::{
         cover::{Cover, cover},
-        explicit::{Progress, Reached},
-        model::{Model, TransitionNumber},
+        explicit::{Progress, Reached, Stopped},
+        model::{Model, PlaceNumber, TransitionNumber},
+        play::{Lack, Wanted, lacks},
         question::{Answer, Question},
         returns::always_reachable,
         verdict::{Engines, Looked, Verdict, list, look},
     },
-    compose::{Stands, Step, System, SystemPlace, tape::Ends},
+    compose::{Phase, Stands, Step, System, SystemPlace, push_some, tape::Ends},
 };
-use pnt_language::net::{Action, Net, Part};
+use pnt_language::{
+    compile::endless,
+    net::{Action, Net, Part, Transition},
+};
 
 pub use crate::analysis::explicit::Limits;
 pub use tapes::Tape;
-
-/// Steps of a firing sequence that are shown; the ones before are counted.
-const SHOWN_STEPS: usize = 16;
 
 /// What was looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -140,19 +141,22 @@ pub enum Rule {
     /// command answered once. A transition that never fires is only a warning: an app may have no use
     /// for part of a coordinator.
     Rest,
-    /// A plain net, which nothing comes to from outside: bounded, no dead marking, no dead transition.
-    /// It need not return to its initial marking.
+    /// Nets that are to be run, which nothing comes to from outside: what [`Rule::Rest`] asks, and what
+    /// [`Rule::Closed`] asks.
+    Alone,
+    /// A net of another tool, which is not run: bounded, no dead marking, no dead transition. It need not
+    /// return to its initial marking.
     Closed,
 }
 
 impl Rule {
-    /// [`Rule::Closed`] for nets without commands.
+    /// Of nets that are to be run: [`Rule::Alone`] for those without commands.
     #[must_use]
     pub fn of(nets: &[Arc<Net>]) -> Self {
         if nets.iter().any(|net| !net.commands().is_empty()) {
             Self::Rest
         } else {
-            Self::Closed
+            Self::Alone
         }
     }
 }
@@ -170,11 +174,46 @@ pub struct Proof {
     pub findings: Findings,
     /// Of nets without bound, what they can cover, where that can be told.
     pub cover: Option<Cover>,
+    /// The place that was found to grow without bound.
+    pub grows: Option<PlaceNumber>,
     /// Answers to the questions that were asked, in order.
     pub answers: Vec<Answered>,
     /// Each command by itself, if that was asked.
     pub workflows: Vec<Workflow>,
+    /// Firing sequences that show why the nets are not sound, in the order of their findings.
+    pub counterexamples: Vec<Counterexample>,
 }
+
+/// A firing sequence that shows why nets are not sound.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Counterexample {
+    /// Code of the finding that it belongs to.
+    pub code: &'static str,
+    /// Firings from the initial marking.
+    pub sequence: Vec<TransitionNumber>,
+    /// Firings that can follow again and again, each time with more tokens; empty where nothing grows.
+    pub round: Vec<TransitionNumber>,
+    /// The marking after the sequence.
+    pub marking: Vec<u32>,
+}
+
+impl Proof {
+    /// Whether the nets are sound; nothing where a limit came before that is known.
+    #[must_use]
+    pub fn sound(&self) -> Option<bool> {
+        let errors = |finding: &&Finding| finding.severity == Severity::Error;
+        let mut errors = self.findings.iter().filter(errors).peekable();
+        if errors.peek().is_none() {
+            return self.verdict.complete.then_some(true);
+        }
+        errors
+            .any(|finding| finding.code != NOT_PROVED)
+            .then_some(false)
+    }
+}
+
+/// The code of the finding that a limit came before a proof.
+pub const NOT_PROVED: &str = "pnt::check::not_proved";
 
 /// What to prove, and how.
 #[derive(Debug, Clone)]
@@ -191,6 +230,8 @@ pub struct Options {
     pub workflows: bool,
     /// What comes on tapes; on others, any command as soon as the one before is answered.
     pub tapes: Vec<Tape>,
+    /// Dead markings that are shown, each with a shortest way to it: at least one, and no more than are kept.
+    pub deadlocks: usize,
 }
 
 impl Options {
@@ -204,6 +245,7 @@ impl Options {
             questions: Vec::new(),
             workflows: false,
             tapes: Vec::new(),
+            deadlocks: 1,
         }
     }
 }
@@ -242,6 +284,8 @@ impl Answered {
     }
 }
 
+const DEADLOCK: &str = "pnt::check::deadlock";
+
 /// States that a coverability graph may have; it serves only nets that are not sound anyway.
 const COVER_NODES: usize = 50_000;
 
@@ -254,25 +298,47 @@ pub fn prove(
     options: &Options,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Proof, Findings> {
+    let Options { rule, limits, .. } = *options;
     let (mut system, mut findings) = System::compose(nets);
-    if findings.has_errors() {
+    let fits = !findings.has_errors();
+    // What the executor refuses by itself.
+    for net in nets.iter().filter(|_| rule != Rule::Closed) {
+        findings.extend(endless(net));
+    }
+    if !fits {
         return Err(findings);
     }
     let given = !options.tapes.is_empty();
     let ends = given.then(|| system.with_tapes(&options.tapes));
     let model = Model::of_system(&system);
     let mut questions = Vec::new();
+    let mut unread = Findings::new();
     for (asks, text) in &options.questions {
-        let question = findings.keep(Question::parse(text, &model));
+        let question = unread.keep(Question::parse(text, &model));
         questions.extend(question.map(|question| (question, *asks)));
     }
-    if findings.has_errors() {
+    if unread.has_errors() {
+        findings.extend(unread);
         return Err(findings);
     }
-    let Options { rule, limits, .. } = *options;
-    // What is told about nets with a tape needs the markings one by one.
-    let looked = if rule == Rule::Rest || !questions.is_empty() {
+    // What is told about nets with a tape, and of several dead markings, needs the markings one by one.
+    let looked = if rule == Rule::Rest || !questions.is_empty() || options.deadlocks > 1 {
         list(&model, &limits, progress)
+    } else if rule == Rule::Alone && options.engines == Engines::Both {
+        // As far as a boot looks, in the same way, so that both say the same.
+        let of_boot = Limits::default();
+        let few = Limits {
+            markings: limits.markings.min(of_boot.markings),
+            ..limits
+        };
+        let listed = list(&model, &few, progress);
+        let is_all = listed.verdict.stopped != Some(Stopped::Markings);
+        if is_all {
+            listed
+        } else {
+            drop(listed);
+            look(&model, &limits, options.engines, progress)
+        }
     } else {
         look(&model, &limits, options.engines, progress)
     };
@@ -285,7 +351,7 @@ pub fn prove(
         asks,
     };
     let answers = questions.into_iter().map(answered).collect();
-    let grows = looked.explored.growth.is_some();
+    let grows = looked.explored.growth.as_ref().map(|growth| growth.place);
     let end = ends.map(|ends| end(&ends, &looked, &limits));
     let workflows = match (&end, options.workflows) {
         (_, false) => Vec::new(),
@@ -298,42 +364,88 @@ pub fn prove(
         rule,
         looked: &looked,
         end: end.as_ref(),
+        deadlocks: options.deadlocks,
     };
-    findings.extend(judge.findings());
+    let mut counterexamples = Vec::new();
+    findings.extend(judge.findings(&mut counterexamples));
     let verdict = looked.verdict;
     Ok(Proof {
-        cover: grows.then(|| cover(&model, COVER_NODES)).flatten(),
+        cover: grows.and_then(|_| cover(&model, COVER_NODES)),
+        grows,
         workflows,
         answers,
         system,
         model,
         verdict,
         findings,
+        counterexamples,
     })
 }
 
-/// Composes the nets of an app and checks them. The markings are only explored when the nets fit
-/// together.
+/// The nets in groups: those that name each other, directly or through others, are together. Each group is sound
+/// or not by itself.
+#[must_use]
+pub fn systems(nets: &[Arc<Net>]) -> Vec<Vec<Arc<Net>>> {
+    let mut groups: Vec<Vec<Arc<Net>>> = Vec::new();
+    for net in nets {
+        let (with, mut without): (Vec<_>, Vec<_>) = groups.into_iter().partition(|group| {
+            group
+                .iter()
+                .any(|other| knows(net, other) || knows(other, net))
+        });
+        let mut together: Vec<Arc<Net>> = with.into_iter().flatten().collect();
+        together.push(Arc::clone(net));
+        without.push(together);
+        groups = without;
+    }
+    groups
+}
+
+/// Whether one net names the other.
+fn knows(net: &Net, other: &Net) -> bool {
+    let partners = net.coordinators().iter().chain(net.serves());
+    let mut names = partners
+        .map(|partner| partner.net.as_str())
+        .chain(net.remote_nets());
+    names.any(|name| name == other.name())
+}
+
+/// Composes the nets of an app and checks them, each group of nets that name each other by itself. The markings
+/// are only explored when the nets fit together.
 #[must_use]
 pub fn check(nets: &[Arc<Net>], limits: &Limits) -> (Report, Findings) {
-    match prove(nets, &Options::new(Rule::Rest, *limits), &mut |_| {}) {
-        Ok(proof) => {
-            let report = Report {
-                markings: proof.verdict.markings,
-                edges: proof.verdict.edges,
-                proved: proof.verdict.reversible.is_some(),
-            };
-            (report, proof.findings)
-        }
-        Err(findings) => {
-            let report = Report {
-                markings: 0,
-                edges: 0,
-                proved: false,
-            };
-            (report, findings)
+    let mut report = Report {
+        markings: 0,
+        edges: 0,
+        proved: false,
+    };
+    let mut findings = fit(nets);
+    if findings.has_errors() {
+        return (report, findings);
+    }
+    findings = Findings::new();
+    report.proved = true;
+    for nets in systems(nets) {
+        match prove(&nets, &Options::new(Rule::Rest, *limits), &mut |_| {}) {
+            Ok(proof) => {
+                report.markings += proof.verdict.markings;
+                report.edges += proof.verdict.edges;
+                report.proved &= proof.verdict.reversible.is_some();
+                findings.extend(proof.findings);
+            }
+            Err(found) => {
+                report.proved = false;
+                findings.extend(found);
+            }
         }
     }
+    (report, findings)
+}
+
+/// What keeps nets from being put together, and warnings about that; no marking is looked at.
+#[must_use]
+pub fn fit(nets: &[Arc<Net>]) -> Findings {
+    System::fit(nets)
 }
 
 /// Whether the end of what comes on given tapes always stays within reach.
@@ -366,21 +478,26 @@ struct Judge<'a> {
     looked: &'a Looked<'a>,
     /// Where tapes are given.
     end: Option<&'a End>,
+    deadlocks: usize,
 }
 
+/// A finding and the sequence that shows it.
+type Found = (Finding, Option<Counterexample>);
+
 impl Judge<'_> {
-    fn findings(&self) -> Findings {
+    fn findings(&self, counterexamples: &mut Vec<Counterexample>) -> Findings {
         let mut findings = Findings::new();
-        let errors = [
-            self.growth(),
-            self.dead(),
+        let growth = self.growth().into_iter();
+        let rest = [
             self.unasked(),
             self.overfilled(),
             self.trapped(),
-            self.unproved(),
+            self.unproved().map(|finding| (finding, None)),
         ];
-        for finding in errors.into_iter().flatten() {
+        let errors = growth.chain(self.dead()).chain(rest.into_iter().flatten());
+        for (finding, counterexample) in errors {
             findings.push(finding);
+            counterexamples.extend(counterexample);
         }
         if self.looked.verdict.complete {
             self.never(&mut findings);
@@ -388,28 +505,30 @@ impl Judge<'_> {
         findings
     }
 
-    /// A shortest way to a marking that was found, in words.
-    fn way_to(&self, marking: &[u32]) -> String {
-        self.steps(&self.looked.explored.path(marking).unwrap_or_default())
+    /// A shortest way to a marking that was found, and that in words.
+    fn way_to(&self, code: &'static str, marking: &[u32]) -> (Counterexample, String) {
+        let sequence = self.looked.explored.path(marking).unwrap_or_default();
+        let words = self.steps(&sequence);
+        let counterexample = Counterexample {
+            code,
+            sequence,
+            round: Vec::new(),
+            marking: marking.to_vec(),
+        };
+        (counterexample, words)
     }
 
+    /// A whole sequence, so that it can be played.
     fn steps(&self, path: &[TransitionNumber]) -> String {
         if path.is_empty() {
             return "nothing".to_owned();
         }
-        let skipped = path.len().saturating_sub(SHOWN_STEPS);
         let names: Vec<&str> = path
             .iter()
-            .skip(skipped)
             .filter_map(|number| self.model.transitions.get(*number as usize))
             .map(|transition| transition.name.as_str())
             .collect();
-        let before = match skipped {
-            0 => String::new(),
-            1 => "one step, ".to_owned(),
-            _ => format!("{skipped} steps, "),
-        };
-        format!("{before}{}", names.join(", "))
+        names.join(", ")
     }
 
     /// The place that tells most about a marking: marked, not at rest, and written by a person.
@@ -434,92 +553,163 @@ impl Judge<'_> {
             .min_by_key(|place| importance(place))
     }
 
-    fn at_marking(&self, finding: Finding, marking: &[u32]) -> Finding {
-        let emptied = || {
-            let pairs = self.system.places().iter().zip(marking);
-            pairs
-                .filter(|(place, tokens)| **tokens < place.tokens && !place.stands.is_count())
-                .map(|(place, _)| place)
-                .next()
-        };
-        match self.telling(marking) {
-            Some(place) => finding
-                .at(place.at.clone())
-                .label("this is marked then, and nothing takes it on"),
-            None => match emptied() {
-                Some(place) => finding.at(place.at.clone()).label("this is empty then"),
-                None => finding,
-            },
+    /// Points to what tells most about a marking that is dead or has no way back.
+    fn at_marking(&self, finding: Finding, marking: &[u32], dead: bool) -> Finding {
+        if let Some(place) = self.telling(marking) {
+            let label = match (dead, self.asks_functions()) {
+                (true, false) => "this is marked then, and nothing takes it on",
+                (true, true) => "this is marked then, and nothing is sure to take it on",
+                (false, _) => "this is marked then",
+            };
+            return finding.at(place.at.clone()).label(label);
+        }
+        match self.nearly(marking) {
+            Some((place, label)) => finding.at(place.at.clone()).label(label),
+            None => finding,
         }
     }
 
-    fn growth(&self) -> Option<Finding> {
+    fn asks_functions(&self) -> bool {
+        self.system.steps().iter().any(|step| step.when.is_some())
+    }
+
+    /// Of the transitions that may not fire at a marking, what one with the fewest reasons waits for.
+    fn nearly(&self, marking: &[u32]) -> Option<(&SystemPlace, String)> {
+        let begins = (0..).zip(self.system.steps()).filter(|(_, step)| {
+            step.transition.is_some() && matches!(step.phase, Phase::Fire | Phase::Start)
+        });
+        let of = |(number, step)| {
+            let lacks = lacks(self.model, number, marking);
+            let mut shown = lacks.iter().filter(|lack| self.shown(lack));
+            Some((lacks.len(), *shown.next()?, step))
+        };
+        let (_, lack, step) = begins.filter_map(of).min_by_key(|(count, ..)| *count)?;
+        let place = self.system.places().get(lack.place as usize)?;
+        let net = self.system.nets().get(step.net)?;
+        let transition = &net[step.transition?].name;
+        let label = match lack.wanted {
+            Wanted::AtLeast(needs) => format!(
+                "this holds {} then, and `{transition}` needs {needs}",
+                lack.holds
+            ),
+            Wanted::Below(below) => format!(
+                "this holds {} then, and `{transition}` waits until it holds fewer than {below}",
+                lack.holds
+            ),
+        };
+        Some((place, label))
+    }
+
+    /// Whether a place is one that its author knows.
+    fn shown(&self, lack: &Lack) -> bool {
+        let place = self.system.places().get(lack.place as usize);
+        place.is_some_and(|place| matches!(place.stands, Stands::Place(_)))
+    }
+
+    fn growth(&self) -> Option<Found> {
+        const CODE: &str = "pnt::check::unbounded";
         let growth = self.looked.explored.growth.as_ref()?;
         let place = self.system.places().get(growth.place as usize)?;
-        Some(
-            Finding::error(
-                "pnt::check::unbounded",
-                format!(
-                    "`{}` can collect tokens without bound: after {}, each round of {} adds to it",
-                    place.name,
-                    self.steps(&growth.lead),
-                    self.steps(&growth.cycle)
-                ),
-            )
-            .at(place.at.clone())
-            .label("this place grows")
-            .help("let the round take back the token it adds, or bound it with a semaphore place"),
+        let counterexample = Counterexample {
+            code: CODE,
+            marking: self.model.replay(&growth.lead)?,
+            sequence: growth.lead.clone(),
+            round: growth.cycle.clone(),
+        };
+        let finding = Finding::error(
+            CODE,
+            format!(
+                "`{}` can collect tokens without bound: after {}, each round of {} adds to it",
+                place.name,
+                self.steps(&growth.lead),
+                self.steps(&growth.cycle)
+            ),
         )
+        .at(place.at.clone())
+        .label("this place grows")
+        .help("let the round take back the token it adds, or bound it with a semaphore place");
+        Some((finding, Some(counterexample)))
     }
 
     /// Dead markings; other than rest where that may well have nothing to do.
     fn dead_ends(&self) -> impl Iterator<Item = &Reached> {
-        let nearest = usize::from(self.rule == Rule::Rest);
+        let nearest = usize::from(self.rule != Rule::Closed);
         let dead = self.looked.explored.dead.iter();
         dead.filter(move |dead| dead.distance >= nearest)
     }
 
-    fn dead(&self) -> Option<Finding> {
+    /// Of dead markings the nearest ones, as many as are wanted.
+    fn dead(&self) -> Vec<Found> {
         if let Some((sequence, marking)) = &self.looked.deadlock {
             let others = match self.looked.verdict.deadlocks {
                 1 => String::new(),
                 count => format!(" ({count} such markings in all)"),
             };
-            return Some(self.dead_finding(&self.steps(sequence), marking, &others));
+            let counterexample = Counterexample {
+                code: DEADLOCK,
+                sequence: sequence.clone(),
+                round: Vec::new(),
+                marking: marking.clone(),
+            };
+            return vec![self.dead_finding(counterexample, &self.steps(sequence), &others)];
         }
-        let dead = self.dead_ends().next()?;
         let rest = self
             .looked
             .explored
             .dead
             .iter()
             .any(|dead| dead.distance == 0);
-        let rest = rest && self.rule == Rule::Rest;
-        let others = match self.looked.explored.dead_count - u64::from(rest) {
-            1 => String::new(),
-            count => format!(" ({count} such markings in all)"),
-        };
-        Some(self.dead_finding(&self.way_to(&dead.marking), &dead.marking, &others))
+        let begins_dead = rest && self.rule == Rule::Alone;
+        let rest = rest && self.rule != Rule::Closed;
+        let initial = begins_dead.then(|| {
+            let (counterexample, way) = self.way_to(DEADLOCK, &self.model.initial());
+            self.dead_finding(counterexample, &way, "")
+        });
+        let all = self.looked.explored.dead_count - u64::from(rest);
+        let wanted = self.dead_ends().take(self.deadlocks.max(1));
+        let each = (1_u64..).zip(wanted).map(|(number, dead)| {
+            let others = match (all, self.deadlocks) {
+                (1, _) => String::new(),
+                (_, 0 | 1) => format!(" ({all} such markings in all)"),
+                _ => format!(" ({number} of {all} such markings)"),
+            };
+            let (counterexample, way) = self.way_to(DEADLOCK, &dead.marking);
+            self.dead_finding(counterexample, &way, &others)
+        });
+        initial.into_iter().chain(each).collect()
     }
 
-    fn dead_finding(&self, way: &str, marking: &[u32], others: &str) -> Finding {
+    fn dead_finding(&self, counterexample: Counterexample, way: &str, others: &str) -> Found {
+        let marking = &counterexample.marking;
+        let help = match self.asks_functions() {
+            true => {
+                "give this marking a way on; a single `when` may stay false for ever, so pair it with its negation"
+            }
+            false => {
+                "give this marking a way on: a transition that can fire there, or fewer ways into it"
+            }
+        };
         let finding = Finding::error(
-            "pnt::check::deadlock",
+            DEADLOCK,
             format!(
                 "{}: after {way} the marking is {}, and no transition is sure to fire{others}",
                 match (self.end, self.rule) {
                     (Some(_), _) => "the nets can stop before the end of what is on the tape",
                     (None, Rule::Rest) => "the nets can stop short of rest",
-                    (None, Rule::Closed) => "there is a deadlock",
+                    (None, Rule::Alone) if !counterexample.sequence.is_empty() =>
+                        "the nets can stop short of rest",
+                    (None, Rule::Alone | Rule::Closed) => "there is a deadlock",
                 },
                 self.system.marking_name(marking)
             ),
         )
-        .help("give this marking a way on; a single `when` may stay false for ever, so pair it with its negation");
-        self.at_marking(finding, marking)
+        .help(help);
+        let finding = self.at_marking(finding, marking, true);
+        (finding, Some(counterexample))
     }
 
-    fn trapped(&self) -> Option<Finding> {
+    fn trapped(&self) -> Option<Found> {
+        const CODE: &str = "pnt::check::no_return";
         // A dead end is the clearer finding.
         if self.rule == Rule::Closed || self.dead_ends().next().is_some() {
             return None;
@@ -527,33 +717,44 @@ impl Judge<'_> {
         if let Some(end) = self.end {
             return self.unfinished(end);
         }
-        let marking = self.looked.returns.as_ref()?.no_return.as_ref()?;
+        let Some(returns) = self.looked.returns.as_ref() else {
+            // Diagrams know it without a way.
+            let lost = self.looked.verdict.reversible == Some(false);
+            let text =
+                "rest can get out of reach: from some marking no way leads back to the initial one";
+            let help = "a way there is shown with `--engine explicit`";
+            return lost.then(|| (Finding::error(CODE, text).help(help), None));
+        };
+        let marking = returns.no_return.as_ref()?;
+        let (counterexample, way) = self.way_to(CODE, marking);
         let finding = Finding::error(
-            "pnt::check::no_return",
+            CODE,
             format!(
-                "rest can get out of reach: after {} the marking is {}, and no way leads back to the initial marking",
-                self.way_to(marking),
+                "rest can get out of reach: after {way} the marking is {}, and no way leads back to the initial marking",
                 self.system.marking_name(marking)
             ),
         )
         .help("look for a token that is lost or left over, or a command that gets no answer");
-        Some(self.at_marking(finding, marking))
+        let finding = self.at_marking(finding, marking, false);
+        Some((finding, Some(counterexample)))
     }
 
-    fn unfinished(&self, end: &End) -> Option<Finding> {
+    fn unfinished(&self, end: &End) -> Option<Found> {
+        const CODE: &str = "pnt::check::no_end";
         let End::NotFrom(marking) = end else {
             return None;
         };
+        let (counterexample, way) = self.way_to(CODE, marking);
         let finding = Finding::error(
-            "pnt::check::no_end",
+            CODE,
             format!(
-                "what is on the tape can get impossible to finish: after {} the marking is {}, and no way leads to its end with every command answered",
-                self.way_to(marking),
+                "what is on the tape can get impossible to finish: after {way} the marking is {}, and no way leads to its end with every command answered",
                 self.system.marking_name(marking)
             ),
         )
         .help("look for a command that gets no answer, or give another tape");
-        Some(self.at_marking(finding, marking))
+        let finding = self.at_marking(finding, marking, false);
+        Some((finding, Some(counterexample)))
     }
 
     /// The nearest marking and step of a kind.
@@ -567,52 +768,72 @@ impl Judge<'_> {
         wanted.filter_map(nearest).min_by(|(a, _), (b, _)| a.cmp(b))
     }
 
-    fn overfilled(&self) -> Option<Finding> {
+    /// The way to the nearest marking at which a step of a kind may be taken, and that step.
+    fn way_to_step(
+        &self,
+        code: &'static str,
+        reached: &Reached,
+        step: &Step,
+    ) -> (Counterexample, String) {
+        let (mut counterexample, words) = self.way_to(code, &reached.marking);
+        let steps = self.system.steps().iter();
+        if let Some((number, _)) = (0..)
+            .zip(steps)
+            .find(|(_, other)| std::ptr::eq(*other, step))
+        {
+            counterexample.sequence.push(number);
+            if let Some(after) = self.model.fire(number, &reached.marking) {
+                counterexample.marking = after;
+            }
+        }
+        (counterexample, words)
+    }
+
+    fn overfilled(&self) -> Option<Found> {
+        const CODE: &str = "pnt::check::overfilled";
         let (reached, step) = self.nearest_step(|step| step.overfills.is_some())?;
         let place = self.system.places().get(step.overfills?)?;
         let sender = self.system.nets().get(step.net)?;
         let transition = &sender[step.transition?];
-        Some(
+        let (counterexample, way) = self.way_to_step(CODE, &reached, step);
+        let finding =
             Finding::error(
-                "pnt::check::overfilled",
+                CODE,
                 format!(
-                    "tokens of `{}.{}` can find no room in `{}`, which refuses them, and their net stops: after {}",
+                    "tokens of `{}.{}` can find no room in `{}`, which refuses them, and their net stops: after {way}",
                     sender.name(),
                     transition.name,
                     place.name,
-                    self.way_to(&reached.marking)
                 ),
             )
             .at(transition.at.clone())
-            .help("let the receiver give back a token for each that it takes on, and the sender wait for it; or raise the capacity"),
-        )
+            .help("let the receiver give back a token for each that it takes on, and the sender wait for it; or raise the capacity");
+        Some((finding, Some(counterexample)))
     }
 
-    fn unasked(&self) -> Option<Finding> {
+    fn unasked(&self) -> Option<Found> {
+        const CODE: &str = "pnt::check::answer";
         let (reached, step) = self.nearest_step(|step| step.unasked)?;
         let transition = &self.system.nets().get(step.net)?[step.transition?];
         let symbol = transition.write.as_deref().unwrap_or_default();
-        Some(
-            Finding::error(
-                "pnt::check::answer",
-                format!(
-                    "transition `{}` can write `{symbol}` when no command waits for it: after {}",
-                    transition.name,
-                    self.way_to(&reached.marking)
-                ),
-            )
-            .at(transition.at.clone())
-            .help(
-                "each command is answered once, by one of the output symbols of its `command` line",
+        let (counterexample, way) = self.way_to_step(CODE, &reached, step);
+        let finding = Finding::error(
+            CODE,
+            format!(
+                "transition `{}` can write `{symbol}` when no command waits for it: after {way}",
+                transition.name,
             ),
         )
+        .at(transition.at.clone())
+        .help("each command is answered once, by one of the output symbols of its `command` line");
+        Some((finding, Some(counterexample)))
     }
 
     fn unproved(&self) -> Option<Finding> {
         let returns = match (self.rule, self.end) {
             (Rule::Closed, _) => true,
-            (Rule::Rest, Some(end)) => *end != End::Unknown,
-            (Rule::Rest, None) => self.looked.returns.is_some(),
+            (_, Some(end)) => *end != End::Unknown,
+            (_, None) => self.looked.verdict.reversible.is_some(),
         };
         let proved = self.looked.verdict.complete && returns;
         if proved || self.looked.explored.growth.is_some() {
@@ -628,18 +849,35 @@ impl Judge<'_> {
             Some(true) => "; there is no deadlock, by stubborn sets",
             _ => "",
         };
-        Some(
-            Finding::error(
-                "pnt::check::not_proved",
-                format!(
-                    "not proved: more than {} markings; `{}` has held up to {bound} tokens so far{lives}",
-                    self.looked.explored.markings, place.name
-                ),
-            )
-            .at(place.at.clone())
-            .help(
-                "bound what can be in flight with semaphore places, or raise the limit of markings",
+        let markings = self.looked.explored.markings;
+        let (why, help) = match (self.looked.verdict.complete, self.looked.verdict.stopped) {
+            (true, _) => (
+                format!("the {markings} markings were not all followed to their ends"),
+                "give it more time or memory",
             ),
+            (false, Some(Stopped::Stop)) => (
+                format!("ended after {markings} markings"),
+                "give it more time",
+            ),
+            (false, Some(Stopped::Bytes)) => (
+                format!(
+                    "{markings} markings and what finds them need more memory than is permitted"
+                ),
+                "bound what can be in flight with semaphore places, or raise the limit of memory; docs/authoring-nets.md (Counters) shows how a net counts",
+            ),
+            (false, _) => (
+                format!("more than {markings} markings"),
+                "bound what can be in flight with semaphore places, or raise the limit of markings; docs/authoring-nets.md (Counters) shows how a net counts",
+            ),
+        };
+        let text = format!(
+            "not proved: {why}; `{}` has held up to {bound} tokens so far{lives}",
+            place.name
+        );
+        Some(
+            Finding::error(NOT_PROVED, text)
+                .at(place.at.clone())
+                .help(help),
         )
     }
 
@@ -647,18 +885,18 @@ impl Judge<'_> {
     fn never(&self, findings: &mut Findings) {
         let transitions = self.system.nets().iter().flat_map(|net| net.transitions());
         let all = transitions.zip(&self.looked.verdict.seen);
-        for (transition, _) in all.filter(|(_, seen)| !**seen) {
-            if matches!(transition.part, Part::Return | Part::Fail { branch: false }) {
-                continue;
-            }
+        let meant = |part: Part| !matches!(part, Part::Return | Part::Fail { branch: false });
+        let never = all.filter(|(transition, seen)| !**seen && meant(transition.part));
+        let finding = |(transition, _): (&Transition, &bool)| {
             let text = format!("transition `{}` can never fire", transition.name);
             let finding = match self.rule {
                 Rule::Rest => Finding::warning("pnt::check::never_fires", text),
-                Rule::Closed => Finding::error("pnt::check::never_fires", text),
+                Rule::Alone | Rule::Closed => Finding::error("pnt::check::never_fires", text),
             };
-            findings.push(finding.at(transition.at.clone()).help(
-                "nothing ever marks its input places together; check their names and weights",
-            ));
-        }
+            finding
+                .at(transition.at.clone())
+                .help("nothing ever marks its input places together; check their names and weights")
+        };
+        push_some(never.map(finding), findings);
     }
 }

@@ -16,7 +16,9 @@ use std::{fmt, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings, Place as At};
 
-use pnt_language::net::{CommandId, Net, Outputs, Part, PlaceId, RemoteArc, Role, TransitionId};
+use pnt_language::net::{
+    CommandId, Net, Outputs, Part, Place, PlaceId, RemoteArc, Role, TransitionId,
+};
 
 /// Number of a place of the system.
 pub type SystemPlaceId = usize;
@@ -136,6 +138,12 @@ impl System {
     /// Joins nets. What cannot be joined is reported and left out.
     #[must_use]
     pub fn compose(nets: &[Arc<Net>]) -> (Self, Findings) {
+        (build::build(nets), Self::fit(nets))
+    }
+
+    /// What keeps nets from being joined, and warnings about that.
+    #[must_use]
+    pub fn fit(nets: &[Arc<Net>]) -> Findings {
         let mut findings = Findings::new();
         check_names(nets, &mut findings);
         for net in nets {
@@ -145,7 +153,7 @@ impl System {
             check_unused(net, nets, &mut findings);
             check_resets(net, &mut findings);
         }
-        (build::build(nets), findings)
+        findings
     }
 
     /// The nets.
@@ -423,16 +431,29 @@ fn check_unused(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
             used[place.index()] = true;
         }
     }
-    for (place, used) in net.places().iter().zip(used) {
-        if !used && place.role == Role::Declared {
-            findings.push(
-                Finding::warning(
-                    "pnt::app::unused_place",
-                    format!("no transition uses the place `{}`", place.name),
-                )
-                .at(place.at.clone())
-                .help("remove it, or name it in a transition"),
-            );
-        }
+    let unused = net.places().iter().zip(used);
+    let unused = unused.filter(|(place, used)| !used && place.role == Role::Declared);
+    let finding = |(place, _): (&Place, bool)| {
+        let text = format!("no transition uses the place `{}`", place.name);
+        Finding::warning("pnt::app::unused_place", text)
+            .at(place.at.clone())
+            .help("remove it, or name it in a transition")
+    };
+    push_some(unused.map(finding), findings);
+}
+
+/// Findings of one kind about one net that are told; each costs as much as there are before it.
+const MOST_ALIKE: usize = 200;
+
+/// Tells findings of one kind, or of very many the first, and how many there are.
+pub(crate) fn push_some(alike: impl Iterator<Item = Finding>, findings: &mut Findings) {
+    let mut alike = alike;
+    for finding in alike.by_ref().take(MOST_ALIKE) {
+        findings.push(finding);
+    }
+    if let Some(mut more) = alike.next() {
+        let others = alike.count();
+        more.message = format!("{}, and so for {others} more", more.message);
+        findings.push(more);
     }
 }

@@ -22,6 +22,7 @@ use std::{
 use super::{
     layout::{Layout, bits_for, linear},
     model::{Model, PlaceNumber, TransitionNumber},
+    stop::Stop,
     store::Store,
 };
 pub use growth::Growth;
@@ -54,6 +55,8 @@ pub struct Limits {
     pub bytes: usize,
     /// Threads.
     pub threads: usize,
+    /// What ends it before.
+    pub stop: Stop,
 }
 
 impl Default for Limits {
@@ -63,6 +66,7 @@ impl Default for Limits {
             markings: 1_000_000,
             bytes: 1 << 30,
             threads: 1,
+            stop: Stop::default(),
         }
     }
 }
@@ -74,6 +78,8 @@ pub enum Stopped {
     Markings,
     /// [`Limits::bytes`].
     Bytes,
+    /// [`Limits::stop`].
+    Stop,
     /// A place would hold more than 32 bits can say.
     Tokens(PlaceNumber),
     /// A place grows without bound.
@@ -101,6 +107,8 @@ pub struct Explored<'a> {
     pub(super) rules: Rules,
     pub(super) store: Store,
     pub(super) levels: Levels,
+    /// What ends what is computed from it.
+    pub(super) stop: Stop,
     /// Markings found. Where a limit has ended a search on several threads, those of the levels that were
     /// found whole; all else is then about the levels before, so that nothing depends on timing.
     pub markings: usize,
@@ -269,6 +277,8 @@ impl<'a> Search<'a> {
                 end = end.or(Some(Stopped::Markings));
             } else if self.bytes() > self.limits.bytes {
                 end = end.or(Some(Stopped::Bytes));
+            } else if self.limits.stop.is_set() {
+                end = end.or(Some(Stopped::Stop));
             }
             let busy = |worker: &Worker| !worker.part.is_empty() || worker.waiting() > 0;
             let done = queue.left() == 0 && !self.workers.iter().any(busy);
@@ -414,7 +424,12 @@ impl<'a> Search<'a> {
         }
         let tally = self.tally;
         Explored {
-            markings: self.levels.markings(),
+            // One more than permitted has been found when that ends the search.
+            markings: match stopped {
+                Some(Stopped::Markings) => self.levels.markings().min(self.limits.markings),
+                _ => self.levels.markings(),
+            },
+            stop: self.limits.stop,
             edges: tally.edges,
             stopped,
             dead: tally.dead,

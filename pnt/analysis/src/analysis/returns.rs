@@ -49,12 +49,17 @@ pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
     let walked = (!explored.rules.has_whens).then(|| walk::returning(explored));
     let Some(walked) = walked.flatten() else {
         let needed = components_bytes(explored, explored.store.numbers())?;
-        return (needed <= bytes).then(|| Components::new(explored, &|_| true).find(needed));
+        if needed > bytes {
+            return None;
+        }
+        return Components::new(explored, &|_| true).find(needed);
     };
     if !walked.lost.is_empty() {
         let needed = components_bytes(explored, walked.lost.len())?.checked_add(walked.bytes)?;
-        let components = || Components::new(explored, &|_| true).find_lost(&walked.lost, needed);
-        return (needed <= bytes).then(components);
+        if needed > bytes {
+            return None;
+        }
+        return Components::new(explored, &|_| true).find_lost(&walked.lost, needed);
     }
     let mut live = vec![false; explored.model.label_count()];
     for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
@@ -73,7 +78,7 @@ pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
 }
 
 /// Whether from every reachable marking one as wanted can be reached: if not, a marking from which none
-/// can. Nothing when the search was not complete, or more bytes than permitted would be needed.
+/// can. Nothing when the search was not complete, it was stopped, or more bytes than permitted would be needed.
 #[must_use]
 pub fn always_reachable(
     explored: &Explored<'_>,
@@ -84,7 +89,7 @@ pub fn always_reachable(
         return None;
     }
     let mut components = Components::new(explored, wanted);
-    components.visit_all();
+    components.visit_all()?;
     Some(components.without_wanted.map(|reached| reached.marking))
 }
 
@@ -166,6 +171,9 @@ impl<'a> Graph<'a> {
 
     /// Looks for where the firings lead.
     fn find(&mut self) -> Option<()> {
+        if self.explored.stop.is_set() {
+            return None;
+        }
         let (targets, looks) = (&self.targets, &mut self.looks);
         let store = &self.explored.store;
         store.find_all(targets, &self.sums, looks, &mut self.numbers)
@@ -173,6 +181,9 @@ impl<'a> Graph<'a> {
 
     /// Where a single firing at the marking that was expanded last leads.
     fn successor(&mut self, position: usize) -> Option<u32> {
+        if self.explored.stop.is_set() {
+            return None;
+        }
         self.targets.clear();
         self.sums.clear();
         self.fire(position);
@@ -251,13 +262,13 @@ impl<'a> Components<'a> {
         }
     }
 
-    fn find(mut self, bytes: usize) -> Returns {
-        self.visit_all();
-        self.told(bytes)
+    fn find(mut self, bytes: usize) -> Option<Returns> {
+        self.visit_all()?;
+        Some(self.told(bytes))
     }
 
     /// The same where all markings return but these, which nothing leads out of.
-    fn find_lost(mut self, lost: &[u32], bytes: usize) -> Returns {
+    fn find_lost(mut self, lost: &[u32], bytes: usize) -> Option<Returns> {
         self.returns.fill(true);
         for node in lost {
             self.returns[*node as usize] = false;
@@ -265,10 +276,10 @@ impl<'a> Components<'a> {
         let initial = self.graph.initial().unwrap_or(0);
         for root in lost {
             if self.index[*root as usize] == NEW {
-                self.visit_from(*root as usize, initial);
+                self.visit_from(*root as usize, initial)?;
             }
         }
-        self.told(bytes)
+        Some(self.told(bytes))
     }
 
     fn told(self, bytes: usize) -> Returns {
@@ -288,22 +299,26 @@ impl<'a> Components<'a> {
         }
     }
 
-    /// All components.
-    fn visit_all(&mut self) {
+    /// All components; nothing when that was stopped.
+    fn visit_all(&mut self) -> Option<()> {
         let initial = self.graph.initial().unwrap_or(0);
-        self.visit_from(initial, initial);
+        self.visit_from(initial, initial)?;
         // What only firings lead to that are not sure.
         for root in self.graph.nodes() {
             if self.index[root] == NEW {
-                self.visit_from(root, initial);
+                self.visit_from(root, initial)?;
             }
         }
+        Some(())
     }
 
     /// All that is reached from here and was not visited before.
-    fn visit_from(&mut self, root: usize, initial: usize) {
+    fn visit_from(&mut self, root: usize, initial: usize) -> Option<()> {
         self.visit(root);
         while let Some(frame) = self.frames.last_mut() {
+            if self.graph.explored.stop.is_set() {
+                return None;
+            }
             let node = frame.node;
             match self.ahead.get(frame.position).copied() {
                 Some(successor) => {
@@ -313,6 +328,7 @@ impl<'a> Components<'a> {
                 None => self.leave(initial),
             }
         }
+        Some(())
     }
 
     /// The nearest marking from which no way leads to the initial one; of those, the least.

@@ -71,6 +71,9 @@ pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&P
         if search.parents.len() > limits.markings {
             return search.found(None, Some(Stopped::Markings));
         }
+        if limits.stop.is_set() {
+            return search.found(None, Some(Stopped::Stop));
+        }
         if search.bytes_soon() > limits.bytes || search.parents.len() + 1 >= store::MOST {
             return search.found(None, Some(Stopped::Bytes));
         }

@@ -12,7 +12,10 @@ mod tests;
 
 use hashbrown::HashMap;
 
-use super::model::{Model, TransitionNumber};
+use super::{
+    model::{Model, TransitionNumber},
+    stop::Stop,
+};
 use diagram::{Condition, Full, NONE, Node};
 use saturate::{Event, Firing, events};
 
@@ -52,9 +55,9 @@ pub fn fits(model: &Model) -> bool {
 }
 
 /// Counts the reachable markings; nothing when the model does not [fit](fits) or when more bytes or
-/// larger numbers than permitted are needed, as for every net without a bound.
+/// larger numbers than permitted are needed, as for every net without a bound, or when it is stopped.
 #[must_use]
-pub fn count(model: &Model, bytes: usize) -> Option<Counted> {
+pub fn count(model: &Model, bytes: usize, stop: Stop) -> Option<Counted> {
     if !fits(model) {
         return None;
     }
@@ -62,7 +65,7 @@ pub fn count(model: &Model, bytes: usize) -> Option<Counted> {
     std::thread::scope(|scope| {
         let counting = std::thread::Builder::new()
             .stack_size(STACK_BYTES)
-            .spawn_scoped(scope, || Counter::count(model, bytes));
+            .spawn_scoped(scope, || Counter::count(model, bytes, stop));
         match counting.ok()?.join() {
             Ok(counted) => counted.ok(),
             Err(panic) => std::panic::resume_unwind(panic),
@@ -84,14 +87,14 @@ struct Counter<'a> {
 }
 
 impl<'a> Counter<'a> {
-    fn count(model: &'a Model, bytes: usize) -> Result<Counted, Full> {
+    fn count(model: &'a Model, bytes: usize, stop: Stop) -> Result<Counted, Full> {
         let order = order::order(model);
         let mut levels = vec![0_u32; order.len()];
         for (level, place) in (0..).zip(&order) {
             levels[*place as usize] = level;
         }
         let events = events(model, &levels);
-        let mut firing = Firing::new(&events, order.len(), bytes);
+        let mut firing = Firing::new(&events, order.len(), bytes, stop);
         let start = model.initial();
         let start: Vec<u32> = order.iter().map(|place| start[*place as usize]).collect();
         let initial = firing.diagram.single(&start)?;

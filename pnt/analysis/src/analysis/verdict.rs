@@ -11,8 +11,11 @@ use super::{
 /// Markings that are always listed one by one before anything else is tried.
 const LISTED_FIRST: usize = 200_000;
 
-/// Bytes that a decision diagram may take: one that works is small.
+/// Bytes that a decision diagram may take, which say also how long it takes: one that works is small. The
+/// first look gives up soon, and the second comes after so many markings listed.
+const SMALL_DIAGRAM_BYTES: usize = 16 << 20;
 const DIAGRAM_BYTES: usize = 256 << 20;
+const LISTED_BETWEEN: usize = 8_000_000;
 
 /// The engine that found the reachable markings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,7 +90,8 @@ pub enum Engines {
 }
 
 /// Explores a model: lists its markings if they are few; else counts them by decision diagrams, where
-/// that is permitted and works; else lists them as far as the limits permit.
+/// that is permitted and works; else lists them as far as the limits permit. Where either may do, the two take
+/// turns with growing effort, so that a net that suits only one of them does not wait long for the other.
 /// What is found dead of the rest is found by stubborn sets, where they apply.
 #[must_use]
 pub fn look<'a>(
@@ -123,11 +127,31 @@ fn choose<'a>(
     if first.verdict.complete || first.verdict.bounded.is_some() {
         return first;
     }
-    match symbolic::count(model, limits.bytes.min(DIAGRAM_BYTES)) {
-        Some(counted) if counted.markings <= limits.markings as u128 => {
-            counted_look(first, counted)
+    let count = |bytes: usize| {
+        let counted = symbolic::count(model, limits.bytes.min(bytes), limits.stop);
+        counted.filter(|counted| counted.markings <= limits.markings as u128)
+    };
+    if engines == Engines::Both {
+        if let Some(counted) = count(SMALL_DIAGRAM_BYTES) {
+            return counted_look(first, counted);
         }
-        _ => list(model, limits, progress),
+        let between = Limits {
+            markings: limits.markings.min(LISTED_BETWEEN),
+            ..*limits
+        };
+        if limits.stop.is_set() {
+            return first;
+        }
+        let listed = list(model, &between, progress);
+        let enough = between.markings == limits.markings;
+        if enough || listed.verdict.stopped != Some(Stopped::Markings) {
+            return listed;
+        }
+    }
+    match count(DIAGRAM_BYTES) {
+        Some(counted) => counted_look(first, counted),
+        None if limits.stop.is_set() => first,
+        None => list(model, limits, progress),
     }
 }
 

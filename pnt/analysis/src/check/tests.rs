@@ -1,7 +1,10 @@
+use std::fmt::Write as _;
+
 use ctos::diagnostic::{Severity, Source};
+use proptest::prelude::*;
 
 use super::*;
-use pnt_language::compile;
+use pnt_language::{compile, format};
 
 const DISPATCHER: &str = include_str!("../../../tests/nets/dispatcher.net");
 const VISION: &str = include_str!("../../../tests/nets/vision.net");
@@ -468,4 +471,234 @@ fn room_that_is_kept_for_a_running_action_is_no_room() {
     };
     assert!(found(1).iter().any(|f| f.code == "pnt::check::deadlock"));
     assert!(found(2).is_empty());
+}
+
+/// The errors with which the executor, or the check before a boot, refuses these nets.
+fn refused_by_the_boot(texts: &[Source], limits: &Limits) -> Vec<String> {
+    let (mut nets, mut findings) = (Vec::new(), Findings::new());
+    for source in texts {
+        match compile::net(source) {
+            Ok(net) => nets.push(Arc::new(net)),
+            Err(found) => findings.extend(found),
+        }
+    }
+    if !findings.has_errors() {
+        findings = check(&nets, limits).1;
+    }
+    errors(&findings)
+}
+
+fn errors(findings: &Findings) -> Vec<String> {
+    let errors = findings.iter().filter(|f| f.severity == Severity::Error);
+    errors.map(ToString::to_string).collect()
+}
+
+/// The errors of `ctos net check`, and whether it says that all is sound.
+fn refused_by_a_check(texts: &[Source], limits: &Limits) -> (Vec<String>, bool) {
+    let (mut nets, mut findings) = (Vec::new(), Findings::new());
+    for source in texts {
+        match format::read_source(source).and_then(|file| file.compile()) {
+            Ok(net) => nets.push(Arc::new(net)),
+            Err(found) => findings.extend(found),
+        }
+    }
+    let mut sound = !findings.has_errors();
+    if sound {
+        for nets in systems(&nets) {
+            let options = Options {
+                engines: Engines::Both,
+                ..Options::new(Rule::of(&nets), *limits)
+            };
+            match prove(&nets, &options, &mut |_| {}) {
+                Ok(proof) => {
+                    sound &= proof.sound() == Some(true);
+                    findings.extend(proof.findings);
+                }
+                Err(found) => {
+                    sound = false;
+                    findings.extend(found);
+                }
+            }
+        }
+    }
+    (errors(&findings), sound)
+}
+
+/// Asserts that the check refuses what the boot refuses, with the same words.
+fn one_verdict(texts: &[Source], markings: usize) {
+    let limits = Limits {
+        markings,
+        ..Limits::default()
+    };
+    let boot = refused_by_the_boot(texts, &limits);
+    let (check, sound) = refused_by_a_check(texts, &limits);
+    for error in &boot {
+        // Beyond a limit, the check looks for more than the boot.
+        let same = |other: &String| {
+            let limit = ": error: not proved: ";
+            other == error || error.contains(limit) && other.contains(limit)
+        };
+        assert!(check.iter().any(same), "not said: {error}\nbut: {check:#?}");
+    }
+    assert!(boot.is_empty() || !sound, "called sound: {boot:#?}");
+    assert!(check.is_empty() || !sound);
+}
+
+#[test]
+fn what_the_boot_refuses_of_the_nets_of_this_project_a_check_refuses_with_the_same_words() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    let mut read = 0;
+    for folder in ["configs/nets", "pnt/tests/nets", "tests/tutorial"] {
+        let Ok(files) = std::fs::read_dir(format!("{root}/{folder}")) else {
+            continue;
+        };
+        let files = files.filter_map(|file| Some(file.ok()?.path()));
+        let nets = files.filter(|path| path.extension().is_some_and(|e| e == "net"));
+        let texts: Vec<Source> = nets.filter_map(|path| Source::read(&path).ok()).collect();
+        read += texts.len();
+        one_verdict(&texts, 100_000);
+        for text in &texts {
+            one_verdict(std::slice::from_ref(text), 100_000);
+        }
+        // The same with a transition that needs nothing.
+        for text in &texts {
+            let more = "place extra capacity 1\ntransition nothing\n  out extra\ntransition away\n  in extra\n";
+            let more = format!("{}\n{more}", text.text());
+            one_verdict(&[Source::new(text.name(), more)], 100_000);
+        }
+    }
+    assert!(read >= 8, "{read}");
+}
+
+#[test]
+fn a_transition_without_input_is_refused_also_where_a_capacity_bounds_it() {
+    let text = "net w6\nplace a capacity 1\ntransition nothing\n  out a\ntransition t\n  in a\n";
+    let texts = [Source::new("w6.net", text)];
+    one_verdict(&texts, 100_000);
+    let (errors, sound) = refused_by_a_check(&texts, &Limits::default());
+    assert!(!sound);
+    let said = "w6.net:3:12: error: transition `nothing` takes nothing and would fire for ever";
+    assert!(
+        errors.iter().any(|error| error.starts_with(said)),
+        "{errors:#?}"
+    );
+}
+
+/// Lines of a transition, right and wrong.
+const LINES: [&str; 22] = [
+    "in a",
+    "in b*2",
+    "in c",
+    "in a, c",
+    "out a",
+    "out b",
+    "out c*2",
+    "out b, c",
+    "read a",
+    "inhibit b",
+    "reset c",
+    "time 1 s",
+    "priority 1",
+    "when f",
+    "when not f",
+    "tape go",
+    "write gone",
+    "do f",
+    "fail a",
+    "out q",
+    "when not",
+    "within 1 s",
+];
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(500))]
+
+    #[test]
+    fn what_the_boot_refuses_of_any_net_a_check_refuses_with_the_same_words(
+        transitions in prop::collection::vec(prop::collection::vec(0_usize..22, 1..5), 1..5),
+        tokens in prop::collection::vec((0_u32..3, prop::option::of(2_u32..4)), 3),
+        commands in any::<bool>(),
+    ) {
+        let mut text = String::from("net n\n");
+        for (name, (tokens, capacity)) in ["a", "b", "c"].iter().zip(tokens) {
+            let _ = write!(text, "place {name} = {tokens}");
+            if let Some(capacity) = capacity {
+                let _ = write!(text, " capacity {capacity}");
+            }
+            text.push('\n');
+        }
+        if commands {
+            text.push_str("command go -> gone\n");
+        }
+        for (number, lines) in transitions.iter().enumerate() {
+            let _ = writeln!(text, "transition t{number}");
+            for line in lines {
+                let _ = writeln!(text, "  {}", LINES[*line]);
+            }
+        }
+        one_verdict(&[Source::new("n.net", text)], 3_000);
+    }
+}
+
+#[test]
+fn a_label_says_what_the_place_holds_and_what_is_needed() {
+    let text = "net n\nplace bin = 3, robot = 1\ntransition load\n  in bin*2, robot\n  out robot\n";
+    let (_, findings) = check_all(&[text]);
+    the(&findings, "pnt::check::deadlock", "n.net:2:7");
+    assert_eq!(findings[0].label, "this holds 1 then, and `load` needs 2");
+    assert!(!findings[0].help.as_deref().unwrap().contains("when"));
+}
+
+#[test]
+fn a_sequence_is_whole_and_each_dead_marking_has_one_when_that_is_asked_for() {
+    // A chain of 40 steps, at each of whose last three places the token may be lost.
+    let mut text = String::from("net n\nplace p0 = 1\n");
+    for step in 0..40 {
+        let next = step + 1;
+        let _ = write!(
+            text,
+            "place p{next}\ntransition t{step}\n  in p{step}\n  out p{next}\n"
+        );
+        if step >= 37 {
+            let _ = write!(
+                text,
+                "place lost{step}\ntransition l{step}\n  in p{step}\n  out lost{step}\n"
+            );
+        }
+    }
+    let nets = [net("n.net", &text)];
+    let limits = Limits::default();
+    for (deadlocks, shown) in [(1, 1), (3, 3), (100, 4)] {
+        let options = Options {
+            deadlocks,
+            engines: Engines::Both,
+            ..Options::new(Rule::of(&nets), limits)
+        };
+        let proof = prove(&nets, &options, &mut |_| {}).unwrap();
+        assert_eq!(proof.sound(), Some(false));
+        let dead: Vec<_> = proof
+            .counterexamples
+            .iter()
+            .filter(|c| c.code == DEADLOCK)
+            .collect();
+        assert_eq!(dead.len(), shown);
+        for one in &dead {
+            assert!(one.sequence.len() >= 38);
+            assert_eq!(
+                proof.model.replay(&one.sequence).as_ref(),
+                Some(&one.marking)
+            );
+        }
+        let found: Vec<_> = proof
+            .findings
+            .iter()
+            .filter(|f| f.code == DEADLOCK)
+            .collect();
+        assert_eq!(found.len(), shown);
+        assert!(
+            found[0].message.contains("after n.t0, n.t1, n.t2, "),
+            "{}",
+            found[0]
+        );
+    }
 }

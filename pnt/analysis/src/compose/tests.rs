@@ -473,3 +473,18 @@ proptest! {
         compare(&nets).map_err(|error| TestCaseError::fail(format!("{error}\n{}{}", texts[0], texts[1])))?;
     }
 }
+
+#[test]
+fn of_very_many_findings_of_a_kind_the_first_are_told_and_the_others_counted() {
+    let mut text = String::from("net n\nplace a = 1\ntransition t\n  in a\n  out a\n");
+    for place in 0..100_000 {
+        let _ = writeln!(text, "place p{place}");
+    }
+    let found = System::fit(&[net(&text)]);
+    let messages: Vec<&str> = found.iter().map(|f| f.message.as_str()).collect();
+    assert_eq!(messages.len(), 201);
+    assert_eq!(
+        messages[200],
+        "no transition uses the place `p200`, and so for 99799 more"
+    );
+}

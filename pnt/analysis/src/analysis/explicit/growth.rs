@@ -1,6 +1,7 @@
 //! Proofs that a place has no bound: a marking that covers one on its own way, and holds more somewhere,
 //! can be left in the same way again and again (Karp and Miller 1969). That holds unless an inhibitor
-//! arc, a capacity or a priority looks at what grows, or a firing of the round empties it.
+//! arc or a capacity looks at what grows, or a firing of the round empties it. Where transitions have priorities,
+//! the round must also be possible with any number of tokens in the places that grow.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,7 +9,7 @@ use super::{
     super::model::{PlaceNumber, TransitionNumber},
     Search,
     path::Lookup,
-    rules::Rules,
+    rules::{Rules, Scratch},
     worker::Record,
 };
 
@@ -30,9 +31,6 @@ const ALL_PAIRS: usize = 400;
 impl Search<'_> {
     /// Looks along the ways to the markings that have doubled a bound in this level.
     pub(super) fn look_for_growth(&mut self, records: &BTreeMap<Record, Vec<u32>>) -> bool {
-        if self.rules.has_priorities {
-            return false;
-        }
         let lookup = Lookup {
             rules: &self.rules,
             store: &self.store,
@@ -106,5 +104,44 @@ fn grown(
     if all().any(looked_at) {
         return None;
     }
-    all().find(|place| !empties(*place))
+    let place = all().find(|place| !empties(*place))?;
+    let many: Vec<PlaceNumber> = all().collect();
+    (!rules.has_priorities || stays_possible(rules, round, before, &many)).then_some(place)
+}
+
+/// Whether no firing of the round ever has to wait for a more urgent one, however many tokens the places hold that
+/// grow. More tokens there enable more, since no inhibitor arc looks at them; all other places hold the same each time.
+fn stays_possible(
+    rules: &Rules,
+    round: &[TransitionNumber],
+    before: &[u32],
+    grown: &[PlaceNumber],
+) -> bool {
+    let mut marking = before.to_vec();
+    let mut many = vec![false; marking.len()];
+    for place in grown {
+        marking[*place as usize] = u32::MAX;
+        many[*place as usize] = true;
+    }
+    let mut scratch = Scratch::default();
+    round.iter().all(|number| {
+        let each = (0..).zip(&rules.packed);
+        let enabled = each.filter(|(_, t)| t.is_enabled(&marking));
+        scratch.enabled = enabled.map(|(number, _)| number).collect();
+        rules.drop_low_priorities(&mut scratch);
+        let transition = &rules.packed[*number as usize];
+        for (place, loss) in &transition.losses {
+            let tokens = &mut marking[*place as usize];
+            *tokens = tokens.saturating_sub(if many[*place as usize] { 0 } else { *loss });
+        }
+        for (place, gain) in &transition.gains {
+            let tokens = &mut marking[*place as usize];
+            *tokens = tokens.saturating_add(*gain);
+        }
+        for (place, after) in &transition.resets {
+            marking[*place as usize] = *after;
+            many[*place as usize] = false;
+        }
+        scratch.enabled.contains(number)
+    })
 }

@@ -92,20 +92,22 @@ pub struct Scratch {
 }
 
 impl Rules {
-    pub(super) fn new(model: &Model, layout: Layout) -> Self {
+    pub(in crate::analysis) fn new(model: &Model, layout: Layout) -> Self {
         let packed: Vec<Packed> = (0..model.transitions.len())
             .map(|number| Packed::new(model, number, &layout))
             .collect();
         let firsts = firsts(model, &packed);
         let (mut conditions, mut by_place) = (Vec::new(), Vec::new());
-        let places = (0..).zip(&model.places).map(|(place, _)| Some(place));
-        for first in places.chain([None]) {
+        // By first place, those without one last.
+        let mut of: Vec<Vec<TransitionNumber>> = vec![Vec::new(); model.places.len() + 1];
+        for (transition, first) in (0..).zip(&firsts) {
+            let at = first.map_or(model.places.len(), |place| place as usize);
+            of[at].push(transition);
+        }
+        for transitions in of {
             let start = conditions.len();
-            let of = (0..)
-                .zip(&packed)
-                .zip(&firsts)
-                .filter(|(_, f)| **f == first);
-            conditions.extend(of.map(|((transition, t), _)| {
+            conditions.extend(transitions.into_iter().map(|transition| {
+                let t = &packed[transition as usize];
                 let mut all = enabling(&layout, &t.needs, &t.forbids).into_iter();
                 Condition {
                     transition,
@@ -262,7 +264,7 @@ impl Rules {
     /// is not known, only that each says one thing to all that ask it: so a transition waits for a more
     /// urgent one without enabling function, for one with the same, and where the two sides of one
     /// function are both more urgent.
-    fn drop_low_priorities(&self, scratch: &mut Scratch) {
+    pub(in crate::analysis) fn drop_low_priorities(&self, scratch: &mut Scratch) {
         scratch.most.clear();
         scratch.most.resize(self.groups, 0);
         scratch.sides.clear();

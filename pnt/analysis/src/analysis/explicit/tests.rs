@@ -119,6 +119,79 @@ fn growth_is_proved_with_a_sequence_that_can_be_repeated() {
     assert!(tokens(&twice) > tokens(&once));
 }
 
+/// Parts arrive, are served and leave; only leaving takes no time.
+const PUMP: &str = "net pump
+place s, done
+transition arrive
+  out s
+  time exponential 4 s
+transition serve
+  in s
+  out done
+  time exponential 2 s
+transition leave
+  in done
+";
+
+#[test]
+fn growth_beside_immediate_transitions_is_found_within_a_few_markings() {
+    let line = "net line
+place free = 1, waits, busy, done, store
+transition arrive
+  out waits
+  time exponential 4 s
+transition begin
+  in waits, free
+  out busy
+transition work
+  in busy
+  out done
+  time normal 2 s spread 0.1 s
+transition end
+  in done
+  out free, store
+transition take
+  in store*2
+  time 1 s
+";
+    for text in [PUMP, line] {
+        let model = model(text);
+        let limits = Limits {
+            markings: 2_000,
+            ..Limits::default()
+        };
+        let found = explore(&model, &limits);
+        assert_eq!(found.stopped, Some(Stopped::Growth), "{text}");
+        let growth = found.growth.unwrap();
+        let mut player = crate::analysis::play::Player::new(&model);
+        let mut before = 0;
+        for round in 0..50 {
+            let steps = if round == 0 {
+                &growth.lead
+            } else {
+                &growth.cycle
+            };
+            for step in steps {
+                player.fire(*step).unwrap();
+            }
+            let tokens = player.marking()[growth.place as usize];
+            assert!(round < 2 || tokens > before);
+            before = tokens;
+        }
+    }
+}
+
+#[test]
+fn what_a_more_urgent_transition_takes_away_is_not_taken_for_growth() {
+    // Each arrival but the first is thrown away at once.
+    let model = model(
+        "net n\nplace s\ntransition arrive\n  out s\n  time 1 s\ntransition throw\n  in s*2\n  out s\n",
+    );
+    let found = all(&model);
+    assert!(found.complete() && found.growth.is_none());
+    assert_eq!(found.markings, 3);
+}
+
 #[test]
 fn what_an_inhibitor_arc_or_a_capacity_bounds_is_not_taken_for_growth() {
     let inhibited = "net n\nplace a = 1, heap\ntransition grow\n  in a\n  inhibit heap*5\n  out a, heap\ntransition shrink\n  in heap\n";
@@ -195,10 +268,44 @@ fn limits_end_the_search_without_a_claim() {
 }
 
 #[test]
+fn a_search_that_is_stopped_tells_what_it_has_and_claims_no_more() {
+    use std::sync::atomic::AtomicBool;
+
+    static NOW: AtomicBool = AtomicBool::new(true);
+    let model = kanban(4);
+    let limits = Limits {
+        stop: Stop::when(&NOW),
+        ..Limits::default()
+    };
+    let found = explore(&model, &limits);
+    assert_eq!(found.stopped, Some(Stopped::Stop));
+    assert!(found.markings > 0 && !found.complete());
+    assert!(returns(&found, usize::MAX).is_none());
+    let counted = crate::analysis::symbolic::count(&model, 1 << 28, Stop::when(&NOW));
+    assert_eq!(counted, None);
+}
+
+#[test]
+fn no_more_markings_are_told_than_the_limit_permits() {
+    let model = kanban(4);
+    for markings in [1, 100, 100_000] {
+        let limits = Limits {
+            markings,
+            ..Limits::default()
+        };
+        let found = explore(&model, &limits);
+        assert_eq!(
+            (found.markings, found.stopped),
+            (markings, Some(Stopped::Markings))
+        );
+    }
+}
+
+#[test]
 fn tokens_beyond_32_bits_are_a_finding_and_no_overflow() {
     let model = model(
-        // The priority keeps growth from being proved.
-        "net n\nplace s = 1, a = 1000000000\ntransition t\n  in s\n  out s, a*1000000000\n  priority 1\n",
+        // The inhibitor arc keeps growth from being proved.
+        "net n\nplace s = 1, a = 1000000000\ntransition t\n  in s\n  out s, a*1000000000\ntransition never\n  in s\n  inhibit a\n",
     );
     let found = all(&model);
     assert!(matches!(found.stopped, Some(Stopped::Tokens(1))));

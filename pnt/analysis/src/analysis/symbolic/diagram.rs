@@ -6,6 +6,8 @@ use std::hash::BuildHasher as _;
 
 use hashbrown::{DefaultHashBuilder, HashMap, HashTable};
 
+use super::super::stop::Stop;
+
 /// A node.
 pub(super) type Node = u32;
 
@@ -49,11 +51,12 @@ pub(super) struct Diagram {
     /// Entries of caches that others keep.
     pub(super) cached: usize,
     limit: usize,
+    stop: Stop,
 }
 
 impl Diagram {
-    /// An empty diagram that may grow to so many bytes.
-    pub(super) fn new(bytes: usize) -> Self {
+    /// An empty diagram that may grow to so many bytes, until it is stopped.
+    pub(super) fn new(bytes: usize, stop: Stop) -> Self {
         Self {
             // The two terminal nodes.
             nodes: vec![(0, 0); 2],
@@ -64,6 +67,7 @@ impl Diagram {
             meets: HashMap::new(),
             cached: 0,
             limit: bytes,
+            stop,
         }
     }
 
@@ -109,7 +113,7 @@ impl Diagram {
         if let Some(node) = self.unique.find(hash, |node| self.edges(*node) == edges) {
             return Ok(*node);
         }
-        if self.bytes() > self.limit {
+        if self.bytes() > self.limit || self.stop.is_set() {
             return Err(Full);
         }
         let node = Node::try_from(self.nodes.len()).map_err(|_| Full)?;

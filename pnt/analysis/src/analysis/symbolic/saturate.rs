@@ -5,7 +5,7 @@
 use hashbrown::HashMap;
 
 use super::{
-    super::model::Model,
+    super::{model::Model, stop::Stop},
     diagram::{Condition, Diagram, Edge, Full, NONE, Node},
 };
 
@@ -95,7 +95,7 @@ pub(super) struct Firing<'a> {
 }
 
 impl<'a> Firing<'a> {
-    pub(super) fn new(events: &'a [Event], levels: usize, bytes: usize) -> Self {
+    pub(super) fn new(events: &'a [Event], levels: usize, bytes: usize, stop: Stop) -> Self {
         let mut by_top = vec![Vec::new(); levels];
         for (number, event) in events.iter().enumerate() {
             let changes = event.iter().any(|l| l.change != 0 || l.reset.is_some());
@@ -104,7 +104,7 @@ impl<'a> Firing<'a> {
             }
         }
         Self {
-            diagram: Diagram::new(bytes),
+            diagram: Diagram::new(bytes, stop),
             events,
             by_top,
             saturated: HashMap::new(),

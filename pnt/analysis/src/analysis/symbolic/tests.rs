@@ -8,7 +8,7 @@ use crate::analysis::{
 };
 
 fn counted(model: &Model) -> Counted {
-    count(model, 256 << 20).unwrap()
+    count(model, 256 << 20, Stop::default()).unwrap()
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn kanban_systems_are_counted_as_published() {
 
 #[test]
 fn a_diagram_that_outgrows_its_memory_gives_up() {
-    assert_eq!(count(&kanban(5), 10_000), None);
+    assert_eq!(count(&kanban(5), 10_000, Stop::default()), None);
 }
 
 #[test]
