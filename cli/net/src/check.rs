@@ -1,5 +1,6 @@
 //! `ctos net check`.
 
+mod ending;
 mod report;
 mod structure;
 
@@ -13,10 +14,11 @@ use std::{
 use clap::{Args, ValueEnum};
 use ctos::{
     config::Selection,
-    diagnostic::{Findings, Source},
+    diagnostic::{Finding, Findings, Source},
     registry::Registry,
     time::Clock,
 };
+use ending::Ending;
 use indicatif::ProgressBar;
 use pnt::{
     analysis::{explicit::Progress, verdict::Engines},
@@ -24,7 +26,7 @@ use pnt::{
         self, Asks, Limits, Options, Proof, Rule,
         tapes::{self, Tape},
     },
-    format,
+    format::{self, Format},
     net::Net,
     task,
 };
@@ -45,6 +47,7 @@ use crate::ReadApp;
 #[command(after_help = "Examples:
   ctos net check configs/nets/hello.net
   ctos net check cell.pnml --json
+  ctos net check cell.pnml --seconds 30 --deadlocks 10
   ctos net check configs/nets/hello.net --always idle --structure
   ctos net check configs/nets/hello.net --tape 'hello (hello | hello hello)*'
   ctos net check --app configs/calibrate.toml
@@ -65,6 +68,12 @@ pub struct CheckArgs {
     /// Stop when markings and what finds them need more; `k`, `M` and `G` stand for 2^10, 2^20 and 2^30
     #[arg(long, value_name = "BYTES", value_parser = bytes, default_value = "4G")]
     pub max_memory: usize,
+    /// Stop after so many seconds and tell what is known by then; so does Ctrl-C
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Show so many dead markings, each with a shortest firing sequence to it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000), default_value = "1")]
+    pub deadlocks: u16,
     /// Threads that look for markings
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256), default_value = "1")]
     pub threads: u16,
@@ -130,9 +139,26 @@ fn bytes(text: &str) -> Result<usize, String> {
         .ok_or_else(|| "too large".to_owned())
 }
 
+/// A time limit, s.
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.0..=1.0e9).contains(&seconds) {
+        Ok(seconds)
+    } else {
+        Err("write a number of seconds from 0 up".to_owned())
+    }
+}
+
 /// Runs the command. The code is the worst of all systems.
 #[must_use]
 pub fn run(args: &CheckArgs, registry: &Registry, read: ReadApp) -> u8 {
+    let ending = match Ending::new(args.seconds) {
+        Ok(ending) => ending,
+        Err(error) => {
+            show::say(&format!("error: Ctrl-C cannot be waited for: {error}"));
+            return exit::FAILED;
+        }
+    };
     let (nets, warnings) = match nets(args, registry, read) {
         Ok(read) => read,
         Err(findings) => return wrong(findings, args),
@@ -142,16 +168,21 @@ pub fn run(args: &CheckArgs, registry: &Registry, read: ReadApp) -> u8 {
         Ok(tapes) => tapes,
         Err(findings) => return wrong(findings, args),
     };
-    let systems = if args.app.is_some() {
-        vec![nets]
-    } else {
-        systems(nets)
-    };
-    let codes = systems.iter().map(|nets| system(nets, &tapes, args));
+    let systems = check::systems(&nets);
+    let codes = systems
+        .iter()
+        .map(|nets| system(nets, &tapes, &ending, args));
     codes.max().unwrap_or(exit::OK)
 }
 
+/// What is wrong with files keeps everything from being decided.
 fn wrong(findings: Findings, args: &CheckArgs) -> u8 {
+    if args.json {
+        let each: Vec<_> = findings.iter().map(show::finding_json).collect();
+        let object = serde_json::json!({ "nets": [], "sound": null, "findings": each });
+        // A reader that went away has what it wanted.
+        let _ = show::data(&object.to_string());
+    }
     shown(findings, args);
     exit::CONFIG
 }
@@ -165,7 +196,8 @@ fn shown(findings: Findings, args: &CheckArgs) {
     show::findings_up_to(findings, most);
 }
 
-/// The nets of the files and of the app, and warnings about them.
+/// The nets of the files and of the app, and warnings about them; or else everything that is wrong with them, also
+/// how they fit together as far as that is known.
 fn nets(
     args: &CheckArgs,
     registry: &Registry,
@@ -173,36 +205,138 @@ fn nets(
 ) -> Result<(Vec<Arc<Net>>, Findings), Findings> {
     let mut findings = Findings::new();
     let mut nets: Vec<Arc<Net>> = Vec::new();
+    // Nets of which some lines cannot be read, and whether every net has a name at least.
+    let (mut broken, mut named) = (BTreeSet::new(), true);
+    let mut given = Vec::new();
     for file in &args.files {
-        match format::load(file) {
-            Ok((net, warnings)) => {
-                findings.extend(warnings);
-                nets.push(Arc::new(net));
+        let (net, found) = format::load_all(file);
+        match net {
+            Some(net) => {
+                if found.has_errors() {
+                    broken.insert(net.name().to_owned());
+                }
+                let net = Arc::new(net);
+                given.push((Arc::clone(&net), file.as_path()));
+                nets.push(net);
             }
-            Err(found) => findings.extend(found),
+            None => named = false,
         }
+        findings.extend(found);
     }
     if let Some(file) = &args.app {
-        let selection = Selection {
-            file: file.clone(),
-            ..Selection::default()
-        };
-        let others =
-            read(&selection).and_then(|app| task::nets(&app, registry).map(|others| (app, others)));
-        match others {
-            Ok((app, others)) => {
-                let given: BTreeSet<String> = nets.iter().map(|n| n.name().to_owned()).collect();
-                nets.extend(others.into_iter().filter(|net| !given.contains(net.name())));
-                task::check_messages(&nets, &app, registry, &mut findings);
+        match of_app(file, &given, registry, read) {
+            Ok((others, found)) => {
+                nets.extend(others);
+                findings.extend(found);
             }
-            Err(found) => findings.extend(found),
+            Err(found) => {
+                named = false;
+                findings.extend(found);
+            }
         }
     }
     if findings.has_errors() {
-        Err(findings)
+        for finding in check::fit(&nets).into_sorted() {
+            let sure = match finding.code {
+                "pnt::app::unknown_net" => named,
+                "pnt::app::unknown_place" | "pnt::app::unknown_request" => broken.is_empty(),
+                _ => false,
+            };
+            if sure {
+                findings.push(finding);
+            }
+        }
+        Err(with_hint(findings, args))
     } else {
         Ok((nets, findings))
     }
+}
+
+/// Where a net is missing that a file names, what to give as well.
+fn with_hint(findings: Findings, args: &CheckArgs) -> Findings {
+    let mut hinted = Findings::new();
+    for mut finding in findings.into_sorted() {
+        let meant = finding.help.as_deref().unwrap_or_default();
+        let meant = meant.starts_with("did you mean");
+        if finding.code == "pnt::app::unknown_net" && args.app.is_none() && !meant {
+            let name = finding.message.split('`').nth(1).unwrap_or_default();
+            let beside = finding.place.as_ref().and_then(|place| {
+                let file = Path::new(place.source.name()).with_file_name(format!("{name}.net"));
+                file.is_file().then_some(file)
+            });
+            let help = match beside {
+                Some(file) => format!(
+                    "give `{}` as well, or the app with `--app APP`",
+                    file.display()
+                ),
+                None => {
+                    format!("give the file of net `{name}` as well, or the app with `--app APP`")
+                }
+            };
+            finding = finding.help(help);
+        }
+        hinted.push(finding);
+    }
+    hinted
+}
+
+/// The nets of an app but for those that are given.
+///
+/// # Errors
+/// All findings about the app and its nets.
+pub(crate) fn others_of_app(
+    file: &Path,
+    given: &[Arc<Net>],
+    registry: &Registry,
+    read: ReadApp,
+) -> Result<Vec<Arc<Net>>, Findings> {
+    let others = task::nets(&read(&Selection::new(file))?, registry)?;
+    let is_given = |net: &Arc<Net>| given.iter().any(|other| other.name() == net.name());
+    Ok(others.into_iter().filter(|net| !is_given(net)).collect())
+}
+
+/// The nets of an app but for those that are given, and what the boot finds wrong about all of them, with the given
+/// ones in the place of its own.
+fn of_app(
+    file: &Path,
+    given: &[(Arc<Net>, &Path)],
+    registry: &Registry,
+    read: ReadApp,
+) -> Result<(Vec<Arc<Net>>, Findings), Findings> {
+    let mut selection = Selection::new(file);
+    let mut app = read(&selection)?;
+    let tasks = task::net_tasks(&app, registry);
+    for (net, path) in given {
+        let text = format::read(path).is_ok_and(|file| file.format == Format::Text);
+        if let (true, Ok(path)) = (
+            text && tasks.iter().any(|t| t == net.name()),
+            path.canonicalize(),
+        ) {
+            // As TOML has strings.
+            let path = serde_json::Value::from(path.to_string_lossy());
+            let set = format!("task.{}.args.net={path}", net.name());
+            selection.sets.push(set);
+        }
+    }
+    if !selection.sets.is_empty() {
+        app = read(&selection)?;
+    }
+    let mut findings = Findings::new();
+    for finding in registry.check(&app).into_sorted() {
+        let code = finding.code;
+        // The proof itself is told with its numbers.
+        let told = code.starts_with("pnt::check::") || code.starts_with("pnt::app::");
+        if code.starts_with("pnt::") && !told {
+            findings.push(finding);
+        }
+    }
+    if findings.has_errors() {
+        return Err(findings);
+    }
+    let others = task::nets(&app, registry)?;
+    let is_given = |net: &Arc<Net>| given.iter().any(|(other, _)| other.name() == net.name());
+    let others: Vec<_> = others.into_iter().filter(|net| !is_given(net)).collect();
+    Ok((others, findings))
 }
 
 /// What is said to come on tapes.
@@ -228,37 +362,12 @@ fn tapes(args: &CheckArgs, nets: &[Arc<Net>]) -> Result<Vec<Tape>, Findings> {
     }
 }
 
-/// The nets in groups: those that name each other, directly or through others, are together.
-fn systems(nets: Vec<Arc<Net>>) -> Vec<Vec<Arc<Net>>> {
-    let mut groups: Vec<Vec<Arc<Net>>> = Vec::new();
-    for net in nets {
-        let (with, mut without): (Vec<_>, Vec<_>) = groups.into_iter().partition(|group| {
-            group
-                .iter()
-                .any(|other| knows(&net, other) || knows(other, &net))
-        });
-        let mut together: Vec<Arc<Net>> = with.into_iter().flatten().collect();
-        together.push(net);
-        without.push(together);
-        groups = without;
-    }
-    groups
-}
-
-/// Whether one net names the other.
-fn knows(net: &Net, other: &Net) -> bool {
-    let partners = net.coordinators().iter().chain(net.serves());
-    let mut names = partners
-        .map(|partner| partner.net.as_str())
-        .chain(net.remote_nets());
-    names.any(|name| name == other.name())
-}
-
-fn system(nets: &[Arc<Net>], tapes: &[Tape], args: &CheckArgs) -> u8 {
-    let rule = if args.app.is_some() {
-        Rule::Rest
-    } else {
-        Rule::of(nets)
+fn system(nets: &[Arc<Net>], tapes: &[Tape], ending: &Ending, args: &CheckArgs) -> u8 {
+    // Only net text is run.
+    let text = |net: &Arc<Net>| format::sniff(net.at().source.text()) == Format::Text;
+    let rule = match Rule::of(nets) {
+        Rule::Alone if !nets.iter().all(text) => Rule::Closed,
+        rule => rule,
     };
     let options = Options {
         rule,
@@ -266,6 +375,7 @@ fn system(nets: &[Arc<Net>], tapes: &[Tape], args: &CheckArgs) -> u8 {
             markings: args.max_markings,
             bytes: args.max_memory,
             threads: usize::from(args.threads),
+            stop: ending.stop(),
         },
         engines: args.engine.into(),
         questions: questions(args),
@@ -275,6 +385,7 @@ fn system(nets: &[Arc<Net>], tapes: &[Tape], args: &CheckArgs) -> u8 {
             .filter(|tape| nets.iter().any(|net| net.name() == tape.net))
             .cloned()
             .collect(),
+        deadlocks: usize::from(args.deadlocks),
     };
     let clock = Clock::real();
     let start = clock.now();
@@ -284,10 +395,15 @@ fn system(nets: &[Arc<Net>], tapes: &[Tape], args: &CheckArgs) -> u8 {
     display.clear();
     let mut proof = match proof {
         Ok(proof) => proof,
-        Err(findings) => return wrong(findings, args),
+        Err(findings) => return wrong(with_hint(findings, args), args),
     };
+    if rule != Rule::Closed
+        && let Some(finding) = more_than_a_boot_permits(&proof)
+    {
+        proof.findings.push(finding);
+    }
     let answer = Answer::new(nets, &options, &proof, seconds, args.structure);
-    let code = code(&proof, answer.sound);
+    let code = code(&proof, ending);
     shown(std::mem::take(&mut proof.findings), args);
     // A reader that went away has what it wanted.
     let _ = show::data(&if args.json {
@@ -310,8 +426,22 @@ fn questions(args: &CheckArgs) -> Vec<(Asks, String)> {
     asked.map(|(asks, text)| (asks, text.clone())).collect()
 }
 
-/// Not proved for want of room is no fault of the nets; a question may be answered all the same.
-fn code(proof: &Proof, sound: bool) -> u8 {
+/// What is sound and too large for the check before a boot.
+fn more_than_a_boot_permits(proof: &Proof) -> Option<Finding> {
+    let most = Limits::default().markings;
+    let large = proof.sound() == Some(true) && proof.verdict.markings > most as u128;
+    large.then(|| {
+        let text = format!(
+            "an app with these nets does not boot: its check looks at no more than {most} markings, and they have {}",
+            proof.verdict.markings
+        );
+        Finding::warning("pnt::check::too_large", text)
+            .help("bound what can be in flight with semaphore places, or split the nets where they ask each other")
+    })
+}
+
+/// Not proved for want of room or time is no fault of the nets; a question may be answered all the same.
+fn code(proof: &Proof, ending: &Ending) -> u8 {
     let unknown = proof
         .answers
         .iter()
@@ -320,11 +450,16 @@ fn code(proof: &Proof, sound: bool) -> u8 {
         .answers
         .iter()
         .any(|answered| answered.yes() == Some(false));
-    let decided = proof.verdict.complete || proof.verdict.bounded.is_some();
-    match (decided && !unknown, sound && !no) {
-        (false, _) => exit::TIMED_OUT,
-        (true, true) => exit::OK,
-        (true, false) => exit::FAILED,
+    match proof.sound() {
+        Some(sound) if !unknown => {
+            if sound && !no {
+                exit::OK
+            } else {
+                exit::FAILED
+            }
+        }
+        _ if ending.interrupted() => exit::INTERRUPTED,
+        _ => exit::TIMED_OUT,
     }
 }
 
@@ -396,7 +531,7 @@ mod tests {
             let net = pnt::compile::net(&Source::new(name.to_owned(), text));
             Arc::new(net.unwrap_or_else(|findings| panic!("{findings}")))
         };
-        let groups = systems(vec![
+        let groups = check::systems(&[
             net("a", ", p@c"),
             net("b", ""),
             net("c", ""),

@@ -79,7 +79,11 @@ pub fn run(args: &ConvertArgs) -> u8 {
         }
     };
     if !args.quiet {
-        show::findings(file.warnings.clone());
+        let mut warnings = file.warnings.clone();
+        if form == Form::Pnml {
+            warnings.extend(pnml::only_here(&file.draft));
+        }
+        show::findings(warnings);
         if let Some(lost) = lost(&file, form) {
             show::say(&format!("note: {lost}"));
         }

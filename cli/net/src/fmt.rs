@@ -92,7 +92,16 @@ fn one(file: &Path, check: bool) -> Result<bool, Failed> {
                 .into(),
         ));
     }
-    let text = text::formatted(&source).map_err(Failed::Findings)?;
+    let folder = file.parent().unwrap_or(Path::new("")).to_owned();
+    let text = text::formatted(&source).map_err(|found| {
+        // A file that cannot be laid out has all of its mistakes shown, as a check does.
+        let mut include = |other: &str| Source::read(&folder.join(other));
+        Failed::Findings(
+            format::read_with(&source, &mut include)
+                .err()
+                .unwrap_or(found),
+        )
+    })?;
     let other = text != source.text();
     if standard && !check {
         let written = io::stdout().write_all(text.as_bytes());

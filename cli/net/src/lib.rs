@@ -7,6 +7,7 @@ pub mod convert;
 pub mod fmt;
 pub mod lsp;
 pub mod perf;
+pub mod play;
 
 use ctos::{
     config::{App, Selection},

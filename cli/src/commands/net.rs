@@ -2,7 +2,7 @@
 
 use clap::{Args, Subcommand};
 use cli_display::draw;
-use cli_net::{check, control, convert, fmt, lsp, perf};
+use cli_net::{check, control, convert, fmt, lsp, perf, play};
 use ctos::registry::Registry;
 
 use crate::program;
@@ -67,6 +67,11 @@ pub enum NetCommand {
     /// Speaks the Language Server Protocol on standard input and output; an editor starts it. With `--app` the tasks
     /// of an app and their commands are offered, too.
     Lsp(lsp::LspArgs),
+    /// Play a firing sequence, such as a counterexample of `ctos net check`, step by step
+    ///
+    /// The sequence begins at the initial marking of the nets. Each step is shown with the marking after it, and at the
+    /// end what may fire then. A step that is not possible ends it with exit code 1 and the reason.
+    Play(play::PlayArgs),
     /// Say how fast nets go whose transitions say what they take
     Perf(perf::PerfArgs),
 }
@@ -93,5 +98,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry, program::app),
         NetCommand::Perf(args) => perf::run(args),
+        NetCommand::Play(args) => play::run(args, registry, program::app),
     }
 }

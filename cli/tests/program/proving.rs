@@ -181,8 +181,11 @@ fn where_a_limit_ends_the_list_of_markings_stubborn_sets_may_still_tell_whether_
         (&Value::Bool(false), &Value::Bool(true))
     );
     assert!(object["live"].is_null());
+    // What is dead is not sound, however much was not looked at.
+    assert!(object["sound"].is_null());
     let (object, code) = checked(&lines(false), &few);
-    assert_eq!(code, Some(6), "{object}");
+    assert_eq!(code, Some(1), "{object}");
+    assert_eq!(object["sound"], false);
     assert_eq!(
         (
             object["deadlocks"].as_u64(),
@@ -252,6 +255,244 @@ fn a_wrong_file_or_question_has_exit_code_3() {
     assert_eq!(code, Some(3));
     let (_, code) = checked(BUFFER, &["--can", "itmes"]);
     assert_eq!(code, Some(3));
+}
+
+#[test]
+fn json_answers_also_for_files_that_cannot_be_read() {
+    let (object, _) = checked("net n\nplase a\n", &[]);
+    assert!(object["sound"].is_null());
+    assert_eq!(
+        object["findings"][0]["code"], "pnt::text::keyword",
+        "{object}"
+    );
+    let output = ctos(Path::new("/"), &["net", "check", "/no/such.net", "--json"]);
+    let object: Value = serde_json::from_slice(&output.stdout).expect("an object");
+    assert_eq!(output.status.code(), Some(3));
+    assert_eq!(object["findings"][0]["code"], "ctos::file::unreadable");
+}
+
+#[test]
+fn a_time_limit_gives_what_is_known_by_then() {
+    let large = lines(true);
+    let (object, code) = checked(&large, &["--engine", "explicit", "--seconds", "0"]);
+    assert_eq!(code, Some(6), "{object}");
+    assert_eq!(object["stopped"], "time");
+    assert!(
+        object["sound"].is_null() && object["markings"].as_u64() > Some(0),
+        "{object}"
+    );
+}
+
+#[test]
+fn ctrl_c_gives_what_is_known_by_then_and_has_its_exit_code() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = folder.path().join("n.net");
+    let made = Command::new("mkfifo")
+        .arg(&pipe)
+        .status()
+        .expect("mkfifo runs");
+    assert!(made.success());
+    let child = Command::new(env!("CARGO_BIN_EXE_ctos"))
+        .args(["net", "check", "--json", "--engine", "explicit"])
+        .arg(&pipe)
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("ctos runs");
+    // It opens the file after it has begun to wait for Ctrl-C; until then this waits.
+    let mut net = fs::OpenOptions::new()
+        .write(true)
+        .open(&pipe)
+        .expect("the pipe");
+    let pid = child.id().to_string();
+    let killed = Command::new("kill")
+        .args(["-INT", &pid])
+        .status()
+        .expect("kill runs");
+    assert!(killed.success());
+    std::io::Write::write_all(&mut net, lines(true).as_bytes()).expect("it reads");
+    drop(net);
+    let output = child.wait_with_output().expect("it ends");
+    let object: Value = serde_json::from_slice(&output.stdout).expect("an object");
+    assert_eq!(output.status.code(), Some(130), "{object}");
+    assert!(object["sound"].is_null(), "{object}");
+}
+
+/// Two hands that each take one of two tools first.
+const GRAB: &str = "net grab
+place left = 1, right = 1, a, b
+transition first_left\n  in left\n  out a
+transition then_right\n  in a, right\n  out left, right
+transition first_right\n  in right\n  out b
+transition then_left\n  in b, left\n  out left, right
+";
+
+#[test]
+fn a_counterexample_in_json_is_played_by_a_command() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("a file");
+    write("grab.net", GRAB);
+    let output = ctos(folder.path(), &["net", "check", "grab.net", "--json"]);
+    let object: Value = serde_json::from_slice(&output.stdout).expect("an object");
+    let shown = &object["counterexamples"][0];
+    assert_eq!(shown["shows"], "pnt::check::deadlock");
+    assert_eq!(
+        shown["sequence"],
+        serde_json::json!(["grab.first_left", "grab.first_right"])
+    );
+    assert_eq!(
+        shown["marking"],
+        serde_json::json!({ "grab.a": 1, "grab.b": 1 })
+    );
+    fs::write(folder.path().join("check.json"), &output.stdout).expect("a file");
+    write("steps", "first_left, grab.first_right  # the same\n");
+    for file in ["check.json", "steps"] {
+        let output = ctos(
+            folder.path(),
+            &["net", "play", "grab.net", "--sequence", file],
+        );
+        let said = String::from_utf8(output.stdout).expect("text");
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert_eq!(
+            said,
+            "   0  begins: grab.left, grab.right\n   1  grab.first_left: grab.a, grab.right\n   2  grab.first_right: grab.a, grab.b\nnothing can fire then\n"
+        );
+    }
+    write("steps", "first_left\nthen_left\n");
+    let output = ctos(
+        folder.path(),
+        &["net", "play", "grab.net", "--sequence", "steps"],
+    );
+    let said = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        said.contains("step 2, `grab.then_left`, is not possible"),
+        "{said}"
+    );
+    assert!(said.contains("`grab.b` holds 0, needs 1"), "{said}");
+    write("steps", "first_lift\n");
+    let output = ctos(
+        folder.path(),
+        &["net", "play", "grab.net", "--sequence", "steps"],
+    );
+    let said = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(3));
+    assert!(
+        said.contains("steps:1:1") && said.contains("did you mean `first_left`?"),
+        "{said}"
+    );
+}
+
+#[test]
+fn growth_in_json_has_a_round_that_is_played_again_and_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pump = "net pump\nplace s, done\ntransition arrive\n  out s\n  time exponential 4 s\ntransition serve\n  in s\n  out done\n  time exponential 2 s\ntransition leave\n  in done\n";
+    fs::write(folder.path().join("pump.net"), pump).expect("a file");
+    let output = ctos(folder.path(), &["net", "check", "pump.net", "--json"]);
+    let object: Value = serde_json::from_slice(&output.stdout).expect("an object");
+    assert_eq!(
+        (output.status.code(), &object["bounded"]),
+        (Some(1), &Value::Bool(false))
+    );
+    assert!(object["markings"].as_u64() < Some(1000), "{object}");
+    assert_eq!(object["unbounded_places"], serde_json::json!(["s"]));
+    fs::write(folder.path().join("check.json"), &output.stdout).expect("a file");
+    let output = ctos(
+        folder.path(),
+        &[
+            "net",
+            "play",
+            "pump.net",
+            "--sequence",
+            "check.json",
+            "--json",
+        ],
+    );
+    let said = String::from_utf8(output.stdout).expect("text");
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let tokens = |line: &str| {
+        let line: Value = serde_json::from_str(line).expect("an object");
+        line["marking"]["pump.s"].as_u64().unwrap_or(0)
+    };
+    let held: Vec<u64> = said
+        .lines()
+        .filter(|line| line.contains("marking"))
+        .map(tokens)
+        .collect();
+    assert!(held.last() > held.first(), "{said}");
+}
+
+#[test]
+fn one_sequence_for_each_dead_marking_is_shown_when_that_is_asked_for() {
+    let text = "net n\nplace a = 1, b, c, d\ntransition x\n  in a\n  out b\ntransition y\n  in a\n  out c\ntransition z\n  in a\n  out d\n";
+    for (wanted, shown) in [("1", 1), ("2", 2), ("9", 3)] {
+        let (object, code) = checked(text, &["--deadlocks", wanted]);
+        assert_eq!(code, Some(1));
+        assert_eq!(
+            object["counterexamples"].as_array().map(Vec::len),
+            Some(shown),
+            "{object}"
+        );
+    }
+}
+
+#[test]
+fn a_net_that_is_missing_is_named_with_what_to_give() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("a file");
+    write(
+        "boss.net",
+        "net boss\nplace a = 1\ntransition t\n  in a\n  out a, seen@eye\n",
+    );
+    let said = || {
+        let output = ctos(folder.path(), &["net", "check", "boss.net"]);
+        assert_eq!(output.status.code(), Some(3));
+        String::from_utf8(output.stderr).expect("text")
+    };
+    assert!(said().contains("--app APP"), "{}", said());
+    write("eye.net", "net eye\nplace seen\ntransition t\n  in seen\n");
+    assert!(said().contains("give `eye.net` as well"), "{}", said());
+    // Beside mistakes of its own, too.
+    write(
+        "boss.net",
+        "net boss\nplace a = 1\ntransition t\n  in a\n  otu a\n  out a, seen@nowhere\n",
+    );
+    let all = said();
+    assert!(
+        all.contains("otu") && all.contains("has no net `nowhere`"),
+        "{all}"
+    );
+}
+
+#[test]
+fn a_file_in_the_place_of_an_apps_net_is_refused_for_what_the_boot_refuses() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dispatcher = root().join("configs/nets/dispatcher.net");
+    let text = fs::read_to_string(dispatcher).expect("the net");
+    let app = root().join("configs/calibrate.toml");
+    let app = app.to_str().expect("a name");
+    let check = |text: &str| {
+        fs::write(folder.path().join("dispatcher.net"), text).expect("a file");
+        let output = ctos(
+            folder.path(),
+            &["net", "check", "dispatcher.net", "--app", app],
+        );
+        let said = String::from_utf8(output.stderr).expect("text");
+        (output.status.code(), said)
+    };
+    assert_eq!(check(&text).0, Some(0));
+    let (code, said) = check(&text.replacen("  do ", "  do no_", 1));
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("has no local function `no_"), "{said}");
+    let endless = format!(
+        "{text}\nplace extra capacity 1\ntransition nothing\n  out extra\ntransition away\n  in extra\n"
+    );
+    let (code, said) = check(&endless);
+    assert_ne!(code, Some(0));
+    assert!(
+        said.contains("takes nothing and would fire for ever"),
+        "{said}"
+    );
 }
 
 #[test]

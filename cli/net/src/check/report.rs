@@ -4,14 +4,17 @@ use std::{collections::BTreeMap, fmt::Write as _, sync::Arc};
 
 use pnt::{
     analysis::{
+        explicit::Stopped,
         model::Model,
         question::{self, Because},
         verdict::Engine,
     },
-    check::{Answered, Asks, Options, Proof},
+    check::{Answered, Asks, Counterexample, Options, Proof},
     net::Net,
 };
 use serde::Serialize;
+
+use cli_common::show;
 
 use super::structure::Structure;
 
@@ -19,7 +22,7 @@ use super::structure::Structure;
 #[derive(Debug, Serialize)]
 pub(super) struct Answer {
     nets: Vec<String>,
-    pub(super) sound: bool,
+    sound: Option<bool>,
     places: usize,
     transitions: usize,
     arcs: usize,
@@ -36,10 +39,16 @@ pub(super) struct Answer {
     home_states: Option<u128>,
     dead_transitions: Vec<String>,
     complete: bool,
+    /// What ended the search before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stopped: Option<&'static str>,
     unbounded_places: Vec<String>,
     engine: &'static str,
     seconds: f64,
     peak_bytes: usize,
+    /// Firing sequences that show why the nets are not sound.
+    counterexamples: Vec<Shown>,
+    findings: Vec<serde_json::Value>,
     /// What came on tapes, by net, where that was given.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     tapes: BTreeMap<String, String>,
@@ -63,6 +72,43 @@ struct Asked {
     /// What proves it: an invariant with its weights, or the number of markings looked at.
     invariant: Option<BTreeMap<String, u64>>,
     exhausted: Option<usize>,
+}
+
+/// A firing sequence that shows a finding.
+#[derive(Debug, Serialize)]
+struct Shown {
+    shows: &'static str,
+    sequence: Vec<String>,
+    /// Firings that can follow for ever, each time with more tokens.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    round: Vec<String>,
+    /// The marking after the sequence.
+    marking: BTreeMap<String, u32>,
+}
+
+impl Shown {
+    fn new(counterexample: &Counterexample, model: &Model) -> Self {
+        let names = |sequence: &[u32]| {
+            let each = sequence
+                .iter()
+                .filter_map(|n| model.transitions.get(*n as usize));
+            each.map(|transition| transition.name.clone()).collect()
+        };
+        Self {
+            shows: counterexample.code,
+            sequence: names(&counterexample.sequence),
+            round: names(&counterexample.round),
+            marking: marked(model, &counterexample.marking),
+        }
+    }
+}
+
+/// The places of a marking that hold tokens.
+fn marked(model: &Model, marking: &[u32]) -> BTreeMap<String, u32> {
+    let pairs = model.places.iter().zip(marking);
+    let held = pairs.filter(|(_, tokens)| **tokens > 0);
+    held.map(|(place, tokens)| (place.name.clone(), *tokens))
+        .collect()
 }
 
 /// One command by itself.
@@ -111,10 +157,7 @@ impl Asked {
                     transition.map(|t| t.name.clone()).unwrap_or_default()
                 };
                 asked.sequence = Some(witness.sequence.iter().map(name).collect());
-                let tokens = (0..)
-                    .zip(&witness.marking)
-                    .filter(|(_, tokens)| **tokens > 0);
-                asked.marking = Some(tokens.map(|(p, tokens)| (place(p), *tokens)).collect());
+                asked.marking = Some(marked(model, &witness.marking));
             }
         }
         asked
@@ -190,7 +233,7 @@ impl Answer {
         };
         Self {
             nets: nets.iter().map(|net| net.name().to_owned()).collect(),
-            sound: verdict.complete && !proof.findings.has_errors(),
+            sound: proof.sound(),
             places: nets.iter().map(|net| net.places().len()).sum(),
             transitions: nets.iter().map(|net| net.transitions().len()).sum(),
             arcs: nets.iter().map(|net| arcs(net)).sum(),
@@ -207,18 +250,29 @@ impl Answer {
             home_states: verdict.home_states,
             dead_transitions: never.map(|(name, _)| name).collect(),
             complete: verdict.complete,
+            stopped: verdict.stopped.map(|stopped| match stopped {
+                Stopped::Markings => "markings",
+                Stopped::Bytes => "memory",
+                Stopped::Stop => "time",
+                Stopped::Tokens(_) => "tokens",
+                Stopped::Growth => "growth",
+            }),
             engine: match verdict.engine {
                 Engine::Explicit => "explicit",
                 Engine::Symbolic => "symbolic",
             },
             seconds,
             peak_bytes: verdict.peak_bytes,
-            unbounded_places: proof
-                .cover
+            unbounded_places: match &proof.cover {
+                Some(cover) => cover.unbounded().filter_map(place).collect(),
+                None => proof.grows.into_iter().filter_map(place).collect(),
+            },
+            counterexamples: proof
+                .counterexamples
                 .iter()
-                .flat_map(|cover| cover.unbounded())
-                .filter_map(place)
+                .map(|counterexample| Shown::new(counterexample, &proof.model))
                 .collect(),
+            findings: proof.findings.iter().map(show::finding_json).collect(),
             tapes: options
                 .tapes
                 .iter()
@@ -251,10 +305,11 @@ impl Answer {
 
     /// A few lines for a person.
     pub(super) fn text(&self) -> String {
-        let judged = match (self.complete || self.bounded.is_some(), self.sound) {
-            (false, _) => "not decided within the limits",
-            (true, true) => "sound",
-            (true, false) => "not sound",
+        let judged = match (self.sound, self.stopped) {
+            (Some(true), _) => "sound",
+            (Some(false), _) => "not sound",
+            (None, Some("time")) => "not decided in the time there was",
+            (None, _) => "not decided within the limits",
         };
         let all = if self.complete { "" } else { " so far" };
         let known = |answer: Option<bool>, yes: &str, no: &str| {

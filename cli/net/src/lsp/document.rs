@@ -15,6 +15,7 @@ use lsp_types::{
     TextEdit, Uri,
 };
 use pnt::{
+    analysis::stop::Stop,
     check::{self, FunctionNames, Limits, Rule},
     compile,
     net::Net,
@@ -42,6 +43,7 @@ const LIMITS: Limits = Limits {
     markings: 20_000,
     bytes: 64 << 20,
     threads: 1,
+    stop: Stop::NEVER,
 };
 
 /// What a net that stands by itself does not prove. Of one that works with others nothing is told, nor of
