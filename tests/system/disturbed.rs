@@ -2,7 +2,7 @@
 //! true, the arm stands when it should, and no result of an earlier run is overwritten by a worse one.
 //!
 //! `CTOS_MOMENTS=40` tries so many moments of the whole calibration; without it each disturbance is tried
-//! at two moments of a shorter one.
+//! at one moment of a shorter one.
 
 mod cell;
 

@@ -15,7 +15,19 @@ pub fn root() -> PathBuf {
 /// Built as all tests are, for the whole workspace: asked for by itself, cargo would choose other features of
 /// what it depends on, and build all of that anew.
 pub fn example(name: &str) -> Command {
-    let built = Command::new(env!("CARGO"))
+    let mut build = Command::new(env!("CARGO"));
+    // What cargo tells a test of its own package makes build scripts that look at it (ring's) run again, and
+    // half of the workspace be compiled anew.
+    for (key, _) in std::env::vars_os() {
+        let kept = ["CARGO_HOME", "CARGO_TARGET_DIR", "CARGO_BUILD_JOBS"];
+        if key
+            .to_str()
+            .is_some_and(|key| key.starts_with("CARGO_") && !kept.contains(&key))
+        {
+            build.env_remove(&key);
+        }
+    }
+    let built = build
         .current_dir(root())
         .args(["build", "--quiet", "--workspace", "--example", name])
         .status()

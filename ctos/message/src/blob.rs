@@ -308,6 +308,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
         #[test]
         fn a_blob_looks_like_a_vector_whatever_its_size(sizes: [u16; 2]) {
             let blobs = pair(sizes.map(usize::from));

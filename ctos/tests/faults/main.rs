@@ -27,7 +27,7 @@ use app::Policy;
 use run::{Trial, trial};
 
 /// How many seeds a profile is tried with.
-const SEEDS: Range<u64> = 0..100;
+const SEEDS: Range<u64> = 0..40;
 
 /// So many findings are shown of one seed.
 const SHOWN: usize = 12;
@@ -220,7 +220,7 @@ fn one_seed_is_one_run_event_for_event() {
 
 #[test]
 fn the_faults_of_a_run_given_as_a_list_make_the_same_run() {
-    for seed in 0..20 {
+    for seed in 0..8 {
         let faults = Faults::built_in("hostile").unwrap();
         let one = trial(Policy::Ends, seed, faults.clone(), None);
         let list = Faults::of_script("list", one.run.faults.clone());

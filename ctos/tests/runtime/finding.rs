@@ -158,7 +158,7 @@ fn no_lookup_fails_whenever_the_chassis_dies_and_none_finds_a_task_before_it_run
         "chassis.cage.max_restarts=9",
     ];
     let mut lost = 0;
-    for seed in 0..40 {
+    for seed in 0..12 {
         for step in 0..10 {
             // Once, and once more while it rises.
             let first = 150 + 7 * step + seed;

@@ -59,7 +59,7 @@ fn moments(picture: &[f64], width: usize) -> ((f64, f64), (f64, f64), f64) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
     fn the_centre_of_the_noise_free_spot_is_the_projected_centre_of_the_lamp(

@@ -70,7 +70,7 @@ impl Job {
                 positions: Some(18),
                 enough: 15,
                 moves_s: 23.0,
-                moments: 2,
+                moments: 1,
             },
         }
     }

@@ -145,7 +145,7 @@ fn the_reported_uncertainty_covers_the_truth() {
         (table_camera(), (640, 480), 0.5),
     ] {
         let (mut within_two, mut total) = (0, 0);
-        for seed in 0..150 {
+        for seed in 0..60 {
             let mut rng = rng(1000 + seed);
             let positions: Vec<_> = volume(70, &mut rng)
                 .iter()

@@ -2,7 +2,8 @@
 //! a crash, and its checksums tell a damaged file.
 
 use std::{
-    fs, io,
+    fs,
+    io::{self, Read as _},
     os::unix::fs::OpenOptionsExt,
     panic::AssertUnwindSafe,
     path::{Path, PathBuf},
@@ -102,12 +103,11 @@ fn open(path: &Path, owner: &Owner) -> Result<Database, StoreError> {
         let made = fs::create_dir_all(folder);
         made.map_err(|error| failed(path, "cannot make its folder", error))?;
     }
-    let mut options = fs::OpenOptions::new();
-    let options = options.write(true).create(true).truncate(false);
-    // What a net knows is its user's own, from the first byte on.
-    let file = options.mode(0o600).open(path);
-    file.map_err(|error| refused(path, StorageError::Io(error).into()))?;
-    let opened = Database::builder().set_cache_size(CACHE).create(path);
+    let unmade = is_unmade(path).map_err(|error| failed(path, "cannot open", error))?;
+    if unmade {
+        make(path, owner)?;
+    }
+    let opened = Database::builder().set_cache_size(CACHE).open(path);
     let database = opened.map_err(|error| refused(path, error))?;
     let about = about(&database).map_err(|error| damaged(path, error))?;
     match about {
@@ -127,6 +127,57 @@ fn open(path: &Path, owner: &Owner) -> Result<Database, StoreError> {
             Ok(database)
         }
     }
+}
+
+/// Whether no store was ever made there: no file, or one of zeros alone, which a process leaves that dies while it
+/// makes a database in its place. A database that has a commit has a header.
+fn is_unmade(path: &Path) -> io::Result<bool> {
+    let mut file = match fs::File::open(path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(true),
+        Err(error) => return Err(error),
+    };
+    let mut part = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut part)? {
+            0 => return Ok(true),
+            n if part.iter().take(n).any(|byte| *byte != 0) => return Ok(false),
+            _ => {}
+        }
+    }
+}
+
+/// Makes the store beside its place and renames it: whoever dies meanwhile leaves no half of one there.
+fn make(path: &Path, owner: &Owner) -> Result<(), StoreError> {
+    let beside = path.with_added_extension("new");
+    match fs::remove_file(&beside) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(failed(
+                path,
+                "cannot remove what an earlier process left beside it",
+                error,
+            ));
+        }
+        _ => {}
+    }
+    let mut options = fs::OpenOptions::new();
+    // What a net knows is its user's own, from the first byte on.
+    let file = options
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(&beside);
+    file.map_err(|error| failed(path, "cannot make", error))?;
+    let made = Database::builder().set_cache_size(CACHE).create(&beside);
+    let database = made.map_err(|error| refused(path, error))?;
+    claim(&database, owner).map_err(|error| failed(path, "cannot write", error))?;
+    drop(database);
+    let renamed = fs::rename(&beside, path).and_then(|()| match path.parent() {
+        // The new name survives a loss of power only once the folder is written.
+        Some(folder) if folder != Path::new("") => fs::File::open(folder)?.sync_all(),
+        _ => Ok(()),
+    });
+    renamed.map_err(|error| failed(path, "cannot make", error))
 }
 
 fn refused(path: &Path, error: DatabaseError) -> StoreError {
@@ -267,6 +318,39 @@ mod tests {
             }
         };
         assert_eq!(again.load().unwrap(), expected);
+    }
+
+    #[test]
+    fn a_store_whose_maker_died_before_its_first_commit_is_made_anew() {
+        // What kills in the midst of making one have left, and what they may leave beside it.
+        for left in [vec![0; 1_056_768], Vec::new()] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("n.redb");
+            fs::write(&path, left).unwrap();
+            fs::write(folder.path().join("n.redb.new"), [1, 2, 3]).unwrap();
+            let file = File::open(&path, &owner("n")).unwrap();
+            commit(&file, &[("a", Some(b"1"))]);
+            assert_eq!(file.load().unwrap().len(), 1);
+            assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        }
+    }
+
+    #[test]
+    fn a_store_whose_header_alone_was_overwritten_with_zeros_is_refused_and_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("n.redb");
+        {
+            let database = Database::create(&path).unwrap();
+            claim(&database, &owner("n")).unwrap();
+        }
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[..320].fill(0);
+        fs::write(&path, &bytes).unwrap();
+        assert!(matches!(
+            File::open(&path, &owner("n")),
+            Err(StoreError::Damaged { .. })
+        ));
+        assert_eq!(fs::read(&path).unwrap(), bytes);
     }
 
     #[test]
