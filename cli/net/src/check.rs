@@ -333,9 +333,20 @@ fn of_app(
     if findings.has_errors() {
         return Err(findings);
     }
-    let others = task::nets(&app, registry)?;
+    let all = task::nets(&app, registry)?;
+    // What a message action asks of a task that is no net has findings of the runtime.
+    let mut messages = Findings::new();
+    task::check_messages(&all, &app, registry, &mut messages);
+    for finding in messages.into_sorted() {
+        if !finding.code.starts_with("pnt::") {
+            findings.push(finding);
+        }
+    }
+    if findings.has_errors() {
+        return Err(findings);
+    }
     let is_given = |net: &Arc<Net>| given.iter().any(|(other, _)| other.name() == net.name());
-    let others: Vec<_> = others.into_iter().filter(|net| !is_given(net)).collect();
+    let others: Vec<_> = all.into_iter().filter(|net| !is_given(net)).collect();
     Ok((others, findings))
 }
 

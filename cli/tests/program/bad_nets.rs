@@ -145,7 +145,7 @@ fn fifty_megabytes_of_one_line_are_refused_shortly() {
         "a.pnml",
         format!("<pnml x=\"{long}\"/>"),
         "1:1",
-        "holds no net",
+        "has 51 MiB of PNML, and at most 16 MiB are read",
     );
 }
 

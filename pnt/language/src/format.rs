@@ -121,7 +121,8 @@ pub fn read_with(source: &Source, include: text::Include<'_>) -> Result<NetFile,
                 source.name()
             );
             let help = "is it the right file? A net of this size can be written as net text or in the form of TINA";
-            return Err(Finding::error("pnt::file::size", text).help(help).into());
+            let finding = Finding::error("pnt::file::size", text).at(source.at(0..0));
+            return Err(finding.help(help).into());
         }
         return pnml::read(source);
     }
