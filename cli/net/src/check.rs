@@ -333,8 +333,12 @@ fn of_app(
     if findings.has_errors() {
         return Err(findings);
     }
-    let all = task::nets(&app, registry)?;
+    let others = task::nets(&app, registry)?;
+    let is_given = |net: &Arc<Net>| given.iter().any(|(other, _)| other.name() == net.name());
+    let others: Vec<_> = others.into_iter().filter(|net| !is_given(net)).collect();
     // What a message action asks of a task that is no net has findings of the runtime.
+    let given = given.iter().map(|(net, _)| Arc::clone(net));
+    let all: Vec<_> = given.chain(others.iter().cloned()).collect();
     let mut messages = Findings::new();
     task::check_messages(&all, &app, registry, &mut messages);
     for finding in messages.into_sorted() {
@@ -345,8 +349,6 @@ fn of_app(
     if findings.has_errors() {
         return Err(findings);
     }
-    let is_given = |net: &Arc<Net>| given.iter().any(|(other, _)| other.name() == net.name());
-    let others: Vec<_> = all.into_iter().filter(|net| !is_given(net)).collect();
     Ok((others, findings))
 }
 
