@@ -36,6 +36,22 @@ impl Message {
         }
     }
 
+    /// The right to tell its sender that the queue has taken it, if the sender waits for no more than that.
+    pub(crate) fn take_acceptance(&mut self) -> Option<ReplySlot> {
+        let replies = self.header().flags.contains(Flags::REPLY_WAIT);
+        if replies {
+            None
+        } else {
+            self.envelope.reply.take()
+        }
+    }
+
+    /// Whether its sender waited for an answer, or for a credit, and does no more.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        let slot = self.envelope.reply.as_ref();
+        slot.is_some_and(ReplySlot::is_abandoned)
+    }
+
     /// The header.
     #[must_use]
     pub fn header(&self) -> &Header {

@@ -15,9 +15,8 @@ use super::{
     pending::{Inbound, Outbound, Pending},
 };
 use crate::{
-    delivery::Acceptance,
     envelope::{Envelope, Message},
-    reply::{Answer, Remote, ReplySlot},
+    reply::{Answer, Caller, ReplySlot},
     system,
     tap::{Asked, WaitFor},
 };
@@ -29,7 +28,7 @@ use ctos_message::{
 };
 use ctos_time::{Instant, lock::lock};
 
-impl Remote for Inbound {
+impl Caller for Inbound {
     fn answer(&self, answer: Answer) {
         self.chassis.post_reply(self, answer);
     }
@@ -264,26 +263,17 @@ impl Chassis {
         lock(&self.links)
             .inbound
             .insert((peer, call), request.clone());
-        // Every request between chassis waits for one or the other, so that none is lost unseen.
-        let slot = ReplySlot::remote(request);
-        let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
-            (Some(slot), Acceptance::Silent)
-        } else {
-            (None, Acceptance::Told(slot))
-        };
         let data = Data::from(body);
         let mut message = Message::with_data(header.to, header.from, header.command, data)
             .in_trace(trace)
             .until(deadline);
         message.envelope.header = header;
         message.envelope.recorded = recorded;
-        message.envelope.reply = reply;
+        // Every request between chassis waits for its reply or its acceptance: none is lost unseen.
+        message.envelope.reply = Some(ReplySlot::other(request));
         match self.task(header.to) {
-            Some(task) => task.mailbox.put(message, acceptance),
-            None => {
-                message.refuse(Fault::UnknownTask);
-                acceptance.tell(Err(Fault::UnknownTask));
-            }
+            Some(task) => task.mailbox.put(message),
+            None => message.refuse(Fault::UnknownTask),
         }
     }
 

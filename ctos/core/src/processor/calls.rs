@@ -4,7 +4,7 @@ use std::{task::Context as PollContext, time::Duration};
 
 use super::{
     core::{Processor, Timed},
-    handle::ProcessorHandle,
+    handle::{Item, ProcessorHandle},
 };
 use crate::{
     exchange::{Given, Looked},
@@ -93,7 +93,7 @@ impl Home for ProcessorHandle {
     fn take_answer(&self, key: CallKey, answer: Returned) {
         match Processor::here_if(self) {
             Some(processor) => processor.take_answer(key, answer),
-            None => self.bring_answer(key, answer),
+            None => self.send(Item::Answer(key, answer)),
         }
     }
 }

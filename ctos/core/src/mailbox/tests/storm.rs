@@ -117,13 +117,12 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
         }
         let ticket = here.begin_call(here.now(), LIMIT);
         let key = ticket.key();
-        let slot = ReplySlot::call(ticket);
+        message.envelope.reply = Some(ReplySlot::call(ticket));
         if way == Way::Call {
-            message.envelope.reply = Some(slot);
-            task.mailbox.put(message, Acceptance::Silent);
-        } else {
-            task.mailbox.put(message, Acceptance::Told(slot));
+            let header = &mut message.envelope.header;
+            header.flags = header.flags.with(Flags::REPLY_WAIT);
         }
+        task.mailbox.put(message);
         under_way.push_back((label, way, key));
         if under_way.len() > rng.random_range(0..6) {
             while let Some((label, way, key)) = under_way.pop_front() {
