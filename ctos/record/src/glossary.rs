@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use serde::{Deserialize, Serialize};
 
 use ctos_config::App;
-use ctos_core::{chassis::BOOT_CHASSIS, names, registry::Registry, semaphore, system};
+use ctos_core::{chassis::BOOT_CHASSIS, registry::Registry, semaphore, system};
 use ctos_message::{CommandInfo, SYSTEM_COMMANDS, Shape, Tid};
 
 /// The member of the metadata that holds the glossary.
@@ -54,7 +54,6 @@ impl Glossary {
         let system = [
             system::ALL,
             runtime,
-            &names::COMMANDS,
             &semaphore::server::COMMANDS,
         ];
         all.commands(&system.concat());
