@@ -85,8 +85,7 @@ impl Message {
         match envelope.data.take_out::<C>() {
             Ok(request) => Ok((request, Replier::new(envelope))),
             Err(error) => {
-                let text = error.to_string();
-                Self { envelope }.refuse(Fault::BadPayload { text });
+                Self { envelope }.refuse(error.clone().into());
                 Err(error)
             }
         }

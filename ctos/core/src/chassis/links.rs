@@ -327,9 +327,7 @@ impl Chassis {
 
 /// The data of a frame.
 fn body_of(data: Data) -> Result<Body, Fault> {
-    let body = data.into_body().map_err(|error| Fault::BadPayload {
-        text: error.to_string(),
-    })?;
+    let body = data.into_body()?;
     if body.len() > BODY_LIMIT {
         let text = format!(
             "{} bytes of data; a message between chassis holds at most {BODY_LIMIT}",

@@ -208,13 +208,7 @@ fn wait_of(cx: &Context, message: &Message) -> Duration {
 }
 
 fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
-    let body = message
-        .envelope
-        .data
-        .to_bytes()
-        .map_err(|error| Fault::BadPayload {
-            text: error.to_string(),
-        })?;
+    let body = message.envelope.data.to_bytes()?;
     let left = message.deadline().map(|deadline| deadline.since(cx.now()));
     Ok(Load::Message(Forwarded {
         from: message.from(),

@@ -7,7 +7,7 @@ use super::{
     handle::{Item, ProcessorHandle},
 };
 use crate::{
-    exchange::{Given, Looked},
+    exchange::Looked,
     reply::{CallKey, Home, Returned, Ticket},
     timers::TimerKey,
     wait::Wait,
@@ -83,7 +83,7 @@ impl Processor {
     /// Takes the answer to a call of this processor.
     pub(crate) fn take_answer(&self, key: CallKey, answer: Returned) {
         let given = self.calls.borrow_mut().answer(key, answer);
-        if let Given::Taken(Some(wake)) = given {
+        if let Ok(Some(wake)) = given {
             self.wake_local(wake);
         }
     }
