@@ -3,10 +3,8 @@
 use crate::envelope::Message;
 use ctos_message::{Flags, SYSTEM_COMMANDS, fault::Fault};
 
-/// What became of a message that does not wait for a credit.
-pub enum Offered {
-    /// It is in the queue.
-    Taken,
+/// A message that was not taken.
+pub enum NotTaken {
     /// There is no credit now.
     Full(Message),
     /// The task takes nothing more.

@@ -18,7 +18,7 @@ use std::sync::{
 
 use crate::{
     credits::Credits,
-    delivery::{Delivery, Offered, is_urgent},
+    delivery::{Delivery, NotTaken, is_urgent},
     envelope::Message,
     processor::{Item, Processor, ProcessorHandle},
     reply::ReplySlot,
@@ -91,29 +91,25 @@ impl Mailbox {
     }
 
     /// Takes a credit for a message, if there is one for it now, and if the task takes anything.
-    pub(super) fn take_credit(&self, message: Message) -> Result<Message, Offered> {
+    pub(super) fn take_credit(&self, message: Message) -> Result<Message, NotTaken> {
         if self.is_closed() {
-            return Err(Offered::Closed(message));
+            return Err(NotTaken::Closed(message));
         }
         let (urgent, system) = is_urgent(&message);
         let credits = self.credits(urgent);
         if system {
             credits.take_always();
         } else if !credits.take(self.capacity()) {
-            return Err(Offered::Full(message));
+            return Err(NotTaken::Full(message));
         }
         Ok(message)
     }
 
     /// Puts a message in if there is a credit for it now.
-    pub(crate) fn offer(&self, message: Message) -> Offered {
-        match self.take_credit(message) {
-            Ok(message) => {
-                self.bring(Delivery::Message(message));
-                Offered::Taken
-            }
-            Err(offered) => offered,
-        }
+    pub(crate) fn offer(&self, message: Message) -> Result<(), NotTaken> {
+        let message = self.take_credit(message)?;
+        self.bring(Delivery::Message(message));
+        Ok(())
     }
 
     /// Puts a message in or lets it wait for a credit. A sender that waits for that is told when it is in. A
@@ -125,9 +121,8 @@ impl Mailbox {
                 self.bring(Delivery::Message(message));
                 sender.into_iter().for_each(ReplySlot::accept);
             }
-            Err(Offered::Full(message)) => self.line_up(message),
-            Err(Offered::Closed(message)) => message.refuse(Fault::Stopping),
-            Err(Offered::Taken) => {}
+            Err(NotTaken::Full(message)) => self.line_up(message),
+            Err(NotTaken::Closed(message)) => message.refuse(Fault::Stopping),
         }
     }
 

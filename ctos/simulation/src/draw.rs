@@ -27,12 +27,14 @@ struct Stream {
 
 impl Stream {
     fn new(kind: &'static Kind, site: Site, rate: Rate, seed: u64) -> Self {
-        let mut places = site.chassis().map(String::as_str);
-        let (one, other) = (places.next(), places.next());
-        let words = ["fault", kind.seed, one.unwrap_or(""), other.unwrap_or("")];
+        let (one, other) = match &site {
+            Site::Chassis(one) => (one.as_str(), ""),
+            Site::Link(one, other) => (one.as_str(), other.as_str()),
+        };
+        let seed = mix(seed, &["fault", kind.seed, one, other]);
         let mut stream = Self {
             kind,
-            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
+            rng: ChaCha8Rng::seed_from_u64(seed),
             site,
             rate,
             next: None,

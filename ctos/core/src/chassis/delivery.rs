@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{Chassis, pending::Outbound};
 use crate::{
-    delivery::Offered,
+    delivery::NotTaken,
     envelope::Message,
     processor::Processor,
     reply::{Caller, Promise, ReplySlot, Waiting},
@@ -81,10 +81,10 @@ impl Chassis {
             },
         };
         let mut message = match offered {
-            Offered::Taken if wait == WaitFor::Reply => return Outcome::Waits(None),
-            Offered::Taken => return Outcome::Taken,
-            Offered::Closed(message) => return fail(message, wait, Fault::Stopping),
-            Offered::Full(message) => message,
+            Ok(()) if wait == WaitFor::Reply => return Outcome::Waits(None),
+            Ok(()) => return Outcome::Taken,
+            Err(NotTaken::Closed(message)) => return fail(message, wait, Fault::Stopping),
+            Err(NotTaken::Full(message)) => message,
         };
         match self.task(to).filter(|task| !task.mailbox.is_closed()) {
             None => fail(message, wait, Fault::Stopping),

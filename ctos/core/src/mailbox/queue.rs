@@ -12,7 +12,7 @@ use std::{
 use super::gate::Gate;
 use crate::{
     credits::most_waiting,
-    delivery::{Delivery, Offered, is_urgent},
+    delivery::{Delivery, NotTaken, is_urgent},
     envelope::Message,
     processor::{Inlet, Processor, wake::FutureId},
     reply::ReplySlot,
@@ -330,21 +330,16 @@ impl TaskQueue {
 }
 
 impl Inlet for TaskQueue {
-    fn offer(&self, processor: &Processor, message: Message) -> Offered {
+    fn offer(&self, processor: &Processor, message: Message) -> Result<(), NotTaken> {
         let mailbox = &self.task.mailbox;
         let taken = match mailbox.take_credit(message) {
-            Err(Offered::Full(message)) if self.give_owed(is_urgent(&message).0) => {
+            Err(NotTaken::Full(message)) if self.give_owed(is_urgent(&message).0) => {
                 mailbox.take_credit(message)
             }
             taken => taken,
         };
-        match taken {
-            Ok(message) => {
-                self.take_in(processor, message);
-                Offered::Taken
-            }
-            Err(offered) => offered,
-        }
+        self.take_in(processor, taken?);
+        Ok(())
     }
 
     fn accept(&self, processor: &Processor, delivery: Delivery) {

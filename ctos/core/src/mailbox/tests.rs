@@ -106,9 +106,9 @@ impl Bench {
 
     fn try_send(&self, message: Message) -> Result<(), Fault> {
         match self.task.mailbox.offer(message) {
-            Offered::Taken => Ok(()),
-            Offered::Full(_) => Err(self.task.mailbox.full()),
-            Offered::Closed(_) => Err(Fault::Stopping),
+            Ok(()) => Ok(()),
+            Err(NotTaken::Full(_)) => Err(self.task.mailbox.full()),
+            Err(NotTaken::Closed(_)) => Err(Fault::Stopping),
         }
     }
 

@@ -19,7 +19,7 @@ use crate::{
     system::{AbortMove, Forwarded, MoveIn, Transfer},
     tap::WaitFor,
 };
-use ctos_message::{Data, Flags, Tid, fault::Fault};
+use ctos_message::{Data, Flags, Tid};
 
 /// What a task that comes from another place brings, and how it learns whether it stays.
 pub struct Arrival {

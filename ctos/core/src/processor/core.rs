@@ -15,7 +15,7 @@ use super::{
     yielding::Yielding,
 };
 use crate::{
-    delivery::{Delivery, Offered},
+    delivery::{Delivery, NotTaken},
     envelope::Message,
     exchange::Calls,
     reply::CallKey,
@@ -27,7 +27,10 @@ use ctos_time::{Clock, Instant};
 /// The queue of a task, as its processor sees it.
 pub trait Inlet {
     /// Takes a message of this thread, if there is a credit for it now.
-    fn offer(&self, processor: &Processor, message: Message) -> Offered;
+    ///
+    /// # Errors
+    /// The message, if there is none.
+    fn offer(&self, processor: &Processor, message: Message) -> Result<(), NotTaken>;
     /// Takes in what was brought.
     fn accept(&self, processor: &Processor, delivery: Delivery);
     /// Takes nothing more; everything inside is answered.

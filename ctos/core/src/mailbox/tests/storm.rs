@@ -108,9 +108,9 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
         let way = [Way::Try, Way::Send, Way::Call][rng.random_range(0..3)];
         if way == Way::Try {
             let result = match task.mailbox.offer(message) {
-                Offered::Taken => Ok(()),
-                Offered::Full(_) => Err(task.mailbox.full()),
-                Offered::Closed(_) => Err(Fault::Stopping),
+                Ok(()) => Ok(()),
+                Err(NotTaken::Full(_)) => Err(task.mailbox.full()),
+                Err(NotTaken::Closed(_)) => Err(Fault::Stopping),
             };
             outcomes.insert(label, (way, result));
             continue;
