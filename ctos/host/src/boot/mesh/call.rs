@@ -4,10 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::UnixStream,
-};
+use tokio::net::UnixStream;
 
 use super::{Inner, Member, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
@@ -19,7 +16,7 @@ use ctos_link::{
         state::{Event, State},
     },
     shm,
-    transport::{Address, ConnectError, Stream, connect, is},
+    transport::{Address, ConnectError, Stream, connect, hang_up, is},
 };
 use ctos_time::{lock::lock, seed::mix};
 
@@ -210,12 +207,7 @@ pub(crate) async fn unable(
             reason: reason.to_owned(),
         };
         greet(&mut stream, &greeting).await.ok()?;
-        stream.shutdown().await.ok()?;
-        // What the other end has said and nobody reads would take the greeting with it when the stream
-        // is closed.
-        let mut rest = [0; 1024];
-        while stream.read(&mut rest).await.ok()? > 0 {}
-        Some(())
+        hang_up(stream).await.ok()
     };
     let _ = tokio::time::timeout(ANSWER_TIMEOUT, tell).await;
 }
