@@ -87,15 +87,21 @@ impl Process {
     }
 }
 
-/// Who calls.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Hello {
+/// A chassis that others can call.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Member {
     pub chassis: u8,
     /// How often the chassis was started; the first time is 1.
     pub incarnation: u32,
     pub process: Process,
     /// Where it can be called itself.
     pub listen: Vec<Address>,
+}
+
+/// Who calls.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Hello {
+    pub member: Member,
     /// The number up to which it has received everything of the session.
     pub received: u64,
     /// Whether it would rather use shared memory from here on.

@@ -8,7 +8,7 @@ use mutate::Mutator;
 
 use ctos_config::load_texts;
 use ctos_link::{
-    handshake::{Answer, Greeting, Hello, Process, Token, greet, hear, hear_greeting},
+    handshake::{Answer, Greeting, Hello, Member, Process, Token, greet, hear, hear_greeting},
     session::packet::Decoder,
     transport::Address,
 };
@@ -92,13 +92,15 @@ fn greeting() -> Vec<u8> {
     let greeting = Greeting::Hello {
         token: Token("secret".to_owned()),
         hello: Hello {
-            chassis: 1,
-            incarnation: 1,
-            process: Process {
-                host: "host/1".to_owned(),
-                pid: 7,
+            member: Member {
+                chassis: 1,
+                incarnation: 1,
+                process: Process {
+                    host: "host/1".to_owned(),
+                    pid: 7,
+                },
+                listen: vec![Address::Unix("/run/a.sock".into())],
             },
-            listen: vec![Address::Unix("/run/a.sock".into())],
             received: 3,
             shared: true,
         },

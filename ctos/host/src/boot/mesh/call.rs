@@ -6,10 +6,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::net::UnixStream;
 
-use super::{Inner, Member, door::may_be_chassis};
+use super::{Inner, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, Token, greet, hear},
+    handshake::{Answer, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
     security::Keys,
     session::{
         DownReason, Session, drive,
@@ -162,10 +162,12 @@ impl Inner {
         let greeting = Greeting::Hello {
             token: self.who.token.clone(),
             hello: Hello {
-                chassis: self.chassis.index(),
-                incarnation: self.who.incarnation,
-                process: self.process.clone(),
-                listen: self.listen.clone(),
+                member: Member {
+                    chassis: self.chassis.index(),
+                    incarnation: self.who.incarnation,
+                    process: self.process.clone(),
+                    listen: self.listen.clone(),
+                },
                 received: session.received(),
                 shared,
             },
