@@ -20,35 +20,25 @@ use ctos_core::{
     handled::Handled,
     phase::Phase,
     sync::Signal,
-    system::{self, ChassisNews, News, RestartChassis, TaskName},
+    system::{self, ChassisNews, News, ProcessEnded, RestartChassis, TaskName},
 };
 use ctos_message::Tid;
 use ctos_time::Instant;
 
 /// What a supervisor is told about its chassis.
-#[derive(Debug)]
 pub(super) enum Event {
     /// Its process is connected to all the others.
     Joined,
     /// Nobody is connected to it any more.
     Lost,
     /// Its process is dead.
-    Dead(Ending),
+    Dead(ProcessEnded),
     /// A task of it failed for good.
     TaskFailed { task: String, reason: String },
     /// A person wants it anew.
     Restart,
     /// The app is being stopped.
     Stop,
-}
-
-/// How a process ended.
-#[derive(Debug)]
-pub(super) struct Ending {
-    /// Completes "the chassis ...".
-    pub(super) how: String,
-    /// Its exit code, if it ended by itself.
-    pub(super) code: Option<i32>,
 }
 
 /// What is told to somebody who takes it one by one.

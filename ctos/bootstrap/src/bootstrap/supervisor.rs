@@ -8,7 +8,7 @@ use futures_util::future::{Either, join_all, select};
 
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
-    board::{Board, Ending, Event, Member},
+    board::{Board, Event, Member},
     explain::explained,
     intensity::{Ended, Verdict},
     states::ChassisStep,
@@ -17,7 +17,7 @@ use ctos_config::ChassisRestart;
 use ctos_core::{
     context::{Context, TaskRef},
     phase::{Phase, StopReason},
-    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News},
+    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News, ProcessEnded},
 };
 use ctos_message::fault::Fault;
 
@@ -27,7 +27,7 @@ const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 /// Why an incarnation of a chassis is over.
 enum Over {
     /// Its process is dead.
-    Dead(Ending),
+    Dead(ProcessEnded),
     /// Nobody is connected to it any more.
     Lost,
     /// It must go, for a reason that completes "the chassis ...".
@@ -333,7 +333,7 @@ impl Supervisor {
     }
 
     /// Ends when the process is dead, with how.
-    async fn dead(&self) -> Result<Ending, Done> {
+    async fn dead(&self) -> Result<ProcessEnded, Done> {
         let dead = self.until(|event| match event {
             Event::Dead(ending) => Some(ending),
             _ => None,
@@ -343,7 +343,7 @@ impl Supervisor {
 
     /// Waits for the end of the process, and ends it when that takes too long. When even that does not
     /// help, the app is ended.
-    async fn dead_or_killed(&self) -> Result<Ending, Done> {
+    async fn dead_or_killed(&self) -> Result<ProcessEnded, Done> {
         let cx = &self.board.cx;
         let timeout = cx.app().stop_timeout;
         if let Ok(dead) = cx.timeout(timeout, self.dead()).await {
@@ -420,7 +420,7 @@ impl Supervisor {
 }
 
 impl Death {
-    fn of(ending: Ending) -> Self {
+    fn of(ending: ProcessEnded) -> Self {
         Self {
             ended: match ending.code {
                 Some(0) => Ended::Well,
