@@ -19,7 +19,7 @@ use std::{
     time::Duration,
 };
 
-pub use self::sources::{Happened, Seen, Source};
+pub use self::sources::{Happened, Seen, Source, Visible};
 use self::sources::{LOOKS_PER_POLL, Poller, Sources};
 use crate::{
     lock::lock,

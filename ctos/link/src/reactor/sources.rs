@@ -1,8 +1,7 @@
 //! The links of a chassis as the reactor polls them: which there are, what the system says of them, and
 //! what they say of themselves in shared memory.
 //!
-//! Knows links as [`Source`]s of a file descriptor each, some with shared memory, and no thread: who polls is decided
-//! above.
+//! Knows links as [`Source`]s of a file descriptor each, and no thread: who polls is decided above.
 
 use std::{
     collections::BTreeMap,
@@ -24,10 +23,7 @@ use rustix::{
     },
 };
 
-use crate::{
-    shm,
-    time::{Clock, Instant},
-};
+use crate::time::{Clock, Instant};
 
 /// How many events are taken at a time.
 const EVENTS: usize = 32;
@@ -78,9 +74,18 @@ pub trait Source: Send + Sync {
     fn fd(&self) -> BorrowedFd<'_>;
 
     /// The other side, if it can be seen without asking the system whether something has come.
-    fn visible(&self) -> Option<&shm::Receiver> {
+    fn visible(&self) -> Option<&dyn Visible> {
         None
     }
+}
+
+/// A source in shared memory.
+pub trait Visible {
+    /// Whether something has come.
+    fn has_come(&self) -> bool;
+
+    /// From now on its file descriptor must say when something comes, or need no longer.
+    fn set_asleep(&self, asleep: bool);
 }
 
 type Map = BTreeMap<usize, Arc<dyn Source>>;
@@ -347,5 +352,5 @@ fn interest(source: &dyn Source) -> Interest {
 }
 
 fn has_come(source: &Arc<dyn Source>) -> bool {
-    source.visible().is_some_and(shm::Receiver::has_work)
+    source.visible().is_some_and(Visible::has_come)
 }

@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 use super::Session;
 use crate::{
     lock::lock,
-    reactor::{Happened, Seen, Source},
+    reactor::{Happened, Seen, Source, Visible},
     shm,
 };
 
@@ -171,10 +171,20 @@ impl Source for DirectStream {
         }
     }
 
-    fn visible(&self) -> Option<&shm::Receiver> {
+    fn visible(&self) -> Option<&dyn Visible> {
         match &*self.carrier {
             Carrier::Socket { .. } => None,
             Carrier::Shared { receiver, .. } => Some(receiver),
         }
+    }
+}
+
+impl Visible for shm::Receiver {
+    fn has_come(&self) -> bool {
+        self.has_work()
+    }
+
+    fn set_asleep(&self, asleep: bool) {
+        shm::Receiver::set_asleep(self, asleep);
     }
 }
