@@ -4,7 +4,6 @@
 
 mod board;
 mod explain;
-mod intensity;
 mod outcome;
 mod overview;
 mod quiesce;

@@ -10,7 +10,6 @@ use std::{
 use crate::bootstrap::{AppReport, BootState, ChassisState, MemberReport};
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder, Seat,
-    intensity::Intensity,
     states::{BootStep, ChassisStep, Table},
 };
 use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure};
@@ -19,11 +18,12 @@ use ctos_core::{
     envelope::Replier,
     handled::Handled,
     phase::Phase,
+    supervise::Restarts,
     sync::Signal,
     system::{self, ChassisNews, News, ProcessEnded, RestartChassis, TaskName},
 };
 use ctos_message::Tid;
-use ctos_time::Instant;
+use ctos_time::{Instant, seed::mix};
 
 /// What a supervisor is told about its chassis.
 pub(super) enum Event {
@@ -80,7 +80,8 @@ pub(super) struct Member {
     /// What is told of it.
     pub(super) report: RefCell<MemberReport>,
     pub(super) policy: ChassisSupervision,
-    pub(super) intensity: RefCell<Intensity>,
+    /// How often its process was started again.
+    pub(super) intensity: RefCell<Restarts>,
     /// The phase that all its tasks have acknowledged.
     pub(super) reached: Cell<Option<Phase>>,
     /// What kept its tasks from a phase while the app was booted: task and reason.
@@ -95,7 +96,7 @@ pub(super) struct Member {
 
 impl Member {
     fn new(cx: &Context, index: u8, config: &ChassisConfig) -> Self {
-        let rng = cx.rng(&format!("restarts of {}", config.name));
+        let seed = mix(cx.app().seed, &["restarts of", &config.name]);
         Self {
             index,
             report: RefCell::new(MemberReport {
@@ -107,7 +108,7 @@ impl Member {
                 tasks: Vec::new(),
             }),
             policy: config.supervision,
-            intensity: RefCell::new(Intensity::new(config.supervision.restart, rng)),
+            intensity: RefCell::new(Restarts::new(config.supervision.restart, seed)),
             reached: Cell::default(),
             failures: RefCell::default(),
             failed_at: Cell::default(),

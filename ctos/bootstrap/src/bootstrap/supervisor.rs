@@ -10,13 +10,13 @@ use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
     board::{Board, Event, Member},
     explain::explained,
-    intensity::{Ended, Verdict},
     states::ChassisStep,
 };
 use ctos_config::ChassisRestart;
 use ctos_core::{
     context::{Context, TaskRef},
     phase::{Phase, StopReason},
+    supervise::{Ending, Verdict},
     system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News, ProcessEnded},
 };
 use ctos_message::fault::Fault;
@@ -43,7 +43,7 @@ struct Done;
 struct Death {
     /// Completes "the chassis ...".
     reason: String,
-    ended: Ended,
+    ended: Ending,
     asked: bool,
 }
 
@@ -302,7 +302,7 @@ impl Supervisor {
         self.links_closed().await?;
         Ok(Death {
             reason,
-            ended: Ended::Badly,
+            ended: Ending::Failure,
             asked,
         })
     }
@@ -383,13 +383,13 @@ impl Supervisor {
         let now = self.board.cx.now();
         let verdict = self.member.intensity.borrow_mut().judge(death.ended, now);
         match verdict {
-            Verdict::Restart { pause } => Ok((incarnation, pause)),
-            Verdict::NotAllowed => {
+            Verdict::RestartAfter(pause) => Ok((incarnation, pause)),
+            Verdict::StayDown => {
                 let chassis = self.name();
                 let why = format!("{} and may not be started again", death.reason);
                 Err(self.gone(why, End::ChassisDown { chassis }))
             }
-            Verdict::TooMany { restarts } => {
+            Verdict::GiveUp { restarts } => {
                 let times = if restarts == 1 { "time" } else { "times" };
                 Err(self.give_up(format!(
                     "was restarted {restarts} {times} within {} s and failed again: it {}",
@@ -423,8 +423,8 @@ impl Death {
     fn of(ending: ProcessEnded) -> Self {
         Self {
             ended: match ending.code {
-                Some(0) => Ended::Well,
-                _ => Ended::Badly,
+                Some(0) => Ending::Order,
+                _ => Ending::Failure,
             },
             reason: ending.how,
             asked: false,
