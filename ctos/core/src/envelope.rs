@@ -4,7 +4,7 @@ use std::{fmt, marker::PhantomData};
 
 use serde::Serialize;
 
-use crate::{handled::Handled, reply::ReplySlot};
+use crate::{handled::Handled, reply::ReplySlot, system::StopTask};
 use ctos_message::{Command, Data, Flags, Header, PayloadError, Tid, fault::Fault};
 use ctos_time::Instant;
 
@@ -46,10 +46,11 @@ impl Message {
         }
     }
 
-    /// Whether its sender waited for an answer, or for a credit, and does no more.
+    /// Whether its sender waited for an answer, or for a credit, and does no more. A stop is carried out even when
+    /// whoever ordered it had to go on.
     pub(crate) fn is_abandoned(&self) -> bool {
         let slot = self.envelope.reply.as_ref();
-        slot.is_some_and(ReplySlot::is_abandoned)
+        self.command() != StopTask::CODE && slot.is_some_and(ReplySlot::is_abandoned)
     }
 
     /// The header.

@@ -58,6 +58,17 @@ impl Caller for Promise {
     }
 }
 
+/// The caller behind a message of the runtime: it needs no answer, and the message stays wanted.
+pub(crate) struct Nobody;
+
+impl Caller for Nobody {
+    fn answer(&self, _answer: Answer) {}
+
+    fn is_abandoned(&self) -> bool {
+        false
+    }
+}
+
 /// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
 pub struct Waiting {
     answer: oneshot::Receiver<Answer>,
@@ -325,7 +336,7 @@ pub(crate) fn take_orphan(serial: u64) -> Option<ReplySlot> {
 
 #[cfg(test)]
 mod tests {
-    use std::{rc::Rc, time::Duration};
+    use std::{rc::Rc, task::Waker, time::Duration};
 
     use super::*;
     use crate::{exchange::Looked, processor::Processor};

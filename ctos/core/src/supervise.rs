@@ -250,6 +250,19 @@ mod tests {
     }
 
     #[test]
+    fn waits_double_within_the_window_and_begin_anew_after_it() {
+        let mut restarts = restarts(When::Always, 10);
+        let first = restarts.policy.backoff;
+        for (second, doubled) in [(0, 1), (1, 2), (2, 4), (3, 8), (70, 1)] {
+            let Verdict::RestartAfter(wait) = restarts.judge(Ending::Failure, at_s(second)) else {
+                panic!("refused at {second} s");
+            };
+            let whole = first * doubled;
+            assert!(wait <= whole && wait >= whole.mul_f64(0.8), "{wait:?}");
+        }
+    }
+
+    #[test]
     fn a_state_that_is_an_end_is_left_by_nothing_but_a_failing_stop() {
         for event in Event::ALL {
             for end in [State::Ended, State::Failed, State::Moved] {

@@ -51,11 +51,7 @@ impl Glossary {
     /// configuration, so that the ids of the tasks of other chassis are known here too.
     pub(crate) fn of(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
         let mut all = Self::default();
-        let system = [
-            system::ALL,
-            runtime,
-            &semaphore::server::COMMANDS,
-        ];
+        let system = [system::ALL, runtime, &semaphore::server::COMMANDS];
         all.commands(&system.concat());
         all.put(News::Task(system::TID_SERVER, "tidsvr".to_owned()));
         all.put(News::Task(system::BOOTSTRAP, "bootstrap".to_owned()));

@@ -55,7 +55,7 @@ impl<'n, 'f> Reader<'n, 'f> {
     }
 
     fn wrong<T>(&mut self, key: &str, node: &Node, expected: &str) -> Option<T> {
-        let message = format!("{}: `{key}` must be {expected}", self.kind);
+        let message = format!("{}: `{key}` must be {expected}", self.what);
         let finding = Finding::error("ctos::faults::value", message);
         self.push(finding, node.place());
         None
@@ -69,7 +69,7 @@ impl<'n, 'f> Reader<'n, 'f> {
         read: impl FnOnce(&Node) -> Option<T>,
     ) -> Option<T> {
         let Some(node) = self.value(key) else {
-            let message = format!("{} has no `{key}`", self.kind);
+            let message = format!("{} has no `{key}`", self.what);
             let finding = Finding::error("ctos::faults::missing_key", message)
                 .help(format!("add `{key}`: {expected}"));
             self.push(finding, None);

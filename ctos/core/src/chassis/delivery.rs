@@ -8,7 +8,7 @@ use crate::{
     delivery::NotTaken,
     envelope::Message,
     processor::Processor,
-    reply::{Caller, Promise, ReplySlot, Waiting},
+    reply::{Caller, Nobody, Promise, ReplySlot, Waiting},
     system,
     tap::{Sent, WaitFor},
 };
@@ -120,7 +120,7 @@ impl Chassis {
     pub fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let from = system::agent_tid(self.index);
         let message = Message::request(to, from, C::CODE, request).flagged(Flags::HIGH_PRIORITY);
-        let nobody = || ReplySlot::outside(Promise::new().0);
+        let nobody = || ReplySlot::other(Arc::new(Nobody));
         let mut sent = Sent::of(&message);
         self.deliver(message, WaitFor::Acceptance, &mut sent, nobody);
     }

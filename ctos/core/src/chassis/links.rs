@@ -420,6 +420,33 @@ mod tests {
         assert_eq!(traces.take(4).collect::<Vec<_>>(), [1, 2, 3, 4]);
     }
 
+    ctos_message::command! {
+        /// Tells a task something, in a command of its own.
+        struct Tell { number: u64 } => (), 1, "tell"
+    }
+
+    #[test]
+    fn what_the_runtime_tells_a_task_whose_queue_is_full_waits_there() {
+        let chassis = cell();
+        let processor = chassis.processor(1).unwrap();
+        let task = TaskRecord::with_capacity(1, processor.handle.clone(), 0);
+        let queue = TaskQueue::open(task.clone());
+        processor.add_queue(0, queue.clone());
+        chassis.add_task(task.clone());
+        processor.enter();
+        for number in 0..3 {
+            chassis.post_system(Tid::new(1, 1, 0), Tell { number });
+        }
+        let mut next = None;
+        let numbers = std::iter::from_fn(|| {
+            processor.run_jobs();
+            _ = queue.poll_next(&mut next);
+            let (Tell { number }, _) = next.take()?.open::<Tell>().unwrap();
+            Some(number)
+        });
+        assert_eq!(numbers.collect::<Vec<_>>(), [0, 1, 2]);
+    }
+
     #[test]
     fn an_answer_to_an_earlier_life_of_a_chassis_is_none_to_its_call_of_the_same_number() {
         let chassis = cell();

@@ -11,12 +11,11 @@ use crate::{
     reply::ReplyKey,
     report::Ending as HandlerEnding,
     statistics::Activity,
-    system::StopTask,
     tap,
     tap::Asked,
     task_record::TaskRecord,
 };
-use ctos_message::{Command, SYSTEM_COMMANDS, fault::Fault};
+use ctos_message::{SYSTEM_COMMANDS, fault::Fault};
 use std::{
     cell::Cell,
     future::{Future, poll_fn},
@@ -93,14 +92,7 @@ impl Serving {
 
     /// Whether a message is still to be begun.
     fn is_wanted(&self, message: &Message) -> bool {
-        if self.refuses(message) {
-            return false;
-        }
-        let Some(slot) = &message.envelope.reply else {
-            return true;
-        };
-        // A stop is carried out even when whoever ordered it had to go on.
-        !slot.is_abandoned() || message.command() == StopTask::CODE
+        !self.refuses(message) && !message.is_abandoned()
     }
 
     /// Ends a message that is not begun.
