@@ -157,7 +157,7 @@ mod tests {
     use ctos::{
         boot::End,
         diagnostic::Source,
-        simulation::{self, Fault, Faults, Setup},
+        simulation::{self, Fault, FaultKind, Faults, Setup},
         time::Instant,
     };
     use pnt::{
@@ -335,9 +335,12 @@ transition answer
                 json: String::new(),
             })
         });
-        let kills = kills.iter().map(|(chassis, ms)| Fault::Kill {
-            chassis: (*chassis).to_owned(),
-            at: Instant::from_nanos(ms * 1_000_000),
+        let kills = kills.iter().map(|(chassis, ms)| {
+            Fault::on(
+                (*chassis).to_owned(),
+                FaultKind::Kill,
+                Instant::from_nanos(ms * 1_000_000),
+            )
         });
         let setup = Setup {
             faults: Faults::of_script("deaths", kills.collect()),

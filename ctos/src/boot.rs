@@ -15,7 +15,7 @@ pub use ctos_bootstrap::bootstrap::{
 pub use ctos_host::boot::{ChildError, Launcher, run_chassis};
 pub use ctos_link::transport::{Address, AddressError};
 pub use ctos_message::frame::Counts;
-pub use ctos_simulation::Fault;
+pub use ctos_simulation::{Fault, FaultKind};
 
 /// The clock that an app of this mode runs on, at its start.
 #[must_use]

@@ -4,7 +4,6 @@
 
 mod board;
 mod explain;
-mod intensity;
 mod outcome;
 mod overview;
 mod quiesce;
@@ -34,7 +33,7 @@ use ctos_core::{
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 
-use board::{Board, Ending, Event};
+use board::{Board, Event};
 
 pub use outcome::{BootError, HostError, Outcome};
 pub use outcome::{contained, io_error};
@@ -383,10 +382,9 @@ impl Bootstrap {
 
     #[command]
     fn process_ended(&self, ended: ProcessEnded) {
-        let ProcessEnded { how, code, .. } = ended;
-        let dead = Event::Dead(Ending { how, code });
+        let (chassis, incarnation) = (ended.chassis, ended.incarnation);
         self.0
-            .tell_incarnation(ended.chassis, ended.incarnation, dead);
+            .tell_incarnation(chassis, incarnation, Event::Dead(ended));
     }
 
     #[command]

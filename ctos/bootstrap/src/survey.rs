@@ -75,8 +75,7 @@ pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> Strin
     let registry = chassis.registry();
     let kind = registry.kind(handler);
     let own = kind.into_iter().flat_map(|kind| kind.commands());
-    let runtime = ctos_core::system::ALL.iter();
-    let mut all = own.chain(runtime.chain(&ctos_core::names::COMMANDS));
+    let mut all = own.chain(ctos_core::system::ALL);
     all.find(|command| command.code == code)
         .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
 }

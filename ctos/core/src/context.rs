@@ -9,7 +9,7 @@ mod services;
 pub(crate) mod task_ref;
 
 pub use self::{
-    asking::{Call, Send},
+    asking::Call,
     core::{Context, DEFAULT_DEADLINE, Elapsed},
     finding::{Find, NameError},
     task_ref::TaskRef,

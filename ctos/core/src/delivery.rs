@@ -1,42 +1,10 @@
-//! Who is told what becomes of a message on its way to a queue.
+//! What comes to the queue of a task, and what becomes of it there.
 
-use crate::{envelope::Message, reply::ReplySlot};
-use ctos_message::{Data, Flags, SYSTEM_COMMANDS, fault::Fault};
+use crate::envelope::Message;
+use ctos_message::{Flags, SYSTEM_COMMANDS, fault::Fault};
 
-/// Whom to tell that a one-way message has been taken.
-pub enum Acceptance {
-    /// Nobody: the sender waits for the reply instead, or for nothing.
-    Silent,
-    /// Who waits for it.
-    Told(ReplySlot),
-}
-
-impl From<Option<ReplySlot>> for Acceptance {
-    fn from(slot: Option<ReplySlot>) -> Self {
-        slot.map_or(Self::Silent, Self::Told)
-    }
-}
-
-impl Acceptance {
-    pub(crate) fn tell(self, result: Result<(), Fault>) {
-        if let Self::Told(slot) = self {
-            slot.answer(result.map(|()| Data::NOTHING));
-        }
-    }
-
-    /// Whether the sender has been told already that its message was not taken.
-    pub(crate) fn is_abandoned(&self) -> bool {
-        match self {
-            Self::Silent => false,
-            Self::Told(slot) => slot.is_abandoned(),
-        }
-    }
-}
-
-/// What became of a message that does not wait for a credit.
-pub enum Offered {
-    /// It is in the queue.
-    Taken,
+/// A message that was not taken.
+pub enum NotTaken {
     /// There is no credit now.
     Full(Message),
     /// The task takes nothing more.
@@ -50,16 +18,23 @@ pub(crate) fn is_urgent(message: &Message) -> (bool, bool) {
     (system || flagged, system)
 }
 
-pub(crate) fn refuse(message: Message, acceptance: Acceptance, fault: &Fault) {
-    message.refuse(fault.clone());
-    acceptance.tell(Err(fault.clone()));
-}
-
-/// What a queue is told from elsewhere.
-#[derive(Debug, Clone, Copy)]
-pub enum Order {
+/// What is brought to a queue.
+pub enum Delivery {
+    /// A message that has a credit.
+    Message(Message),
+    /// One that waits for a credit.
+    Waits(Message),
     /// See [`crate::mailbox::Mailbox::open_gate`].
     OpenGate(u8),
     /// See [`crate::mailbox::Mailbox::forget_gate`].
     ForgetGate(u8),
+}
+
+impl Delivery {
+    /// The queue is gone: whoever waits is told.
+    pub(crate) fn refuse(self) {
+        if let Self::Message(message) | Self::Waits(message) = self {
+            message.refuse(Fault::Stopping);
+        }
+    }
 }

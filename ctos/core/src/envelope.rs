@@ -4,7 +4,7 @@ use std::{fmt, marker::PhantomData};
 
 use serde::Serialize;
 
-use crate::{handled::Handled, reply::ReplySlot};
+use crate::{handled::Handled, reply::ReplySlot, system::StopTask};
 use ctos_message::{Command, Data, Flags, Header, PayloadError, Tid, fault::Fault};
 use ctos_time::Instant;
 
@@ -34,6 +34,23 @@ impl Message {
         if let Some(slot) = self.envelope.reply {
             slot.answer(Err(fault));
         }
+    }
+
+    /// The right to tell its sender that the queue has taken it, if the sender waits for no more than that.
+    pub(crate) fn take_acceptance(&mut self) -> Option<ReplySlot> {
+        let replies = self.header().flags.contains(Flags::REPLY_WAIT);
+        if replies {
+            None
+        } else {
+            self.envelope.reply.take()
+        }
+    }
+
+    /// Whether its sender waited for an answer, or for a credit, and does no more. A stop is carried out even when
+    /// whoever ordered it had to go on.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        let slot = self.envelope.reply.as_ref();
+        self.command() != StopTask::CODE && slot.is_some_and(ReplySlot::is_abandoned)
     }
 
     /// The header.
@@ -69,8 +86,7 @@ impl Message {
         match envelope.data.take_out::<C>() {
             Ok(request) => Ok((request, Replier::new(envelope))),
             Err(error) => {
-                let text = error.to_string();
-                Self { envelope }.refuse(Fault::BadPayload { text });
+                Self { envelope }.refuse(error.clone().into());
                 Err(error)
             }
         }

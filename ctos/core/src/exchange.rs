@@ -95,15 +95,6 @@ pub(crate) enum Looked {
     Late(Fault),
 }
 
-/// What came of an answer.
-#[must_use]
-pub(crate) enum Given {
-    /// It waits for its caller, who may be woken.
-    Taken(Option<LocalWake>),
-    /// Nobody waits for it: to be dropped where no cell is borrowed.
-    Unwanted { _answer: Returned },
-}
-
 /// All calls of one processor.
 #[derive(Default)]
 pub(crate) struct Calls {
@@ -195,22 +186,22 @@ impl Calls {
         }
     }
 
-    /// Takes the answer to a call.
-    pub(crate) fn answer(&mut self, key: CallKey, answer: Returned) -> Given {
-        let Some(slot) = self.slot(key) else {
-            return Given::Unwanted { _answer: answer };
+    /// Takes the answer to a call, and tells who is woken then.
+    ///
+    /// # Errors
+    /// The answer, if nobody waits for it: to be dropped where no cell is borrowed.
+    pub(crate) fn answer(
+        &mut self,
+        key: CallKey,
+        answer: Returned,
+    ) -> Result<Option<LocalWake>, Returned> {
+        let waits = |slot: &&mut Slot| matches!(slot.state, State::Waiting(_) | State::Late);
+        let Some(slot) = self.slot(key).filter(waits) else {
+            return Err(answer);
         };
-        match &mut slot.state {
-            State::Waiting(wake) => {
-                let wake = wake.take();
-                slot.state = State::Answered(answer);
-                Given::Taken(wake)
-            }
-            State::Late => {
-                slot.state = State::Answered(answer);
-                Given::Taken(None)
-            }
-            State::Free | State::Answered(_) => Given::Unwanted { _answer: answer },
+        match std::mem::replace(&mut slot.state, State::Answered(answer)) {
+            State::Waiting(wake) => Ok(wake),
+            _ => Ok(None),
         }
     }
 

@@ -95,7 +95,7 @@ pub use report::TaskCounters;
 pub mod task {
     pub use crate::{
         children::StartError,
-        context::{Call, Context, Elapsed, Find, NameError, Send, TaskRef},
+        context::{Call, Context, Elapsed, Find, NameError, TaskRef},
         handled::{Handled, HandlerError},
         handler::{EventHandler, Handover},
         phase::{Phase, StopReason},

@@ -18,9 +18,10 @@ use std::sync::{
 
 use crate::{
     credits::Credits,
-    delivery::{Acceptance, Offered, Order, is_urgent, refuse},
+    delivery::{Delivery, NotTaken, is_urgent},
     envelope::Message,
-    processor::{Processor, ProcessorHandle},
+    processor::{Item, Processor, ProcessorHandle},
+    reply::ReplySlot,
     report::QueueReport,
 };
 use ctos_message::fault::Fault;
@@ -90,64 +91,56 @@ impl Mailbox {
     }
 
     /// Takes a credit for a message, if there is one for it now, and if the task takes anything.
-    pub(super) fn take_credit(&self, message: Message) -> Result<Message, Offered> {
+    pub(super) fn take_credit(&self, message: Message) -> Result<Message, NotTaken> {
         if self.is_closed() {
-            return Err(Offered::Closed(message));
+            return Err(NotTaken::Closed(message));
         }
         let (urgent, system) = is_urgent(&message);
         let credits = self.credits(urgent);
         if system {
             credits.take_always();
         } else if !credits.take(self.capacity()) {
-            return Err(Offered::Full(message));
+            return Err(NotTaken::Full(message));
         }
         Ok(message)
     }
 
     /// Puts a message in if there is a credit for it now.
-    pub(crate) fn offer(&self, message: Message) -> Offered {
-        match self.take_credit(message) {
-            Ok(message) => {
-                self.bring(message);
-                Offered::Taken
-            }
-            Err(offered) => offered,
-        }
+    pub(crate) fn offer(&self, message: Message) -> Result<(), NotTaken> {
+        let message = self.take_credit(message)?;
+        self.bring(Delivery::Message(message));
+        Ok(())
     }
 
-    /// Puts a message in or lets it wait for a credit; `acceptance` is told when it is in, or why not. A
-    /// refused message that waits for a reply is answered with the reason.
-    pub fn put(&self, message: Message, acceptance: Acceptance) {
-        match self.offer(message) {
-            Offered::Taken => acceptance.tell(Ok(())),
-            Offered::Full(message) => self.line_up(message, acceptance),
-            Offered::Closed(message) => refuse(message, acceptance, &Fault::Stopping),
+    /// Puts a message in or lets it wait for a credit. A sender that waits for that is told when it is in. A
+    /// refused message is answered with the reason.
+    pub fn put(&self, message: Message) {
+        match self.take_credit(message) {
+            Ok(mut message) => {
+                let sender = message.take_acceptance();
+                self.bring(Delivery::Message(message));
+                sender.into_iter().for_each(ReplySlot::accept);
+            }
+            Err(NotTaken::Full(message)) => self.line_up(message),
+            Err(NotTaken::Closed(message)) => message.refuse(Fault::Stopping),
         }
     }
 
     /// Lets a message for which there was no credit wait for one.
-    pub(crate) fn line_up(&self, message: Message, acceptance: Acceptance) {
+    pub(crate) fn line_up(&self, message: Message) {
         let (urgent, _) = is_urgent(&message);
         if !self.credits(urgent).line_up(self.capacity()) {
-            return refuse(message, acceptance, &self.full());
+            return message.refuse(self.full());
         }
-        match Processor::at_hand(&self.home) {
-            Some(processor) => match processor.queue(self.slot) {
-                Some(queue) => queue.line_up(&processor, message, acceptance),
-                None => refuse(message, acceptance, &Fault::Stopping),
-            },
-            None => self.home.bring_waiting(self.slot, message, acceptance),
-        }
+        self.bring(Delivery::Waits(message));
     }
 
-    /// Brings a message to the queue, straight if this thread runs the task's processor.
-    fn bring(&self, message: Message) {
+    /// Brings something to the queue behind what was brought before: straight if this thread runs the task's
+    /// processor.
+    fn bring(&self, delivery: Delivery) {
         match Processor::at_hand(&self.home) {
-            Some(processor) => match processor.queue(self.slot) {
-                Some(queue) => queue.take_in(&processor, message),
-                None => message.refuse(Fault::Stopping),
-            },
-            None => self.home.bring_message(self.slot, message),
+            Some(processor) => processor.deliver(self.slot, delivery),
+            None => self.home.send(Item::Delivery(self.slot, delivery)),
         }
     }
 
@@ -163,24 +156,12 @@ impl Mailbox {
 
     /// Lets in what came straight from `chassis`, in its order, and whatever comes from there later.
     pub fn open_gate(&self, chassis: u8) {
-        self.order(Order::OpenGate(chassis));
+        self.bring(Delivery::OpenGate(chassis));
     }
 
     /// Drops what came straight from `chassis`, which is gone: nobody was told that it was taken.
     pub fn forget_gate(&self, chassis: u8) {
-        self.order(Order::ForgetGate(chassis));
-    }
-
-    /// Brings an order to the queue, behind the messages that were brought before it.
-    fn order(&self, order: Order) {
-        match Processor::here_if(&self.home) {
-            Some(processor) => {
-                if let Some(queue) = processor.queue(self.slot) {
-                    queue.obey(&processor, order);
-                }
-            }
-            None => self.home.bring_order(self.slot, order),
-        }
+        self.bring(Delivery::ForgetGate(chassis));
     }
 
     /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
@@ -188,7 +169,7 @@ impl Mailbox {
         self.closed.store(true, Ordering::Release);
         match Processor::here_if(&self.home) {
             Some(processor) => processor.close_queue(self.slot),
-            None => self.home.bring_close(self.slot),
+            None => self.home.send(Item::Close(self.slot)),
         }
     }
 }

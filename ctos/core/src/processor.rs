@@ -20,6 +20,7 @@ mod run;
 pub(crate) mod wake;
 mod yielding;
 
+pub(crate) use self::handle::Item;
 pub use self::{
     core::{Inlet, Processor},
     handle::ProcessorHandle,

@@ -8,10 +8,12 @@ use std::{
     pin::Pin,
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicU64, Ordering},
     },
-    task::{Context as PollContext, Poll, Waker},
+    task::{Context as PollContext, Poll},
 };
+
+use tokio::sync::oneshot;
 
 use crate::envelope::{Envelope, Message};
 use ctos_message::{Data, Tid, fault::Fault};
@@ -29,56 +31,52 @@ fn returned(answer: Answer) -> Returned {
     Ok(Message::with_data(Tid::default(), Tid::default(), 0, data).envelope)
 }
 
-#[derive(Default)]
-enum PromiseState {
-    #[default]
-    Empty,
-    Waiting(Waker),
-    Answered(Answer),
-    Taken,
-}
-
-/// One answer on its way from any thread to the one future that waits for it.
-#[derive(Default)]
-pub struct Promise {
-    state: Mutex<PromiseState>,
-    abandoned: AtomicBool,
-}
+/// One answer on its way from any thread to the one future that waits for it. The first one counts.
+pub struct Promise(Mutex<Option<oneshot::Sender<Answer>>>);
 
 impl Promise {
-    /// Whether nobody waits any more.
-    fn is_abandoned(&self) -> bool {
-        self.abandoned.load(Ordering::Acquire)
+    /// With the future that waits for it.
+    pub fn new() -> (Arc<Self>, Waiting) {
+        let (sender, answer) = oneshot::channel();
+        let take_back = None;
+        let waiting = Waiting { answer, take_back };
+        (Arc::new(Self(Mutex::new(Some(sender)))), waiting)
+    }
+}
+
+impl Caller for Promise {
+    fn answer(&self, answer: Answer) {
+        let sender = lock(&self.0).take();
+        // Nobody listens any more when it was abandoned.
+        let _ = sender.map(|sender| sender.send(answer));
     }
 
-    /// Gives the answer; later ones are ignored.
-    pub(crate) fn fulfil(&self, answer: Answer) {
-        let mut state = lock(&self.state);
-        if matches!(*state, PromiseState::Answered(_) | PromiseState::Taken) {
-            return;
-        }
-        let before = std::mem::replace(&mut *state, PromiseState::Answered(answer));
-        drop(state);
-        if let PromiseState::Waiting(waker) = before {
-            waker.wake();
-        }
+    fn is_abandoned(&self) -> bool {
+        lock(&self.0)
+            .as_ref()
+            .is_none_or(oneshot::Sender::is_closed)
+    }
+}
+
+/// The caller behind a message of the runtime: it needs no answer, and the message stays wanted.
+pub(crate) struct Nobody;
+
+impl Caller for Nobody {
+    fn answer(&self, _answer: Answer) {}
+
+    fn is_abandoned(&self) -> bool {
+        false
     }
 }
 
 /// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
 pub struct Waiting {
-    promise: Arc<Promise>,
+    answer: oneshot::Receiver<Answer>,
     /// Takes the question back, when it went over a link.
     take_back: Option<Box<dyn FnOnce() + Send>>,
 }
 
 impl Waiting {
-    /// Waits for an answer of this process.
-    pub fn here(promise: Arc<Promise>) -> Self {
-        let take_back = None;
-        Self { promise, take_back }
-    }
-
     /// The same; `take_back` is called if it is dropped.
     pub(crate) fn or_else(mut self, take_back: impl FnOnce() + Send + 'static) -> Self {
         self.take_back = Some(Box::new(take_back));
@@ -88,7 +86,7 @@ impl Waiting {
 
 impl Drop for Waiting {
     fn drop(&mut self) {
-        self.promise.abandoned.store(true, Ordering::Release);
+        self.answer.close();
         if let Some(take_back) = self.take_back.take() {
             take_back();
         }
@@ -98,16 +96,9 @@ impl Drop for Waiting {
 impl Future for Waiting {
     type Output = Answer;
 
-    fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Answer> {
-        let mut state = lock(&self.promise.state);
-        match std::mem::replace(&mut *state, PromiseState::Taken) {
-            PromiseState::Answered(answer) => Poll::Ready(answer),
-            PromiseState::Taken => Poll::Ready(Err(Fault::NoReply)),
-            PromiseState::Empty | PromiseState::Waiting(_) => {
-                *state = PromiseState::Waiting(cx.waker().clone());
-                Poll::Pending
-            }
-        }
+    fn poll(mut self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Answer> {
+        let answer = Pin::new(&mut self.answer).poll(cx);
+        answer.map(|answer| answer.unwrap_or(Err(Fault::NoReply)))
     }
 }
 
@@ -117,11 +108,11 @@ pub(crate) trait Home: Send + Sync {
     fn take_answer(&self, key: CallKey, answer: Returned);
 }
 
-/// A request that came over a link.
-pub(crate) trait Remote: Send + Sync {
-    /// Sends the answer back; nothing comes of it when that was done already.
+/// A caller that is no task of this chassis: a task of another one, or somebody outside of all tasks.
+pub(crate) trait Caller: Send + Sync {
+    /// Gives it the answer; nothing comes of it when that was done already.
     fn answer(&self, answer: Answer);
-    /// Whether the caller, or its chassis, is gone.
+    /// Whether it waits no longer.
     fn is_abandoned(&self) -> bool;
 }
 
@@ -174,10 +165,8 @@ pub(crate) struct CallKey {
 enum ReplyTo {
     /// To a call of a task of this chassis.
     Local(Ticket),
-    /// To somebody in this process who is no task.
-    Outside(Arc<Promise>),
-    /// Over a link.
-    Remote(Arc<dyn Remote>),
+    /// To another caller.
+    Other(Arc<dyn Caller>),
 }
 
 /// The right to answer one message. Dropped without an answer, it tells the caller
@@ -194,12 +183,13 @@ impl ReplySlot {
         Self::of(ReplyTo::Local(ticket))
     }
 
+    /// To somebody in this process who is no task.
     pub fn outside(promise: Arc<Promise>) -> Self {
-        Self::of(ReplyTo::Outside(promise))
+        Self::other(promise)
     }
 
-    pub(crate) fn remote(request: Arc<dyn Remote>) -> Self {
-        Self::of(ReplyTo::Remote(request))
+    pub(crate) fn other(caller: Arc<dyn Caller>) -> Self {
+        Self::of(ReplyTo::Other(caller))
     }
 
     fn of(to: ReplyTo) -> Self {
@@ -211,17 +201,21 @@ impl ReplySlot {
     pub fn answer(mut self, answer: Answer) {
         match self.to.take() {
             Some(ReplyTo::Local(ticket)) => ticket.answer(returned(answer)),
-            Some(ReplyTo::Outside(promise)) => promise.fulfil(answer),
-            Some(ReplyTo::Remote(request)) => request.answer(answer),
+            Some(ReplyTo::Other(caller)) => caller.answer(answer),
             None => {}
         }
+    }
+
+    /// Tells a sender that waits for no more that its message was taken.
+    pub(crate) fn accept(self) {
+        self.answer(Ok(Data::NOTHING));
     }
 
     /// Answers the request that `envelope` brought with the data that is in it now.
     pub(crate) fn send_back(mut envelope: Box<Envelope>) {
         match envelope.reply.as_mut().and_then(|slot| slot.to.take()) {
             Some(ReplyTo::Local(ticket)) => ticket.answer(Ok(envelope)),
-            Some(to) => Self::of(to).answer(Ok(envelope.data)),
+            Some(ReplyTo::Other(caller)) => caller.answer(Ok(envelope.data)),
             None => {}
         }
     }
@@ -230,8 +224,7 @@ impl ReplySlot {
     pub(crate) fn is_abandoned(&self) -> bool {
         match &self.to {
             Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
-            Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
-            Some(ReplyTo::Remote(request)) => request.is_abandoned(),
+            Some(ReplyTo::Other(caller)) => caller.is_abandoned(),
             None => true,
         }
     }
@@ -245,8 +238,7 @@ impl ReplySlot {
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
             ReplyTo::Local(ticket) => ReplyKey::Local(ticket.key()),
-            ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
-            ReplyTo::Remote(request) => ReplyKey::Remote(request.clone()),
+            ReplyTo::Other(caller) => ReplyKey::Other(caller.clone()),
         })
     }
 }
@@ -284,10 +276,8 @@ impl fmt::Debug for ReplySlot {
 pub(crate) enum ReplyKey {
     /// To a call of a task of this chassis.
     Local(CallKey),
-    /// To somebody in this process who is no task.
-    Outside(Arc<Promise>),
-    /// Over a link.
-    Remote(Arc<dyn Remote>),
+    /// To another caller.
+    Other(Arc<dyn Caller>),
 }
 
 impl ReplyKey {
@@ -296,8 +286,7 @@ impl ReplyKey {
     pub(crate) fn answer(self, home: &dyn Home, answer: Answer) {
         match self {
             Self::Local(key) => home.take_answer(key, returned(answer)),
-            Self::Outside(promise) => promise.fulfil(answer),
-            Self::Remote(request) => request.answer(answer),
+            Self::Other(caller) => caller.answer(answer),
         }
     }
 }
@@ -347,7 +336,7 @@ pub(crate) fn take_orphan(serial: u64) -> Option<ReplySlot> {
 
 #[cfg(test)]
 mod tests {
-    use std::{rc::Rc, time::Duration};
+    use std::{rc::Rc, task::Waker, time::Duration};
 
     use super::*;
     use crate::{exchange::Looked, processor::Processor};

@@ -1,10 +1,10 @@
 //! Supervision: when something that ended is started again, how often, after which wait, and the states
 //! that a task passes through meanwhile.
 //!
-//! It holds rules only and starts nothing: the loop of a task (`runner.rs`) asks it. The rules are those
-//! of Erlang's supervisors (restart intensity: so many restarts within a window, then the failure goes
-//! up the tree), with a back-off that doubles, so that what fails at once does not fail a thousand
-//! times a second.
+//! It holds rules only and starts nothing: the loop of a task (`runner.rs`) asks it, and so does the
+//! supervisor of a chassis. The rules are those of Erlang's supervisors (restart intensity: so many
+//! restarts within a window, then the failure goes up the tree), with a back-off that doubles, so that
+//! what fails at once does not fail a thousand times a second.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -90,7 +90,7 @@ impl Restarts {
 
 #[doc(hidden)]
 impl Restarts {
-    /// The back-off, doubled `doublings` times, less up to a quarter of it.
+    /// The back-off, doubled `doublings` times, less up to a fifth of it.
     fn backoff(&mut self, doublings: usize) -> Duration {
         let factor = u32::try_from(doublings)
             .ok()
@@ -101,7 +101,7 @@ impl Restarts {
         let rng = self
             .rng
             .get_or_insert_with(|| Box::new(ChaCha8Rng::seed_from_u64(seed)));
-        let part: f64 = rng.random_range(0.75..=1.0);
+        let part: f64 = rng.random_range(0.8..=1.0);
         whole.min(LONGEST_BACKOFF).mul_f64(part)
     }
 }
@@ -247,6 +247,19 @@ mod tests {
         assert!(matches!(judge(30), Verdict::RestartAfter(_)));
         assert_eq!(judge(59), Verdict::GiveUp { restarts: 2 });
         assert!(matches!(judge(60), Verdict::RestartAfter(_)));
+    }
+
+    #[test]
+    fn waits_double_within_the_window_and_begin_anew_after_it() {
+        let mut restarts = restarts(When::Always, 10);
+        let first = restarts.policy.backoff;
+        for (second, doubled) in [(0, 1), (1, 2), (2, 4), (3, 8), (70, 1)] {
+            let Verdict::RestartAfter(wait) = restarts.judge(Ending::Failure, at_s(second)) else {
+                panic!("refused at {second} s");
+            };
+            let whole = first * doubled;
+            assert!(wait <= whole && wait >= whole.mul_f64(0.8), "{wait:?}");
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::{
     phase::{Phase, StopReason},
     report::{ChassisReport, TaskCounters, TaskReport},
 };
-use ctos_message::{Command, CommandInfo, Tid, command};
+use ctos_message::{Command, Tid, command};
 
 /// The task that starts and stops the tasks of chassis `index`.
 pub const fn agent_tid(index: u8) -> Tid {
@@ -64,66 +64,56 @@ pub struct Created {
     pub failed: Vec<(String, String)>,
 }
 
+// All the commands of the runtime, but for those of the services that have a list of their own.
 command! {
+    all ALL;
+
     /// Asks whether the task is alive.
-    pub struct Ping => (), 0xff00, "ping"
-}
-command! {
+    pub struct Ping => (), 0xff00, "ping";
+
     /// Asks which commands the task takes.
-    pub struct Introspect => Vec<CommandDescription>, 0xff01, "introspect"
-}
-command! {
+    pub struct Introspect => Vec<CommandDescription>, 0xff01, "introspect";
+
     /// Asks what the task has done so far.
-    pub struct Statistics => TaskCounters, 0xff05, "statistics"
-}
-command! {
+    pub struct Statistics => TaskCounters, 0xff05, "statistics";
+
     /// Enters a startup phase.
-    pub struct EnterPhase { pub phase: Phase } => (), 0xff02, "phase"
-}
-command! {
+    pub struct EnterPhase { pub phase: Phase } => (), 0xff02, "phase";
+
     /// Comes to an orderly stop. With a chassis, the task only if it is there: one that has just moved
     /// away goes on.
-    pub struct StopTask { pub reason: StopReason, pub on: Option<u8> } => (), 0xff03, "stop"
-}
-command! {
+    pub struct StopTask { pub reason: StopReason, pub on: Option<u8> } => (), 0xff03, "stop";
+
     /// Comes to rest, before any task is stopped; answered when it has.
-    pub struct Quiesce { pub reason: StopReason } => (), 0xff06, "quiesce"
-}
-command! {
+    pub struct Quiesce { pub reason: StopReason } => (), 0xff06, "quiesce";
+
     /// Asks a task that comes to rest what it still waits for, in words.
-    pub struct NotQuiet => Option<String>, 0xff07, "not_quiet"
-}
-command! {
+    pub struct NotQuiet => Option<String>, 0xff07, "not_quiet";
+
     /// Tells that another chassis is gone.
-    pub struct ChassisDown { pub chassis: String } => (), 0xff04, "chassis_down"
-}
-command! {
+    pub struct ChassisDown { pub chassis: String } => (), 0xff04, "chassis_down";
+
     /// Adds a task to the names.
-    pub struct RegisterTid { pub task: TaskName } => (), 0xff10, "register_tid"
-}
-command! {
+    pub struct RegisterTid { pub task: TaskName } => (), 0xff10, "register_tid";
+
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
     /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
     pub struct FindTid {
         pub name: String,
         pub gone: Option<Tid>,
         pub waits: bool,
-    } => Result<Tid, Missing>, 0xff15, "find_tid"
-}
-command! {
+    } => Result<Tid, Missing>, 0xff15, "find_tid";
+
     /// Tells the task identification service what becomes of a chassis, or of the app.
-    pub struct ChassisNews { pub news: News } => (), 0xff16, "chassis_news"
-}
-command! {
+    pub struct ChassisNews { pub news: News } => (), 0xff16, "chassis_news";
+
     /// Creates the tasks of this chassis. No task of an earlier incarnation has a slot from
     /// `first_slots` on, by the number of the processor.
-    pub struct CreateTasks { pub first_slots: BTreeMap<u8, u16> } => Created, 0xff20, "create_tasks"
-}
-command! {
+    pub struct CreateTasks { pub first_slots: BTreeMap<u8, u16> } => Created, 0xff20, "create_tasks";
+
     /// Ends the process.
-    pub struct Exit { pub code: i32 } => (), 0xff21, "exit"
-}
-command! {
+    pub struct Exit { pub code: i32 } => (), 0xff21, "exit";
+
     /// Tells how far a task is.
     pub struct Progress {
         pub task: String,
@@ -131,158 +121,91 @@ command! {
         pub total: u64,
         pub step: String,
         pub what: String,
-    } => (), 0xff30, "progress"
-}
-command! {
+    } => (), 0xff30, "progress";
+
     /// Ends the app with a result.
-    pub struct Finish { pub task: String, pub result: AppResult } => (), 0xff31, "finish"
-}
-command! {
+    pub struct Finish { pub task: String, pub result: AppResult } => (), 0xff31, "finish";
+
     /// Tells that a task failed for good.
-    pub struct TaskFailed { pub task: String, pub chassis: u8, pub reason: String } => (), 0xff32, "task_failed"
-}
-command! {
+    pub struct TaskFailed { pub task: String, pub chassis: u8, pub reason: String } => (), 0xff32, "task_failed";
+
     /// Tells that a task is at a breakpoint at which the app shall end.
-    pub struct AtBreakpoint { pub task: String, pub reason: String } => (), 0xff3f, "at_breakpoint"
-}
-command! {
+    pub struct AtBreakpoint { pub task: String, pub reason: String } => (), 0xff3f, "at_breakpoint";
+
     /// Tells that the person wants the app to stop.
-    pub struct Interrupt => (), 0xff33, "interrupt"
-}
-command! {
+    pub struct Interrupt => (), 0xff33, "interrupt";
+
     /// Tells that every chassis is connected.
-    pub struct AllLinked => (), 0xff34, "all_linked"
-}
-command! {
+    pub struct AllLinked => (), 0xff34, "all_linked";
+
     /// Tells that a chassis that was gone is back.
-    pub struct ChassisUp { pub chassis: String } => (), 0xff51, "chassis_up"
-}
-command! {
+    pub struct ChassisUp { pub chassis: String } => (), 0xff51, "chassis_up";
+
     /// Lets an agent tell all its tasks that a chassis is back.
-    pub struct AnnounceUp { pub chassis: String } => (), 0xff52, "announce_up"
-}
-command! {
+    pub struct AnnounceUp { pub chassis: String } => (), 0xff52, "announce_up";
+
     /// Builds the task's handler anew.
-    pub struct RestartTask => (), 0xff53, "restart"
-}
-command! {
+    pub struct RestartTask => (), 0xff53, "restart";
+
     /// Tells the bootstrap service that the process of a chassis is dead, and how it died.
     pub struct ProcessEnded {
         pub chassis: u8,
         pub incarnation: u32,
         pub how: String,
         pub code: Option<i32>,
-    } => (), 0xff54, "process_ended"
-}
-command! {
+    } => (), 0xff54, "process_ended";
+
     /// Tells the bootstrap service that a chassis that was started anew is connected to all others.
-    pub struct ChassisLinked { pub chassis: u8, pub incarnation: u32 } => (), 0xff55, "chassis_linked"
-}
-command! {
+    pub struct ChassisLinked { pub chassis: u8, pub incarnation: u32 } => (), 0xff55, "chassis_linked";
+
     /// Restarts a chassis whatever its policy; answered when its tasks have passed all phases.
-    pub struct RestartChassis { pub chassis: u8 } => (), 0xff56, "restart_chassis"
-}
-command! {
+    pub struct RestartChassis { pub chassis: u8 } => (), 0xff56, "restart_chassis";
+
     /// Asks an agent for everything that is known of its chassis.
-    pub struct Survey => ChassisReport, 0xff50, "survey"
-}
-command! {
+    pub struct Survey => ChassisReport, 0xff50, "survey";
+
     /// Asks an agent how a task is and what it handled last; from then on that is kept, without messages of
     /// the commands `without`.
-    pub struct LookAt { pub task: Tid, pub without: Vec<u16> } => Option<Seen>, 0xff58, "look_at"
-}
-/// What an agent tells of a task of its chassis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Seen {
-    pub task: TaskReport,
-    pub last: Vec<Note>,
-}
+    pub struct LookAt { pub task: Tid, pub without: Vec<u16> } => Option<Seen>, 0xff58, "look_at";
 
-/// The commands of the runtime, but for those of the services that have a list of their own.
-pub const ALL: &[CommandInfo] = &[
-    Ping::INFO,
-    Introspect::INFO,
-    Statistics::INFO,
-    EnterPhase::INFO,
-    Quiesce::INFO,
-    NotQuiet::INFO,
-    StopTask::INFO,
-    ChassisDown::INFO,
-    ChassisUp::INFO,
-    RestartTask::INFO,
-    CreateTasks::INFO,
-    Exit::INFO,
-    Progress::INFO,
-    Finish::INFO,
-    TaskFailed::INFO,
-    AtBreakpoint::INFO,
-    Interrupt::INFO,
-    AllLinked::INFO,
-    AnnounceUp::INFO,
-    ProcessEnded::INFO,
-    ChassisLinked::INFO,
-    RestartChassis::INFO,
-    Survey::INFO,
-    LookAt::INFO,
-    Shutdown::INFO,
-    Broke::INFO,
-    MoveOut::INFO,
-    MoveIn::INFO,
-    Transfer::INFO,
-    Settle::INFO,
-    Rebound::INFO,
-    Fence::INFO,
-    WaitsFor::INFO,
-    TaskMoved::INFO,
-];
-command! {
     /// Comes to an orderly stop; the app goes on without the task, or with it built anew.
-    pub struct Shutdown => (), 0xff60, "shutdown"
-}
-command! {
+    pub struct Shutdown => (), 0xff60, "shutdown";
+
     /// Tells a task that a part of one of its incarnations panicked.
-    pub struct Broke { pub incarnation: u64, pub reason: String } => (), 0xff61, "broke"
-}
-command! {
+    pub struct Broke { pub incarnation: u64, pub reason: String } => (), 0xff61, "broke";
+
     /// Moves a running task to `CHASSIS` or `CHASSIS:PROCESSOR`; answers with the place.
     pub struct MoveTask {
         /// Its symbolic name.
         pub task: String,
         /// The place.
         pub to: String,
-    } => String, 0xff62, "move_task"
-}
-command! {
+    } => String, 0xff62, "move_task";
+
     /// Tells a task to go on at another place.
-    pub struct MoveOut { pub to: Place } => Tid, 0xff63, "move_out"
-}
-command! {
+    pub struct MoveOut { pub to: Place } => Tid, 0xff63, "move_out";
+
     /// Makes a place for a task that comes from `from`.
     pub struct MoveIn {
         pub name: String,
         pub from: Tid,
         pub processor: u8,
         pub state: Vec<u8>,
-    } => Tid, 0xff64, "move_in"
-}
-command! {
+    } => Tid, 0xff64, "move_in";
+
     /// Brings something that was sent to a task's old place.
     #[derive(Clone)]
-    pub struct Transfer { pub to: Tid, pub what: Load } => Delivered, 0xff65, "transfer"
-}
-command! {
+    pub struct Transfer { pub to: Tid, pub what: Load } => Delivered, 0xff65, "transfer";
+
     /// Gives a task's name to its new place.
-    pub struct CommitMove { pub name: String, pub old: Tid, pub new: Tid } => (), 0xff66, "commit_move"
-}
-command! {
+    pub struct CommitMove { pub name: String, pub old: Tid, pub new: Tid } => (), 0xff66, "commit_move";
+
     /// Forbids a move that has not been committed; answers whether it has.
-    pub struct AbortMove { pub new: Tid } => bool, 0xff67, "abort_move"
-}
-command! {
+    pub struct AbortMove { pub new: Tid } => bool, 0xff67, "abort_move";
+
     /// Tells an agent what becomes of a place.
-    pub struct Settle { pub place: Tid, pub how: Settled } => (), 0xff68, "settle"
-}
-command! {
+    pub struct Settle { pub place: Tid, pub how: Settled } => (), 0xff68, "settle";
+
     /// Tells that a name has another task id now, or none.
     #[derive(Clone)]
     pub struct Rebound {
@@ -290,51 +213,43 @@ command! {
         pub old: Tid,
         pub new: Option<Tid>,
         pub moved: bool,
-    } => (), 0xff69, "rebound"
-}
-command! {
+    } => (), 0xff69, "rebound";
+
     /// Goes to the old place of a task, behind everything that a chassis sent there.
-    pub struct Fence { pub chassis: u8 } => (), ctos_message::FENCE, "fence"
-}
-command! {
+    pub struct Fence { pub chassis: u8 } => (), ctos_message::FENCE, "fence";
+
     /// Waits until a name is known.
-    pub struct AwaitTid { pub name: String, pub waiter: String } => Result<Tid, String>, 0xff6b, "await_tid"
-}
-command! {
+    pub struct AwaitTid { pub name: String, pub waiter: String } => Result<Tid, String>, 0xff6b, "await_tid";
+
     /// Asks to be told when a task goes down and comes up.
-    pub struct Monitor { pub name: String } => bool, 0xff6c, "monitor"
-}
-command! {
+    pub struct Monitor { pub name: String } => bool, 0xff6c, "monitor";
+
     /// Tells what became of a task.
-    pub struct TaskChanged { pub task: TaskName, pub change: Change } => (), 0xff6d, "task_changed"
-}
-command! {
+    pub struct TaskChanged { pub task: TaskName, pub change: Change } => (), 0xff6d, "task_changed";
+
     /// Asks an agent whom a task waits for.
-    pub struct WaitsFor { pub task: Tid } => Option<Waits>, 0xff6e, "waits_for"
-}
-command! {
+    pub struct WaitsFor { pub task: Tid } => Option<Waits>, 0xff6e, "waits_for";
+
     /// Asks for the first slot of each processor of a chassis that no task of this run ever had.
-    pub struct FirstSlots { pub chassis: u8 } => BTreeMap<u8, u16>, 0xff6f, "first_slots"
-}
+    pub struct FirstSlots { pub chassis: u8 } => BTreeMap<u8, u16>, 0xff6f, "first_slots";
 
-command! {
     /// Says in words who waits for a name and for whom.
-    pub struct WhoWaits { pub name: String } => String, 0xff12, "who_waits"
-}
+    pub struct WhoWaits { pub name: String } => String, 0xff12, "who_waits";
 
-command! {
     /// Asks where the tasks are that were moved away from where the configuration puts them.
-    pub struct MovedTasks => Vec<(String, Place)>, 0xff13, "moved_tasks"
-}
+    pub struct MovedTasks => Vec<(String, Place)>, 0xff13, "moved_tasks";
 
-command! {
     /// Asks for the names of tasks, those too that have ended.
-    pub struct NamesOf { pub tids: Vec<Tid> } => Vec<Option<String>>, 0xff14, "names_of"
-}
+    pub struct NamesOf { pub tids: Vec<Tid> } => Vec<Option<String>>, 0xff14, "names_of";
 
-command! {
     /// Tells the bootstrap service that a task is at another place now.
-    pub struct TaskMoved { pub task: TaskName, pub old: Tid } => (), 0xff70, "task_moved"
+    pub struct TaskMoved { pub task: TaskName, pub old: Tid } => (), 0xff70, "task_moved";
+}
+/// What an agent tells of a task of its chassis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Seen {
+    pub task: TaskReport,
+    pub last: Vec<Note>,
 }
 
 /// Why a name leads to no task.

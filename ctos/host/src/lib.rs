@@ -6,8 +6,11 @@ extern crate ctos_core as ctos;
 pub mod boot;
 pub mod control;
 pub mod doors;
-#[cfg(test)]
-mod fuzz;
 mod metrics;
 pub mod remote;
 pub mod text;
+
+#[cfg(test)]
+mod tests {
+    mod fuzz;
+}

@@ -11,8 +11,6 @@ mod tls;
 use std::{fmt, io, path::PathBuf, str::FromStr};
 
 pub use files::{Listed, list_keys, make_key};
-#[doc(hidden)]
-pub use tls::browser_of;
 pub use tls::{BlockingStream, Keys};
 
 #[cfg(feature = "zenoh")]

@@ -134,8 +134,8 @@ async fn answer(
     Ok((Box::new(stream), Some(identity)))
 }
 
-/// How much of what a browser says is read before it is hung up on, bytes.
-const BROWSER_LIMIT: usize = 64 << 10;
+/// How much of what the other end says is still read when it is hung up on, bytes.
+const UNHEARD_LIMIT: u64 = 64 << 10;
 
 /// After how long without a word it is asked whether the other end is there.
 const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
@@ -223,17 +223,20 @@ async fn refuse_browser(stream: &mut TcpStream) -> Result<(), KeyError> {
         return Ok(());
     }
     stream.write_all(NO_PAGE.as_bytes()).await?;
-    stream.shutdown().await?;
-    // What it has said and nobody reads would take the answer with it when the stream is closed.
-    let mut rest = [0; 1024];
-    let mut read = 0;
-    while read < BROWSER_LIMIT {
-        match stream.read(&mut rest).await? {
-            0 => break,
-            some => read += some,
-        }
-    }
+    hang_up(stream).await?;
     Err(KeyError::Browser)
+}
+
+/// Ends a stream whose last words the other end shall hear: what that has said and nobody reads would take them with it
+/// when the stream is closed.
+///
+/// # Errors
+/// What the system says.
+pub async fn hang_up(mut stream: impl AsyncRead + AsyncWrite + Unpin) -> io::Result<()> {
+    stream.shutdown().await?;
+    let mut rest = stream.take(UNHEARD_LIMIT);
+    tokio::io::copy(&mut rest, &mut tokio::io::sink()).await?;
+    Ok(())
 }
 
 /// Where calls come in.

@@ -126,7 +126,8 @@ impl fmt::Debug for DataType {
     }
 }
 
-/// Declares a typed command: the request with its documentation, `=>` its reply, code and name.
+/// Declares typed commands: each request with its documentation, `=>` its reply, code and name. With `all NAME;`
+/// in front, `NAME` is the list of them.
 ///
 /// ```
 /// ctos::command! {
@@ -138,6 +139,18 @@ impl fmt::Debug for DataType {
 /// ```
 #[macro_export]
 macro_rules! command {
+    (all $all:ident; $(
+        $(#[$($meta:tt)+])+
+        $vis:vis struct $name:ident $({ $($fields:tt)* })? => $reply:ty, $code:expr, $text:literal;
+    )+) => {
+        /// All the commands that are declared together with it.
+        pub const $all: &[$crate::CommandInfo] = &[$(<$name as $crate::Command>::INFO),+];
+
+        $crate::command! { $(
+            $(#[$($meta)+])+
+            $vis struct $name $({ $($fields)* })? => $reply, $code, $text;
+        )+ }
+    };
     ($(
         $(#[doc = $doc:literal])+
         $(#[derive($($derive:path),* $(,)?)])?

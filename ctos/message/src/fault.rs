@@ -4,6 +4,8 @@ use std::{fmt, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
+use crate::PayloadError;
+
 /// Why a message did not lead to a reply, without the names of the tasks.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Fault {
@@ -78,6 +80,13 @@ pub enum Fault {
         /// Its name.
         chassis: String,
     },
+}
+
+impl From<PayloadError> for Fault {
+    fn from(error: PayloadError) -> Self {
+        let text = error.to_string();
+        Self::BadPayload { text }
+    }
 }
 
 /// A call or a send that failed: who asked whom for what, and why it failed.

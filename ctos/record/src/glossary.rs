@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use serde::{Deserialize, Serialize};
 
 use ctos_config::App;
-use ctos_core::{chassis::BOOT_CHASSIS, names, registry::Registry, semaphore, system};
+use ctos_core::{chassis::BOOT_CHASSIS, registry::Registry, semaphore, system};
 use ctos_message::{CommandInfo, SYSTEM_COMMANDS, Shape, Tid};
 
 /// The member of the metadata that holds the glossary.
@@ -51,12 +51,7 @@ impl Glossary {
     /// configuration, so that the ids of the tasks of other chassis are known here too.
     pub(crate) fn of(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
         let mut all = Self::default();
-        let system = [
-            system::ALL,
-            runtime,
-            &names::COMMANDS,
-            &semaphore::server::COMMANDS,
-        ];
+        let system = [system::ALL, runtime, &semaphore::server::COMMANDS];
         all.commands(&system.concat());
         all.put(News::Task(system::TID_SERVER, "tidsvr".to_owned()));
         all.put(News::Task(system::BOOTSTRAP, "bootstrap".to_owned()));

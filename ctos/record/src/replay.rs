@@ -13,7 +13,6 @@ use crate::recorders::Recorders;
 use ctos_config::{App, TaskConfig, TimeMode};
 use ctos_core::{
     chassis::Chassis,
-    delivery::Acceptance,
     envelope::Message,
     processor::Processor,
     registry::{HandlerKind, Registry},
@@ -322,9 +321,8 @@ impl Stage {
     fn begin(&mut self, begun: Sent) {
         self.messages += 1;
         let reply = begun.flags.contains(Flags::REPLY_WAIT).then(|| {
-            let promise = Arc::new(Promise::default());
-            self.waiting
-                .insert(begun.id, (begun.command, Waiting::here(promise.clone())));
+            let (promise, waiting) = Promise::new();
+            self.waiting.insert(begun.id, (begun.command, waiting));
             ReplySlot::outside(promise)
         });
         let data = Data::Bytes(begun.data);
@@ -334,7 +332,7 @@ impl Stage {
             .until(begun.deadline);
         message.envelope.reply = reply;
         if let Some(task) = self.chassis.task(self.tid) {
-            task.mailbox.put(message, Acceptance::Silent);
+            task.mailbox.put(message);
         }
     }
 

@@ -9,7 +9,7 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    fault::{Fault, KINDS, Kind},
+    fault::{Fault, FaultKind, KINDS, Kind, Site},
     profile::{Faults, Rate},
     reader::nanos,
 };
@@ -18,21 +18,24 @@ use ctos_time::{Instant, seed::mix};
 
 /// One kind of fault at one place.
 struct Stream {
-    kind: &'static str,
-    /// On the one chassis, or between both.
-    place: (String, String),
+    kind: &'static Kind,
+    site: Site,
     rate: Rate,
     rng: ChaCha8Rng,
     next: Option<Instant>,
 }
 
 impl Stream {
-    fn new(kind: &Kind, place: (String, String), rate: Rate, seed: u64) -> Self {
-        let words = ["fault", kind.seed, &place.0, &place.1];
+    fn new(kind: &'static Kind, site: Site, rate: Rate, seed: u64) -> Self {
+        let (one, other) = match &site {
+            Site::Chassis(one) => (one.as_str(), ""),
+            Site::Link(one, other) => (one.as_str(), other.as_str()),
+        };
+        let seed = mix(seed, &["fault", kind.seed, one, other]);
         let mut stream = Self {
-            kind: kind.word,
-            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
-            place,
+            kind,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            site,
             rate,
             next: None,
         };
@@ -56,7 +59,12 @@ impl Stream {
         let until = at + nanos(lasts);
         // The next one begins after the present one is over.
         self.step(until);
-        Fault::new(self.kind, self.place.clone(), at, until, extent)
+        Some(Fault {
+            kind: FaultKind::of(self.kind.word, extent)?,
+            site: self.site.clone(),
+            at,
+            until: self.kind.lasts.then_some(until),
+        })
     }
 }
 
@@ -75,20 +83,21 @@ pub(crate) struct Drawn {
 impl Drawn {
     pub(crate) fn new(faults: &Faults, app: &App, names: &[String]) -> Self {
         let mut streams = Vec::new();
-        let mut add = |on_link: bool, place: (&String, &String), boots: bool| {
+        let mut add = |site: Site, boots: bool| {
+            let on_link = matches!(site, Site::Link(..));
             // The chassis that boots is the one that tells how it ended: it is not killed.
-            let fits = |kind: &Kind| kind.on_link == on_link && !(boots && kind.word == "kill");
-            for kind in KINDS.into_iter().filter(fits) {
+            let fits = |kind: &&Kind| kind.on_link == on_link && !(boots && kind.word == "kill");
+            for kind in KINDS.iter().filter(fits) {
                 let rate = faults.rates.get(kind.word);
-                let place = (place.0.clone(), place.1.clone());
-                streams.extend(rate.map(|rate| Stream::new(&kind, place, *rate, app.seed)));
+                let stream = |rate: &Rate| Stream::new(kind, site.clone(), *rate, app.seed);
+                streams.extend(rate.map(stream));
             }
         };
         for (index, one) in names.iter().enumerate() {
             for other in names.iter().skip(index + 1) {
-                add(true, (one, other), false);
+                add(Site::Link(one.clone(), other.clone()), false);
             }
-            add(false, (one, &String::new()), index == 0);
+            add(Site::Chassis(one.clone()), index == 0);
         }
         let mut drawn = Self {
             streams,
@@ -108,11 +117,8 @@ impl Drawn {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let ahead: Duration = nanos(drawn(&mut rng, (0.0, faults.ahead_s)));
             let ppm = drawn(&mut rng, (-faults.drift_ppm, faults.drift_ppm));
-            Fault::Drift {
-                chassis: name.clone(),
-                ahead,
-                rate_ppb: (ppm * 1e3).round() as i32,
-            }
+            let rate_ppb = (ppm * 1e3).round() as i32;
+            Fault::on(name, FaultKind::Drift { ahead, rate_ppb }, Instant::START)
         };
         names.iter().map(drift).collect()
     }

@@ -1,4 +1,4 @@
-//! What can go wrong in a simulated app: one enum, with its words for people.
+//! What can go wrong in a simulated app: what, where and when, with its words for people.
 
 use std::{fmt, time::Duration};
 
@@ -6,122 +6,80 @@ use ctos_time::Instant;
 
 use crate::reader::nanos;
 
-/// Something that goes wrong in a simulated app, and when, in true time. `boot` is the name of the
-/// chassis that boots.
+/// Something that goes wrong in a simulated app, and when, in true time.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Fault {
+pub struct Fault {
+    /// What.
+    pub kind: FaultKind,
+    /// Where.
+    pub site: Site,
+    /// When; of what is wrong from the start, [`Instant::START`].
+    pub at: Instant,
+    /// When it is over; `None` for what has no end, or no length.
+    pub until: Option<Instant>,
+}
+
+/// Where a fault happens. `boot` is the name of the chassis that boots.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Site {
+    /// On a chassis.
+    Chassis(String),
+    /// On the link between two.
+    Link(String, String),
+}
+
+impl Site {
+    /// The chassis concerned.
+    pub(crate) fn chassis(&self) -> impl Iterator<Item = &String> {
+        let (one, other) = match self {
+            Self::Chassis(one) => (one, None),
+            Self::Link(one, other) => (one, Some(other)),
+        };
+        std::iter::once(one).chain(other)
+    }
+}
+
+/// What goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FaultKind {
     /// The process of a chassis ends at once, as by `kill -9`.
-    Kill {
-        /// Its name.
-        chassis: String,
-        /// When.
-        at: Instant,
-    },
+    Kill,
     /// A person has a chassis restarted, as `ctos restart CHASSIS` does.
-    Restart {
-        /// Its name.
-        chassis: String,
-        /// When.
-        at: Instant,
-    },
+    Restart,
     /// The link between two chassis is refused for good, which both notice at once; what is under way
     /// is lost. Each then holds the other for gone.
-    Cut {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// When.
-        at: Instant,
-    },
+    Cut,
     /// The link between two chassis breaks and heals. What was not received is sent again, in its
     /// order; but a chassis that hears nothing for longer than the peer time-out gives the other up.
-    Break {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// From when.
-        at: Instant,
-        /// When it heals.
-        until: Instant,
-    },
+    Break,
     /// As [`Self::Break`], but what is under way already still arrives.
-    Stall {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
-    },
+    Stall,
     /// A share of what is sent between two chassis is lost on its way and sent again, so it and what
     /// follows it come late.
     Loss {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
         /// How many of 10^6 frames are lost.
         share_ppm: u32,
     },
     /// What is sent between two chassis takes longer, each frame differently.
     Delay {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
         /// At most so much longer.
         extra: Duration,
     },
     /// The process of a chassis stands still, as by SIGSTOP. When it goes on after the others have
     /// given it up, it is told.
-    Freeze {
-        /// Its name.
-        chassis: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
-    },
+    Freeze,
     /// The processors of a chassis are slow: whatever a task does between two waits takes this long.
     Slow {
-        /// Its name.
-        chassis: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
         /// How long each step takes.
         per_step: Duration,
     },
     /// The clock of a chassis is wrong from the start.
     Drift {
-        /// Its name.
-        chassis: String,
         /// What it shows when the app starts.
         ahead: Duration,
         /// How much faster than the true time it runs, ns per s; slower when negative.
         rate_ppb: i32,
     },
-}
-
-/// Where a fault happens.
-pub(crate) enum Site<'a> {
-    /// On a chassis.
-    Chassis(&'a str),
-    /// Between two.
-    Link(&'a str, &'a str),
 }
 
 /// A kind of fault, as files of faults name it.
@@ -152,7 +110,7 @@ const fn kind(
 }
 
 /// All kinds but the drift of clocks, which has no moment.
-pub(crate) const KINDS: [Kind; 9] = [
+pub(crate) static KINDS: [Kind; 9] = [
     kind("loss", "Loss", (true, true), Some("share")),
     kind("delay", "Delay", (true, true), Some("extra_s")),
     kind("stall", "Stall", (true, true), None),
@@ -164,163 +122,117 @@ pub(crate) const KINDS: [Kind; 9] = [
     kind("restart", "", (false, false), None),
 ];
 
-impl Fault {
-    /// The fault that a file calls `kind`, on chassis `one` or between it and `other`. `extent` is how bad it is: a
-    /// share, or a time in s. `None` for a drift, and for a word that is no kind.
-    pub(crate) fn new(
-        kind: &str,
-        (one, other): (String, String),
-        at: Instant,
-        until: Instant,
-        extent: f64,
-    ) -> Option<Self> {
-        let fault = match kind {
-            "kill" => Self::Kill { chassis: one, at },
-            "restart" => Self::Restart { chassis: one, at },
-            "freeze" => Self::Freeze {
-                chassis: one,
-                at,
-                until,
-            },
+impl FaultKind {
+    /// What a file calls `kind`. `extent` is how bad it is: a share, or a time in s. `None` for a drift, and for
+    /// a word that is no kind.
+    pub(crate) fn of(kind: &str, extent: f64) -> Option<Self> {
+        Some(match kind {
+            "kill" => Self::Kill,
+            "restart" => Self::Restart,
+            "freeze" => Self::Freeze,
+            "refuse" => Self::Cut,
+            "cut" => Self::Break,
+            "stall" => Self::Stall,
             "slow" => Self::Slow {
-                chassis: one,
-                at,
-                until,
                 per_step: nanos(extent),
             },
-            "refuse" => Self::Cut { one, other, at },
-            "cut" => Self::Break {
-                one,
-                other,
-                at,
-                until,
-            },
-            "stall" => Self::Stall {
-                one,
-                other,
-                at,
-                until,
-            },
             "loss" => Self::Loss {
-                one,
-                other,
-                at,
-                until,
                 share_ppm: (extent * 1e6).round() as u32,
             },
             "delay" => Self::Delay {
-                one,
-                other,
-                at,
-                until,
                 extra: nanos(extent),
             },
             _ => return None,
-        };
-        Some(fault)
-    }
-
-    /// Its word in a file of faults, and with its article, for errors.
-    fn words(&self) -> (&'static str, &'static str) {
-        match self {
-            Self::Kill { .. } => ("kill", "a kill"),
-            Self::Restart { .. } => ("restart", "a restart"),
-            Self::Cut { .. } => ("refuse", "a cut"),
-            Self::Break { .. } => ("cut", "a cut"),
-            Self::Stall { .. } => ("stall", "a stall"),
-            Self::Loss { .. } => ("loss", "a loss"),
-            Self::Delay { .. } => ("delay", "a delay"),
-            Self::Freeze { .. } => ("freeze", "a freeze"),
-            Self::Slow { .. } => ("slow", "a slow processor"),
-            Self::Drift { .. } => ("drift", "a drift"),
-        }
-    }
-
-    /// When it happens.
-    #[must_use]
-    pub fn at(&self) -> Instant {
-        match self {
-            Self::Kill { at, .. }
-            | Self::Restart { at, .. }
-            | Self::Cut { at, .. }
-            | Self::Break { at, .. }
-            | Self::Stall { at, .. }
-            | Self::Loss { at, .. }
-            | Self::Delay { at, .. }
-            | Self::Freeze { at, .. }
-            | Self::Slow { at, .. } => *at,
-            Self::Drift { .. } => Instant::START,
-        }
-    }
-
-    /// When it is over; `None` for what lasts.
-    #[must_use]
-    pub fn until(&self) -> Option<Instant> {
-        match self {
-            Self::Break { until, .. }
-            | Self::Stall { until, .. }
-            | Self::Loss { until, .. }
-            | Self::Delay { until, .. }
-            | Self::Freeze { until, .. }
-            | Self::Slow { until, .. } => Some(*until),
-            _ => None,
-        }
+        })
     }
 
     /// Its word in a file of faults.
     #[must_use]
-    pub fn kind(&self) -> &'static str {
+    pub fn word(self) -> &'static str {
         self.words().0
     }
 
-    pub(crate) fn site(&self) -> Site<'_> {
+    /// With its article, for errors.
+    pub(crate) fn called(self) -> &'static str {
+        self.words().1
+    }
+
+    /// Its word in a file of faults, and with its article, for errors.
+    fn words(self) -> (&'static str, &'static str) {
         match self {
-            Self::Kill { chassis, .. }
-            | Self::Restart { chassis, .. }
-            | Self::Freeze { chassis, .. }
-            | Self::Slow { chassis, .. }
-            | Self::Drift { chassis, .. } => Site::Chassis(chassis),
-            Self::Cut { one, other, .. }
-            | Self::Break { one, other, .. }
-            | Self::Stall { one, other, .. }
-            | Self::Loss { one, other, .. }
-            | Self::Delay { one, other, .. } => Site::Link(one, other),
+            Self::Kill => ("kill", "a kill"),
+            Self::Restart => ("restart", "a restart"),
+            Self::Cut => ("refuse", "a cut"),
+            Self::Break => ("cut", "a cut"),
+            Self::Stall => ("stall", "a stall"),
+            Self::Loss { .. } => ("loss", "a loss"),
+            Self::Delay { .. } => ("delay", "a delay"),
+            Self::Freeze => ("freeze", "a freeze"),
+            Self::Slow { .. } => ("slow", "a slow processor"),
+            Self::Drift { .. } => ("drift", "a drift"),
+        }
+    }
+}
+
+impl Fault {
+    /// A fault on a chassis, which has no end, or no length.
+    #[must_use]
+    pub fn on(chassis: impl Into<String>, kind: FaultKind, at: Instant) -> Self {
+        Self {
+            kind,
+            site: Site::Chassis(chassis.into()),
+            at,
+            until: None,
         }
     }
 
-    /// With its article, for errors.
-    pub(crate) fn called(&self) -> &'static str {
-        self.words().1
+    /// A fault of the link between two chassis, which has no end, or no length.
+    #[must_use]
+    pub fn between(
+        one: impl Into<String>,
+        other: impl Into<String>,
+        kind: FaultKind,
+        at: Instant,
+    ) -> Self {
+        let site = Site::Link(one.into(), other.into());
+        Self {
+            site,
+            ..Self::on("", kind, at)
+        }
+    }
+
+    /// The same until a moment.
+    #[must_use]
+    pub fn until(self, until: Instant) -> Self {
+        let until = Some(until);
+        Self { until, ..self }
     }
 }
 
 impl fmt::Display for Fault {
     /// `cut    desk - cage  at 1.250000 s for 0.3 s`
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:<7}", self.kind())?;
-        match self.site() {
+        write!(f, "{:<7}", self.kind.word())?;
+        match &self.site {
             Site::Chassis(chassis) => write!(f, "{chassis}")?,
             Site::Link(one, other) => write!(f, "{one} - {other}")?,
         }
-        if let Self::Drift {
-            ahead, rate_ppb, ..
-        } = self
-        {
-            let ppm = f64::from(*rate_ppb) / 1e3;
+        if let FaultKind::Drift { ahead, rate_ppb } = self.kind {
+            let ppm = f64::from(rate_ppb) / 1e3;
             return write!(f, ": {:.3} s ahead, {ppm:+.3} ppm", ahead.as_secs_f64());
         }
-        write!(f, " at {}", self.at())?;
-        if let Some(until) = self.until() {
-            write!(f, " for {:.3} s", until.since(self.at()).as_secs_f64())?;
+        write!(f, " at {}", self.at)?;
+        if let Some(until) = self.until {
+            write!(f, " for {:.3} s", until.since(self.at).as_secs_f64())?;
         }
-        match self {
-            Self::Loss { share_ppm, .. } => {
-                write!(f, ": {:.1} % of the frames", f64::from(*share_ppm) / 1e4)
+        match self.kind {
+            FaultKind::Loss { share_ppm } => {
+                write!(f, ": {:.1} % of the frames", f64::from(share_ppm) / 1e4)
             }
-            Self::Delay { extra, .. } => {
+            FaultKind::Delay { extra } => {
                 write!(f, ": up to {:.1} ms more", extra.as_secs_f64() * 1e3)
             }
-            Self::Slow { per_step, .. } => {
+            FaultKind::Slow { per_step } => {
                 write!(f, ": {:.3} ms a step", per_step.as_secs_f64() * 1e3)
             }
             _ => Ok(()),

@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use crate::{
-    fault::{Fault, Site},
+    fault::{Fault, FaultKind, Site},
     run::Simulation,
 };
 use ctos_bootstrap::bootstrap::BootError;
@@ -18,7 +18,7 @@ impl Simulation {
 
     pub(super) fn happen(&mut self, fault: Fault) {
         self.events.note(|| format!("fault {fault}"));
-        match fault.site() {
+        match &fault.site {
             Site::Chassis(name) => {
                 if let Some(index) = self.index(name) {
                     self.happen_to(index, &fault);
@@ -41,26 +41,25 @@ impl Simulation {
             return;
         };
         let number = machine.chassis.index();
-        match fault {
-            Fault::Kill { .. } => self.kill(number),
-            Fault::Restart { .. } => {
+        let until = fault.until.unwrap_or(Instant::LAST);
+        match fault.kind {
+            FaultKind::Kill => self.kill(number),
+            FaultKind::Restart => {
                 if let Some(boot) = self.machines.first() {
                     let restart = system::RestartChassis { chassis: number };
                     boot.chassis.post_system(system::BOOTSTRAP, restart);
                 }
             }
-            Fault::Freeze { until, .. } if !machine.gone => {
-                machine.freeze(*until);
+            FaultKind::Freeze if !machine.gone => {
+                machine.freeze(until);
                 for other in self.machines.iter().filter(|other| !other.gone) {
                     let peer = other.chassis.index();
                     if peer != number {
-                        self.network.freeze(number, (peer, other.clock()), *until);
+                        self.network.freeze(number, (peer, other.clock()), until);
                     }
                 }
             }
-            Fault::Slow {
-                until, per_step, ..
-            } => machine.slow(*until, *per_step),
+            FaultKind::Slow { per_step } => machine.slow(until, per_step),
             _ => {}
         }
     }
@@ -70,27 +69,23 @@ impl Simulation {
             return;
         };
         let ends = (first.chassis.index(), second.chassis.index());
-        let clocks = || ((ends.0, first.clock()), (ends.1, second.clock()));
-        match fault {
-            Fault::Cut { .. } => {
+        let until = fault.until.unwrap_or(Instant::LAST);
+        match fault.kind {
+            FaultKind::Cut => {
                 self.network.cut(ends.0, ends.1);
                 first.chassis.link_down(ends.1);
                 second.chassis.link_down(ends.0);
             }
-            Fault::Break { until, .. } => {
-                let (one, other) = clocks();
-                self.network.silence(one, other, *until, true);
+            FaultKind::Break | FaultKind::Stall => {
+                let (one, other) = ((ends.0, first.clock()), (ends.1, second.clock()));
+                let breaks = fault.kind == FaultKind::Break;
+                self.network.silence(one, other, until, breaks);
             }
-            Fault::Stall { until, .. } => {
-                let (one, other) = clocks();
-                self.network.silence(one, other, *until, false);
+            FaultKind::Loss { share_ppm } => {
+                let network = &self.network;
+                network.disturb(ends, until, share_ppm, Duration::ZERO);
             }
-            Fault::Loss {
-                until, share_ppm, ..
-            } => self
-                .network
-                .disturb(ends, *until, *share_ppm, Duration::ZERO),
-            Fault::Delay { until, extra, .. } => self.network.disturb(ends, *until, 0, *extra),
+            FaultKind::Delay { extra } => self.network.disturb(ends, until, 0, extra),
             _ => {}
         }
     }
@@ -103,46 +98,37 @@ pub(super) fn schedule(
     given: Vec<Fault>,
     drifts: &mut Vec<Fault>,
 ) -> Result<BTreeMap<Instant, Vec<Fault>>, BootError> {
-    let check = |name: &str, fault: &Fault| {
-        let ended = matches!(fault, Fault::Kill { .. } | Fault::Restart { .. });
-        if names.iter().any(|known| known == name) && !(ended && name == BOOT_CHASSIS) {
-            return Ok(());
-        }
-        Err(BootError::NoChassis {
-            chassis: name.to_owned(),
-            what: fault.called(),
-        })
-    };
     let mut script: BTreeMap<Instant, Vec<Fault>> = BTreeMap::new();
     for fault in given {
-        match fault.site() {
-            Site::Chassis(chassis) => check(chassis, &fault)?,
-            Site::Link(one, other) => {
-                check(one, &fault)?;
-                check(other, &fault)?;
-            }
+        let ended = matches!(fault.kind, FaultKind::Kill | FaultKind::Restart);
+        let known = |name: &String| names.contains(name) && !(ended && name == BOOT_CHASSIS);
+        if let Some(chassis) = fault.site.chassis().find(|name| !known(name)) {
+            return Err(BootError::NoChassis {
+                chassis: chassis.clone(),
+                what: fault.kind.called(),
+            });
         }
-        if let Fault::Drift { chassis, .. } = &fault {
-            drifts.retain(|other| !matches!(other.site(), Site::Chassis(name) if name == chassis));
+        if let FaultKind::Drift { .. } = fault.kind {
+            drifts.retain(|other| other.site != fault.site);
             drifts.push(fault);
         } else {
-            script.entry(fault.at()).or_default().push(fault);
+            script.entry(fault.at).or_default().push(fault);
         }
     }
     Ok(script)
 }
 
 pub(super) fn drift_of(name: &str, drifts: &[Fault]) -> Drift {
-    let found = drifts.iter().find_map(|fault| match fault {
-        Fault::Drift {
-            chassis,
-            ahead,
-            rate_ppb,
-        } if chassis == name => Some(Drift {
-            offset_ns: u64::try_from(ahead.as_nanos()).unwrap_or(0),
-            rate_ppb: *rate_ppb,
-        }),
-        _ => None,
-    });
+    let found = drifts
+        .iter()
+        .find_map(|fault| match (fault.kind, &fault.site) {
+            (FaultKind::Drift { ahead, rate_ppb }, Site::Chassis(chassis)) if chassis == name => {
+                Some(Drift {
+                    offset_ns: u64::try_from(ahead.as_nanos()).unwrap_or(0),
+                    rate_ppb,
+                })
+            }
+            _ => None,
+        });
     found.unwrap_or_default()
 }

@@ -1,12 +1,9 @@
 //! The injuries of an app's configuration as faults of a simulated run: a packet that is lost is sent
 //! again and comes late, a link that is cut breaks and heals.
 
-use crate::fault::Fault;
+use crate::fault::{Fault, FaultKind};
 use ctos_config::InjuryConfig;
 use ctos_time::Instant;
-
-/// The end of what lasts.
-const FOR_GOOD: Instant = Instant::from_nanos(u64::MAX);
 
 /// What `config` does to the links between the chassis of these names, from the start and later.
 /// Streams have no bytes here after which they could break; that they do and are had anew is time only.
@@ -17,9 +14,9 @@ pub(super) fn faults(config: &InjuryConfig, names: &[String]) -> Vec<Fault> {
             all.extend(lasting(config, one, other));
         }
     }
-    all.extend(config.cuts.iter().filter_map(|cut| {
+    all.extend(config.cuts.iter().map(|cut| {
         let (at, until) = (Instant::START + cut.at, Instant::START + cut.until);
-        Fault::new("cut", (cut.one.clone(), cut.other.clone()), at, until, 0.0)
+        Fault::between(&cut.one, &cut.other, FaultKind::Break, at).until(until)
     }));
     all
 }
@@ -36,8 +33,9 @@ pub(super) fn lasting<'a>(
     ];
     let there = extents.into_iter().filter(|(_, extent)| *extent > 0.0);
     there.filter_map(move |(kind, extent)| {
-        let link = (one.to_owned(), other.to_owned());
-        Fault::new(kind, link, Instant::START, FOR_GOOD, extent)
+        let kind = FaultKind::of(kind, extent)?;
+        // Its end is shown: it lasts to the end of time.
+        Some(Fault::between(one, other, kind, Instant::START).until(Instant::LAST))
     })
 }
 

@@ -23,7 +23,7 @@ mod shrink;
 
 pub use self::{
     events::EventSink,
-    fault::Fault,
+    fault::{Fault, FaultKind, Site},
     network::Breach,
     profile::Faults,
     run::{Run, Setup, run, run_shared},

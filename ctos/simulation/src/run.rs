@@ -171,7 +171,7 @@ impl Simulation {
         let mut script = schedule(&names, faults.script, &mut happened)?;
         let injuries = injured::faults(&app.links.injury, &names);
         for injury in &injuries {
-            let at = script.entry(injury.at()).or_default();
+            let at = script.entry(injury.at).or_default();
             at.push(injury.clone());
         }
         let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);

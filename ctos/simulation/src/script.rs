@@ -3,7 +3,7 @@
 use std::{fmt::Write as _, time::Duration};
 
 use crate::{
-    fault::{Fault, KINDS, Kind, Site},
+    fault::{Fault, FaultKind, KINDS, Kind, Site},
     reader::Reader,
 };
 use ctos_config::{Node, diagnostic::Finding};
@@ -47,11 +47,9 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
         let chassis = one.text("chassis", "the name of a chassis");
         let ahead = one.time("ahead_s", MOST);
         let rate = one.needed("rate_ppm", -100_000.0..=100_000.0);
-        return Some(Fault::Drift {
-            chassis: chassis?,
-            ahead: ahead?,
-            rate_ppb: (rate? * 1e3).round() as i32,
-        });
+        let (ahead, rate_ppb) = (ahead?, (rate? * 1e3).round() as i32);
+        let drift = FaultKind::Drift { ahead, rate_ppb };
+        return Some(Fault::on(chassis?, drift, Instant::START));
     }
     let Some(kind) = KINDS.iter().find(|kind| kind.word == word) else {
         let message = format!("there is no fault `{word}`");
@@ -62,24 +60,29 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
     };
     let mut one = reader.element(table, named, &keys_of(kind));
     let at = one.time("at_s", MOST);
-    let place = if kind.on_link {
+    let site = if kind.on_link {
         one.pair("between")
+            .map(|(one, other)| Site::Link(one, other))
     } else {
         let chassis = one.text("chassis", "the name of a chassis");
-        chassis.map(|chassis| (chassis, String::new()))
+        chassis.map(Site::Chassis)
     };
-    let lasts = if kind.lasts {
-        one.time("lasts_s", MOST)
-    } else {
-        Some(Duration::ZERO)
-    };
+    let lasts = kind.lasts.then(|| one.time("lasts_s", MOST));
     let extent = match kind.extent {
         Some("extra_s") => one.needed("extra_s", 0.0..=MOST),
         Some(key) => one.needed(key, 0.0..=1.0),
         None => Some(0.0),
     };
     let at = Instant::START + at?;
-    Fault::new(&word, place?, at, at + lasts?, extent?)
+    Some(Fault {
+        kind: FaultKind::of(&word, extent?)?,
+        site: site?,
+        at,
+        until: match lasts {
+            Some(lasts) => Some(at + lasts?),
+            None => None,
+        },
+    })
 }
 
 /// The `[[fault]]` tables of `faults`; reading them gives the same faults.
@@ -94,28 +97,25 @@ pub fn write_script(faults: &[Fault]) -> String {
 }
 
 fn write_one(text: &mut String, fault: &Fault) -> std::fmt::Result {
-    writeln!(text, "[[fault]]\nkind = \"{}\"", fault.kind())?;
-    match fault.site() {
+    writeln!(text, "[[fault]]\nkind = \"{}\"", fault.kind.word())?;
+    match &fault.site {
         Site::Chassis(chassis) => writeln!(text, "chassis = \"{chassis}\"")?,
         Site::Link(one, other) => writeln!(text, "between = [\"{one}\", \"{other}\"]")?,
     }
-    if let Fault::Drift {
-        ahead, rate_ppb, ..
-    } = fault
-    {
-        let ppm = f64::from(*rate_ppb) / 1e3;
-        return writeln!(text, "ahead_s = {}\nrate_ppm = {ppm:.3}\n", exact(*ahead));
+    if let FaultKind::Drift { ahead, rate_ppb } = fault.kind {
+        let ppm = f64::from(rate_ppb) / 1e3;
+        return writeln!(text, "ahead_s = {}\nrate_ppm = {ppm:.3}\n", exact(ahead));
     }
-    writeln!(text, "at_s = {}", exact(fault.at().since_start()))?;
-    if let Some(until) = fault.until() {
-        writeln!(text, "lasts_s = {}", exact(until.since(fault.at())))?;
+    writeln!(text, "at_s = {}", exact(fault.at.since_start()))?;
+    if let Some(until) = fault.until {
+        writeln!(text, "lasts_s = {}", exact(until.since(fault.at)))?;
     }
-    match fault {
-        Fault::Loss { share_ppm, .. } => {
-            writeln!(text, "share = {:.6}", f64::from(*share_ppm) / 1e6)?;
+    match fault.kind {
+        FaultKind::Loss { share_ppm } => {
+            writeln!(text, "share = {:.6}", f64::from(share_ppm) / 1e6)?
         }
-        Fault::Delay { extra, .. } => writeln!(text, "extra_s = {}", exact(*extra))?,
-        Fault::Slow { per_step, .. } => writeln!(text, "step_s = {}", exact(*per_step))?,
+        FaultKind::Delay { extra } => writeln!(text, "extra_s = {}", exact(extra))?,
+        FaultKind::Slow { per_step } => writeln!(text, "step_s = {}", exact(per_step))?,
         _ => {}
     }
     writeln!(text)
@@ -150,23 +150,28 @@ mod tests {
                 let short = Duration::from_nanos(lasts % 1_000_000_000);
                 if kind == 9 {
                     let ahead = short;
-                    return Fault::Drift {
+                    return Fault::on(
                         chassis,
-                        ahead,
-                        rate_ppb,
-                    };
+                        FaultKind::Drift { ahead, rate_ppb },
+                        Instant::START,
+                    );
                 }
-                let Kind { word, on_link, .. } = KINDS[usize::from(kind)];
-                let place = if on_link {
-                    (one, other)
-                } else {
-                    (chassis, String::new())
-                };
-                let extent = match word {
+                let kind = &KINDS[usize::from(kind)];
+                let extent = match kind.word {
                     "loss" => f64::from(share_ppm) / 1e6,
                     _ => short.as_secs_f64(),
                 };
-                Fault::new(word, place, at, until, extent).unwrap()
+                let what = FaultKind::of(kind.word, extent).unwrap();
+                let fault = if kind.on_link {
+                    Fault::between(one, other, what, at)
+                } else {
+                    Fault::on(chassis, what, at)
+                };
+                if kind.lasts {
+                    fault.until(until)
+                } else {
+                    fault
+                }
             })
     }
 

@@ -59,13 +59,11 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::fault::FaultKind;
     use ctos_time::Instant;
 
     fn kill(number: usize) -> Fault {
-        Fault::Kill {
-            chassis: number.to_string(),
-            at: Instant::START,
-        }
+        Fault::on(number.to_string(), FaultKind::Kill, Instant::START)
     }
 
     proptest! {

@@ -6,7 +6,7 @@ use ctos::{
     boot::End,
     call::Fault,
     config::App,
-    simulation::{self, Run},
+    simulation::{self, FaultKind, Run, Site},
     task::Phase,
     time::Instant,
 };
@@ -70,18 +70,13 @@ impl Check<'_> {
     fn held_up(&self, chassis: &str) -> Duration {
         let mut held = Duration::ZERO;
         for fault in &self.run.faults {
-            match fault {
-                simulation::Fault::Freeze {
-                    chassis: name,
-                    at,
-                    until,
-                } if name == chassis => held += until.since(*at),
-                simulation::Fault::Slow {
-                    chassis: name,
-                    at,
-                    until,
-                    per_step,
-                } if name == chassis => held += until.since(*at) + *per_step,
+            if fault.site != Site::Chassis(chassis.to_owned()) {
+                continue;
+            }
+            let lasts = fault.until.map(|until| until.since(fault.at));
+            match fault.kind {
+                FaultKind::Freeze => held += lasts.unwrap(),
+                FaultKind::Slow { per_step } => held += lasts.unwrap() + per_step,
                 _ => {}
             }
         }
@@ -248,17 +243,19 @@ impl Check<'_> {
 
     /// Whether faults may have kept the order to stop from a chassis.
     fn is_cut_off(&self, chassis: &str) -> bool {
-        self.run.faults.iter().any(|fault| match fault {
-            simulation::Fault::Freeze { chassis: name, .. }
-            | simulation::Fault::Slow { chassis: name, .. } => name == chassis || name == "boot",
-            simulation::Fault::Break { one, other, .. }
-            | simulation::Fault::Stall { one, other, .. }
-            | simulation::Fault::Loss { one, other, .. }
-            | simulation::Fault::Delay { one, other, .. } => {
-                (one == "boot" && other == chassis) || (other == "boot" && one == chassis)
-            }
-            _ => false,
-        })
+        self.run
+            .faults
+            .iter()
+            .any(|fault| match (fault.kind, &fault.site) {
+                (FaultKind::Freeze | FaultKind::Slow { .. }, Site::Chassis(name)) => {
+                    name == chassis || name == "boot"
+                }
+                (FaultKind::Cut, _) => false,
+                (_, Site::Link(one, other)) => {
+                    (one == "boot" && other == chassis) || (other == "boot" && one == chassis)
+                }
+                _ => false,
+            })
     }
 
     /// Whatever the end, no handler is left.
@@ -285,12 +282,12 @@ impl Check<'_> {
     /// An app ends because it is done, because it did not start, or because something was lost.
     fn the_end_has_a_reason(&self, broken: bool, wrong: &mut Vec<String>) {
         let can_lose = |fault: &simulation::Fault| {
-            let silent = fault.until().map(|until| until.since(fault.at()));
-            match fault {
-                simulation::Fault::Kill { .. } => true,
-                simulation::Fault::Break { .. }
-                | simulation::Fault::Stall { .. }
-                | simulation::Fault::Freeze { .. } => silent > Some(Duration::from_millis(500)),
+            let silent = fault.until.map(|until| until.since(fault.at));
+            match fault.kind {
+                FaultKind::Kill => true,
+                FaultKind::Break | FaultKind::Stall | FaultKind::Freeze => {
+                    silent > Some(Duration::from_millis(500))
+                }
                 _ => false,
             }
         };

@@ -522,10 +522,7 @@ fn a_chassis_that_is_killed_ends_the_calls_to_it_and_everybody_left_is_told() {
     ];
     for seed in 0..20 {
         let seed = format!("app.seed={seed}");
-        let kill = simulation::Fault::Kill {
-            chassis: "cage".to_owned(),
-            at: millis(60),
-        };
+        let kill = simulation::Fault::on("cage", simulation::FaultKind::Kill, millis(60));
         let run = run(APP, &[&sets[..], &[&seed]].concat(), &[kill]);
         let call = &run.trace[run.at("caller", "gone")].2;
         assert!(call.contains("chassis `cage` is gone"), "{call}");
@@ -555,10 +552,8 @@ fn a_chassis_that_is_killed_ends_the_calls_to_it_and_everybody_left_is_told() {
 fn a_kill_at_any_moment_ends_the_app_in_bounded_time() {
     for at in (0..120).step_by(3) {
         for chassis in ["desk", "cage"] {
-            let kill = simulation::Fault::Kill {
-                chassis: chassis.to_owned(),
-                at: millis(at),
-            };
+            let kill =
+                simulation::Fault::on(chassis.to_owned(), simulation::FaultKind::Kill, millis(at));
             let run = run(APP, &["task.caller.args.rounds=1000"], &[kill]);
             assert_ne!(run.outcome.end, End::Stuck, "{chassis} at {at} ms");
             assert!(
@@ -571,11 +566,7 @@ fn a_kill_at_any_moment_ends_the_app_in_bounded_time() {
 
 #[test]
 fn a_link_that_is_cut_makes_each_end_gone_for_the_other() {
-    let cut = simulation::Fault::Cut {
-        one: "desk".to_owned(),
-        other: "cage".to_owned(),
-        at: millis(60),
-    };
+    let cut = simulation::Fault::between("desk", "cage", simulation::FaultKind::Cut, millis(60));
     let sets = [
         "task.caller.args.command=\"keep\"",
         "task.caller.args.rounds=1",
@@ -590,11 +581,7 @@ fn a_link_that_is_cut_makes_each_end_gone_for_the_other() {
 
 #[test]
 fn a_chassis_that_loses_the_boot_stops_its_tasks_by_itself() {
-    let cut = simulation::Fault::Cut {
-        one: "boot".to_owned(),
-        other: "cage".to_owned(),
-        at: millis(60),
-    };
+    let cut = simulation::Fault::between("boot", "cage", simulation::FaultKind::Cut, millis(60));
     let sets = [
         "task.caller.args.command=\"keep\"",
         "task.caller.args.rounds=0",
@@ -615,12 +602,8 @@ fn a_chassis_that_loses_the_boot_stops_its_tasks_by_itself() {
 
 #[test]
 fn a_link_that_stalls_delays_and_loses_nothing() {
-    let stall = simulation::Fault::Stall {
-        one: "desk".to_owned(),
-        other: "cage".to_owned(),
-        at: millis(1),
-        until: millis(700),
-    };
+    let stall = simulation::Fault::between("desk", "cage", simulation::FaultKind::Stall, millis(1))
+        .until(millis(700));
     let run = run(APP, &[], &[stall]);
     assert_eq!(finished(&run), "answer 1, answer 2, answer 3");
     assert!(run.outcome.took > Duration::from_millis(700));
@@ -628,9 +611,8 @@ fn a_link_that_stalls_delays_and_loses_nothing() {
 
 #[test]
 fn a_fault_of_an_unknown_chassis_is_refused() {
-    let kill = |chassis: &str| simulation::Fault::Kill {
-        chassis: chassis.to_owned(),
-        at: millis(1),
+    let kill = |chassis: &str| {
+        simulation::Fault::on(chassis.to_owned(), simulation::FaultKind::Kill, millis(1))
     };
     for chassis in ["crate", "boot"] {
         let refused = try_run(APP, &[], &[kill(chassis)]);

@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use ctos::{
-    boot::{BootEvent, End, Fault, Observer, simulate},
+    boot::{BootEvent, End, Fault, FaultKind, Observer, simulate},
     config::load_texts,
     registry::Registry,
     system::{AppResult, Shutdown},
@@ -126,7 +126,7 @@ fn text(play: Play, sets: &[&str], seed: u64, faults: &[Fault]) -> String {
 fn kill(chassis: &str, millis: u64) -> Fault {
     let chassis = chassis.to_owned();
     let at = Instant::START + Duration::from_millis(millis);
-    Fault::Kill { chassis, at }
+    Fault::on(chassis, FaultKind::Kill, at)
 }
 
 /// Looks the counter up again and again, for three seconds, and asks it whether it runs. A call may be lost in

@@ -406,12 +406,13 @@ fn stalls(seed: u64) -> Vec<simulation::Fault> {
             ("boot", "b"),
         ];
         let (one, other) = ends[rng.random_range(0..ends.len())];
-        simulation::Fault::Stall {
-            one: one.to_owned(),
-            other: other.to_owned(),
-            at: micros(at),
-            until: micros(at + rng.random_range(1_000..8_000)),
-        }
+        simulation::Fault::between(
+            one.to_owned(),
+            other.to_owned(),
+            simulation::FaultKind::Stall,
+            micros(at),
+        )
+        .until(micros(at + rng.random_range(1_000..8_000)))
     };
     (0..6).map(|_| draw()).collect()
 }
@@ -435,11 +436,12 @@ fn a_link_that_breaks_during_a_move_leaves_one_task_that_has_all_it_accepted() {
     let mut failed = 0;
     for seed in seeds(60) {
         // The sender, the mover and the boot still reach both ends.
-        let cut = simulation::Fault::Cut {
-            one: "a".to_owned(),
-            other: "c".to_owned(),
-            at: micros(1_000 + seed * 61 % 9_000),
-        };
+        let cut = simulation::Fault::between(
+            "a",
+            "c",
+            simulation::FaultKind::Cut,
+            micros(1_000 + seed * 61 % 9_000),
+        );
         let (outcome, trace) = run(seed, &[cut], |cx| storm(cx, vec![3], 80, 8, true));
         let text = finished(&outcome, seed);
         failed += u32::from(text.contains("stayed"));
@@ -453,10 +455,7 @@ fn a_link_that_breaks_during_a_move_leaves_one_task_that_has_all_it_accepted() {
 fn a_chassis_that_dies_during_a_move_takes_the_task_with_it_only_if_it_had_it() {
     let (mut stayed, mut went) = (0, 0);
     for at in (2_000..4_000).step_by(50) {
-        let kill = simulation::Fault::Kill {
-            chassis: "c".to_owned(),
-            at: micros(at),
-        };
+        let kill = simulation::Fault::on("c", simulation::FaultKind::Kill, micros(at));
         let result: Arc<Mutex<Option<Result<String, CallError>>>> = Arc::default();
         let seen = result.clone();
         let (outcome, trace) = run(at, &[kill], move |cx| {

@@ -10,7 +10,7 @@ use std::{
 };
 
 use ctos::{
-    boot::{End, Fault, Observer, Outcome, simulate},
+    boot::{End, Fault, FaultKind, Observer, Outcome, simulate},
     config::load_texts,
     message::Message,
     registry::Registry,
@@ -245,10 +245,7 @@ fn hog(semaphore: &'static str) -> Script {
 #[test]
 fn a_permit_is_released_when_the_chassis_of_its_holder_dies() {
     for seed in 0..20 {
-        let kill = Fault::Kill {
-            chassis: "a".to_owned(),
-            at: at_millis(1_000),
-        };
+        let kill = Fault::on("a", FaultKind::Kill, at_millis(1_000));
         let waits_too = script(|cx, _| async move {
             // Waits in the line of a chassis that is gone when its turn would come.
             let semaphore = cx.semaphore("app/board", 1).unwrap();
@@ -475,10 +472,7 @@ fn who_waits_at_a_barrier_for_the_dead_hears_who_is_there() {
         let barrier = cx.barrier("app/start", 3).unwrap().deadline(millis(500));
         note(&log, barrier.wait().await.unwrap_err().to_string());
     });
-    let kill = Fault::Kill {
-        chassis: "c".to_owned(),
-        at: at_millis(1_500),
-    };
+    let kill = Fault::on("c", FaultKind::Kill, at_millis(1_500));
     // The app is stopped when `c` dies, and `late` plays on until it has its answer.
     let tasks = [("late", "a", late), ("dies", "c", dies)];
     let (_, log) = run("", 3, &[kill], &tasks);
@@ -546,11 +540,7 @@ fn tasks_that_do_not_agree_on_the_number_are_told() {
 
 #[test]
 fn waiting_for_a_semaphore_of_the_app_ends_when_the_link_to_it_is_cut() {
-    let cut = Fault::Cut {
-        one: "boot".to_owned(),
-        other: "a".to_owned(),
-        at: at_millis(500),
-    };
+    let cut = Fault::between("boot", "a", FaultKind::Cut, at_millis(500));
     let waits = script(|cx, log| async move {
         let semaphore = cx.semaphore("app/board", 1).unwrap();
         let _first = semaphore.acquire().await.unwrap();

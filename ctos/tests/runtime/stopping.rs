@@ -10,7 +10,7 @@ use ctos::{
     config::load_texts,
     message::{Command, Message},
     registry::Registry,
-    simulation::{self, Fault, Faults, Setup},
+    simulation::{self, Fault, FaultKind, Faults, Setup},
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase, StopReason},
     time::Instant,
@@ -195,10 +195,7 @@ fn run(rests: Rests, ends: Ends, again: Option<Duration>, seed: u64) -> Ran {
     match ends {
         Ends::Interrupt => setup.stop_after = Some(Duration::from_secs(2)),
         Ends::Death => {
-            let kill = Fault::Kill {
-                chassis: "shed".to_owned(),
-                at: at(2),
-            };
+            let kill = Fault::on("shed", FaultKind::Kill, at(2));
             setup.faults = Faults::of_script("a death", vec![kill]);
         }
         _ => {}

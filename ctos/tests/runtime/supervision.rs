@@ -7,7 +7,7 @@ use std::{
 };
 
 use ctos::{
-    boot::{BootEvent, End, Fault, Observer, Outcome, simulate},
+    boot::{BootEvent, End, Fault, FaultKind, Observer, Outcome, simulate},
     config::{App, load_texts},
     message::{Command, CommandInfo, Message, Tid},
     registry::Registry,
@@ -241,10 +241,11 @@ fn run(sets: &[&str], faults: &[Fault]) -> Run {
 }
 
 fn kill(chassis: &str, millis: u64) -> Fault {
-    Fault::Kill {
-        chassis: chassis.to_owned(),
-        at: Instant::START + Duration::from_millis(millis),
-    }
+    Fault::on(
+        chassis.to_owned(),
+        FaultKind::Kill,
+        Instant::START + Duration::from_millis(millis),
+    )
 }
 
 #[test]
@@ -448,10 +449,11 @@ fn a_chassis_that_dies_while_one_of_its_tasks_fails_is_restarted_all_the_same() 
     let broke = calm.trace.iter().find(|entry| entry.3 == "breaks");
     let broke = broke.expect("it breaks").0;
     for late_us in (0..400).step_by(10) {
-        let kill = Fault::Kill {
-            chassis: "cage".to_owned(),
-            at: Instant::from_nanos(broke) + Duration::from_micros(late_us),
-        };
+        let kill = Fault::on(
+            "cage",
+            FaultKind::Kill,
+            Instant::from_nanos(broke) + Duration::from_micros(late_us),
+        );
         let run = run_breaking(&sets, &[kill]);
         assert!(
             matches!(&run.outcome.end, End::GivenUp { chassis, .. } if chassis == "cage"),
@@ -507,11 +509,12 @@ fn a_task_that_fails_ends_the_app_where_the_configuration_does_not_say_otherwise
 
 #[test]
 fn a_chassis_that_lost_only_the_boot_is_seen_dead_before_the_next_one_starts() {
-    let cut = Fault::Cut {
-        one: "boot".to_owned(),
-        other: "cage".to_owned(),
-        at: Instant::START + Duration::from_millis(120),
-    };
+    let cut = Fault::between(
+        "boot",
+        "cage",
+        FaultKind::Cut,
+        Instant::START + Duration::from_millis(120),
+    );
     let run = run(&[], &[cut]);
     run.must_finish();
     // The old incarnation stops its tasks before the new one creates its own.

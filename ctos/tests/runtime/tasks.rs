@@ -534,7 +534,7 @@ fn a_crash_loop_backs_off_and_then_escalates_with_its_reason() {
         .filter(|line| **line == "is built")
         .count();
     assert_eq!(built, 5);
-    // 0.1, 0.2, 0.4 and 0.8 s, each less up to a quarter.
+    // 0.1, 0.2, 0.4 and 0.8 s, each less up to a fifth.
     assert!(
         outcome.took > Duration::from_millis(1_125) && outcome.took < Duration::from_millis(1_600)
     );

@@ -1,7 +1,7 @@
 //! An app of a client and a few daemons, each on a chassis of its own, in virtual time; and the classes that
 //! its processes know.
 
-use ctos::boot::{BootEvent, End, Fault, Observer, simulate};
+use ctos::boot::{BootEvent, End, Fault, FaultKind, Observer, simulate};
 use ctos::config::load_texts;
 use ctos::registry::Registry;
 use ctos::system::AppResult;
@@ -296,8 +296,9 @@ pub fn seconds(seconds: f64) -> Duration {
 
 /// The process of a chassis ends.
 pub fn kill(chassis: &str, at_s: f64) -> Fault {
-    Fault::Kill {
-        chassis: chassis.to_owned(),
-        at: Instant::START + seconds(at_s),
-    }
+    Fault::on(
+        chassis.to_owned(),
+        FaultKind::Kill,
+        Instant::START + seconds(at_s),
+    )
 }

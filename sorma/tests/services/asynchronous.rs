@@ -2,7 +2,7 @@
 //! code and in text, in virtual time.
 
 use crate::app::{App, Scenario, ask, kill, request, seconds};
-use ctos::boot::Fault;
+use ctos::boot::{Fault, FaultKind};
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;
 use sorma::daemon::Tasks;
@@ -368,19 +368,14 @@ fn a_link_that_breaks_and_heals_loses_no_result_and_brings_none_twice() {
     let (one, other) = ("desk".to_owned(), "cage".to_owned());
     for seed in 0..8 {
         let faults = vec![
-            Fault::Loss {
-                one: one.clone(),
-                other: other.clone(),
-                at: at(0.2),
-                until: at(2.0),
-                share_ppm: 200_000,
-            },
-            Fault::Break {
-                one: one.clone(),
-                other: other.clone(),
-                at: at(0.5),
-                until: at(0.7),
-            },
+            Fault::between(
+                one.clone(),
+                other.clone(),
+                FaultKind::Loss { share_ppm: 200_000 },
+                at(0.2),
+            )
+            .until(at(2.0)),
+            Fault::between(one.clone(), other.clone(), FaultKind::Break, at(0.5)).until(at(0.7)),
         ];
         let app = App {
             faults,

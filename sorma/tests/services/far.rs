@@ -2,7 +2,7 @@
 //! virtual time. What the stamps are turned into is held against what must be true: a record was written after it was
 //! asked to be and before that was confirmed.
 
-use ctos::boot::{BootEvent, End, Fault, Observer, simulate};
+use ctos::boot::{BootEvent, End, Fault, FaultKind, Observer, simulate};
 use ctos::config::load_texts;
 use ctos::registry::Registry;
 use ctos::system::AppResult;
@@ -144,21 +144,12 @@ fn run(faults: &[Fault]) -> Vec<f64> {
 }
 
 fn drift(ahead: Duration, rate_ppb: i32) -> Fault {
-    Fault::Drift {
-        chassis: "cage".to_owned(),
-        ahead,
-        rate_ppb,
-    }
+    Fault::on("cage", FaultKind::Drift { ahead, rate_ppb }, Instant::START)
 }
 
 fn delay(extra: Duration) -> Fault {
-    Fault::Delay {
-        one: "desk".to_owned(),
-        other: "cage".to_owned(),
-        at: Instant::START,
-        until: Instant::from_nanos(3_600_000_000_000),
-        extra,
-    }
+    Fault::between("desk", "cage", FaultKind::Delay { extra }, Instant::START)
+        .until(Instant::from_nanos(3_600_000_000_000))
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! seeds. Besides: what is done with data that no program of ours sends.
 
 use crate::app::{App, Scenario, ask, request, seconds};
-use ctos::boot::Fault;
+use ctos::boot::{Fault, FaultKind};
 use ctos::message::{Command, Replier};
 use ctos::registry::Registry;
 use ctos::task::{Context as TaskContext, Handled};
@@ -56,34 +56,22 @@ fn storm(seed: u64) -> Vec<Fault> {
         let at = Instant::START + seconds(rng.random_range(0.5..6.0));
         let until = at + seconds(rng.random_range(0.01..1.5));
         storm.push(match rng.random_range(0..6) {
-            0 => Fault::Kill { chassis, at },
-            1 => Fault::Break {
+            0 => Fault::on(chassis, FaultKind::Kill, at),
+            1 => Fault::between(one, other, FaultKind::Break, at).until(until),
+            2 => Fault::between(one, other, FaultKind::Stall, at).until(until),
+            3 => {
+                Fault::between(one, other, FaultKind::Loss { share_ppm: 300_000 }, at).until(until)
+            }
+            4 => Fault::between(
                 one,
                 other,
+                FaultKind::Delay {
+                    extra: seconds(0.3),
+                },
                 at,
-                until,
-            },
-            2 => Fault::Stall {
-                one,
-                other,
-                at,
-                until,
-            },
-            3 => Fault::Loss {
-                one,
-                other,
-                at,
-                until,
-                share_ppm: 300_000,
-            },
-            4 => Fault::Delay {
-                one,
-                other,
-                at,
-                until,
-                extra: seconds(0.3),
-            },
-            _ => Fault::Freeze { chassis, at, until },
+            )
+            .until(until),
+            _ => Fault::on(chassis, FaultKind::Freeze, at).until(until),
         });
     }
     storm

@@ -2,7 +2,7 @@
 //! moves when one dies or slows. In virtual time.
 
 use crate::app::{App, Scenario, ask, kill, request, seconds};
-use ctos::boot::Fault;
+use ctos::boot::{Fault, FaultKind};
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;
 use sorma::daemon::Tasks;
@@ -248,13 +248,15 @@ fn the_load_moves_away_from_a_daemon_that_slows_or_stands_still() {
         Instant::START + seconds(60.0),
     );
     let chassis = "two".to_owned();
-    let slow = Fault::Slow {
-        chassis: chassis.clone(),
+    let slow = Fault::on(
+        chassis.clone(),
+        FaultKind::Slow {
+            per_step: seconds(0.5),
+        },
         at,
-        until,
-        per_step: seconds(0.5),
-    };
+    )
+    .until(until);
     assert_eq!(market(scenario, here, vec![slow]), Ok(String::new()));
-    let freeze = Fault::Freeze { chassis, at, until };
+    let freeze = Fault::on(chassis, FaultKind::Freeze, at).until(until);
     assert_eq!(market(scenario, here, vec![freeze]), Ok(String::new()));
 }

@@ -11,7 +11,7 @@ use ctos::{
     boot::{End, Observer},
     config::{Node, Selection},
     registry::Registry,
-    simulation::{self, EventSink, Fault, Faults, Setup},
+    simulation::{self, EventSink, Fault, FaultKind, Faults, Setup},
     task::{Context, EventHandler, Handled, HandlerError, Phase},
     time::{Clock, Instant},
 };
@@ -450,26 +450,28 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
     let mut camera_lost_s = None;
     match disturbance {
         Disturbance::None => {}
-        Disturbance::Kill(chassis, at) => script.push(Fault::Kill {
-            chassis: (*chassis).to_owned(),
-            at: instant(*at),
-        }),
+        Disturbance::Kill(chassis, at) => script.push(Fault::on(
+            (*chassis).to_owned(),
+            FaultKind::Kill,
+            instant(*at),
+        )),
         Disturbance::KillAndStart(chassis, at) => {
             sets.push(format!("chassis.{chassis}.restart=\"on-failure\""));
-            script.push(Fault::Kill {
-                chassis: (*chassis).to_owned(),
-                at: instant(*at),
-            });
+            script.push(Fault::on(
+                (*chassis).to_owned(),
+                FaultKind::Kill,
+                instant(*at),
+            ));
         }
-        Disturbance::Restart(chassis, at) => script.push(Fault::Restart {
-            chassis: (*chassis).to_owned(),
-            at: instant(*at),
-        }),
-        Disturbance::Freeze(chassis, at, lasts) => script.push(Fault::Freeze {
-            chassis: (*chassis).to_owned(),
-            at: instant(*at),
-            until: instant(at + lasts),
-        }),
+        Disturbance::Restart(chassis, at) => script.push(Fault::on(
+            (*chassis).to_owned(),
+            FaultKind::Restart,
+            instant(*at),
+        )),
+        Disturbance::Freeze(chassis, at, lasts) => script.push(
+            Fault::on((*chassis).to_owned(), FaultKind::Freeze, instant(*at))
+                .until(instant(at + lasts)),
+        ),
         Disturbance::Stop(at) => hand("stop", *at),
         Disturbance::StopAndResume(at, resume) => {
             hand("stop", *at);

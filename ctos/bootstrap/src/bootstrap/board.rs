@@ -10,7 +10,6 @@ use std::{
 use crate::bootstrap::{AppReport, BootState, ChassisState, MemberReport};
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder, Seat,
-    intensity::Intensity,
     states::{BootStep, ChassisStep, Table},
 };
 use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure};
@@ -19,36 +18,27 @@ use ctos_core::{
     envelope::Replier,
     handled::Handled,
     phase::Phase,
+    supervise::Restarts,
     sync::Signal,
-    system::{self, ChassisNews, News, RestartChassis, TaskName},
+    system::{self, ChassisNews, News, ProcessEnded, RestartChassis, TaskName},
 };
 use ctos_message::Tid;
-use ctos_time::Instant;
+use ctos_time::{Instant, seed::mix};
 
 /// What a supervisor is told about its chassis.
-#[derive(Debug)]
 pub(super) enum Event {
     /// Its process is connected to all the others.
     Joined,
     /// Nobody is connected to it any more.
     Lost,
     /// Its process is dead.
-    Dead(Ending),
+    Dead(ProcessEnded),
     /// A task of it failed for good.
     TaskFailed { task: String, reason: String },
     /// A person wants it anew.
     Restart,
     /// The app is being stopped.
     Stop,
-}
-
-/// How a process ended.
-#[derive(Debug)]
-pub(super) struct Ending {
-    /// Completes "the chassis ...".
-    pub(super) how: String,
-    /// Its exit code, if it ended by itself.
-    pub(super) code: Option<i32>,
 }
 
 /// What is told to somebody who takes it one by one.
@@ -90,7 +80,8 @@ pub(super) struct Member {
     /// What is told of it.
     pub(super) report: RefCell<MemberReport>,
     pub(super) policy: ChassisSupervision,
-    pub(super) intensity: RefCell<Intensity>,
+    /// How often its process was started again.
+    pub(super) intensity: RefCell<Restarts>,
     /// The phase that all its tasks have acknowledged.
     pub(super) reached: Cell<Option<Phase>>,
     /// What kept its tasks from a phase while the app was booted: task and reason.
@@ -105,7 +96,7 @@ pub(super) struct Member {
 
 impl Member {
     fn new(cx: &Context, index: u8, config: &ChassisConfig) -> Self {
-        let rng = cx.rng(&format!("restarts of {}", config.name));
+        let seed = mix(cx.app().seed, &["restarts of", &config.name]);
         Self {
             index,
             report: RefCell::new(MemberReport {
@@ -117,7 +108,7 @@ impl Member {
                 tasks: Vec::new(),
             }),
             policy: config.supervision,
-            intensity: RefCell::new(Intensity::new(config.supervision.restart, rng)),
+            intensity: RefCell::new(Restarts::new(config.supervision.restart, seed)),
             reached: Cell::default(),
             failures: RefCell::default(),
             failed_at: Cell::default(),

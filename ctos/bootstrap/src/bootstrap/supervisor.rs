@@ -8,16 +8,16 @@ use futures_util::future::{Either, join_all, select};
 
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
-    board::{Board, Ending, Event, Member},
+    board::{Board, Event, Member},
     explain::explained,
-    intensity::{Ended, Verdict},
     states::ChassisStep,
 };
 use ctos_config::ChassisRestart;
 use ctos_core::{
     context::{Context, TaskRef},
     phase::{Phase, StopReason},
-    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News},
+    supervise::{Ending, Verdict},
+    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News, ProcessEnded},
 };
 use ctos_message::fault::Fault;
 
@@ -27,7 +27,7 @@ const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 /// Why an incarnation of a chassis is over.
 enum Over {
     /// Its process is dead.
-    Dead(Ending),
+    Dead(ProcessEnded),
     /// Nobody is connected to it any more.
     Lost,
     /// It must go, for a reason that completes "the chassis ...".
@@ -43,7 +43,7 @@ struct Done;
 struct Death {
     /// Completes "the chassis ...".
     reason: String,
-    ended: Ended,
+    ended: Ending,
     asked: bool,
 }
 
@@ -302,7 +302,7 @@ impl Supervisor {
         self.links_closed().await?;
         Ok(Death {
             reason,
-            ended: Ended::Badly,
+            ended: Ending::Failure,
             asked,
         })
     }
@@ -333,7 +333,7 @@ impl Supervisor {
     }
 
     /// Ends when the process is dead, with how.
-    async fn dead(&self) -> Result<Ending, Done> {
+    async fn dead(&self) -> Result<ProcessEnded, Done> {
         let dead = self.until(|event| match event {
             Event::Dead(ending) => Some(ending),
             _ => None,
@@ -343,7 +343,7 @@ impl Supervisor {
 
     /// Waits for the end of the process, and ends it when that takes too long. When even that does not
     /// help, the app is ended.
-    async fn dead_or_killed(&self) -> Result<Ending, Done> {
+    async fn dead_or_killed(&self) -> Result<ProcessEnded, Done> {
         let cx = &self.board.cx;
         let timeout = cx.app().stop_timeout;
         if let Ok(dead) = cx.timeout(timeout, self.dead()).await {
@@ -383,13 +383,13 @@ impl Supervisor {
         let now = self.board.cx.now();
         let verdict = self.member.intensity.borrow_mut().judge(death.ended, now);
         match verdict {
-            Verdict::Restart { pause } => Ok((incarnation, pause)),
-            Verdict::NotAllowed => {
+            Verdict::RestartAfter(pause) => Ok((incarnation, pause)),
+            Verdict::StayDown => {
                 let chassis = self.name();
                 let why = format!("{} and may not be started again", death.reason);
                 Err(self.gone(why, End::ChassisDown { chassis }))
             }
-            Verdict::TooMany { restarts } => {
+            Verdict::GiveUp { restarts } => {
                 let times = if restarts == 1 { "time" } else { "times" };
                 Err(self.give_up(format!(
                     "was restarted {restarts} {times} within {} s and failed again: it {}",
@@ -420,11 +420,11 @@ impl Supervisor {
 }
 
 impl Death {
-    fn of(ending: Ending) -> Self {
+    fn of(ending: ProcessEnded) -> Self {
         Self {
             ended: match ending.code {
-                Some(0) => Ended::Well,
-                _ => Ended::Badly,
+                Some(0) => Ending::Order,
+                _ => Ending::Failure,
             },
             reason: ending.how,
             asked: false,

@@ -11,7 +11,6 @@ use ctos_config::load_texts;
 use ctos_core::{
     chassis::Chassis,
     context::Context,
-    delivery::Acceptance,
     envelope::Message,
     handled::Handled,
     handler::EventHandler,
@@ -57,10 +56,8 @@ fn a_handler_that_never_returns_is_named_with_the_processor_that_it_keeps() {
     chassis.processors[1].1.inject(move |processor| {
         start_task(&home, processor, spec).unwrap();
     });
-    task.mailbox.put(
-        Message::request(task.tid, Tid::default(), Block::CODE, Block {}),
-        Acceptance::Silent,
-    );
+    let block = Message::request(task.tid, Tid::default(), Block::CODE, Block {});
+    task.mailbox.put(block);
     while task.statistics.poll().is_none() {
         std::thread::yield_now();
     }

@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use super::{Chassis, pending::Outbound};
 use crate::{
-    delivery::{Acceptance, Offered},
+    delivery::NotTaken,
     envelope::Message,
     processor::Processor,
-    reply::{Promise, ReplySlot, Waiting},
+    reply::{Caller, Nobody, Promise, ReplySlot, Waiting},
     system,
     tap::{Sent, WaitFor},
 };
@@ -80,18 +80,19 @@ impl Chassis {
                 None => return fail(message, wait, Fault::UnknownTask),
             },
         };
-        let message = match offered {
-            Offered::Taken if wait == WaitFor::Reply => return Outcome::Waits(None),
-            Offered::Taken => return Outcome::Taken,
-            Offered::Closed(message) => return fail(message, wait, Fault::Stopping),
-            Offered::Full(message) => message,
+        let mut message = match offered {
+            Ok(()) if wait == WaitFor::Reply => return Outcome::Waits(None),
+            Ok(()) => return Outcome::Taken,
+            Err(NotTaken::Closed(message)) => return fail(message, wait, Fault::Stopping),
+            Err(NotTaken::Full(message)) => message,
         };
         match self.task(to).filter(|task| !task.mailbox.is_closed()) {
             None => fail(message, wait, Fault::Stopping),
             Some(task) if wait == WaitFor::Nothing => Outcome::Failed(task.mailbox.full()),
             Some(task) => {
-                let acceptance = Acceptance::from(slot.map(|slot| slot()));
-                task.mailbox.line_up(message, acceptance);
+                let reply = &mut message.envelope.reply;
+                *reply = reply.take().or_else(|| slot.map(|slot| slot()));
+                task.mailbox.line_up(message);
                 Outcome::Waits(None)
             }
         }
@@ -99,28 +100,19 @@ impl Chassis {
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub fn dispatch(self: &Arc<Self>, message: Message, wait: WaitFor) -> Waiting {
-        let promise = Arc::new(Promise::default());
+        let (promise, waiting) = Promise::new();
         let slot = || ReplySlot::outside(promise.clone());
         let mut sent = Sent::of(&message);
-        let outbound = match self.deliver(message, wait, &mut sent, slot) {
-            Outcome::Waits(outbound) => outbound,
-            Outcome::Taken => {
-                promise.fulfil(Ok(Data::NOTHING));
-                None
-            }
-            Outcome::Failed(fault) => {
-                promise.fulfil(Err(fault));
-                None
-            }
-        };
-        let waiting = Waiting::here(promise);
-        match outbound {
-            Some(outbound) => {
+        match self.deliver(message, wait, &mut sent, slot) {
+            Outcome::Waits(Some(outbound)) => {
                 let chassis = self.clone();
-                waiting.or_else(move || chassis.abandon(outbound))
+                return waiting.or_else(move || chassis.abandon(outbound));
             }
-            None => waiting,
+            Outcome::Waits(None) => {}
+            Outcome::Taken => promise.answer(Ok(Data::NOTHING)),
+            Outcome::Failed(fault) => promise.answer(Err(fault)),
         }
+        waiting
     }
 
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
@@ -128,7 +120,7 @@ impl Chassis {
     pub fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let from = system::agent_tid(self.index);
         let message = Message::request(to, from, C::CODE, request).flagged(Flags::HIGH_PRIORITY);
-        let nobody = || ReplySlot::outside(Arc::default());
+        let nobody = || ReplySlot::other(Arc::new(Nobody));
         let mut sent = Sent::of(&message);
         self.deliver(message, WaitFor::Acceptance, &mut sent, nobody);
     }

@@ -15,9 +15,8 @@ use super::{
     pending::{Inbound, Outbound, Pending},
 };
 use crate::{
-    delivery::Acceptance,
     envelope::{Envelope, Message},
-    reply::{Answer, Remote, ReplySlot},
+    reply::{Answer, Caller, ReplySlot},
     system,
     tap::{Asked, WaitFor},
 };
@@ -29,7 +28,7 @@ use ctos_message::{
 };
 use ctos_time::{Instant, lock::lock};
 
-impl Remote for Inbound {
+impl Caller for Inbound {
     fn answer(&self, answer: Answer) {
         self.chassis.post_reply(self, answer);
     }
@@ -264,26 +263,17 @@ impl Chassis {
         lock(&self.links)
             .inbound
             .insert((peer, call), request.clone());
-        // Every request between chassis waits for one or the other, so that none is lost unseen.
-        let slot = ReplySlot::remote(request);
-        let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
-            (Some(slot), Acceptance::Silent)
-        } else {
-            (None, Acceptance::Told(slot))
-        };
         let data = Data::from(body);
         let mut message = Message::with_data(header.to, header.from, header.command, data)
             .in_trace(trace)
             .until(deadline);
         message.envelope.header = header;
         message.envelope.recorded = recorded;
-        message.envelope.reply = reply;
+        // Every request between chassis waits for its reply or its acceptance: none is lost unseen.
+        message.envelope.reply = Some(ReplySlot::other(request));
         match self.task(header.to) {
-            Some(task) => task.mailbox.put(message, acceptance),
-            None => {
-                message.refuse(Fault::UnknownTask);
-                acceptance.tell(Err(Fault::UnknownTask));
-            }
+            Some(task) => task.mailbox.put(message),
+            None => message.refuse(Fault::UnknownTask),
         }
     }
 
@@ -337,9 +327,7 @@ impl Chassis {
 
 /// The data of a frame.
 fn body_of(data: Data) -> Result<Body, Fault> {
-    let body = data.into_body().map_err(|error| Fault::BadPayload {
-        text: error.to_string(),
-    })?;
+    let body = data.into_body()?;
     if body.len() > BODY_LIMIT {
         let text = format!(
             "{} bytes of data; a message between chassis holds at most {BODY_LIMIT}",
@@ -430,6 +418,33 @@ mod tests {
             next.take().map(|message| message.trace())
         });
         assert_eq!(traces.take(4).collect::<Vec<_>>(), [1, 2, 3, 4]);
+    }
+
+    ctos_message::command! {
+        /// Tells a task something, in a command of its own.
+        struct Tell { number: u64 } => (), 1, "tell"
+    }
+
+    #[test]
+    fn what_the_runtime_tells_a_task_whose_queue_is_full_waits_there() {
+        let chassis = cell();
+        let processor = chassis.processor(1).unwrap();
+        let task = TaskRecord::with_capacity(1, processor.handle.clone(), 0);
+        let queue = TaskQueue::open(task.clone());
+        processor.add_queue(0, queue.clone());
+        chassis.add_task(task.clone());
+        processor.enter();
+        for number in 0..3 {
+            chassis.post_system(Tid::new(1, 1, 0), Tell { number });
+        }
+        let mut next = None;
+        let numbers = std::iter::from_fn(|| {
+            processor.run_jobs();
+            _ = queue.poll_next(&mut next);
+            let (Tell { number }, _) = next.take()?.open::<Tell>().unwrap();
+            Some(number)
+        });
+        assert_eq!(numbers.collect::<Vec<_>>(), [0, 1, 2]);
     }
 
     #[test]

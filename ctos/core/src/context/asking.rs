@@ -4,13 +4,14 @@
 use std::{
     cell::Cell,
     future::Future,
-    marker::PhantomData,
     pin::Pin,
     rc::Rc,
     sync::Arc,
     task::{Context as PollContext, Poll, Waker, ready},
     time::Duration,
 };
+
+use serde::de::DeserializeOwned;
 
 use super::{
     core::{Context, Inner},
@@ -26,28 +27,28 @@ use crate::{
     wait::Wait,
 };
 use ctos_message::{
-    Command, Data, Flags, PayloadError,
+    Data, Flags, PayloadError,
     fault::{CallError, Fault},
 };
 
-/// A call; `.await` makes it. Dropped before its end, it tells the receiver that nobody waits.
-#[must_use = "a call is made when it is awaited"]
-pub struct Call<C: Command> {
+/// How what comes back is read.
+type Read<R> = fn(&Ask, Option<Box<Envelope>>) -> Result<R, CallError>;
+
+/// A call that ends with an `R`, or a one-way message that ends when it was taken; `.await` sends it. Dropped before
+/// its end, it tells the receiver that nobody waits, and a message that was not taken is not delivered.
+#[must_use = "nothing is sent before this is awaited"]
+pub struct Call<R> {
     ask: Ask,
-    command: PhantomData<fn(C) -> C::Reply>,
+    read: Read<R>,
 }
 
-impl<C: Command> Call<C> {
+impl<R> Call<R> {
     #[inline]
-    pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
-        let deadline = asker.call_deadline();
-        Self {
-            ask: Ask::new(asker, to, C::NAME, message, WaitFor::Reply, deadline),
-            command: PhantomData,
-        }
+    pub(super) fn new(ask: Ask, read: Read<R>) -> Self {
+        Self { ask, read }
     }
 
-    /// Waits at most this long for the reply.
+    /// Waits at most this long for the reply, or for a place in the receiver's queue.
     pub fn deadline(mut self, deadline: Duration) -> Self {
         self.ask.deadline = deadline;
         self
@@ -55,65 +56,23 @@ impl<C: Command> Call<C> {
 
     /// Overtakes messages of normal priority in the receiver's queue.
     pub fn high_priority(mut self) -> Self {
-        self.ask.hurry();
+        if let State::Begins(message) = &mut self.ask.state {
+            let header = &mut message.envelope.header;
+            header.flags = header.flags.with(Flags::HIGH_PRIORITY);
+        }
         self
     }
 }
 
-impl<C: Command> Unpin for Call<C> {}
-
-impl<C: Command> Future for Call<C> {
-    type Output = Result<C::Reply, CallError>;
+impl<R> Future for Call<R> {
+    type Output = Result<R, CallError>;
 
     fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let ask = &mut self.get_mut().ask;
+        let Self { ask, read } = self.get_mut();
         Poll::Ready(match ready!(ask.poll(cx)) {
-            Ok(None) => Err(ask.error(Fault::NoReply)),
-            Ok(Some(mut reply)) => reply.data.take_out().map_err(|error| ask.misread(&error)),
+            Ok(reply) => read(ask, reply),
             Err(fault) => Err(ask.error(*fault)),
         })
-    }
-}
-
-/// A one-way message; `.await` sends it. Dropped before it is taken, it is not delivered.
-#[must_use = "a message is sent when it is awaited"]
-pub struct Send<C: Command> {
-    ask: Ask,
-    command: PhantomData<fn(C)>,
-}
-
-impl<C: Command> Send<C> {
-    #[inline]
-    pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
-        let deadline = asker.call_deadline();
-        Self {
-            ask: Ask::new(asker, to, C::NAME, message, WaitFor::Acceptance, deadline),
-            command: PhantomData,
-        }
-    }
-
-    /// Waits at most this long for a place in the receiver's queue.
-    pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.ask.deadline = deadline;
-        self
-    }
-
-    /// Overtakes messages of normal priority in the receiver's queue.
-    pub fn high_priority(mut self) -> Self {
-        self.ask.hurry();
-        self
-    }
-}
-
-impl<C: Command> Unpin for Send<C> {}
-
-impl<C: Command> Future for Send<C> {
-    type Output = Result<(), CallError>;
-
-    fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let ask = &mut self.get_mut().ask;
-        let taken = ready!(ask.poll(cx));
-        Poll::Ready(taken.map(drop).map_err(|fault| ask.error(*fault)))
     }
 }
 
@@ -128,7 +87,7 @@ pub(super) struct Ask {
     to: Arc<str>,
     command: &'static str,
     wait: WaitFor,
-    pub(super) deadline: Duration,
+    deadline: Duration,
     sent: Sent,
     state: State,
 }
@@ -159,28 +118,20 @@ impl Ask {
         command: &'static str,
         message: Message,
         wait: WaitFor,
-        deadline: Duration,
     ) -> Self {
         Self {
+            deadline: asker.call_deadline(),
             asker,
             to: to.name.clone(),
             command,
             wait,
-            deadline,
             sent: Sent::of(&message),
             state: State::Begins(message),
         }
     }
 
-    fn hurry(&mut self) {
-        if let State::Begins(message) = &mut self.state {
-            let header = &mut message.envelope.header;
-            header.flags = header.flags.with(Flags::HIGH_PRIORITY);
-        }
-    }
-
     /// Sends the message, if that has not been done yet, and looks for the answer.
-    pub(super) fn poll(&mut self, cx: &mut PollContext<'_>) -> Poll<Ended> {
+    fn poll(&mut self, cx: &mut PollContext<'_>) -> Poll<Ended> {
         if let State::Begins(_) = self.state
             && let State::Begins(message) = std::mem::replace(&mut self.state, State::Over)
             && let Some(ended) = self.begin(message)
@@ -298,12 +249,22 @@ impl Ask {
         }
     }
 
+    /// The reply as a value.
+    pub(super) fn read<R: DeserializeOwned + 'static>(
+        &self,
+        reply: Option<Box<Envelope>>,
+    ) -> Result<R, CallError> {
+        let mut reply = reply.ok_or_else(|| self.error(Fault::NoReply))?;
+        let value = reply.data.take_out();
+        value.map_err(|error| self.misread(&error))
+    }
+
     pub(super) fn misread(&self, error: &PayloadError) -> CallError {
         let text = format!("its reply: {error}");
         self.error(Fault::BadPayload { text })
     }
 
-    pub(super) fn error(&self, fault: Fault) -> CallError {
+    fn error(&self, fault: Fault) -> CallError {
         let error = CallError {
             from: self.asker.record.name.to_string(),
             to: self.to.to_string(),

@@ -1,14 +1,14 @@
 //! Messages to other tasks, and what every task does with those that its handler does not know.
 
-use std::{future::poll_fn, time::Duration};
+use std::time::Duration;
 
 use super::{
-    asking::{Ask, Call, Send},
+    asking::{Ask, Call},
     core::Context,
     task_ref::TaskRef,
 };
 use crate::{
-    envelope::Message,
+    envelope::{Envelope, Message},
     handled::Handled,
     system::{CommandDescription, Introspect, NotQuiet, Ping, Shutdown, Statistics},
     tap::WaitFor,
@@ -24,16 +24,14 @@ impl Context {
     ///
     /// A request that its caller no longer waits for (the deadline passed, the call was dropped) is not
     /// begun any more, wherever the receiver runs.
-    pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
-        let message = self.message(to, C::CODE, Data::of(request));
-        Call::new(self.inner.clone(), to, message)
+    pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C::Reply> {
+        Call::new(self.ask(to, request, WaitFor::Reply), Ask::read)
     }
 
     /// Sends a message that needs no reply, and waits until the receiver's queue has taken it.
     /// A message that was given up before it was taken is not delivered.
-    pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Send<C> {
-        let message = self.message(to, C::CODE, Data::of(request));
-        Send::new(self.inner.clone(), to, message)
+    pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Call<()> {
+        Call::new(self.ask(to, request, WaitFor::Acceptance), |_, _| Ok(()))
     }
 
     /// Sends only if the receiver is on this chassis and has a credit for it now.
@@ -41,10 +39,7 @@ impl Context {
     /// # Errors
     /// [`Fault::Full`], [`Fault::Elsewhere`] and the like, with both names.
     pub fn try_send<C: Command>(&self, to: &TaskRef, request: C) -> Result<(), CallError> {
-        let message = self.message(to, C::CODE, Data::of(request));
-        let inner = self.inner.clone();
-        let deadline = inner.call_deadline();
-        Ask::new(inner, to, C::NAME, message, WaitFor::Nothing, deadline).at_once()
+        self.ask(to, request, WaitFor::Nothing).at_once()
     }
 
     /// Calls with bytes instead of types: the data of `command` and its reply are postcard. For nets
@@ -52,24 +47,21 @@ impl Context {
     ///
     /// # Errors
     /// As [`Self::call`].
-    pub async fn call_raw(
+    pub fn call_raw(
         &self,
         to: &TaskRef,
         command: CommandInfo,
         data: Vec<u8>,
         deadline: Duration,
-    ) -> Result<Vec<u8>, CallError> {
+    ) -> Call<Vec<u8>> {
         let message = self.message(to, command.code, Data::Bytes(data));
         let inner = self.inner.clone();
-        let mut ask = Ask::new(inner, to, command.name, message, WaitFor::Reply, deadline);
-        match poll_fn(|cx| ask.poll(cx)).await {
-            Ok(None) => Ok(Vec::new()),
-            Ok(Some(reply)) => {
-                let bytes = reply.data.into_bytes();
-                bytes.map_err(|error| ask.misread(&error))
-            }
-            Err(fault) => Err(ask.error(*fault)),
-        }
+        let ask = Ask::new(inner, to, command.name, message, WaitFor::Reply);
+        let read = |ask: &Ask, reply: Option<Box<Envelope>>| {
+            let bytes = reply.map_or(Ok(Vec::new()), |reply| reply.data.into_bytes());
+            bytes.map_err(|error| ask.misread(&error))
+        };
+        Call::new(ask, read).deadline(deadline)
     }
 
     /// What every task does with a message that its handler does not know: answers [`Ping`],
@@ -117,6 +109,12 @@ impl Context {
                 Ok(())
             }
         }
+    }
+
+    #[inline]
+    fn ask<C: Command>(&self, to: &TaskRef, request: C, wait: WaitFor) -> Ask {
+        let message = self.message(to, C::CODE, Data::of(request));
+        Ask::new(self.inner.clone(), to, C::NAME, message, wait)
     }
 
     #[inline]

@@ -9,7 +9,7 @@ use std::{
 
 use super::queue::{Lanes, TaskQueue, WaitsFor};
 use crate::{
-    delivery::{Acceptance, is_urgent},
+    delivery::is_urgent,
     envelope::Message,
     processor::Processor,
     system::{Broke, interrupts},
@@ -20,7 +20,7 @@ use ctos_message::{Command, Flags, SYSTEM_COMMANDS};
 /// the old one.
 pub(super) struct Gate {
     pub(super) closed: BTreeSet<u8>,
-    pub(super) held: Vec<(Message, Acceptance)>,
+    pub(super) held: Vec<Message>,
 }
 
 impl Gate {
@@ -32,14 +32,10 @@ impl Gate {
     }
 
     /// Takes out what came from `chassis`, whose gate is open now.
-    pub(super) fn take_out(&mut self, chassis: u8) -> Vec<(Message, Acceptance)> {
+    pub(super) fn take_out(&mut self, chassis: u8) -> Vec<Message> {
         self.closed.remove(&chassis);
-        let of_chassis = |(message, _): &(Message, Acceptance)| message.from().chassis() == chassis;
-        let (out, held) = std::mem::take(&mut self.held)
-            .into_iter()
-            .partition(of_chassis);
-        self.held = held;
-        out
+        let of_chassis = |message: &mut Message| message.from().chassis() == chassis;
+        self.held.extract_if(.., of_chassis).collect()
     }
 }
 
@@ -108,7 +104,7 @@ impl TaskQueue {
 
     /// Everything that came while the queue was held: `None` once the queue is closed. For the loop of the
     /// task, and awaited by nobody else.
-    pub(crate) async fn next_held(&self) -> Option<Vec<(Message, Acceptance)>> {
+    pub(crate) async fn next_held(&self) -> Option<Vec<Message>> {
         poll_fn(|_| {
             if self.task.mailbox.is_closed() {
                 return Poll::Ready(None);
@@ -119,8 +115,7 @@ impl TaskQueue {
                 let credits = self.task.mailbox.credits(urgent);
                 let lane = lanes.lane(urgent);
                 credits.give(lane.all_credits());
-                let queued = lane.queue.drain(..);
-                all.extend(queued.map(|message| (message, Acceptance::Silent)));
+                all.extend(lane.queue.drain(..));
                 for waiting in lane.waiting.drain(..) {
                     credits.leave_line();
                     all.push(waiting);
@@ -147,10 +142,10 @@ impl TaskQueue {
         if all_open {
             lanes.gate = None;
         }
-        for (message, acceptance) in free {
+        for message in free {
             let (urgent, _) = is_urgent(&message);
             self.task.mailbox.credits(urgent).join_line();
-            lanes.lane(urgent).waiting.push_back((message, acceptance));
+            lanes.lane(urgent).waiting.push_back(message);
         }
         let held = lanes.held;
         drop(lanes);

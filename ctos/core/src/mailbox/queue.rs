@@ -12,9 +12,10 @@ use std::{
 use super::gate::Gate;
 use crate::{
     credits::most_waiting,
-    delivery::{Acceptance, Offered, Order, is_urgent, refuse},
+    delivery::{Delivery, NotTaken, is_urgent},
     envelope::Message,
     processor::{Inlet, Processor, wake::FutureId},
+    reply::ReplySlot,
     system::{Broke, StopTask, interrupts},
     task_record::TaskRecord,
 };
@@ -24,7 +25,7 @@ use ctos_message::{Command, fault::Fault};
 pub(super) struct Lane {
     pub(super) queue: VecDeque<Message>,
     /// While it holds anybody, whoever comes waits, too: nobody is overtaken.
-    pub(super) waiting: VecDeque<(Message, Acceptance)>,
+    pub(super) waiting: VecDeque<Message>,
     /// Credits of messages that were taken out, to be given back together: senders on other cores use the same
     /// memory. None while the queue is empty.
     owed: usize,
@@ -39,25 +40,6 @@ impl Lane {
 
 /// This part of the capacity is owed at most.
 const OWED_PART: usize = 4;
-
-/// Who is told when messages have been taken.
-#[derive(Default)]
-struct Admitted {
-    /// Have their messages in the queue now.
-    admitted: Vec<Acceptance>,
-    /// Gave up before there was a credit for them.
-    given_up: Vec<(Message, Acceptance)>,
-}
-
-impl Admitted {
-    /// Where no cell is borrowed: what is dropped and told here may run code of others.
-    fn tell(self) {
-        drop(self.given_up);
-        for acceptance in self.admitted {
-            acceptance.tell(Ok(()));
-        }
-    }
-}
 
 /// What the task's loop wants to be woken for.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -170,13 +152,13 @@ impl TaskQueue {
     }
 
     /// Keeps a message until its gate is opened.
-    fn keep(&self, mut lanes: RefMut<'_, Lanes>, message: Message, acceptance: Acceptance) {
+    fn keep(&self, mut lanes: RefMut<'_, Lanes>, message: Message) {
         let most = most_waiting(self.task.mailbox.capacity());
         match lanes.gate.as_mut().filter(|gate| gate.held.len() < most) {
-            Some(gate) => gate.held.push((message, acceptance)),
+            Some(gate) => gate.held.push(message),
             None => {
                 drop(lanes);
-                refuse(message, acceptance, &self.task.mailbox.full());
+                message.refuse(self.task.mailbox.full());
             }
         }
     }
@@ -214,7 +196,8 @@ impl TaskQueue {
 
     /// Gives the credits there are to those who wait, and tells them.
     pub(super) fn admit(&self) {
-        let mut told = Admitted::default();
+        // Dropped and told where no cell is borrowed: that may run code of others.
+        let (mut given_up, mut admitted) = (Vec::new(), Vec::new());
         let mailbox = &self.task.mailbox;
         let mut lanes = self.lanes();
         if lanes.held {
@@ -223,25 +206,22 @@ impl TaskQueue {
         for urgent in [true, false] {
             let credits = mailbox.credits(urgent);
             let lane = lanes.lane(urgent);
-            while let Some((_, acceptance)) = lane.waiting.front() {
-                let given_up = acceptance.is_abandoned();
-                if !given_up && !credits.take_past_others(mailbox.capacity()) {
-                    break;
-                }
-                let Some((message, acceptance)) = lane.waiting.pop_front() else {
-                    break;
-                };
-                credits.leave_line();
-                if given_up {
-                    told.given_up.push((message, acceptance));
-                } else {
+            while let Some(mut message) = lane.waiting.pop_front() {
+                if message.is_abandoned() {
+                    given_up.push(message);
+                } else if credits.take_past_others(mailbox.capacity()) {
+                    admitted.extend(message.take_acceptance());
                     lane.queue.push_back(message);
-                    told.admitted.push(acceptance);
+                } else {
+                    lane.waiting.push_front(message);
+                    break;
                 }
+                credits.leave_line();
             }
         }
         drop(lanes);
-        told.tell();
+        drop(given_up);
+        admitted.into_iter().for_each(ReplySlot::accept);
     }
 
     /// Puts the next message, high priority first, into `next`; none once the queue is closed. For the loop
@@ -295,38 +275,8 @@ impl TaskQueue {
         )
         .await;
     }
-}
 
-impl Inlet for TaskQueue {
-    fn offer(&self, processor: &Processor, message: Message) -> Offered {
-        let mailbox = &self.task.mailbox;
-        let taken = match mailbox.take_credit(message) {
-            Err(Offered::Full(message)) if self.give_owed(is_urgent(&message).0) => {
-                mailbox.take_credit(message)
-            }
-            taken => taken,
-        };
-        match taken {
-            Ok(message) => {
-                self.take_in(processor, message);
-                Offered::Taken
-            }
-            Err(offered) => offered,
-        }
-    }
-
-    fn obey(&self, processor: &Processor, order: Order) {
-        match order {
-            Order::OpenGate(chassis) => self.open_gate(processor, chassis),
-            Order::ForgetGate(chassis) => {
-                let mut lanes = self.lanes();
-                let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
-                drop(lanes);
-                drop(gone);
-            }
-        }
-    }
-
+    /// Takes in a message that has a credit.
     fn take_in(&self, processor: &Processor, message: Message) {
         let mailbox = &self.task.mailbox;
         if mailbox.is_closed() {
@@ -337,17 +287,18 @@ impl Inlet for TaskQueue {
         let mut lanes = self.lanes();
         if lanes.keeps(&message) {
             mailbox.credits(urgent).give(1);
-            return self.keep(lanes, message, Acceptance::Silent);
+            return self.keep(lanes, message);
         }
         lanes.lane(urgent).queue.push_back(message);
         drop(lanes);
         self.has_come(processor, command);
     }
 
-    fn line_up(&self, processor: &Processor, message: Message, acceptance: Acceptance) {
+    /// Takes in a message, or lets it wait for a credit.
+    fn line_up(&self, processor: &Processor, mut message: Message) {
         let mailbox = &self.task.mailbox;
         if mailbox.is_closed() {
-            return refuse(message, acceptance, &Fault::Stopping);
+            return message.refuse(Fault::Stopping);
         }
         let (urgent, _) = is_urgent(&message);
         let command = message.command();
@@ -355,14 +306,14 @@ impl Inlet for TaskQueue {
         let mut lanes = self.lanes();
         if lanes.keeps(&message) {
             credits.leave_line();
-            return self.keep(lanes, message, acceptance);
+            return self.keep(lanes, message);
         }
         let held = lanes.held;
         let lane = lanes.lane(urgent);
         credits.give(std::mem::take(&mut lane.owed));
         let may = !held && lane.waiting.is_empty();
         if !may || !credits.take_past_others(mailbox.capacity()) {
-            lane.waiting.push_back((message, acceptance));
+            lane.waiting.push_back(message);
             drop(lanes);
             if held {
                 self.wake_idle(processor);
@@ -370,10 +321,39 @@ impl Inlet for TaskQueue {
             return;
         }
         credits.leave_line();
+        let sender = message.take_acceptance();
         lane.queue.push_back(message);
         drop(lanes);
         self.has_come(processor, command);
-        acceptance.tell(Ok(()));
+        sender.into_iter().for_each(ReplySlot::accept);
+    }
+}
+
+impl Inlet for TaskQueue {
+    fn offer(&self, processor: &Processor, message: Message) -> Result<(), NotTaken> {
+        let mailbox = &self.task.mailbox;
+        let taken = match mailbox.take_credit(message) {
+            Err(NotTaken::Full(message)) if self.give_owed(is_urgent(&message).0) => {
+                mailbox.take_credit(message)
+            }
+            taken => taken,
+        };
+        self.take_in(processor, taken?);
+        Ok(())
+    }
+
+    fn accept(&self, processor: &Processor, delivery: Delivery) {
+        match delivery {
+            Delivery::Message(message) => self.take_in(processor, message),
+            Delivery::Waits(message) => self.line_up(processor, message),
+            Delivery::OpenGate(chassis) => self.open_gate(processor, chassis),
+            Delivery::ForgetGate(chassis) => {
+                let mut lanes = self.lanes();
+                let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
+                drop(lanes);
+                drop(gone);
+            }
+        }
     }
 
     fn close(&self, processor: &Processor) {
@@ -384,16 +364,11 @@ impl Inlet for TaskQueue {
             gate,
             ..
         } = self.lanes.take();
-        for (message, acceptance) in gate.into_iter().flat_map(|gate| gate.held) {
-            refuse(message, acceptance, &Fault::Stopping);
-        }
-        for lane in [urgent, normal] {
-            for message in lane.queue {
-                refuse(message, Acceptance::Silent, &Fault::Stopping);
-            }
-            for (message, acceptance) in lane.waiting {
-                refuse(message, acceptance, &Fault::Stopping);
-            }
+        let held = gate.into_iter().flat_map(|gate| gate.held);
+        let in_lanes = [urgent, normal].into_iter();
+        let in_lanes = in_lanes.flat_map(|lane| lane.queue.into_iter().chain(lane.waiting));
+        for message in held.chain(in_lanes) {
+            message.refuse(Fault::Stopping);
         }
         if let Some(runner) = self.runner.get() {
             processor.wake(runner);

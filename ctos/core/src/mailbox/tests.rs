@@ -90,25 +90,25 @@ impl Bench {
     }
 
     fn send(&self, message: Message) {
-        self.task.mailbox.put(message, Acceptance::Silent);
+        self.task.mailbox.put(message);
     }
 
-    fn waiting_send(&self, message: Message) -> Waiter {
+    fn waiting_send(&self, mut message: Message) -> Waiter {
         let ticket = self
             .caller
             .begin_call(Instant::START, Duration::from_secs(1));
         let key = ticket.key();
-        let told = Acceptance::Told(ReplySlot::call(ticket));
-        self.task.mailbox.put(message, told);
+        message.envelope.reply = Some(ReplySlot::call(ticket));
+        self.task.mailbox.put(message);
         let caller = self.caller.clone();
         Waiter { caller, key }
     }
 
     fn try_send(&self, message: Message) -> Result<(), Fault> {
         match self.task.mailbox.offer(message) {
-            Offered::Taken => Ok(()),
-            Offered::Full(_) => Err(self.task.mailbox.full()),
-            Offered::Closed(_) => Err(Fault::Stopping),
+            Ok(()) => Ok(()),
+            Err(NotTaken::Full(_)) => Err(self.task.mailbox.full()),
+            Err(NotTaken::Closed(_)) => Err(Fault::Stopping),
         }
     }
 
@@ -217,7 +217,7 @@ fn whatever_waits_when_the_task_ends_is_answered() {
             caller: bench.caller.clone(),
             key: call.key(),
         };
-        let mut question = message(3, Flags::HIGH_PRIORITY);
+        let mut question = message(3, Flags::HIGH_PRIORITY.with(Flags::REPLY_WAIT));
         question.envelope.reply = Some(ReplySlot::call(call));
         bench.send(question);
         bench.task.mailbox.close();

@@ -19,7 +19,7 @@ use crate::{
     system::{AbortMove, Forwarded, MoveIn, Transfer},
     tap::WaitFor,
 };
-use ctos_message::{Data, Flags, Tid, fault::Fault};
+use ctos_message::{Data, Flags, Tid};
 
 /// What a task that comes from another place brings, and how it learns whether it stays.
 pub struct Arrival {
@@ -216,11 +216,7 @@ pub fn deliver(cx: &Context, to: Tid, message: Forwarded, reply: Replier<Transfe
     cx.spawn(async move {
         loop {
             if let Ok(answer) = here.timeout(LOOK, &mut waiting).await {
-                let bytes = answer.and_then(|data| {
-                    data.into_bytes().map_err(|error| Fault::BadPayload {
-                        text: error.to_string(),
-                    })
-                });
+                let bytes = answer.and_then(|data| Ok(data.into_bytes()?));
                 // A reply cannot fail.
                 let _ = reply.ok(bytes);
                 return;

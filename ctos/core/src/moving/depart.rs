@@ -14,7 +14,6 @@ use super::{LOOK, PATIENCE, UnderWay, agent_of};
 use crate::{
     contain::panic_text,
     context::{Context, TaskRef},
-    delivery::Acceptance,
     envelope::Message,
     mailbox::queue::TaskQueue,
     reply::ReplySlot,
@@ -25,7 +24,7 @@ use crate::{
         Settle, Settled, StopTask, Transfer,
     },
 };
-use ctos_message::{Command, Data, Tid, fault::Fault};
+use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
 
 /// A task that has left: where it went, and what was sent after it so far.
 pub(crate) struct Departed {
@@ -155,7 +154,7 @@ async fn make_ready(
     };
     let mut copies = Vec::new();
     for message in accepted {
-        if is_given_up(message) {
+        if message.is_abandoned() {
             copies.push(None);
             continue;
         }
@@ -200,14 +199,6 @@ impl Drop for Place<'_> {
     }
 }
 
-fn is_given_up(message: &Message) -> bool {
-    message
-        .envelope
-        .reply
-        .as_ref()
-        .is_some_and(ReplySlot::is_abandoned)
-}
-
 /// How long the sender of a message waits. What was accepted has to arrive.
 fn wait_of(cx: &Context, message: &Message) -> Duration {
     match (&message.envelope.reply, message.deadline()) {
@@ -217,13 +208,7 @@ fn wait_of(cx: &Context, message: &Message) -> Duration {
 }
 
 fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
-    let body = message
-        .envelope
-        .data
-        .to_bytes()
-        .map_err(|error| Fault::BadPayload {
-            text: error.to_string(),
-        })?;
+    let body = message.envelope.data.to_bytes()?;
     let left = message.deadline().map(|deadline| deadline.since(cx.now()));
     Ok(Load::Message(Forwarded {
         from: message.from(),
@@ -232,7 +217,7 @@ fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
         trace: message.trace(),
         left_ns: left.map(|left| u64::try_from(left.as_nanos()).unwrap_or(u64::MAX)),
         body,
-        reply: message.envelope.reply.is_some(),
+        reply: message.header().flags.contains(Flags::REPLY_WAIT),
     }))
 }
 
@@ -252,23 +237,23 @@ pub(crate) async fn forward(cx: &Context, queue: &TaskQueue, departed: Departed)
     let agent = agent_of(to.chassis());
     for (message, load) in accepted {
         if let Some(load) = load {
-            see_through(cx, message.envelope.reply, Acceptance::Silent, load);
+            see_through(cx, message.envelope.reply, load);
         }
     }
     while let Some(batch) = queue.next_held().await {
         let mut fences = Vec::new();
-        for (message, acceptance) in batch {
+        for message in batch {
             match message.command() {
                 Fence::CODE => fences.push(message),
                 // About the old place only.
                 ChassisDown::CODE | Broke::CODE => {}
                 StopTask::CODE => {
                     if let Some(message) = stop_for(to, message) {
-                        send_on(cx, &agent, to, message, acceptance).await;
+                        send_on(cx, &agent, to, message).await;
                     }
                 }
-                _ if is_given_up(&message) || acceptance.is_abandoned() => {}
-                _ => send_on(cx, &agent, to, message, acceptance).await,
+                _ if message.is_abandoned() => {}
+                _ => send_on(cx, &agent, to, message).await,
             }
         }
         // Behind everything that came before it, of either priority.
@@ -292,38 +277,30 @@ fn stop_for(to: Tid, message: Message) -> Option<Message> {
     None
 }
 
-async fn send_on(cx: &Context, agent: &TaskRef, to: Tid, message: Message, acceptance: Acceptance) {
+async fn send_on(cx: &Context, agent: &TaskRef, to: Tid, message: Message) {
     let load = match load_of(cx, &message) {
         Ok(load) => load,
-        Err(fault) => {
-            message.refuse(fault.clone());
-            return acceptance.tell(Err(fault));
-        }
+        Err(fault) => return message.refuse(fault),
     };
     let deadline = wait_of(cx, &message);
     let load = begin(cx, agent, to, load, deadline).await;
-    see_through(cx, message.envelope.reply, acceptance, load);
+    see_through(cx, message.envelope.reply, load);
 }
 
 /// Takes the answer of the new place back to the sender. Outlives the old place.
-fn see_through(cx: &Context, slot: Option<ReplySlot>, acceptance: Acceptance, mut load: UnderWay) {
+fn see_through(cx: &Context, slot: Option<ReplySlot>, mut load: UnderWay) {
     let here = cx.clone();
     let seeing = async move {
         let answer = loop {
             if let Ok(ended) = here.timeout(LOOK, &mut load).await {
                 break ended.unwrap_or_else(|error| Err(error.fault));
             }
-            let given_up = match &slot {
-                Some(slot) => slot.is_abandoned(),
-                None => acceptance.is_abandoned(),
-            };
-            if given_up {
+            if slot.as_ref().is_some_and(ReplySlot::is_abandoned) {
                 return;
             }
         };
-        match slot {
-            Some(slot) => slot.answer(answer.map(Data::Bytes)),
-            None => acceptance.tell(answer.map(|_| ())),
+        if let Some(slot) = slot {
+            slot.answer(answer.map(Data::Bytes));
         }
     };
     cx.inner.processor.spawn(seeing, None);

@@ -4,10 +4,10 @@ use std::{task::Context as PollContext, time::Duration};
 
 use super::{
     core::{Processor, Timed},
-    handle::ProcessorHandle,
+    handle::{Item, ProcessorHandle},
 };
 use crate::{
-    exchange::{Given, Looked},
+    exchange::Looked,
     reply::{CallKey, Home, Returned, Ticket},
     timers::TimerKey,
     wait::Wait,
@@ -83,7 +83,7 @@ impl Processor {
     /// Takes the answer to a call of this processor.
     pub(crate) fn take_answer(&self, key: CallKey, answer: Returned) {
         let given = self.calls.borrow_mut().answer(key, answer);
-        if let Given::Taken(Some(wake)) = given {
+        if let Ok(Some(wake)) = given {
             self.wake_local(wake);
         }
     }
@@ -93,7 +93,7 @@ impl Home for ProcessorHandle {
     fn take_answer(&self, key: CallKey, answer: Returned) {
         match Processor::here_if(self) {
             Some(processor) => processor.take_answer(key, answer),
-            None => self.bring_answer(key, answer),
+            None => self.send(Item::Answer(key, answer)),
         }
     }
 }

@@ -15,7 +15,7 @@ use super::{
     yielding::Yielding,
 };
 use crate::{
-    delivery::{Acceptance, Offered, Order},
+    delivery::{Delivery, NotTaken},
     envelope::Message,
     exchange::Calls,
     reply::CallKey,
@@ -27,13 +27,12 @@ use ctos_time::{Clock, Instant};
 /// The queue of a task, as its processor sees it.
 pub trait Inlet {
     /// Takes a message of this thread, if there is a credit for it now.
-    fn offer(&self, processor: &Processor, message: Message) -> Offered;
-    /// Takes in a message that has a credit.
-    fn take_in(&self, processor: &Processor, message: Message);
-    /// Takes in a message, or lets it wait for a credit.
-    fn line_up(&self, processor: &Processor, message: Message, acceptance: Acceptance);
-    /// Does what it is told from elsewhere.
-    fn obey(&self, processor: &Processor, order: Order);
+    ///
+    /// # Errors
+    /// The message, if there is none.
+    fn offer(&self, processor: &Processor, message: Message) -> Result<(), NotTaken>;
+    /// Takes in what was brought.
+    fn accept(&self, processor: &Processor, delivery: Delivery);
     /// Takes nothing more; everything inside is answered.
     fn close(&self, processor: &Processor);
 }
@@ -194,6 +193,14 @@ impl Processor {
     /// The queue of the task in `slot`.
     pub(crate) fn queue(&self, slot: u16) -> Option<Rc<dyn Inlet>> {
         self.queues.borrow().get(usize::from(slot))?.clone()
+    }
+
+    /// Brings something to the queue of the task in `slot`.
+    pub(crate) fn deliver(&self, slot: u16, delivery: Delivery) {
+        match self.queue(slot) {
+            Some(queue) => queue.accept(self, delivery),
+            None => delivery.refuse(),
+        }
     }
 
     /// Forgets the queue of the task in `slot` and refuses what is in it.

@@ -34,7 +34,7 @@ impl Wake for FutureWaker {
         if let Some(here) = Processor::here_if(&self.processor) {
             here.wake(self.id);
         } else if !self.brought.swap(true, Ordering::AcqRel) {
-            drop(self.processor.bring(Item::Wake(self.id)));
+            self.processor.send(Item::Wake(self.id));
         }
     }
 }

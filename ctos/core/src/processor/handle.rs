@@ -16,30 +16,24 @@ use crate::processor::wake::FutureId;
 use crate::{
     asleep::Asleep,
     contain::drop_contained,
-    delivery::{Acceptance, Order, refuse},
-    envelope::Message,
+    delivery::Delivery,
     reply::{CallKey, Returned},
 };
-use ctos_message::fault::Fault;
 use ctos_time::{lock::lock, park::Parker};
 
 /// Work brought to a processor from another thread.
-pub(super) type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
+pub(crate) type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
 
 /// What other threads bring to a processor.
-pub(super) enum Item {
-    /// A message for the task in a slot, with a credit.
-    Message(u16, Message),
-    /// One that waits for a credit.
-    Waits(u16, Message, Acceptance),
+pub(crate) enum Item {
+    /// Something for the queue of the task in a slot.
+    Delivery(u16, Delivery),
     /// The answer to a call that a task of the processor waits for.
     Answer(CallKey, Returned),
     /// A future is ready.
     Wake(FutureId),
     /// The task in a slot takes nothing more.
     Close(u16),
-    /// An order to the queue of the task in a slot.
-    Order(u16, Order),
     Job(Job),
     /// Nothing but a reason to look up.
     Nudge,
@@ -49,8 +43,7 @@ impl Item {
     /// The processor, or the task, takes nothing more: whoever waits for a credit or an answer is told.
     pub(super) fn refuse(self) {
         match self {
-            Self::Message(_, message) => refuse(message, Acceptance::Silent, &Fault::Stopping),
-            Self::Waits(_, message, acceptance) => refuse(message, acceptance, &Fault::Stopping),
+            Self::Delivery(_, delivery) => delivery.refuse(),
             item => drop_contained(item),
         }
     }
@@ -100,8 +93,7 @@ impl ProcessorHandle {
 
     /// Runs `job` on the processor's thread, soon.
     pub fn inject(&self, job: impl FnOnce(&Rc<Processor>) + Send + 'static) {
-        // What is refused is dropped here, outside of all locks: the processor is gone.
-        drop(self.bring(Item::Job(Box::new(job))));
+        self.send(Item::Job(Box::new(job)));
     }
 
     /// Ends [`Processor::run`] after the present step.
@@ -112,7 +104,7 @@ impl ProcessorHandle {
 
     /// Wakes the processor, if it sleeps.
     pub(crate) fn unpark(&self) {
-        drop(self.bring(Item::Nudge));
+        self.send(Item::Nudge);
     }
 
     /// How long the thread looks for work before it sleeps. Worth it only where those who bring work
@@ -127,41 +119,13 @@ impl ProcessorHandle {
         self.shares_core.store(shares, Ordering::Relaxed);
     }
 
-    /// Brings a message for the task in `slot`, which has a credit.
-    pub(crate) fn bring_message(&self, slot: u16, message: Message) {
-        if let Err(refused) = self.bring(Item::Message(slot, message)) {
-            refused.refuse();
+    /// Brings something. When the processor is gone, it is refused here, outside of all locks.
+    pub(crate) fn send(&self, item: Item) {
+        if let Err(refused) = self.inbox.send(item) {
+            return refused.0.refuse();
         }
-    }
-
-    /// Brings a message for the task in `slot`, which waits for a credit.
-    pub(crate) fn bring_waiting(&self, slot: u16, message: Message, acceptance: Acceptance) {
-        if let Err(refused) = self.bring(Item::Waits(slot, message, acceptance)) {
-            refused.refuse();
-        }
-    }
-
-    /// Tells the processor that the task in `slot` takes nothing more.
-    pub(crate) fn bring_close(&self, slot: u16) {
-        drop(self.bring(Item::Close(slot)));
-    }
-
-    /// Brings an order to the queue of the task in `slot`.
-    pub(crate) fn bring_order(&self, slot: u16, order: Order) {
-        drop(self.bring(Item::Order(slot, order)));
-    }
-
-    /// Brings the answer to a call. Without a processor nobody waits for it.
-    pub(crate) fn bring_answer(&self, key: CallKey, answer: Returned) {
-        drop(self.bring(Item::Answer(key, answer)));
-    }
-
-    /// Brings something, unless the processor is gone.
-    pub(super) fn bring(&self, item: Item) -> Result<(), Item> {
-        self.inbox.send(item).map_err(|refused| refused.0)?;
         if self.asleep.must_be_woken() {
             self.parker.unpark();
         }
-        Ok(())
     }
 }

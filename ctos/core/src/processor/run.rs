@@ -32,14 +32,7 @@ impl Processor {
 
     fn take_in(self: &Rc<Self>, item: Item) {
         match item {
-            Item::Message(slot, message) => match self.queue(slot) {
-                Some(queue) => queue.take_in(self, message),
-                None => Item::Message(slot, message).refuse(),
-            },
-            Item::Waits(slot, message, acceptance) => match self.queue(slot) {
-                Some(queue) => queue.line_up(self, message, acceptance),
-                None => Item::Waits(slot, message, acceptance).refuse(),
-            },
+            Item::Delivery(slot, delivery) => self.deliver(slot, delivery),
             Item::Answer(key, answer) => self.take_answer(key, answer),
             Item::Wake(id) => {
                 if let Some(entry) = self.futures.borrow_mut().entry(id)
@@ -52,11 +45,6 @@ impl Processor {
                 self.wake(id);
             }
             Item::Close(slot) => self.close_queue(slot),
-            Item::Order(slot, order) => {
-                if let Some(queue) = self.queue(slot) {
-                    queue.obey(self, order);
-                }
-            }
             Item::Job(job) => {
                 job(self);
                 self.look_at_clock();

@@ -14,7 +14,7 @@ use std::{
 
 use super::*;
 use crate::{
-    reply::{Promise, Waiting},
+    reply::{Caller, Promise},
     sync::{Lead, Schedule, ScheduleSettings, Synchronous, Tick},
 };
 use ctos_link::{
@@ -167,7 +167,7 @@ fn wakes_from_other_threads(gives_way: bool) {
     let (ask, asked) = std::sync::mpsc::channel::<Arc<Promise>>();
     let answering = std::thread::spawn(move || {
         for promise in asked {
-            promise.fulfil(Ok(Data::Bytes(Vec::new())));
+            promise.answer(Ok(Data::Bytes(Vec::new())));
         }
     });
     let run = handle.clone();
@@ -177,9 +177,9 @@ fn wakes_from_other_threads(gives_way: bool) {
         processor.spawn(
             async move {
                 for _ in 0..20_000 {
-                    let promise = Arc::new(Promise::default());
-                    ask.send(promise.clone()).unwrap();
-                    Waiting::here(promise).await.unwrap();
+                    let (promise, waiting) = Promise::new();
+                    ask.send(promise).unwrap();
+                    waiting.await.unwrap();
                 }
                 stopper.stop();
             },

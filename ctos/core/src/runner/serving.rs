@@ -11,13 +11,11 @@ use crate::{
     reply::ReplyKey,
     report::Ending as HandlerEnding,
     statistics::Activity,
-    system::StopTask,
     tap,
     tap::Asked,
     task_record::TaskRecord,
 };
-use ctos_message::{Command, SYSTEM_COMMANDS, Tid, fault::Fault};
-use ctos_time::Instant;
+use ctos_message::{SYSTEM_COMMANDS, fault::Fault};
 use std::{
     cell::Cell,
     future::{Future, poll_fn},
@@ -61,14 +59,9 @@ pub(super) enum Bad {
 
 /// The message that is being handled.
 pub(super) struct AtHand {
-    from: Tid,
-    command: u16,
+    noted: tap::AtHand,
     pub(super) serial: u64,
-    began: Instant,
-    trace: u64,
-    /// Its number in the record.
-    recorded: u64,
-    /// Whether whoever looks on was shown that it was begun.
+    /// Whether an observer was shown its beginning.
     shown: bool,
     /// The answer that is owed.
     owed: Option<ReplyKey>,
@@ -99,14 +92,7 @@ impl Serving {
 
     /// Whether a message is still to be begun.
     fn is_wanted(&self, message: &Message) -> bool {
-        if self.refuses(message) {
-            return false;
-        }
-        let Some(slot) = &message.envelope.reply else {
-            return true;
-        };
-        // A stop is carried out even when whoever ordered it had to go on.
-        !slot.is_abandoned() || message.command() == StopTask::CODE
+        !self.refuses(message) && !message.is_abandoned()
     }
 
     /// Ends a message that is not begun.
@@ -131,24 +117,21 @@ impl Serving {
             slot.key()
         });
         chassis.delivered(&self.record, message);
-        let (from, command) = (message.from(), message.command());
+        let noted = tap::AtHand {
+            id: message.envelope.recorded,
+            asked: Asked::of(message),
+            began,
+        };
+        let Asked { by, command, .. } = noted.asked;
         self.activity.begin(command, began);
-        self.activity.recent.began(from, command, began);
+        self.activity.recent.began(by, command, began);
         let observer = chassis.tap.observer();
         if let Some(observer) = observer {
-            observer.began(&tap::AtHand {
-                id: message.envelope.recorded,
-                asked: Asked::of(message),
-                began,
-            });
+            observer.began(&noted);
         }
         AtHand {
-            from,
-            command,
+            noted,
             serial,
-            began,
-            trace: message.trace(),
-            recorded: message.envelope.recorded,
             shown: observer.is_some(),
             owed,
         }
@@ -157,29 +140,19 @@ impl Serving {
     /// The handler has ended, in whatever way: what it owes is answered. What its panic said, if it
     /// panicked.
     pub(super) fn end(&self, at_hand: &mut AtHand, ended: Ended) -> Option<String> {
-        let (command, serial) = (at_hand.command, at_hand.serial);
+        let (noted, serial) = (at_hand.noted, at_hand.serial);
         let processor = self.cx.processor();
         let statistics = &self.activity;
         let now = processor.moment();
-        statistics.end(ended.is_ok(), now.since(at_hand.began));
+        statistics.end(ended.is_ok(), now.since(noted.began));
         let ending = || match &ended {
             Ok(()) => HandlerEnding::Done,
             Err(Bad::Refused(error)) => HandlerEnding::Refused(error.to_string()),
             Err(Bad::Panicked(text)) => HandlerEnding::Panicked(text.clone()),
             Err(Bad::Interrupted(_)) => HandlerEnding::Stopped,
         };
-        statistics.recent.ended(command, now, ending);
+        statistics.recent.ended(noted.asked.command, now, ending);
         if let Some(observer) = self.cx.chassis().tap.observer().filter(|_| at_hand.shown) {
-            let noted = tap::AtHand {
-                id: at_hand.recorded,
-                asked: Asked {
-                    by: at_hand.from,
-                    to: self.record.tid,
-                    command,
-                    trace: at_hand.trace,
-                },
-                began: at_hand.began,
-            };
             observer.ended(&noted, now, ending());
         }
         match ended {
@@ -197,7 +170,7 @@ impl Serving {
 
     /// The handler has ended otherwise than well.
     fn end_badly(&self, at_hand: &mut AtHand, bad: Bad) -> Option<String> {
-        let command = at_hand.command;
+        let Asked { by, command, .. } = at_hand.noted.asked;
         let (fault, panic) = match bad {
             Bad::Refused(error) => {
                 tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
@@ -219,7 +192,7 @@ impl Serving {
             (Some(slot), _) => slot.answer(Err(fault)),
             (None, Some(key)) => {
                 let processors = &self.cx.chassis().processors;
-                let home = processors.get(usize::from(at_hand.from.processor()));
+                let home = processors.get(usize::from(by.processor()));
                 if let Some((_, home)) = home {
                     key.answer(&**home, Err(fault));
                 }

@@ -24,13 +24,11 @@ command! {
         pub task: String,
         pub wait: Duration,
         pub high: bool,
-    } => Answer, 0xff71, "await_turn"
-}
-command! {
+    } => Answer, 0xff71, "await_turn";
+
     /// Gives a permit back, or waits no longer.
-    pub struct ReleaseTicket { pub hold: u64 } => (), 0xff72, "release_ticket"
-}
-command! {
+    pub struct ReleaseTicket { pub hold: u64 } => (), 0xff72, "release_ticket";
+
     /// Asks for the semaphores of the app, who holds them and who waits.
     pub struct ListSemaphores => Vec<SemaphoreView>, 0xff73, "list_semaphores"
 }

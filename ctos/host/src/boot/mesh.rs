@@ -29,7 +29,7 @@ use ctos_bootstrap::refusals::Refusals;
 use ctos_config::{App, InjuryConfig, SameHost};
 use ctos_core::chassis::Chassis;
 use ctos_link::{
-    handshake::{Process, Token},
+    handshake::{Member, Process, Token},
     injure::Injury,
     reactor::{LinkParker, Reactor},
     security::{KeyError, Keys},
@@ -54,15 +54,6 @@ enum Notice {
     Members { round: u32, members: Vec<Member> },
     /// To the boot: connected to all members of that round.
     Ready { round: u32 },
-}
-
-/// A chassis that others can call.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Member {
-    chassis: u8,
-    incarnation: u32,
-    process: Process,
-    listen: Vec<Address>,
 }
 
 /// What happens to the links of a chassis.

@@ -282,6 +282,7 @@ mod tests {
 
     use http_body_util::Full;
     use hyper::body::Bytes;
+    use rustls::pki_types::{CertificateDer, pem::PemObject};
     use tokio::sync::oneshot;
 
     use super::*;
@@ -406,6 +407,21 @@ mod tests {
         assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
     }
 
+    /// A browser without a key that was told to believe an authority.
+    fn browser_of(authority: &std::path::Path) -> rustls::ClientConnection {
+        let mut roots = rustls::RootCertStore::empty();
+        let certificate = CertificateDer::from_pem_file(authority).unwrap();
+        roots.add(certificate).unwrap();
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let client = rustls::ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .unwrap()
+            .with_root_certificates(roots)
+            .with_no_client_auth();
+        let name = "chassis.ctos".try_into().unwrap();
+        rustls::ClientConnection::new(Arc::new(client), name).unwrap()
+    }
+
     #[test]
     fn with_keys_a_page_speaks_tls_to_browsers_that_have_none() {
         let folder = tempfile::tempdir().unwrap();
@@ -417,7 +433,7 @@ mod tests {
         let keys = Keys::load(&key.unwrap(), &authority).unwrap();
         let (address, _stop) = served(Some(Arc::new(keys)));
         let mut stream = TcpStream::connect(address).unwrap();
-        let mut tls = ctos_link::security::browser_of(&authority).unwrap();
+        let mut tls = browser_of(&authority);
         let mut secured = rustls::Stream::new(&mut tls, &mut stream);
         let request = b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
         secured.write_all(request).unwrap();

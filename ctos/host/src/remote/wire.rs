@@ -30,7 +30,7 @@ use crate::{
 use ctos_config::Bundle;
 use ctos_link::{
     handshake::{Process, Token},
-    transport::Stream,
+    transport::{Stream, hang_up},
 };
 use ctos_time::{Clock, Instant, lock::lock};
 
@@ -320,14 +320,9 @@ fn framed(body: Vec<u8>) -> Vec<u8> {
 /// Says one thing on a stream that ends then, so that the other end hears it whatever it has said
 /// itself in the meantime.
 pub(crate) async fn say_last(mut stream: Stream, answer: &HelloAnswer) {
-    use tokio::io::AsyncReadExt;
     let told = async {
         ctos_link::handshake::say(&mut stream, answer).await.ok()?;
-        stream.shutdown().await.ok()?;
-        let mut rest = [0; 1024];
-        // Bytes that nobody reads would take the answer with them when the stream is closed.
-        while stream.read(&mut rest).await.ok()? > 0 {}
-        Some(())
+        hang_up(stream).await.ok()
     };
     let _ = tokio::time::timeout(HELLO_TIMEOUT, told).await;
 }

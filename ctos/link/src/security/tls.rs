@@ -3,9 +3,7 @@
 use std::{io, path::Path, sync::Arc};
 
 use rustls::{
-    ClientConfig, ClientConnection, ConfigBuilder, RootCertStore, ServerConfig, StreamOwned,
-    client::WantsClientCert,
-    crypto::CryptoProvider,
+    ClientConfig, ClientConnection, RootCertStore, ServerConfig, StreamOwned,
     pki_types::{CertificateDer, ServerName},
     server::WebPkiClientVerifier,
 };
@@ -43,21 +41,28 @@ impl Keys {
     pub fn load(key: &Path, authority: &Path) -> Result<Self, KeyError> {
         let certificate = files::certificate(&files::with_ending(key, "pem"))?;
         let identity = identity(&certificate).ok_or(KeyError::NoRole)?;
-        let roots = roots(authority)?;
-        let provider = provider();
+        let mut roots = RootCertStore::empty();
+        let authority = files::certificate(authority)?;
+        roots.add(authority).map_err(unusable)?;
+        let roots = Arc::new(roots);
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
         let verifier =
             WebPkiClientVerifier::builder_with_provider(roots.clone(), provider.clone()).build();
         let verifier = verifier.map_err(unusable)?;
         let private = || files::private_key(&files::with_ending(key, "key"));
         let chain = vec![certificate];
-        let server = ServerConfig::builder_with_provider(provider)
+        let server = ServerConfig::builder_with_provider(provider.clone())
+            .with_safe_default_protocol_versions()
+            .map_err(unusable)?;
+        let client = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
             .map_err(unusable)?;
         let page = server.clone().with_no_client_auth();
         let page = page.with_single_cert(chain.clone(), private()?);
         let server = server.with_client_cert_verifier(verifier);
         let server = server.with_single_cert(chain.clone(), private()?);
-        let client = client(roots)?.with_client_auth_cert(chain, private()?);
+        let client = client.with_root_certificates(roots);
+        let client = client.with_client_auth_cert(chain, private()?);
         let (server, page) = (server.map_err(unusable)?, page.map_err(unusable)?);
         Ok(Self {
             identity,
@@ -138,34 +143,4 @@ pub(super) fn identity(certificate: &CertificateDer<'_>) -> Option<Identity> {
 
 fn unusable(error: impl std::error::Error + Send + Sync + 'static) -> KeyError {
     KeyError::Certificate(io::Error::other(error).to_string())
-}
-
-/// What a browser without a key makes of an authority that it was told to believe.
-///
-/// # Errors
-/// The authority is none.
-pub fn browser_of(authority: &Path) -> Result<ClientConnection, KeyError> {
-    let client = client(roots(authority)?)?.with_no_client_auth();
-    let name = ServerName::try_from(SERVER_NAME).map_err(unusable)?;
-    ClientConnection::new(Arc::new(client), name).map_err(unusable)
-}
-
-fn provider() -> Arc<CryptoProvider> {
-    Arc::new(rustls::crypto::ring::default_provider())
-}
-
-/// The authority by which others are believed.
-fn roots(authority: &Path) -> Result<Arc<RootCertStore>, KeyError> {
-    let mut roots = RootCertStore::empty();
-    let authority = files::certificate(authority)?;
-    roots.add(authority).map_err(unusable)?;
-    Ok(Arc::new(roots))
-}
-
-fn client(
-    roots: Arc<RootCertStore>,
-) -> Result<ConfigBuilder<ClientConfig, WantsClientCert>, KeyError> {
-    let client = ClientConfig::builder_with_provider(provider());
-    let client = client.with_safe_default_protocol_versions();
-    Ok(client.map_err(unusable)?.with_root_certificates(roots))
 }

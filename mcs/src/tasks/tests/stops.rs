@@ -1,7 +1,7 @@
 //! What ends a motion before its end, what is told of it, and how it goes on: stops, a held joint, and the
 //! loss of chassis that the motion needs or does not.
 
-use ctos::simulation::{self, Fault, Faults, Setup};
+use ctos::simulation::{self, Fault, FaultKind, Faults, Setup};
 use ctos::time::Instant;
 
 use super::*;
@@ -143,9 +143,12 @@ fn run_app_dying(
         "[chassis.ws]\nrestart = \"on-failure\"\n[chassis.aside]\nrestart = \"on-failure\"",
     );
     let app = ctos::config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap();
-    let kills = deaths.iter().map(|(chassis, ms)| Fault::Kill {
-        chassis: (*chassis).to_owned(),
-        at: Instant::from_nanos(ms * 1_000_000),
+    let kills = deaths.iter().map(|(chassis, ms)| {
+        Fault::on(
+            (*chassis).to_owned(),
+            FaultKind::Kill,
+            Instant::from_nanos(ms * 1_000_000),
+        )
     });
     let setup = Setup {
         faults: Faults::of_script("deaths", kills.collect()),

@@ -108,22 +108,21 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
         let way = [Way::Try, Way::Send, Way::Call][rng.random_range(0..3)];
         if way == Way::Try {
             let result = match task.mailbox.offer(message) {
-                Offered::Taken => Ok(()),
-                Offered::Full(_) => Err(task.mailbox.full()),
-                Offered::Closed(_) => Err(Fault::Stopping),
+                Ok(()) => Ok(()),
+                Err(NotTaken::Full(_)) => Err(task.mailbox.full()),
+                Err(NotTaken::Closed(_)) => Err(Fault::Stopping),
             };
             outcomes.insert(label, (way, result));
             continue;
         }
         let ticket = here.begin_call(here.now(), LIMIT);
         let key = ticket.key();
-        let slot = ReplySlot::call(ticket);
+        message.envelope.reply = Some(ReplySlot::call(ticket));
         if way == Way::Call {
-            message.envelope.reply = Some(slot);
-            task.mailbox.put(message, Acceptance::Silent);
-        } else {
-            task.mailbox.put(message, Acceptance::Told(slot));
+            let header = &mut message.envelope.header;
+            header.flags = header.flags.with(Flags::REPLY_WAIT);
         }
+        task.mailbox.put(message);
         under_way.push_back((label, way, key));
         if under_way.len() > rng.random_range(0..6) {
             while let Some((label, way, key)) = under_way.pop_front() {

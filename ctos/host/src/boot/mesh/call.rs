@@ -4,22 +4,19 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::UnixStream,
-};
+use tokio::net::UnixStream;
 
-use super::{Inner, Member, door::may_be_chassis};
+use super::{Inner, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, Token, greet, hear},
+    handshake::{Answer, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
     security::Keys,
     session::{
         DownReason, Session, drive,
         state::{Event, State},
     },
     shm,
-    transport::{Address, ConnectError, Stream, connect, is},
+    transport::{Address, ConnectError, Stream, connect, hang_up, is},
 };
 use ctos_time::{lock::lock, seed::mix};
 
@@ -165,10 +162,12 @@ impl Inner {
         let greeting = Greeting::Hello {
             token: self.who.token.clone(),
             hello: Hello {
-                chassis: self.chassis.index(),
-                incarnation: self.who.incarnation,
-                process: self.process.clone(),
-                listen: self.listen.clone(),
+                member: Member {
+                    chassis: self.chassis.index(),
+                    incarnation: self.who.incarnation,
+                    process: self.process.clone(),
+                    listen: self.listen.clone(),
+                },
                 received: session.received(),
                 shared,
             },
@@ -210,12 +209,7 @@ pub(crate) async fn unable(
             reason: reason.to_owned(),
         };
         greet(&mut stream, &greeting).await.ok()?;
-        stream.shutdown().await.ok()?;
-        // What the other end has said and nobody reads would take the greeting with it when the stream
-        // is closed.
-        let mut rest = [0; 1024];
-        while stream.read(&mut rest).await.ok()? > 0 {}
-        Some(())
+        hang_up(stream).await.ok()
     };
     let _ = tokio::time::timeout(ANSWER_TIMEOUT, tell).await;
 }

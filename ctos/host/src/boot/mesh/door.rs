@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 use tokio::net::UnixStream;
 
-use super::{Inner, Member, MeshEvent};
+use super::{Inner, MeshEvent};
 use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
+    handshake::{Answer, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
     security::{Identity, KeyError, Role},
     session::{AttachError, drive},
     shm,
@@ -78,14 +78,14 @@ async fn hear(mesh: &Arc<Inner>, call: Call) -> Result<Option<(Stream, Hello)>, 
         others.any(|other| other == chassis && chassis != 0)
     };
     match greeting {
-        Greeting::Hello { hello, .. } if known(hello.chassis) => Ok(Some((stream, hello))),
+        Greeting::Hello { hello, .. } if known(hello.member.chassis) => Ok(Some((stream, hello))),
         Greeting::Unable {
             chassis, reason, ..
         } if known(chassis) => {
             mesh.send(MeshEvent::Unable { chassis, reason });
             Ok(None)
         }
-        Greeting::Hello { hello, .. } => Err(HandshakeError::Nobody(hello.chassis).into()),
+        Greeting::Hello { hello, .. } => Err(HandshakeError::Nobody(hello.member.chassis).into()),
         Greeting::Unable { chassis, .. } => Err(HandshakeError::Nobody(chassis).into()),
     }
 }
@@ -103,14 +103,12 @@ pub(super) fn may_be_chassis(identity: Option<&Identity>) -> Result<(), Handshak
 /// Answers a chassis of this run and carries its session over the stream.
 async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<(), RefusedError> {
     let Hello {
-        chassis,
-        incarnation,
-        process,
-        listen,
+        member,
         received,
         shared,
     } = hello;
-    let session = mesh.session_with(chassis, incarnation, &process);
+    let (chassis, incarnation) = (member.chassis, member.incarnation);
+    let session = mesh.session_with(chassis, incarnation, &member.process);
     let Some(session) = session.filter(|session| session.is_open()) else {
         say(&mut stream, &Answer::GivenUp).await?;
         return Err(RefusedError::GivenUp {
@@ -118,12 +116,7 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
             incarnation,
         });
     };
-    mesh.introduce(Member {
-        chassis,
-        incarnation,
-        process,
-        listen,
-    });
+    mesh.introduce(member);
     let shared = shared && mesh.shares_memory && is::<UnixStream>(&stream) && !session.is_injured();
     let welcome = Answer::Welcome {
         chassis: mesh.chassis.index(),

@@ -2,8 +2,11 @@
 
 use std::sync::Arc;
 
-use super::{Inner, Member, MeshEvent, Notice, Peer, calls};
-use ctos_link::session::{Session, state::State};
+use super::{Inner, MeshEvent, Notice, Peer, calls};
+use ctos_link::{
+    handshake::Member,
+    session::{Session, state::State},
+};
 use ctos_time::lock::lock;
 
 impl Inner {

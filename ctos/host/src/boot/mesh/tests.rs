@@ -241,13 +241,15 @@ fn a_browser_at_the_door_of_a_mesh_is_told_that_it_is_no_page() {
 
 fn hello(chassis: u8, incarnation: u32) -> Hello {
     Hello {
-        chassis,
-        incarnation,
-        process: Process {
-            host: "elsewhere".to_owned(),
-            pid: 1,
+        member: Member {
+            chassis,
+            incarnation,
+            process: Process {
+                host: "elsewhere".to_owned(),
+                pid: 1,
+            },
+            listen: Vec::new(),
         },
-        listen: Vec::new(),
         received: 0,
         shared: false,
     }

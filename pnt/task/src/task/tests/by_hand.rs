@@ -3,7 +3,7 @@
 use ctos::{
     message::Command as _,
     record::{Filter, Record},
-    simulation::{Fault, Faults},
+    simulation::{Fault, FaultKind, Faults},
     time::Instant,
 };
 
@@ -343,10 +343,7 @@ async fn switch(cx: &Context) -> Result<TapeAnswer, HandlerError> {
 #[test]
 fn a_net_is_replaced_between_commands_when_it_is_sound_and_stays_replaced_when_its_process_dies() {
     let more = "durable = true, allow_control = true";
-    let death = Fault::Kill {
-        chassis: "on_n".to_owned(),
-        at: Instant::from_nanos(20_000_000_000),
-    };
+    let death = Fault::on("on_n", FaultKind::Kill, Instant::from_nanos(20_000_000_000));
     let script = Faults::of_script("a death", vec![death]);
     let found = run_with(more, LAMP, script, |cx| {
         Box::pin(async move {
@@ -488,10 +485,7 @@ fn an_output_symbol_of_one_net_is_an_input_of_another_also_when_that_one_dies() 
             });
         }
         register_script(&mut registry, ask);
-        let kill = Fault::Kill {
-            chassis: "on_second".to_owned(),
-            at: Instant::from_nanos(at),
-        };
+        let kill = Fault::on("on_second", FaultKind::Kill, Instant::from_nanos(at));
         let found = simulate(app, registry, Faults::of_script("a death", vec![kill])).0;
         assert_eq!(found.as_deref(), Ok("x0 x1 x2 x3 x4 5"), "at {at}");
     }
@@ -542,9 +536,12 @@ fn a_net_asks_another_for_one_of_its_commands_and_takes_its_failure_branch_for_a
 #[test]
 fn a_breakpoint_that_was_set_by_hand_is_armed_again_before_the_first_firing() {
     let more = "durable = false, allow_control = true";
-    let deaths = [5_u64, 15].map(|at_s| Fault::Kill {
-        chassis: "on_n".to_owned(),
-        at: Instant::from_nanos(at_s * 1_000_000_000),
+    let deaths = [5_u64, 15].map(|at_s| {
+        Fault::on(
+            "on_n",
+            FaultKind::Kill,
+            Instant::from_nanos(at_s * 1_000_000_000),
+        )
     });
     let script = Faults::of_script("two deaths", deaths.to_vec());
     let found = run_with(more, PUMP, script, |cx| {

@@ -6,7 +6,7 @@ use std::sync::{
 };
 
 use ctos::{
-    simulation::{Fault, Faults},
+    simulation::{Fault, FaultKind, Faults},
     time::Instant,
 };
 use tracing::{Event, Metadata, Subscriber, span};
@@ -90,9 +90,12 @@ fn every_firing_has_its_line() {
 #[test]
 fn no_line_tells_of_a_firing_that_was_not_stored_whenever_the_net_dies() {
     for step in 0..20_u64 {
-        let kills = (1..12_u64).map(|number| Fault::Kill {
-            chassis: "on_n".to_owned(),
-            at: Instant::from_nanos(number * 150_000_000 + step * 370_000),
+        let kills = (1..12_u64).map(|number| {
+            Fault::on(
+                "on_n",
+                FaultKind::Kill,
+                Instant::from_nanos(number * 150_000_000 + step * 370_000),
+            )
         });
         let script = Faults::of_script("deaths", kills.collect());
         let (found, lines) = run_counted("durable = true", script);

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, sync::Mutex};
 
 use ctos::{
     message::Data,
-    simulation::{Fault, Faults},
+    simulation::{Fault, FaultKind, Faults},
     time::Instant,
 };
 use serde::{Deserialize, Serialize};
@@ -170,10 +170,11 @@ fn each_field_of_a_reply_and_of_a_result_is_put_back_as_an_object() {
 #[test]
 fn the_objects_of_a_durable_net_are_the_same_whenever_it_dies() {
     for step in 0..30_u64 {
-        let kill = Fault::Kill {
-            chassis: "home".to_owned(),
-            at: Instant::from_nanos(1_000_000 + step * 4_000_000),
-        };
+        let kill = Fault::on(
+            "home",
+            FaultKind::Kill,
+            Instant::from_nanos(1_000_000 + step * 4_000_000),
+        );
         let script = Faults::of_script("a death", vec![kill]);
         run_net("eye", "durable = true", script, &format!("step {step}"));
     }

@@ -2,7 +2,7 @@
 //! seen is lost, and nothing that was asked is done twice.
 
 use ctos::{
-    simulation::{Fault, Faults},
+    simulation::{Fault, FaultKind, Faults},
     time::Instant,
 };
 
@@ -67,9 +67,12 @@ fn what_a_display_has_seen_of_a_durable_net_is_never_lost_whenever_the_net_dies(
         let mut registry = Registry::new();
         register_with_settings(&mut registry, COUNTER, || Library::new(()));
         register_script(&mut registry, watch_the_tally);
-        let kills = (1..12_u64).map(|number| Fault::Kill {
-            chassis: "on_n".to_owned(),
-            at: Instant::from_nanos(number * 150_000_000 + seed * 370_000),
+        let kills = (1..12_u64).map(|number| {
+            Fault::on(
+                "on_n",
+                FaultKind::Kill,
+                Instant::from_nanos(number * 150_000_000 + seed * 370_000),
+            )
         });
         let script = Faults::of_script("deaths", kills.collect());
         let (found, kills) = simulate(app, registry, script);
@@ -130,9 +133,12 @@ fn a_command_that_is_asked_for_again_is_put_once_whenever_its_net_dies() {
             Library::new(()).action("work", slow(Duration::from_millis(100)))
         });
         register_script(&mut registry, ask);
-        let kills = [0, 1, 2].map(|again| Fault::Kill {
-            chassis: "on_n".to_owned(),
-            at: Instant::from_nanos(1_000_000 + step * 3_000_000 + again * 170_000_000),
+        let kills = [0, 1, 2].map(|again| {
+            Fault::on(
+                "on_n",
+                FaultKind::Kill,
+                Instant::from_nanos(1_000_000 + step * 3_000_000 + again * 170_000_000),
+            )
         });
         let script = Faults::of_script("deaths", kills.to_vec());
         let found = simulate(app, registry, script).0;
@@ -187,9 +193,8 @@ fn a_command_from_net_to_net_is_done_once_whenever_either_of_them_dies() {
             Library::new(()).action("work", slow(Duration::from_millis(100)))
         });
         register_script(&mut registry, wait);
-        let kill = |chassis: &str, at: u64| Fault::Kill {
-            chassis: chassis.to_owned(),
-            at: Instant::from_nanos(at),
+        let kill = |chassis: &str, at: u64| {
+            Fault::on(chassis.to_owned(), FaultKind::Kill, Instant::from_nanos(at))
         };
         let (first, second) = (1_000_000 + step * 5_000_000, 90_000_000);
         let kills = vec![kill("on_m", first), kill("on_n", first + second)];

@@ -8,7 +8,7 @@ use std::sync::{
 
 use ctos::{
     message::Command,
-    simulation::{self, Fault, Faults, Setup},
+    simulation::{self, Fault, FaultKind, Faults, Setup},
     time::Instant,
 };
 
@@ -126,9 +126,7 @@ pub(super) fn simulate(
     let observer: boot::Observer = Arc::new(|_| {});
     let run = simulation::run(app, registry, setup, &observer).unwrap();
     let kills = run.faults.iter();
-    let kills = kills
-        .filter(|fault| matches!(fault, Fault::Kill { .. }))
-        .count();
+    let kills = kills.filter(|fault| fault.kind == FaultKind::Kill).count();
     let result = match run.outcome.end {
         End::Finished(AppResult { ok: true, text, .. }) => Ok(text),
         End::Finished(AppResult { text, .. }) => Err(text),
@@ -218,7 +216,7 @@ fn no_token_is_lost_or_doubled_whatever_dies_whenever() {
             for _ in 0..6 {
                 let at = Instant::from_nanos(rng.random_range(0..9_000_000_000));
                 let chassis = chassis.to_owned();
-                script.push(Fault::Kill { chassis, at });
+                script.push(Fault::on(chassis, FaultKind::Kill, at));
             }
         }
         let faults = Faults::of_script("deaths", script);
@@ -240,10 +238,7 @@ fn no_token_is_lost_or_doubled_on_links_that_drop_delay_stall_and_are_cut() {
 
 #[test]
 fn the_same_seed_gives_the_same_deaths_and_the_same_end() {
-    let kill = |at| Fault::Kill {
-        chassis: "on_b".to_owned(),
-        at: Instant::from_nanos(at),
-    };
+    let kill = |at| Fault::on("on_b", FaultKind::Kill, Instant::from_nanos(at));
     let script = || Faults::of_script("deaths", vec![kill(700_000_000), kill(900_000_000)]);
     assert_eq!(chain(5, script()), chain(5, script()));
 }
@@ -307,10 +302,7 @@ fn one_command_killed_at(ns: u64) -> String {
     let mut registry = Registry::new();
     register_with_settings(&mut registry, N, || working(Duration::from_millis(300)));
     register_script(&mut registry, one_command);
-    let kill = Fault::Kill {
-        chassis: "on_n".to_owned(),
-        at: Instant::from_nanos(ns),
-    };
+    let kill = Fault::on("on_n", FaultKind::Kill, Instant::from_nanos(ns));
     simulate(app, registry, Faults::of_script("a death", vec![kill]))
         .0
         .unwrap()
@@ -369,10 +361,7 @@ fn an_action_in_doubt_without_a_failure_branch_stops_the_net_and_an_idempotent_o
             })
         });
         register_script(&mut registry, look);
-        let kill = Fault::Kill {
-            chassis: "on_n".to_owned(),
-            at: Instant::from_nanos(1_500_000_000),
-        };
+        let kill = Fault::on("on_n", FaultKind::Kill, Instant::from_nanos(1_500_000_000));
         STARTED.store(0, Ordering::Relaxed);
         let found = simulate(app, registry, Faults::of_script("a death", vec![kill])).0;
         (found.unwrap(), STARTED.load(Ordering::Relaxed))
@@ -425,10 +414,7 @@ fn a_durable_net_refuses_the_state_of_another_net_and_says_what_to_do() {
             })
         })))
     });
-    let kill = Fault::Kill {
-        chassis: "on_n".to_owned(),
-        at: Instant::from_nanos(3_000_000_000),
-    };
+    let kill = Fault::on("on_n", FaultKind::Kill, Instant::from_nanos(3_000_000_000));
     let _ = simulate(app, registry, Faults::of_script("a death", vec![kill]));
     let errors = errors.lock().unwrap();
     let error = errors.first().unwrap();

@@ -1,7 +1,7 @@
 //! The output tape, and what becomes of nets whose partner is lost.
 
 use ctos::{
-    simulation::{Fault, Faults},
+    simulation::{Fault, FaultKind, Faults},
     time::Instant,
 };
 
@@ -111,10 +111,7 @@ fn a_net_that_exchanges_tokens_with_one_that_is_lost_stops_and_says_so() {
             let now = insist(&cx, "a", Marking {}).await?;
             Ok(now.halted.unwrap_or_default())
         });
-        let death = Fault::Kill {
-            chassis: "on_b".to_owned(),
-            at: Instant::from_nanos(1_700_000_000),
-        };
+        let death = Fault::on("on_b", FaultKind::Kill, Instant::from_nanos(1_700_000_000));
         let script = Faults::of_script("a death", vec![death]);
         let app = durable_app(&[("a", durable), ("b", durable)], 1);
         let halted = simulate(app, registry, script).0.unwrap();

@@ -8,7 +8,7 @@ use mutate::Mutator;
 
 use ctos_config::load_texts;
 use ctos_link::{
-    handshake::{Answer, hear, hear_greeting},
+    handshake::{Answer, Greeting, Hello, Member, Process, Token, greet, hear, hear_greeting},
     session::packet::Decoder,
     transport::Address,
 };
@@ -87,6 +87,32 @@ fn payload(bytes: &[u8]) {
     let _ = data().take::<std::collections::BTreeMap<String, Vec<u8>>>();
 }
 
+/// What a chassis says first.
+fn greeting() -> Vec<u8> {
+    let greeting = Greeting::Hello {
+        token: Token("secret".to_owned()),
+        hello: Hello {
+            member: Member {
+                chassis: 1,
+                incarnation: 1,
+                process: Process {
+                    host: "host/1".to_owned(),
+                    pid: 7,
+                },
+                listen: vec![Address::Unix("/run/a.sock".into())],
+            },
+            received: 3,
+            shared: true,
+        },
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
+    let mut bytes = Vec::new();
+    runtime.block_on(greet(&mut bytes, &greeting)).unwrap();
+    bytes
+}
+
 /// What this version itself writes for a target.
 fn own(target: &str) -> Vec<Vec<u8>> {
     let frame = Frame::of_body(vec![1, 2, 3]).encode();
@@ -106,7 +132,7 @@ fn own(target: &str) -> Vec<Vec<u8>> {
             ];
             vec![packets.concat()]
         }
-        "handshake" => vec![ctos_link::handshake::greeting_of_corpus()],
+        "handshake" => vec![greeting()],
         "agent" => crate::remote::corpus(),
         "config" => vec![ctos_config::DEFAULTS.as_bytes().to_vec()],
         _ => {
