@@ -8,7 +8,7 @@
 //! A file may use files of its own layer and of the layers before it:
 //!
 //! 1. text: `words`, `name`, `report`
-//! 2. data: `opaque`, `transport`, `request`, `results`, `description`, `reserve`, `meta`
+//! 2. data: `opaque`, `transport`, `request`, `results`, `layout`, `description`, `reserve`, `meta`
 //! 3. parts that know no object: `options`, `dictionary`, `trade/wanted`, `trade/market`, `watching`, `comm`, `clock`,
 //!    `process`, `snapshot`
 //! 4. what an object is and where it stands, the one circle: `object`, `class`, `sorm`
@@ -31,6 +31,7 @@ pub mod dictionary;
 mod dispatch;
 pub mod ipc;
 pub mod later;
+mod layout;
 mod manager;
 mod meta;
 pub mod name;
@@ -76,6 +77,7 @@ pub mod describe {
     pub use crate::builtin::own_classes;
     pub use crate::dbx::dbx_options;
     pub use crate::description::{ClassInfo, Form, FormInfo, OptionInfo, OptionKind};
+    pub use crate::layout::{Layout, Part, Shape};
 }
 
 /// The pages of `docs` whose examples are run as tests.
