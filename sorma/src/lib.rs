@@ -8,7 +8,7 @@
 //! A file may use files of its own layer and of the layers before it:
 //!
 //! 1. text: `words`, `name`, `report`
-//! 2. data: `opaque`, `transport`, `request`, `results`, `layout`, `description`, `reserve`, `meta`
+//! 2. data: `opaque`, `transport`, `request`, `results`, `layout`, `description`, `reserve`, `meter`, `meta`
 //! 3. parts that know no object: `options`, `dictionary`, `trade/wanted`, `trade/market`, `watching`, `comm`, `clock`,
 //!    `process`, `snapshot`
 //! 4. what an object is and where it stands, the one circle: `object`, `class`, `sorm`
@@ -34,6 +34,7 @@ pub mod later;
 mod layout;
 mod manager;
 mod meta;
+mod meter;
 pub mod name;
 pub mod object;
 pub mod opaque;
@@ -57,6 +58,7 @@ pub mod words;
 
 pub use class::Class;
 pub use comm::{Alone, Comm};
+pub use dbx::built;
 pub use description::{ClassInfo, Form};
 pub use dictionary::Dictionary;
 pub use later::Deferred;

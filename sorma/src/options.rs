@@ -328,13 +328,9 @@ fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report>
         let given = io.floats.len();
         return wrong(match form.floats {
             0 => format!("takes no floats (FMSG), not {given}"),
-            count => {
-                let how = match given {
-                    0 => format!(": write FMSG {count} and the numbers"),
-                    _ => String::new(),
-                };
-                format!("takes {count} floats ({takes}), not {given}{how}")
-            }
+            count => format!(
+                "takes {count} floats ({takes}), not {given}: write FMSG {count} and the numbers"
+            ),
         });
     }
     if let Some(index) = io.floats.iter().position(|float| !float.is_finite()) {

@@ -42,7 +42,7 @@ pub(crate) fn about(name: &str, classes: &[ClassInfo]) -> Result<String, String>
         let help = help.map(|help| format!("; {help}")).unwrap_or_default();
         let name: String = name.chars().take(60).collect();
         return Err(format!(
-            "there is no statement and no object `{name}`{help}; `list` tells what there is, `help` how it is asked"
+            "there is no statement and no object `{name}`; `list` tells what there is, `help` how it is asked{help}"
         ));
     };
     // Writing to a `String` cannot fail.

@@ -465,6 +465,11 @@ impl Session {
         self.remember(&reply.body);
         if !reply.body.is_ok() {
             let told = reply.body.reports.iter().map(told);
+            // At the prompt numbers need no keyword.
+            let told = told.map(|told| match told.split_once(": write FMSG ") {
+                Some((before, _)) if self.for_people => before.to_owned(),
+                _ => told,
+            });
             let told: Vec<String> = told.collect();
             let (name, code) = (&reply.name, reply.body.code);
             self.pending = Some(Failure {
