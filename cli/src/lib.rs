@@ -9,6 +9,11 @@ pub mod commands;
 pub mod log;
 pub mod program;
 
+/// Says to every service object of this process which revision it was compiled from, and when.
+pub fn tell_build() {
+    sorma::built(env!("CTOS_BUILD_REVISION"), env!("CTOS_BUILD_TIME"));
+}
+
 pub use cli_common::exit;
 pub use cli_display as display;
 pub use cli_scott as scott;

@@ -1,5 +1,5 @@
 //! Asynchronous invocation by text: the classes `later` (deferred, one-way, callback), `fork` (several at
-//! once), `stream` (another object's results) and `event` (notification). In code it is
+//! once; with `-object` one object asked without waiting), `stream` (another object's results) and `event` (notification). In code it is
 //! [`Sorm::ask_later`], [`Sorm::fork`], [`Sorm::subscribe`] and their like.
 //!
 //! None of them keeps its caller waiting for more than what it was asked to wait for: what is not there yet
@@ -10,6 +10,7 @@ mod event;
 mod fork;
 mod later;
 mod stream;
+mod tickets;
 
 use crate::class::Class;
 use crate::description::ClassInfo;
@@ -17,7 +18,7 @@ use crate::object::ServiceObject;
 use crate::options::OptionTable;
 use crate::sorm::Sorm;
 use event::Event;
-use fork::Fork;
+use fork::ForkObject;
 use later::LaterObject;
 use stream::StreamObject;
 
@@ -35,7 +36,7 @@ fn all() -> [Class; 4] {
             || Box::new(LaterObject::default()),
         )
         .waits(),
-        class("fork", &fork::OPTIONS, || Box::new(Fork::default())).waits(),
+        class("fork", &fork::OPTIONS, || Box::new(ForkObject::default())).waits(),
         class("stream", &stream::OPTIONS, || {
             Box::new(StreamObject::default())
         })

@@ -10,6 +10,7 @@ mod protocol;
 mod streams;
 mod tasks;
 
+use crate::asynchronous;
 use crate::comm::Comm;
 use crate::dictionary::Dictionary;
 use crate::request::{Method, Request};
@@ -44,20 +45,23 @@ pub struct Daemon {
 }
 
 /// Registers the handler. `shipped` is the dictionary that comes with the program, under those that a
-/// task's arguments name; `classes` registers the classes that a daemon serves.
+/// task's arguments name; `classes` registers the classes that a daemon serves, besides those that every daemon has:
+/// `dict`, `sorm`, `watch`, and for requests without waiting `fork`, `later`, `stream` and `event`.
 pub fn register(
     registry: &mut Registry,
     shipped: Dictionary,
     classes: impl Fn(&Context, &Sorm) + Send + Sync + 'static,
 ) {
-    registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
+    let handler = registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
         let sorm = manager(cx, shipped.clone())?;
+        asynchronous::register(&sorm);
         classes(cx, &sorm);
         Ok(Daemon {
             sorm,
             subscribers: Rc::default(),
         })
     });
+    handler.check_in_app(arguments::check);
 }
 
 /// The manager of a task's chassis, with the dictionary that its arguments name, over a shipped one.

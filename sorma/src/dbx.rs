@@ -5,7 +5,7 @@ use crate::object::{Body, Context, Outcome};
 use crate::options::OptionTable;
 use crate::report::Severity;
 use crate::transport::Transport;
-use std::sync::LazyLock;
+use std::sync::{LazyLock, OnceLock};
 
 /// How this program was compiled.
 const BUILD: &str = if cfg!(debug_assertions) {
@@ -18,6 +18,23 @@ const BUILD: &str = if cfg!(debug_assertions) {
     concat!("ctos ", env!("CARGO_PKG_VERSION"), ", optimized")
 };
 
+/// The program's revision and when it was compiled, as it says itself.
+static BUILT: OnceLock<String> = OnceLock::new();
+
+/// Says of this program which revision of its sources it was compiled from, and when; `DBX -build` of every object
+/// tells it. The first word counts. The crate does not find out by itself: then every commit would compile it anew,
+/// and all that is built with it.
+pub fn built(revision: &str, at: &str) {
+    BUILT.get_or_init(|| format!("revision {revision}, compiled {at}"));
+}
+
+fn build() -> String {
+    let built = BUILT.get().map(String::as_str);
+    let built =
+        built.unwrap_or("revision and time of compilation not known: its program did not say");
+    format!("{BUILD}, {built}")
+}
+
 /// What a DBX request asks for and sets, before anything of it is done.
 #[derive(Debug, Clone)]
 struct Asked {
@@ -27,6 +44,7 @@ struct Asked {
     version: String,
     audit: String,
     statistics: String,
+    meter: String,
     subscribers: usize,
 }
 
@@ -38,6 +56,7 @@ impl Default for Asked {
             version: String::new(),
             audit: String::new(),
             statistics: String::new(),
+            meter: String::new(),
             subscribers: 0,
         }
     }
@@ -60,8 +79,8 @@ static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {
         .action("version", &[], "class and its version", |asked, _| {
             Ok(asked.version.clone())
         })
-        .action("build", &[], "how its program was compiled", |_, _| {
-            Ok(BUILD.to_owned())
+        .action("build", &[], "how its program was compiled: version, revision and time", |_, _| {
+            Ok(build())
         })
         .action(
             "audit",
@@ -74,6 +93,12 @@ static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {
             &[],
             "how often it was called: EXEC, CTRL, errors",
             |asked, _| Ok(asked.statistics.clone()),
+        )
+        .action(
+            "meter",
+            &[],
+            "who used it by name, a line for each: calls of EXEC and CTRL, errors, time, bytes in and out",
+            |asked, _| Ok(asked.meter.clone()),
         )
         .action(
             "subscribers",
@@ -97,6 +122,7 @@ pub(crate) fn dbx(body: &mut Body, cx: &Context<'_>, io: &mut Transport) -> Outc
         version: format!("{} {}", cx.slot.class.name(), cx.slot.class.version()),
         audit: lines.join("\n"),
         statistics: meta.statistics(),
+        meter: meta.meter.lines(),
         subscribers: cx.slot.subscribers(),
     };
     DBX.ctrl(&mut asked, io);

@@ -76,6 +76,7 @@ static MEAL: LazyLock<OptionTable<Meal>> = LazyLock::new(|| {
                 floats: 0,
                 takes: "",
                 gives: "what is served, and the floats of the drink if there is one",
+                results: "",
                 help: "serves the meal",
             },
             Form {
@@ -83,6 +84,7 @@ static MEAL: LazyLock<OptionTable<Meal>> = LazyLock::new(|| {
                 floats: 6,
                 takes: "two places x y z, m",
                 gives: "1 float: the speed of the transfer, m/s",
+                results: "speed: m/s",
                 help: "carries the tray from one place to another",
             },
         ])
@@ -180,6 +182,7 @@ static DRINK: LazyLock<OptionTable<Drink>> = LazyLock::new(|| {
             floats: 0,
             takes: "",
             gives: "2 floats: tea in l, lemon as part of one",
+            results: "tea: l; lemon",
             help: "mixes the drink",
         }])
         .float(

@@ -3,6 +3,7 @@
 //! From this come completion and hints in the inspector, panels, and the page of services. It is
 //! made from the class's [`OptionTable`](crate::OptionTable) and from nothing else.
 
+use crate::layout::Layout;
 use serde::{Deserialize, Serialize};
 
 /// One form of EXEC that a class understands, as it is written in the class's table.
@@ -17,6 +18,9 @@ pub struct Form {
     pub takes: &'static str,
     /// What comes out, with units and shape.
     pub gives: &'static str,
+    /// What the numbers are that come out, for programs that show them: a [`Layout`]; empty when they are not
+    /// always the same.
+    pub results: &'static str,
     /// What it does, in one line.
     pub help: &'static str,
 }
@@ -31,15 +35,20 @@ impl Form {
 
     /// Whether the text of a request is of this form.
     pub(crate) fn is_of(&self, text: &str) -> bool {
-        if self.is_placeholder() {
-            return !text.is_empty();
-        }
-        match self.text.split_once(' ') {
-            Some((word, _)) => text
-                .split_once(char::is_whitespace)
-                .is_some_and(|(first, rest)| first == word && !rest.trim().is_empty()),
-            None => self.text == text,
-        }
+        is_of(self.text, self.is_placeholder(), text)
+    }
+}
+
+/// Whether the text of a request is of the form with that text.
+fn is_of(form: &str, placeholder: bool, text: &str) -> bool {
+    if placeholder {
+        return !text.is_empty();
+    }
+    match form.split_once(' ') {
+        Some((word, _)) => text
+            .split_once(char::is_whitespace)
+            .is_some_and(|(first, rest)| first == word && !rest.trim().is_empty()),
+        None => form == text,
     }
 }
 
@@ -56,6 +65,9 @@ pub struct FormInfo {
     pub takes: String,
     /// What comes out, with units and shape.
     pub gives: String,
+    /// What the numbers are that come out, as a [`Layout`].
+    #[serde(default)]
+    pub results: String,
     /// What it does, in one line.
     pub help: String,
 }
@@ -68,8 +80,23 @@ impl From<&Form> for FormInfo {
             floats: form.floats,
             takes: form.takes.to_owned(),
             gives: form.gives.to_owned(),
+            results: form.results.to_owned(),
             help: form.help.to_owned(),
         }
+    }
+}
+
+impl FormInfo {
+    /// Whether the text of a request is of this form.
+    #[must_use]
+    pub fn is_of(&self, text: &str) -> bool {
+        is_of(&self.text, self.placeholder, text)
+    }
+
+    /// What the numbers are that come out; nothing when it does not say.
+    #[must_use]
+    pub fn layout(&self) -> Layout {
+        self.results.parse().unwrap_or_default()
     }
 }
 
@@ -152,4 +179,15 @@ pub struct ClassInfo {
     pub forms: Vec<FormInfo>,
     /// Its options, `help` and `dump` left out: every class has them.
     pub options: Vec<OptionInfo>,
+}
+
+impl ClassInfo {
+    /// The form of EXEC that a request with that text and so many floats has, as its object tells them apart.
+    #[must_use]
+    pub fn form(&self, text: &str, floats: usize) -> Option<&FormInfo> {
+        let text = text.trim();
+        let mut fitting = self.forms.iter().filter(|form| form.is_of(text));
+        let counted = fitting.clone().find(|form| form.floats == floats);
+        counted.or_else(|| fitting.next())
+    }
 }

@@ -16,7 +16,8 @@ use crate::transport::Transport;
 use futures_util::StreamExt as _;
 use futures_util::stream;
 use std::rc::Rc;
-use tokio::sync::oneshot;
+use std::sync::Arc;
+use tokio::sync::{Semaphore, oneshot};
 
 /// An answer that comes later. Dropped, it is not heard, and what was asked is done all the same.
 #[derive(Debug)]
@@ -71,6 +72,28 @@ impl Sorm {
         let never = self.never(&request);
         let sorm = self.clone();
         defer(comm, never, move |comm| async move {
+            sorm.ask(&*comm, request).await
+        })
+    }
+
+    /// [`Self::ask_later`], begun when `turns` has a permit: so many of all that share it are under way at once, in
+    /// the order in which they are asked.
+    ///
+    /// # Errors
+    /// Nothing can go on beside the caller here.
+    pub(crate) fn ask_in_turn(
+        &self,
+        comm: &dyn Comm,
+        request: Request,
+        turns: Arc<Semaphore>,
+    ) -> Result<Deferred<Reply>, Report> {
+        let never = self.never(&request);
+        let sorm = self.clone();
+        // Asked for here and not by the job, which keeps the order.
+        let turn = turns.acquire_owned();
+        defer(comm, never, move |comm| async move {
+            // Nobody closes it.
+            let _turn = turn.await;
             sorm.ask(&*comm, request).await
         })
     }

@@ -8,7 +8,7 @@
 //! A file may use files of its own layer and of the layers before it:
 //!
 //! 1. text: `words`, `name`, `report`
-//! 2. data: `opaque`, `transport`, `request`, `results`, `description`, `reserve`, `meta`
+//! 2. data: `opaque`, `transport`, `request`, `results`, `layout`, `description`, `reserve`, `meter`, `meta`
 //! 3. parts that know no object: `options`, `dictionary`, `trade/wanted`, `trade/market`, `watching`, `comm`, `clock`,
 //!    `process`, `snapshot`
 //! 4. what an object is and where it stands, the one circle: `object`, `class`, `sorm`
@@ -31,8 +31,10 @@ pub mod dictionary;
 mod dispatch;
 pub mod ipc;
 pub mod later;
+mod layout;
 mod manager;
 mod meta;
+mod meter;
 pub mod name;
 pub mod object;
 pub mod opaque;
@@ -56,6 +58,7 @@ pub mod words;
 
 pub use class::Class;
 pub use comm::{Alone, Comm};
+pub use dbx::built;
 pub use description::{ClassInfo, Form};
 pub use dictionary::Dictionary;
 pub use later::Deferred;
@@ -76,6 +79,7 @@ pub mod describe {
     pub use crate::builtin::own_classes;
     pub use crate::dbx::dbx_options;
     pub use crate::description::{ClassInfo, Form, FormInfo, OptionInfo, OptionKind};
+    pub use crate::layout::{Layout, Part, Shape};
 }
 
 /// The pages of `docs` whose examples are run as tests.

@@ -1,5 +1,6 @@
 //! What is kept about every object, whatever its class: how often it was called, and who changed it.
 
+use crate::meter::Meter;
 use crate::report::{Report, Severity};
 use crate::words;
 use ctos::time::Instant;
@@ -22,6 +23,7 @@ pub(crate) struct Meta {
     pub(crate) execs: u64,
     /// Calls that ended with an error.
     pub(crate) errors: u64,
+    pub(crate) meter: Meter,
 }
 
 impl Default for Meta {
@@ -32,6 +34,7 @@ impl Default for Meta {
             ctrls: 0,
             execs: 0,
             errors: 0,
+            meter: Meter::default(),
         }
     }
 }

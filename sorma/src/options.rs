@@ -356,7 +356,16 @@ fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report>
 fn no_form(forms: &[Form], text: &str) -> Report {
     let known: Vec<&str> = forms.iter().map(|form| form.text).collect();
     let listed = known.join(", ");
+    // The text when the numbers at its end are meant as numbers.
+    let words = text.trim_end_matches(|letter: char| " \t+-.eE0123456789".contains(letter));
+    let meant = forms
+        .iter()
+        .find(|form| words != text && form.floats > 0 && form.text == words);
     let text = match (known.as_slice(), text) {
+        _ if meant.is_some() => format!(
+            "the numbers of EXEC {words} stand after FMSG and their count: write FMSG {} and the numbers",
+            meant.map_or(0, |form| form.floats)
+        ),
         ([], _) => "this class has no EXEC".to_owned(),
         ([one], "") => format!("after EXEC stands {one}"),
         (_, "") => format!("after EXEC stands one of {listed}"),

@@ -5,6 +5,7 @@
 //! nobody else's and stands in no repository.
 
 use crate::dbx;
+use crate::meter;
 use crate::object::{Body, Context, Outcome, Slot};
 use crate::raise;
 use crate::report::{Report, code};
@@ -235,12 +236,16 @@ impl Slot {
         method: Method,
         io: &mut Transport,
     ) {
+        let metered = meter::begin(method, io, || sorm.now());
         match method {
             Method::Exec => self.exec(body, sorm, within, io),
             Method::Ctrl => self.ctrl(body, sorm, within, io),
             Method::Dbx => self.with_reports(body, sorm, within, io, |body, cx, io| {
                 dbx::dbx(body, cx, io)
             }),
+        }
+        if let Some(begun) = metered {
+            body.meta.meter.add(begun, io, sorm.now());
         }
     }
 

@@ -164,6 +164,7 @@ impl Sorm {
                 body: body.clone(),
             };
             self.used(&at, &request.name);
+            let _given = Given::to(self, &offer.daemon);
             match comm.ask_once(&at, request).await {
                 Ok(answer) => {
                     *body = answer;
@@ -185,5 +186,24 @@ impl Sorm {
         }
         let report = last.unwrap_or_else(|| wanted.unmet(name, &[]));
         self.unanswered(name, body, report);
+    }
+}
+
+/// A request that a daemon was given; it is over when this is dropped, also when nobody waits for it any more.
+struct Given<'a> {
+    sorm: &'a Sorm,
+    daemon: &'a str,
+}
+
+impl<'a> Given<'a> {
+    fn to(sorm: &'a Sorm, daemon: &'a str) -> Self {
+        sorm.inner.market.lock().gives(daemon);
+        Self { sorm, daemon }
+    }
+}
+
+impl Drop for Given<'_> {
+    fn drop(&mut self) {
+        self.sorm.inner.market.lock().over(self.daemon);
     }
 }

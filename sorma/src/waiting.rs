@@ -4,6 +4,7 @@
 //! technical report, sections 1.7.3 and 1.10).
 
 use crate::comm::Comm;
+use crate::meter;
 use crate::name::{Location, ObjectName};
 use crate::object::{Context, Outcome, Slot, Waiting, unsupported};
 use crate::raise;
@@ -234,6 +235,7 @@ impl Slot {
             Err(report) => return io.report(report),
         };
         let body = &mut *guard;
+        let metered = meter::begin(Method::Exec, io, || sorm.now());
         let outcome: Outcome = match self.free_for(body, sorm, &io.from) {
             Err(report) => Err(report),
             Ok(()) => {
@@ -249,6 +251,9 @@ impl Slot {
         };
         body.meta.execs += 1;
         self.collect(body, sorm, before, outcome, io);
+        if let Some(begun) = metered {
+            body.meta.meter.add(begun, io, sorm.now());
+        }
         self.publish(sorm, io);
     }
 }

@@ -399,9 +399,9 @@ impl Terminal {
         }
     }
 
-    /// Reads what is drawn until a text has come, and forgets what came before it.
+    /// Reads what is drawn until a text has come; what came before it.
     #[track_caller]
-    fn until(&mut self, text: &str) {
+    fn until(&mut self, text: &str) -> String {
         /// How a program asks where the cursor is.
         const WHERE: &str = "\u{1b}[6n";
         loop {
@@ -410,8 +410,8 @@ impl Terminal {
                 self.keys.write_all(b"\x1b[1;1R").unwrap();
             }
             if let Some(at) = self.shown.find(text) {
-                self.shown.drain(..at + text.len());
-                return;
+                let shown: String = self.shown.drain(..at + text.len()).collect();
+                return shown;
             }
             match self.drawn.recv_timeout(Duration::from_secs(120)) {
                 Ok(bytes) => self.shown += &String::from_utf8_lossy(&bytes),
@@ -447,4 +447,47 @@ fn the_prompt_tells_that_the_app_is_gone_and_back_while_nobody_types() {
     // What is typed reaches the new one.
     terminal.keys.write_all(b"foo.a EXEC\r").unwrap();
     terminal.until("breakfast");
+}
+
+#[test]
+fn the_prompt_helps_takes_plain_numbers_and_shows_names_units_and_matrices() {
+    if !Terminal::can_be_had() {
+        return;
+    }
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    let mut terminal = Terminal::start(&scratch, "objects");
+    let types = |terminal: &mut Terminal, line: &str| {
+        terminal.until("scott objects");
+        terminal
+            .keys
+            .write_all(format!("{line}\r").as_bytes())
+            .unwrap();
+    };
+    types(&mut terminal, "list kin");
+    terminal.until("kinematics of an arm");
+    types(&mut terminal, "help kin");
+    terminal.until("takes joint positions q1 to q6, rad");
+    types(&mut terminal, "kin EXEC fkine 0 0 0 0 0 0");
+    terminal.until("base_T_6 (m)");
+    terminal.until("1  0  0   0.4521");
+    types(&mut terminal, "bar EXEC");
+    terminal.until("1.5 l");
+    types(&mut terminal, "kin EXEC fkin");
+    terminal.until("did you mean `fkine`?");
+    types(&mut terminal, "kim");
+    let error = terminal.until("did you mean `kin`?");
+    assert!(!error.contains(".rs:"), "{error}");
+    // A script gets the reply as it reads back.
+    let ended = scratch.scott(&["-c", "kin EXEC fkine FMSG 6 0 0 0 0 0 0", "-c", "list kin"]);
+    assert!(
+        ended.stdout.starts_with("kin RET 0 FMSG 16 1.0 0.0 "),
+        "{}",
+        ended.stdout
+    );
+    assert!(
+        ended.stdout.ends_with("kin        kinematics of an arm\n"),
+        "{}",
+        ended.stdout
+    );
 }

@@ -41,14 +41,22 @@ impl Backend {
                 (names, CLASSES.clone())
             }
             Self::App(app) => {
-                let classes = app.classes().map(<[ClassInfo]>::to_vec);
-                // Most apps serve the classes of this program.
-                (app.names(), classes.unwrap_or_else(|| CLASSES.clone()))
+                let names = app.names();
+                (names, self.classes().to_vec())
             }
         };
         names.sort_unstable();
         names.dedup();
         (names, classes)
+    }
+
+    /// What is known about the classes.
+    pub fn classes(&mut self) -> &[ClassInfo] {
+        match self {
+            Self::Local(_) => &CLASSES,
+            // Most apps serve the classes of this program.
+            Self::App(app) => app.classes().unwrap_or(&CLASSES),
+        }
     }
 
     /// Another that asks the same, over a connection of its own; `None` when it cannot be had.

@@ -8,7 +8,10 @@ use sorma::{
     describe::{self, FormInfo, OptionInfo, OptionKind},
 };
 
-use super::script::{REPLY, STATEMENTS};
+use super::{
+    helping,
+    script::{REPLY, STATEMENTS},
+};
 
 /// Entries of a folder that are offered at most.
 const MOST_FILES: usize = 200;
@@ -97,6 +100,7 @@ fn offered(line: &Line<'_>, known: Known<'_>) -> Vec<Candidate> {
         [] if line.begun.contains('@') => at_daemons(line.begun, known),
         [] => beginnings(known),
         ["set", ..] | ["repeat"] => Vec::new(),
+        ["help" | "?" | "list"] => beginnings_of_objects(known),
         ["watch"] => {
             let own = known.names.iter();
             own.map(|name| candidate(name, "an object")).collect()
@@ -136,6 +140,12 @@ fn at_daemons(begun: &str, known: Known<'_>) -> Vec<Candidate> {
 }
 
 fn beginnings(known: Known<'_>) -> Vec<Candidate> {
+    let mut all = beginnings_of_objects(known);
+    all.extend(STATEMENTS.map(|(word, about)| candidate(word, about)));
+    all
+}
+
+fn beginnings_of_objects(known: Known<'_>) -> Vec<Candidate> {
     let mut all: Vec<Candidate> = known
         .classes
         .iter()
@@ -149,16 +159,12 @@ fn beginnings(known: Known<'_>) -> Vec<Candidate> {
         }
     }
     all.sort_by(|a, b| a.word.cmp(&b.word));
-    all.extend(STATEMENTS.map(|(word, about)| candidate(word, about)));
     all
 }
 
 /// The class that a name means.
 fn class_of<'a>(name: &str, known: Known<'a>) -> Option<&'a ClassInfo> {
-    let class = name.split(['.', '@']).next().unwrap_or(name);
-    let lower = class.to_ascii_lowercase();
-    let mut classes = known.classes.iter();
-    classes.find(|info| info.name == class || info.name == lower)
+    helping::class_of(name, known.classes)
 }
 
 fn requests(class: &ClassInfo, rest: &[&str], begun: &str) -> Vec<Candidate> {
@@ -279,7 +285,7 @@ pub fn hint(text: &str, known: Known<'_>) -> String {
 
 fn next_of_request(class: &ClassInfo, rest: &[&str]) -> String {
     let rest = rest.strip_prefix(&["TMSG"]).unwrap_or(rest);
-    let takes = |form: &FormInfo| format!("FMSG {} <{}>", form.floats, form.takes);
+    let takes = |form: &FormInfo| format!("{} numbers <{}>", form.floats, form.takes);
     match rest {
         [] => {
             let texts = class.forms.iter().map(|form| match form.text.as_str() {
@@ -384,7 +390,7 @@ mod tests {
         assert_eq!(hinted("kin "), "EXEC | CTRL | DBX");
         assert_eq!(hinted("kin EXEC "), "fkine | jacobian | ikine");
         let fkine = hinted("kin EXEC TMSG fkine ");
-        assert_eq!(fkine, "FMSG 6 <joint positions q1 to q6, rad>");
+        assert_eq!(fkine, "6 numbers <joint positions q1 to q6, rad>");
         let gravity = hinted("dyn CTRL -gravity ");
         assert!(
             gravity.starts_with("<0.0..100.0 m/s^2 = 9.81> "),

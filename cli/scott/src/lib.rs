@@ -2,14 +2,16 @@
 //! section 1.8.1).
 //!
 //! [`services`] gathers the objects, [`attach`] reaches those of a running app, [`lines`] reads scripts, [`script`] is the
-//! grammar, [`session`] runs it, [`replies`] writes what comes of it, [`prompt`] is the line editor, [`complete`] what it
+//! grammar, [`session`] runs it, [`replies`] and [`numbers`] write what comes of it, [`helping`] tells what there is, [`prompt`] is the line editor, [`complete`] what it
 //! offers. [`panel`] shows objects on a web page, for this program and as an event handler.
 
 pub mod attach;
 pub mod backend;
 pub mod complete;
 pub mod follow;
+mod helping;
 pub mod lines;
+mod numbers;
 pub mod panel;
 pub mod prompt;
 pub mod replies;
@@ -55,7 +57,8 @@ const EXAMPLES: &str = "Examples:
 /// A request is `name EXEC|CTRL|DBX text`, for example `foo.a EXEC` or `spot CTRL -help`; docs/services.md lists what
 /// there is. Replies go to standard output, one line each, in the form that reads back exactly; what is to be said
 /// about them goes to standard error. Without `-c` and `-f`, statements come from standard input; at a terminal they
-/// are typed at a prompt, with completion (Tab), search in the history (Ctrl-R), and Ctrl-D to leave.
+/// are typed at a prompt, with completion (Tab), search in the history (Ctrl-R), and Ctrl-D to leave. There numbers stand
+/// as they are (`kin EXEC fkine 0 0 0 0 0 0`), and answers have names and units.
 #[derive(Debug, Parser)]
 #[command(name = "scott", version, max_term_width = 100)]
 #[command(after_help = format!("{STATEMENTS}\n\n{EXAMPLES}\n\n{}", exit::help()))]
@@ -107,8 +110,10 @@ pub struct Cli {
     pub color: Colour,
 }
 
-const STATEMENTS: &str = "Statements, one a line (a line that ends with \\ goes on in the next, # begins a comment):
+pub(crate) const STATEMENTS: &str = "Statements, one a line (a line that ends with \\ goes on in the next, # begins a comment):
   NAME EXEC|CTRL|DBX TEXT   a request
+  help [NAME]               how one asks, or what an object can do; also ? and NAME ?
+  list [TEXT]               the objects and classes that there are, or those with TEXT in their names
   set NAME = WORDS          a variable, used as $NAME; $RET $TMSG $FMSG $IMSG are the last reply's
   expect RET 0              what the last reply must be: RET, TMSG, FMSG n .. [within TOLERANCE], IMSG, TDBX;
                             a reply with an error is a failure unless an expect RET meets it

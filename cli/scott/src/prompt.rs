@@ -64,7 +64,7 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     }
     let mut editor = editor(&names, vi).with_external_printer(printer);
     session.show_to_people();
-    show::say("Tab completes, `NAME CTRL -help` tells what an object can do, Ctrl-D leaves.");
+    show::say("`list` tells what there is, `help` how it is asked; Tab completes, Ctrl-D leaves.");
     loop {
         refresh(&names, session);
         let prompt = Speaks::to(session.backend(), &gone);

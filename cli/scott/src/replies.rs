@@ -3,11 +3,13 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use sorma::{Reply, Report};
+use sorma::{Reply, Report, describe::Layout};
 
-/// A reply for people: its text as it stands, its numbers, and what was reported. Of an error nothing,
-/// which is shown as such.
-pub(crate) fn for_people(reply: &Reply) -> String {
+use super::numbers;
+
+/// A reply for people: its text as it stands, its numbers as `layout` names them, and what was reported. Of an error
+/// nothing, which is shown as such.
+pub(crate) fn for_people(reply: &Reply, layout: &Layout) -> String {
     let body = &reply.body;
     if !body.is_ok() {
         return String::new();
@@ -16,18 +18,8 @@ pub(crate) fn for_people(reply: &Reply) -> String {
     if !body.text.is_empty() {
         lines.push(body.text.clone());
     }
-    if !body.floats.is_empty() {
-        let floats: Vec<String> = body
-            .floats
-            .iter()
-            .map(|float| format!("{float:?}"))
-            .collect();
-        lines.push(format!("FMSG {} {}", floats.len(), floats.join(" ")));
-    }
-    if !body.ints.is_empty() {
-        let ints: Vec<String> = body.ints.iter().map(ToString::to_string).collect();
-        lines.push(format!("IMSG {} {}", ints.len(), ints.join(" ")));
-    }
+    lines.extend(numbers::floats(layout, &body.floats));
+    lines.extend(numbers::ints(layout, &body.ints));
     if lines.is_empty() {
         lines.push("done".to_owned());
     }
@@ -35,8 +27,29 @@ pub(crate) fn for_people(reply: &Reply) -> String {
     lines.join("\n")
 }
 
-/// A report for people, its text not indented deeper than needed.
+/// A reply in short, after the name that everybody knows: for the lines of `trace` and `watch`.
+pub(crate) fn brief(reply: &str) -> String {
+    let Ok(reply) = reply.parse::<Reply>() else {
+        return reply.to_owned();
+    };
+    let mut parts: Vec<String> = reply.body.reports.iter().map(told).collect();
+    parts.retain(|_| !reply.body.is_ok());
+    if reply.body.is_ok() {
+        parts.push("ok".to_owned());
+        parts.extend(Some(reply.body.text.replace('\n', " ")).filter(|text| !text.is_empty()));
+        let none = Layout::default();
+        parts.extend(numbers::floats(&none, &reply.body.floats));
+        parts.extend(numbers::ints(&none, &reply.body.ints));
+    }
+    parts.join(" ")
+}
+
+/// A report for people, its text not indented deeper than needed. Where in our source it was said is nothing to them.
 pub(crate) fn told(report: &Report) -> String {
+    let report = Report {
+        file: String::new(),
+        ..report.clone()
+    };
     report.to_string().replace('\n', "\n    ")
 }
 

@@ -7,6 +7,8 @@
 //! repeat 1000 REQUEST      the last reply, and the least, the median and the longest time
 //! trace REQUEST            everything that it leads to
 //! watch PATTERN            the requests that objects meet, with their replies
+//! help [NAME]              how one asks, or what an object can do; also `?` and `NAME ?`
+//! list [TEXT]              the objects and classes that there are
 //! REQUEST                  name EXEC|CTRL|DBX text
 //! ```
 //!
@@ -21,7 +23,7 @@ use sorma::{Reply, Transport, words};
 use super::watch::Wanted;
 
 /// The words that begin a statement other than a request.
-pub const STATEMENTS: [(&str, &str); 6] = [
+pub const STATEMENTS: [(&str, &str); 8] = [
     ("set", "set NAME = WORDS: a variable, used as $NAME"),
     (
         "expect",
@@ -33,6 +35,14 @@ pub const STATEMENTS: [(&str, &str); 6] = [
         "repeat 1000 REQUEST: least, median and longest time",
     ),
     ("trace", "trace REQUEST: everything that it leads to"),
+    (
+        "help",
+        "help [NAME]: how one asks, or what an object can do",
+    ),
+    (
+        "list",
+        "list [TEXT]: the objects and classes that there are",
+    ),
     (
         "watch",
         "watch PATTERN[@DAEMON] [--kind EXEC] [--slower 50ms] [--failed] [--count N] [&]",
@@ -69,6 +79,10 @@ pub enum Statement {
     Trace(String),
     /// The requests of others.
     Watch(Wanted),
+    /// What an object can do, or without a name how one asks.
+    Help(Option<String>),
+    /// What there is with this text in its name.
+    List(String),
 }
 
 /// What a reply must be; what is `None` may be anything.
@@ -108,8 +122,14 @@ pub fn read(line: &str) -> Result<Statement, String> {
     if ["EXEC", "CTRL", "DBX"].contains(&second) {
         return Ok(Statement::Request(line.to_owned()));
     }
+    let one = |word: &str| Some(word.to_owned()).filter(|word| !word.is_empty());
+    if second == "?" && parts.next().is_none_or(|more| more.trim().is_empty()) {
+        return Ok(Statement::Help(one(first)));
+    }
     match first {
         "" => Ok(Statement::Nothing),
+        "help" | "?" => Ok(Statement::Help(one(rest))),
+        "list" => Ok(Statement::List(rest.to_owned())),
         "set" => set(rest),
         "expect" => expect(rest).map(Statement::Expect),
         "time" if rest.is_empty() => Err("after time stands a request".to_owned()),
@@ -343,6 +363,13 @@ mod tests {
             request("foo CTRL -drink '#1'")
         );
         assert_eq!(read("time EXEC x"), request("time EXEC x"));
+        assert_eq!(read("help EXEC"), request("help EXEC"));
+        let help = |name: Option<&str>| Ok(Statement::Help(name.map(str::to_owned)));
+        assert_eq!(read("help"), help(None));
+        assert_eq!(read("?"), help(None));
+        assert_eq!(read("? foo.a"), help(Some("foo.a")));
+        assert_eq!(read("foo.a ? # what"), help(Some("foo.a")));
+        assert_eq!(read("list foo"), Ok(Statement::List("foo".to_owned())));
         assert_eq!(
             read("repeat 10 bar EXEC"),
             Ok(Statement::Repeat(10, "bar EXEC".to_owned()))

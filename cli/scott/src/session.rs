@@ -8,11 +8,13 @@ use std::{
 };
 
 use ctos::time::Clock;
+use serde_json::json;
 use sorma::{Reply, Transport, report::code, words};
 
 use super::{
     attach::{Interrupt, Interrupted},
     backend::Backend,
+    helping,
     lines::{LONGEST_LINE, next_line},
     replies::{self, Times, told},
     script::{self, Expectation, Statement, Variables},
@@ -199,21 +201,81 @@ impl Session {
         if !matches!(statement, Statement::Expect(_)) && self.settle() == Flow::Stop {
             return Flow::Stop;
         }
+        let statement = match self.for_people {
+            true => self.meant(statement),
+            false => statement,
+        };
         match statement {
             Statement::Nothing => Flow::On,
+            Statement::Help(name) => self.help(place, name.as_deref()),
+            Statement::List(part) => self.list(&part),
             Statement::Set { name, words } => {
                 self.variables.insert(name, words);
                 Flow::On
             }
             Statement::Expect(expected) => self.expect(place, &expected),
             Statement::Request(request) => match self.backend.dispatch(&request, 0) {
-                Ok(reply) => self.replied(place, &reply, None),
+                Ok(reply) => self.replied(place, &request, &reply, None),
                 Err(Interrupted) => self.cancelled(place),
             },
             Statement::Trace(request) => self.trace(place, &request),
             Statement::Watch(wanted) => self.watch(place, &wanted),
             Statement::Time(request) => self.timed(place, &request, None),
             Statement::Repeat(count, request) => self.timed(place, &request, Some(count)),
+        }
+    }
+
+    /// What a person means who types a statement.
+    fn meant(&mut self, statement: Statement) -> Statement {
+        let classes = self.backend.classes();
+        let spoken = |request: String| helping::spoken(&request, classes).into_owned();
+        match statement {
+            // A name alone asks what it is.
+            Statement::Request(word) if !word.contains(char::is_whitespace) => {
+                Statement::Help(Some(word))
+            }
+            Statement::Request(request) => Statement::Request(spoken(request)),
+            Statement::Time(request) => Statement::Time(spoken(request)),
+            Statement::Trace(request) => Statement::Trace(spoken(request)),
+            Statement::Repeat(count, request) => Statement::Repeat(count, spoken(request)),
+            other => other,
+        }
+    }
+
+    fn help(&mut self, place: &Place<'_>, name: Option<&str>) -> Flow {
+        let text = match name {
+            None => format!("{}{}", helping::FIRST, crate::STATEMENTS),
+            Some(name) => match helping::about(name, self.backend.classes()) {
+                Ok(text) => text,
+                Err(why) => return self.fail(place, &why, exit::NO_SUCH_NAME),
+            },
+        };
+        self.tell(&match self.json {
+            true => json!({ "help": text }).to_string(),
+            false => text,
+        })
+    }
+
+    fn list(&mut self, part: &str) -> Flow {
+        let (names, classes) = self.backend.known();
+        let listed = helping::listed(part, &names, &classes);
+        let lines = listed.iter().map(|listed| match self.json {
+            true => listed.json().to_string(),
+            false => listed.text(),
+        });
+        let lines: Vec<String> = lines.collect();
+        match (lines.as_slice(), self.json) {
+            ([], true) => Flow::On,
+            ([], false) => self.tell(&format!("nothing has `{part}` in its name")),
+            (lines, _) => self.tell(&lines.join("\n")),
+        }
+    }
+
+    fn tell(&self, text: &str) -> Flow {
+        match show::data(text) {
+            Ok(()) => Flow::On,
+            // Whoever read this has what they wanted.
+            Err(_) => Flow::Stop,
         }
     }
 
@@ -226,7 +288,11 @@ impl Session {
     }
 
     fn fail(&mut self, place: &dyn fmt::Display, why: &str, code: u8) -> Flow {
-        show::say(&format!("{place}: {why}"));
+        // At the prompt it is known where that was.
+        match self.for_people {
+            true => show::say(&format!("error: {why}")),
+            false => show::say(&format!("{place}: {why}")),
+        }
         if self.failed == exit::OK {
             self.failed = code;
         }
@@ -280,7 +346,7 @@ impl Session {
             median: at(times.len() / 2),
             longest: at(times.len().saturating_sub(1)),
         };
-        self.replied(place, &reply, Some(&told))
+        self.replied(place, request, &reply, Some(&told))
     }
 
     /// The user has pressed Ctrl-C: nothing more is done, whatever was to be kept going.
@@ -308,21 +374,26 @@ impl Session {
         for seen in &all {
             let line = match self.json {
                 true => watch::as_json(seen).to_string(),
-                false if self.for_people => watch::nested_line(seen, begin_s),
+                false if self.for_people => {
+                    watch::nested_line(seen, &replies::brief(&seen.reply), begin_s)
+                }
                 // A script reads the reply; what it led to stands behind it as a comment.
-                false => format!("# {}", watch::nested_line(seen, begin_s)),
+                false => {
+                    let answer = watch::answer_of(seen);
+                    format!("# {}", watch::nested_line(seen, answer, begin_s))
+                }
             };
             if show::data(&line).is_err() {
                 return Flow::Stop;
             }
         }
-        self.replied(place, &reply, None)
+        self.replied(place, request, &reply, None)
     }
 
     /// Shows the requests that others make.
     fn watch(&mut self, place: &Place<'_>, wanted: &Wanted) -> Flow {
         self.views += 1;
-        let (number, json) = (self.views, self.json);
+        let (number, json, for_people) = (self.views, self.json, self.for_people);
         let Backend::App(app) = &self.backend else {
             let why = "watch shows what a running app is asked; here is nobody else who asks";
             return self.fail(place, why, exit::FAILED);
@@ -338,7 +409,8 @@ impl Session {
         };
         let shown = move |seen: &sorma::watching::Seen| match json {
             true => watch::as_json(seen).to_string(),
-            false => watch::line(seen),
+            false if for_people => watch::line(seen, &replies::brief(&seen.reply)),
+            false => watch::line(seen, watch::answer_of(seen)),
         };
         if let (true, Some(above)) = (wanted.background, self.above.clone()) {
             let wanted = wanted.clone();
@@ -358,7 +430,13 @@ impl Session {
         }
     }
 
-    fn replied(&mut self, place: &Place<'_>, text: &str, times: Option<&Times>) -> Flow {
+    fn replied(
+        &mut self,
+        place: &Place<'_>,
+        request: &str,
+        text: &str,
+        times: Option<&Times>,
+    ) -> Flow {
         // The manager's own text: it reads back.
         let reply = match text.parse::<Reply>() {
             Ok(reply) => reply,
@@ -368,7 +446,8 @@ impl Session {
             show::data(&replies::as_json(&reply, times).to_string())
         } else {
             let text = if self.for_people {
-                replies::for_people(&reply)
+                let layout = helping::layout(request, self.backend.classes());
+                replies::for_people(&reply, &layout)
             } else {
                 text.to_owned()
             };
@@ -386,15 +465,19 @@ impl Session {
         self.remember(&reply.body);
         if !reply.body.is_ok() {
             let told = reply.body.reports.iter().map(told);
+            // At the prompt numbers need no keyword.
+            let told = told.map(|told| match told.split_once(": write FMSG ") {
+                Some((before, _)) if self.for_people => before.to_owned(),
+                _ => told,
+            });
             let told: Vec<String> = told.collect();
+            let (name, code) = (&reply.name, reply.body.code);
             self.pending = Some(Failure {
                 place: place.to_string(),
-                text: format!(
-                    "{} ended with {}\n  {}",
-                    reply.name,
-                    reply.body.code,
-                    told.join("\n  ")
-                ),
+                text: match self.for_people && !told.is_empty() {
+                    true => told.join("\n"),
+                    false => format!("{name} ended with {code}\n  {}", told.join("\n  ")),
+                },
                 exit: exit_of(reply.body.code),
             });
         }

@@ -284,32 +284,30 @@ fn span(seconds: f64) -> String {
 
 /// A request with its reply and how long it took, on one line.
 #[must_use]
-pub fn line(seen: &Seen) -> String {
+pub fn line(seen: &Seen, answer: &str) -> String {
     let from = match seen.from.as_str() {
         "" => String::new(),
         from => format!("  from {from}"),
     };
     format!(
-        "{:>12.6} s {:>9}  {}{} -> {}{from}",
+        "{:>12.6} s {:>9}  {}{} -> {answer}{from}",
         seen.at_s,
         span(seen.took_s),
         process_of(seen),
         seen.request,
-        answer_of(seen),
     )
 }
 
 /// A call of a trace, indented as deep as it is nested; its time is since the beginning.
 #[must_use]
-pub fn nested_line(seen: &Seen, begin_s: f64) -> String {
+pub fn nested_line(seen: &Seen, answer: &str, begin_s: f64) -> String {
     let indent = "  ".repeat(seen.depth as usize);
     format!(
-        "{:>10} {:>9}  {indent}{}{} -> {}",
+        "{:>10} {:>9}  {indent}{}{} -> {answer}",
         format!("+{}", span((seen.at_s - begin_s).max(0.0))),
         span(seen.took_s),
         process_of(seen),
         seen.request,
-        answer_of(seen),
     )
 }
 
@@ -321,7 +319,8 @@ fn process_of(seen: &Seen) -> String {
 }
 
 /// The reply without the name, which the request has already.
-fn answer_of(seen: &Seen) -> &str {
+#[must_use]
+pub fn answer_of(seen: &Seen) -> &str {
     let rest = seen.reply.strip_prefix(seen.object.as_str());
     rest.unwrap_or(&seen.reply).trim_start()
 }

@@ -3,5 +3,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    cli::tell_build();
     cli::scott::main()
 }

@@ -10,6 +10,7 @@
 
 mod authoring;
 mod bad_nets;
+mod build;
 mod common;
 mod hello;
 mod lsp;

@@ -400,3 +400,44 @@ fn help_is_there_and_without_an_app_it_names_local() {
     assert_eq!(output.status.code(), Some(5));
     assert!(String::from_utf8_lossy(&output.stderr).contains("--local"));
 }
+
+#[test]
+fn scripts_have_help_and_list_and_their_replies_stay_as_they_were() {
+    let ended = run(&[
+        "-c",
+        "list puma",
+        "-c",
+        "? kin",
+        "-c",
+        "kin ?",
+        "-c",
+        "help",
+    ]);
+    assert_eq!((ended.code, ended.err.as_str()), (Some(0), ""));
+    assert!(ended.out.starts_with("dyn  "), "{}", ended.out);
+    assert!(ended.out.contains("kin.puma560") && ended.out.contains("EXEC fkine 6 NUMBERS"));
+    assert!(ended.out.contains("Statements, one a line"));
+    let unknown = run(&["-c", "help kim"]);
+    assert_eq!(unknown.code, Some(4));
+    assert!(
+        unknown.err.contains("did you mean `kin`?"),
+        "{}",
+        unknown.err
+    );
+    let json = run(&["--json", "-c", "list puma"]);
+    let first: Value =
+        serde_json::from_str(json.out.lines().next().expect("a line")).expect("JSON");
+    assert_eq!(first["names"], serde_json::json!(["dyn.puma560"]));
+    // Numbers need FMSG in a script, and the answer says so; a name alone is no request.
+    let plain = run(&["-c", "kin EXEC fkine 0 0 0 0 0 0"]);
+    assert_eq!(plain.code, Some(1));
+    assert!(
+        plain.err.contains("write FMSG 6 and the numbers"),
+        "{}",
+        plain.err
+    );
+    assert!(!plain.err.contains(".rs:"), "{}", plain.err);
+    assert_eq!(run(&["-c", "kin"]).code, Some(1));
+    let reply = run(&["-c", "bar EXEC"]);
+    assert_eq!(reply.out, "bar RET 0 FMSG 2 1.5 0.3\n");
+}

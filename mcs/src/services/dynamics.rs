@@ -13,6 +13,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "joint positions q1 to q6, rad",
         gives: "6 floats, N m",
+        results: "t1 t2 t3 t4 t5 t6: N m",
         help: "joint torques that hold the arm at rest",
     },
     Form {
@@ -20,6 +21,7 @@ const FORMS: &[Form] = &[
         floats: 18,
         takes: "6 positions in rad, 6 speeds in rad/s, 6 accelerations in rad/s^2",
         gives: "6 floats, N m",
+        results: "t1 t2 t3 t4 t5 t6: N m",
         help: "inverse dynamics: joint torques that give the accelerations",
     },
     Form {
@@ -27,6 +29,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "joint positions q1 to q6, rad",
         gives: "36 floats, row by row, kg m^2",
+        results: "inertia 6x6: kg m^2",
         help: "joint-space mass matrix",
     },
 ];

@@ -29,6 +29,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "joint positions q1 to q6, rad",
         gives: "16 floats: base_T_6, row by row, m",
+        results: "base_T_6 4x4: m",
         help: "forward kinematics",
     },
     Form {
@@ -36,6 +37,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "joint positions q1 to q6, rad",
         gives: "36 floats, row by row: vx vy vz wx wy wz of frame 6's origin in the base frame per rad/s of each joint",
+        results: "jacobian 6x6: rows vx vy vz, m/s, and wx wy wz, rad/s, per rad/s of q1 to q6",
         help: "geometric Jacobian",
     },
     Form {
@@ -43,6 +45,7 @@ const FORMS: &[Form] = &[
         floats: 16,
         takes: "base_T_6, row by row, m",
         gives: "6 n floats: all n solutions, rad; 1 int: n",
+        results: "* q1 q2 q3 q4 q5 q6: rad; ints solutions",
         help: "inverse kinematics: every solution, or the reason why there is none",
     },
 ];

@@ -28,6 +28,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "joint positions q1 to q6, rad",
         gives: "7 floats: joint positions at the end, rad, and how long it took, s",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the joints there",
     },
     Form {
@@ -35,6 +36,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "how far each joint turns, rad",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the joints on from where they are",
     },
     Form {
@@ -42,6 +44,7 @@ const FORMS: &[Form] = &[
         floats: 16,
         takes: "base_T_tool, or reference_T_tool, row by row, m",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool to a pose in the reference frame",
     },
     Form {
@@ -49,6 +52,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "x y z, m, and roll pitch yaw about the base's x, y and z, rad",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool to a place in the reference frame",
     },
     Form {
@@ -56,6 +60,7 @@ const FORMS: &[Form] = &[
         floats: 6,
         takes: "dx dy dz, m, and roll pitch yaw about the base's axes, rad",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool on from where it is, and turns it about itself, both along the base's axes",
     },
     Form {
@@ -63,6 +68,7 @@ const FORMS: &[Form] = &[
         floats: 16,
         takes: "tool_T_goal, row by row, m",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool on from where it is, along its own axes, by a transformation matrix",
     },
     Form {
@@ -70,6 +76,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "22 floats: joint positions, rad, and base_T_tool, row by row, m",
+        results: "q1 q2 q3 q4 q5 q6: rad; base_T_tool 4x4: m",
         help: "tells where the arm is",
     },
     Form {
@@ -77,6 +84,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
+        results: "",
         help: "switches power off and gives the arm back after -keep",
     },
     Form {
@@ -84,6 +92,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves to a position that the dictionary names: `position.NAME q1 .. q6`, rad",
     },
     Form {
@@ -91,6 +100,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "7 floats, as joints",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves to the flavor's own position, -to",
     },
 ];

@@ -23,6 +23,7 @@ const FORMS: &[Form] = &[
         takes: "",
         gives: "text: state, holder, motion, fault; 22 floats: joint positions, rad, and base_T_tool, row by row, m; \
                 2 ints: servo ticks, ticks missed",
+        results: "q1 q2 q3 q4 q5 q6: rad; base_T_tool 4x4: m; ints ticks missed",
         help: "tells how the arm is",
     },
     Form {
@@ -30,6 +31,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "as state",
+        results: "q1 q2 q3 q4 q5 q6: rad; base_T_tool 4x4: m; ints ticks missed",
         help: "tells how the arm is",
     },
     Form {
@@ -37,6 +39,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "3 floats: bandwidth of the position loop, Hz; its damping ratio; following error that is an emergency, rad",
+        results: "bandwidth: Hz; damping; following_error: rad",
         help: "tells the control parameters; the text is the control law",
     },
     Form {
@@ -44,6 +47,7 @@ const FORMS: &[Form] = &[
         floats: 2,
         takes: "bandwidth of the position loop, Hz, and damping ratio",
         gives: "3 floats, as control",
+        results: "bandwidth: Hz; damping; following_error: rad",
         help: "sets the control parameters; the arm must not be on its way",
     },
     Form {
@@ -51,6 +55,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
+        results: "",
         help: "protective stop: brakes along the path to rest, then holds until EXEC resume",
     },
     Form {
@@ -58,6 +63,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
+        results: "",
         help: "ends a protective stop; what it ended must be asked for again",
     },
     Form {
@@ -65,6 +71,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
+        results: "",
         help: "emergency stop: takes drive power away now",
     },
     Form {
@@ -72,6 +79,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
+        results: "",
         help: "leaves the estopped state and ends a protective stop",
     },
 ];

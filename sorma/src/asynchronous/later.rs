@@ -1,17 +1,16 @@
 //! The class `later`: requests whose answers are collected later, are wanted by nobody, or go to another
 //! object.
 
-use super::answer::{begin, code, mirror, request};
+use super::answer::{begin, mirror, request};
+use super::tickets::Tickets;
 use crate::ipc::answer::{int, not_yet, split};
-use crate::later::Deferred;
 use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
-use crate::request::{Method, Reply, Request};
+use crate::request::{Method, Request};
 use crate::sorm::{Sorm, parse};
 use crate::transport::Transport;
-use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 #[derive(Debug, Clone)]
@@ -44,39 +43,15 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Later>> = LazyLock::new(|| {
 #[derive(Default)]
 pub(super) struct LaterObject {
     options: Later,
-    last: u64,
-    open: BTreeMap<u64, (String, Deferred<Reply>)>,
+    tickets: Tickets,
 }
 
 impl LaterObject {
     fn ask(&mut self, cx: &Waiting<'_>, request: Request) -> Result<u64, Report> {
-        if self.open.len() >= usize::try_from(self.options.capacity).unwrap_or(0) {
-            return Err(raise!(
-                code::FULL,
-                "{} answers wait to be collected already",
-                self.open.len()
-            ));
-        }
+        self.tickets.room(self.options.capacity)?;
         let name = request.name.to_string();
         let deferred = cx.here().sorm().ask_later(cx.comm(), request)?;
-        self.last += 1;
-        self.open.insert(self.last, (name, deferred));
-        Ok(self.last)
-    }
-
-    fn ticket(&mut self, word: &str) -> Result<(u64, &mut Deferred<Reply>), Report> {
-        let number: Option<u64> = word.parse().ok();
-        let found = number.and_then(|number| {
-            let (_, deferred) = self.open.get_mut(&number)?;
-            Some((number, deferred))
-        });
-        found.ok_or_else(|| {
-            raise!(
-                code::UNKNOWN,
-                "there is no ticket `{}`; it was collected or dropped, or never given",
-                begin(word)
-            )
-        })
+        Ok(self.tickets.add(name, deferred))
     }
 
     async fn exec(&mut self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
@@ -88,33 +63,22 @@ impl LaterObject {
                 io.empty();
                 io.ints.push(int(ticket));
             }
-            ["collect", word] => {
-                let (number, deferred) = self.ticket(word)?;
-                match deferred.try_collect() {
-                    None => not_yet(io),
-                    Some(reply) => {
-                        self.open.remove(&number);
-                        mirror(io, reply.body);
-                    }
-                }
-            }
+            ["collect", word] => match self.tickets.collect(word)? {
+                None => not_yet(io),
+                Some(reply) => mirror(io, reply.body),
+            },
             ["ready", word] => {
-                let (_, deferred) = self.ticket(word)?;
-                let ready = deferred.is_ready();
+                let ready = self.tickets.is_ready(word)?;
                 io.empty();
                 io.ints.push(i64::from(ready));
             }
             ["drop", word] => {
-                let (number, _) = self.ticket(word)?;
-                self.open.remove(&number);
+                self.tickets.drop(word)?;
                 io.empty();
             }
             ["open"] => {
-                let lines = self.open.iter();
-                let lines = lines.map(|(ticket, (name, _))| format!("{ticket} {name}"));
-                let lines = lines.collect::<Vec<_>>().join("\n");
                 io.empty();
-                io.text = lines;
+                io.text = self.tickets.lines();
             }
             ["tell", text] => {
                 let request = request(text, &from)?;
@@ -178,7 +142,7 @@ impl ServiceObject for LaterObject {
     }
 
     fn dump(&self) -> String {
-        let open = self.open.len();
+        let open = self.tickets.len();
         format!("{}\n{open} tickets open", OPTIONS.dump(&self.options))
     }
 }

@@ -1,6 +1,9 @@
 //! What the configuration of a daemon says.
 
+use crate::dictionary::Dictionary;
 use crate::trade::Attributes;
+use ctos::config::{App, TaskConfig};
+use ctos::diagnostic::Findings;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
@@ -20,6 +23,29 @@ pub(super) struct Arguments {
     /// What it offers to whoever trades, by class.
     #[serde(default)]
     pub(super) offers: Offers,
+}
+
+/// Checks the arguments before anything starts, and reads the dictionaries that they name.
+pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let Some(arguments) = findings.keep(task.args.parse::<Arguments>()) else {
+        return;
+    };
+    for file in &arguments.dictionary {
+        match app.read(file) {
+            Ok(source) => {
+                if let Err(wrong) = Dictionary::new().load(&source) {
+                    wrong
+                        .iter()
+                        .cloned()
+                        .for_each(|finding| findings.push(finding));
+                }
+            }
+            Err(finding) => {
+                let place = task.args.locate("dictionary");
+                findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
+            }
+        }
+    }
 }
 
 /// Classes with the attributes of what is offered: `args.offers.scale = { arm = "left", price = 2 }`.

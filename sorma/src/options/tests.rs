@@ -35,6 +35,7 @@ const FORMS: &[Form] = &[
         floats: 2,
         takes: "x and y, m",
         gives: "nothing",
+        results: "",
         help: "moves there",
     },
     Form {
@@ -42,6 +43,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
+        results: "",
         help: "stops",
     },
 ];
@@ -275,6 +277,7 @@ fn a_form_that_wants_a_name_after_its_word_is_none_without_one() {
         floats: 0,
         takes: "",
         gives: "",
+        results: "",
         help: "",
     };
     for text in ["camera left", "camera  the left one"] {

@@ -37,6 +37,8 @@ pub(crate) struct Market {
     others: BTreeMap<String, Standing>,
     /// Who met the last request for an object.
     chosen: BTreeMap<String, String>,
+    /// How many traded requests were given away so far.
+    turns: u64,
 }
 
 /// What is known about a daemon.
@@ -50,6 +52,10 @@ struct Standing {
     /// When it last answered, or did not.
     known: Option<Instant>,
     down: bool,
+    /// Traded requests of this process that it has not answered yet.
+    under_way: u32,
+    /// The number of the last one; 0 if there was none.
+    turn: u64,
 }
 
 impl Standing {
@@ -121,6 +127,21 @@ impl Market {
         standing.down = true;
     }
 
+    /// A daemon is given a traded request.
+    pub(super) fn gives(&mut self, daemon: &str) {
+        self.turns += 1;
+        let standing = self.others.entry(daemon.to_owned()).or_default();
+        standing.under_way += 1;
+        standing.turn = self.turns;
+    }
+
+    /// A traded request of a daemon is over.
+    pub(super) fn over(&mut self, daemon: &str) {
+        if let Some(standing) = self.others.get_mut(daemon) {
+            standing.under_way = standing.under_way.saturating_sub(1);
+        }
+    }
+
     /// Notes who met a request; says who did so before, if that was another one.
     pub(super) fn chose(&mut self, name: &ObjectName, daemon: &str) -> Option<String> {
         let before = self.chosen.insert(name.local(), daemon.to_owned());
@@ -158,6 +179,11 @@ impl Market {
             }
         }
         let before = self.chosen.get(&name.local());
+        let load = |offer: &Ranked| {
+            let standing = self.others.get(&offer.daemon);
+            let standing = standing.filter(|_| wanted.is_spread());
+            standing.map(|standing| (standing.under_way, standing.turn))
+        };
         ranked.sort_by(|one, other| {
             let ready = |offer: &Ranked| (!offer.available, offer.slow);
             let last = |offer: &Ranked| {
@@ -169,6 +195,7 @@ impl Market {
             ready(one)
                 .cmp(&ready(other))
                 .then_with(|| wanted.compare(&one.attributes, &other.attributes))
+                .then_with(|| load(one).cmp(&load(other)))
                 .then_with(|| last(one).cmp(&last(other)))
                 .then_with(|| one.daemon.cmp(&other.daemon))
         });
@@ -268,6 +295,28 @@ mod tests {
             market.chose(&"scale.two".parse().unwrap(), "d3"),
             Some("d1".to_owned())
         );
+    }
+
+    #[test]
+    fn equal_offers_take_turns_when_that_is_wanted_the_idle_ones_first() {
+        let mut market = Market::default();
+        for daemon in ["d1", "d2", "d3"] {
+            market.heard(daemon, "scale price=1", at(0), at(5));
+        }
+        let first = |market: &Market| order(market, "-spread", at(10))[..2].to_owned();
+        let mut given = Vec::new();
+        for _ in 0..4 {
+            let daemon = first(&market);
+            market.gives(&daemon);
+            market.over(&daemon);
+            given.push(daemon);
+        }
+        assert_eq!(given, ["d1", "d2", "d3", "d1"]);
+        // d2 is next, but it is still at it.
+        market.gives("d2");
+        assert_eq!(order(&market, "-spread", at(10)), "d3 d1 d2");
+        market.heard("d3", "scale price=2", at(10), at(15));
+        assert_eq!(order(&market, "-least price -spread", at(20)), "d1 d2 d3");
     }
 
     #[test]

@@ -17,6 +17,7 @@ pub struct Wanted {
     among: Vec<String>,
     requirements: Vec<Requirement>,
     preferences: Vec<Preference>,
+    spread: bool,
 }
 
 /// `attribute OPERATOR value`.
@@ -76,8 +77,8 @@ fn is_attribute(text: &str) -> bool {
 
 impl Wanted {
     /// Reads what stands in the dictionary for `index` after the word `trade`: requirements
-    /// (`arm=left`, `price<=3`, `!=`, `<`, `>=`, `>`), `-least ATTRIBUTE`, `-most ATTRIBUTE`, and
-    /// `-among DAEMON,DAEMON` for those daemons only.
+    /// (`arm=left`, `price<=3`, `!=`, `<`, `>=`, `>`), `-least ATTRIBUTE`, `-most ATTRIBUTE`,
+    /// `-among DAEMON,DAEMON` for those daemons only, and `-spread` for equal offers that take turns.
     ///
     /// # Errors
     /// The word that is none of these.
@@ -105,12 +106,13 @@ impl Wanted {
                     attribute: next("an attribute")?,
                     most: word == "-most",
                 }),
+                "-spread" => wanted.spread = true,
                 _ => match Requirement::read(word) {
                     Some(requirement) => wanted.requirements.push(requirement),
                     None => {
                         return Err(wrong(format!(
                             "`{word}` is no requirement; write ATTRIBUTE=VALUE (or !=, <, <=, >, >=), \
-                             -least ATTRIBUTE, -most ATTRIBUTE or -among DAEMON,DAEMON"
+                             -least ATTRIBUTE, -most ATTRIBUTE, -among DAEMON,DAEMON or -spread"
                         )));
                     }
                 },
@@ -122,6 +124,11 @@ impl Wanted {
     /// The daemons that may be asked; none said: all.
     pub(super) fn among(&self) -> &[String] {
         &self.among
+    }
+
+    /// Whether equal offers take turns, those with the fewest requests under way first.
+    pub(super) fn is_spread(&self) -> bool {
+        self.spread
     }
 
     /// Whether an offer meets all requirements.
@@ -177,6 +184,9 @@ impl fmt::Display for Wanted {
         }
         if !self.among.is_empty() {
             parts.push(format!("-among {}", self.among.join(",")));
+        }
+        if self.spread {
+            parts.push("-spread".to_owned());
         }
         f.write_str(&parts.join(" "))
     }

@@ -218,6 +218,8 @@ pub struct App {
     /// Further handlers.
     pub handlers: fn(&mut Registry),
     pub seed: u64,
+    /// What the daemons serve besides what every daemon does.
+    pub classes: fn(&Sorm),
 }
 
 impl App {
@@ -230,6 +232,7 @@ impl App {
             faults: Vec::new(),
             handlers: |_| {},
             seed: 1,
+            classes,
         }
     }
 
@@ -257,7 +260,10 @@ impl App {
         }
         let app = load_texts(&[("app.toml", &app)], &[], &[]).unwrap();
         let mut registry = Registry::new();
-        daemon::register(&mut registry, Dictionary::new(), |_, sorm| classes(sorm));
+        let served = self.classes;
+        daemon::register(&mut registry, Dictionary::new(), move |_, sorm| {
+            served(sorm)
+        });
         (self.handlers)(&mut registry);
         let (scenario, here) = (self.scenario, self.here);
         registry.handler("client", &Client::COMMANDS, move |cx| {

@@ -570,3 +570,66 @@ fn an_event_notifies_all_who_subscribe_wherever_they_are() {
     };
     assert_eq!(app.run(), Ok(String::new()));
 }
+
+#[test]
+fn a_fork_with_an_object_forwards_without_waiting_one_at_a_time_and_answers_a_ticket() {
+    passes(|cx, sorm| {
+        Box::pin(async move {
+            for at in BOTH {
+                let dict = format!("dict{at} CTRL -add fork.nap '-object nap -width 1'");
+                assert!(ask(&sorm, &cx, &dict).await.body.is_ok());
+                let begun = cx.now();
+                for ticket in 1..=3 {
+                    let body = ask(&sorm, &cx, &format!("fork.nap{at} EXEC")).await.body;
+                    assert_eq!((body.code, body.ints), (0, vec![ticket]), "{at}");
+                }
+                assert!(cx.now().since(begun) < seconds(1.0), "nobody waited");
+                let ctrl = async |words: &str| {
+                    ask(&sorm, &cx, &format!("fork.nap{at} CTRL {words}"))
+                        .await
+                        .body
+                };
+                assert_eq!(ctrl("-open").await.text, "1 nap\n2 nap\n3 nap");
+                assert_eq!(ctrl("-collect 1").await.text, "not yet");
+                // One after the other, 5 s each.
+                cx.sleep(seconds(6.0)).await;
+                assert_eq!(ctrl("-collect 1").await.text, "nap RET 0");
+                assert_eq!(ctrl("-collect 2").await.text, "not yet");
+                assert!(ctrl("-drop 2").await.is_ok());
+                cx.sleep(seconds(10.0)).await;
+                assert_eq!(ctrl("-collect 3").await.text, "nap RET 0");
+                assert_eq!(ctrl("-collect 3").await.code, 190, "it was collected");
+            }
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn a_fork_forwards_its_data_and_answers_that_nobody_collects_give_way() {
+    passes(|cx, sorm| {
+        Box::pin(async move {
+            let ask = async |line: &str| ask(&sorm, &cx, line).await.body;
+            // As in the report: FORK.scale is served by the default daemon.
+            let recipes = "dict CTRL -add FORK d1";
+            assert!(ask(recipes).await.is_ok());
+            let there = "dict@d1 CTRL -add fork.scale '-object scale.two -width 1 -capacity 2'";
+            assert!(ask(there).await.is_ok());
+            for number in 1..=5 {
+                let body = ask(&format!("FORK.scale EXEC FMSG 1 {number}")).await;
+                assert_eq!(body.ints, [number], "{:?}", body.reports);
+                cx.sleep(seconds(0.1)).await;
+            }
+            let open = ask("FORK.scale CTRL -open").await.text;
+            assert_eq!(open, "4 scale.two\n5 scale.two");
+            assert_eq!(
+                ask("FORK.scale CTRL -collect 5").await.text,
+                "scale.two RET 0 FMSG 1 10.0"
+            );
+            // A fork of a fork would never end.
+            assert!(ask("fork.scale@d1 CTRL -object fork.scale").await.is_ok());
+            assert_eq!(ask("FORK.scale EXEC").await.code, code::VALUE);
+            Ok(String::new())
+        })
+    });
+}

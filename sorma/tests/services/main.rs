@@ -12,6 +12,8 @@ mod demo_classes;
 mod far;
 mod faults;
 mod manager;
+#[path = "../../examples/market.rs"]
+mod market;
 mod names;
 mod protected;
 mod trading;

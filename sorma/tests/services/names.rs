@@ -210,3 +210,81 @@ fn flavors_of_another_process_are_shared_private_removed_aliased_and_listed() {
     };
     assert_eq!(App::new(scenario).run(), Ok(String::new()));
 }
+
+#[test]
+fn a_daemon_of_ones_own_has_fork_later_stream_and_event() {
+    let scenario: Scenario = |cx, sorm| {
+        Box::pin(async move {
+            let classes = ask(&sorm, &cx, "sorm@own CTRL -classes").await.body.text;
+            for class in ["event", "fork", "later", "stream"] {
+                assert!(classes.contains(&format!("{class} ")), "{class}: {classes}");
+            }
+            let ticket = ask(&sorm, &cx, "later@own EXEC ask 'sorm CTRL -list'").await;
+            assert_eq!(ticket.body.ints, [1], "{:?}", ticket.body.reports);
+            Ok(String::new())
+        })
+    };
+    let app = App {
+        daemons: vec![("own", "cage", "")],
+        classes: |_| {},
+        ..App::new(scenario)
+    };
+    assert_eq!(app.run(), Ok(String::new()));
+}
+
+#[test]
+fn wrong_arguments_of_a_daemon_and_missing_dictionaries_are_found_before_anything_starts() {
+    let found = |lines: &str| {
+        let text = format!(
+            "[chassis.cage]\n[task.d1]\nhandler = \"sorma.daemon\"\non = \"cage\"\n{lines}\n"
+        );
+        let app = ctos::config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap();
+        let mut registry = ctos::registry::Registry::new();
+        sorma::daemon::register(&mut registry, sorma::Dictionary::new(), |_, _| {});
+        let findings = registry.check(&app);
+        findings.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    assert_eq!(found(""), Vec::<String>::new());
+    for (lines, part) in [
+        ("args.dictonary = [\"a.dict\"]", "dictonary"),
+        ("args.dictionary = [\"gone.dict\"]", "gone.dict"),
+        ("args.number = -1", "number"),
+    ] {
+        let said = found(lines);
+        assert!(
+            said.len() == 1 && said[0].contains(part) && said[0].contains("app.toml:5"),
+            "{said:?}"
+        );
+    }
+}
+
+#[test]
+fn an_object_tells_who_used_it_how_often_how_long_and_with_how_much_data() {
+    let scenario: Scenario = |cx, sorm| {
+        Box::pin(async move {
+            for line in [
+                "scale.two@d1 EXEC FMSG 2 1 2",
+                "scale.two@d1 EXEC",
+                "scale.two@d1 CTRL -factor 3",
+                "scale.two@d1 DBX -version",
+                "nap@d1 EXEC",
+            ] {
+                let _ = ask(&sorm, &cx, line).await;
+            }
+            let meter = ask(&sorm, &cx, "scale.two@d1 DBX -meter").await.body.text;
+            // Two floats in and out, and the text of the CTRL.
+            assert!(
+                meter.starts_with("client@desk calls 3 errors 1 took 0.0")
+                    && meter.ends_with(" s in 25 bytes out 16 bytes"),
+                "{meter}"
+            );
+            let meter = ask(&sorm, &cx, "nap@d1 DBX -meter").await.body.text;
+            assert!(
+                meter.contains("calls 1 errors 0 took 5.0"),
+                "the time of what it waited for: {meter}"
+            );
+            Ok(String::new())
+        })
+    };
+    assert_eq!(App::new(scenario).run(), Ok(String::new()));
+}

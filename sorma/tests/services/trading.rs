@@ -260,3 +260,18 @@ fn the_load_moves_away_from_a_daemon_that_slows_or_stands_still() {
     let freeze = Fault::on(chassis, FaultKind::Freeze, at).until(until);
     assert_eq!(market(scenario, here, vec![freeze]), Ok(String::new()));
 }
+
+#[test]
+fn the_example_trades_balances_and_streams_the_same_every_time() {
+    let told = crate::market::run().unwrap();
+    println!("{told}");
+    assert_eq!(crate::market::run(), Ok(told.clone()));
+    for part in [
+        "traded: frame by two\n",
+        "without d2: frame by one\n",
+        "balanced: one one three three two two in 0.2 s\n",
+        "streamed: picture1 picture2 picture3\n",
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+}

@@ -22,6 +22,7 @@ const FORMS: &[Form] = &[Form {
     takes: "",
     gives: "16 floats: fx fy cx cy (px) k1 k2 p1 p2 k3, rotation vector (rad) and translation (m) of \
             camera_T_world, rms over the used points of the distance between seen and predicted (px)",
+    results: "fx fy cx cy: px; k1 k2 p1 p2 k3; rx ry rz: rad; x y z: m; rms: px",
     help: "calibrates a camera from a table X,Y,Z,u,v (m and px, comma-separated)",
 }];
 

@@ -24,6 +24,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "as FILE; 3 ints: n, the picture's number, and when its exposure ended, ns of the app's time",
+        results: "* u v area: px; ints spots picture; ints exposed: ns",
         help: "has a camera of the app take a picture and finds its spots",
     },
     Form {
@@ -32,6 +33,7 @@ const FORMS: &[Form] = &[
         takes: "",
         gives: "3 n floats: u, v (px, pixel centres at whole numbers) and area (px) of each spot, \
                 in the order of their first pixels, row by row; 1 int: n",
+        results: "* u v area: px; ints spots",
         help: "finds the spots of a picture (PNG)",
     },
 ];

@@ -6,12 +6,20 @@ use ctos::{
 };
 use serde::{Deserialize, Serialize, de::IgnoredAny};
 
+use super::logic::{Expression, Kind, Value};
+
 /// A panel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Panel {
     /// What stands above it.
     pub title: String,
+    /// What its expressions are about.
+    #[serde(default, rename = "value")]
+    pub values: Vec<Value>,
+    /// How often these are asked for, s.
+    #[serde(default = "often")]
+    pub values_every_s: f64,
     /// What stands on it, in this order.
     #[serde(default, rename = "widget")]
     pub widgets: Vec<Widget>,
@@ -30,6 +38,8 @@ pub enum Widget {
         /// It stops something: it stands out, and Escape presses it.
         #[serde(default)]
         stop: bool,
+        /// The condition under which it can be pressed.
+        when: Option<String>,
     },
     /// Values by sliders. Without `go` a line is asked whenever one of them has been moved.
     Sliders {
@@ -43,6 +53,8 @@ pub enum Widget {
         go: Option<String>,
         /// A line whose answer has the values as they are, as its first floats.
         from: Option<String>,
+        /// The condition under which they can be used.
+        when: Option<String>,
     },
     /// Floats of an answer over time.
     Plot {
@@ -92,6 +104,18 @@ pub enum Widget {
         /// The unit of both.
         #[serde(default)]
         unit: String,
+        /// The condition under which it can be used.
+        when: Option<String>,
+    },
+    /// What follows from the panel's values: a number, a text, or whether a condition is met.
+    Value {
+        /// What stands before it.
+        label: String,
+        /// The expression.
+        is: String,
+        /// Its unit.
+        #[serde(default)]
+        unit: String,
     },
     /// Every option of an object, made of the table of its class.
     Options {
@@ -121,11 +145,18 @@ fn often() -> f64 {
     0.25
 }
 
+/// How often something may be asked, s.
+const EVERY_S: std::ops::RangeInclusive<f64> = 0.02..=3600.0;
+
 /// The file; its widgets are read one by one, so that one mistake does not hide the next.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
     title: String,
+    #[serde(default, rename = "value")]
+    _values: Vec<IgnoredAny>,
+    #[serde(default = "often")]
+    values_every_s: f64,
     #[serde(default, rename = "widget")]
     _widgets: Vec<IgnoredAny>,
 }
@@ -135,25 +166,53 @@ impl Panel {
     pub fn read(source: &Source, findings: &mut Findings) -> Option<Self> {
         let root = Node::from_toml(source, findings);
         let file: File = findings.keep(root.parse())?;
+        let wrong = |node: &Node, code: &'static str, why: String| {
+            let finding = Finding::error(code, why);
+            match node.place() {
+                Some(place) => finding.at(place.clone()),
+                None => finding,
+            }
+        };
+        let mut values: Vec<Value> = Vec::new();
+        let written = root.get("value").map(Node::elements);
+        for node in written.unwrap_or_default() {
+            let Some(value) = findings.keep(node.parse::<Value>()) else {
+                continue;
+            };
+            let again = values.iter().any(|other| other.name == value.name);
+            let name = &value.name;
+            let checked = match again {
+                true => Err(format!("value `{name}` is there already")),
+                false => value.check(),
+            };
+            match checked {
+                Ok(()) => values.push(value),
+                Err(why) => findings.push(wrong(node, "sorma::panel::value", why)),
+            }
+        }
+        if !EVERY_S.contains(&file.values_every_s) {
+            let why = format!(
+                "values_every_s is 0.02 to 3600 s, not {}",
+                file.values_every_s
+            );
+            let node = root.get("values_every_s").unwrap_or(&root);
+            findings.push(wrong(node, "sorma::panel::value", why));
+        }
         let mut widgets = Vec::new();
         let written = root.get("widget").map(Node::elements);
         for node in written.unwrap_or_default() {
             let Some(widget) = findings.keep(node.parse::<Widget>()) else {
                 continue;
             };
-            match widget.check() {
+            match widget.check().and_then(|()| widget.check_logic(&values)) {
                 Ok(()) => widgets.push(widget),
-                Err(why) => {
-                    let finding = Finding::error("sorma::panel::widget", why);
-                    findings.push(match node.place() {
-                        Some(place) => finding.at(place.clone()),
-                        None => finding,
-                    });
-                }
+                Err(why) => findings.push(wrong(node, "sorma::panel::widget", why)),
             }
         }
         Some(Self {
             title: file.title,
+            values,
+            values_every_s: file.values_every_s,
             widgets,
         })
     }
@@ -163,6 +222,8 @@ impl Panel {
     pub fn of_object(object: &str) -> Self {
         Self {
             title: object.to_owned(),
+            values: Vec::new(),
+            values_every_s: often(),
             widgets: vec![Widget::Options {
                 object: object.to_owned(),
                 label: None,
@@ -177,8 +238,49 @@ impl Widget {
         match self {
             Self::Plot { ask, .. } | Self::Readout { ask, .. } => Some(ask),
             Self::Sliders { from, .. } => from.as_deref(),
-            Self::Button { .. } | Self::Joystick { .. } | Self::Options { .. } => None,
+            Self::Button { .. }
+            | Self::Joystick { .. }
+            | Self::Options { .. }
+            | Self::Value { .. } => None,
         }
+    }
+
+    /// The condition under which it can be used, and what it shows of the panel's values.
+    pub(super) fn logic(&self) -> (Option<&str>, Option<&str>) {
+        match self {
+            Self::Button { when, .. }
+            | Self::Sliders { when, .. }
+            | Self::Joystick { when, .. } => (when.as_deref(), None),
+            Self::Value { is, .. } => (None, Some(is)),
+            Self::Plot { .. } | Self::Readout { .. } | Self::Options { .. } => (None, None),
+        }
+    }
+
+    fn check_logic(&self, values: &[Value]) -> Result<(), String> {
+        let (when, is) = self.logic();
+        if let Self::Button {
+            stop: true,
+            when: Some(_),
+            label,
+            ..
+        } = self
+        {
+            return Err(format!(
+                "widget `{label}`: what stops something can always be pressed; leave out `when`"
+            ));
+        }
+        if let Some(when) = when {
+            let kind = Expression::read(when, values)?.kind(values)?;
+            if kind != Kind::Truth {
+                return Err(format!(
+                    "`when` is a condition, for example `x > 1`, not `{when}`"
+                ));
+            }
+        }
+        if let Some(is) = is {
+            Expression::read(is, values)?;
+        }
+        Ok(())
     }
 
     fn check(&self) -> Result<(), String> {
@@ -225,9 +327,9 @@ impl Widget {
                 every_s,
                 ..
             } => (label, ask, vec!["x", "y"], *every_s),
-            Self::Options { .. } => return Ok(()),
+            Self::Options { .. } | Self::Value { .. } => return Ok(()),
         };
-        if !(0.02..=3600.0).contains(&every_s) {
+        if !EVERY_S.contains(&every_s) {
             return Err(format!(
                 "widget `{label}`: every_s is 0.02 to 3600 s, not {every_s}"
             ));
@@ -284,10 +386,19 @@ mod tests {
             "kind = \"readout\"\nlabel = \"r\"\nask = \"foo.a EXEC\"\nevery_s = 0.0",
             "kind = \"sliders\"\nlabel = \"s\"\nask = \"foo.a EXEC FMSG 1 {v}\"\nvalues = [{ name = \"v\", range = [2.0, 1.0] }]",
             "kind = \"button\"\nlabel = \"good\"\nask = \"foo.a EXEC\"",
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nwhen = \"tea\"",
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nwhen = \"te > 1\"",
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nwhen = \"tea > 1\"\nstop = true",
+            "kind = \"value\"\nlabel = \"v\"\nis = \"tea +\"",
+            "kind = \"value\"\nlabel = \"good too\"\nis = \"tea * 2\"",
         ];
         let text = widgets.map(|widget| format!("[[widget]]\n{widget}\n"));
-        let (panel, findings) = read(&format!("title = \"t\"\n{}", text.concat()));
-        assert_eq!(panel.unwrap().widgets.len(), 1);
+        let (panel, findings) = read(&format!(
+            "title = \"t\"\n[[value]]\nname = \"tea\"\nask = \"bar EXEC\"\nfloat = 1\n[[value]]\nname = \"tea\"\n\
+             ask = \"bar EXEC\"\nfloat = 2\n{}",
+            text.concat()
+        ));
+        assert_eq!(panel.unwrap().widgets.len(), 2);
         for part in [
             "sop",
             "knob",
@@ -296,11 +407,16 @@ mod tests {
             "counted from 1",
             "0.02 to 3600",
             "the second number must be the larger one",
+            "`tea` is there already",
+            "`when` is a condition",
+            "did you mean `tea`?",
+            "can always be pressed",
+            "`tea +`",
         ] {
             let said = |finding: &String| finding.contains(part) && finding.contains("p.toml:");
             assert!(findings.iter().any(said), "{part}: {findings:?}");
         }
-        assert_eq!(findings.len(), 7, "{findings:?}");
+        assert_eq!(findings.len(), 12, "{findings:?}");
         let (panel, findings) = read("titel = \"t\"");
         assert!(
             panel.is_none() && findings.concat().contains("titel"),

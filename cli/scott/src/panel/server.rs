@@ -31,6 +31,7 @@ pub(super) async fn serve(pages: Pages, service: Service, stop: impl Future) -> 
         .route("/panel.css", get(style))
         .route("/panel.js", get(script))
         .route("/panel.json", get(panel))
+        .route("/follows.json", get(follows))
         .route("/ask", post(ask))
         .with_state(Arc::new(service));
     page::serve(pages, router, stop).await
@@ -66,6 +67,20 @@ async fn panel(
     };
     match service.described(which.n, right).await {
         Some(described) => answered(&described),
+        None => (StatusCode::NOT_FOUND, "there is no such panel\n").into_response(),
+    }
+}
+
+async fn follows(
+    State(service): State<Arc<Service>>,
+    Query(which): Query<Which>,
+    headers: HeaderMap,
+) -> Response {
+    if let Err(reason) = right(&service, &headers) {
+        return service.door.refuse(reason);
+    }
+    match service.follows(which.n).await {
+        Some(follows) => answered(&follows),
         None => (StatusCode::NOT_FOUND, "there is no such panel\n").into_response(),
     }
 }

@@ -1,12 +1,15 @@
 //! What a page may ask, and what it is told. Knows nothing of HTTP, and nothing of who meets the lines.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use futures_util::future::BoxFuture;
 use serde_json::{Value, json};
 use sorma::{ClassInfo, Reply};
 
-use super::script::{Panel, Widget};
+use super::{
+    logic::{Expression, Value as Named, Worth},
+    script::{Panel, Widget},
+};
 use cli_common::page::{Door, Right};
 
 use crate::replies;
@@ -55,6 +58,34 @@ impl Service {
         }
     }
 
+    /// What follows from the values of a panel now: for each widget, in their order, whether it can be used, and
+    /// what it shows. Nothing when there is no panel of that number.
+    pub(super) async fn follows(&self, number: usize) -> Option<Value> {
+        let panel = self.panels.get(number)?;
+        let mut answers: BTreeMap<&str, Option<Reply>> = BTreeMap::new();
+        for Named { ask, .. } in &panel.values {
+            if !answers.contains_key(ask.as_str()) {
+                let reply = self.objects.ask(ask.clone()).await.parse().ok();
+                answers.insert(ask, reply);
+            }
+        }
+        let worth = panel.values.iter().filter_map(|value| {
+            let reply = answers.get(value.ask.as_str())?.as_ref()?;
+            Some((value.name.clone(), value.of(&reply.body)?))
+        });
+        let values: BTreeMap<String, Worth> = worth.collect();
+        // What was checked when the panel was read.
+        let of = |text: &str| Expression::read(text, &panel.values).ok()?.worth(&values);
+        let widgets = panel.widgets.iter().map(|widget| {
+            let (when, is) = widget.logic();
+            // What is not known is not met.
+            let on = when.is_none_or(|when| of(when) == Some(Worth::Truth(true)));
+            let shown = is.map(|is| of(is).map_or_else(|| "–".to_owned(), |worth| worth.shown()));
+            json!({ "on": on, "shown": shown })
+        });
+        Some(json!(widgets.collect::<Vec<_>>()))
+    }
+
     /// A panel with what its widgets need to know: descriptions and values of options. Nothing when there is none
     /// of that number, from 0.
     pub(super) async fn described(&self, number: usize, right: Right) -> Option<Value> {
@@ -82,6 +113,8 @@ impl Service {
             "title": panel.title,
             "panels": titles.collect::<Vec<_>>(),
             "number": number,
+            "follows": !panel.values.is_empty(),
+            "every_s": panel.values_every_s,
             "control": right == Right::Control,
             "why": self.door.why_only_look(),
             "widgets": widgets,
@@ -149,5 +182,48 @@ mod tests {
                 .flatten()
                 .is_none()
         );
+    }
+
+    /// Serves tea.
+    struct Bar(&'static str);
+
+    impl Objects for Bar {
+        fn ask(&self, _: String) -> BoxFuture<'static, String> {
+            let answer = self.0.to_owned();
+            async move { answer }.boxed()
+        }
+    }
+
+    #[test]
+    fn what_follows_from_the_values_of_a_panel_is_told_for_each_widget() {
+        let text = "title = \"t\"\n[[value]]\nname = \"tea\"\nask = \"bar EXEC\"\nfloat = 1\n\
+            [[value]]\nname = \"place\"\nask = \"bar EXEC\"\nword = 1\n\
+            [[widget]]\nkind = \"button\"\nlabel = \"Pour\"\nask = \"bar CTRL -tea 2\"\n\
+            when = \"tea < 1 and place == 'kitchen'\"\n\
+            [[widget]]\nkind = \"value\"\nlabel = \"Cups\"\nis = \"tea / 0.25\"\n";
+        let follows = |answer: &'static str| {
+            let mut findings = ctos::diagnostic::Findings::new();
+            let source = ctos::diagnostic::Source::new("p.toml", text);
+            let panel = Panel::read(&source, &mut findings).unwrap();
+            assert!(findings.is_empty());
+            let service = Service::new("cell", vec![panel], Door::default(), Bar(answer));
+            assert!(service.follows(1).now_or_never().flatten().is_none());
+            service.follows(0).now_or_never().flatten().unwrap()
+        };
+        let told = |on: bool, shown: &str| json!([{ "on": on, "shown": null }, { "on": true, "shown": shown }]);
+        assert_eq!(
+            follows("bar RET 0 TMSG kitchen FMSG 1 0.5"),
+            told(true, "2")
+        );
+        assert_eq!(
+            follows("bar RET 0 TMSG garden FMSG 1 0.5"),
+            told(false, "2")
+        );
+        assert_eq!(
+            follows("bar RET 0 TMSG kitchen FMSG 1 1.5"),
+            told(false, "6")
+        );
+        // Without an answer nothing follows, and nothing can be pressed.
+        assert_eq!(follows("bar RET 7 TDBX gone"), told(false, "–"));
     }
 }

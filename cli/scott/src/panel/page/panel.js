@@ -139,6 +139,10 @@ const makers = {
     return card(label, "", el("div", { class: "readout" }, text, numbers));
   },
 
+  value({ label, unit }) {
+    return card(label, "", el("div", { class: "readout" }, el("span", { class: "numbers shown" }, "–"), el("span", { class: "unit" }, ` ${unit}`)));
+  },
+
   plot({ label, ask: line, every_s, floats: [first, last], names, unit }) {
     const NS = "http://www.w3.org/2000/svg";
     const svg = (tag, attributes) => {
@@ -282,6 +286,33 @@ function tabs({ panels, number }) {
     el("a", { href: `?n=${i}${location.hash}`, "aria-current": i === number && "page" }, title)));
 }
 
+/** Has widgets show what follows from the panel's values, and stand still while their condition is not met. */
+function follow(nodes, { number, every_s, widgets, control }) {
+  const next = async () => {
+    if (!document.hidden) {
+      let told = [];
+      try {
+        const response = await fetch(`follows.json?n=${number}`, { headers: { "x-scott-token": token } });
+        if (!response.ok) throw new Error(await response.text());
+        told = await response.json();
+      } catch (error) { state(error.message, true); }
+      nodes.forEach((node, i) => {
+        const { when } = widgets[i];
+        if (when && control) {
+          // What is not known is not met.
+          node.inert = !(told[i]?.on ?? false);
+          node.classList.toggle("off", node.inert);
+          node.title = node.inert ? `only when ${when}` : "";
+        }
+        const shown = node.querySelector(".shown");
+        if (shown) shown.textContent = told[i]?.shown ?? "–";
+      });
+    }
+    setTimeout(next, every_s * 1000);
+  };
+  next();
+}
+
 /** A page that only looks on: what would change something stands still. */
 function lookOn(why) {
   document.body.classList.add("look");
@@ -302,12 +333,15 @@ if (!response.ok) {
   state("connected");
   tabs(panel);
   let bar = null;
+  const nodes = [];
   for (const widget of panel.widgets) {
     const node = makers[widget.kind](widget);
+    nodes.push(node);
     if (widget.kind !== "button") { bar = null; $("widgets").append(node); continue; }
     // Buttons that follow each other stand in one row.
     if (!bar) $("widgets").append(bar = el("section", { class: "bar" }));
     bar.append(node);
   }
   if (!panel.control) lookOn(panel.why);
+  if (panel.follows) follow(nodes, panel);
 }
