@@ -228,10 +228,7 @@ mod tests {
 
     #[test]
     fn a_state_in_memory_is_lost_with_its_process() {
-        let (end, _) = ends("memory", &[200]);
-        assert!(
-            !matches!(&end, End::Finished(result) if result.ok),
-            "{end:?}"
-        );
+        let lost = |at| !matches!(ends("memory", &[at]).0, End::Finished(result) if result.ok);
+        assert!((5..60).any(lost));
     }
 }
