@@ -121,8 +121,9 @@ pub enum Command {
 
 /// Runs the command line of this process for the event handlers of `registry`.
 #[must_use]
-pub fn main(registry: Registry) -> ExitCode {
+pub fn main(mut registry: Registry) -> ExitCode {
     crate::tell_build();
+    pnt::store::keep_states(&mut registry);
     // Help and usage errors are shown while the command line is parsed: colours are settled before.
     show::choose_colour(Colour::of_command_line(std::env::args_os()));
     let cli = Cli::parse();

@@ -22,6 +22,7 @@ pub fn registry() -> Registry {
     coordinators::register(&mut registry);
     cli_display::register(&mut registry);
     panel::register(&mut registry);
+    pnt::store::keep_states(&mut registry);
     // It cannot be wrong: a test reads it.
     let shipped = services::shipped().unwrap_or_default();
     daemon::register(&mut registry, shipped, |cx, sorm| {

@@ -14,14 +14,14 @@ use crate::asynchronous;
 use crate::comm::Comm;
 use crate::dictionary::Dictionary;
 use crate::request::{Method, Request};
-use crate::sorm::Sorm;
+use crate::sorm::{Kept, Sorm};
 use crate::transport::Transport;
 use crate::watching::Trace;
 use arguments::Arguments;
 use ctos::diagnostic::Findings;
 use ctos::message::Replier;
 use ctos::registry::Registry;
-use ctos::task::{Context, Handled, HandlerError};
+use ctos::task::{Context, Durable, Handled, HandlerError, Handover};
 use ctos::text::Gone;
 /// Asks by one line of text: a request `name EXEC|CTRL|DBX ...`, and the reply has the same form.
 pub use ctos::text::Say;
@@ -52,10 +52,13 @@ pub fn register(
     shipped: Dictionary,
     classes: impl Fn(&Context, &Sorm) + Send + Sync + 'static,
 ) {
-    let handler = registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
+    let handler = registry.durable(HANDLER, &Daemon::COMMANDS, move |cx| {
         let sorm = manager(cx, shipped.clone())?;
         asynchronous::register(&sorm);
         classes(cx, &sorm);
+        if cx.config().is_some_and(|config| config.durable) {
+            sorm.keep(Kept::new());
+        }
         Ok(Daemon {
             sorm,
             subscribers: Rc::default(),
@@ -110,7 +113,10 @@ impl Daemon {
             let mut answer = sorm.ask(&Tasks::of(&here), request).await;
             answer.body.opaque.share();
             // Whoever asked may be gone.
-            let _ = reply.ok(answer.body);
+            let _ = match here.keep(&sorm.kept()).await {
+                Ok(()) => reply.ok(answer.body),
+                Err(error) => reply.fail(not_kept(&error)),
+            };
         });
         Ok(())
     }
@@ -122,6 +128,9 @@ impl Daemon {
         begin(cx, async move {
             let answer = sorm.ask(&Tasks::of(&here), request).await;
             sorm.unheard(&answer.name, &answer.body);
+            if let Err(error) = here.keep(&sorm.kept()).await {
+                tracing::error!("{}", not_kept(&error));
+            }
         });
         Ok(())
     }
@@ -160,7 +169,10 @@ impl Daemon {
             let answer = sorm.tell_traced(&comm, &request.line, &request.from, trace);
             let answer = answer.await;
             // Whoever asked may be gone.
-            let _ = reply.ok(answer);
+            let _ = match here.keep(&sorm.kept()).await {
+                Ok(()) => reply.ok(answer),
+                Err(error) => reply.fail(not_kept(&error)),
+            };
         });
         Ok(())
     }
@@ -182,6 +194,31 @@ impl Daemon {
     async fn chassis_up(&mut self, cx: &Context, chassis: &str) -> Handled {
         rebuild(&self.sorm, cx, chassis).await;
         Ok(())
+    }
+}
+
+/// It is done all the same, for as long as the process lives.
+fn not_kept(error: &HandlerError) -> String {
+    format!("it is done, but would not survive the process: {error}")
+}
+
+/// Its objects are called by reference within its process, and stay there.
+impl Handover for Daemon {
+    type State = Kept;
+
+    fn hand_over(&mut self) -> Result<Kept, HandlerError> {
+        Err("a daemon stays where its objects are".into())
+    }
+
+    fn take_over(&mut self, _: &Context, kept: Kept) -> Handled {
+        self.sorm.keep(kept);
+        Ok(())
+    }
+}
+
+impl Durable for Daemon {
+    fn state(&self) -> Kept {
+        self.sorm.kept()
     }
 }
 

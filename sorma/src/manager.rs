@@ -269,6 +269,7 @@ fn free(cx: &Context<'_>, name: &str, from: &str) -> Result<String, Report> {
         let mut body = slot.lock(Some(cx))?;
         slot.free_for(&mut body, sorm, from)?;
     }
+    sorm.keep_options(name, None);
     there(sorm.remove(name), "object", name)
 }
 

@@ -89,18 +89,25 @@ impl Sorm {
         if recipe.is_none() && name.flavor().is_some() && !class.takes_any_flavor() {
             return Err(self.unknown_flavor(name));
         }
-        let slot = Slot::new(local, class.build(name, self)?, class);
+        let slot = Slot::new(local.clone(), class.build(name, self)?, class);
         if let Some(recipe) = recipe {
-            self.cook(&slot, &recipe)?;
+            let recipe = words::join(recipe.iter().map(String::as_str));
+            self.cook(&slot, "recipe", &recipe)?;
+        }
+        if let Some(options) = self.kept_options(slot.name()) {
+            let taken = self.cook(&slot, "kept options", &options);
+            taken.map_err(|report| {
+                let text = format!("{}; `sorm CTRL -free {local}` begins afresh", report.text);
+                Report::error(report.code, text)
+            })?;
         }
         self.test(&slot)?;
         Ok(slot)
     }
 
-    /// Has the object take its recipe.
-    fn cook(&self, slot: &Slot, recipe: &[String]) -> Result<(), Report> {
-        let recipe = words::join(recipe.iter().map(String::as_str));
-        let mut io = Transport::text(recipe.as_str());
+    /// Has the object take its recipe, or what was kept of it.
+    fn cook(&self, slot: &Slot, what: &str, options: &str) -> Result<(), Report> {
+        let mut io = Transport::text(options);
         slot.call_unseen(self, None, Method::Ctrl, &mut io);
         if io.is_ok() {
             return Ok(());
@@ -109,7 +116,7 @@ impl Sorm {
         let why = io.texts();
         Err(raise!(
             io.code,
-            "`{name}` does not take its recipe `{recipe}`: {why}"
+            "`{name}` does not take its {what} `{options}`: {why}"
         ))
     }
 

@@ -294,11 +294,26 @@ impl Slot {
 
     fn ctrl(&self, body: &mut Body, sorm: &Sorm, within: Option<&Context<'_>>, io: &mut Transport) {
         let asked = io.text.clone();
+        let keeps = sorm.keeps(self);
+        let before = keeps.then(|| self.options(body, sorm));
         self.with_reports(body, sorm, within, io, |body, cx, io| {
             self.free_for(body, sorm, &io.from)?;
             body.object.ctrl(cx, io)
         });
+        if let Some(before) = before {
+            let after = self.options(body, sorm);
+            if after.is_some() && after != before {
+                sorm.keep_options(self.name(), after);
+            }
+        }
         body.meta.audited(sorm.now(), &io.from, &asked, io.code);
+    }
+
+    /// Its options, as CTRL takes them back.
+    fn options(&self, body: &mut Body, sorm: &Sorm) -> Option<String> {
+        let mut io = Transport::text("-dump");
+        let outcome = body.object.ctrl(&self.context(sorm, None), &mut io);
+        (outcome.is_ok() && io.is_ok()).then_some(io.text)
     }
 
     /// Does something in the name of the object, and signs what is reported about it.

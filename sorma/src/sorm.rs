@@ -43,9 +43,15 @@ pub(crate) struct Inner {
     /// Who watches the requests that are met here.
     watchers: Arc<Watchers>,
     pub(crate) dictionary: Arc<RwLock<Dictionary>>,
+    /// What CTRL has changed of objects, for a process to come; `None`: nobody keeps it.
+    kept: Mutex<Option<Kept>>,
     /// Objects being built now, outermost first: by one thread at a time.
     pub(crate) building: ReentrantMutex<RefCell<Vec<String>>>,
 }
+
+/// Objects by their local names, with the options that they had after the last CTRL that changed them, as `-dump`
+/// answers them.
+pub type Kept = BTreeMap<String, String>;
 
 /// Which process serves an object.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -77,6 +83,7 @@ impl Sorm {
                 results: Mutex::default(),
                 market: Mutex::default(),
                 watchers: Arc::default(),
+                kept: Mutex::default(),
                 dictionary: Arc::new(RwLock::new(dictionary)),
                 building: ReentrantMutex::default(),
             }),
@@ -167,6 +174,39 @@ impl Sorm {
         let removed = self.inner.objects.write().remove(name);
         // Its destructor is its own affair, outside the lock.
         removed.is_some()
+    }
+
+    /// From now on what CTRL changes is kept, beginning with what an earlier process has kept: an object that is built
+    /// takes it after its recipe.
+    pub fn keep(&self, kept: Kept) {
+        *self.inner.kept.lock() = Some(kept);
+    }
+
+    /// What is kept; nothing before [`Self::keep`].
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        self.inner.kept.lock().clone().unwrap_or_default()
+    }
+
+    /// Whether the changes of that object are kept: those of one that is being built are its recipe's.
+    pub(crate) fn keeps(&self, slot: &Slot) -> bool {
+        let is_it = |there: Arc<Slot>| std::ptr::eq(&raw const *there, slot);
+        self.inner.kept.lock().is_some() && self.find(slot.name()).is_some_and(is_it)
+    }
+
+    /// Keeps the options of an object; `None`: begins afresh with its recipe.
+    pub(crate) fn keep_options(&self, name: &str, options: Option<String>) {
+        if let Some(kept) = &mut *self.inner.kept.lock() {
+            match options {
+                Some(options) => kept.insert(name.to_owned(), options),
+                None => kept.remove(name),
+            };
+        }
+    }
+
+    /// The options that are kept of an object.
+    pub(crate) fn kept_options(&self, name: &str) -> Option<String> {
+        self.inner.kept.lock().as_ref()?.get(name).cloned()
     }
 
     /// Has `alias` lead to the object `name`.

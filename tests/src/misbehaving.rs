@@ -1,6 +1,7 @@
 //! A program like `ctos` with event handlers of its own, which break the rules of startup and of
 //! stopping: what the boot must then say and undo is tested with it.
 
+mod durable;
 mod load;
 mod nets;
 
@@ -203,6 +204,7 @@ fn main() -> ExitCode {
     });
     registry.handler("test.caller", &[], |cx| Ok(Caller(cx.args()?)));
     registry.handler("test.misbehaving", &[], |cx| Ok(Misbehaving(cx.args()?)));
+    durable::register(&mut registry);
     load::register(&mut registry);
     nets::register(&mut registry);
     cli::commands::main(registry)

@@ -20,6 +20,7 @@ mod displays;
 mod disturbed;
 mod documents;
 mod doors;
+mod durable;
 mod faults;
 mod full_disk;
 mod half_open;

@@ -232,6 +232,8 @@ pub struct TaskConfig {
     pub queue: usize,
     /// When it is restarted, and how often.
     pub restart: Policy,
+    /// Whether its state survives its process.
+    pub durable: bool,
     /// How long its handler may be at one message before a warning names it.
     pub handler_limit: Option<Duration>,
     /// Deadline of calls it makes, in place of the runtime's.

@@ -147,6 +147,7 @@ pub(super) const TABLES: &[Table] = &[
         "on": Text needed "add on = \"CHASSIS\" or on = \"CHASSIS/PROCESSOR\"", "Where it runs: \"CHASSIS/PROCESSOR\", or \"CHASSIS\" for that chassis's first processor. Needed.";
         "queue": Integer(1, 65_536) = "64", "How many messages may wait for it.";
         "restart": Choice(&["never", "on-failure", "always"]) = "\"never\"", "When it is built anew: after a panic of its handler, a child or a synchronous function; always: also after a shutdown.";
+        "state": Choice(&["memory", "durable"]) = "\"memory\"", "Whether its state survives its process: stored before an answer leaves, and taken over by the next process.";
         "max_restarts": Integer(1, 1_000_000), "How many restarts there are within the window at most. Default: 3.";
         "restart_window_s": Seconds(86_400.0), "The window, s. Default: 60.";
         "restart_backoff_s": Seconds(3_600.0), "The wait before a restart, s; it doubles with each one in the window. Default: 0.1.";

@@ -116,3 +116,16 @@ pub trait Handover: EventHandler {
     /// Why the state cannot be used.
     fn take_over(&mut self, cx: &Context, state: Self::State) -> Handled;
 }
+
+/// An event handler whose state can survive its process. Registered with
+/// [`Registry::durable`](crate::registry::Registry::durable); the tasks whose configuration says `state = "durable"`
+/// make use of it.
+///
+/// When the handling of a message has ended and the state is another one, it is stored. The answers that the handler
+/// gave leave after that, so nobody has seen what a kill can take back. What it sends or asks before its end leaves
+/// at once: [`Context::keep`] stores the state before that. A handler that panics has stored nothing; the next one
+/// takes over what was stored last, in the same process or another.
+pub trait Durable: Handover {
+    /// The state at this moment, between two messages.
+    fn state(&self) -> Self::State;
+}

@@ -9,7 +9,7 @@
 //! - what is told: [`report`], [`phase`], [`handled`];
 //! - messages and their answers: [`reply`], [`envelope`], [`delivery`];
 //! - the executor, and the calls that wait there: [`processor`], [`exchange`];
-//! - queues and the chassis: [`mailbox`], [`chassis`];
+//! - queues and the chassis: [`mailbox`], [`chassis`]; `kept`: answers that wait for a state to be stored;
 //! - event handlers and what they reach: [`context`], [`handler`], [`registry`];
 //! - their loop, and how they move: [`runner`], [`moving`];
 //! - services that are tasks themselves: [`names`], [`semaphore`].
@@ -45,6 +45,8 @@ pub mod exchange;
 pub mod handled;
 #[doc(hidden)]
 pub mod handler;
+mod keep;
+mod kept;
 #[doc(hidden)]
 pub mod last_messages;
 #[doc(hidden)]
@@ -97,7 +99,8 @@ pub mod task {
         children::StartError,
         context::{Call, Context, Elapsed, Find, NameError, TaskRef},
         handled::{Handled, HandlerError},
-        handler::{EventHandler, Handover},
+        handler::{Durable, EventHandler, Handover},
+        keep::StateStore,
         phase::{Phase, StopReason},
     };
 }

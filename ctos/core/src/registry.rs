@@ -17,8 +17,9 @@ use crate::{
     context::Context,
     envelope::Message,
     handled::{Handled, HandlerError},
-    handler::{EventHandler, Handover},
-    runner::dynamic::{DynHandler, passing, plain},
+    handler::{Durable, EventHandler, Handover},
+    keep::StateStore,
+    runner::dynamic::{DynHandler, durable, passing, plain},
 };
 use ctos_config::{
     App, TaskConfig,
@@ -60,6 +61,8 @@ pub struct HandlerKind {
     checks: Vec<CheckTask>,
     waits_for: Option<WaitsFor>,
     vocabulary: Option<Speaks>,
+    /// Whether the state of such a handler can survive its process.
+    durable: bool,
 }
 
 impl HandlerKind {
@@ -151,6 +154,7 @@ impl std::fmt::Debug for HandlerKind {
 pub struct Registry {
     kinds: BTreeMap<String, HandlerKind>,
     app_checks: BTreeMap<&'static str, CheckApp>,
+    states: Option<Arc<dyn StateStore>>,
 }
 
 impl Registry {
@@ -176,6 +180,34 @@ impl Registry {
         self.add(name, commands, Box::new(move |cx| Ok(passing(build(cx)?))))
     }
 
+    /// Registers a kind of event handler whose state can survive its process: it does in tasks whose configuration
+    /// says `state = "durable"`. They can be moved, too, as those of [`Self::handover`].
+    pub fn durable<H: Durable>(
+        &mut self,
+        name: &str,
+        commands: &[CommandInfo],
+        build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
+    ) -> &mut HandlerKind {
+        let build: Build = Box::new(move |cx| Ok(durable(build(cx)?)));
+        let kind = self.add(name, commands, build);
+        kind.durable = true;
+        kind
+    }
+
+    /// Says where states are stored that survive their processes. The first word counts.
+    pub fn states(&mut self, store: impl StateStore + 'static) {
+        self.states.get_or_insert_with(|| Arc::new(store));
+    }
+
+    /// Where they are stored.
+    ///
+    /// # Errors
+    /// Nowhere; a check of the app has said so.
+    pub(crate) fn state_store(&self) -> Result<&dyn StateStore, HandlerError> {
+        let states = self.states.as_deref();
+        states.ok_or_else(|| HandlerError::new("this program stores no states"))
+    }
+
     fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {
         let kind = HandlerKind {
             name: name.to_owned(),
@@ -186,6 +218,7 @@ impl Registry {
             checks: Vec::new(),
             waits_for: None,
             vocabulary: None,
+            durable: false,
         };
         match self.kinds.entry(name.to_owned()) {
             Entry::Vacant(free) => free.insert(kind),
@@ -277,6 +310,7 @@ impl Registry {
             match self.kind(&task.handler) {
                 Some(kind) => {
                     codes::check(kind, task, &mut findings);
+                    self.check_state(kind, task, app, &mut findings);
                     for check in &kind.checks {
                         check(task, app, &mut findings);
                     }
@@ -299,6 +333,34 @@ impl Registry {
             check(app, self, &mut findings);
         }
         findings
+    }
+
+    /// Whether a task whose state is to survive has one that can, and a place for it.
+    fn check_state(
+        &self,
+        kind: &HandlerKind,
+        task: &TaskConfig,
+        app: &App,
+        findings: &mut Findings,
+    ) {
+        let finding = match (task.durable, kind.durable, &self.states) {
+            (false, ..) | (true, true, Some(_)) => return,
+            (true, false, _) => Finding::error(
+                "ctos::config::not_durable",
+                format!(
+                    "the state of task `{}` cannot be durable: its handler `{}` has none that can be stored",
+                    task.name, task.handler
+                ),
+            )
+            .help("implement `task::Durable` for the handler and register it with `Registry::durable`, or see whether its arguments have a key for that (`args.durable` of a net)"),
+            (true, true, None) => Finding::error(
+                "ctos::config::no_states",
+                format!("this program has no place for the state of task `{}`", task.name),
+            )
+            .help("add one to its registry: `pnt::store::keep_states(&mut registry)`"),
+        };
+        let place = app.locate(&format!("task.{}.state", task.name));
+        findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
     }
 }
 

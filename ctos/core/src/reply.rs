@@ -325,6 +325,11 @@ pub(crate) fn handling<T>(serial: u64, code: impl FnOnce() -> T) -> T {
     code()
 }
 
+/// Whether code of a handler runs.
+pub(crate) fn is_handling() -> bool {
+    HANDLING.get() != 0
+}
+
 /// The right to answer message `serial`, if its handler dropped it.
 pub(crate) fn take_orphan(serial: u64) -> Option<ReplySlot> {
     ORPHANS.with(|orphans| {

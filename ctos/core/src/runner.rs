@@ -16,6 +16,7 @@ use crate::{
     phase::Phase,
     processor::{Processor, ProcessorHandle},
     registry::Recipe,
+    reply,
     runner::{
         dynamic::{DynHandler, Notice},
         serving::{Served, Serving},
@@ -93,6 +94,8 @@ pub struct Runner {
     /// Made when there is something to judge: most tasks never end before their app.
     restarts: Option<Box<Restarts>>,
     state: State,
+    /// Whether it goes on from what was stored, if it is durable.
+    pub(crate) resumed: bool,
     /// What the next handler takes over.
     pub(crate) kept: Option<Vec<u8>>,
     /// The last phase that was entered: a restarted handler is brought back to it.
@@ -157,6 +160,7 @@ pub(crate) fn start_at(
         handler: Some(handler),
         restarts: None,
         state: State::Running,
+        resumed: cx.inner.kept.is_none(),
         kept: None,
         phase: None,
         parent,
@@ -200,7 +204,7 @@ impl Runner {
             };
             let of_tasks = message.command() < SYSTEM_COMMANDS;
             let then = match self.handler.as_deref_mut() {
-                Some(handler) if of_tasks => match handler.serve(&serving, message).await {
+                Some(handler) if of_tasks && self.cx.inner.kept.is_none() => match handler.serve(&serving, message).await {
                     Served::Next(message) => {
                         next = Some(message);
                         continue;
@@ -280,6 +284,9 @@ impl Runner {
         }
         let serving = self.serving.clone();
         let mut message = message;
+        if let Some(kept) = &self.cx.inner.kept {
+            kept.hold(&mut message);
+        }
         let mut at_hand = serving.begin(&mut message);
         let cx = self.cx.within(message.trace());
         let interruptible = !interrupts(message.command());
@@ -287,17 +294,66 @@ impl Runner {
             let mut handling = pin!(Some(self.call(&cx, message)));
             poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll)).await
         };
-        match serving.end(&mut at_hand, ended) {
-            Some(text) => {
-                let why = format!("its handler panicked: {text}");
-                self.supervise(Ending::Failure, why).await
-            }
-            None => Next::Take,
+        // What the handler owed belongs to what it answered.
+        let panicked = reply::handling(at_hand.serial, || serving.end(&mut at_hand, ended));
+        match self.store_state(panicked).await {
+            Ok(()) => Next::Take,
+            Err(why) => self.supervise(Ending::Failure, why).await,
         }
+    }
+
+    /// Stores the state of a durable task after a message, if it has changed, and lets go of the answers that waited
+    /// for that. Why the handler has failed, if it has.
+    async fn store_state(&mut self, panicked: Option<String>) -> Result<(), String> {
+        let kept = self.cx.inner.kept.clone();
+        let (instead, why) = match (panicked, &kept, &self.handler) {
+            (Some(text), ..) => {
+                let why = format!("its handler panicked: {text}");
+                (Fault::Panicked { text }, why)
+            }
+            (None, Some(_), Some(handler)) if self.resumed => {
+                let state = std::panic::catch_unwind(AssertUnwindSafe(|| handler.state()));
+                let stored = match state {
+                    Ok(Ok(state)) => self.cx.store_state(state).await,
+                    Ok(Err(error)) => Err(error),
+                    Err(panic) => Err(HandlerError::new(panic_text(panic.as_ref()))),
+                };
+                match stored {
+                    Ok(()) => {
+                        kept.iter().for_each(|kept| kept.release(None));
+                        return Ok(());
+                    }
+                    Err(error) => {
+                        let text = format!("its state could not be stored: {error}");
+                        (Fault::Refused { text: text.clone() }, text)
+                    }
+                }
+            }
+            (None, ..) => {
+                kept.iter().for_each(|kept| kept.release(None));
+                return Ok(());
+            }
+        };
+        kept.iter().for_each(|kept| kept.release(Some(&instead)));
+        Err(why)
+    }
+
+    /// Calls the handler of a durable task for the first time: it goes on from what its last process has stored.
+    async fn resume(&mut self, cx: &Context, message: Message) -> Handled {
+        if let (Some(state), Some(handler)) = (cx.load_state().await?, &mut self.handler) {
+            handler.take_over(cx, &state)?;
+        }
+        self.resumed = true;
+        self.call(cx, message).await
     }
 
     fn call<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
         match message.command() {
+            command
+                if !self.resumed && (command < SYSTEM_COMMANDS || command == EnterPhase::CODE) =>
+            {
+                return Box::pin(self.resume(cx, message));
+            }
             EnterPhase::CODE => return Box::pin(self.enter_phase(cx, message)),
             Quiesce::CODE => return Box::pin(self.quiesce(cx, message)),
             StopTask::CODE => return Box::pin(self.stop(cx, message)),

@@ -204,6 +204,8 @@ pub fn replay(
         Arc::new(registry),
         clock.clone(),
     );
+    // What it stores replaces nothing.
+    chassis.set_disk(Arc::default());
     let others = Arc::new(Others::new(clock.clone(), names, &mut script));
     Recorders::replay_at(&chassis, others.clone());
     // The configuration may have fewer processors now than it had then.

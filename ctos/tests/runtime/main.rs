@@ -8,6 +8,7 @@
 )]
 
 mod boot;
+mod durable;
 mod finding;
 mod moving;
 mod record;

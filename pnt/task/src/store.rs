@@ -1,4 +1,4 @@
-//! Stable storage: what a net or a data object manager must still know after its process has died.
+//! Stable storage: what a net, a data object manager or any durable task must still know after its process has died.
 //!
 //! A store is a small map from names to bytes that changes by whole commits: after a crash it holds all
 //! of a commit or nothing of it. In real time it is a redb file, written and synced by a thread of its own,
@@ -9,6 +9,7 @@
 
 mod file;
 mod simulated;
+mod states;
 
 use std::{
     collections::BTreeMap,
@@ -21,6 +22,7 @@ use ctos::task::Context;
 
 use file::File;
 use simulated::Simulated;
+pub use states::keep_states;
 
 /// The version of the form of a store's file, and of what nets write into it.
 pub const FORMAT: u32 = 2;
@@ -34,7 +36,7 @@ pub type Change = (String, Option<Vec<u8>>);
 /// Whose store it is. Another owner's file is refused.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Owner {
-    /// What it is: `net` or `dom`.
+    /// What it is: `net`, `dom` or `task`.
     pub kind: String,
     /// Its task's name.
     pub name: String,

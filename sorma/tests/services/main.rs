@@ -11,6 +11,7 @@ mod asynchronous;
 mod demo_classes;
 mod far;
 mod faults;
+mod kept;
 mod manager;
 #[path = "../../examples/market.rs"]
 mod market;

@@ -50,6 +50,7 @@ impl Builder<'_> {
             on_place,
             queue: node.read("queue").unwrap_or(QUEUE),
             restart,
+            durable: node.get("state").and_then(Node::as_str) == Some("durable"),
             handler_limit: node.seconds("handler_limit_s"),
             call_deadline: node.seconds("call_deadline_s"),
             args: args.unwrap_or_else(|| Node::table().placed(&place)),

@@ -18,6 +18,7 @@ use serde::de::DeserializeOwned;
 use super::{quiet::Quiet, task_ref::TaskRef};
 use crate::{
     chassis::Chassis,
+    kept::Kept,
     processor::{Processor, wake::FutureId},
     system::Broke,
     task_record::TaskRecord,
@@ -44,6 +45,8 @@ pub(crate) struct Inner {
     family: RefCell<Option<Box<Family>>>,
     /// Counts the handlers that the task had.
     incarnation: Cell<u32>,
+    /// Of a task whose state survives its process.
+    pub(crate) kept: Option<Arc<Kept>>,
 }
 
 /// What belongs to a task besides its handler.
@@ -306,7 +309,9 @@ impl Context {
         processor: Rc<Processor>,
         config: Option<Box<TaskConfig>>,
     ) -> Self {
+        let durable = config.as_ref().is_some_and(|config| config.durable);
         Self::of(Rc::new(Inner {
+            kept: durable.then(Arc::default),
             record,
             chassis,
             processor,

@@ -187,6 +187,8 @@ async fn settle_in(runner: &mut Runner, state: &[u8]) -> Handled {
     for phase in Phase::ALL {
         let handler = runner.handler.as_mut().ok_or("it has no handler")?;
         if phase == Phase::Create {
+            cx.load_state().await?;
+            runner.resumed = true;
             handler.take_over(&cx, state)?;
         }
         handler.tell(&cx, Notice::Phase(phase)).await?;

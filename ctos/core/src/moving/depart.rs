@@ -36,7 +36,7 @@ pub(crate) struct Departed {
 /// gone.
 pub(crate) async fn depart(runner: &mut Runner, message: Message) -> Option<Departed> {
     let (MoveOut { to }, reply) = message.open::<MoveOut>().ok()?;
-    let state = match give_state(runner) {
+    let state = match give_state(runner, to) {
         Ok(state) => state,
         Err(why) => {
             // A reply cannot fail, here and below.
@@ -70,7 +70,12 @@ pub(crate) async fn depart(runner: &mut Runner, message: Message) -> Option<Depa
 }
 
 /// The handler's state, or why the task cannot be moved.
-fn give_state(runner: &mut Runner) -> Result<Vec<u8>, String> {
+fn give_state(runner: &mut Runner, to: system::Place) -> Result<Vec<u8>, String> {
+    if runner.cx.inner.kept.is_some() && to.chassis != runner.cx.chassis().index() {
+        return Err(
+            "its state is stored by its chassis: change `on` and boot the app again".to_owned(),
+        );
+    }
     if runner.is_child() {
         return Err(
             "it belongs to the task that started it, which can be moved instead".to_owned(),

@@ -7,7 +7,7 @@ use crate::{
     context::{Context, TaskRef},
     envelope::Message,
     handled::{Handled, HandlerError},
-    handler::{EventHandler, Handover},
+    handler::{Durable, EventHandler, Handover},
     phase::{Phase, StopReason},
 };
 
@@ -33,6 +33,8 @@ pub trait DynHandler {
     /// Whether [`Self::hand_over`] may be asked after a panic.
     fn survives_panic(&self) -> bool;
     fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled;
+    /// The state to store, in postcard.
+    fn state(&self) -> Result<Vec<u8>, HandlerError>;
 }
 
 /// An event handler, with what passes its state on, if it does so.
@@ -46,6 +48,8 @@ struct Passing<H> {
     after_panic: bool,
     give: fn(&mut H) -> Result<Vec<u8>, HandlerError>,
     take: fn(&mut H, &Context, &[u8]) -> Handled,
+    /// Of a durable handler.
+    state: Option<fn(&H) -> Result<Vec<u8>, HandlerError>>,
 }
 
 impl<H: Handover> Erased<H> {
@@ -63,6 +67,14 @@ impl<H: Handover> Erased<H> {
                 Err(HandlerError::new(why))
             }
         },
+        state: None,
+    };
+}
+
+impl<H: Durable> Erased<H> {
+    const DURABLE: Passing<H> = Passing {
+        state: Some(|handler| Ok(postcard::to_stdvec(&handler.state())?)),
+        ..Self::PASSING
     };
 }
 
@@ -75,6 +87,12 @@ pub fn plain<H: EventHandler>(handler: H) -> Box<dyn DynHandler> {
 /// A handler whose [`Handover`] is used.
 pub fn passing<H: Handover>(handler: H) -> Box<dyn DynHandler> {
     let passing = Some(&Erased::<H>::PASSING);
+    Box::new(Erased { handler, passing })
+}
+
+/// A handler whose [`Durable`] is used.
+pub fn durable<H: Durable>(handler: H) -> Box<dyn DynHandler> {
+    let passing = Some(&Erased::<H>::DURABLE);
     Box::new(Erased { handler, passing })
 }
 
@@ -114,5 +132,10 @@ impl<H: EventHandler> DynHandler for Erased<H> {
             Some(passing) => (passing.take)(&mut self.handler, cx, state),
             None => Err(HandlerError::new("the handler takes no state over")),
         }
+    }
+
+    fn state(&self) -> Result<Vec<u8>, HandlerError> {
+        let state = self.passing.and_then(|passing| passing.state);
+        state.ok_or("its handler has no state that can be stored")?(&self.handler)
     }
 }

@@ -170,7 +170,10 @@ impl Runner {
         self.cx.cancel_children();
         self.queue.forget_broken();
         if let Some(mut handler) = self.handler.take() {
-            if ending == Ending::Order || handler.survives_panic() {
+            if self.cx.inner.kept.is_some() {
+                // What was stored last is all that anybody has seen.
+                self.kept = self.cx.load_state().await.ok().flatten();
+            } else if ending == Ending::Order || handler.survives_panic() {
                 let given = std::panic::catch_unwind(AssertUnwindSafe(|| handler.hand_over()));
                 match given {
                     Ok(Some(Ok(state))) => self.kept = Some(state),
