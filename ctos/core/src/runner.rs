@@ -25,6 +25,7 @@ use crate::{
         Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, Quiesce, RestartTask, Shutdown,
         StopTask, TaskChanged, interrupts,
     },
+    tap::LOOP,
     task_record::TaskRecord,
 };
 use ctos_config::TaskConfig;
@@ -125,7 +126,7 @@ pub(crate) fn start_at(
 ) -> Result<(), HandlerError> {
     let cx = Context::new(spec.record, chassis.clone(), processor.clone(), spec.config);
     let recipe = spec.recipe;
-    let handler = build_contained(&recipe, &cx)?;
+    let handler = cx.inner.in_first_turn(|| build_contained(&recipe, &cx))?;
     let record = cx.inner.record.clone();
     let (mut parent, mut arrival) = (None, None);
     let queue = match origin {
@@ -161,13 +162,15 @@ pub(crate) fn start_at(
         phase: None,
         parent,
     });
+    let inner = cx.inner.clone();
     // Panics of the handler are caught where it is called. What is left is its destructor.
     let on_panic = move |text: String| {
         cx.fail(&format!("it panicked while it ended: {text}"));
         cx.cancel_children();
         cx.chassis().remove_task(cx.tid());
     };
-    queue.set_runner(processor.spawn(runner.run(arrival), Some(Rc::new(on_panic))));
+    let running = inner.in_turns(LOOP, runner.run(arrival));
+    queue.set_runner(processor.spawn(running, Some(Rc::new(on_panic))));
     Ok(())
 }
 

@@ -139,7 +139,12 @@ impl Engine {
             return Vec::new();
         };
         let mut findings = Findings::new();
-        let source = kept.source(&mut findings);
+        let kept_text = || {
+            let source = kept.source(&mut findings);
+            source.map(|source| source.text().to_owned())
+        };
+        let source = self.cx.outside("the breakpoints beside the net", kept_text);
+        let source = source.map(|text| Source::new(kept.path.display().to_string(), text));
         let net = self.net();
         let texts = source.map_or_else(Vec::new, |source| read(&source, &net, &mut findings));
         for finding in findings.iter() {
@@ -161,7 +166,11 @@ impl Engine {
             .iter()
             .filter(|one| !self.settings.breakpoints.contains(one));
         let by_hand: Vec<&str> = by_hand.map(String::as_str).collect();
-        kept.write(&by_hand).map_err(|error| {
+        // A replay writes nothing.
+        let written = self.cx.outside("that its breakpoints are kept", || {
+            kept.write(&by_hand).map_err(|error| error.to_string())
+        });
+        written.map_err(|error| {
             let path = kept.path.display();
             HandlerError::new(format!("not kept for the next run: {path}: {error}"))
         })
