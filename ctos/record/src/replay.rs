@@ -224,6 +224,7 @@ pub fn replay(
         clock,
         others,
         waiting: BTreeMap::new(),
+        unanswered: Vec::new(),
         messages: 0,
     };
     let mut report = stage.play(script.steps)?;
@@ -241,7 +242,17 @@ struct Stage {
     others: Arc<Others>,
     /// The answers that the task owes, by the number of the message.
     waiting: BTreeMap<Number, (u16, Waiting)>,
+    /// What it answered in the record and not yet here.
+    unanswered: Vec<Answered>,
     messages: u64,
+}
+
+/// An answer of the task, in the record.
+struct Answered {
+    at: Instant,
+    trace: u64,
+    id: Number,
+    answer: Recorded,
 }
 
 impl Stage {
@@ -267,8 +278,20 @@ impl Stage {
                 What::Polled(_) | What::Answered(_) => self.turn(&what, takes),
                 What::Output(index) => self.others.must_be_done(*index, at),
                 What::Ended { command, ending } => self.ended(at, trace, *command, ending),
-                What::Replied { id, answer } => self.replied(at, trace, *id, answer),
+                What::Replied { id, answer } => {
+                    let (id, answer) = (*id, answer.clone());
+                    let replied = Answered {
+                        at,
+                        trace,
+                        id,
+                        answer,
+                    };
+                    self.replied(replied, false);
+                }
             }
+        }
+        for replied in std::mem::take(&mut self.unanswered) {
+            self.replied(replied, true);
         }
         self.processor.clear();
         self.chassis.close();
@@ -295,12 +318,15 @@ impl Stage {
     }
 
     /// Gives the task one turn.
-    fn turn(&self, what: &What, takes: Takes) {
+    fn turn(&mut self, what: &What, takes: Takes) {
         self.others.begin_turn(what, takes);
         self.processor.run_jobs();
         self.processor.poll_all();
         self.processor.run_jobs();
         self.others.end_turn();
+        for replied in std::mem::take(&mut self.unanswered) {
+            self.replied(replied, true);
+        }
     }
 
     /// Gives the task a message.
@@ -332,13 +358,24 @@ impl Stage {
         self.others.compare_end(at, trace, command, expected, got);
     }
 
-    /// Compares what the task answered.
-    fn replied(&mut self, at: Instant, trace: u64, id: Number, expected: &Recorded) {
-        let Some((command, mut waiting)) = self.waiting.remove(&id) else {
+    /// Compares what the task answered. When nothing else in the turn told whose it was, the answer stands before it.
+    fn replied(&mut self, replied: Answered, is_last: bool) {
+        let Some((command, waiting)) = self.waiting.get_mut(&replied.id) else {
             return;
         };
-        let got = (&mut waiting).now_or_never();
-        self.others.compare_reply(at, trace, command, expected, got);
+        match waiting.now_or_never() {
+            None if !is_last => self.unanswered.push(replied),
+            got => {
+                let Answered {
+                    at,
+                    trace,
+                    id,
+                    ref answer,
+                } = replied;
+                self.others.compare_reply(at, trace, *command, answer, got);
+                self.waiting.remove(&id);
+            }
+        }
     }
 }
 

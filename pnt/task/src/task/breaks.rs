@@ -14,7 +14,11 @@ use ctos::{
 };
 use serde::Deserialize;
 
-use super::{engine::Engine, manual::check_breakpoint, settings::Settings};
+use super::{
+    engine::Engine,
+    manual::{check_breakpoint, name_of},
+    settings::Settings,
+};
 use pnt_language::net::Net;
 
 /// A file of the simulated host.
@@ -162,9 +166,10 @@ impl Engine {
             return Ok(());
         };
         let set = self.core.borrow().manual.breakpoints();
-        let by_hand = set
-            .iter()
-            .filter(|one| !self.settings.breakpoints.contains(one));
+        let net = self.net();
+        let given = self.settings.breakpoints.iter();
+        let given: Vec<String> = given.map(|text| name_of(text, &net)).collect();
+        let by_hand = set.iter().filter(|one| !given.contains(one));
         let by_hand: Vec<&str> = by_hand.map(String::as_str).collect();
         // A replay writes nothing.
         let written = self.cx.outside("that its breakpoints are kept", || {
