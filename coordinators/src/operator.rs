@@ -113,7 +113,7 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
     let began = cx.now();
     // It asks once in the life of an app, also when it is started again in it. What a durable Dispatcher
     // remembers of an earlier boot is another request.
-    let boot = cx.chassis().clock().origin_ns().unwrap_or(0);
+    let boot = cx.started_ns();
     let put = PutOnce {
         request: RequestId {
             from: format!("{} {boot:016x}", cx.name()),

@@ -82,6 +82,10 @@ pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> 
         .load_environment(environment())
         .map_err(|findings| wrong(&findings))?;
     let chassis = cx.chassis();
+    // Objects are used by reference too, where no context tells what they read.
+    if cx.started_ns() != 0 {
+        cx.reads_unrecorded("the real clock of its service objects");
+    }
     let sorm = Sorm::of(chassis.name(), chassis.clock().clone(), dictionary);
     if let Some(number) = arguments.number {
         tracing::info!(task = cx.name(), number, "found by its number too");

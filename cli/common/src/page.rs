@@ -176,6 +176,7 @@ impl Front {
         S: FnOnce(Pages, Door, oneshot::Receiver<()>) -> F + Send + 'static,
         F: Future<Output = io::Result<()>>,
     {
+        cx.reads_unrecorded("what the browsers of its page ask");
         let opener = self.opener(&cx.app().name, cx.name(), mark)?;
         let (url, door) = (self.url(), std::mem::take(&mut self.door));
         let _stop = self.serve(name, move |pages, stopped| server(pages, door, stopped))?;

@@ -166,14 +166,12 @@ impl Chassis {
 
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
-        self.tap.used(|| format!("shared memory `{key}`"));
         lock(&self.shared).insert(key.to_owned(), value);
     }
 
     /// What was shared under `key`, if it is a `T`.
     #[must_use]
     pub fn shared<T: Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
-        self.tap.used(|| format!("shared memory `{key}`"));
         lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
     }
 

@@ -82,11 +82,6 @@ impl TaskDirectory {
         lock(&self.known).remove(name);
     }
 
-    /// All names are asked for again.
-    pub fn forget_names(&self) {
-        lock(&self.known).clear();
-    }
-
     /// Chassis `peer` is gone, and with it what was known of its tasks.
     pub(crate) fn forget_chassis(&self, peer: u8) {
         lock(&self.known).retain(|_, tid| tid.chassis() != peer);

@@ -63,12 +63,12 @@ impl Context {
         };
         let mut stored = kept.stored.lock().await;
         if !stored.loaded {
-            stored.state = self.registry().state_store()?.load(self)?.unwrap_or_default();
+            stored.state = self
+                .registry()
+                .state_store()?
+                .load(self)?
+                .unwrap_or_default();
             stored.loaded = true;
-            if !stored.state.is_empty() {
-                let tap = &self.chassis().tap;
-                tap.used(|| "the state that it had stored before".to_owned());
-            }
         }
         Ok(Some(stored.state.clone()).filter(|state| !state.is_empty()))
     }

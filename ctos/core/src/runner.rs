@@ -26,6 +26,7 @@ use crate::{
         Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, Quiesce, RestartTask, Shutdown,
         StopTask, TaskChanged, interrupts,
     },
+    tap::LOOP,
     task_record::TaskRecord,
 };
 use ctos_config::TaskConfig;
@@ -128,7 +129,7 @@ pub(crate) fn start_at(
 ) -> Result<(), HandlerError> {
     let cx = Context::new(spec.record, chassis.clone(), processor.clone(), spec.config);
     let recipe = spec.recipe;
-    let handler = build_contained(&recipe, &cx)?;
+    let handler = cx.inner.in_first_turn(|| build_contained(&recipe, &cx))?;
     let record = cx.inner.record.clone();
     let (mut parent, mut arrival) = (None, None);
     let queue = match origin {
@@ -165,13 +166,15 @@ pub(crate) fn start_at(
         phase: None,
         parent,
     });
+    let inner = cx.inner.clone();
     // Panics of the handler are caught where it is called. What is left is its destructor.
     let on_panic = move |text: String| {
         cx.fail(&format!("it panicked while it ended: {text}"));
         cx.cancel_children();
         cx.chassis().remove_task(cx.tid());
     };
-    queue.set_runner(processor.spawn(runner.run(arrival), Some(Rc::new(on_panic))));
+    let running = inner.in_turns(LOOP, runner.run(arrival));
+    queue.set_runner(processor.spawn(running, Some(Rc::new(on_panic))));
     Ok(())
 }
 
@@ -204,17 +207,19 @@ impl Runner {
             };
             let of_tasks = message.command() < SYSTEM_COMMANDS;
             let then = match self.handler.as_deref_mut() {
-                Some(handler) if of_tasks && self.cx.inner.kept.is_none() => match handler.serve(&serving, message).await {
-                    Served::Next(message) => {
-                        next = Some(message);
-                        continue;
+                Some(handler) if of_tasks && self.cx.inner.kept.is_none() => {
+                    match handler.serve(&serving, message).await {
+                        Served::Next(message) => {
+                            next = Some(message);
+                            continue;
+                        }
+                        Served::Closed => break,
+                        Served::Panicked(text) => {
+                            let why = format!("its handler panicked: {text}");
+                            self.supervise(Ending::Failure, why).boxed_local().await
+                        }
                     }
-                    Served::Closed => break,
-                    Served::Panicked(text) => {
-                        let why = format!("its handler panicked: {text}");
-                        self.supervise(Ending::Failure, why).boxed_local().await
-                    }
-                },
+                }
                 _ => self.take(message).boxed_local().await,
             };
             match then {

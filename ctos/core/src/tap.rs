@@ -1,10 +1,15 @@
 //! Where a chassis shows everything that passes: what is sent, what a handler begins and ends, what comes back.
 //! A recorder looks on there, or a replay, or nobody, which costs one load.
 
-use std::sync::{
-    Arc, OnceLock,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    fmt::Display,
+    sync::{
+        Arc, OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
 };
+
+use serde::{Deserialize, Serialize};
 
 use crate::{envelope::Message, phase::Phase, reply::ReplySlot, report::Ending};
 use ctos_message::{CommandInfo, Data, Flags, Header, Tid, blob::Body, fault::Fault};
@@ -81,13 +86,26 @@ pub struct AtHand {
     pub began: Instant,
 }
 
+/// When the sender of a message was told what it waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Came {
+    /// In a poll that had begun otherwise.
+    Later,
+    /// In the poll in which it was sent: its sender did not wait.
+    AtOnce,
+    /// In a poll of its sender that began with it.
+    First,
+}
+
+/// The number of a task's own loop among its parts; its children have others.
+pub const LOOP: u64 = 0;
+
 /// Writes data behind what is in a buffer: whether it could be written.
 pub type WriteData<'a> = &'a dyn Fn(&mut Vec<u8>) -> bool;
 
 /// Who looks on. Every method is called on the thread on which it happens.
 pub trait Observer: Send + Sync {
-    /// Whether anything is recorded; if not, only [`Self::replays`], [`Self::replay`], [`Self::began`],
-    /// [`Self::ended`] and [`Self::used`] are of use.
+    /// Whether anything is recorded; if not, only [`Self::began`], [`Self::ended`] and what a replay answers are of use.
     fn is_recording(&self) -> bool;
     /// Whether it answers in place of all other tasks.
     fn replays(&self) -> bool;
@@ -101,8 +119,8 @@ pub trait Observer: Send + Sync {
     fn began(&self, at_hand: &AtHand);
     /// It has returned.
     fn ended(&self, at_hand: &AtHand, now: Instant, ending: Ending);
-    /// An answer to message `id` has come to whoever asked; `at_once`, if nothing happened in between.
-    fn answered(&self, id: u64, asked: &Asked, at_once: bool, answer: Result<&Data, &Fault>);
+    /// An answer to message `id` has come to whoever asked.
+    fn answered(&self, id: u64, asked: &Asked, came: Came, answer: Result<&Data, &Fault>);
     /// A task of this chassis answers message `id`, which came over a link.
     fn replied(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>);
     /// A task was built, which takes `commands`.
@@ -111,8 +129,14 @@ pub trait Observer: Send + Sync {
     fn phase(&self, task: Tid, phase: Phase);
     /// A task puts a value, as JSON, on a channel of its own.
     fn value(&self, task: Tid, channel: &str, value: WriteData<'_>);
-    /// A task used something that no message brings it, so that no record holds it.
-    fn used(&self, what: &str);
+    /// A part of a task is polled.
+    fn polled(&self, task: Tid, part: u64);
+    /// A task has read something that no message brings it; without `value` nobody can read that again.
+    fn read(&self, task: Tid, what: &dyn Display, value: Option<WriteData<'_>>);
+    /// Whether a replay polls a part of a task now.
+    fn is_turn_of(&self, task: Tid, part: u64) -> bool;
+    /// What a task has read at this place of a replayed record.
+    fn read_again(&self, task: Tid, what: &dyn Display) -> Option<Vec<u8>>;
     /// How many recorders have come so far.
     fn came(&self) -> u64;
 }
@@ -159,12 +183,5 @@ impl Tap {
     /// How many recorders have come so far, those that are gone included.
     pub(crate) fn came(&self) -> u64 {
         self.observer.get().map_or(0, |observer| observer.came())
-    }
-
-    /// A task used something that no message brings it.
-    pub(crate) fn used(&self, what: impl FnOnce() -> String) {
-        if let Some(observer) = self.observer() {
-            observer.used(&what());
-        }
     }
 }

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use ctos_core::report::Ending;
+use ctos_core::{report::Ending, tap::Came};
 use ctos_message::{Tid, fault::Fault};
 
 /// On which chassis, seen from the message, something was noted.
@@ -31,7 +31,7 @@ pub(crate) struct Key {
     pub(crate) trace: u64,
 }
 
-/// What happened to a message. Moments are ns since the start of the app.
+/// What happened to a message, or within a task. Moments are ns since the start of the app.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Step {
     /// It was sent, or came over a link; its data follows.
@@ -48,10 +48,20 @@ pub(crate) enum Step {
     /// message, or a fault.
     Answered {
         side: Side,
-        /// Whether its sender had it in the poll in which it sent, and did not wait.
-        at_once: bool,
+        came: Came,
         fault: Option<Fault>,
     },
+    /// A part of the task was polled: its loop, or a child. Not noted where what follows tells it.
+    Polled { part: u64 },
+    /// The task read something that no message brings it; unless it is `lacking`, its value follows.
+    Read { what: String, lacking: bool },
+}
+
+impl Step {
+    /// Whether it happened within a task, to no message.
+    pub(crate) fn is_within(&self) -> bool {
+        matches!(self, Self::Polled { .. } | Self::Read { .. })
+    }
 }
 
 /// Something that happened to a message, with its moment and the chassis on which it happened.

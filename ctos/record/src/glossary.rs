@@ -155,12 +155,6 @@ impl Glossary {
         known.unwrap_or_else(|| task.to_string().into())
     }
 
-    /// The id of a task.
-    pub(crate) fn tid(&self, name: &str) -> Option<Tid> {
-        let mut tasks = self.tasks.iter();
-        tasks.find_map(|(tid, known)| (**known == *name).then_some(*tid))
-    }
-
     /// What `task` takes under `code`.
     pub(crate) fn command(&self, task: &str, code: u16) -> Option<&Known> {
         let place = match code {

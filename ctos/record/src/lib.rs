@@ -27,6 +27,7 @@ mod writer;
 use ctos_config::RecordConfig;
 use ctos_core::chassis::Chassis;
 use ctos_message::CommandInfo;
+use ctos_time::Drift;
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 
 pub use lines::Number;
@@ -43,6 +44,11 @@ use glossary::Glossary;
 use parts::{Parts, Place, suffixed};
 use recorder::Recorder;
 use writer::Writer;
+
+/// Under which name a file says that it notes the turns of tasks, without which nothing can be replayed.
+const TURNS: &str = "turns";
+/// Under which names it says how the clock of each chassis was wrong: offset, ns, and rate, ns per s.
+const DRIFT: &str = "drift.";
 
 /// How long the end of a record waits for its disk.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -83,7 +89,16 @@ pub fn start(
     if first.clock.origin_ns().is_some() {
         path = suffixed(&path, first.name());
     }
-    let recorder = begin(first, config, path, run_of(first), runtime, Vec::new())?;
+    let mut run = run_of(first);
+    for one in chassis {
+        let Drift {
+            offset_ns,
+            rate_ppb,
+        } = one.clock.drift();
+        let drift = format!("{offset_ns} {rate_ppb}");
+        run.insert(format!("{DRIFT}{}", one.index()), drift);
+    }
+    let recorder = begin(first, config, path, run, runtime, Vec::new())?;
     for one in chassis {
         Recorders::record(one, recorder.clone());
     }
@@ -104,7 +119,9 @@ fn begin(
     let place = Place::new(path, config.max_bytes, config.keep);
     let parts = Parts::open(place, run).map_err(std::io::Error::other)?;
     let writer = Writer::new(names, parts, channels);
-    let (clock, limit) = (chassis.clock.clone(), config.buffer_bytes);
+    // The true time, in which all chassis of a simulated app are noted.
+    let clock = chassis.clock.drifting(Drift::default());
+    let limit = config.buffer_bytes;
     match clock.origin_ns() {
         Some(_) => Recorder::threaded(clock, writer, chassis.processors.len(), limit, config.flush),
         None => Ok(Recorder::inline(clock, writer, limit)),
@@ -131,6 +148,7 @@ fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
     let mut run = BTreeMap::from([
         ("app".to_owned(), app.name.clone()),
         ("seed".to_owned(), app.seed.to_string()),
+        (TURNS.to_owned(), "1".to_owned()),
     ]);
     if let Some(origin) = chassis.clock.origin_ns() {
         run.insert("chassis".to_owned(), chassis.name().to_owned());

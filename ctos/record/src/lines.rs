@@ -15,7 +15,7 @@ use super::{
     glossary::Glossary,
     traffic::{Coder, Events},
 };
-use ctos_core::report::Ending;
+use ctos_core::{report::Ending, tap::Came};
 use ctos_message::{Flags, Shape};
 
 /// Data of more bytes than this is not shown as JSON: it is a picture, not something to read.
@@ -30,6 +30,8 @@ pub(crate) enum Schema {
     Began,
     Ended,
     Reply,
+    Polled,
+    Read,
     Phase,
     Log,
     Value,
@@ -65,6 +67,8 @@ impl Schema {
             Self::Began => ("ctos.Began", include_bytes!("schemas/began.json")),
             Self::Ended => ("ctos.Ended", include_bytes!("schemas/ended.json")),
             Self::Reply => ("ctos.Reply", include_bytes!("schemas/reply.json")),
+            Self::Polled => ("ctos.Polled", include_bytes!("schemas/polled.json")),
+            Self::Read => ("ctos.Read", include_bytes!("schemas/read.json")),
             Self::Phase => ("ctos.Phase", include_bytes!("schemas/phase.json")),
             Self::Log => ("foxglove.Log", include_bytes!("schemas/log.json")),
             Self::Value => ("ctos.Value", include_bytes!("schemas/value.json")),
@@ -122,6 +126,8 @@ pub(crate) fn channel_of(step: &Step, task: &str) -> (String, Schema) {
         Step::Began => ("began", Schema::Began),
         Step::Ended { .. } => ("ended", Schema::Ended),
         Step::Answered { .. } => ("reply", Schema::Reply),
+        Step::Polled { .. } => ("polled", Schema::Polled),
+        Step::Read { .. } => ("read", Schema::Read),
     };
     (format!("/{kind}/{task}"), schema)
 }
@@ -148,16 +154,19 @@ pub(crate) fn traffic(
         Step::Sent { .. } => ("to", "from"),
         Step::Began | Step::Ended { .. } => ("task", "from"),
         Step::Answered { .. } => ("by", "to"),
+        Step::Polled { .. } | Step::Read { .. } => ("task", ""),
     };
     let chassis = event.chassis;
-    let mut line = vec![
-        ("id", json!(Number { chassis, number })),
-        (receiver, json!(&*task)),
-        (sender, json!(&*peer)),
-        ("command", json!(glossary.command_name(&task, command))),
-        ("code", json!(command)),
-        ("trace", json!(Number::of_trace(trace))),
-    ];
+    let mut line = vec![(receiver, json!(&*task))];
+    if !event.step.is_within() {
+        line.extend([
+            ("id", json!(Number { chassis, number })),
+            (sender, json!(&*peer)),
+            ("command", json!(glossary.command_name(&task, command))),
+            ("code", json!(command)),
+            ("trace", json!(Number::of_trace(trace))),
+        ]);
+    }
     match &event.step {
         Step::Sent {
             flags,
@@ -181,15 +190,15 @@ pub(crate) fn traffic(
                 ("text", json!(text)),
             ]);
         }
-        Step::Answered {
-            side,
-            at_once,
-            fault,
-        } => {
+        Step::Polled { part } => line.push(("part", json!(part))),
+        Step::Read { what, lacking } => {
+            line.extend([("what", json!(what)), ("lacking", json!(lacking))]);
+        }
+        Step::Answered { side, came, fault } => {
             let result = fault.as_ref().map(ToString::to_string);
             line.extend([
                 ("noted", json!(side)),
-                ("at_once", json!(at_once)),
+                ("at_once", json!(*came == Came::AtOnce)),
                 ("result", json!(result.as_deref().unwrap_or("ok"))),
             ]);
         }
@@ -212,7 +221,8 @@ pub(crate) fn traffic(
                 known.and_then(|known| known.reply.as_ref()),
             );
         }
-        Step::Began | Step::Ended { .. } => {}
+        Step::Read { lacking: false, .. } => append_data(&mut json, data, None),
+        _ => {}
     }
     Ok(json)
 }

@@ -1,8 +1,11 @@
 //! Who looks on at a chassis: its recorders, those that came while it ran too, or a replay.
 
-use std::sync::{
-    Arc, OnceLock, PoisonError, RwLock,
-    atomic::{AtomicBool, AtomicU64, Ordering},
+use std::{
+    fmt::Display,
+    sync::{
+        Arc, OnceLock, PoisonError, RwLock,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
 };
 
 use super::{
@@ -17,7 +20,7 @@ use ctos_core::{
     phase::Phase,
     reply::ReplySlot,
     report::{Ending, RecordReport},
-    tap::{Asked, AtHand, Observer, WaitFor, WriteData},
+    tap::{Asked, AtHand, Came, Observer, WaitFor, WriteData},
 };
 use ctos_message::{CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
 use ctos_time::Instant;
@@ -28,6 +31,8 @@ use serde_json::json;
 pub struct Recorders {
     /// The chassis.
     index: u8,
+    /// Whether its clock goes on by itself.
+    real: bool,
     /// The recorder that was there when the chassis began. Set once.
     first: OnceLock<Arc<Recorder>>,
     /// The replay that answers in place of the other tasks. Set once.
@@ -46,6 +51,7 @@ impl Extension for Recorders {
     fn new(chassis: &Chassis) -> Self {
         Self {
             index: chassis.index(),
+            real: chassis.clock().origin_ns().is_some(),
             ..Self::default()
         }
     }
@@ -142,6 +148,8 @@ impl Recorders {
         step: Step,
         data: impl Fn(&mut Vec<u8>) -> bool,
     ) -> bool {
+        // A virtual clock stands still meanwhile, and shows each chassis another time.
+        let at = at.filter(|_| self.real);
         let event = |recorder: &Recorder| Traffic {
             at: at.map_or_else(|| recorder.now(), Instant::as_nanos),
             chassis: self.index,
@@ -192,12 +200,12 @@ impl Recorders {
         id: u64,
         asked: &Asked,
         side: Side,
-        at_once: bool,
+        came: Came,
         answer: Result<&Data, &Fault>,
     ) {
         let step = Step::Answered {
             side,
-            at_once,
+            came,
             fault: answer.err().cloned(),
         };
         // Noted where it happened: at the one who answers, or at the one who asked.
@@ -209,6 +217,17 @@ impl Recorders {
         self.traffic(place, None, key_of(id, asked), step, |buffer| {
             answer.is_ok_and(|data| data.append_to(buffer).is_ok())
         });
+    }
+}
+
+/// For what happens within a task, to no message.
+fn key_within(task: Tid) -> Key {
+    Key {
+        id: 0,
+        task,
+        peer: task,
+        command: 0,
+        trace: 0,
     }
 }
 
@@ -275,19 +294,19 @@ impl Observer for Recorders {
     fn ended(&self, at_hand: &AtHand, now: Instant, ending: Ending) {
         let AtHand { id, asked, began } = at_hand;
         if let Some(others) = self.others.get() {
-            return others.ended(asked.command, ending);
+            return others.ended(asked, ending);
         }
         let took = now.as_nanos().saturating_sub(began.as_nanos());
         let step = Step::Ended { took, ending };
         self.traffic(asked.to, Some(now), key_of(*id, asked), step, |_| true);
     }
 
-    fn answered(&self, id: u64, asked: &Asked, at_once: bool, answer: Result<&Data, &Fault>) {
-        self.note_answer(id, asked, self.side_of(asked.to), at_once, answer);
+    fn answered(&self, id: u64, asked: &Asked, came: Came, answer: Result<&Data, &Fault>) {
+        self.note_answer(id, asked, self.side_of(asked.to), came, answer);
     }
 
     fn replied(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>) {
-        self.note_answer(id, asked, Side::Receiver, false, answer);
+        self.note_answer(id, asked, Side::Receiver, Came::Later, answer);
     }
 
     fn built(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
@@ -316,10 +335,30 @@ impl Observer for Recorders {
         }
     }
 
-    fn used(&self, what: &str) {
+    fn polled(&self, task: Tid, part: u64) {
+        self.traffic(task, None, key_within(task), Step::Polled { part }, |_| {
+            true
+        });
+    }
+
+    fn read(&self, task: Tid, what: &dyn Display, value: Option<WriteData<'_>>) {
+        let (what, lacking) = (what.to_string(), value.is_none());
         if let Some(others) = self.others.get() {
-            others.used(what.to_owned());
+            return others.lacks(task, &what);
         }
+        let step = Step::Read { what, lacking };
+        self.traffic(task, None, key_within(task), step, |buffer| {
+            value.is_none_or(|value| value(buffer))
+        });
+    }
+
+    fn is_turn_of(&self, task: Tid, part: u64) -> bool {
+        let others = self.others.get();
+        others.is_none_or(|others| others.is_turn_of(task, part))
+    }
+
+    fn read_again(&self, task: Tid, what: &dyn Display) -> Option<Vec<u8>> {
+        self.others.get()?.read_again(task, &what.to_string())
     }
 
     fn came(&self) -> u64 {

@@ -2,9 +2,8 @@
 //! moments and the recorded answers to what it asks; what it sends, answers and returns is compared
 //! with the record.
 //!
-//! A handler that takes everything from its [`Context`](ctos_core::context::Context) does the same again. What
-//! it takes from elsewhere (shared memory, synchronous functions, devices) is in no record; the report
-//! names what was used.
+//! The record says when each part of the task, its loop or a child, had its turn, and what it read there besides
+//! messages. Nothing else happens here: no timer, no wake-up.
 
 mod others;
 mod script;
@@ -33,7 +32,7 @@ use super::{
 };
 
 pub(crate) use others::Others;
-use script::{Recorded, Script, Sent, Step, What};
+use script::{Recorded, Script, Sent, Step, Takes, What};
 
 /// Why a task could not be replayed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -59,6 +58,16 @@ pub enum ReplayError {
     Incomplete {
         /// What it lacks.
         reason: String,
+    },
+    /// The task reads what no record holds.
+    #[error(
+        "`{task}` cannot be replayed: it reads {what}, and no record holds that; what a task reads with `Context::outside` is recorded"
+    )]
+    Outside {
+        /// The task.
+        task: String,
+        /// What it reads.
+        what: String,
     },
     /// The handler could not be built.
     #[error("`{task}` cannot be built: {reason}")]
@@ -96,8 +105,6 @@ pub struct ReplayReport {
     pub different: u64,
     /// The first difference.
     pub first: Option<Difference>,
-    /// What it used that no record holds.
-    pub used: Vec<String>,
     /// Events that the record is known to lack.
     pub lost: u64,
 }
@@ -163,9 +170,6 @@ impl fmt::Display for ReplayReport {
                 first.expected, first.got
             )?;
         }
-        for used in &self.used {
-            write!(f, "\nnot in any record: {used}")?;
-        }
         if self.lost > 0 {
             write!(f, "\nthe record lacks {} events", self.lost)?;
         }
@@ -202,10 +206,8 @@ pub fn replay(
         script.tid.chassis(),
         Arc::new(app),
         Arc::new(registry),
-        clock.clone(),
+        clock.drifting(script.drift),
     );
-    // What it stores replaces nothing.
-    chassis.set_disk(Arc::default());
     let others = Arc::new(Others::new(clock.clone(), names, &mut script));
     Recorders::replay_at(&chassis, others.clone());
     // The configuration may have fewer processors now than it had then.
@@ -224,6 +226,7 @@ pub fn replay(
         clock,
         others,
         waiting: BTreeMap::new(),
+        unanswered: Vec::new(),
         messages: 0,
     };
     let mut report = stage.play(script.steps)?;
@@ -241,29 +244,57 @@ struct Stage {
     others: Arc<Others>,
     /// The answers that the task owes, by the number of the message.
     waiting: BTreeMap<Number, (u16, Waiting)>,
+    /// What it answered in the record and not yet here.
+    unanswered: Vec<Answered>,
     messages: u64,
+}
+
+/// An answer of the task, in the record.
+struct Answered {
+    at: Instant,
+    trace: u64,
+    id: Number,
+    answer: Recorded,
 }
 
 impl Stage {
     fn play(mut self, steps: Vec<Step>) -> Result<ReplayReport, ReplayError> {
-        for Step { at, trace, what } in steps {
-            self.run_until(at);
-            match what {
-                What::Built => self.build()?,
-                What::Begin(message) => self.begin(message),
-                What::Answer { id, answer } => self.others.answer(id, answer.into_answer()),
-                What::Output(index) => {
-                    if !self.others.is_done(index) {
-                        self.run_due();
-                    }
-                    self.others.must_be_done(index, at);
+        for Step {
+            at,
+            trace,
+            what,
+            takes,
+        } in steps
+        {
+            self.clock.advance_to(at);
+            match &what {
+                What::Built => {
+                    self.others.begin_turn(&what, takes);
+                    self.build()?;
+                    self.others.end_turn();
                 }
-                What::Ended { command, ending } => self.ended(at, trace, command, &ending),
-                What::Replied { id, answer } => self.replied(at, trace, id, &answer),
+                What::Begin(message) => {
+                    self.begin(message);
+                    self.turn(&what, takes);
+                }
+                What::Polled(_) | What::Answered(_) => self.turn(&what, takes),
+                What::Output(index) => self.others.must_be_done(*index, at),
+                What::Ended { command, ending } => self.ended(at, trace, *command, ending),
+                What::Replied { id, answer } => {
+                    let (id, answer) = (*id, answer.clone());
+                    let replied = Answered {
+                        at,
+                        trace,
+                        id,
+                        answer,
+                    };
+                    self.replied(replied, false);
+                }
             }
-            self.settle();
         }
-        self.run_due();
+        for replied in std::mem::take(&mut self.unanswered) {
+            self.replied(replied, true);
+        }
         self.processor.clear();
         self.chassis.close();
         let mut report = self.others.report(&self.config.name);
@@ -288,46 +319,27 @@ impl Stage {
         })
     }
 
-    /// Lets everything happen that is due before `at`, moment by moment, and moves the clock there.
-    fn run_until(&self, at: Instant) {
-        while let Some(next) = self.processor.next_deadline().filter(|next| *next < at) {
-            self.clock.advance_to(next);
-            self.processor.schedule.run();
-            self.processor.fire_timers();
-            self.settle();
-        }
-        self.clock.advance_to(at);
-    }
-
-    /// Lets everything happen that is due now. What the record says comes before it at one moment is
-    /// done first.
-    fn run_due(&self) {
-        self.processor.schedule.run();
-        self.processor.fire_timers();
-        self.settle();
-    }
-
-    /// Polls until nothing can go on by itself.
-    fn settle(&self) {
-        loop {
-            // A name is asked for again: whether another task had found it before, the record tells.
-            self.chassis.directory.forget_names();
-            let jobs = self.processor.run_jobs();
-            if !jobs && !self.processor.poll_ready(0) {
-                return;
-            }
+    /// Gives the task one turn.
+    fn turn(&mut self, what: &What, takes: Takes) {
+        self.others.begin_turn(what, takes);
+        self.processor.run_jobs();
+        self.processor.poll_all();
+        self.processor.run_jobs();
+        self.others.end_turn();
+        for replied in std::mem::take(&mut self.unanswered) {
+            self.replied(replied, true);
         }
     }
 
     /// Gives the task a message.
-    fn begin(&mut self, begun: Sent) {
+    fn begin(&mut self, begun: &Sent) {
         self.messages += 1;
         let reply = begun.flags.contains(Flags::REPLY_WAIT).then(|| {
             let (promise, waiting) = Promise::new();
             self.waiting.insert(begun.id, (begun.command, waiting));
             ReplySlot::outside(promise)
         });
-        let data = Data::Bytes(begun.data);
+        let data = Data::Bytes(begun.data.clone());
         let mut message = Message::with_data(self.tid, begun.from, begun.command, data)
             .flagged(begun.flags)
             .in_trace(begun.trace)
@@ -344,24 +356,28 @@ impl Stage {
         if *expected == Ending::Stopped {
             return;
         }
-        if self.others.next_end(false).is_none() {
-            self.run_due();
-        }
-        let got = self.others.next_end(true);
+        let got = self.others.next_end();
         self.others.compare_end(at, trace, command, expected, got);
     }
 
-    /// Compares what the task answered.
-    fn replied(&mut self, at: Instant, trace: u64, id: Number, expected: &Recorded) {
-        let Some((command, mut waiting)) = self.waiting.remove(&id) else {
+    /// Compares what the task answered. When nothing else in the turn told whose it was, the answer stands before it.
+    fn replied(&mut self, replied: Answered, is_last: bool) {
+        let Some((command, waiting)) = self.waiting.get_mut(&replied.id) else {
             return;
         };
-        let mut got = (&mut waiting).now_or_never();
-        if got.is_none() {
-            self.run_due();
-            got = (&mut waiting).now_or_never();
+        match waiting.now_or_never() {
+            None if !is_last => self.unanswered.push(replied),
+            got => {
+                let Answered {
+                    at,
+                    trace,
+                    id,
+                    ref answer,
+                } = replied;
+                self.others.compare_reply(at, trace, *command, answer, got);
+                self.waiting.remove(&id);
+            }
         }
-        self.others.compare_reply(at, trace, command, expected, got);
     }
 }
 

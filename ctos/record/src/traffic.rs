@@ -100,6 +100,11 @@ impl Coder {
             command,
         };
         let mut last = self.last.clone();
+        // What happened within a task has no message.
+        let (id, trace) = match step.is_within() {
+            true => (last.id, last.trace),
+            false => (id, trace),
+        };
         let packed = Packed {
             at: change(&mut last.at, at),
             id: change(&mut last.id, id),
@@ -151,12 +156,20 @@ impl<'a> Iterator for Events<'a> {
             peer,
             command,
         } = last.ends;
+        let (id, trace) = (
+            changed(&mut last.id, packed.id),
+            changed(&mut last.trace, packed.trace),
+        );
+        let (id, trace) = match packed.step.is_within() {
+            true => (0, 0),
+            false => (id, trace),
+        };
         let key = Key {
-            id: changed(&mut last.id, packed.id),
+            id,
             task,
             peer,
             command,
-            trace: changed(&mut last.trace, packed.trace),
+            trace,
         };
         let event = Traffic {
             at: changed(&mut last.at, packed.at),
@@ -176,7 +189,7 @@ mod tests {
 
     use super::*;
     use crate::event::Side;
-    use ctos_core::report::Ending;
+    use ctos_core::{report::Ending, tap::Came};
     use ctos_message::fault::Fault;
 
     fn side() -> impl Strategy<Value = Side> {
@@ -190,6 +203,7 @@ mod tests {
             ".{0,300}".prop_map(Ending::Refused),
             ".{0,9}".prop_map(Ending::Panicked),
         ];
+        let came = prop_oneof![Just(Came::Later), Just(Came::AtOnce), Just(Came::First)];
         let fault = prop_oneof![
             Just(None),
             Just(Some(Fault::Stopping)),
@@ -205,11 +219,13 @@ mod tests {
             }),
             Just(Step::Began),
             (any::<u64>(), ending).prop_map(|(took, ending)| Step::Ended { took, ending }),
-            (side(), any::<bool>(), fault).prop_map(|(side, at_once, fault)| Step::Answered {
+            (side(), came, fault).prop_map(|(side, came, fault)| Step::Answered {
                 side,
-                at_once,
+                came,
                 fault
             }),
+            any::<u64>().prop_map(|part| Step::Polled { part }),
+            (".{0,9}", any::<bool>()).prop_map(|(what, lacking)| Step::Read { what, lacking }),
         ]
     }
 
@@ -226,7 +242,13 @@ mod tests {
             let carries = match &step {
                 Step::Sent { .. } => true,
                 Step::Answered { fault, .. } => fault.is_none(),
-                Step::Began | Step::Ended { .. } => false,
+                Step::Read { lacking, .. } => !lacking,
+                Step::Began | Step::Ended { .. } | Step::Polled { .. } => false,
+            };
+            let (id, trace) = if step.is_within() {
+                (0, 0)
+            } else {
+                (id, trace)
             };
             if !carries {
                 data.clear();
@@ -313,7 +335,7 @@ mod tests {
             key,
             step: Step::Answered {
                 side: Side::Here,
-                at_once: true,
+                came: Came::AtOnce,
                 fault: None,
             },
         };

@@ -198,6 +198,13 @@ impl Clock {
         self.simulated.is_none().then_some(self.origin_ns)
     }
 
+    /// How a virtual clock is wrong; a real one is the truth itself.
+    #[must_use]
+    pub fn drift(&self) -> Drift {
+        let simulated = self.simulated.as_ref();
+        simulated.map_or(Drift::default(), |simulated| simulated.drift)
+    }
+
     /// Moves a virtual clock forward to a true moment. A real clock, or a step back, is left alone.
     pub fn advance_to(&self, moment: Instant) {
         if let Some(simulated) = &self.simulated {

@@ -87,6 +87,9 @@ pub enum StoreError {
         /// Its format.
         found: String,
     },
+    /// As the record of a replay says.
+    #[error("{0}")]
+    Recorded(String),
     /// Another process has it open.
     #[error("{} is in use by another process: is the app running already?", .path.display())]
     InUse {
@@ -104,6 +107,8 @@ pub struct Store {
 enum Kind {
     File(File),
     Simulated(Arc<Simulated>),
+    /// The record tells what it held and when it was written.
+    Recorded,
 }
 
 impl Store {
@@ -114,16 +119,18 @@ impl Store {
     /// What is wrong with the file.
     pub fn open(cx: &Context, path: &Path, owner: &Owner) -> Result<Arc<Self>, StoreError> {
         let key = format!("pnt::store {}", path.display());
-        if let Some(open) = cx.shared::<Self>(&key) {
+        // No other task has this file.
+        if let Some(open) = cx.chassis().shared::<Self>(&key) {
             return Ok(open);
         }
         let kind = match cx.disk() {
+            _ if cx.is_replay() => Kind::Recorded,
             Some(disk) => Kind::Simulated(Simulated::open(&disk, path, owner)?),
             None => Kind::File(File::open(path, owner)?),
         };
         let path = path.to_owned();
         let store = Arc::new(Self { path, kind });
-        cx.share(&key, Arc::clone(&store));
+        cx.chassis().share(&key, Arc::clone(&store));
         Ok(store)
     }
 
@@ -138,10 +145,15 @@ impl Store {
     /// # Errors
     /// When the file cannot be read.
     pub fn load(&self, cx: &Context) -> Result<Contents, StoreError> {
-        match &self.kind {
-            Kind::File(file) => file.load(),
-            Kind::Simulated(simulated) => Ok(simulated.load(cx)),
-        }
+        let loaded = cx.outside("what its store holds", || {
+            let loaded = match &self.kind {
+                Kind::File(file) => file.load(),
+                Kind::Simulated(simulated) => Ok(simulated.load(cx)),
+                Kind::Recorded => Ok(Contents::new()),
+            };
+            loaded.map_err(|error| error.to_string())
+        });
+        loaded.map_err(StoreError::Recorded)
     }
 
     /// Makes changes, all or none, and waits until they survive everything. Commits are made in the
@@ -150,13 +162,20 @@ impl Store {
     /// # Errors
     /// When they could not be written.
     pub async fn commit(&self, cx: &Context, changes: Vec<Change>) -> Result<(), StoreError> {
-        match &self.kind {
-            Kind::File(file) => file.commit(changes).await,
-            Kind::Simulated(simulated) => {
-                simulated.commit(cx, changes).await;
-                Ok(())
+        let committed = cx.outside_wait("that its store has taken changes", async {
+            match &self.kind {
+                Kind::File(file) => file
+                    .commit(changes)
+                    .await
+                    .map_err(|error| error.to_string()),
+                Kind::Simulated(simulated) => {
+                    simulated.commit(cx, changes).await;
+                    Ok(())
+                }
+                Kind::Recorded => Ok(()),
             }
-        }
+        });
+        committed.await.map_err(StoreError::Recorded)
     }
 }
 

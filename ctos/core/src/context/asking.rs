@@ -194,6 +194,7 @@ impl Ask {
             key.set(Some(ticket.key()));
             ReplySlot::call(ticket)
         };
+        self.asker.note_turn();
         let ready = processor.ready_count();
         let outcome = chassis.deliver(message, self.wait, &mut self.sent, slot);
         if replies {
@@ -245,7 +246,8 @@ impl Ask {
                 Ok(None) => Ok(&Data::NOTHING),
                 Err(fault) => Err(&**fault),
             };
-            recorder.answered(self.sent.id, &self.sent.asked, at_once, answer);
+            let came = self.asker.came(at_once);
+            recorder.answered(self.sent.id, &self.sent.asked, came, answer);
         }
     }
 

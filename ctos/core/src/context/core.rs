@@ -15,7 +15,7 @@ use futures_util::future::{Either, select};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::de::DeserializeOwned;
 
-use super::{quiet::Quiet, task_ref::TaskRef};
+use super::{outside::Turn, quiet::Quiet, task_ref::TaskRef};
 use crate::{
     chassis::Chassis,
     kept::Kept,
@@ -25,10 +25,12 @@ use crate::{
 };
 use ctos_config::{TaskConfig, diagnostic::Finding};
 use ctos_message::{CommandInfo, Tid};
-use ctos_time::Instant;
 
 /// How long a call waits for its reply unless it, or the task's configuration, says otherwise.
 pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(10);
+
+/// How what is noted of shared memory begins: a task that alone uses its part of it can be replayed.
+pub const SHARED: &str = "shared memory ";
 
 /// A wait that took too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -47,6 +49,8 @@ pub(crate) struct Inner {
     incarnation: Cell<u32>,
     /// Of a task whose state survives its process.
     pub(crate) kept: Option<Arc<Kept>>,
+    /// Which of its parts is polled.
+    pub(super) turn: Cell<Turn>,
 }
 
 /// What belongs to a task besides its handler.
@@ -148,7 +152,7 @@ impl Context {
     /// Waits.
     pub async fn sleep(&self, duration: Duration) {
         let deadline = self.now() + duration;
-        self.inner.processor.sleep_until(deadline).await;
+        self.sleep_until(deadline).await;
     }
 
     /// Waits for `future`, but not for long.
@@ -162,7 +166,7 @@ impl Context {
     ) -> Result<F::Output, Elapsed> {
         let future = std::pin::pin!(future);
         let deadline = self.now() + duration;
-        let sleep = self.inner.processor.sleep_until(deadline);
+        let sleep = std::pin::pin!(self.sleep_until(deadline));
         match select(future, sleep).await {
             Either::Left((output, _)) => Ok(output),
             Either::Right(((), _)) => Err(Elapsed(duration)),
@@ -250,12 +254,14 @@ impl Context {
 
     /// Makes `value` known to the other tasks of this chassis.
     pub fn share<T: std::marker::Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
+        self.reads_unrecorded(format_args!("{SHARED}`{key}`"));
         self.inner.chassis.share(key, value);
     }
 
     /// What a task of this chassis made known under `key`.
     #[must_use]
     pub fn shared<T: std::marker::Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
+        self.reads_unrecorded(format_args!("{SHARED}`{key}`"));
         self.inner.chassis.shared(key)
     }
 
@@ -269,14 +275,6 @@ impl Context {
     #[must_use]
     pub fn tid(&self) -> Tid {
         self.inner.record.tid
-    }
-
-    // -- time -------------------------------------------------------------------------------
-
-    /// The present moment.
-    #[must_use]
-    pub fn now(&self) -> Instant {
-        self.inner.processor.now()
     }
 
     // -- the task itself --------------------------------------------------------------------
@@ -296,6 +294,7 @@ impl Context {
             future.await;
             cx.inner.family().children.remove(&number);
         };
+        let child = self.inner.clone().in_turns(number, child);
         let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
         self.inner.family().children.insert(number, id);
     }
@@ -318,6 +317,7 @@ impl Context {
             config,
             family: RefCell::default(),
             incarnation: Cell::new(0),
+            turn: Cell::new(Turn::No),
         }))
     }
 }

@@ -2,6 +2,7 @@
 
 use std::{
     future::{IntoFuture, Ready, ready},
+    sync::Arc,
     time::Duration,
 };
 
@@ -108,13 +109,14 @@ impl<'c> IntoFuture for Find<'c> {
     type IntoFuture = Either<Ready<Self::Output>, LocalBoxFuture<'c, Self::Output>>;
 
     fn into_future(self) -> Self::IntoFuture {
-        let gone = match self.cx.inner.chassis.directory.known(self.name) {
-            Some((name, tid)) if self.cx.reaches(tid) => {
-                return Either::Left(ready(Ok(TaskRef::new(name, tid))));
+        let Self { cx, name, deadline } = self;
+        match cx.known(name) {
+            Some((name, tid, true)) => Either::Left(ready(Ok(TaskRef::new(name, tid)))),
+            gone => {
+                let gone = gone.map(|(_, tid, _)| tid);
+                Either::Right(Box::pin(cx.find(name, gone, deadline)))
             }
-            known => known.map(|(_, tid)| tid),
-        };
-        Either::Right(Box::pin(self.cx.find(self.name, gone, self.deadline)))
+        }
     }
 }
 
@@ -137,11 +139,26 @@ impl Context {
         }
     }
 
-    /// Whether there is a way to the chassis of a task. In a replay the record answers for all of them.
-    fn reaches(&self, tid: Tid) -> bool {
+    /// The id that this chassis knows of task `name`, and whether there is a way to its chassis.
+    fn known(&self, name: &str) -> Option<(Arc<str>, Tid, bool)> {
+        let mut shared = None;
+        let known = self.outside(format_args!("the id of {name}"), || {
+            let (name, tid) = self.inner.chassis.directory.known(name)?;
+            shared = Some(name);
+            Some((tid, self.is_near(tid)))
+        });
+        let (tid, near) = known?;
+        Some((shared.unwrap_or_else(|| name.into()), tid, near))
+    }
+
+    fn is_near(&self, tid: Tid) -> bool {
         let chassis = &self.inner.chassis;
-        let here = tid.chassis() == chassis.index();
-        here || chassis.is_linked(tid.chassis()) || chassis.tap.replay().is_some()
+        tid.chassis() == chassis.index() || chassis.is_linked(tid.chassis())
+    }
+
+    /// Whether there is a way to the chassis of a task.
+    fn reaches(&self, tid: Tid) -> bool {
+        self.outside(format_args!("the way to {tid}"), || self.is_near(tid))
     }
 
     /// Asks the service for a task; `gone` is an id of it to which there is no way.
@@ -212,7 +229,7 @@ impl Context {
         deadline: Duration,
     ) -> Result<TaskRef, NameError> {
         let directory = &self.inner.chassis.directory;
-        if let Some((name, tid)) = directory.known(name) {
+        if let Some((name, tid, _)) = self.known(name) {
             return Ok(TaskRef::new(name, tid));
         }
         let request = AwaitTid {

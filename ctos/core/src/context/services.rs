@@ -19,8 +19,6 @@ impl Context {
     /// function, and refuses instead.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
-        let tap = &self.inner.chassis.tap;
-        tap.used(|| "a synchronous function".to_owned());
         let schedule = &self.inner.processor.schedule;
         let free = |name: &String| !schedule.has(&format!("{}.{name}", self.name()));
         let numbered = (2_u32..).map(|number| format!("cyclic-{number}"));
@@ -117,6 +115,7 @@ impl Context {
     /// # Errors
     /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
     pub fn schedule(&self, function: Synchronous) -> Result<CyclicHandle, CyclicError> {
+        self.reads_unrecorded("a synchronous function");
         let name = format!("{}.{}", self.name(), function.name());
         let function = function.renamed(name).on_failure(self.when_broken());
         self.inner.processor.schedule.add(function)

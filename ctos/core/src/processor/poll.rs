@@ -107,6 +107,23 @@ impl Processor {
         true
     }
 
+    /// Polls every future once, whether it is ready or not: in a replay, where each knows whether it has its turn.
+    pub fn poll_all(self: &Rc<Self>) {
+        let futures = self.futures.borrow();
+        let taken = (0..).zip(&futures.entries).filter(|(_, entry)| entry.taken);
+        let ids: Vec<FutureId> = taken
+            .filter_map(|(index, entry)| {
+                let generation = NonZeroU64::new(entry.generation)?;
+                Some(FutureId { generation, index })
+            })
+            .collect();
+        drop(futures);
+        ids.into_iter().for_each(|id| self.wake(id));
+        for _ in 0..self.ready_count() {
+            self.poll_ready(0);
+        }
+    }
+
     /// A call was delivered: a receiver on this processor that waited for it, so that it is ready now and was not
     /// when `ready` futures were, handles it at once, within the poll of its caller. Not where synchronous functions
     /// run between two polls.

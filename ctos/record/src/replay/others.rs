@@ -2,22 +2,22 @@
 //! gives the recorded answers when their time has come.
 
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::{BTreeMap, VecDeque},
     sync::Mutex,
 };
 
 use super::{
     super::lines::{self, Number},
     ReplayReport,
-    script::{Recorded, Script, Sent},
+    script::{Recorded, Script, Sent, Takes, What},
 };
 use crate::glossary::Glossary;
 use ctos_core::{
     envelope::Message,
     reply::{Answer, ReplySlot},
     report::Ending,
-    system::{self, FindTid, Missing},
-    tap::WaitFor,
+    system::Statistics,
+    tap::{Asked, LOOP, WaitFor},
 };
 use ctos_message::{Command, Data, Flags, Shape, Tid, fault::Fault};
 use ctos_time::{Clock, Instant, lock::lock};
@@ -34,7 +34,12 @@ struct State {
     /// Of calls that the record does not know: kept, so that they end by their deadlines.
     unanswered: Vec<ReplySlot>,
     ends: VecDeque<(u16, Ending)>,
-    used: BTreeSet<String>,
+    /// The part that has its turn, and what that still reads.
+    turn: Option<(u64, VecDeque<(String, Vec<u8>)>)>,
+    /// Which part sent what, of what it still waits for.
+    senders: BTreeMap<Number, u64>,
+    /// Answers that come to the present turn before their questions were made again.
+    early: BTreeMap<Number, Answer>,
     report: ReplayReport,
 }
 
@@ -46,7 +51,11 @@ pub(crate) struct Others {
     /// What whoever sent it was told in the same poll, and when.
     at_once: BTreeMap<Number, (Instant, Recorded)>,
     clock: Clock,
+    /// Whether the record is one of real time.
+    real: bool,
     names: Glossary,
+    /// The names of the record.
+    recorded: BTreeMap<Tid, String>,
     state: Mutex<State>,
 }
 
@@ -63,7 +72,9 @@ impl Others {
             refused: std::mem::take(&mut script.refused),
             at_once: std::mem::take(&mut script.at_once),
             clock,
+            real: script.real,
             names,
+            recorded: std::mem::take(&mut script.names),
             state: Mutex::new(state),
         }
     }
@@ -88,14 +99,18 @@ impl Others {
                     slot.answer(answer.clone().into_answer());
                 }
                 None => {
-                    lock(&self.state).promises.insert(id, slot);
+                    let mut state = lock(&self.state);
+                    if let Some(early) = state.early.remove(&id) {
+                        drop(state);
+                        return slot.answer(early);
+                    }
+                    let part = state.turn.as_ref().map_or(LOOP, |(part, _)| *part);
+                    state.senders.insert(id, part);
+                    state.promises.insert(id, slot);
                 }
             },
-            None => match self.name_of_another(message) {
-                Some(answer) => slot.answer(answer),
-                None if wait == WaitFor::Acceptance => slot.answer(accepted()),
-                None => lock(&self.state).unanswered.push(slot),
-            },
+            None if wait == WaitFor::Acceptance => slot.answer(accepted()),
+            None => lock(&self.state).unanswered.push(slot),
         }
     }
 
@@ -117,15 +132,13 @@ impl Others {
         let mut found = left
             .iter_mut()
             .take_while(|(output, _)| Some(output.segment) == segment)
-            .filter(|(output, expected)| *expected && is_like(output, message, data.as_deref()));
+            .filter(|(output, expected)| {
+                *expected && self.is_like(output, message, data.as_deref())
+            });
         if let Some((output, expected)) = found.next() {
             *expected = false;
             report.same();
             return Some(output.id);
-        }
-        // A name that another task had found before was not asked for then.
-        if self.name_of_another(message).is_some() {
-            return None;
         }
         let data = data.unwrap_or_default();
         let got = self.shown(header.to, header.command, header.flags, &data);
@@ -140,24 +153,15 @@ impl Others {
         Some(output.id)
     }
 
-    /// The answer to a question for a name, if it is one.
-    fn name_of_another(&self, message: &Message) -> Option<Answer> {
-        if message.header().to != system::TID_SERVER || message.header().command != FindTid::CODE {
-            return None;
-        }
-        let data = bytes_of(&message.envelope.data).ok()?;
-        let FindTid { name, .. } = postcard::from_bytes(&data).ok()?;
-        let answer: Result<Tid, Missing> = Ok(self.names.tid(&name)?);
-        Some(Ok(Data::of(answer)))
-    }
-
-    /// Whether the recorded output was made again.
-    pub(super) fn is_done(&self, index: usize) -> bool {
-        let state = lock(&self.state);
-        state
-            .outputs
-            .get(index)
-            .is_some_and(|(_, expected)| !expected)
+    /// Whether a message is the recorded one: to the task of that name, whatever its id, with the same data.
+    fn is_like(&self, output: &Sent, message: &Message, data: Option<&[u8]>) -> bool {
+        let urgent = |flags: Flags| flags.contains(Flags::HIGH_PRIORITY);
+        let to = message.header().to;
+        let name = |tid: Tid| self.recorded.get(&tid);
+        (output.to == to || name(output.to).is_some_and(|wanted| name(to) == Some(wanted)))
+            && output.command == message.header().command
+            && urgent(output.flags) == urgent(message.header().flags)
+            && Some(&*output.data) == data
     }
 
     /// The record goes on after an output: when it was not made again, it is missing.
@@ -174,29 +178,72 @@ impl Others {
         }
     }
 
-    /// The answer to output `id` has come.
-    pub(super) fn answer(&self, id: Number, answer: Answer) {
-        let promise = lock(&self.state).promises.remove(&id);
-        if let Some(promise) = promise {
-            promise.answer(answer);
+    /// A turn begins: of the part that `what` tells, with what it takes.
+    pub(super) fn begin_turn(&self, what: &What, takes: Takes) {
+        let mut state = lock(&self.state);
+        let part = match what {
+            What::Polled(part) => *part,
+            What::Answered(id) => state.senders.remove(id).unwrap_or(LOOP),
+            _ => LOOP,
+        };
+        state.turn = Some((part, takes.reads));
+        drop(state);
+        for (id, Recorded(answer)) in takes.answers {
+            let answer = answer.map(Data::Bytes);
+            let mut state = lock(&self.state);
+            match state.promises.remove(&id) {
+                Some(promise) => {
+                    drop(state);
+                    promise.answer(answer);
+                }
+                None => drop(state.early.insert(id, answer)),
+            }
+        }
+    }
+
+    /// The turn is over.
+    pub(super) fn end_turn(&self) {
+        let mut state = lock(&self.state);
+        state.turn = None;
+        let early = std::mem::take(&mut state.early);
+        drop(state);
+        drop(early);
+    }
+
+    /// Whether a part of a task is polled now. What the task has started does as it likes: nobody listens.
+    pub(crate) fn is_turn_of(&self, task: Tid, part: u64) -> bool {
+        let state = lock(&self.state);
+        task != self.task || state.turn.as_ref().is_some_and(|(now, _)| *now == part)
+    }
+
+    /// What the task read in this turn under a name, once.
+    pub(crate) fn read_again(&self, task: Tid, what: &str) -> Option<Vec<u8>> {
+        let mut state = lock(&self.state);
+        let (_, reads) = state.turn.as_mut().filter(|_| task == self.task)?;
+        let place = reads.iter().position(|(name, _)| name == what)?;
+        reads.remove(place).map(|(_, value)| value)
+    }
+
+    /// The task reads what it did not read in the record.
+    pub(crate) fn lacks(&self, task: Tid, what: &str) {
+        // A virtual clock, which stands still in a turn, is not noted.
+        if task == self.task && (self.real || what != "clock") {
+            let now = self.clock.now();
+            let (wanted, got) = ("no such read".to_owned(), format!("read {what}"));
+            lock(&self.state).report.differs(now, 0, wanted, got);
         }
     }
 
     /// A handler has returned.
-    pub(crate) fn ended(&self, command: u16, ending: Ending) {
-        if ending != Ending::Stopped {
-            lock(&self.state).ends.push_back((command, ending));
+    pub(crate) fn ended(&self, asked: &Asked, ending: Ending) {
+        if ending != Ending::Stopped && asked.to == self.task {
+            lock(&self.state).ends.push_back((asked.command, ending));
         }
     }
 
-    /// How the next handler ended, taken out when `take` says so.
-    pub(super) fn next_end(&self, take: bool) -> Option<(u16, Ending)> {
-        let mut state = lock(&self.state);
-        if take {
-            state.ends.pop_front()
-        } else {
-            state.ends.front().cloned()
-        }
+    /// How the next handler ended.
+    pub(super) fn next_end(&self) -> Option<(u16, Ending)> {
+        lock(&self.state).ends.pop_front()
     }
 
     /// Compares how a handler ended with the record.
@@ -238,6 +285,10 @@ impl Others {
         expected: &Recorded,
         got: Option<Answer>,
     ) {
+        // What the runtime counts of a task is not the task's doing.
+        if command == Statistics::CODE {
+            return;
+        }
         let wanted = match &expected.0 {
             Ok(data) => Ok(data.clone()),
             // Not the task's own doing: its caller gave up, or never reached it.
@@ -269,17 +320,11 @@ impl Others {
         state.report.differs(at, trace, wanted, got);
     }
 
-    /// The task used something that no record holds.
-    pub(crate) fn used(&self, what: String) {
-        lock(&self.state).used.insert(what);
-    }
-
     /// What was found.
     pub(super) fn report(&self, task: &str) -> ReplayReport {
         let mut state = lock(&self.state);
         let mut report = std::mem::take(&mut state.report);
         task.clone_into(&mut report.task);
-        report.used = std::mem::take(&mut state.used).into_iter().collect();
         report
     }
 
@@ -303,14 +348,6 @@ impl Others {
         let command = self.names.command_name(&name, command);
         format!("{verb} `{command}` to `{name}`{urgent} {data}")
     }
-}
-
-fn is_like(output: &Sent, message: &Message, data: Option<&[u8]>) -> bool {
-    let urgent = |flags: Flags| flags.contains(Flags::HIGH_PRIORITY);
-    output.to == message.header().to
-        && output.command == message.header().command
-        && urgent(output.flags) == urgent(message.header().flags)
-        && Some(&*output.data) == data
 }
 
 fn bytes_of(data: &Data) -> Result<Vec<u8>, Fault> {

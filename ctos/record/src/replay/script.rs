@@ -1,6 +1,6 @@
 //! What a record says of one task: what it was given, when, and what it did then.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use super::{
     super::{
@@ -10,9 +10,10 @@ use super::{
     },
     ReplayError,
 };
-use ctos_core::{reply::Answer, report::Ending};
-use ctos_message::{Data, Flags, Tid, fault::Fault};
-use ctos_time::Instant;
+use crate::{DRIFT, TURNS};
+use ctos_core::{context::SHARED, reply::Answer, report::Ending, system::WaitsFor, tap::Came};
+use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
+use ctos_time::{Drift, Instant};
 
 /// A message that the task was given, or sent.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,6 +46,17 @@ pub(super) struct Step {
     pub(super) at: Instant,
     pub(super) trace: u64,
     pub(super) what: What,
+    /// If a turn begins here: what it takes from elsewhere.
+    pub(super) takes: Takes,
+}
+
+/// What a turn of a task takes from elsewhere than the messages that its handler begins, in order.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Takes {
+    /// What it reads, by name.
+    pub(super) reads: VecDeque<(String, Vec<u8>)>,
+    /// Answers to messages of its own.
+    pub(super) answers: Vec<(Number, Recorded)>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -53,8 +65,10 @@ pub(super) enum What {
     Built,
     /// It was given a message.
     Begin(Sent),
-    /// It was given the answer to message `id` of its own.
-    Answer { id: Number, answer: Recorded },
+    /// This part of it was polled.
+    Polled(u64),
+    /// The part of it was polled that had sent message `id`, whose answer had come.
+    Answered(Number),
     /// It sent the message with this place among its outputs.
     Output(usize),
     /// Its handler returned.
@@ -68,6 +82,12 @@ pub(super) enum What {
 pub(super) struct Script {
     pub(super) tid: Tid,
     pub(super) seed: Option<u64>,
+    /// Whether its clock went on by itself.
+    pub(super) real: bool,
+    /// How its clock was wrong.
+    pub(super) drift: Drift,
+    /// The names of all tasks that got messages: when a chassis is started again, its tasks have new ids.
+    pub(super) names: BTreeMap<Tid, String>,
     pub(super) lost: u64,
     pub(super) steps: Vec<Step>,
     pub(super) outputs: Vec<Sent>,
@@ -100,13 +120,32 @@ impl Script {
                 "the files are of different runs: their seeds differ",
             ));
         }
+        let runs = record.runs.iter();
+        if record.runs.iter().any(|run| !run.noted.contains_key(TURNS)) {
+            return Err(incomplete(
+                "it was made by an earlier version of ctos, which did not note all that a task reads; record the app anew",
+            ));
+        }
+        let tid = parsed(first)?.0.key.task;
+        let drift = format!("{DRIFT}{}", tid.chassis());
         let mut reader = Reader {
             task,
             messages: BTreeMap::new(),
             segment: 0,
+            turn: None,
+            loose: Takes::default(),
+            lacking: BTreeMap::new(),
             script: Self {
-                tid: parsed(first)?.0.key.task,
+                tid,
                 seed: seeds.first().and_then(|seed| seed.parse().ok()),
+                real: runs
+                    .clone()
+                    .any(|run| run.noted.get("time").is_some_and(|time| time == "real")),
+                drift: runs
+                    .filter_map(|run| drift_of(run.noted.get(&drift)?))
+                    .next()
+                    .unwrap_or_default(),
+                names: BTreeMap::new(),
                 lost: record.runs.iter().map(|run| run.lost).sum(),
                 steps: Vec::new(),
                 outputs: Vec::new(),
@@ -121,8 +160,18 @@ impl Script {
         for entry in &record.entries {
             reader.step(entry)?;
         }
+        reader.refuse_lacking()?;
         Ok(reader.script)
     }
+}
+
+/// How a clock was wrong, as a file tells it.
+fn drift_of(text: &str) -> Option<Drift> {
+    let (offset, rate) = text.split_once(' ')?;
+    Some(Drift {
+        offset_ns: offset.parse().ok()?,
+        rate_ppb: rate.parse().ok()?,
+    })
 }
 
 fn not_recorded(record: &Record, task: &str) -> ReplayError {
@@ -149,6 +198,12 @@ struct Reader<'a> {
     /// What the task may have been given.
     messages: BTreeMap<Number, Sent>,
     segment: usize,
+    /// Among the steps, the one that began the present turn.
+    turn: Option<usize>,
+    /// What is taken before there is one, while the handler is built.
+    loose: Takes,
+    /// What tasks read whose values nobody can record, and which tasks.
+    lacking: BTreeMap<String, BTreeSet<Tid>>,
     script: Script,
 }
 
@@ -196,8 +251,8 @@ impl Reader<'_> {
     fn step(&mut self, entry: &Entry) -> Result<(), ReplayError> {
         let topic = entry.channel.topic.strip_prefix('/').unwrap_or_default();
         let of_task = match topic.split_once('/') {
-            Some(("message" | "reply", _)) => true,
-            Some(("began" | "ended", name)) => name == self.task,
+            Some(("message" | "reply" | "read", _)) => true,
+            Some(("began" | "ended" | "polled", name)) => name == self.task,
             None if topic == "phase" => return self.phase(entry),
             _ => false,
         };
@@ -216,7 +271,10 @@ impl Reader<'_> {
                 deadline,
                 side,
             } => {
-                if key.peer == tid && side != Side::Receiver {
+                let name = topic.strip_prefix("message/").unwrap_or_default();
+                self.script.names.insert(key.task, name.to_owned());
+                // What the runtime asks in the name of a task that waits long is not the task's doing.
+                if key.peer == tid && side != Side::Receiver && key.command != WaitsFor::CODE {
                     let output = What::Output(self.script.outputs.len());
                     self.push(at, key.trace, output);
                     let message = self.sent(event.chassis, key, flags, deadline, data);
@@ -226,24 +284,32 @@ impl Reader<'_> {
             Event::Began => {
                 let message = self.begun(entry, key, id)?;
                 self.segment += 1;
-                self.push(at, key.trace, What::Begin(message));
+                self.begin_turn(at, key.trace, What::Begin(message));
             }
             Event::Ended { ending, .. } => {
                 let command = key.command;
                 self.push(at, key.trace, What::Ended { command, ending });
             }
-            Event::Answered {
-                side,
-                at_once,
-                fault,
+            Event::Polled { part } => self.begin_turn(at, 0, What::Polled(part)),
+            Event::Read {
+                what,
+                lacking: true,
             } => {
+                self.lacking.entry(what).or_default().insert(key.task);
+            }
+            Event::Read { what, .. } => {
+                if key.task == tid {
+                    self.takes().reads.push_back((what, data));
+                }
+            }
+            Event::Answered { side, came, fault } => {
                 let answer = Recorded(fault.map_or(Ok(data), Err));
                 if key.task == tid && side != Side::Sender {
                     let answer = answer.clone();
                     self.push(at, key.trace, What::Replied { id, answer });
                 }
                 if key.peer == tid && side != Side::Receiver {
-                    self.answered(at, key.trace, id, at_once, answer);
+                    self.answered(at, key.trace, id, came, answer);
                 }
             }
         }
@@ -251,14 +317,48 @@ impl Reader<'_> {
     }
 
     fn push(&mut self, at: Instant, trace: u64, what: What) {
-        self.script.steps.push(Step { at, trace, what });
+        self.script.steps.push(Step {
+            at,
+            trace,
+            what,
+            takes: Takes::default(),
+        });
+    }
+
+    fn begin_turn(&mut self, at: Instant, trace: u64, what: What) {
+        self.turn = Some(self.script.steps.len());
+        self.push(at, trace, what);
+    }
+
+    /// What the present turn takes.
+    fn takes(&mut self) -> &mut Takes {
+        let turn = self.turn.and_then(|index| self.script.steps.get_mut(index));
+        turn.map_or(&mut self.loose, |turn| &mut turn.takes)
+    }
+
+    /// Refuses a task that read what nobody can give it again.
+    fn refuse_lacking(&self) -> Result<(), ReplayError> {
+        let tid = self.script.tid;
+        // What a task shares with no other is a part of itself.
+        let lacks = |(what, tasks): &(&String, &BTreeSet<Tid>)| {
+            tasks.contains(&tid) && !(what.starts_with(SHARED) && tasks.len() == 1)
+        };
+        match self.lacking.iter().find(lacks) {
+            None => Ok(()),
+            Some((what, _)) => Err(ReplayError::Outside {
+                task: self.task.to_owned(),
+                what: what.clone(),
+            }),
+        }
     }
 
     fn phase(&mut self, entry: &Entry) -> Result<(), ReplayError> {
         let phase: PhaseRead =
             serde_json::from_slice(&entry.json).map_err(|_| unreadable(entry))?;
         if phase.task == self.task && phase.phase == "built" {
-            self.push(entry.at, 0, What::Built);
+            self.begin_turn(entry.at, 0, What::Built);
+            let loose = std::mem::take(&mut self.loose);
+            *self.takes() = loose;
         }
         Ok(())
     }
@@ -290,17 +390,22 @@ impl Reader<'_> {
     }
 
     /// The task got the answer to a message of its own.
-    fn answered(&mut self, at: Instant, trace: u64, id: Number, at_once: bool, answer: Recorded) {
+    fn answered(&mut self, at: Instant, trace: u64, id: Number, came: Came, answer: Recorded) {
         let mut own = self.script.outputs.iter().rev();
         let Some(own) = own.find(|message| message.id == id) else {
             return;
         };
         if lines::waits(own.flags) != "nothing" {
             self.segment += 1;
-            if at_once {
-                self.script.at_once.insert(id, (at, answer.clone()));
+            match came {
+                Came::AtOnce => {
+                    self.script.at_once.insert(id, (at, answer));
+                    return;
+                }
+                Came::First => self.begin_turn(at, trace, What::Answered(id)),
+                Came::Later => {}
             }
-            self.push(at, trace, What::Answer { id, answer });
+            self.takes().answers.push((id, answer));
         } else if let Recorded(Err(fault)) = answer {
             self.script.refused.insert(id, fault);
         }

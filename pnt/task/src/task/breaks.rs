@@ -14,7 +14,11 @@ use ctos::{
 };
 use serde::Deserialize;
 
-use super::{engine::Engine, manual::check_breakpoint, settings::Settings};
+use super::{
+    engine::Engine,
+    manual::{check_breakpoint, name_of},
+    settings::Settings,
+};
 use pnt_language::net::Net;
 
 /// A file of the simulated host.
@@ -139,7 +143,12 @@ impl Engine {
             return Vec::new();
         };
         let mut findings = Findings::new();
-        let source = kept.source(&mut findings);
+        let kept_text = || {
+            let source = kept.source(&mut findings);
+            source.map(|source| source.text().to_owned())
+        };
+        let source = self.cx.outside("the breakpoints beside the net", kept_text);
+        let source = source.map(|text| Source::new(kept.path.display().to_string(), text));
         let net = self.net();
         let texts = source.map_or_else(Vec::new, |source| read(&source, &net, &mut findings));
         for finding in findings.iter() {
@@ -157,11 +166,16 @@ impl Engine {
             return Ok(());
         };
         let set = self.core.borrow().manual.breakpoints();
-        let by_hand = set
-            .iter()
-            .filter(|one| !self.settings.breakpoints.contains(one));
+        let net = self.net();
+        let given = self.settings.breakpoints.iter();
+        let given: Vec<String> = given.map(|text| name_of(text, &net)).collect();
+        let by_hand = set.iter().filter(|one| !given.contains(one));
         let by_hand: Vec<&str> = by_hand.map(String::as_str).collect();
-        kept.write(&by_hand).map_err(|error| {
+        // A replay writes nothing.
+        let written = self.cx.outside("that its breakpoints are kept", || {
+            kept.write(&by_hand).map_err(|error| error.to_string())
+        });
+        written.map_err(|error| {
             let path = kept.path.display();
             HandlerError::new(format!("not kept for the next run: {path}: {error}"))
         })

@@ -162,7 +162,10 @@ impl Engine {
                 ordered(format!("break at {at}"))
             }
             Order::Clear { at } => {
-                core.manual.clear(at.as_deref())?;
+                let Core {
+                    manual, execution, ..
+                } = &mut *core;
+                manual.clear(at.as_deref(), execution.net())?;
                 ordered(match at {
                     Some(at) => format!("no break at {at}"),
                     None => "no breakpoints".to_owned(),

@@ -378,7 +378,7 @@ impl Engine {
 
 /// A number that no other life of a net has used: of this task, in this process, at this moment.
 pub(super) fn new_stream(cx: &Context) -> u64 {
-    let started = cx.chassis().clock().origin_ns().unwrap_or(0);
+    let started = cx.started_ns();
     let (tid, now) = (cx.tid().to_string(), cx.now().as_nanos().to_string());
     mix(started, &[cx.name(), &tid, &now])
 }

@@ -24,7 +24,7 @@ pub(super) struct Manual {
 
 #[derive(Debug, Clone)]
 struct Breakpoint {
-    /// As it was written.
+    /// As it was written, but for a transition with its name in the net.
     text: String,
     at: At,
     /// Whether the condition held when it was looked at last.
@@ -91,16 +91,19 @@ impl Breakpoint {
         } else {
             let name = text.trim();
             let names = || net.transitions().iter().map(|t| t.name.clone());
-            let transition = net.transition(name);
+            // One that asks another net is two in the net: before it is asked, and after it has answered.
+            let begins = || net.transition(&format!("start_{name}"));
+            let transition = net.transition(name).or_else(begins);
             let transition =
                 transition.ok_or_else(|| unknown("transition", name, names().collect()))?;
             At::Transition(transition)
         };
-        Ok(Self {
-            text: text.to_owned(),
-            at,
-            held: false,
-        })
+        let text = match at {
+            At::Transition(transition) => net[transition].name.clone(),
+            At::Place(..) => text.to_owned(),
+        };
+        let held = false;
+        Ok(Self { text, at, held })
     }
 
     fn holds(&self, execution: &Execution) -> bool {
@@ -115,6 +118,11 @@ impl Breakpoint {
             Comparison::Equal => held == number,
         }
     }
+}
+
+/// The same breakpoint as displays name it.
+pub(super) fn name_of(text: &str, net: &Net) -> String {
+    Breakpoint::parse(text, net).map_or_else(|_| text.to_owned(), |breakpoint| breakpoint.text)
 }
 
 /// Whether a net has what a breakpoint names: `TRANSITION`, `PLACE>=N`, `PLACE<=N` or `PLACE=N`.
@@ -164,18 +172,21 @@ impl Manual {
         let mut breakpoint = Breakpoint::parse(text, execution.net())?;
         // What holds already has not become true.
         breakpoint.held = breakpoint.holds(execution);
-        self.breakpoints.retain(|other| other.text != text);
+        self.breakpoints
+            .retain(|other| other.text != breakpoint.text);
         self.breakpoints.push(breakpoint);
         Ok(())
     }
 
-    pub(super) fn clear(&mut self, at: Option<&str>) -> Result<(), BreakError> {
+    pub(super) fn clear(&mut self, at: Option<&str>, net: &Net) -> Result<(), BreakError> {
         let Some(at) = at else {
             self.breakpoints.clear();
             return Ok(());
         };
         let before = self.breakpoints.len();
-        self.breakpoints.retain(|breakpoint| breakpoint.text != at);
+        let named = name_of(at, net);
+        self.breakpoints
+            .retain(|breakpoint| breakpoint.text != named);
         if self.breakpoints.len() == before {
             let there = self.breakpoints().join(", ");
             return Err(BreakError::NotSet(at.to_owned(), there));

@@ -10,7 +10,7 @@ use super::{
     super::packet::{PACKET_HEAD, put_head},
     *,
 };
-use crate::{config::InjuryConfig, frame::FRAME_FIXED};
+use crate::{config::InjuryConfig, frame::FRAME_FIXED, message::FENCE};
 
 const TIMEOUT: Duration = Duration::from_secs(2);
 const ROOM: usize = 1 << 20;
@@ -116,6 +116,43 @@ impl End {
         });
         pumped.ok().map(|_| bytes)
     }
+}
+
+/// Lets two ends exchange what they have to write, until both are silent.
+fn exchange((one, to_one): (&mut End, u64), (other, to_other): (&mut End, u64)) {
+    loop {
+        let there = one.write(PIECE).unwrap();
+        let back = other.write(PIECE).unwrap();
+        if there.is_empty() && back.is_empty() {
+            return;
+        }
+        other.read(to_other, &there);
+        one.read(to_one, &back);
+    }
+}
+
+#[test]
+fn a_fence_that_is_posted_comes_after_all_requests_that_were_posted_before_it() {
+    let ((mut one, to_one), (mut other, to_other)) = (End::attached(), End::attached());
+    let mut posted = Vec::new();
+    // Most of them wait for credits of the link when the fence comes.
+    for call in 1.. {
+        let mut request = Frame::of_body(vec![0; ROOM / 8]);
+        request.call = call;
+        if one.post(request).is_err() {
+            break;
+        }
+        posted.push(call);
+    }
+    let mut fence = Frame::of_body(vec![0]);
+    fence.call = u64::MAX;
+    fence.header.command = FENCE;
+    fence.header.flags = Flags::HIGH_PRIORITY;
+    one.post(fence).unwrap();
+    posted.push(u64::MAX);
+    assert!(posted.len() > 10, "{posted:?}");
+    exchange((&mut one, to_one), (&mut other, to_other));
+    assert_eq!(other.frames, posted);
 }
 
 fn packet(kind: Kind, number: u64, received: u64, rest: &[u8]) -> Vec<u8> {

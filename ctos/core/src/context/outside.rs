@@ -1,0 +1,203 @@
+//! What a task takes from elsewhere than its messages. A recorder is shown it, and a replay gives it again.
+//!
+//! Each poll of a task's loop or of one of its children is a turn. A record says which part had its turn, unless that is
+//! seen from what it did first: began a message, or took up an answer.
+
+use std::{
+    fmt::Display,
+    future::{Future, poll_fn},
+    pin::pin,
+    rc::Rc,
+    task::Poll,
+};
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use super::core::{Context, Inner};
+use crate::tap::{Came, Observer};
+use ctos_time::Instant;
+
+/// Which part of a task is polled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// None.
+    No,
+    /// This one, and the record does not say so yet.
+    Of(u64),
+    /// One of which the record says so.
+    Noted,
+}
+
+/// Dropped when a turn is over, by a panic too: the one around it goes on.
+struct TurnEnds<'i>(&'i Inner, Turn);
+
+impl Drop for TurnEnds<'_> {
+    fn drop(&mut self) {
+        self.0.note_turn();
+        self.0.turn.set(self.1);
+    }
+}
+
+impl Inner {
+    /// Polls part `part` of the task whenever it is woken; in a replay, when it was polled.
+    pub(crate) async fn in_turns(self: Rc<Self>, part: u64, future: impl Future<Output = ()>) {
+        let mut future = pin!(future);
+        poll_fn(|poll| {
+            let tap = &self.chassis.tap;
+            let Some(observer) = tap.observer().filter(|_| self.config.is_some()) else {
+                return future.as_mut().poll(poll);
+            };
+            if observer.replays() && !observer.is_turn_of(self.record.tid, part) {
+                return Poll::Pending;
+            }
+            let outer = self.turn.replace(Turn::Of(part));
+            let _ends = TurnEnds(&self, outer);
+            future.as_mut().poll(poll)
+        })
+        .await;
+    }
+
+    /// Calls `build`, which makes the handler, as a turn of its own.
+    pub(crate) fn in_first_turn<T>(&self, build: impl FnOnce() -> T) -> T {
+        self.turn.set(Turn::Noted);
+        let built = build();
+        self.turn.set(Turn::No);
+        built
+    }
+
+    /// What follows in the record belongs to the present turn.
+    pub(crate) fn note_turn(&self) {
+        if let Turn::Of(part) = self.turn.get() {
+            self.turn.set(Turn::Noted);
+            if let Some(recorder) = self.chassis.tap.recorder() {
+                recorder.polled(self.record.tid, part);
+            }
+        }
+    }
+
+    /// The present turn begins with something that tells whose it is.
+    pub(crate) fn turn_is_told(&self) -> bool {
+        let told = matches!(self.turn.get(), Turn::Of(_));
+        if told {
+            self.turn.set(Turn::Noted);
+        }
+        told
+    }
+
+    /// When the answer of a call came.
+    pub(super) fn came(&self, at_once: bool) -> Came {
+        match at_once {
+            true => Came::AtOnce,
+            false if self.turn_is_told() => Came::First,
+            false => Came::Later,
+        }
+    }
+
+    /// Who is shown what is read now: nobody outside of turns, where only the runtime reads.
+    pub(super) fn reader(&self) -> Option<&dyn Observer> {
+        let observer = self.chassis.tap.observer();
+        observer.filter(|_| self.turn.get() != Turn::No)
+    }
+
+    /// Notes a value that was read.
+    fn note(&self, observer: &dyn Observer, what: &dyn Display, value: &impl Serialize) {
+        self.note_turn();
+        let write = |buffer: &mut Vec<u8>| ctos_message::append(value, buffer).is_ok();
+        observer.read(self.record.tid, what, Some(&write));
+    }
+
+    fn again<T: DeserializeOwned>(&self, observer: &dyn Observer, what: &dyn Display) -> Option<T> {
+        let value = observer.read_again(self.record.tid, what)?;
+        postcard::from_bytes(&value).ok()
+    }
+}
+
+impl Context {
+    /// Reads something that no message brings: a file, a device, a setting of the host. `what` names it. A record holds
+    /// the value, and in a replay it is taken from there, so that the task does the same again.
+    pub fn outside<T: Serialize + DeserializeOwned>(
+        &self,
+        what: impl Display,
+        read: impl FnOnce() -> T,
+    ) -> T {
+        let inner = &self.inner;
+        let Some(observer) = inner.reader() else {
+            return read();
+        };
+        if observer.replays() {
+            return inner.again(observer, &what).unwrap_or_else(|| {
+                observer.read(self.tid(), &what, None);
+                read()
+            });
+        }
+        let value = read();
+        inner.note(observer, &what, &value);
+        value
+    }
+
+    /// [`Self::outside`] for what takes its time: another thread, a device. In a replay `read` is not polled, and this
+    /// ends where it ended in the record.
+    pub async fn outside_wait<T: Serialize + DeserializeOwned>(
+        &self,
+        what: impl Display,
+        read: impl Future<Output = T>,
+    ) -> T {
+        let mut read = pin!(read);
+        poll_fn(|poll| {
+            let inner = &self.inner;
+            let observer = inner.reader();
+            if let Some(observer) = observer.filter(|observer| observer.replays()) {
+                return inner
+                    .again(observer, &what)
+                    .map_or(Poll::Pending, Poll::Ready);
+            }
+            let value = read.as_mut().poll(poll);
+            if let (Poll::Ready(value), Some(observer)) = (&value, observer) {
+                inner.note(observer, &what, value);
+            }
+            value
+        })
+        .await
+    }
+
+    /// The moment of the host's clock at which the app was started, ns; 0 in virtual time. No other run of it has the same.
+    #[must_use]
+    pub fn started_ns(&self) -> u64 {
+        let clock = &self.inner.chassis.clock;
+        self.outside("start of the app", || clock.origin_ns().unwrap_or(0))
+    }
+
+    /// Whether this is the replay of a record, in which nothing outside is to be opened, written or told.
+    #[must_use]
+    pub fn is_replay(&self) -> bool {
+        self.inner.chassis.tap.replay().is_some()
+    }
+
+    /// Says that this task reads `what`, which no record can hold: shared memory, a device without
+    /// [`Self::outside`], a socket. A replay of the task is refused with that reason.
+    pub fn reads_unrecorded(&self, what: impl Display) {
+        if let Some(recorder) = self.inner.chassis.tap.recorder() {
+            recorder.read(self.tid(), &what, None);
+        }
+    }
+
+    /// Ends at `deadline`.
+    pub(crate) async fn sleep_until(&self, deadline: Instant) {
+        let sleep = self.inner.processor.sleep_until(deadline);
+        let what = format_args!("sleep until {} ns", deadline.as_nanos());
+        self.outside_wait(what, sleep).await;
+    }
+
+    /// The present moment. A real clock goes on while a task computes, a virtual one does not.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        let clock = || self.inner.processor.now();
+        let real = self.inner.chassis.clock.origin_ns().is_some();
+        match self.inner.reader() {
+            Some(observer) if real || observer.replays() => {
+                Instant::from_nanos(self.outside("clock", || clock().as_nanos()))
+            }
+            _ => clock(),
+        }
+    }
+}
