@@ -17,6 +17,7 @@ use crate::sorm::Sorm;
 use crate::transport::Transport;
 use crate::watching::Trace;
 use arguments::Arguments;
+use ctos::config::{App, TaskConfig};
 use ctos::diagnostic::Findings;
 use ctos::message::Replier;
 use ctos::registry::Registry;
@@ -50,7 +51,7 @@ pub fn register(
     shipped: Dictionary,
     classes: impl Fn(&Context, &Sorm) + Send + Sync + 'static,
 ) {
-    registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
+    let daemon = registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
         let sorm = manager(cx, shipped.clone())?;
         classes(cx, &sorm);
         Ok(Daemon {
@@ -58,6 +59,23 @@ pub fn register(
             subscribers: Rc::default(),
         })
     });
+    daemon.check_in_app(check);
+}
+
+/// Finds what is wrong with a daemon's arguments and with the dictionaries that they name.
+fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let Some(arguments) = findings.keep(task.args.parse::<Arguments>()) else {
+        return;
+    };
+    for (number, file) in arguments.dictionary.iter().enumerate() {
+        let place = task.args.locate(&format!("dictionary.{number}"));
+        let source = app.read(file).map_err(|finding| finding.at(place));
+        if let Some(source) = findings.keep(source)
+            && let Err(found) = Dictionary::new().load(&source)
+        {
+            findings.extend(found);
+        }
+    }
 }
 
 /// The manager of a task's chassis, with the dictionary that its arguments name, over a shipped one.
@@ -68,7 +86,7 @@ pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> 
     let arguments: Arguments = cx.args()?;
     let mut dictionary = shipped;
     for file in &arguments.dictionary {
-        let loaded = dictionary.load_file(&cx.path(file));
+        let loaded = dictionary.load_file(&cx.app().file_at(file));
         loaded.map_err(|findings| wrong(&findings))?;
     }
     dictionary

@@ -8,6 +8,7 @@
 )]
 
 mod boot;
+mod compile;
 mod finding;
 mod moving;
 mod record;
