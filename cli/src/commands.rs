@@ -19,6 +19,7 @@ pub mod replay;
 pub mod sim;
 
 mod detach;
+mod ports;
 
 use std::process::ExitCode;
 
@@ -87,7 +88,7 @@ pub enum Command {
     Explain(explain::ExplainArgs),
     /// Check nets, and other tools of whoever writes them
     Net(net::NetArgs),
-    /// Write a small app of your own: handlers, configuration, test
+    /// Write a small app of your own: handlers, configuration, net, test, page
     ///
     /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
     /// beginning with a letter.
@@ -124,6 +125,12 @@ pub enum Command {
 pub fn main(mut registry: Registry) -> ExitCode {
     crate::tell_build();
     pnt::store::keep_states(&mut registry);
+    // What a handler's panic is told by, also in a command without a log.
+    let shown = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        ctos::note_panic(panic);
+        shown(panic);
+    }));
     // Help and usage errors are shown while the command line is parsed: colours are settled before.
     show::choose_colour(Colour::of_command_line(std::env::args_os()));
     let cli = Cli::parse();

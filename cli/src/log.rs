@@ -162,6 +162,7 @@ pub(crate) fn start(setting: &LogSetting<'_>, clock: Clock) -> Result<(), String
             .with(lines(setting, clock).with_filter(shown)),
     );
     std::panic::set_hook(Box::new(|panic| {
+        ctos::note_panic(panic);
         tracing::debug!("{panic}");
     }));
     Ok(())

@@ -221,7 +221,7 @@ fn parts(action: &Act) -> (Context, Rc<DispatcherArgs>, DomStore) {
 async fn init_calib(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
     action.with_state(|state| state.command = state.command.wrapping_add(1));
-    let positions = positions::read(&cx.path(&args.positions))?;
+    let positions = positions::read(&cx.app().file_at(&args.positions))?;
     let enough = enough(action.arguments(), positions.len())?;
     set_lamp(&cx, &args.lamp, true).await?;
     action.with_state(|state| {

@@ -4,12 +4,14 @@
 use std::time::Duration;
 
 use ctos::{
-    diagnostic::Finding,
+    config::TaskConfig,
+    diagnostic::{Finding, Findings},
     message::Message,
     registry::Registry,
     system::AppResult,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
+use pnt::net::Net;
 use pnt::task::{PutOnce, RequestId, TapeAnswer, put_once};
 use serde::Deserialize;
 
@@ -17,6 +19,9 @@ use crate::referee::Judge;
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.operator";
+
+/// The longest that a command may take.
+const LONGEST: Duration = Duration::from_secs(1_000_000_000);
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -32,9 +37,9 @@ struct OperatorArgs {
     arguments: Vec<String>,
     /// The output tape symbol that means success.
     success: String,
-    /// How long the command may take, s.
+    /// How long the command may take.
     #[serde(default = "within_s")]
-    within_s: f64,
+    within_s: Duration,
     /// The task that judges the result against the truth, if there is one.
     judge: Option<String>,
 }
@@ -43,8 +48,8 @@ fn dispatcher_task() -> String {
     "dispatcher".to_owned()
 }
 
-fn within_s() -> f64 {
-    1800.0
+fn within_s() -> Duration {
+    Duration::from_secs(1800)
 }
 
 /// The event handler.
@@ -64,18 +69,48 @@ pub(crate) fn register(registry: &mut Registry) {
             if let Some(judge) = &args.judge {
                 crate::need_task(task, app, "judge", judge, findings);
             }
-            if !(args.within_s > 0.0 && args.within_s.is_finite() && args.within_s < 1e9) {
+            if args.within_s.is_zero() || args.within_s > LONGEST {
                 let place = task.args.locate("within_s");
                 findings.push(
                     Finding::error(
                         "coordinators::operator::within",
-                        format!("`within_s` is {}", args.within_s),
+                        format!("`within_s` is {}", args.within_s.as_secs_f64()),
                     )
                     .at(place.unwrap_or_else(|| task.place.clone()))
                     .help("give a positive number of seconds"),
                 );
             }
+            // What is wrong with a net by itself is told of its own task.
+            let dispatcher = app.task(&args.dispatcher);
+            if let Some(Ok(net)) = dispatcher.map(|task| pnt::task::net_of(task, app)) {
+                check_symbols(&args, &net, task, findings);
+            }
         });
+}
+
+/// The command must be one that the net takes, and what counts as success one of its answers.
+fn check_symbols(args: &OperatorArgs, net: &Net, task: &TaskConfig, findings: &mut Findings) {
+    let mut unknown = |key: &str, text: String, given: &str, known: Vec<&str>| {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        let finding = Finding::error("coordinators::operator::symbol", text).at(place);
+        findings.push(finding.suggest(given, known));
+    };
+    let mut commands = net.commands().iter();
+    let name = &args.dispatcher;
+    match commands.find(|command| command.symbol == args.command) {
+        None => {
+            let text = format!("net `{name}` takes no command `{}`", args.command);
+            let known = net.commands().iter().map(|command| &*command.symbol);
+            unknown("command", text, &args.command, known.collect());
+        }
+        Some(command) if !command.answers.contains(&args.success) => {
+            let (symbol, success) = (&args.command, &args.success);
+            let text = format!("net `{name}` never answers `{symbol}` with `{success}`");
+            let known = command.answers.iter().map(String::as_str);
+            unknown("success", text, success, known.collect());
+        }
+        Some(_) => {}
+    }
 }
 
 impl EventHandler for Operator {
@@ -122,8 +157,7 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
         symbol: args.command.clone(),
         arguments: args.arguments.clone(),
     };
-    let limit = Duration::from_secs_f64(args.within_s);
-    let answered = put_once(cx, &args.dispatcher, &put, limit).await?;
+    let answered = put_once(cx, &args.dispatcher, &put, args.within_s).await?;
     let TapeAnswer { symbol, text, .. } = answered;
     if symbol != args.success {
         return Ok(failure(&format!("{symbol}: {text}")));
@@ -152,7 +186,7 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
+    use std::{path::Path, sync::Arc};
 
     use ctos::{
         boot::End,
@@ -168,15 +202,50 @@ mod tests {
     use super::*;
     use crate::rig::{self, Answer, Rig, Shared};
 
-    /// The rig's app with the real operator, and with the referee that it asks.
-    fn operated(rig: &Rig, more: &str) -> AppResult {
-        let folder = tempfile::tempdir().unwrap();
-        let text = rig::app_text(rig, folder.path()).replace(
+    /// The text of the rig's app with the real operator, and with the referee that it asks.
+    fn with_operator(rig: &Rig, folder: &Path, more: &str) -> String {
+        rig::app_text(rig, folder).replace(
             "handler = \"test.operator\"\non = \"ws1\"\n",
             &format!(
                 "handler = \"coordinators.operator\"\non = \"ws1\"\n[task.operator.args]\ncommand = \"calibrate_camera\"\nsuccess = \"calibration_done\"\n{more}\n[task.referee]\nhandler = \"coordinators.referee\"\non = \"ws1\"\n"
             ),
-        );
+        )
+    }
+
+    #[test]
+    fn what_the_net_does_not_take_or_never_answers_is_found_before_anything_starts() {
+        let rig = Rig::default();
+        let folder = tempfile::tempdir().unwrap();
+        let text = with_operator(&rig, folder.path(), "");
+        let registry = rig::registry(&rig, &Shared::default());
+        for (right, wrong, said) in [
+            (
+                "command = \"calibrate_camera\"",
+                "command = \"calibrate_camra\"",
+                "net `dispatcher` takes no command `calibrate_camra` (did you mean `calibrate_camera`?)",
+            ),
+            (
+                "success = \"calibration_done\"",
+                "success = \"finished\"",
+                "net `dispatcher` never answers `calibrate_camera` with `finished` (known here: calibration_done",
+            ),
+            (
+                "success = \"calibration_done\"",
+                "success = \"calibration_done\"\nwithin_s = -1",
+                "`within_s`: -1 s is no time (give a number of seconds, 0 or more)",
+            ),
+        ] {
+            let text = text.replace(right, wrong);
+            let findings = registry.check(&rig::load(&text, folder.path()));
+            assert!(findings.has_errors(), "{wrong}");
+            assert!(findings.to_string().contains(said), "{findings}");
+        }
+    }
+
+    /// How it ends.
+    fn operated(rig: &Rig, more: &str) -> AppResult {
+        let folder = tempfile::tempdir().unwrap();
+        let text = with_operator(rig, folder.path(), more);
         let world = Shared::default();
         let registry = rig::registry(rig, &world);
         let app = rig::load(&text, folder.path());

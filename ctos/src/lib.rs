@@ -18,11 +18,14 @@ pub use serde;
 pub mod boot;
 
 pub use ctos_config::diagnostic;
-#[doc(hidden)]
-pub use ctos_core::bench;
 pub use ctos_core::{
     Context, DEFAULT_DEADLINE, TaskCounters, call, chassis, disk, message, realtime, recent,
     registry, semaphore, supervise, sync, task, time,
+};
+#[doc(hidden)]
+pub use ctos_core::{
+    bench,
+    contain::{note_panic, panic_text},
 };
 pub use ctos_derive::handler;
 pub use ctos_host::{control, doors, remote, text};
@@ -41,7 +44,7 @@ pub mod system {
 
 /// What a chassis tells about its tasks without disturbing them.
 pub mod survey {
-    pub use ctos_core::report::{ChassisReport, QueueReport, TaskReport, WaitReport};
+    pub use ctos_core::report::{AtReport, ChassisReport, QueueReport, TaskReport, WaitReport};
 }
 
 /// Watching a running app: lints, which are warnings about what it does.

@@ -151,7 +151,7 @@ fn check_cameras(app: &App, findings: &mut Findings) {
 /// Bad arguments, a bad cell file, or a world already on this chassis.
 pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, HandlerError> {
     let ArmArgs { cell } = args.parse()?;
-    let cell = Cell::read(&cx.path(&cell))?;
+    let cell = Cell::read(&cx.app().file_at(&cell))?;
     let (arm, scene) = SimArm::new(ARM, &cell)?;
     let cameras = cell
         .cameras
@@ -268,7 +268,7 @@ impl SimCamera {
     /// Bad arguments, a bad cell file or a camera that it does not have.
     pub fn new(cx: &Context, name: &str, args: &Node) -> Result<Self, HandlerError> {
         let CameraArgs { cell, world } = args.parse()?;
-        let cell = Cell::read(&cx.path(&cell))?;
+        let cell = Cell::read(&cx.app().file_at(&cell))?;
         let camera = cell.camera(name)?;
         let seed = cx.rng("image noise").next_u64();
         Ok(Self {

@@ -75,7 +75,7 @@ pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> 
     let arguments: Arguments = cx.args()?;
     let mut dictionary = shipped;
     for file in &arguments.dictionary {
-        let loaded = dictionary.load_file(&cx.path(file));
+        let loaded = dictionary.load_file(&cx.app().file_at(file));
         loaded.map_err(|findings| wrong(&findings))?;
     }
     dictionary

@@ -216,11 +216,7 @@ impl Slot {
 
     /// What a panic of the object said.
     pub(crate) fn panicked(&self, sorm: &Sorm, panic: &(dyn Any + Send)) -> Report {
-        let text = panic
-            .downcast_ref::<&str>()
-            .map(|text| (*text).to_owned())
-            .or_else(|| panic.downcast_ref::<String>().cloned())
-            .unwrap_or_else(|| "it did not say why".to_owned());
+        let text = ctos::panic_text(panic);
         let text = format!(
             "`{}` panicked: {text}; its next use builds it anew",
             self.name()

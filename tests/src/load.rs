@@ -327,11 +327,14 @@ pub fn register(registry: &mut Registry) {
     registry.handover("test.sink", &[Note::INFO, Read::INFO, Linger::INFO], |_| {
         Ok(Sink(Account::default()))
     });
-    registry.handler("test.sender", &[Enough::INFO], |cx| {
+    let sender = registry.handler("test.sender", &[Enough::INFO], |cx| {
         let args = cx.args()?;
         let enough = Rc::default();
         Ok(Sender { args, enough })
     });
-    registry.handler("test.judge", &[], |cx| Ok(Judge(cx.args()?)));
-    registry.handler("test.holder", &[], |cx| Ok(Holder(cx.args()?)));
+    sender.args::<SenderArgs>();
+    let judge = registry.handler("test.judge", &[], |cx| Ok(Judge(cx.args()?)));
+    judge.args::<JudgeArgs>();
+    let holder = registry.handler("test.holder", &[], |cx| Ok(Holder(cx.args()?)));
+    holder.args::<HolderArgs>();
 }

@@ -25,6 +25,8 @@ enum Fault {
     Refuse,
     /// It panics in the phase.
     Panic,
+    /// It prints a line, which is no fault.
+    Print,
     /// It never acknowledges the phase.
     Silence,
     /// It never gives its processor back.
@@ -52,6 +54,11 @@ impl Misbehaving {
             Fault::Refuse => Err("the hardware does not answer".into()),
             #[allow(clippy::panic, reason = "a handler that panics is what is tested")]
             Fault::Panic => panic!("an index out of range"),
+            #[allow(clippy::print_stdout, reason = "what becomes of it is tested")]
+            Fault::Print => {
+                println!("printed, not logged");
+                Ok(())
+            }
             Fault::Silence => std::future::pending().await,
             Fault::Block => loop {
                 std::thread::park();
@@ -198,12 +205,15 @@ impl EventHandler for Caller {
 
 fn main() -> ExitCode {
     let mut registry = Registry::new();
-    registry.handler("test.steady", &[Count::INFO, Wait::INFO], |cx| {
+    let steady = registry.handler("test.steady", &[Count::INFO, Wait::INFO], |cx| {
         let args = cx.args()?;
         Ok(Steady { args, count: 0 })
     });
-    registry.handler("test.caller", &[], |cx| Ok(Caller(cx.args()?)));
-    registry.handler("test.misbehaving", &[], |cx| Ok(Misbehaving(cx.args()?)));
+    steady.args::<SteadyArgs>();
+    let caller = registry.handler("test.caller", &[], |cx| Ok(Caller(cx.args()?)));
+    caller.args::<CallerArgs>();
+    let misbehaving = registry.handler("test.misbehaving", &[], |cx| Ok(Misbehaving(cx.args()?)));
+    misbehaving.args::<Args>();
     durable::register(&mut registry);
     load::register(&mut registry);
     nets::register(&mut registry);

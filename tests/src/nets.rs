@@ -84,5 +84,6 @@ pub fn register(registry: &mut Registry) {
             Ok(())
         })
     });
-    registry.handler("test.counter", &[], |cx| Ok(Counter(cx.args()?)));
+    let counter = registry.handler("test.counter", &[], |cx| Ok(Counter(cx.args()?)));
+    counter.args::<CounterArgs>();
 }

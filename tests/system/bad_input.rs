@@ -737,3 +737,84 @@ fn several_mistakes_in_several_files_are_all_shown_at_once() {
     let boot = scratch.boot(&[]);
     boot.must_say("6 errors; nothing was started");
 }
+
+#[test]
+fn what_a_daemon_of_service_objects_is_given_is_found_by_the_check() {
+    let daemon = "[profile.objects.task.objects]\nhandler = \"sorma.daemon\"\non = \"ws1\"\n";
+    let scratch = Scratch::new();
+    for (args, said) in [
+        (
+            "args.dictonary = [\"objects.dict\"]",
+            "unknown key `dictonary`",
+        ),
+        ("args.dictionary = [\"none.dict\"]", "none.dict"),
+    ] {
+        let text = scratch.read(APP);
+        scratch.edit(APP, daemon, &format!("{daemon}{args}\n"));
+        let findings = check(&scratch, &["--profile", "objects"]);
+        assert_eq!(findings.len(), 1, "{findings:#?}");
+        assert!(text_of(&findings).contains(said), "{findings:#?}");
+        let (line, _) = scratch.place(APP, args);
+        assert_eq!(findings[0]["place"]["line"], line, "{findings:#?}");
+        scratch.write(APP, text);
+    }
+}
+
+fn text_of(findings: &[Value]) -> String {
+    findings
+        .iter()
+        .map(|found| text(found, "message"))
+        .collect()
+}
+
+#[test]
+fn an_app_of_another_folder_that_includes_one_has_the_files_that_this_one_names() {
+    let scratch = Scratch::new();
+    std::fs::create_dir(scratch.path("mine")).unwrap();
+    scratch.write(
+        "mine/app.toml",
+        "include = [\"../configs/calibrate.toml\"]\n",
+    );
+    let checked = scratch.ctos(&["check", "mine/app.toml"]);
+    checked.must_exit(0).must_say("nothing found");
+    scratch.edit(
+        APP,
+        "positions = \"positions.csv\"",
+        "positions = \"other.csv\"",
+    );
+    let checked = scratch.ctos(&["check", "mine/app.toml"]);
+    checked
+        .must_exit(3)
+        .must_say("it is looked for in the folder of the app's file, then in those of the files that it includes");
+    // A file of the app's own comes before one of that name elsewhere.
+    scratch.write("mine/other.csv", scratch.read(POSITIONS));
+    scratch.ctos(&["check", "mine/app.toml"]).must_exit(0);
+    let ended = scratch.ctos(&["boot", "mine/app.toml", "--set", "time.mode=virtual"]);
+    ended.must_exit(0);
+}
+
+#[test]
+fn a_port_in_use_is_found_by_the_check_and_named_by_the_option_that_was_typed() {
+    let scratch = Scratch::new();
+    let other = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = other.local_addr().unwrap().to_string();
+    let metrics = format!("metrics.listen={at:?}");
+    let checked = scratch.ctos(&["check", APP, "--set", &metrics]);
+    checked
+        .must_exit(0)
+        .must_say(&format!("[metrics] cannot listen on {at} here"))
+        .must_say("1 warning");
+    let display = format!("--display={at}");
+    let booted = scratch.boot(&[&display]);
+    booted
+        .must_exit(3)
+        .must_say(&format!("`{display}`: no page can be served there"))
+        .must_say("`--display=127.0.0.1:0`")
+        .must_not_say("phase 1");
+    let panel = format!("task.panel.args.listen={at:?}");
+    let booted = scratch.boot(&["--profile", "panel", "--set", &panel]);
+    booted
+        .must_exit(3)
+        .must_say(&format!("the page of task `panel` cannot listen on {at}"))
+        .must_not_say("phase 1");
+}

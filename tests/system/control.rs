@@ -279,3 +279,20 @@ fn rubbish_on_the_control_socket_is_answered_with_an_error() {
     run.signal(Signal::INT);
     run.end().must_exit(130);
 }
+
+#[test]
+fn the_status_of_a_net_tells_paused_and_waiting_for_another_net_from_idle() {
+    let scratch = Scratch::short();
+    let at = "task.motion.args.breakpoints=[\"accept_move\"]";
+    let mut run = scratch.start_boot(&["--set", at]);
+    run.wait_for("net paused");
+    let does = |task: &str| {
+        let ended = scratch.ctos(&["status", task]);
+        ended.must_exit_leaving(0);
+        let line = ended.stdout.lines().find(|line| line.starts_with("  does"));
+        line.unwrap_or_else(|| panic!("{}", ended.told)).to_owned()
+    };
+    assert!(does("motion").contains("paused: breakpoint `accept_move`"));
+    assert!(does("dispatcher").contains("waits for motion: move_robot"));
+    assert!(does("vision").contains("idle"));
+}

@@ -143,6 +143,43 @@ fn a_person_watches_stops_scrubs_and_releases_a_running_calibration() {
 
 #[test]
 #[ignore = "needs Chromium"]
+fn the_page_tells_in_a_line_why_the_whole_waits_and_shows_nets_side_by_side() {
+    let scratch = scratch();
+    let (_run, page) = boot(&scratch, &[]);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    // While the arm moves: through nets and tasks to whoever is at work, and how long that will take.
+    let why = "document.querySelector('#why').textContent";
+    browser.wait(&format!(
+        "/^dispatcher waits for motion, which waits for mcs, which waits for .*planner, which moves the arm: [0-9.]+ s to go$/.test({why})"
+    ));
+    // Its token is shown where it is.
+    let held = "getComputedStyle(document.querySelector('[data-key=\"dispatcher/move_robot\"] .held')).display";
+    browser.wait(&format!("{held} === 'block'"));
+    // The table fits its window, with words in every column.
+    browser.wait("document.querySelectorAll('#events tbody tr').length > 20");
+    let fits = "(() => { const table = document.querySelector('#events .table'); return table.scrollWidth <= table.clientWidth; })()";
+    assert_eq!(browser.ask(fits), true);
+
+    let nets = "new Set([...nets.picture.nodes.values()].map((one) => one.net.name)).size";
+    browser.click("Beside");
+    browser.wait(&format!("{nets} === nets.nets.size"));
+    browser.wait("document.querySelector('#beside').getAttribute('aria-pressed') === 'true'");
+    // No net is drawn over another one.
+    let apart = "(() => { const boxes = nets.displays.find((one) => one.paned).parts.map(({ drawing: { nodes } }) => ['x', 'y'].map((way) => [Math.min, Math.max].map((most) => most(...nodes.map((node) => node[way]))))); \
+         return boxes.every((one, at) => boxes.every((other, of) => at === of || [0, 1].some((way) => one[way][1] < other[way][0] || other[way][1] < one[way][0]))); })()";
+    assert_eq!(browser.ask(apart), true);
+    pictures(&mut browser, "beside");
+    browser.click("Beside");
+    browser.wait(&format!("{nets} === 1"));
+    browser.ask("(() => { const tabs = [...document.querySelectorAll('#tabs button')]; tabs.find((one) => one.textContent === 'motion').dispatchEvent(new MouseEvent('click', { shiftKey: true })); })()");
+    browser.wait("nets.shown === 'dispatcher+motion'");
+    // A link leads there again.
+    browser.wait("location.hash.includes('net=dispatcher')");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "needs Chromium"]
 fn a_net_whose_chassis_is_killed_is_shown_as_gone_and_comes_back() {
     let scratch = scratch();
     // Without a chassis the arm is stopped, and the calibration fails: it waits before its first firing.

@@ -84,8 +84,68 @@ fn a_handler_that_panics_in_a_startup_phase_is_named_and_the_boot_undone() {
         let error = ended.error();
         assert!(error.contains("task `bad`"), "{}", ended.told);
         assert!(error.contains("an index out of range"), "{}", ended.told);
+        let place = "(at tests/src/misbehaving.rs:";
+        assert!(error.contains(place), "{}", ended.told);
         assert_eq!(ended.stdout, "");
     }
+}
+
+/// An app in which one task prints a line and another one then ends the boot.
+fn printing() -> Scratch {
+    let scratch = app("refuse", "run");
+    scratch.edit(
+        "app.toml",
+        r#"fault = "nothing", phase = "run""#,
+        r#"fault = "print", phase = "create""#,
+    );
+    scratch
+}
+
+#[test]
+fn what_a_handler_prints_stands_in_the_log_with_the_name_of_its_chassis() {
+    let scratch = printing();
+    let ended = start(&scratch, &["--log-file", "app.log"]).end();
+    ended.must_exit(1).must_say("left  │ printed, not logged\n");
+    let log = scratch.read("app.log");
+    assert!(log.contains("left │ printed, not logged\n"), "{log}");
+}
+
+/// Every line is a JSON object; one of them is what the handler has printed.
+fn must_be_json(text: &str, told: &str) {
+    let objects: Vec<serde_json::Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("`{line}`: {told}")))
+        .collect();
+    let printed = objects
+        .iter()
+        .find(|object| object["chassis"] == "left" && object["message"] == "printed, not logged");
+    assert!(printed.is_some(), "{told}");
+}
+
+#[test]
+fn a_json_log_holds_json_objects_alone_whatever_it_is_that_speaks() {
+    let json = ["--log-format", "json", "-v"];
+    let scratch = printing();
+    let ended = start(&scratch, &json).end();
+    ended.must_exit(1);
+    must_be_json(&ended.stderr, &ended.told);
+
+    let scratch = printing();
+    let file = ["--log-format", "json", "--detach", "--log-file", "app.log"];
+    start(&scratch, &file).end().must_exit(1);
+    let log = scratch.read("app.log");
+    must_be_json(&log, &log);
+
+    // One that is not started has a finding for each mistake.
+    scratch.edit("app.toml", "on = \"left\"", "on = \"loft\"");
+    let ended = start(&scratch, &json).end();
+    ended.must_exit(3);
+    let lines = ended.stderr.lines();
+    assert!(
+        lines.into_iter().all(|line| line.starts_with('{')),
+        "{}",
+        ended.told
+    );
 }
 
 #[test]

@@ -25,11 +25,11 @@ pub(crate) struct VmmArgs {
     hardware: BTreeMap<String, String>,
     /// How long a Tool may hold hardware that others wait for, s.
     #[serde(default = "default_hold_limit")]
-    hold_limit_s: f64,
+    hold_limit_s: Duration,
 }
 
-fn default_hold_limit() -> f64 {
-    5.0
+fn default_hold_limit() -> Duration {
+    Duration::from_secs(5)
 }
 
 type Waiter = Replier<AcquireVm>;
@@ -43,15 +43,10 @@ pub struct ModuleManager {
 
 impl ModuleManager {
     pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
-        let VmmArgs {
-            hardware,
-            hold_limit_s,
-        } = cx.args()?;
-        let limit = Duration::try_from_secs_f64(hold_limit_s)
-            .map_err(|error| format!("hold_limit_s = {hold_limit_s}: {error}"))?;
+        let args: VmmArgs = cx.args()?;
         Ok(Self {
-            hardware,
-            limit,
+            hardware: args.hardware,
+            limit: args.hold_limit_s,
             arbiter: Rc::default(),
         })
     }

@@ -199,7 +199,11 @@ pub fn size(bytes: u64) -> String {
 pub fn does(task: &TaskView) -> String {
     let command = task.command.as_deref().unwrap_or("a message");
     match task.activity {
-        Activity::Idle => "idle".to_owned(),
+        Activity::Idle => match (&task.at, task.left_s) {
+            (None, _) => "idle".to_owned(),
+            (Some(at), None) => at.clone(),
+            (Some(at), Some(left)) => format!("{at}, {} to go", span(left)),
+        },
         // Gone with its chassis, or a chassis that is too busy to tell.
         Activity::Gone => "no answer".to_owned(),
         Activity::Busy => {

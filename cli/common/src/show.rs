@@ -4,11 +4,19 @@ use std::{
     ffi::OsString,
     fmt,
     io::{self, Write},
+    sync::{
+        OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use anstream::{AutoStream, ColorChoice};
 use clap::ValueEnum;
-use ctos::diagnostic::{Finding, Findings, Place, Severity};
+use ctos::{
+    control::Level,
+    diagnostic::{Finding, Findings, Place, Severity},
+    time::Clock,
+};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
 
 /// So many findings are shown unless all are asked for.
@@ -61,9 +69,72 @@ pub fn colours() -> bool {
     AutoStream::choice(&io::stderr()) != ColorChoice::Never
 }
 
+/// Whether everything on standard error is a JSON object in a line.
+static JSON: AtomicBool = AtomicBool::new(false);
+
+/// The clock of the app that is spoken of, once there is one.
+static CLOCK: OnceLock<Clock> = OnceLock::new();
+
+/// Settles for this process that what is said is a JSON object per line, and by which clock.
+pub fn say_json(clock: Option<Clock>) {
+    JSON.store(true, Ordering::Relaxed);
+    if let Some(clock) = clock {
+        // Whoever sets it first is the app; a simulation of many seeds has one clock for each.
+        let _ = CLOCK.set(clock);
+    }
+}
+
+/// Whether what is said is JSON.
+#[must_use]
+pub fn says_json() -> bool {
+    JSON.load(Ordering::Relaxed)
+}
+
 /// Writes to standard error. A closed stream is no reason to fail.
 pub fn say(text: &str) {
-    let _ = writeln!(io::stderr(), "{text}");
+    let line = if says_json() {
+        json_line(text)
+    } else {
+        text.to_owned()
+    };
+    // In one call, so that no line is cut by another.
+    let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
+}
+
+/// A text as a line of a JSON log; one that is such a line already stays as it is.
+fn json_line(text: &str) -> String {
+    if is_object(text) {
+        return text.to_owned();
+    }
+    let seconds = CLOCK.get().map(|clock| {
+        let seconds = clock.now().since_start().as_secs_f64();
+        (seconds * 1e6).round() / 1e6
+    });
+    let level = match text.strip_prefix("warning:") {
+        Some(_) => Level::Warn,
+        None => Level::of(text),
+    };
+    let level = format!("{level:?}").to_uppercase();
+    let object = serde_json::json!({ "timestamp": seconds, "level": level, "message": text });
+    object.to_string()
+}
+
+fn is_object(text: &str) -> bool {
+    text.starts_with('{') && serde_json::from_str::<serde_json::Value>(text).is_ok()
+}
+
+/// A line that chassis `chassis` has written, as it stands in a log of several; names are `width` wide.
+#[must_use]
+pub fn line_of_chassis(chassis: &str, width: usize, line: &str) -> String {
+    if !says_json() {
+        return format!("{chassis:<width$} │ {line}");
+    }
+    let line = json_line(line);
+    // It is an object, and not an empty one or there is nothing to say of it.
+    let rest = line.trim_start_matches('{').trim_start();
+    let comma = if rest == "}" { "" } else { "," };
+    let name = serde_json::Value::from(chassis);
+    format!("{{\"chassis\":{name}{comma}{rest}")
 }
 
 /// Writes a line of data to standard output.
@@ -89,6 +160,10 @@ pub fn findings_up_to(findings: Findings, most: usize) {
     let handler = GraphicalReportHandler::new_themed(theme).with_links(false);
     let sorted = findings.into_sorted();
     for finding in sorted.iter().take(most) {
+        if says_json() {
+            say(&log_json(finding).to_string());
+            continue;
+        }
         let mut text = String::new();
         let drawn = is_drawn(finding) && {
             let drawn = Drawn::new(finding);
@@ -106,7 +181,7 @@ pub fn findings_up_to(findings: Findings, most: usize) {
             "… and {hidden} more; `ctos check --all` shows all of them"
         ));
     }
-    if let Some(first) = sorted.first() {
+    if let Some(first) = sorted.first().filter(|_| !says_json()) {
         say(&format!("`ctos explain {}` tells more", first.code));
     }
 }
@@ -210,6 +285,19 @@ pub fn finding_json(finding: &Finding) -> serde_json::Value {
     })
 }
 
+/// A finding as a line of a JSON log.
+fn log_json(finding: &Finding) -> serde_json::Value {
+    let mut object = finding_json(finding);
+    let level = match finding.severity {
+        Severity::Error => "ERROR",
+        Severity::Warning => "WARN",
+    };
+    if let Some(object) = object.as_object_mut() {
+        object.insert("level".to_owned(), level.into());
+    }
+    object
+}
+
 /// "3 errors, 1 warning".
 #[must_use]
 pub fn counted(findings: &Findings) -> String {
@@ -237,6 +325,24 @@ pub fn counted(findings: &Findings) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn whatever_is_said_in_a_json_log_is_an_object_in_a_line() {
+        for (text, level) in [
+            ("error: nothing\nhere", "ERROR"),
+            ("warning: a leak", "WARN"),
+            ("phase 1  create", "INFO"),
+            ("{ not json", "INFO"),
+        ] {
+            let line = json_line(text);
+            let object: serde_json::Value = serde_json::from_str(&line).unwrap();
+            assert_eq!(object["message"], text, "{line}");
+            assert_eq!(object["level"], level, "{line}");
+            assert!(!line.contains('\n'), "{line}");
+        }
+        let object = r#"{"level":"INFO","message":"one"}"#;
+        assert_eq!(json_line(object), object);
+    }
 
     #[test]
     fn the_colour_of_a_command_line_is_known_before_it_is_parsed() {

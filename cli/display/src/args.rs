@@ -85,7 +85,7 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
         match app.read(file) {
             Ok(source) => {
                 let mut overviews = Overviews::read(&source, findings);
-                overviews.arrange_from(&app.folder.join(file), findings);
+                overviews.arrange_from(&app.file_at(file), findings);
             }
             Err(finding) => findings.push(at(finding, "displays")),
         }

@@ -40,7 +40,7 @@ pub(super) fn pin(cx: &Context, view: &mut NetView) {
 fn layout_of(cx: &Context, net: &str) -> Result<PathBuf, HandlerError> {
     let task = cx.app().task(net);
     let task = task.ok_or_else(|| HandlerError::new(format!("there is no net `{net}`")))?;
-    Ok(cx.path(&settings(task)?.net))
+    Ok(cx.app().file_at(&settings(task)?.net))
 }
 
 /// Keeps where a person put a node.
@@ -60,7 +60,7 @@ pub(super) fn keep(
     }
     if let Some(display) = &asked.display {
         let displays = displays.ok_or("this app has no file of displays")?;
-        let path = layout_beside(&cx.path(displays));
+        let path = layout_beside(&cx.app().file_at(displays));
         let shown = hub.overview(display);
         let shown =
             shown.ok_or_else(|| HandlerError::new(format!("there is no display `{display}`")))?;

@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 13] = [
+const SCRIPTS: [Asset; 14] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
     ("field.js", SCRIPT, include_str!("page/field.js")),
     ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
@@ -17,6 +17,7 @@ const SCRIPTS: [Asset; 13] = [
     ("view.js", SCRIPT, include_str!("page/view.js")),
     ("draw.js", SCRIPT, include_str!("page/draw.js")),
     ("fold.js", SCRIPT, include_str!("page/fold.js")),
+    ("why.js", SCRIPT, include_str!("page/why.js")),
     ("task.js", SCRIPT, include_str!("page/task.js")),
     ("panels.js", SCRIPT, include_str!("page/panels.js")),
     ("tables.js", SCRIPT, include_str!("page/tables.js")),

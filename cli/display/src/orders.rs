@@ -19,7 +19,7 @@ use super::{
     hub::Hub,
     lines,
     server::Asking,
-    wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, Told},
+    wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, TaskWait, Told},
 };
 
 /// How long whoever is asked may take.
@@ -105,6 +105,16 @@ fn now(look: &TaskLook) -> TaskNow {
         queued: task.queue.urgent + task.queue.normal,
         restarts: task.counters.restarts,
         doing: doing(look),
+        waits: task
+            .waits
+            .iter()
+            .map(|wait| TaskWait {
+                to: wait.to.clone(),
+                command: wait.command.clone(),
+            })
+            .collect(),
+        at: task.at.as_ref().map(|at| at.text.clone()),
+        until_ns: task.at.as_ref().and_then(|at| Some(at.until?.as_nanos())),
     }
 }
 
@@ -118,7 +128,9 @@ fn doing(look: &TaskLook) -> Option<String> {
             "waits for `{to}` to answer `{command}`, {waited:.1} s"
         ));
     }
-    let began = look.task.counters.began?;
+    let Some(began) = look.task.counters.began else {
+        return Some(look.task.at.as_ref()?.text.clone());
+    };
     let command = look.task.command.as_deref().unwrap_or("a message");
     Some(format!("is at `{command}`, {:.1} s", seconds(began)))
 }

@@ -45,7 +45,7 @@ impl NetDisplay {
         let overviews = match &args.displays {
             // What is wrong in it was said when the app was checked.
             Some(file) => {
-                let path = cx.path(file);
+                let path = cx.app().file_at(file);
                 let mut nothing = Findings::new();
                 let mut overviews = Overviews::read(&cx.app().read(file)?, &mut nothing);
                 overviews.arrange_from(&path, &mut nothing);

@@ -140,6 +140,18 @@ pub(crate) struct TaskNow {
     pub(crate) restarts: u64,
     /// What it does, in words; `None` when it is idle.
     pub(crate) doing: Option<String>,
+    /// Whom it waits for, longest first.
+    pub(crate) waits: Vec<TaskWait>,
+    /// What it says that it is at, and until when if that is known, ns.
+    pub(crate) at: Option<String>,
+    pub(crate) until_ns: Option<u64>,
+}
+
+/// Somebody whom a task waits for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct TaskWait {
+    pub(crate) to: String,
+    pub(crate) command: String,
 }
 
 /// A message that a task handled.

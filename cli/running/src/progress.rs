@@ -45,7 +45,7 @@ impl Display {
         let names = app.chassis.iter().map(|chassis| chassis.name.len());
         Self {
             bar: Mutex::default(),
-            animated: std::io::stderr().is_terminal(),
+            animated: std::io::stderr().is_terminal() && !show::says_json(),
             told: AtomicU64::new(u64::MAX),
             width: names.max().unwrap_or(0),
             quiet,
@@ -148,7 +148,7 @@ pub fn words(event: &BootEvent, width: usize) -> Option<String> {
                 seconds(*took)
             )
         }
-        BootEvent::Log { chassis, line } => format!("{chassis:<width$} │ {line}"),
+        BootEvent::Log { chassis, line } => show::line_of_chassis(chassis, width, line),
         BootEvent::Stopping { reason } => format!("stop     {reason}"),
         BootEvent::StopStep { step } => {
             let number = StopStep::ALL

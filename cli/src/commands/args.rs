@@ -60,6 +60,9 @@ pub(super) fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) ->
         (false, 2) => "debug",
         (false, _) => "trace",
     };
+    if args.log_format == LogFormat::Json {
+        show::say_json(Some(clock.clone()));
+    }
     let setting = LogSetting {
         level,
         filter: args.log.as_deref(),

@@ -24,9 +24,9 @@ use crate::{
     commands::{
         args::{AppArgs, LogArgs, start_log},
         breakpoints::{Breakpoints, Released},
-        detach,
+        detach, ports,
     },
-    log::private_file,
+    log::{LogFormat, private_file},
     program,
 };
 
@@ -145,6 +145,10 @@ impl From<Until> for Phase {
 #[must_use]
 pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     let mut args = args.clone();
+    if args.log.log_format == LogFormat::Json {
+        // What is wrong with the configuration is told before there is a clock.
+        show::say_json(None);
+    }
     if let Some(file) = &args.record {
         match record::setting(file) {
             Ok(set) => args.app.sets.push(set),
@@ -184,6 +188,10 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         Ok(checked) => checked,
         Err(findings) => return not_started(args, findings),
     };
+    let taken = ports::taken_pages(&app, args.display);
+    if taken.has_errors() {
+        return not_started(args, taken);
+    }
     let clock = ctos::boot::clock(app.time);
     if let Err(code) = start_log(&args.log, clock.clone(), true) {
         return code;
@@ -207,6 +215,10 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     if args.detach {
         let mut arguments = boot_arguments(args);
         arguments.insert(0, "boot".into());
+        if args.log.log_format == LogFormat::Json {
+            // Its standard output goes to the log too.
+            arguments.push("--json".into());
+        }
         let log = args.log_file.as_deref();
         return detach::run(&app, &arguments, log, args.until.into());
     }
@@ -291,7 +303,8 @@ impl LogFile {
     fn write(&self, chassis: &str, line: &str) {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         // In one call, so that no line is cut by another.
-        let written = file.write_all(format!("{chassis} │ {line}\n").as_bytes());
+        let line = show::line_of_chassis(chassis, 0, line);
+        let written = file.write_all(format!("{line}\n").as_bytes());
         if let Err(error) = written
             && !self.told.swap(true, Ordering::Relaxed)
         {

@@ -3,11 +3,14 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use ctos::{config::Selection, registry::Registry};
+use ctos::{config::Selection, diagnostic::Severity, registry::Registry};
 
 use cli_common::{exit, show};
 
-use crate::{commands::args::AppArgs, program};
+use crate::{
+    commands::{args::AppArgs, ports},
+    program,
+};
 
 /// Check apps without starting anything
 #[derive(Debug, Args)]
@@ -46,7 +49,11 @@ pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
 
 fn check(selection: &Selection, args: &CheckArgs, registry: &Registry) -> u8 {
     let (found, code) = match program::checked(selection, registry) {
-        Ok((_, warnings)) => (warnings, exit::OK),
+        Ok((app, mut warnings)) => {
+            // The app may be running, and have its ports itself: no error.
+            warnings.extend(ports::taken(&app, Severity::Warning));
+            (warnings, exit::OK)
+        }
         Err(findings) => (findings, exit::CONFIG),
     };
     if args.json {

@@ -8,7 +8,7 @@ use std::{
 use clap::Args;
 use ctos::{
     config::{App, Selection, has_zenoh},
-    diagnostic::{Finding, Findings},
+    diagnostic::{Finding, Findings, Severity},
 };
 use rustix::{
     process::{Resource, getrlimit},
@@ -21,7 +21,7 @@ use thread_priority::{
 
 use cli_common::{exit, show};
 
-use crate::program;
+use crate::{commands::ports, program};
 
 /// The real-time priority that is tried: that of a processor that names none.
 const PRIORITY: u8 = 80;
@@ -116,25 +116,8 @@ pub fn run(args: &DoctorArgs) -> u8 {
 
 /// What the app asks of this host and does not get.
 fn needs(app: &App, cpus: &[usize], realtime: &Result<(), String>) -> Findings {
-    let mut findings = Findings::new();
+    let mut findings = ports::taken(app, Severity::Error);
     for chassis in &app.chassis {
-        if let Some(address) = chassis.listen
-            && let Err(error) = TcpListener::bind(address)
-        {
-            let finding = Finding::error(
-                "ctos::doctor::address",
-                format!(
-                    "chassis `{}` cannot listen on {address} here: {error}",
-                    chassis.name
-                ),
-            );
-            let place = app.locate(&format!("chassis.\"{}\".listen", chassis.name));
-            findings.push(
-                finding
-                    .at(place.unwrap_or_else(|| chassis.place.clone()))
-                    .help("free the port, choose another one, or leave `listen` out"),
-            );
-        }
         for processor in &chassis.processors {
             let name = format!("{}/{}", chassis.name, processor.name);
             if let Some(cpu) = processor.cpu.filter(|cpu| !cpus.contains(cpu)) {

@@ -67,6 +67,7 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
             .statistics
             .waits()
             .map_or_else(Vec::new, |waits| waits.read()),
+        at: task.statistics.at(),
     }
 }
 

@@ -13,6 +13,9 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// Where a data file of an app may be.
+const LOOKED_FOR: &str = "check the path; it is looked for in the folder of the app's file, then in those of the files that it includes";
+
 /// An app: everything its files and `--set` texts say, checked and in declared order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct App {
@@ -283,14 +286,24 @@ impl App {
         }
     }
 
-    /// Reads a data file of the app: `relative` is taken from [`App::folder`]. Checks read files
+    /// The path of a data file of the app: in [`App::folder`], or, if there is none, in the folder of a
+    /// file that the app includes.
+    #[must_use]
+    pub fn file_at(&self, relative: impl AsRef<Path>) -> PathBuf {
+        let own = self.folder.join(&relative);
+        let folders = self.trail.folders.iter().filter(|_| !own.is_file());
+        let mut paths = folders.map(|folder| folder.join(&relative));
+        paths.find(|path| path.is_file()).unwrap_or(own)
+    }
+
+    /// Reads a data file of the app at [`App::file_at`]. Checks read files
     /// through this, so that a [`Bundle`](crate::Bundle) holds every file that the app needs.
     ///
     /// # Errors
     /// A finding without a place when the file cannot be read or is not UTF-8.
     pub fn read(&self, relative: impl AsRef<Path>) -> Result<Source, Finding> {
-        let path = self.folder.join(&relative);
-        let source = Source::read(&path)?;
+        let path = self.file_at(&relative);
+        let source = Source::read(&path).map_err(|finding| finding.help(LOOKED_FOR))?;
         let mut read = self.trail.read();
         read.retain(|other| other.path != path);
         read.push(Read {

@@ -7,7 +7,7 @@ use serde::de::{
     value::{MapAccessDeserializer, MapDeserializer, SeqDeserializer},
 };
 use serde_path_to_error::Segment;
-use std::fmt;
+use std::{fmt, time::Duration};
 
 const UNKNOWN_KEY: &str = "ctos::config::unknown_key";
 const UNKNOWN_CHOICE: &str = "ctos::config::unknown_choice";
@@ -36,7 +36,7 @@ impl From<Finding> for NodeError {
 /// # Errors
 /// A finding for a person, with its place and "did you mean".
 pub(super) fn read<'de, T: Deserialize<'de>>(node: &'de Node) -> Result<T, Finding> {
-    serde_path_to_error::deserialize(At(node)).map_err(|error| {
+    serde_path_to_error::deserialize(At::outermost(node)).map_err(|error| {
         let path = error.path().clone();
         placed(node, path.iter().collect(), error.into_inner())
     })
@@ -156,9 +156,16 @@ fn describe(found: Unexpected<'_>) -> String {
     }
 }
 
-/// A node as something to deserialize from.
+/// A node as something to deserialize from, and the key and the known keys of the struct that it is part of.
 #[derive(Clone, Copy)]
-struct At<'de>(&'de Node);
+struct At<'de>(&'de Node, Option<(&'de str, &'static [&'static str])>);
+
+impl<'de> At<'de> {
+    /// A value that is no field of a struct.
+    fn outermost(node: &'de Node) -> Self {
+        Self(node, None)
+    }
+}
 
 impl<'de> IntoDeserializer<'de, NodeError> for At<'de> {
     type Deserializer = Self;
@@ -168,10 +175,25 @@ impl<'de> IntoDeserializer<'de, NodeError> for At<'de> {
     }
 }
 
-/// A table as what serde reads maps from.
-fn map(entries: &[Entry]) -> MapDeserializer<'_, impl Iterator<Item = (&str, At<'_>)>, NodeError> {
-    let pairs = entries.iter();
-    MapDeserializer::new(pairs.map(|entry| (entry.key.as_str(), At(&entry.value))))
+/// A table as what serde reads maps from; a struct with these fields, or a map without any.
+fn map<'de>(
+    entries: &'de [Entry],
+    fields: Option<&'static [&'static str]>,
+) -> MapDeserializer<'de, impl Iterator<Item = (&'de str, At<'de>)>, NodeError> {
+    MapDeserializer::new(entries.iter().map(move |entry| {
+        let key = entry.key.as_str();
+        (key, At(&entry.value, fields.map(|fields| (key, fields))))
+    }))
+}
+
+/// A number of seconds as serde reads a `Duration`: seconds and nanoseconds.
+fn duration(node: &Node) -> Option<Result<[u64; 2], NodeError>> {
+    let seconds = node.as_f64()?;
+    let time = Duration::try_from_secs_f64(seconds).map_err(|_| {
+        let finding = Finding::error("ctos::config::value", format!("{seconds} s is no time"));
+        finding.help("give a number of seconds, 0 or more").into()
+    });
+    Some(time.map(|time| [time.as_secs(), time.subsec_nanos().into()]))
 }
 
 impl<'de> Deserializer<'de> for At<'de> {
@@ -188,9 +210,9 @@ impl<'de> Deserializer<'de> for At<'de> {
                 _ => visitor.visit_i128(*number),
             },
             Value::Array(elements) => {
-                visitor.visit_seq(SeqDeserializer::new(elements.iter().map(At)))
+                visitor.visit_seq(SeqDeserializer::new(elements.iter().map(At::outermost)))
             }
-            Value::Table(entries) => visitor.visit_map(map(entries)),
+            Value::Table(entries) => visitor.visit_map(map(entries, None)),
         }
     }
 
@@ -215,6 +237,33 @@ impl<'de> Deserializer<'de> for At<'de> {
         visitor.visit_newtype_struct(self)
     }
 
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        name: &'static str,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, NodeError> {
+        if name == "Duration"
+            && let Some(time) = duration(self.0)
+        {
+            return visitor.visit_seq(SeqDeserializer::new(time?.into_iter()));
+        }
+        match &self.0.value {
+            Value::Table(entries) => visitor.visit_map(map(entries, Some(fields))),
+            _ => self.deserialize_any(visitor),
+        }
+    }
+
+    /// What a struct has no field for: nobody reads it, so it is a mistake.
+    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NodeError> {
+        match self.1 {
+            Some((key, fields)) if !fields.contains(&key) => {
+                Err(de::Error::unknown_field(key, fields))
+            }
+            _ => self.deserialize_any(visitor),
+        }
+    }
+
     fn deserialize_enum<V: Visitor<'de>>(
         self,
         _name: &'static str,
@@ -225,7 +274,7 @@ impl<'de> Deserializer<'de> for At<'de> {
         match &self.0.value {
             Value::String(variant) => visitor.visit_enum(variant.as_str().into_deserializer()),
             Value::Table(entries) if entries.len() == 1 => {
-                visitor.visit_enum(MapAccessDeserializer::new(map(entries)))
+                visitor.visit_enum(MapAccessDeserializer::new(map(entries, None)))
             }
             Value::Table(_) => Err(de::Error::custom(format!(
                 "expected a table with exactly one key out of: {known}"
@@ -239,6 +288,6 @@ impl<'de> Deserializer<'de> for At<'de> {
 
     serde::forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf
-        unit_struct seq tuple tuple_struct map struct identifier ignored_any
+        unit_struct seq tuple tuple_struct map identifier
     }
 }

@@ -104,6 +104,8 @@ pub(super) fn merged(
     };
     let mut root = loader.file(&selection.file, None, false)?;
     let (sources, mut variables) = (loader.sources, loader.variables);
+    let folders = sources.iter().filter_map(|read| read.path.parent());
+    let folders = folders.map(Path::to_owned).collect();
     let profiles = declared(root.take("profile"), findings);
     let in_file = profile_of_file(&mut root, &mut variables, findings);
     let asked = selection.profiles.iter().map(|name| on_command_line(name));
@@ -131,6 +133,7 @@ pub(super) fn merged(
         profiles,
         trail: Trail {
             used: variables.used,
+            folders,
             applied,
             read: Arc::new(Mutex::new(sources)),
         },

@@ -241,8 +241,9 @@ impl Node {
         }
     }
 
-    /// Reads the node as a `T`, which should `deny_unknown_fields`. Integers are taken where a
-    /// float is meant; nothing else is converted.
+    /// Reads the node as a `T`. A key that `T` has no field for is a mistake, whether it denies unknown
+    /// fields or not. Integers are taken where a float is meant, and a number of seconds where a
+    /// [`Duration`] is; nothing else is converted.
     ///
     /// # Errors
     /// The first thing that does not fit, at its key or value: an unknown key (with what was

@@ -12,6 +12,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub(crate) struct Trail {
     pub(super) used: Used,
     pub(super) applied: Vec<Entry>,
+    /// The folders of the files that were read, the app's own first.
+    pub(super) folders: Vec<PathBuf>,
     /// Clones of an app share it, so that what a check opens is known wherever the app is.
     pub(super) read: Arc<Mutex<Vec<Read>>>,
 }

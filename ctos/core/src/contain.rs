@@ -2,8 +2,19 @@
 
 use std::{
     any::Any,
-    panic::{AssertUnwindSafe, catch_unwind},
+    cell::Cell,
+    panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind},
 };
+
+thread_local! {
+    /// Where the last panic of this thread was, until it is told.
+    static PLACE: Cell<Option<String>> = const { Cell::new(None) };
+}
+
+/// For a program's panic hook: keeps where the panic is, for the text that tells of it.
+pub fn note_panic(panic: &PanicHookInfo<'_>) {
+    PLACE.set(panic.location().map(ToString::to_string));
+}
 
 /// Drops what may hold code of others: a destructor that panics must not end the thread.
 pub(crate) fn drop_contained<T>(value: T) {
@@ -13,13 +24,17 @@ pub(crate) fn drop_contained<T>(value: T) {
     }
 }
 
-/// What a panic said.
+/// What a panic said, and where it was if this thread's hook has noted that ([`note_panic`]).
 pub fn panic_text(panic: &(dyn Any + Send)) -> String {
-    if let Some(text) = panic.downcast_ref::<&str>() {
+    let text = if let Some(text) = panic.downcast_ref::<&str>() {
         (*text).to_owned()
     } else if let Some(text) = panic.downcast_ref::<String>() {
         text.clone()
     } else {
         "a value that is not text".to_owned()
+    };
+    match PLACE.take() {
+        Some(place) => format!("{text} (at {place})"),
+        None => text,
     }
 }

@@ -27,6 +27,7 @@ use ctos_config::{
 };
 use ctos_message::{Command, CommandInfo};
 use ctos_time::Clock;
+use serde::de::DeserializeOwned;
 
 type Build = Box<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
@@ -125,6 +126,31 @@ impl HandlerKind {
     pub fn command(&self, name: &str) -> Option<CommandInfo> {
         let mut commands = self.commands().iter().copied();
         commands.find(|command| command.name == name)
+    }
+
+    /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]: what does not
+    /// fit, and what nobody reads, is found before anything starts.
+    pub fn args<T: DeserializeOwned>(&mut self) -> &mut Self {
+        self.check(|task, findings| {
+            findings.keep(task.args.parse::<T>());
+        })
+    }
+
+    /// Finds arguments of a task whose kind reads none, as far as it has declared.
+    fn check_unread(&self, task: &TaskConfig, findings: &mut Findings) {
+        let declared = self.waits_for.is_some() || self.vocabulary.is_some();
+        let unread = task.args.entries().first();
+        if let Some(unread) = unread.filter(|_| self.checks.is_empty() && !declared) {
+            let text = format!(
+                "task `{}` gives `args.{}`, and its event handler `{}` declares no arguments",
+                task.name, unread.key, self.name
+            );
+            let place = unread.key_place.as_ref().unwrap_or(&task.place);
+            let finding = Finding::error("ctos::handler::unread_args", text).at(place.clone());
+            findings.push(finding.label("nobody reads this key").help(
+                "leave it out; or declare what the handler reads where it is registered: `registry.handler(..).args::<ItsArgs>()`",
+            ));
+        }
     }
 
     /// Adds a check of a task's arguments that runs before anything starts.
@@ -311,6 +337,7 @@ impl Registry {
                 Some(kind) => {
                     codes::check(kind, task, &mut findings);
                     self.check_state(kind, task, app, &mut findings);
+                    kind.check_unread(task, &mut findings);
                     for check in &kind.checks {
                         check(task, app, &mut findings);
                     }

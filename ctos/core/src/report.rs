@@ -50,6 +50,17 @@ pub struct TaskReport {
     pub queue: QueueReport,
     /// What it waits for, longest first.
     pub waits: Vec<WaitReport>,
+    /// What it says that it is at.
+    pub at: Option<AtReport>,
+}
+
+/// What a task says that it is at, besides its messages.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AtReport {
+    /// In words, after "it": `waits for motion: move_robot`.
+    pub text: String,
+    /// When that will be over, if it is known.
+    pub until: Option<Instant>,
 }
 
 /// What is in a queue.

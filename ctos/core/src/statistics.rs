@@ -5,14 +5,14 @@ use crate::{
     last_messages::Recent,
     meter::{CommandCount, TaskMeter, add},
     phase::Phase,
-    report::TaskCounters,
+    report::{AtReport, TaskCounters},
     waits::Waits,
 };
 use ctos_message::CommandInfo;
-use ctos_time::Instant;
+use ctos_time::{Instant, lock::lock};
 use std::{
     sync::{
-        Arc, OnceLock,
+        Arc, Mutex, OnceLock,
         atomic::{AtomicU8, AtomicU16, AtomicU64, Ordering},
     },
     time::Duration,
@@ -46,6 +46,8 @@ pub struct Activity {
     pub recent: Recent,
     /// Whom it waits for.
     pub(crate) waits: Waits,
+    /// What it says that it is at.
+    pub(crate) at: Mutex<Option<AtReport>>,
 }
 
 impl TaskStatistics {
@@ -84,6 +86,11 @@ impl TaskStatistics {
     /// When the last startup phase was entered.
     pub fn phase_since(&self) -> Option<Instant> {
         self.activity.get()?.phase_since()
+    }
+
+    /// What the task says that it is at.
+    pub fn at(&self) -> Option<AtReport> {
+        lock(&self.activity.get()?.at).clone()
     }
 
     /// Whom the task waits for, if it ever waited for anybody.

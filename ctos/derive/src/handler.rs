@@ -1,10 +1,10 @@
 //! `#[handler]`.
 
-use proc_macro2::TokenStream;
-use quote::{format_ident, quote};
+use proc_macro2::{Span, TokenStream};
+use quote::{format_ident, quote, quote_spanned};
 use syn::{
     Attribute, Error, FnArg, GenericArgument, ImplItem, ImplItemFn, ItemImpl, PathArguments,
-    PathSegment, Result, ReturnType, Type,
+    PathSegment, Result, ReturnType, Type, spanned::Spanned,
 };
 
 /// A mark, and what the method takes after the context if it takes the place of one of the trait's.
@@ -125,12 +125,18 @@ fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
     let name = &method.sig.ident;
     let cx = takes_context.then(|| quote!(cx,));
     let wait = method.sig.asyncness.map(|_| quote!(.await));
+    // What does not fit is shown at the method: at the type that it returns, or at its name.
+    let at = match &method.sig.output {
+        ReturnType::Type(_, output) => output.span(),
+        ReturnType::Default => name.span(),
+    };
+    let at = Span::call_site().located_at(at);
     let body = if replier {
-        quote!(self.#name(#cx request, reply)#wait)
+        quote_spanned!(at=> self.#name(#cx request, reply)#wait)
     } else if returns_result(&method.sig.output) {
-        quote!(reply.ok(self.#name(#cx request)#wait?))
+        quote_spanned!(at=> reply.ok(self.#name(#cx request)#wait?))
     } else {
-        quote!(reply.ok(self.#name(#cx request)#wait))
+        quote_spanned!(at=> reply.ok(self.#name(#cx request)#wait))
     };
     let arm = quote! {
         <#command as ::ctos::message::Command>::CODE => {

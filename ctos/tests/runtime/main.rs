@@ -8,6 +8,7 @@
 )]
 
 mod boot;
+mod compile;
 mod durable;
 mod finding;
 mod moving;

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use ctos::message::{Command, Message, Replier};
 use ctos::registry::Registry;
+use ctos::survey::AtReport;
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
@@ -102,6 +103,10 @@ impl PlannerTask {
         let duration = segment.duration();
         link.port.order(ServoCommand::Move { id, segment })?;
         *self.running.borrow_mut() = Some(reply);
+        cx.is_at(Some(AtReport {
+            text: "moves the arm".to_owned(),
+            until: Some(cx.now() + Duration::from_secs_f64(duration)),
+        }));
         cx.spawn(watch(
             cx.clone(),
             link,
@@ -233,6 +238,7 @@ async fn watch(cx: Context, link: Arc<Link>, running: Running, id: u64, duration
     };
     let patience = Duration::from_secs_f64(duration) + link.rest_patience();
     let ended = link.wait(&cx, "end the motion", patience, over).await;
+    cx.is_at(None);
     // A stop may have answered the caller already.
     let Some(reply) = running.borrow_mut().take() else {
         return;

@@ -51,7 +51,7 @@ use crate::{
 };
 pub use ask::put_once;
 use engine::{Asker, Engine};
-pub use load::{check_app, check_args, check_messages, check_nets, load, net_tasks, nets};
+pub use load::{check_app, check_args, check_messages, check_nets, load, net_of, net_tasks, nets};
 pub use manual::check_breakpoint;
 pub use messages::{
     COMMANDS, Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId,
@@ -133,9 +133,9 @@ impl NetTask {
             .config()
             .ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
         let settings = settings(config)?;
-        let net = load(&cx.path(&settings.net))?;
+        let net = load(&cx.app().file_at(&settings.net))?;
         // What is wrong with it was said when the app was checked; a net runs without it.
-        let layout = LayoutFile::of_net(&cx.path(&settings.net), &mut Findings::new());
+        let layout = LayoutFile::of_net(&cx.app().file_at(&settings.net), &mut Findings::new());
         let task = Self::resumed(cx, net, library, data, settings)?;
         layout.pin(&mut task.engine.view.borrow_mut());
         Ok(task)

@@ -30,20 +30,13 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     let Some(arguments) = findings.keep(task.args.parse::<Arguments>()) else {
         return;
     };
-    for file in &arguments.dictionary {
-        match app.read(file) {
-            Ok(source) => {
-                if let Err(wrong) = Dictionary::new().load(&source) {
-                    wrong
-                        .iter()
-                        .cloned()
-                        .for_each(|finding| findings.push(finding));
-                }
-            }
-            Err(finding) => {
-                let place = task.args.locate("dictionary");
-                findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
-            }
+    for (number, file) in arguments.dictionary.iter().enumerate() {
+        let place = task.args.locate(&format!("dictionary.{number}"));
+        let source = app.read(file).map_err(|finding| finding.at(place));
+        if let Some(source) = findings.keep(source)
+            && let Err(found) = Dictionary::new().load(&source)
+        {
+            findings.extend(found);
         }
     }
 }

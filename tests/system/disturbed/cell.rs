@@ -389,7 +389,8 @@ fn registry(seen: &Arc<Mutex<Seen>>, camera_lost_s: Option<f64>) -> Registry {
     mcs::register(&mut registry, drivers);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
-    registry.handler("test.hand", &[], |cx| Ok(Hand(cx.args()?)));
+    let hand = registry.handler("test.hand", &[], |cx| Ok(Hand(cx.args()?)));
+    hand.args::<HandArgs>();
     registry
 }
 

@@ -1,13 +1,14 @@
 // The page: what is shown of which net at which moment, and who is told of what a person does.
 
 import { Picture } from "./draw.js";
-import { Fork, fold, linksBetween, subnetsOf } from "./fold.js";
+import { Fork, fold, linksBetween, sideBySide, subnetsOf } from "./fold.js";
 import { listen } from "./keys.js";
 import { Minimap } from "./minimap.js";
 import { Net, seconds } from "./model.js";
 import { Moments } from "./moments.js";
 import { make, showSide } from "./panels.js";
 import { Lanes, Table } from "./tables.js";
+import { busyNet, whyOf } from "./why.js";
 
 const $ = (id) => document.getElementById(id);
 /** Side, lanes and table are drawn anew at most so often, ms. */
@@ -43,6 +44,8 @@ class App extends Moments {
     this.forks = new Map();
     /** The task that is looked at. */
     this.task = null;
+    /** When each task was last asked why it waits, ms. */
+    this.askedWhy = new Map();
     /** What a person fills in for the next breakpoint of a place. */
     this.predicate = { sign: ">=", tokens: "1" };
     /** What the address asks for, until it is there or a person does something: nets come one by one. */
@@ -56,7 +59,7 @@ class App extends Moments {
       select: (key) => this.choose(key),
       open: (key) => this.openNode(key),
       looked: () => this.minimap?.update(),
-      movable: (key) => this.control && this.forks.size === 0 && !("fold" in this.picture.nodes.get(key).node.kind),
+      movable: (key) => this.control && this.forks.size === 0 && !this.paned() && !("fold" in this.picture.nodes.get(key).node.kind),
       moved: (key) => this.keep(key),
     });
     this.minimap = new Minimap($("stage"), this.picture);
@@ -80,7 +83,7 @@ class App extends Moments {
       case "gone": if (net) { net.gone = message.reason; this.changed(); this.tabs(); } break;
       case "breakpoints": if (net) { net.breakpoints = message.breakpoints; this.changed(); } break;
       case "drawing": if (net) { [net.written, net.full] = [message.written, message.full]; this.draw(true); } break;
-      case "displays": this.displays = message.displays; if (this.shown !== null) this.draw(true); break;
+      case "displays": this.displays = [...message.displays, ...this.displays.filter((one) => one.paned)]; if (this.shown !== null) this.draw(true); break;
       case "notes": this.notes(message.notes); break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
       case "answer": if (!message.ok) this.say(message.text); break;
@@ -144,7 +147,39 @@ class App extends Moments {
   }
 
   known(name) {
-    return this.nets.has(name) || this.displays.some((one) => one.name === name);
+    return this.nets.has(name) || this.displays.some((one) => one.name === name) || this.pane(name);
+  }
+
+  /** Whether `name` is that of several nets side by side, `dispatcher+motion`: it is then a display, which nobody has written. */
+  pane(name) {
+    const nets = (name ?? "").split("+").map((one) => this.nets.get(one));
+    if (nets.length < 2 || nets.includes(undefined)) return false;
+    const drawings = sideBySide(nets.map((net) => net.written));
+    const parts = nets.map((net, at) => ({ net: net.name, drawing: drawings[at] }));
+    this.displays.push({ name, title: "side by side", paned: true, parts });
+    return true;
+  }
+
+  /** Whether nets are shown side by side. */
+  paned() {
+    return this.displays.some((one) => one.name === this.shown && one.paned);
+  }
+
+  /** Shows these nets side by side; one alone is shown as ever. */
+  openBeside(names) {
+    this.displays = this.displays.filter((one) => !one.paned);
+    if (names.length > 0) this.open(names.join("+"), null);
+  }
+
+  /** A net is shown beside the others, or is not any more. */
+  addBeside(name) {
+    const names = this.visibleNets().map((net) => net.name);
+    this.openBeside(names.includes(name) ? names.filter((one) => one !== name) : [...names, name]);
+  }
+
+  toggleBeside() {
+    const paned = this.paned();
+    this.openBeside(paned ? [this.visibleNets()[0].name] : [...this.nets.keys()]);
   }
 
   events(net, events) {
@@ -313,13 +348,15 @@ class App extends Moments {
   }
 
   nudge(by) {
-    if (this.chosen === null || !this.control) return;
+    if (this.chosen === null || !this.control || this.paned()) return;
     this.picture.move(this.chosen, by[0] * 10, by[1] * 10);
     this.keep(this.chosen);
   }
 
   tabs() {
-    const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(name === this.shown), title, onclick: () => this.open(name, null) }, name, mark);
+    const go = (event, name) => (event.shiftKey && this.nets.has(name) ? this.addBeside(name) : this.open(name, null));
+    const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(name === this.shown), title, onclick: (event) => go(event, name) }, name, mark);
+    $("beside").setAttribute("aria-pressed", String(this.paned()));
     const mark = (net) => (net.gone !== null ? make("span", { class: "gone" }, " gone") : null);
     $("tabs").replaceChildren(
       ...this.displays.map((one) => tab(one.name, one.title, null)),
@@ -379,6 +416,23 @@ class App extends Moments {
     if (pill.textContent !== text) { pill.textContent = text; pill.className = `pill ${look}`; }
   }
 
+  /** Says in one line why the whole waits. */
+  why() {
+    const first = busyNet(this.nets, this.visibleNets(), (net) => this.stateOf(net));
+    const present = this.mode === "live" && this.cursor === null;
+    const nowOf = (task) => {
+      if (!present || !this.taskNames().has(task)) return null;
+      const now = performance.now();
+      if (now - (this.askedWhy.get(task) ?? -Infinity) > ASK_EVERY) {
+        this.askedWhy.set(task, now);
+        this.ask("task", { task });
+      }
+      return this.tasks.get(task)?.now;
+    };
+    const text = first === null || this.forks.size > 0 ? "nothing is under way" : whyOf(first, this.nets, (net) => this.stateOf(net), nowOf, this.now());
+    if ($("why").textContent !== text) $("why").textContent = text;
+  }
+
   frame() {
     const now = performance.now();
     if (this.playing) this.play(now);
@@ -417,6 +471,7 @@ class App extends Moments {
     }
     this.lanes.draw();
     this.table.draw();
+    this.why();
     const [from, to] = this.span();
     $("clock").textContent = seconds(this.now());
     this.older();
@@ -444,6 +499,7 @@ class App extends Moments {
       this.goTo(from + (Number($("scrub").value) / 1000) * (to - from));
     };
     $("fork").onclick = () => this.toggleFork();
+    $("beside").onclick = () => this.toggleBeside();
     $("search").onfocus = () => this.fillNames();
     $("search").onchange = () => this.find($("search").value);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.picture.looked(); this.changed(); });

@@ -127,7 +127,8 @@ export class Picture extends View {
       group.append(element("rect", { class: "bar", ...body }));
       shown.fill = element("rect", { class: "fill", ...body });
       shown.stop = element("circle", { class: "breakpoint", cx: node.lying ? 0 : -12, cy: node.lying ? -12 : -22, r: 4.5 });
-      group.append(shown.fill, shown.stop);
+      // What it took is in nobody's place until it ends: it is here.
+      group.append(shown.fill, element("circle", { class: "held", r: 5 }), shown.stop);
     } else if (kind === "fold") {
       group.append(element("rect", { class: "halo", x: -28, y: -21, width: 56, height: 42, rx: 10 }));
       group.append(element("rect", { class: "bar", x: -22, y: -15, width: 44, height: 30, rx: 6 }));

@@ -12,6 +12,24 @@ export function subnetsOf(drawing) {
   return [...names].sort();
 }
 
+/** Drawings of nets beside each other, each as its author laid it out: in rows of two, or of three when there are no more. */
+export function sideBySide(drawings) {
+  const [columns, gap] = [drawings.length <= 3 ? drawings.length : 2, 140];
+  let [left, top, bottom] = [0, 0, 0];
+  return drawings.map((drawing, at) => {
+    if (at % columns === 0) [left, top] = [0, at === 0 ? 0 : bottom + gap];
+    const [xs, ys] = [drawing.nodes.map((node) => node.x), drawing.nodes.map((node) => node.y)];
+    const [dx, dy] = [left - Math.min(...xs), top - Math.min(...ys)];
+    left = Math.max(...xs) + dx + gap;
+    bottom = Math.max(bottom, Math.max(...ys) + dy);
+    return {
+      ...drawing,
+      nodes: drawing.nodes.map((node) => ({ ...node, x: node.x + dx, y: node.y + dy })),
+      arcs: drawing.arcs.map((arc) => ({ ...arc, via: arc.via.map(([x, y]) => [x + dx, y + dy]) })),
+    };
+  });
+}
+
 /** The drawing with each of the subnets in `folded` as one node in the middle of its own. */
 export function fold(drawing, folded) {
   const into = ({ name, kind }) => ("remote" in kind ? undefined : [...folded].sort((a, b) => a.length - b.length).find((one) => name.startsWith(`${one}.`)));

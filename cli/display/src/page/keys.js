@@ -11,7 +11,7 @@ export function listen(app) {
   };
   const orders = {
     " ": () => app.togglePlay(), ",": () => app.step(-1), ".": () => app.step(1), l: () => app.live(),
-    "[": () => beside(-1), "]": () => beside(1), n: () => app.toggleNear(), d: () => app.toggleDetail(), s: () => app.foldChosen(),
+    "[": () => beside(-1), "]": () => beside(1), n: () => app.toggleNear(), a: () => app.toggleBeside(), d: () => app.toggleDetail(), s: () => app.foldChosen(),
     w: () => app.toggleFork(), u: () => app.undo(),
     "+": () => app.picture.zoom(1.25), "=": () => app.picture.zoom(1.25), "-": () => app.picture.zoom(0.8), 0: () => app.picture.fit(),
     "/": () => byId("search").focus(), "?": () => byId("keys").showModal(), Escape: () => app.choose(null),

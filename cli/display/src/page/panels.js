@@ -240,7 +240,8 @@ function netPart(net, app) {
     lists.enabled.length > 0 ? make("ul", { "aria-label": "enabled" }, ...rows(lists.enabled)) : null,
     net.view.commands.length > 0 ? make("p", {}, make("span", { class: "soft" }, "tape "), ...(state.in_progress ? [...symbols([state.in_progress]), " in progress "] : []),
       ...symbols(state.tape), state.tape.length === 0 && !state.in_progress ? "empty" : "", ...(answers.length > 0 ? [make("span", { class: "soft" }, " answered "), ...symbols(answers)] : [])) : null,
-    make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, MOST_LISTED).map((node) => jump(net, node.name, app))))),
+    make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, MOST_LISTED).map((node) => jump(net, node.name, app)))),
+      ...(lists.running.length > 0 ? ["; taken by ", ...between(lists.running.slice(0, MOST_LISTED).map(([node]) => jump(net, node.name, app)))] : [])),
     net.skipped > 0 ? make("p", { class: "soft" }, `${net.skipped} events came too fast to be shown`) : null);
 }
 

@@ -33,7 +33,9 @@ export class View {
     const scale = Math.min(width / box.width, height / box.height, 1.9);
     const [w, h] = [width / scale, height / scale];
     this.scale = scale;
-    this.box = { x: box.x + (box.width - w) / 2, y: box.y + (box.height - h) / 2, width: w, height: h };
+    const fits = Math.abs(w - box.width) < 1e-9 * w && Math.abs(h - box.height) < 1e-9 * h;
+    // What fits stays to the bit: whoever looks at it sees no difference.
+    this.box = fits ? { ...box } : { x: box.x + (box.width - w) / 2, y: box.y + (box.height - h) / 2, width: w, height: h };
     this.looked();
   }
 

@@ -20,11 +20,13 @@ use crate::{
     chassis::Chassis,
     kept::Kept,
     processor::{Processor, wake::FutureId},
+    report::AtReport,
     system::Broke,
     task_record::TaskRecord,
 };
 use ctos_config::{TaskConfig, diagnostic::Finding};
 use ctos_message::{CommandInfo, Tid};
+use ctos_time::lock::lock;
 
 /// How long a call waits for its reply unless it, or the task's configuration, says otherwise.
 pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(10);
@@ -232,6 +234,11 @@ impl Context {
     #[must_use]
     pub fn config(&self) -> Option<&TaskConfig> {
         self.inner.config.as_deref()
+    }
+
+    /// Says what the task is at besides its messages, for `ctos status` and whoever else looks at it.
+    pub fn is_at(&self, at: Option<AtReport>) {
+        *lock(&self.inner.record.statistics.activity().at) = at;
     }
 
     /// A path of the configuration, taken relative to the configuration's folder.

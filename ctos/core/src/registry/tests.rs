@@ -76,3 +76,38 @@ fn tasks_that_wait_for_each_other_in_their_startup_are_refused_with_the_circle()
     let line = [task("a", "b"), task("b", "c"), task("c", "nobody")].concat();
     assert_eq!(found(&registry, &line), Vec::<String>::new());
 }
+
+#[derive(serde::Deserialize)]
+struct Pace {
+    #[serde(rename = "speed")]
+    _speed: f64,
+    #[serde(rename = "every_s", default)]
+    _every: std::time::Duration,
+}
+
+#[test]
+fn arguments_that_no_handler_reads_are_found_with_the_name_that_was_meant() {
+    let mut registry = Registry::new();
+    registry.handler("paced", &[], |_| Ok(Idle)).args::<Pace>();
+    registry.handler("plain", &[], |_| Ok(Idle));
+    let task = |handler: &str, args: &str| {
+        let table = format!("[task.a]\nhandler = \"{handler}\"\non = \"w\"\n");
+        found(&registry, &format!("{table}args = {{ {args} }}\n"))
+    };
+    assert_eq!(task("paced", "speed = 1, every_s = 0.5"), [""; 0]);
+    assert_eq!(task("plain", ""), [""; 0]);
+    assert_eq!(
+        task("paced", "speeed = 3, speed = 1"),
+        ["app.toml:5:10: error: unknown key `speeed` (did you mean `speed`?)"]
+    );
+    assert_eq!(
+        task("paced", "speed = 1, every_s = -1"),
+        ["app.toml:5:31: error: `every_s`: -1 s is no time (give a number of seconds, 0 or more)"]
+    );
+    assert_eq!(
+        task("plain", "speed = 3"),
+        [
+            "app.toml:5:10: error: task `a` gives `args.speed`, and its event handler `plain` declares no arguments (leave it out; or declare what the handler reads where it is registered: `registry.handler(..).args::<ItsArgs>()`)"
+        ]
+    );
+}

@@ -79,7 +79,7 @@ pub(crate) enum MeshEvent {
 pub(crate) enum MeshError {
     /// The address of the configuration cannot be listened at.
     #[error(
-        "cannot listen on {address}: {error}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
+        "cannot listen on {address}: {error}; another program uses the port, or it is not one of this host: choose another `listen` for it (the boot's stands in [app]), or leave it out for a free one"
     )]
     Listen { address: String, error: io::Error },
     /// The system does not let it wait for its links.

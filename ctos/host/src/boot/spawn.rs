@@ -4,14 +4,17 @@
 
 use std::{
     process::{ExitStatus, Stdio},
+    sync::{Arc, Mutex},
     time::Duration,
 };
+
+use ctos_time::lock::lock;
 
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::{Deserialize, Serialize};
 use tokio::{
-    io::{AsyncBufReadExt, AsyncReadExt, BufReader},
-    process::{Child, ChildStderr, ChildStdin, Command},
+    io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader},
+    process::{Child, ChildStdin, Command},
     sync::mpsc,
 };
 
@@ -75,8 +78,8 @@ impl Spawned {
     }
 }
 
-/// Starts `command` in a process group of its own. `line` is told each line of its standard error,
-/// `ended` how it ended, after its last line.
+/// Starts `command` in a process group of its own. `line` is told each line of its standard error and of
+/// its standard output, `ended` how it ended, after its last line.
 ///
 /// # Errors
 /// What the system says.
@@ -92,21 +95,26 @@ pub(crate) fn spawn(
     };
     let mut child = command
         .stdin(stdin)
-        .stdout(Stdio::null())
+        .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .process_group(0)
         .kill_on_drop(true)
         .spawn()?;
     let pid = child.id();
-    let log = child.stderr.take().map(|stderr| {
-        let log = read(stderr, line);
-        tokio::spawn(log)
-    });
+    let line = Arc::new(Mutex::new(line));
+    let stderr = child.stderr.take();
+    let logs = [
+        stderr.map(|stderr| tokio::spawn(read(stderr, line.clone()))),
+        child
+            .stdout
+            .take()
+            .map(|stdout| tokio::spawn(read(stdout, line))),
+    ];
     let tether = child.stdin.take();
     let (signals, orders) = mpsc::unbounded_channel();
     tokio::spawn(async move {
         let status = wait(&mut child, orders).await;
-        if let Some(log) = log {
+        for log in logs.into_iter().flatten() {
             // A grandchild may hold the pipe open for ever.
             let _ = tokio::time::timeout(LAST_WORDS, log).await;
         }
@@ -142,9 +150,9 @@ async fn wait(
     }
 }
 
-/// Tells what a process writes to its standard error, line by line.
-async fn read(stderr: ChildStderr, mut line: impl FnMut(String)) {
-    let mut reader = BufReader::new(stderr);
+/// Tells what a process writes to a stream, line by line.
+async fn read(stream: impl AsyncRead + Unpin, line: Arc<Mutex<impl FnMut(String)>>) {
+    let mut reader = BufReader::new(stream);
     let mut is_rest = false;
     loop {
         let mut part = Vec::new();
@@ -154,7 +162,7 @@ async fn read(stderr: ChildStderr, mut line: impl FnMut(String)) {
         }
         let is_whole = part.pop_if(|byte| *byte == b'\n').is_some();
         if !is_rest {
-            line(String::from_utf8_lossy(&part).into_owned());
+            lock(&line)(String::from_utf8_lossy(&part).into_owned());
         }
         // What is beyond the limit is not kept.
         is_rest = !is_whole;

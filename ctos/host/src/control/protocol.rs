@@ -373,6 +373,12 @@ pub struct TaskView {
     pub restarts: u64,
     /// What it waits for, longest first.
     pub waits: Vec<WaitView>,
+    /// What it says that it is at, in words.
+    #[serde(default)]
+    pub at: Option<String>,
+    /// How long that will go on, as far as it is known, s.
+    #[serde(default)]
+    pub left_s: Option<f64>,
 }
 
 /// What a task waits for.

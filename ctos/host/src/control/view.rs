@@ -183,6 +183,11 @@ fn task_view(chassis: &str, survey: &ChassisReport, task: &TaskReport) -> TaskVi
         senders_waiting: task.queue.waiting,
         capacity: task.queue.capacity,
         restarts: counters.restarts,
+        left_s: task
+            .at
+            .as_ref()
+            .and_then(|at| Some(at.until?.since(now).as_secs_f64())),
+        at: task.at.as_ref().map(|at| at.text.clone()),
         waits: task
             .waits
             .iter()

@@ -92,7 +92,7 @@ impl Kept {
         if settings.net.is_empty() {
             return None;
         }
-        let path = beside(&cx.path(&settings.net));
+        let path = beside(&cx.app().file_at(&settings.net));
         let simulated = match cx.disk() {
             Some(disk) => Some(disk.open::<Simulated>(&path)?),
             None => None,

@@ -97,6 +97,8 @@ pub(super) struct Core {
     pub(super) conflicts: Conflicts,
     pub(super) journal: Journal,
     pub(super) begun: bool,
+    /// What the task says that it is at.
+    pub(super) at: Option<String>,
     pub(super) halted: Option<String>,
     /// Who waits for which command's answer.
     pub(super) waiting: BTreeMap<u64, Asker>,
@@ -150,6 +152,7 @@ impl Engine {
                 conflicts,
                 journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),
                 begun: false,
+                at: None,
                 halted: None,
                 waiting: BTreeMap::new(),
                 once: Once::default(),

@@ -34,8 +34,11 @@ pub fn load(path: &Path) -> Result<Net, Findings> {
     })
 }
 
-/// The net of a task; findings about it are those of [`check_args`].
-fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
+/// The net of a task.
+///
+/// # Errors
+/// What [`check_args`] finds about its arguments and its net.
+pub fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
     let file = settings(task)?.net;
     let source = app.read(&file).map_err(|finding| {
         let place = task.args.get("net").and_then(|net| net.place().cloned());
@@ -58,7 +61,7 @@ pub fn check_args(
             check::functions(&net, functions, findings);
             check_layout(&net, task, app, findings);
             if let Ok(settings) = settings(task) {
-                breaks::check(&net, &app.folder.join(settings.net), findings);
+                breaks::check(&net, &app.file_at(settings.net), findings);
             }
             if net.name() != task.name {
                 let finding = wrong_name(&task.name, net.name());
@@ -83,7 +86,7 @@ pub(super) fn wrong_name(task: &str, net: &str) -> Finding {
 /// What is wrong with a layout file stops nothing: a net runs without it.
 fn check_layout(net: &Net, task: &TaskConfig, app: &App, findings: &mut Findings) {
     let Ok(settings) = settings(task) else { return };
-    let path = app.folder.join(settings.net);
+    let path = app.file_at(settings.net);
     let mut found = Findings::new();
     let file = LayoutFile::of_net(&path, &mut found);
     for mut finding in found.into_sorted() {

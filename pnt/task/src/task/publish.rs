@@ -5,6 +5,7 @@ use std::rc::Rc;
 
 use ctos::{
     message::Replier,
+    survey::AtReport,
     task::{Context, Handled},
     time::Instant,
 };
@@ -39,9 +40,22 @@ impl Engine {
         if cx.is_recording() {
             self.record(core, cx);
         }
+        self.say_at(core);
         if self.is_settled(core) {
             core.journal.stream.show_all();
             self.call_followers(core);
+        }
+    }
+
+    /// Says whether the net is paused, or else which requests to other nets it waits for.
+    fn say_at(&self, core: &mut Core) {
+        let at = match core.manual.paused() {
+            Some(why) => Some(format!("paused: {why}")),
+            None => core.requests.pending(core.execution.marking()),
+        };
+        if at != core.at {
+            core.at.clone_from(&at);
+            self.cx.is_at(at.map(|text| AtReport { text, until: None }));
         }
     }
 

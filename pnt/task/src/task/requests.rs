@@ -4,8 +4,18 @@ use std::{collections::BTreeSet, task::Waker};
 
 use pnt_language::{
     exec::Tokens,
-    net::{Net, Part, PlaceId, TransitionId},
+    net::{Net, Part, PlaceId, Transition, TransitionId},
 };
+
+/// The place that a request to another net marks, and what it waits for.
+fn asked(start: &Transition) -> Option<(PlaceId, String)> {
+    if start.part != Part::Start {
+        return None;
+    }
+    let name = start.name.strip_prefix("start_").unwrap_or(&start.name);
+    let (active, to) = (start.outputs.local.first()?, start.outputs.remote.first()?);
+    Some((active.place, format!("{}: {name}", to.net)))
+}
 
 /// Why something is refused.
 pub(super) const BEING_STOPPED: &str = "the app is being stopped";
@@ -17,6 +27,8 @@ pub(super) struct Requests {
     places: BTreeSet<PlaceId>,
     /// Transitions that answer one.
     answers: BTreeSet<TransitionId>,
+    /// Requests to other nets: the place that is marked while one is under way, and what it waits for.
+    asked: Vec<(PlaceId, String)>,
     pub(super) open: u32,
     pub(super) waits: Option<Waker>,
 }
@@ -30,9 +42,18 @@ impl Requests {
         Self {
             places: places.collect(),
             answers: answers.map(|(_, id)| id).collect(),
+            asked: net.transitions().iter().filter_map(asked).collect(),
             open: 0,
             waits: None,
         }
+    }
+
+    /// Which requests to other nets are under way, in words.
+    pub(super) fn pending(&self, marking: &[u32]) -> Option<String> {
+        let held = |place: PlaceId| marking.get(place.index()).is_some_and(|held| *held > 0);
+        let asked = self.asked.iter().filter(|(place, _)| held(*place));
+        let words: Vec<&str> = asked.map(|(_, words)| words.as_str()).collect();
+        (!words.is_empty()).then(|| format!("waits for {}", words.join(", ")))
     }
 
     /// Another net is put in place.

@@ -70,6 +70,25 @@ fn a_net_is_not_controlled_unless_its_task_allows_it() {
 }
 
 #[test]
+fn whoever_looks_at_the_task_of_a_net_is_told_that_it_is_paused() {
+    async fn at(cx: &Context) -> Option<String> {
+        let to = cx.task("n").await.unwrap();
+        let look = cx.look_at(&to, &[]).await.unwrap();
+        look.task.at.map(|at| at.text)
+    }
+    let found = run_with("allow_control = true", PUMP, Faults::none(), |cx| {
+        Box::pin(async move {
+            let before = at(&cx).await;
+            order(&cx, Order::Pause).await;
+            let paused = at(&cx).await;
+            order(&cx, Order::Resume).await;
+            Ok(format!("{before:?}, {paused:?}, {:?}", at(&cx).await))
+        })
+    });
+    assert_eq!(found.unwrap(), "None, Some(\"paused: by hand\"), None");
+}
+
+#[test]
 fn an_action_is_ended_by_hand_as_completed_or_as_failed() {
     const TWO: &str = "net n\nplace tank = 2, good, bad\ncommand go -> gone\n\
         transition pump\n  in tank\n  do work\n  out good\n  fail bad\n\

@@ -1,0 +1,95 @@
+//! Ports of this host that an app wants and others have. Knows where configurations name them.
+
+use std::net::{SocketAddr, TcpListener};
+
+use ctos::{
+    config::{App, TimeMode},
+    diagnostic::{Finding, Findings, Severity},
+};
+
+/// Handlers that serve a page at `args.listen`, and where they do without it.
+const PAGES: [(&str, SocketAddr); 2] = [
+    (cli_display::HANDLER, cli_display::DEFAULT_LISTEN),
+    (cli_scott::panel::HANDLER, cli_scott::panel::DEFAULT_LISTEN),
+];
+
+/// Who of an app listens, where, and the path of the key that says so.
+type Wanted = (String, SocketAddr, String);
+
+/// Finds the ports that are not to be had now.
+#[must_use]
+pub fn taken(app: &App, severity: Severity) -> Findings {
+    let mut findings = Findings::new();
+    if app.time == TimeMode::Real {
+        for wanted in links(app).chain(pages(app)) {
+            findings
+                .extend(busy(app, &wanted, severity).map_or_else(Findings::new, Findings::from));
+        }
+    }
+    findings
+}
+
+/// Finds those of pages, which a boot would find only when all its processes run. `display` is the address that
+/// `--display` gave.
+#[must_use]
+pub fn taken_pages(app: &App, display: Option<SocketAddr>) -> Findings {
+    let mut findings = Findings::new();
+    for wanted in pages(app).filter(|_| app.time == TimeMode::Real) {
+        let typed = display == Some(wanted.1) && wanted.2 == "task.\"display\".args.listen";
+        if let Some(finding) = busy(app, &wanted, Severity::Error) {
+            findings.push(if typed {
+                of_option(&finding, wanted.1)
+            } else {
+                finding
+            });
+        }
+    }
+    findings
+}
+
+fn of_option(finding: &Finding, listen: SocketAddr) -> Finding {
+    let why = finding.message.rsplit(": ").next().unwrap_or_default();
+    let text = format!("`--display={listen}`: no page can be served there: {why}");
+    let help = format!(
+        "choose another port, or 0 for a free one: `--display={}:0`",
+        listen.ip()
+    );
+    Finding::error(finding.code, text).help(help)
+}
+
+fn links(app: &App) -> impl Iterator<Item = Wanted> {
+    let chassis = app.chassis.iter().filter(|chassis| chassis.host.is_none());
+    let chassis = chassis.filter_map(|chassis| {
+        let path = format!("chassis.\"{}\".listen", chassis.name);
+        Some((format!("chassis `{}`", chassis.name), chassis.listen?, path))
+    });
+    let tables = [
+        ("the boot", app.listen, "app.listen"),
+        ("[control]", app.control, "control.listen"),
+        ("[metrics]", app.metrics, "metrics.listen"),
+    ];
+    let tables = tables.into_iter();
+    chassis.chain(tables.filter_map(|(who, at, path)| Some((who.to_owned(), at?, path.to_owned()))))
+}
+
+fn pages(app: &App) -> impl Iterator<Item = Wanted> {
+    let here = |name: &str| app.host_of(name).is_none();
+    let tasks = app.tasks.iter().filter(move |task| here(&task.chassis));
+    tasks.filter_map(|task| {
+        let (_, default) = PAGES.iter().find(|(handler, _)| *handler == task.handler)?;
+        let listen = match task.args.get("listen") {
+            Some(listen) => listen.as_str()?.parse().ok()?,
+            None => *default,
+        };
+        let path = format!("task.\"{}\".args.listen", task.name);
+        Some((format!("the page of task `{}`", task.name), listen, path))
+    })
+}
+
+fn busy(app: &App, (who, address, path): &Wanted, severity: Severity) -> Option<Finding> {
+    let error = TcpListener::bind(address).err()?;
+    let text = format!("{who} cannot listen on {address} here: {error}");
+    let mut finding = Finding::error("ctos::doctor::address", text).at(app.locate(path));
+    finding.severity = severity;
+    Some(finding.help("free the port, choose another one, or leave `listen` out"))
+}
