@@ -6,7 +6,10 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use ctos::diagnostic::{Findings, Severity};
+use ctos::{
+    diagnostic::{Findings, Severity},
+    time::Clock,
+};
 use pnt::{
     layout::{Detail, Drawing, LayoutFile},
     stream::{Batch, Event, NetView, Replica, ReplicaError, State},
@@ -134,16 +137,17 @@ pub(crate) struct Hub {
     app: String,
     mode: &'static str,
     most: usize,
-    origin_ns: Option<u64>,
+    /// The app's, while it runs.
+    clock: Option<Clock>,
     known: Mutex<Known>,
     news: broadcast::Sender<News>,
 }
 
 impl Hub {
     /// For the nets of a running app.
-    pub(crate) fn live(app: &str, overviews: Overviews, origin_ns: Option<u64>) -> Self {
+    pub(crate) fn live(app: &str, overviews: Overviews, clock: Clock) -> Self {
         Self {
-            origin_ns,
+            clock: Some(clock),
             ..Self::new(app, "live", KEPT, overviews)
         }
     }
@@ -164,7 +168,7 @@ impl Hub {
             app: app.to_owned(),
             mode,
             most,
-            origin_ns: None,
+            clock: None,
             known: Mutex::new(Known {
                 overviews,
                 ..Known::default()
@@ -359,7 +363,11 @@ impl Hub {
         let news = self.news.subscribe();
         let mut told = vec![self.hello(&known, control)];
         let nets = known.tracks.values();
-        told.extend(nets.map(|track| track.told(&known.notes, known.now_ns)));
+        // It goes on where nets do nothing.
+        let clock = self.clock.as_ref().filter(|_| !known.ended);
+        let now_ns = clock.map_or(0, |clock| clock.now().as_nanos());
+        let now_ns = now_ns.max(known.now_ns);
+        told.extend(nets.map(|track| track.told(&known.notes, now_ns)));
         let tasks = known.tasks.iter().cloned();
         told.extend(tasks.map(|task| Told::Task { task }.text()));
         if known.ended {
@@ -376,7 +384,7 @@ impl Hub {
             nets: known.tracks.keys().map(String::as_str).collect(),
             tasks: &known.names,
             displays: known.displays(),
-            origin_ns: self.origin_ns,
+            origin_ns: self.clock.as_ref().and_then(Clock::origin_ns),
         }
         .text()
     }

@@ -330,8 +330,19 @@ mod tests {
     }
 
     #[test]
+    fn who_comes_while_nothing_happens_is_told_the_present_moment_of_the_app() {
+        let clock = ctos::time::Clock::virtual_clock();
+        let hub = Hub::live("app", Overviews::default(), clock.clone());
+        hub.describe(view(), state(0)).unwrap();
+        clock.advance_to(ctos::time::Instant::from_nanos(24_000_000_000));
+        let (told, _) = hub.join(true);
+        let net: serde_json::Value = serde_json::from_str(&told[1]).unwrap();
+        assert_eq!(net["now_ns"], 24_000_000_000_u64);
+    }
+
+    #[test]
     fn a_live_display_keeps_a_bounded_past_and_what_it_keeps_leads_to_the_present() {
-        let hub = Hub::live("app", Overviews::default(), None);
+        let hub = Hub::live("app", Overviews::default(), ctos::time::Clock::virtual_clock());
         hub.describe(view(), state(0)).unwrap();
         for seq in 1..=6_001 {
             hub.take("n", batch(&Step::Event(Box::new(event(seq)))))

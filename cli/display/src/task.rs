@@ -7,7 +7,7 @@ use ctos::{
     message::Message,
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
-use pnt::stream::{Describe, Follow, NetView};
+use pnt::stream::{Describe, Event, EventPhase, Follow, NetView};
 use tokio::sync::mpsc;
 
 use super::{
@@ -53,8 +53,8 @@ impl NetDisplay {
             }
             None => Overviews::default(),
         };
-        let origin_ns = cx.chassis().clock().origin_ns();
-        let hub = Hub::live(&cx.app().name, overviews, origin_ns);
+        let clock = cx.chassis().clock().clone();
+        let hub = Hub::live(&cx.app().name, overviews, clock);
         let tasks = cx.app().tasks.iter().map(|task| task.name.clone());
         Ok(Self {
             hub: Arc::new(hub.with_tasks(tasks.collect())),
@@ -195,6 +195,11 @@ async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
             arrange::pin(cx, &mut view);
             keep_messages(cx, &view);
             hub.describe(view, state)?;
+            hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
+        }
+        // A person who set one need not have done so on a page.
+        let ordered = |event: &Event| event.phase == EventPhase::Ordered;
+        if batch.events.iter().any(ordered) {
             hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
         }
         hub.take(net, batch)?;

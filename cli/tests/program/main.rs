@@ -13,6 +13,11 @@ mod bad_nets;
 mod build;
 mod common;
 mod hello;
+/// The event handlers of the example, for tests that are in the same process.
+#[path = "../../examples/hello.rs"]
+#[allow(dead_code, reason = "its main function is not run here")]
+mod hello_example;
+mod lines;
 mod lsp;
 mod nets;
 mod offline;
@@ -20,5 +25,6 @@ mod panel;
 mod proving;
 mod readme;
 mod reference;
+mod replay;
 mod scott;
 mod sim;

@@ -60,9 +60,7 @@ pub enum ReplayError {
         reason: String,
     },
     /// The task reads what no record holds.
-    #[error(
-        "`{task}` cannot be replayed: it reads {what}, and no record holds that; what a task reads with `Context::outside` is recorded"
-    )]
+    #[error("`{task}` cannot be replayed: it uses {what}, which no record holds; what a task reads with `Context::outside` is recorded")]
     Outside {
         /// The task.
         task: String,

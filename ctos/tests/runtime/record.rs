@@ -313,3 +313,185 @@ fn a_changed_handler_is_caught() {
         "two of its notes are others, all else is the same: {report}"
     );
 }
+
+/// Answers, counts and reads in an order that timers and the seed draw, and keeps what it read.
+struct Reader {
+    lines: std::rc::Rc<std::cell::RefCell<Vec<String>>>,
+}
+
+/// What the host has, which no message tells.
+static HOST: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+
+fn host() -> u64 {
+    HOST.fetch_add(1, std::sync::atomic::Ordering::Relaxed)
+}
+
+impl EventHandler for Reader {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase != Phase::Run {
+            return Ok(());
+        }
+        let adder = cx.task("adder").await?;
+        for child in 0..6_u32 {
+            let (own, lines, adder) = (cx.clone(), self.lines.clone(), adder.clone());
+            cx.spawn(async move {
+                for round in 0..5 {
+                    own.sleep(Duration::from_millis(1)).await;
+                    let read = own.outside("the host", host);
+                    let waited = own.outside_wait("a device", async { host() }).await;
+                    let now = own.now().as_nanos();
+                    lines.borrow_mut().push(format!("{child} {round} {read} {waited} {now}"));
+                    // What all children did so far: another order is another message.
+                    let text = lines.borrow().join(", ");
+                    let _ = own.try_send(&adder, Note { text: text.clone() });
+                    let _ = own.send(&adder, Note { text }).await;
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Shares memory with `other`, if it has one.
+struct Sharing(Vec<String>);
+
+impl EventHandler for Sharing {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, _: Phase) -> Handled {
+        for key in &self.0 {
+            if cx.shared::<u32>(key).is_none() {
+                cx.share(key, Arc::new(7_u32));
+            }
+        }
+        Ok(())
+    }
+}
+
+const READERS: &str = r#"
+[time]
+mode = "virtual"
+[app]
+until = "one"
+[chassis.a.processors.p1]
+[chassis.a.processors.p2]
+[chassis.b]
+[task.adder]
+handler = "adder"
+on = "a/p1"
+args.factor = 1
+[task.one]
+handler = "asker"
+on = "b"
+args = { rounds = 12, ends = true }
+[task.reader]
+handler = "reader"
+on = "b"
+[task.alone]
+handler = "sharing"
+on = "b"
+args.keys = ["own"]
+[task.left]
+handler = "sharing"
+on = "a/p1"
+args.keys = ["left's", "between"]
+[task.right]
+handler = "sharing"
+on = "a/p2"
+args.keys = ["between"]
+"#;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SharingArgs {
+    keys: Vec<String>,
+}
+
+fn readers(folder: &Path, sets: &[String]) -> (App, Registry) {
+    let mut registry = registry();
+    registry.handler("reader", &[], |_| {
+        let lines = std::rc::Rc::default();
+        Ok(Reader { lines })
+    });
+    registry.handler("sharing", &[], |cx| {
+        Ok(Sharing(cx.args::<SharingArgs>()?.keys))
+    });
+    let file = folder.join("app.toml");
+    let app = load_texts(&[(file.to_str().unwrap(), READERS)], sets, &[]);
+    let app = app.unwrap_or_else(|findings| panic!("{:?}", findings.into_sorted()));
+    (app, registry)
+}
+
+fn record_of_readers(folder: &Path, seed: u64, faults: &str) -> Record {
+    use ctos::simulation::{Faults, Setup, run};
+    let sets = [format!("seed={seed}"), "record.file=\"run.mcap\"".to_owned()];
+    let (app, registry) = readers(folder, &sets);
+    let faults = Faults::built_in(faults).unwrap();
+    let setup = Setup {
+        faults,
+        ..Setup::default()
+    };
+    let observer: Observer = Arc::new(|_| ());
+    run(app, registry, setup, &observer).unwrap();
+    let path = folder.join("run.mcap");
+    let record = read(&path);
+    std::fs::remove_file(path).unwrap();
+    record
+}
+
+#[test]
+fn children_have_their_turns_as_they_had_them_and_read_what_they_had_read() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 0..16 {
+        let record = record_of_readers(folder.path(), seed, "none");
+        let before = host();
+        let (app, registry) = readers(folder.path(), &[]);
+        let report = replay(app, registry, "reader", &record).unwrap();
+        assert!(report.is_same() && report.same > 60, "seed {seed}: {report}");
+        assert_eq!(host(), before + 1, "a replay reads nothing of the host");
+    }
+}
+
+#[test]
+fn a_record_made_while_clocks_were_wrong_and_links_bad_is_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    for faults in ["light", "rough"] {
+        for seed in 0..8 {
+            let record = record_of_readers(folder.path(), seed, faults);
+            for task in ["reader", "one", "adder"] {
+                let (app, registry) = readers(folder.path(), &[]);
+                match replay(app, registry, task, &record) {
+                    Ok(report) => assert!(report.is_same(), "{faults} {seed}: {report}"),
+                    Err(error) => assert!(
+                        error.to_string().contains("its chassis restarted"),
+                        "{faults} {seed}: {error}"
+                    ),
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn who_shares_memory_with_another_task_is_refused_at_once_and_who_has_it_alone_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = record_of_readers(folder.path(), 1, "none");
+    let again = |task: &str| {
+        let (app, registry) = readers(folder.path(), &[]);
+        replay(app, registry, task, &record)
+    };
+    assert!(again("alone").unwrap().is_same());
+    for task in ["left", "right"] {
+        let why = again(task).unwrap_err().to_string();
+        assert!(
+            why.contains(&format!("`{task}` cannot be replayed: it uses shared memory `between`")),
+            "{why}"
+        );
+    }
+}

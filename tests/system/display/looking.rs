@@ -266,3 +266,30 @@ fn a_page_that_has_forgotten_the_oldest_events_says_so_and_shows_the_rest_exactl
     assert_eq!(browser.ask(&at), serde_json::json!([0, 0, 0]));
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
+
+#[test]
+#[ignore = "needs Chromium"]
+fn breakpoints_of_the_boot_are_marked_and_the_clock_is_that_of_the_app_whoever_comes_when() {
+    let scratch = scratch();
+    let waits =
+        "task.dispatcher.args.breakpoints=[\"init_calib\", \"loop_again\", \"move_robot\"]";
+    let (_run, page) = boot(&scratch, &["--set", waits]);
+    let page = format!("{page}#net=dispatcher");
+    let mut browser = Browser::open(&page, SIZE);
+    browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    for transition in ["init_calib", "loop_again", "move_robot"] {
+        browser.wait(&format!(
+            "document.querySelector('[data-key=\"dispatcher/{transition}\"].armed')"
+        ));
+    }
+    // Nothing happens, and time goes by: also for who comes only now.
+    let waited = format!("nets.now() - {DISPATCHER}.head.at_ns");
+    browser.wait(&format!("{waited} > 2e9"));
+    let mut late = Browser::open(&page, SIZE);
+    late.wait(&format!("{DISPATCHER}?.head.paused"));
+    assert_eq!(late.ask(&format!("{waited} > 2e9")), true);
+    // Another run of the app has another clock.
+    late.ask("nets.take({ kind: 'hello', app: 'again', mode: 'live', control: false, displays: [], nets: [], tasks: [] })");
+    assert_eq!(late.ask("nets.offset === null"), true);
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}

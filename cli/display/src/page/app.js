@@ -106,6 +106,8 @@ class App extends Moments {
     if (this.cursor !== null) this.cursor.net = null;
     /** When the app began, ns since 1970; of a record it is not known. */
     this.origin = message.origin_ns ?? null;
+    // It may be another run of the app, whose clock began anew.
+    this.offset = null;
     this.wanted = message.nets;
     this.appTasks = message.tasks;
     this.picked = false;

@@ -133,7 +133,8 @@ export class Picture extends View {
       group.append(element("rect", { class: "halo", x: -28, y: -21, width: 56, height: 42, rx: 10 }));
       group.append(element("rect", { class: "bar", x: -22, y: -15, width: 44, height: 30, rx: 6 }));
       shown.tokens = element("text", { class: "inside", y: 4.5 });
-      group.append(shown.tokens);
+      shown.stop = element("circle", { class: "breakpoint", cx: -22, cy: -15, r: 4.5 });
+      group.append(shown.tokens, shown.stop);
     } else {
       const place = kind === "place" ? net.view.places[node.kind.place] : null;
       group.append(element("circle", { class: "halo", r: RADIUS + 5 }));
@@ -214,8 +215,11 @@ export class Picture extends View {
     shown.standing = standing;
     shown.state = standing.state;
     if (folded) shown.count = standing.tokens;
-    const parts = numbersOf(shown.node).map((number) => shown.net.view.transitions[number].name);
-    this.mark(shown, shown.net.breakpoints.some((one) => parts.includes(one.transition)));
+    const { places, transitions } = shown.net.view;
+    const parts = numbersOf(shown.node).map((number) => transitions[number].name);
+    // What is folded into one node is marked there.
+    const within = folded ? shown.node.kind.fold[0].map((number) => places[number]?.name) : [];
+    this.mark(shown, shown.net.breakpoints.some((one) => parts.includes(one.transition) || within.includes(one.place)));
     if (standing.state !== "running") fillOf(shown, 0);
     if (this.large) return;
     if (before !== standing.state) {

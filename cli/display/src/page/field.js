@@ -156,7 +156,7 @@ export class Field {
     if (net.notes.some((one) => one.node === node.name)) dot(pen, node.x + 12, node.y - 14, 5, palette.running);
   }
 
-  fold(pen, { node, state, count, chosen }) {
+  fold(pen, { node, state, count, chosen, armed }) {
     const { palette } = this;
     pen.fillStyle = palette.panel;
     pen.fillRect(node.x - 22, node.y - 15, 44, 30);
@@ -167,6 +167,7 @@ export class Field {
     pen.textAlign = "center";
     pen.fillStyle = palette.token;
     pen.fillText(count > 0 ? `● ${count}` : "…", node.x, node.y + 4);
+    if (armed) dot(pen, node.x - 22, node.y - 15, 4.5, palette.failed);
   }
 
   /** The node at a point, px of the drawing. */

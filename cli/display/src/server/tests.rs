@@ -11,6 +11,7 @@ use tungstenite::{Message, WebSocket, protocol::frame::coding::CloseCode};
 
 use super::*;
 use crate::overview::Overviews;
+use ctos::time::Clock;
 
 /// A server that says nothing for so long has failed the test.
 const SILENCE: Duration = Duration::from_secs(30);
@@ -27,7 +28,7 @@ fn served(viewers: usize) -> Served {
     let pages = Pages::new(listener, None, &[]).unwrap();
     let (orders, _) = mpsc::channel(1);
     let service = Service {
-        hub: Arc::new(Hub::live("app", Overviews::default(), None)),
+        hub: Arc::new(Hub::live("app", Overviews::default(), Clock::virtual_clock())),
         door: Door {
             token: Some("secret".to_owned()),
             anybody_looks: true,

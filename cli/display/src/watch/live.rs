@@ -16,8 +16,8 @@ use ctos::{
 };
 use pnt::{
     layout::{Detail, Drawing},
-    stream::{Batch, Describe, Event, Follow, NetView, Replica, State},
-    task::COMMANDS,
+    stream::{Batch, Describe, Event, EventPhase, Follow, NetView, Replica, State},
+    task::{COMMANDS, Marking},
 };
 
 use cli_common::remote::RemoteArgs;
@@ -36,6 +36,7 @@ const KEPT: usize = 200;
 enum News {
     Net(Box<NetView>, Box<State>),
     Batch(String, Box<Batch>),
+    Breakpoints(String, Vec<String>),
     Lost(String, String),
 }
 
@@ -46,6 +47,7 @@ pub(super) struct Live {
     pub(super) drawing: Drawing,
     replica: Replica,
     pub(super) events: Vec<Event>,
+    pub(super) breakpoints: Vec<String>,
     pub(super) gone: Option<String>,
 }
 
@@ -126,6 +128,7 @@ impl Nets {
                         view: *view,
                         replica,
                         events: Vec::new(),
+                        breakpoints: Vec::new(),
                         gone: None,
                     };
                     self.nets.insert(net.view.name.clone(), net);
@@ -146,6 +149,11 @@ impl Nets {
                     }
                 }
                 net.events.drain(..net.events.len().saturating_sub(KEPT));
+            }
+            News::Breakpoints(name, breakpoints) => {
+                if let Some(net) = self.nets.get_mut(&name) {
+                    net.breakpoints = breakpoints;
+                }
             }
             News::Lost(name, reason) => {
                 if let Some(net) = self.nets.get_mut(&name) {
@@ -185,6 +193,9 @@ fn stream(remote: &RemoteArgs, name: &str, news: &SyncSender<News>) -> Result<()
         };
         let mut batch = client.call(name, follow, LIMIT)?;
         after = Some(batch.mark);
+        // Those that it began with, and what a person did since.
+        let ordered = |event: &Event| event.phase == EventPhase::Ordered;
+        let sets = view.is_some() || batch.events.iter().any(ordered);
         if view.is_some()
             && let (Some(view), Some(state)) = (view.take(), batch.state.take())
             && news
@@ -198,6 +209,12 @@ fn stream(remote: &RemoteArgs, name: &str, news: &SyncSender<News>) -> Result<()
             .is_err()
         {
             return Ok(());
+        }
+        if sets {
+            let set = client.call(name, Marking {}, LIMIT)?.breakpoints;
+            if news.send(News::Breakpoints(name.to_owned(), set)).is_err() {
+                return Ok(());
+            }
         }
     }
 }

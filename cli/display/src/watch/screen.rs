@@ -164,6 +164,13 @@ impl Screen {
         if !net.view.commands.is_empty() {
             lines.push(Line::from(format!("tape     {}", tape.join(" "))));
         }
+        if !net.breakpoints.is_empty() {
+            lines.push(Line::from(format!("breaks   {}", net.breakpoints.join(" "))));
+        }
+        let stops = |shown: &str| {
+            let mut parts = net.view.transitions.iter().filter(|one| one.shown == shown);
+            parts.any(|part| net.breakpoints.contains(&part.name))
+        };
         // What is chosen must be seen.
         let room = usize::from(area.height).saturating_sub(lines.len() + 2);
         let skipped = self
@@ -181,6 +188,7 @@ impl Screen {
             }
             lines.push(Line::from(vec![
                 Span::styled(format!("{mark} {name}"), look),
+                Span::styled(if stops(name) { " ■" } else { "" }, Color::Red),
                 Span::raw(format!("  {words}")),
             ]));
         }

@@ -40,9 +40,14 @@ impl Drop for TurnEnds<'_> {
 
 impl Inner {
     /// Polls part `part` of the task whenever it is woken; in a replay, when it was polled.
-    pub(crate) async fn in_turns(self: Rc<Self>, part: u64, future: impl Future<Output = ()>) {
-        let mut future = pin!(future);
-        poll_fn(|poll| {
+    pub(crate) fn in_turns(
+        self: Rc<Self>,
+        part: u64,
+        future: impl Future<Output = ()>,
+    ) -> impl Future<Output = ()> {
+        // Boxed: it would stand twice in an asynchronous function.
+        let mut future = Box::pin(future);
+        poll_fn(move |poll| {
             let tap = &self.chassis.tap;
             let Some(observer) = tap.observer().filter(|_| self.config.is_some()) else {
                 return future.as_mut().poll(poll);
@@ -54,7 +59,6 @@ impl Inner {
             let _ends = TurnEnds(&self, outer);
             future.as_mut().poll(poll)
         })
-        .await;
     }
 
     /// Calls `build`, which makes the handler, as a turn of its own.
@@ -173,8 +177,8 @@ impl Context {
         self.inner.chassis.tap.replay().is_some()
     }
 
-    /// Says that this task reads `what`, which no record can hold: shared memory, a device without
-    /// [`Self::outside`], a socket. A replay of the task is refused with that reason.
+    /// Says that this task uses `what`, which no record can hold: memory that it shares with others, a socket, a device
+    /// without [`Self::outside`]. A replay of the task is refused with that reason.
     pub fn reads_unrecorded(&self, what: impl Display) {
         if let Some(recorder) = self.inner.chassis.tap.recorder() {
             recorder.read(self.tid(), &what, None);

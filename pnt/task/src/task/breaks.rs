@@ -188,6 +188,17 @@ mod tests {
     use pnt_language::compile;
 
     #[test]
+    fn a_breakpoint_at_a_question_to_a_coordinator_is_one_before_it_is_asked() {
+        let text = "net n\nplace a = 1, b\ncoordinator m : go\ntransition move\n  in a\n  ask m go\n  out b\n";
+        let net = compile::net(&Source::new("n.net", text)).unwrap();
+        assert_eq!(name_of("move", &net), "start_move");
+        assert_eq!(name_of("end_move", &net), "end_move");
+        assert_eq!(name_of("a>=1", &net), "a>=1");
+        assert!(check_breakpoint("move", &net).is_ok());
+        assert!(check_breakpoint("mov", &net).is_err());
+    }
+
+    #[test]
     fn what_is_kept_is_read_again_and_what_the_net_has_no_more_is_told() {
         let text_of_net = "net n\nplace a = 1\ntransition t\n  in a\n  out a\n";
         let net = compile::net(&Source::new("n.net", text_of_net)).unwrap();

@@ -1,0 +1,331 @@
+//! Every command line in the README, the documents and the help is one that the programs take, and the files, tasks and
+//! breakpoints of the shipped apps that it names are there. Those that need neither a running app nor minutes are run.
+
+use std::{collections::BTreeSet, fs, path::Path, process::Command};
+
+use crate::{common::root, hello_example};
+use clap::{CommandFactory, Parser, error::ErrorKind};
+use cli::{
+    commands::{
+        Cli,
+        breakpoints::{Breakpoints, Released},
+    },
+    program, scott,
+};
+use ctos::config::Selection;
+
+/// A command line, and where it stands.
+struct Line {
+    place: String,
+    words: Vec<String>,
+    /// Whether it stands in running text, where what is left out is meant to be.
+    in_text: bool,
+}
+
+impl Line {
+    fn text(&self) -> String {
+        format!("{}: {}", self.place, self.words.join(" "))
+    }
+}
+
+/// The commands of a line of a shell, each as its words: quotes are taken off, comments left out, and what stands behind
+/// a gap is an explanation.
+fn commands(line: &str) -> Vec<Vec<String>> {
+    let mut commands = vec![Vec::new()];
+    let mut word: Option<String> = None;
+    let mut quote = None;
+    let mut skips = false;
+    let mut letters = line.chars().chain([' ']).peekable();
+    while let Some(letter) = letters.next() {
+        match (quote, letter) {
+            (Some(open), _) if letter == open => quote = None,
+            (Some(_), _) => word.get_or_insert_default().push(letter),
+            (None, '\'' | '"') => {
+                quote = Some(letter);
+                word.get_or_insert_default();
+            }
+            (None, '#') if word.is_none() => break,
+            (None, '|') => commands.push(Vec::new()),
+            (None, '&') => {}
+            // A file of the shell.
+            (None, '<' | '>') if word.is_none() => skips = true,
+            (None, ' ') => {
+                if let Some(word) = word.take()
+                    && !std::mem::take(&mut skips)
+                    && let Some(command) = commands.last_mut()
+                {
+                    command.push(word);
+                }
+                if letters.peek() == Some(&' ') {
+                    break;
+                }
+            }
+            (None, _) => word.get_or_insert_default().push(letter),
+        }
+    }
+    commands
+}
+
+/// The words of a command of ours, without what runs it; none for that of another program.
+fn ours(mut words: Vec<String>) -> Option<Vec<String>> {
+    if words.first().is_some_and(|first| first == "cargo") {
+        let rest = words.iter().position(|word| word == "--")?;
+        let runs = words.get(1).is_some_and(|word| word == "run");
+        let other = |word: &String| ["peers", "picture", "--bin"].contains(&word.as_str());
+        if !runs || words.iter().take(rest).any(other) {
+            return None;
+        }
+        words.splice(..=rest, ["ctos".to_owned()]);
+    }
+    let first = words.first()?;
+    // A drawing has other signs, and a prompt of the inspector is none of a shell.
+    let is_command = words.iter().all(|word| !word.starts_with('─') && !word.ends_with("objects>"));
+    (is_command && (first == "ctos" || first == "scott")).then_some(words)
+}
+
+/// The command lines of a page: those of its fenced blocks, and those in its text between single quotes.
+fn lines_of(page: &str) -> Vec<Line> {
+    let text = fs::read_to_string(root().join(page)).unwrap();
+    let mut lines = Vec::new();
+    let mut take = |number: usize, text: &str, in_text: bool| {
+        for words in commands(text).into_iter().filter_map(ours) {
+            let place = format!("{page}:{number}");
+            lines.push(Line {
+                place,
+                words,
+                in_text,
+            });
+        }
+    };
+    let mut prose = String::new();
+    let mut fenced = false;
+    for (number, line) in (1..).zip(text.lines()) {
+        if line.trim_start().starts_with("```") {
+            fenced = !fenced;
+        } else if fenced {
+            let line = line.trim_start();
+            let line = line.strip_prefix("$ ").unwrap_or(line);
+            // The forms of commands stand in brackets.
+            if !line.contains("[OPTIONS]") && !line.contains('<') || line.contains("< ") {
+                take(number, line, false);
+            }
+        } else {
+            prose.push_str(line);
+            prose.push(' ');
+        }
+    }
+    for span in prose.split('`').skip(1).step_by(2) {
+        let starts = ["ctos ", "scott ", "cargo run"];
+        // What may be left out stands in brackets.
+        if starts.iter().any(|start| span.starts_with(start)) && !span.contains('[') {
+            take(0, &span.replace("FILE..", "FILE"), true);
+        }
+    }
+    lines
+}
+
+fn lines() -> Vec<Line> {
+    let mut pages = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
+    for entry in fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.ends_with(".md") {
+            pages.push(format!("docs/{name}"));
+        }
+    }
+    pages.sort();
+    pages.iter().flat_map(|page| lines_of(page)).collect()
+}
+
+#[test]
+fn every_command_line_is_one_that_the_programs_take() {
+    let (mut wrong, mut count) = (Vec::new(), 0);
+    for line in lines() {
+        let command = match line.words.first().map(String::as_str) {
+            Some("scott") => scott::Cli::command(),
+            _ => Cli::command(),
+        };
+        let taken = command.try_get_matches_from(&line.words);
+        count += 1;
+        match taken.map_err(|error| (error.kind(), error)) {
+            Ok(_) => {}
+            Err((ErrorKind::DisplayHelp | ErrorKind::DisplayVersion, _)) => {}
+            Err((
+                ErrorKind::MissingRequiredArgument
+                | ErrorKind::MissingSubcommand
+                | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand,
+                _,
+            )) if line.in_text => {}
+            // A place for a name or a number.
+            Err((ErrorKind::ValueValidation | ErrorKind::InvalidValue, error))
+                if line.in_text && error.to_string().contains(char::is_uppercase) => {}
+            Err((_, error)) => wrong.push(format!("{}\n{error}", line.text())),
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(count > 300, "only {count} command lines were found");
+}
+
+fn registry() -> ctos::registry::Registry {
+    let mut registry = program::registry();
+    hello_example::register(&mut registry);
+    registry
+}
+
+/// What a line names of a shipped app and what is not there.
+fn missing(line: &Line) -> Option<String> {
+    let words = &line.words;
+    let behind = |option: &str| {
+        let place = words.iter().position(|word| word == option)?;
+        words.get(place + 1)
+    };
+    for word in words {
+        let Some(file) = word.strip_prefix("configs/") else {
+            continue;
+        };
+        let there = match file.split_once('*') {
+            Some((folder, ending)) => fs::read_dir(root().join("configs").join(folder))
+                .is_ok_and(|mut files| {
+                    files.any(|file| {
+                        file.is_ok_and(|file| file.file_name().to_string_lossy().ends_with(ending))
+                    })
+                }),
+            None => root().join(word).exists(),
+        };
+        if !there {
+            return Some(format!("there is no {word}"));
+        }
+    }
+    // Nets that are named without their app are those of the calibration.
+    let named = words.iter().find(|word| {
+        word.starts_with("configs/") && word.ends_with(".toml") && !word.starts_with("configs/panels/")
+    });
+    let of_net = ["break", "fire", "put", "take", "cancel", "complete"];
+    let by_hand = words.get(1).is_some_and(|word| word == "net")
+        && words.get(2).is_some_and(|word| of_net.contains(&word.as_str()));
+    let calibrate = "configs/calibrate.toml".to_owned();
+    let file = match named {
+        Some(file) => file,
+        None if by_hand || words.iter().any(|word| word.starts_with("dispatcher.")) => &calibrate,
+        None => return None,
+    };
+    let selection = Selection::new(root().join(file));
+    let app = match program::app(&selection) {
+        Ok(app) => app,
+        Err(findings) => return Some(findings.to_string()),
+    };
+    if let Some(task) = behind("--task")
+        && app.task(task).is_none()
+    {
+        return Some(format!("{file} has no task {task}"));
+    }
+    let mut breaks: Vec<String> = behind("--break").cloned().into_iter().collect();
+    if by_hand
+        && let (Some(net), Some(place)) = (words.get(3), words.get(4))
+        && !place.starts_with('-')
+        && app.task(net).is_some()
+    {
+        // The marking is told apart from a transition by what is asked of it.
+        let place = match words.get(2).map(String::as_str) {
+            Some("put" | "take") => format!("{place}>=0"),
+            _ => place.clone(),
+        };
+        breaks.push(format!("{net}.{place}"));
+    }
+    let sets = Breakpoints { breaks }.sets(&selection, &registry(), Released::Never);
+    sets.err().map(|findings| findings.to_string())
+}
+
+#[test]
+fn what_command_lines_name_of_the_shipped_apps_is_there() {
+    let wrong: Vec<String> = lines()
+        .iter()
+        .filter_map(|line| Some(format!("{}: {}", line.text(), missing(line)?)))
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let broken = Line {
+        place: String::new(),
+        words: commands("ctos boot configs/calibrate.toml --break dispatcher.no_such").remove(0),
+        in_text: false,
+    };
+    assert!(missing(&broken).is_some());
+}
+
+/// Whether a command of `ctos` ends by itself, soon, and needs nothing but the files of this folder.
+fn is_run(words: &[String]) -> bool {
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let shipped = || {
+        let files = words.iter().filter(|word| word.contains('.') && word.contains('/'));
+        files.clone().count() > 0 && files.into_iter().all(|word| word.starts_with("configs/"))
+    };
+    match words.as_slice() {
+        ["ctos", "explain" | "completions" | "doctor", ..] => true,
+        ["ctos", "config", "defaults" | "schema", ..] => true,
+        ["ctos", "sim", "--profiles"] => true,
+        ["ctos", "keys", "new", ..] => true,
+        ["ctos", "check", ..] | ["ctos", "config", "show", ..] => shipped(),
+        ["ctos", "net", "check" | "perf" | "draw" | "convert" | "fmt", ..] => shipped(),
+        ["scott", "--local", "-c", lines @ ..] => !lines.iter().any(|line| line.contains(".csv")),
+        _ => false,
+    }
+}
+
+#[test]
+fn command_lines_that_need_neither_an_app_nor_minutes_are_run_and_go_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp")
+        .arg("-r")
+        .arg(root().join("configs"))
+        .arg(folder.path())
+        .status();
+    assert!(copied.unwrap().success());
+    // A command that makes something finds it made when it stands on two pages.
+    let mut seen = BTreeSet::new();
+    let mut wrong = Vec::new();
+    for line in lines() {
+        let in_text = line.in_text && line.words.iter().any(|word| word.contains(char::is_uppercase));
+        if in_text || !is_run(&line.words) || !seen.insert(line.words.clone()) {
+            continue;
+        }
+        if let Some(why) = fails(folder.path(), &line.words) {
+            wrong.push(format!("{}\n{why}", line.text()));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(seen.len() > 30, "only {} were run", seen.len());
+}
+
+/// Why a command does not go well; missing arguments in running text are no reason.
+fn fails(folder: &Path, words: &[String]) -> Option<String> {
+    let program = match words.first().map(String::as_str) {
+        Some("scott") => env!("CARGO_BIN_EXE_scott"),
+        _ => env!("CARGO_BIN_EXE_ctos"),
+    };
+    if program.ends_with("ctos") && Cli::try_parse_from(words).is_err() {
+        return None;
+    }
+    let mut arguments = Vec::new();
+    for word in words.iter().skip(1) {
+        match word.split_once('*') {
+            // As the shell does.
+            Some((start, end)) if start.starts_with("configs/") => {
+                let mut files: Vec<String> = fs::read_dir(folder.join(start))
+                    .unwrap()
+                    .map(|file| format!("{start}{}", file.unwrap().file_name().to_string_lossy()))
+                    .filter(|file| file.ends_with(end))
+                    .collect();
+                files.sort();
+                arguments.extend(files);
+            }
+            _ => arguments.push(word.clone()),
+        }
+    }
+    let output = Command::new(program)
+        .args(&arguments)
+        .current_dir(folder)
+        .env("NO_COLOR", "1")
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    let made = told.contains("exists already");
+    (!output.status.success() && !made).then(|| format!("{}: {told}", output.status))
+}

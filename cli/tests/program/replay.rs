@@ -1,0 +1,189 @@
+//! Every task of every app in `configs/` does the same again, out of a record of any kind of run, or is refused at once
+//! with the reason.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
+
+use crate::{common::root, hello_example};
+use cli::program;
+use ctos::{
+    config::{App, Selection},
+    record::{Filter, Record, ReplayError, replay},
+    registry::Registry,
+    simulation::{self, Faults, Setup},
+};
+
+fn registry() -> Registry {
+    let mut registry = program::registry();
+    hello_example::register(&mut registry);
+    registry
+}
+
+/// The folder of configurations, with so few positions that a calibration is short.
+fn configs() -> tempfile::TempDir {
+    fn copy(from: &Path, to: &Path) {
+        fs::create_dir_all(to).unwrap();
+        for entry in fs::read_dir(from).unwrap() {
+            let (path, to) = {
+                let entry = entry.unwrap();
+                (entry.path(), to.join(entry.file_name()))
+            };
+            match path.is_dir() {
+                true => copy(&path, &to),
+                false => drop(fs::copy(&path, &to).unwrap()),
+            }
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    copy(&root().join("configs"), folder.path());
+    let positions = fs::read_to_string(folder.path().join("positions.csv")).unwrap();
+    let few: Vec<&str> = positions.lines().take(7).collect();
+    fs::write(folder.path().join("positions.csv"), few.join("\n")).unwrap();
+    folder
+}
+
+/// The files in a folder of configurations that are apps, cells of robots left out.
+fn apps(folder: &Path) -> Vec<PathBuf> {
+    let files = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let is_app = |path: &PathBuf| {
+        path.extension().is_some_and(|end| end == "toml")
+            && fs::read_to_string(path).unwrap().contains("[chassis.")
+    };
+    let mut apps: Vec<PathBuf> = files.filter(is_app).collect();
+    apps.sort();
+    assert!(apps.len() >= 3, "{apps:?}");
+    apps
+}
+
+fn app(file: &Path, seed: u64) -> App {
+    let mut selection = Selection::new(file);
+    selection.sets = vec![
+        format!("seed={seed}"),
+        "time.mode=\"virtual\"".to_owned(),
+        "record.file=\"run.mcap\"".to_owned(),
+    ];
+    program::app(&selection).unwrap_or_else(|findings| panic!("{findings}"))
+}
+
+/// What became of the replays of all tasks: those that did the same, and why the others were refused.
+#[derive(Default)]
+struct Replayed {
+    same: BTreeSet<String>,
+    refused: BTreeMap<String, String>,
+}
+
+fn replay_all(file: &Path, seed: u64, record: &Record) -> Replayed {
+    let mut replayed = Replayed::default();
+    for task in app(file, seed).tasks {
+        match replay(app(file, seed), registry(), &task.name, record) {
+            Ok(report) => {
+                assert!(report.is_same(), "{}, seed {seed}: {report}", file.display());
+                replayed.same.insert(task.name);
+            }
+            Err(error @ (ReplayError::Outside { .. } | ReplayError::Incomplete { .. })) => {
+                replayed.refused.insert(task.name, error.to_string());
+            }
+            Err(error) => panic!("{}, seed {seed}: {error}", file.display()),
+        }
+    }
+    replayed
+}
+
+/// Records a run in virtual time, and replays all its tasks.
+fn run_and_replay(file: &Path, seed: u64, faults: &str) -> Replayed {
+    let setup = Setup {
+        faults: Faults::built_in(faults).unwrap(),
+        // An app of daemons has no end of its own.
+        stop_after: Some(Duration::from_secs(60)),
+        ..Setup::default()
+    };
+    simulation::run(app(file, seed), registry(), setup, &(Arc::new(|_: &_| ()) as _)).unwrap();
+    let path = file.with_file_name("run.mcap");
+    let record = Record::read(std::slice::from_ref(&path), &Filter::default()).unwrap();
+    fs::remove_file(path).unwrap();
+    replay_all(file, seed, &record)
+}
+
+/// The tasks of the shipped apps that share memory with others, or are called in time: what they read is in no record.
+const REFUSED: [&str; 6] = [
+    "planner",
+    "servo",
+    "state",
+    "vmImageDisp",
+    "vmSpotDisp",
+    "world",
+];
+
+#[test]
+fn every_task_of_every_shipped_app_does_the_same_again_or_says_what_it_reads_elsewhere() {
+    let folder = configs();
+    for file in apps(folder.path()) {
+        for seed in [1, 5] {
+            let Replayed { same, refused } = run_and_replay(&file, seed, "none");
+            for (task, why) in &refused {
+                assert!(REFUSED.contains(&task.as_str()), "{why}");
+                let reason = ["shared memory `", "a synchronous function"];
+                assert!(reason.iter().any(|reason| why.contains(reason)), "{why}");
+            }
+            assert!(!same.is_empty(), "{}", file.display());
+        }
+    }
+}
+
+#[test]
+fn a_record_made_under_faults_is_replayed_but_for_tasks_whose_chassis_was_restarted() {
+    let folder = configs();
+    let mut same = 0;
+    for file in apps(folder.path()) {
+        for faults in ["light", "rough"] {
+            for seed in [3, 4] {
+                let replayed = run_and_replay(&file, seed, faults);
+                same += replayed.same.len();
+                for (task, why) in replayed.refused {
+                    let known = REFUSED.contains(&task.as_str())
+                        || why.contains("was moved, or its chassis restarted");
+                    assert!(known, "{faults} {seed}: {why}");
+                }
+            }
+        }
+    }
+    assert!(same > 40, "only {same} tasks were replayed");
+}
+
+#[test]
+fn records_of_real_processes_with_a_display_are_replayed() {
+    let folder = configs();
+    let path = |name: &str| folder.path().join(name);
+    // The program of the example has the event handlers of both.
+    for (app, chassis) in [
+        ("hello.toml", ["desk", "shelf", "desk"]),
+        ("calibrate.toml", ["ws1", "cage_motion", "cage_vision"]),
+    ] {
+        let run = crate::common::example("hello")
+            .args(["boot", &path(app).display().to_string()])
+            .args(["--record", &path("real.mcap").display().to_string()])
+            .args(["--display=127.0.0.1:0"])
+            .env("NO_COLOR", "1")
+            .output()
+            .unwrap();
+        // From so few positions no camera can be computed; that is a result, too.
+        assert!(matches!(run.status.code(), Some(0 | 1)), "{run:?}");
+        let files: BTreeSet<PathBuf> = chassis
+            .map(|name| path(&format!("real.{name}.mcap")))
+            .into();
+        let files: Vec<PathBuf> = files.into_iter().collect();
+        let record = Record::read(&files, &Filter::default()).unwrap();
+        let Replayed { same, refused } = replay_all(&path(app), 1, &record);
+        assert!(same.len() >= 4, "{same:?}");
+        for (task, why) in &refused {
+            assert!(REFUSED.contains(&task.as_str()), "{why}");
+        }
+    }
+}
