@@ -357,7 +357,12 @@ fn no_form(forms: &[Form], text: &str) -> Report {
     let known: Vec<&str> = forms.iter().map(|form| form.text).collect();
     let listed = known.join(", ");
     // The text when the numbers at its end are meant as numbers.
-    let words = text.trim_end_matches(|letter: char| " \t+-.eE0123456789".contains(letter));
+    let mut words = text;
+    while let Some((before, last)) = words.rsplit_once(char::is_whitespace)
+        && last.parse::<f64>().is_ok()
+    {
+        words = before.trim_end();
+    }
     let meant = forms
         .iter()
         .find(|form| words != text && form.floats > 0 && form.text == words);

@@ -486,7 +486,7 @@ fn the_prompt_helps_takes_plain_numbers_and_shows_names_units_and_matrices() {
         ended.stdout
     );
     assert!(
-        ended.stdout.ends_with("kin        kinematics of an arm\n"),
+        ended.stdout.contains("\nkin        kinematics of an arm\n"),
         "{}",
         ended.stdout
     );
