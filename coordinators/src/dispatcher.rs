@@ -81,16 +81,11 @@ struct Dispatcher {
 }
 
 impl Dispatcher {
-    /// Number of the position in work, from 0.
-    fn index(&self) -> usize {
-        self.positions.len().saturating_sub(self.left + 1)
-    }
-
-    /// Stamp of the position in work.
-    fn stamp(&self) -> Stamp {
+    /// Stamp of the position after which so many are left.
+    fn stamp_at(&self, left: usize) -> Stamp {
         Stamp {
             command: self.command,
-            index: self.index(),
+            index: self.positions.len().saturating_sub(left + 1),
         }
     }
 }
@@ -220,11 +215,12 @@ fn parts(action: &Act) -> (Context, Rc<DispatcherArgs>, DomStore) {
 /// Prepares: lamp on, positions read, loop variable set.
 async fn init_calib(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
-    action.with_state(|state| state.command = state.command.wrapping_add(1));
     let positions = positions::read(&cx.app().file_at(&args.positions))?;
     let enough = enough(action.arguments(), positions.len())?;
     set_lamp(&cx, &args.lamp, true).await?;
+    // What an action changes, it changes at its end: a process that dies before that begins it again.
     action.with_state(|state| {
+        state.command = state.command.wrapping_add(1);
         state.left = positions.len();
         state.observations = Observations {
             wanted: u32::try_from(positions.len()).unwrap_or(u32::MAX),
@@ -248,16 +244,19 @@ async fn set_lamp(cx: &Context, task: &str, on: bool) -> Acted {
 /// Counts the loop variable down and makes the next position the destination.
 async fn read_next_pos(action: Act) -> Acted {
     let (cx, _, store) = parts(&action);
-    let (stamp, position) = action.with_state(|state| {
-        state.left = state.left.saturating_sub(1);
-        (state.stamp(), state.positions.get(state.index()).copied())
+    let (left, stamp, position) = action.with_state(|state| {
+        let left = state.left.saturating_sub(1);
+        let stamp = state.stamp_at(left);
+        (left, stamp, state.positions.get(stamp.index).copied())
     });
     let position = position.ok_or("the file of positions is empty")?;
     let destination = Destination {
         stamp,
         base_t_tool: position.row_major(),
     };
-    store.store(&cx, DESTINATION, &destination).await
+    store.store(&cx, DESTINATION, &destination).await?;
+    action.with_state(|state| state.left = left);
+    Ok(())
 }
 
 /// Adds this position's lamp and spots to the table. Data of an earlier position means that this one
@@ -265,9 +264,10 @@ async fn read_next_pos(action: Act) -> Acted {
 async fn store_point(action: Act) -> Acted {
     let (cx, _, store) = parts(&action);
     let (stamp, line, left) = action.with_state(|state| {
-        let position = state.positions.get(state.index());
+        let stamp = state.stamp_at(state.left);
+        let position = state.positions.get(stamp.index);
         let line = position.map_or(0, |position| position.line);
-        (state.stamp(), line, state.left)
+        (stamp, line, state.left)
     });
     let lamp = store.fetch::<ReachedPosition>(&cx, POSITION).await;
     let lamp = lamp.ok().filter(|lamp| lamp.stamp == stamp);
@@ -283,15 +283,12 @@ async fn store_point(action: Act) -> Acted {
             failure => return Err(failure.into()),
         },
     };
-    let observations = action.with_state(|state| {
-        let observations = &mut state.observations;
-        match (&lamp, &spots) {
-            (Some(lamp), Some(spots)) => observations.add(line, lamp, spots),
-            (Some(_), None) => return Err("the Vision Coordinator left no answer"),
-            (None, _) => observations.skip(line, problem.as_deref().unwrap_or_default()),
-        }
-        Ok(observations.clone())
-    })?;
+    let mut observations = action.with_state(|state| state.observations.clone());
+    match (&lamp, &spots) {
+        (Some(lamp), Some(spots)) => observations.add(line, lamp, spots),
+        (Some(_), None) => return Err("the Vision Coordinator left no answer".into()),
+        (None, _) => observations.skip(line, problem.as_deref().unwrap_or_default()),
+    }
     store.store(&cx, OBSERVATIONS, &observations).await?;
     let (done, total) = (stamp.index as u64 + 1, u64::from(observations.wanted));
     let what = match (&problem, &spots) {
@@ -302,7 +299,9 @@ async fn store_point(action: Act) -> Acted {
         (None, spots) => spots.as_ref().map_or_else(String::new, Spots::why),
     };
     cx.progress(done, total, "position", &what);
-    observations.hopeful(left)
+    let hopeful = observations.hopeful(left);
+    action.with_state(|state| state.observations = observations);
+    hopeful
 }
 
 /// Why the Motion Coordinator did not do what was asked at this position.

@@ -85,6 +85,24 @@ fn a_chassis_that_is_killed_and_started_again_burns_no_position() {
 }
 
 #[test]
+fn the_calibration_goes_on_at_its_position_whenever_the_dispatcher_is_killed_and_repeats_nothing() {
+    let job = Job::of_environment();
+    let whole = run(&job, &Disturbance::KillDispatcher(Vec::new()));
+    whole.must_succeed();
+    // Moments that have nothing to do with those of the command, a third of it apart.
+    for shift in 0..3 {
+        let third = job.moves_s / 3.0;
+        let first = 0.7 + 1.37 * f64::from(shift);
+        let kills = vec![first, first + third, first + 2.0 * third];
+        let ended = run(&job, &Disturbance::KillDispatcher(kills.clone()));
+        println!("killed at {kills:?} s: {}", ended.told());
+        ended.must_succeed();
+        assert_eq!(ended.motions.len(), whole.motions.len(), "{kills:?}");
+        ended.arm_must_be_at_rest_without_power();
+    }
+}
+
+#[test]
 fn a_chassis_that_a_person_restarts_costs_no_truth() {
     disturbed(
         "restart cage_vision",

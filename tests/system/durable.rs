@@ -12,7 +12,7 @@ until = "counting"
 
 [chassis.cage]
 restart = "on-failure"
-max_restarts = 1000
+restart_window_s = 0.01
 restart_backoff_s = 0.01
 
 [task.counting]
@@ -116,12 +116,12 @@ fn what_ctrl_changed_of_an_object_survives_the_kill_of_its_daemon_and_the_next_b
     };
     let mut run = boot();
     run.wait_for("phase 3");
-    let change = "foo.b@d2 CTRL -where garden";
+    let change = "foo.b@d2 CTRL -where kitchen";
     scratch
         .scott(&["objects", "-c", change])
         .must_exit_leaving(0);
     let before = dumped();
-    assert!(before.contains("garden"), "{before}");
+    assert!(before.contains("kitchen"), "{before}");
     run.kill("cage");
     run.wait_for("restart  cage is up again");
     assert_eq!(dumped(), before);

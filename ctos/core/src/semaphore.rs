@@ -246,21 +246,76 @@ impl IntoFuture for Acquire {
 
     fn into_future(self) -> Self::IntoFuture {
         Box::pin(async move {
-            let (ticket, _) = self.semaphore.0.wait(self.high, self.deadline).await?;
-            Ok(Permit(ticket))
+            let named = self.semaphore.0;
+            let (ticket, passage) = named.wait(self.high, self.deadline).await?;
+            Ok(Permit {
+                semaphore: named.name,
+                ticket,
+                number: passage.generation,
+            })
         })
     }
 }
 
 /// One of a semaphore's permits. Dropped, it goes to whoever waits first.
+///
+/// A permit of app scope is a promise with a limit of time: a chassis that gives no sign of life for `peer_timeout_s` is
+/// given up, and its permits go to those who wait. Should it only have been frozen, its tasks go on, and the permit
+/// that they have is [no longer good](Self::confirm). So whoever owns what the semaphore protects has
+/// every request bring the [number](Self::number) of the permit, and refuses older ones with a [`Fence`].
 #[must_use = "a permit that is dropped is given back at once"]
 #[derive(Debug)]
-pub struct Permit(Ticket);
+pub struct Permit {
+    semaphore: Arc<str>,
+    ticket: Ticket,
+    number: u64,
+}
 
 impl Permit {
     /// Gives it back.
     pub fn release(self) {
-        drop(self.0);
+        drop(self.ticket);
+    }
+
+    /// The fencing number: each permit of a semaphore has a greater one than all before it, in one run of the app.
+    #[must_use]
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Asks whoever keeps the semaphore whether the permit is good still: before something that no [`Fence`] protects.
+    /// It was good when that was answered; a freeze may come between that and what follows.
+    ///
+    /// # Errors
+    /// [`SemaphoreError::Lost`]; or nobody can be asked, and the permit may be somebody else's.
+    pub async fn confirm(&self, cx: &Context) -> Result<(), SemaphoreError> {
+        if self.ticket.is_good(cx).await? {
+            return Ok(());
+        }
+        Err(SemaphoreError::Lost {
+            name: self.semaphore.to_string(),
+            task: cx.name().to_owned(),
+        })
+    }
+}
+
+/// What an owner has seen of the permits of a semaphore with one permit: it lets newer ones in and shuts older ones out.
+/// Serializable, so that a durable task keeps it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Fence(u64);
+
+impl Fence {
+    /// Lets a request pass that brings the [number](Permit::number) of its permit.
+    ///
+    /// # Errors
+    /// [`SemaphoreError::Outdated`]: a later permit has passed before.
+    pub fn pass(&mut self, number: u64) -> Result<(), SemaphoreError> {
+        if number < self.0 {
+            let passed = self.0;
+            return Err(SemaphoreError::Outdated { number, passed });
+        }
+        self.0 = number;
+        Ok(())
     }
 }
 

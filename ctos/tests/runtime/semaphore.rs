@@ -12,9 +12,9 @@ use std::{
 use ctos::{
     boot::{End, Fault, FaultKind, Observer, Outcome, simulate},
     config::load_texts,
-    message::Message,
+    message::{Command as _, Message},
     registry::Registry,
-    semaphore::{Permit, Scope, SemaphoreError},
+    semaphore::{Fence, Permit, Scope, SemaphoreError},
     sync::Signal,
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase, StopReason},
@@ -86,9 +86,21 @@ fn run(
     faults: &[Fault],
     tasks: &[(&str, &str, Script)],
 ) -> (Outcome, Vec<String>) {
+    run_with((config, &[]), seed, faults, tasks, |_, _| ())
+}
+
+/// The same with overrides and further handlers.
+fn run_with(
+    (config, sets): (&str, &[String]),
+    seed: u64,
+    faults: &[Fault],
+    tasks: &[(&str, &str, Script)],
+    register: impl Fn(&mut Registry, &Log),
+) -> (Outcome, Vec<String>) {
     let log = Log::default();
     let left = Arc::new(AtomicUsize::new(tasks.len()));
     let mut registry = Registry::new();
+    register(&mut registry, &log);
     let mut text = format!("{config}\n[app]\nseed = {seed}\n");
     for chassis in ["a", "b", "c"] {
         text += &format!("[chassis.{chassis}]\nprocessors = {{ one = {{}}, two = {{}} }}\n");
@@ -105,7 +117,7 @@ fn run(
             })
         });
     }
-    let app = load_texts(&[("app.toml", &text)], &[], &[])
+    let app = load_texts(&[("app.toml", &text)], sets, &[])
         .unwrap_or_else(|findings| panic!("{findings}"));
     let outcome = simulate(app, registry, faults, &silent()).unwrap();
     let log = log.lock().unwrap().clone();
@@ -269,6 +281,120 @@ fn a_permit_is_released_when_the_chassis_of_its_holder_dies() {
         assert_eq!(outcome.end, gone);
         // Whichever of the two on the chassis that dies was first.
         assert_eq!(log.last().unwrap(), "had true", "seed {seed}: {log:?}");
+    }
+}
+
+ctos::command! {
+    /// Writes to what the semaphore protects, with the number of the permit.
+    struct Write { number: u64 } => (), 1, "write"
+}
+
+/// What the semaphore protects. Notes what it takes, and what it refuses.
+struct Board {
+    fence: Fence,
+    log: Log,
+}
+
+impl EventHandler for Board {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != Write::CODE {
+            return cx.default_processing(message);
+        }
+        let (Write { number }, reply) = message.open::<Write>()?;
+        match self.fence.pass(number) {
+            Ok(()) => {
+                note(&self.log, format!("write {number}"));
+                reply.ok(())
+            }
+            Err(error) => reply.fail(error),
+        }
+    }
+}
+
+#[test]
+fn a_fence_shuts_out_every_permit_that_is_older_than_one_that_passed() {
+    let mut fence = Fence::default();
+    fence.pass(3).unwrap();
+    fence.pass(3).unwrap();
+    let said = fence.pass(2).unwrap_err().to_string();
+    assert_eq!(said, "permit 2 is no longer good: permit 3 has been used");
+    fence.pass(7).unwrap();
+}
+
+#[test]
+fn each_permit_has_a_greater_number_than_those_before_it_and_is_confirmed() {
+    for name in ["app/board", "board"] {
+        let takes = script(move |cx, log| async move {
+            let semaphore = cx.semaphore(name, 2).unwrap();
+            let first = semaphore.acquire().await.unwrap();
+            let second = semaphore.acquire().await.unwrap();
+            second.confirm(&cx).await.unwrap();
+            let numbers = (first.number(), second.number());
+            first.release();
+            let third = semaphore.acquire().await.unwrap();
+            note(&log, format!("{numbers:?} {}", third.number()));
+        });
+        let (outcome, log) = run("", 1, &[], &[("takes", "a", takes)]);
+        assert!(finished(&outcome));
+        assert_eq!(log, ["(1, 2) 3"], "{name}");
+    }
+}
+
+#[test]
+fn a_holder_that_was_frozen_and_given_up_writes_nothing_after_the_next_one() {
+    for frozen_ms in [500, 1_900, 2_100, 2_500, 6_000] {
+        for seed in 0..3 {
+            // Writes without end, with the one permit that it had, then without a look at it.
+            let writer = script(|cx, log| async move {
+                let semaphore = cx.semaphore("app/board", 1).unwrap();
+                let permit = semaphore.acquire().await.unwrap();
+                let board = cx.task("board").await.unwrap();
+                let number = permit.number();
+                for _ in 0..3_000 {
+                    let written = cx.call(&board, Write { number }).await;
+                    if let Err(error) = written {
+                        note(&log, format!("refused {}", error.reason()));
+                    }
+                    cx.sleep(millis(1)).await;
+                }
+                let confirmed = permit.confirm(&cx).await.is_ok();
+                note(&log, format!("{number} confirmed {confirmed}"));
+            });
+            let next = script(|cx, _| async move {
+                cx.sleep(millis(200)).await;
+                let semaphore = cx.semaphore("app/board", 1).unwrap();
+                let permit = semaphore.acquire().deadline(Duration::from_secs(60)).await;
+                let permit = permit.unwrap();
+                permit.confirm(&cx).await.unwrap();
+                let board = cx.task("board").await.unwrap();
+                let number = permit.number();
+                for _ in 0..20 {
+                    cx.call(&board, Write { number }).await.unwrap();
+                    cx.sleep(millis(7)).await;
+                }
+            });
+            let freeze = Fault::on("a", FaultKind::Freeze, at_millis(1_000))
+                .until(at_millis(1_000 + frozen_ms));
+            let tasks = [("writer", "a", writer), ("next", "b", next)];
+            let sets = ["chassis.a.restart=\"on-failure\"".to_owned()];
+            let config = "[task.board]\nhandler = \"board\"\non = \"c\"\n";
+            let (_, log) = run_with((config, &sets), seed, &[freeze], &tasks, |registry, log| {
+                let log = log.clone();
+                registry.handler("board", &[Write::INFO], move |_| {
+                    Ok(Board {
+                        fence: Fence::default(),
+                        log: log.clone(),
+                    })
+                });
+            });
+            let numbers = log.iter().filter_map(|line| line.strip_prefix("write "));
+            let numbers: Vec<u64> = numbers.map(|number| number.parse().unwrap()).collect();
+            assert!(numbers.is_sorted(), "{frozen_ms} ms, seed {seed}: {log:?}");
+            assert!(numbers.contains(&2), "{frozen_ms} ms, seed {seed}");
+            // Who was not given up holds it to its end.
+            let confirmed = log.iter().any(|line| line == "1 confirmed true");
+            assert_eq!(confirmed, frozen_ms < 2_000, "{frozen_ms} ms, seed {seed}");
+        }
     }
 }
 

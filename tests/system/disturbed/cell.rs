@@ -33,6 +33,8 @@ pub enum Disturbance {
     Kill(&'static str, f64),
     /// The same, and its policy starts it again.
     KillAndStart(&'static str, f64),
+    /// The chassis of the Dispatcher of `calibrate-durable.toml`, at each of these moments.
+    KillDispatcher(Vec<f64>),
     Restart(&'static str, f64),
     Freeze(&'static str, f64, f64),
     Stop(f64),
@@ -449,6 +451,7 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
         std::fs::write(file, text + &hand).unwrap();
     };
     let mut camera_lost_s = None;
+    let mut config = "calibrate.toml";
     match disturbance {
         Disturbance::None => {}
         Disturbance::Kill(chassis, at) => script.push(Fault::on(
@@ -463,6 +466,11 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
                 FaultKind::Kill,
                 instant(*at),
             ));
+        }
+        Disturbance::KillDispatcher(moments) => {
+            config = "calibrate-durable.toml";
+            let kill = |at: &f64| Fault::on("ws2".to_owned(), FaultKind::Kill, instant(*at));
+            script.extend(moments.iter().map(kill));
         }
         Disturbance::Restart(chassis, at) => script.push(Fault::on(
             (*chassis).to_owned(),
@@ -506,7 +514,7 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
     let registry = registry(&seen, camera_lost_s);
     let selection = Selection {
         sets,
-        ..Selection::new(configs.join("calibrate.toml"))
+        ..Selection::new(configs.join(config))
     };
     let app = selection
         .load(&[("vss", &VssExpander)])

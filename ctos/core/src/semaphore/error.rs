@@ -63,6 +63,22 @@ pub enum SemaphoreError {
         /// Who asks.
         task: String,
     },
+    /// The permit was taken away: the chassis gave no sign of life for a while.
+    #[error("`{task}` has lost its permit of `{name}`: its chassis was given up meanwhile")]
+    Lost {
+        /// The semaphore.
+        name: String,
+        /// Who had it.
+        task: String,
+    },
+    /// A request came with a permit that is not the latest.
+    #[error("permit {number} is no longer good: permit {passed} has been used")]
+    Outdated {
+        /// The permit of the request.
+        number: u64,
+        /// The latest that has passed.
+        passed: u64,
+    },
     /// The chassis is being ended.
     #[error("`{task}` cannot wait for `{name}` any more: its chassis is being ended")]
     Ending {

@@ -57,7 +57,7 @@ pub(super) struct Ledger {
     holders: Vec<(Claim, Instant)>,
     /// High priority, normal priority. Nobody waits who can be served.
     waiting: [VecDeque<(Claim, oneshot::Sender<Passage>)>; 2],
-    /// How often all have passed the barrier.
+    /// How often all have passed the barrier, or how many permits were given out.
     generation: u64,
 }
 
@@ -76,8 +76,8 @@ impl Ledger {
         self.count
     }
 
-    /// Stands in line; the receiver is told when it is served, at once if that is possible. What a semaphore tells
-    /// is of no meaning.
+    /// Stands in line; the receiver is told when it is served, at once if that is possible. A semaphore tells
+    /// the number of the permit.
     pub(super) fn enter(
         &mut self,
         claim: Claim,
@@ -110,8 +110,10 @@ impl Ledger {
                     else {
                         break;
                     };
+                    self.generation += 1;
+                    let (generation, last) = (self.generation, false);
                     // Whoever waits no longer gives it back with its ticket.
-                    let _ = waiter.send(Passage::default());
+                    let _ = waiter.send(Passage { generation, last });
                     self.holders.push((claim, now));
                 }
             }
@@ -126,6 +128,11 @@ impl Ledger {
             }
             Kind::Barrier => {}
         }
+    }
+
+    /// Whether it has a permit.
+    pub(super) fn has(&self, hold: Hold) -> bool {
+        self.holders.iter().any(|(claim, _)| claim.hold == hold)
     }
 
     /// What somebody is told whose time is over.

@@ -11,7 +11,7 @@ use crate::{context::Context, envelope::Replier, handled::Handled};
 use ctos_message::{CommandInfo, Tid, command};
 
 /// What the service takes.
-pub const COMMANDS: [CommandInfo; 3] = SemaphoreServer::COMMANDS;
+pub const COMMANDS: [CommandInfo; 4] = SemaphoreServer::COMMANDS;
 
 command! {
     /// Waits for a permit of a semaphore, or arrives at a barrier and waits for the others.
@@ -28,6 +28,9 @@ command! {
 
     /// Gives a permit back, or waits no longer.
     pub struct ReleaseTicket { pub hold: u64 } => (), 0xff72, "release_ticket";
+
+    /// Asks whether the asking chassis has a permit still.
+    pub struct HasPermit { pub hold: u64 } => bool, 0xff74, "has_permit";
 
     /// Asks for the semaphores of the app, who holds them and who waits.
     pub struct ListSemaphores => Vec<SemaphoreView>, 0xff73, "list_semaphores"
@@ -75,6 +78,12 @@ impl SemaphoreServer {
         let store = cx.chassis().blocking();
         store.end(|claim| claim.hold == hold);
         reply.ok(())
+    }
+
+    #[command]
+    fn has_permit(&self, cx: &Context, request: HasPermit, reply: Replier<HasPermit>) -> Handled {
+        let hold = hold(reply.asker(), request.hold);
+        reply.ok(cx.chassis().blocking().has(hold))
     }
 
     #[command]

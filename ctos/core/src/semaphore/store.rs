@@ -16,14 +16,14 @@ use tokio::sync::oneshot;
 use super::{
     Passage, Scope, SemaphoreView,
     ledger::{Claim, Hold, Kind, Late, Ledger},
-    server::ReleaseTicket,
+    server::{HasPermit, ReleaseTicket},
 };
 use crate::{
     chassis::{Chassis, Extension},
     context::Context,
     system,
 };
-use ctos_message::Tid;
+use ctos_message::{Tid, fault::CallError};
 use ctos_time::{Clock, Instant, lock::lock};
 
 /// What came of a wait.
@@ -59,6 +59,12 @@ impl Store {
             })
         };
         there.or_insert_with(new).clone()
+    }
+
+    /// Whether somebody has a permit, of whatever is kept here.
+    pub(super) fn has(&self, hold: Hold) -> bool {
+        let kept = lock(&self.kept);
+        kept.values().any(|kept| lock(&kept.ledger).has(hold))
     }
 
     /// Ends every wait and hold that `gone` names.
@@ -207,6 +213,15 @@ impl Ticket {
             kept,
             hold,
         }
+    }
+
+    /// Whether it stands for a permit still, as whoever keeps the semaphore says.
+    pub(super) async fn is_good(&self, cx: &Context) -> Result<bool, CallError> {
+        if self.kept.is_some() {
+            return Ok(self.chassis.blocking().has(self.hold));
+        }
+        let hold = self.hold.number;
+        cx.call(&super::server(), HasPermit { hold }).await
     }
 
     /// The server has nothing to be given back. Whether it had.
