@@ -7,6 +7,7 @@ use crate::report::{Report, code};
 use crate::request::Request;
 use crate::results::{Keep, Sample};
 use crate::transport::Transport;
+use crate::workers::Workers;
 use ctos::message::CommandInfo;
 use futures_util::FutureExt as _;
 use futures_util::future::LocalBoxFuture;
@@ -127,6 +128,12 @@ pub trait Comm {
     fn back<'a>(&'a self, at: &'a Location) -> Answer<'a, ()> {
         let _ = at;
         Box::pin(std::future::ready(Ok(())))
+    }
+
+    /// The threads on which objects are called, so that none of them keeps whoever serves it from others. `None`:
+    /// they are called at once.
+    fn workers(&self) -> Option<&'static Workers> {
+        None
     }
 
     /// Whether there is an app with tasks.

@@ -114,7 +114,7 @@ impl Daemon {
         let request = request.read()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let mut answer = sorm.ask(&Tasks::of(&here), request).await;
+            let mut answer = sorm.ask(&Tasks::serving(&here), request).await;
             answer.body.opaque.share();
             // Whoever asked may be gone.
             let _ = match here.keep(&sorm.kept()).await {
@@ -130,7 +130,7 @@ impl Daemon {
         let request = request.ask.read()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let answer = sorm.ask(&Tasks::of(&here), request).await;
+            let answer = sorm.ask(&Tasks::serving(&here), request).await;
             sorm.unheard(&answer.name, &answer.body);
             if let Err(error) = here.keep(&sorm.kept()).await {
                 tracing::error!("{}", not_kept(&error));
@@ -165,7 +165,7 @@ impl Daemon {
     fn say(&mut self, cx: &Context, request: Say, reply: Replier<Say>) -> Handled {
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let comm = Tasks::of(&here);
+            let comm = Tasks::serving(&here);
             let trace = Trace {
                 id: request.trace,
                 depth: 0,

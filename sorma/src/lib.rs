@@ -55,6 +55,7 @@ pub mod transport;
 mod waiting;
 pub mod watching;
 pub mod words;
+mod workers;
 
 pub use class::Class;
 pub use comm::{Alone, Comm};
@@ -73,6 +74,7 @@ pub use slot::{Claim, Handle, Owned};
 pub use sorm::Sorm;
 pub use stream::Stream;
 pub use transport::Transport;
+pub use workers::Workers;
 
 /// What a program may know about classes, as data.
 pub mod describe {

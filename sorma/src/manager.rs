@@ -16,6 +16,8 @@ use std::rc::Rc;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
+/// How long an object is waited for that shall only tell of itself.
+const GLANCE: Duration = Duration::from_millis(20);
 /// No lock is for longer.
 const LONGEST_LOCK_S: f64 = 86_400.0;
 
@@ -135,6 +137,12 @@ static ORDERS: LazyLock<OptionTable<Orders>> = LazyLock::new(|| {
             &[],
             "answers how often each object was called",
             |now, _| now.add(|cx, _| Ok(statistics(cx))),
+        )
+        .action(
+            "busy",
+            &[],
+            "answers which objects the daemon has in calls now, of whom, and for how long",
+            |now, _| now.add(|cx, _| Ok(busy(cx))),
         )
         .action(
             "lock",
@@ -286,9 +294,19 @@ fn codes(sorm: &Sorm) -> String {
 
 fn statistics(cx: &Context<'_>) -> String {
     let slots = cx.sorm().slots().into_iter();
-    lines(slots.map(|slot| match slot.lock(Some(cx)) {
-        Ok(body) => format!("{} {}", slot.name(), body.meta.statistics()),
-        Err(_) => format!("{} is in a call", slot.name()),
+    lines(slots.map(|slot| match slot.body.try_lock_for(GLANCE) {
+        Some(body) => format!("{} {}", slot.name(), body.meta.statistics()),
+        None => format!("{} is in a call", slot.name()),
+    }))
+}
+
+/// The calls that are made now, but for this one.
+fn busy(cx: &Context<'_>) -> String {
+    let now = cx.sorm().now();
+    let slots = cx.sorm().slots().into_iter();
+    lines(slots.filter_map(|slot| {
+        let call = slot.call.lock().clone()?;
+        (slot.name() != cx.name()).then(|| format!("{}: {}", slot.name(), call.words(now)))
     }))
 }
 

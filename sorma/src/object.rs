@@ -9,6 +9,7 @@ use crate::reserve::Reservation;
 use crate::results::Results;
 use crate::sorm::Sorm;
 use crate::transport::Transport;
+use ctos::time::Instant;
 use futures_util::future::LocalBoxFuture;
 use parking_lot::Mutex;
 use std::sync::{Arc, OnceLock};
@@ -149,12 +150,36 @@ pub struct Waiting<'a> {
     pub(crate) comm: &'a dyn Comm,
 }
 
+/// A call that a daemon has an object in.
+#[derive(Debug, Clone)]
+pub(crate) struct Call {
+    pub(crate) from: String,
+    pub(crate) method: Method,
+    pub(crate) since: Instant,
+}
+
+impl Call {
+    /// In words: who has called what, and how long ago.
+    pub(crate) fn words(&self, now: Instant) -> String {
+        let by = match &*self.from {
+            "" => "somebody",
+            from => from,
+        };
+        let time = now.since(self.since).as_secs_f64();
+        format!("{} of `{by}` for {time:.1} s", self.method)
+    }
+}
+
 /// An object with its name.
 pub(crate) struct Slot {
     name: String,
     pub(crate) class: Arc<Class>,
-    /// Whose turn it is, at an object that waits for others.
-    pub(crate) turn: Option<tokio::sync::Mutex<()>>,
+    /// Whether its EXEC waits for others.
+    waits: bool,
+    /// Whose turn it is, where many ask at once.
+    pub(crate) turn: tokio::sync::Mutex<()>,
+    /// The call that a daemon has it in.
+    pub(crate) call: Mutex<Option<Call>>,
     /// Where its results go, if anybody has ever wanted them.
     results: OnceLock<Arc<Results>>,
     pub(crate) body: Mutex<Body>,
@@ -170,7 +195,9 @@ pub(crate) struct Body {
 impl Slot {
     pub(crate) fn new(name: String, object: Box<dyn ServiceObject>, class: Arc<Class>) -> Self {
         Self {
-            turn: class.is_waiting().then(tokio::sync::Mutex::default),
+            waits: class.is_waiting(),
+            turn: tokio::sync::Mutex::default(),
+            call: Mutex::default(),
             results: OnceLock::new(),
             name,
             class,
@@ -202,7 +229,7 @@ impl Slot {
 
     /// Whether its EXEC waits for others.
     pub(crate) fn waits(&self) -> bool {
-        self.turn.is_some()
+        self.waits
     }
 
     /// From now on its results go there.

@@ -149,6 +149,8 @@ prototypes! {
         FILE = 14, Error, "a file cannot be read or written", "the text says which and why";
         REFUSED = 16, Error, "a task of the app refused what an object asked of it",
             "the text is what the task said";
+        LATE = 17, Error, "the answer did not come within its limit",
+            "the text says what it is at; wait longer with `scott --limit S`, or restart the chassis";
         NO_OBJECT = 15, Error, "there is no such object", "`sorm CTRL -list` lists them";
     }
 }

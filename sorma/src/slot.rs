@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// How long a call waits for one from another thread to end.
-const PATIENCE: Duration = Duration::from_secs(10);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A reference to an object, for any thread; it stays usable after the object was removed from the
 /// repository.
@@ -181,6 +181,22 @@ impl Slot {
             )
         };
         Err(self.signed(Report::error(code::BUSY, text), None))
+    }
+
+    /// Answers that the object has been in another call for too long, and whose.
+    pub(crate) fn refuse_busy(&self, sorm: &Sorm, io: &mut Transport) {
+        let call = self.call.lock().clone();
+        let call = call.map_or_else(
+            || "a call that does not end".to_owned(),
+            |call| call.words(sorm.now()),
+        );
+        let text = format!(
+            "`{}` is in {call}; when that is not to be waited for, `ctos restart {}` ends it",
+            self.name(),
+            sorm.process()
+        );
+        io.code = 0;
+        io.report(self.signed(Report::error(code::BUSY, text), Some(sorm)));
     }
 
     pub(crate) fn call(

@@ -6,18 +6,20 @@
 use crate::comm::Comm;
 use crate::meter;
 use crate::name::{Location, ObjectName};
-use crate::object::{Context, Outcome, Slot, Waiting, unsupported};
+use crate::object::{Call, Context, Outcome, Slot, Waiting, unsupported};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::{Method, Reply, Request};
-use crate::slot::Handle;
+use crate::slot::{self, Handle};
 use crate::sorm::{Place, Sorm, parse};
 use crate::transport::Transport;
+use crate::workers::Workers;
 use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
 use futures_util::future::{Either, LocalBoxFuture, select};
-use std::panic::AssertUnwindSafe;
+use std::panic::{AssertUnwindSafe, resume_unwind};
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// How long a request waits for its turn at an object that waits for others itself.
@@ -155,7 +157,7 @@ impl Sorm {
         let seen = self
             .watchers()
             .begin(self.clock(), slot.name(), method, body);
-        let call = slot.ask(self, comm, within, method, body);
+        let call = ask(slot, self, comm, within, method, body);
         if let Err(panic) = AssertUnwindSafe(call).catch_unwind().await {
             // Nobody knows what state it is in.
             self.remove(slot.name());
@@ -189,34 +191,73 @@ impl Sorm {
     }
 }
 
-impl Slot {
-    async fn ask(
-        &self,
-        sorm: &Sorm,
-        comm: &dyn Comm,
-        within: Option<&Waiting<'_>>,
-        method: Method,
-        io: &mut Transport,
-    ) {
-        let outer = within.map(|call| &call.cx);
-        let Some(turn) = &self.turn else {
-            return self.call_unseen(sorm, outer, method, io);
-        };
-        if outer.is_some_and(|call| call.is_within(self)) {
-            // Finds the same, and says so.
-            return self.call_unseen(sorm, outer, method, io);
-        }
-        let turn = match select(pin!(turn.lock()), comm.sleep(PATIENCE)).await {
-            Either::Left((turn, _)) => Some(turn),
-            Either::Right(_) => None,
-        };
-        let (Some(_turn), Method::Exec) = (turn, method) else {
-            // Without a turn the object is still in a call, which this finds.
-            return self.call_unseen(sorm, outer, method, io);
-        };
-        self.exec_waiting(sorm, comm, outer, io).await;
+/// Has an object of this process called when it is the caller's turn.
+async fn ask(
+    slot: &Arc<Slot>,
+    sorm: &Sorm,
+    comm: &dyn Comm,
+    within: Option<&Waiting<'_>>,
+    method: Method,
+    io: &mut Transport,
+) {
+    let outer = within.map(|call| &call.cx);
+    let workers = comm.workers();
+    // What calls itself finds that, and says so.
+    let at_once = !slot.waits() && workers.is_none();
+    if at_once || outer.is_some_and(|call| call.is_within(slot)) {
+        return slot.call_unseen(sorm, outer, method, io);
     }
+    let patience = if slot.waits() { PATIENCE } else { slot::PATIENCE };
+    let turn = match select(pin!(slot.turn.lock()), comm.sleep(patience)).await {
+        Either::Left((turn, _)) => Some(turn),
+        Either::Right(_) => None,
+    };
+    match (turn, workers) {
+        (Some(_turn), _) if slot.waits() && method == Method::Exec => {
+            slot.exec_waiting(sorm, comm, outer, io).await;
+        }
+        (Some(_turn), Some(workers)) => call_on(workers, slot, (sorm, comm), method, io).await,
+        (None, Some(_)) => slot.refuse_busy(sorm, io),
+        // Without a turn the object is still in a call, which this finds.
+        (_, None) => slot.call_unseen(sorm, outer, method, io),
+    }
+}
 
+/// Has an object called on a thread of its own.
+async fn call_on(
+    workers: &Workers,
+    slot: &Arc<Slot>,
+    (sorm, comm): (&Sorm, &dyn Comm),
+    method: Method,
+    io: &mut Transport,
+) {
+    *slot.call.lock() = Some(Call {
+        from: io.from.clone(),
+        method,
+        since: sorm.now(),
+    });
+    let (object, manager) = (Arc::clone(slot), sorm.clone());
+    let called = workers.call(std::mem::take(io), move |io| {
+        object.call_unseen(&manager, None, method, io);
+        *object.call.lock() = None;
+    });
+    let (body, ended) = match select(pin!(called), comm.sleep(slot::PATIENCE)).await {
+        Either::Left((done, _)) => done,
+        Either::Right(((), called)) => {
+            let call = slot.call.lock().clone();
+            let call = call.map(|call| call.words(sorm.now())).unwrap_or_default();
+            tracing::warn!(object = slot.name(), call, "does not come to an end");
+            called.await
+        }
+    };
+    *io = body;
+    if let Err(panic) = ended {
+        *slot.call.lock() = None;
+        resume_unwind(panic);
+    }
+}
+
+impl Slot {
     #[expect(
         clippy::await_holding_lock,
         reason = "whoever would wait for it has waited for the turn before; all others only try"

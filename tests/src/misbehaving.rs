@@ -4,8 +4,9 @@
 mod durable;
 mod load;
 mod nets;
+mod runaways;
 
-use std::{process::ExitCode, time::Duration};
+use std::{io::Write, process::ExitCode, time::Duration};
 
 use ctos::{
     message::{Command, Message},
@@ -203,7 +204,24 @@ impl EventHandler for Caller {
     }
 }
 
+/// The first processes of a chassis, as `TEST_HOLDS=CHASSIS:TIMES` says, say so and never come to anything.
+fn hold() {
+    let variable = |name| std::env::var(name).unwrap_or_default();
+    let holds = variable("TEST_HOLDS");
+    let (held, times) = holds.split_once(':').unwrap_or_default();
+    let is_held = std::env::args().any(|argument| argument == held);
+    let number = variable("CTOS_INCARNATION").parse::<u32>();
+    if is_held && number.is_ok_and(|number| times.parse().is_ok_and(|times| number <= times)) {
+        // Whoever waits for it reads it.
+        let _ = std::io::stderr().write_all(b"holds before it connects\n");
+        loop {
+            std::thread::park();
+        }
+    }
+}
+
 fn main() -> ExitCode {
+    hold();
     let mut registry = Registry::new();
     let steady = registry.handler("test.steady", &[Count::INFO, Wait::INFO], |cx| {
         let args = cx.args()?;
@@ -216,6 +234,7 @@ fn main() -> ExitCode {
     misbehaving.args::<Args>();
     durable::register(&mut registry);
     load::register(&mut registry);
+    runaways::register(&mut registry);
     nets::register(&mut registry);
     cli::commands::main(registry)
 }

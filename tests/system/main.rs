@@ -36,6 +36,7 @@ mod moving;
 mod nets;
 mod recording;
 mod restarts;
+mod runaways;
 mod startup;
 mod stepped_clock;
 mod structure;

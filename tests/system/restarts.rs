@@ -91,6 +91,62 @@ fn a_chassis_that_is_killed_in_any_phase_comes_back() {
 }
 
 #[test]
+fn a_task_whose_chassis_dies_as_soon_as_it_is_back_is_waited_for_and_never_unknown() {
+    let scratch = Scratch::empty();
+    let app = r#"
+        [app]
+        [chassis.desk]
+        [chassis.side]
+        [chassis.cage]
+        restart = "on-failure"
+        max_restarts = 1000
+        restart_backoff_s = 0.001
+        restart_window_s = 0.01
+        [task.dying]
+        handler = "test.dying"
+        on = "cage"
+        [task.finder]
+        handler = "test.finder"
+        on = "desk"
+        args.deaths = 20
+        [task.looker]
+        handler = "test.finder"
+        on = "side"
+    "#;
+    scratch.write("app.toml", app);
+    let ended = start(&scratch, &[]).end();
+    ended.must_exit(0);
+    assert_eq!(ended.stdout.trim(), "found", "{}", ended.told);
+}
+
+#[test]
+fn a_chassis_that_is_killed_before_it_connects_is_restarted_as_its_policy_says() {
+    let killed = |times: usize, arguments: &[&str]| {
+        let scratch = scratch();
+        let all = [&["boot", "app.toml"], arguments].concat();
+        let holds = format!("cage:{times}");
+        let mut run = scratch.start(MISBEHAVING, &all, &[("TEST_HOLDS", &holds)]);
+        for _ in 0..times {
+            run.wait_for("holds before it connects");
+            run.kill("cage");
+        }
+        run.end()
+    };
+    let ended = killed(1, &[]);
+    must_have_survived(&ended);
+    ended.must_say("is in phase create");
+    // It counts as every other restart does.
+    let ended = killed(3, &[]);
+    ended.must_exit(1);
+    let reason = "was restarted 2 times within 60 s and failed again: it was killed by signal 9";
+    assert!(ended.error().contains(reason), "{}", ended.told);
+    let ended = killed(1, &["--set", "chassis.cage.restart=never"]);
+    ended.must_exit(5).must_not_say("restart  ");
+    let error = "chassis `cage` did not start: it was killed by signal 9 (SIGKILL)";
+    assert!(ended.error().contains(error), "{}", ended.told);
+}
+
+#[test]
 fn a_chassis_that_dies_again_and_again_ends_the_app_with_its_reason() {
     let scratch = scratch();
     let dies = ["--set", "task.hand.args.dies=\"run\"", "--json"];

@@ -1,7 +1,10 @@
 //! `ctos restart`.
 
 use clap::Args;
-use ctos::control::protocol::{Answer, Request};
+use ctos::control::{
+    client::ClientError,
+    protocol::{Answer, Request},
+};
 
 use cli_common::{
     exit,
@@ -13,7 +16,9 @@ use cli_common::{
 ///
 /// A task's handler is built anew and brought to the phase it had reached; messages in its queue stay. The tasks of a
 /// chassis are stopped in order, its process ends and the next one passes the startup phases alone. Both whatever
-/// their restart policy says. Returns when it runs again.
+/// their restart policy says. Returns when it runs again; what keeps it is shown every second. A handler that does not
+/// come to an end within the app's `stop_timeout_s` cannot be built anew: that ends with exit code 6, and restarting
+/// its chassis helps.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos restart arm
@@ -33,13 +38,7 @@ pub struct RestartArgs {
 #[must_use]
 pub fn run(args: &RestartArgs) -> u8 {
     let name = &args.name;
-    let restarted = args.remote.connect().and_then(|mut client| {
-        client.ask(Request::Restart { name: name.clone() })?;
-        // The phases have limits of their own, which the app keeps.
-        client.wait_for_ever()?;
-        client.read()
-    });
-    match restarted {
+    match restarted(args) {
         Ok(Some(Answer::Done {})) => {
             if args.json {
                 // A reader that went away has what it wanted.
@@ -54,5 +53,25 @@ pub fn run(args: &RestartArgs) -> u8 {
             exit::UNREACHABLE
         }
         Err(error) => remote::failed_for(&[name], &error),
+    }
+}
+
+/// Waits until it runs again, and tells what keeps it.
+fn restarted(args: &RestartArgs) -> Result<Option<Answer>, ClientError> {
+    let mut client = args.remote.connect()?;
+    let name = args.name.clone();
+    client.ask(Request::Restart { name })?;
+    // The app keeps the limits.
+    client.wait_for_ever()?;
+    loop {
+        match client.read()? {
+            Some(Answer::Waiting { took_s, at }) => {
+                let time = remote::span(took_s);
+                if !args.json {
+                    show::say(&format!("restart  waits {time} for {}: {at}", args.name));
+                }
+            }
+            answer => return Ok(answer),
+        }
     }
 }

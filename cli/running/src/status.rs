@@ -2,7 +2,7 @@
 
 use clap::Args;
 use ctos::{
-    control::protocol::{Answer, ChassisView, Request, StatusView, TaskView},
+    control::protocol::{Activity, Answer, ChassisView, Request, StatusView, TaskView},
     record::RecordReport,
 };
 
@@ -13,6 +13,9 @@ use cli_common::{
 };
 
 use crate::ps;
+
+/// A handler that has kept its processor for so long is not expected to give it back, s.
+const STUCK_S: f64 = 5.0;
 
 /// Show everything about one task or chassis on one screen
 ///
@@ -85,11 +88,23 @@ fn lines(status: &StatusView, name: &str, option: &str, width: usize) -> Vec<Str
     lines.extend(log_lines(status));
     lines.push(String::new());
     lines.push(format!("follow its log   ctos logs {name} -f{option}"));
-    lines.push(format!("restart it       ctos restart {name}{option}"));
+    lines.push(format!("restart it       ctos restart {}{option}", restartable(status, name)));
     lines
         .iter()
         .map(|line| table::fitted(line, width))
         .collect()
+}
+
+/// What is to be restarted so that `name` is: a handler that keeps its processor cannot be built anew.
+fn restartable<'a>(status: &'a StatusView, name: &'a str) -> &'a str {
+    let mut tasks = status.tasks.iter().filter(|_| status.is_task);
+    let is_stuck = |task: &TaskView| {
+        task.activity == Activity::Busy && task.in_handler_s.is_some_and(|time| time > STUCK_S)
+    };
+    match tasks.any(is_stuck) {
+        true => &status.chassis.name,
+        false => name,
+    }
 }
 
 fn line(title: &str, text: impl AsRef<str>) -> String {

@@ -22,6 +22,10 @@ use cli_common::remote::{self, AtArgs, connect_to};
 
 /// How often it is looked whether the user has given up waiting.
 const LOOK: Duration = Duration::from_millis(100);
+/// How long an answer is waited for, unless the user says otherwise, s.
+pub const LIMIT_S: f64 = 60.0;
+/// What the app may need besides, to say that the answer did not come.
+const GRACE: Duration = Duration::from_secs(5);
 /// What the prompt may take to learn what there is. Whatever is not there by then is not offered.
 const GLANCE: Duration = Duration::from_millis(100);
 
@@ -34,6 +38,18 @@ pub struct Where {
     pub at: AtArgs,
     /// The daemon that is asked when a name says none.
     pub daemon: Option<String>,
+    /// How long an answer is waited for.
+    pub limit: Limit,
+}
+
+/// How long an answer is waited for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limit(pub Duration);
+
+impl Default for Limit {
+    fn default() -> Self {
+        Self(Duration::from_secs_f64(LIMIT_S))
+    }
 }
 
 /// Why an app cannot be asked.
@@ -180,20 +196,45 @@ impl App {
     /// [`Interrupted`]: nobody waits for the reply any more, and the connection was given up.
     pub fn dispatch(&mut self, line: &str, trace: u64) -> Result<String, Interrupted> {
         // A connection of an app that has ended meanwhile, with nobody to tell.
-        if self.client.as_mut().is_some_and(has_ended) {
+        if self.client.as_mut().is_some_and(Client::has_ended) {
             self.client = None;
         }
         if let Err(error) = self.client() {
             return Ok(refusal(line, &error.to_string()));
         }
         let (task, line, named) = self.addressed(line);
-        match self.say(&task, &line, trace)? {
+        match self.said(&task, &line, trace)? {
             Ok(reply) => Ok(match named {
                 None => reply,
                 Some(name) => renamed(&reply, name),
             }),
-            Err(why) => Ok(refusal(&line, &why)),
+            Err(Unsaid::Lost(why)) => Ok(refusal(&line, &why)),
+            Err(Unsaid::Late) => {
+                let what = self.why_late(&task);
+                let limit = self.place.limit.0.as_secs_f64();
+                let why = format!("no answer of `{task}` within {limit} s (--limit): {what}");
+                Ok(refused(&line, code::LATE, &why))
+            }
         }
+    }
+
+    /// What a daemon that does not answer is at, and what can be done.
+    fn why_late(&mut self, task: &str) -> String {
+        let status = Request::Status {
+            name: task.to_owned(),
+        };
+        let status = match self.client.as_mut().map(|client| client.get(status)) {
+            Some(Ok(Answer::Status(status))) => status,
+            _ => return "the app does not say why".to_owned(),
+        };
+        let chassis = &status.chassis.name;
+        let restart = format!("`ctos restart {chassis} --app {}` ends it", self.name);
+        if let Some(busy) = self.glance(task, "sorm CTRL -busy").filter(|busy| !busy.is_empty()) {
+            let busy = busy.lines().collect::<Vec<_>>().join("; ");
+            return format!("objects of chassis `{chassis}` are in calls: {busy}; {restart}");
+        }
+        let does = status.tasks.first().map(remote::does).unwrap_or_default();
+        format!("it is on chassis `{chassis}`: {does}; {restart}")
     }
 
     /// Which daemon a line is for, the line as it is for that daemon, and the name that the reply is to have.
@@ -227,35 +268,52 @@ impl App {
         line: &str,
         trace: u64,
     ) -> Result<Result<String, String>, Interrupted> {
+        let said = self.said(task, line, trace)?;
+        Ok(said.map_err(|unsaid| match unsaid {
+            Unsaid::Lost(why) => why,
+            Unsaid::Late => format!("no answer of `{task}`: {}", self.why_late(task)),
+        }))
+    }
+
+    fn said(
+        &mut self,
+        task: &str,
+        line: &str,
+        trace: u64,
+    ) -> Result<Result<String, Unsaid>, Interrupted> {
+        let Limit(limit) = self.place.limit;
         let request = Request::Say(SayRequest {
             task: task.to_owned(),
             line: line.to_owned(),
             trace,
-            limit_s: None,
+            limit_s: Some(limit.as_secs_f64()),
         });
+        let clock = Clock::real();
+        let until = clock.now() + limit + GRACE;
+        let lost = |app: &Self, why: &str| Ok(Err(Unsaid::Lost(lost(&app.name, why))));
         let asked = match self.client() {
             Ok(client) => client.ask(request),
-            Err(error) => return Ok(Err(error.to_string())),
+            Err(error) => return Ok(Err(Unsaid::Lost(error.to_string()))),
         };
         match asked {
             Ok(()) => {}
             // Nothing was sent.
-            Err(ClientError::Refused(refused)) => return Ok(Err(refused.message)),
+            Err(ClientError::Refused(refused)) => return Ok(Err(Unsaid::Lost(refused.message))),
             Err(error) => {
                 self.client = None;
-                return Ok(Err(lost(&self.name, &error.to_string())));
+                return lost(self, &error.to_string());
             }
         }
         loop {
             let Some(client) = &mut self.client else {
-                return Ok(Err(lost(&self.name, "the connection was closed")));
+                return lost(self, "the connection was closed");
             };
             let came = client.read_within(LOOK);
             match came {
                 Ok(Within::Answer(answer)) => {
                     return Ok(match *answer {
                         Answer::Said { line } => Ok(line),
-                        other => Err(format!("{other:?} is no answer to this")),
+                        other => Err(Unsaid::Lost(format!("{other:?} is no answer to this"))),
                     });
                 }
                 Ok(Within::NotYet) => {
@@ -264,18 +322,25 @@ impl App {
                         self.client = None;
                         return Err(Interrupted);
                     }
+                    if clock.now() > until {
+                        self.client = None;
+                        return lost(self, "the app itself does not answer");
+                    }
                 }
                 Ok(Within::Closed) => self.client = None,
+                Err(ClientError::Refused(refused)) if refused.code == ErrorCode::TimedOut => {
+                    return Ok(Err(Unsaid::Late));
+                }
                 Err(ClientError::Refused(refused)) => {
                     let hint = match refused.code {
                         ErrorCode::BadRequest => "; is the app of an earlier version?",
                         _ => "",
                     };
-                    return Ok(Err(format!("{}{hint}", refused.message)));
+                    return Ok(Err(Unsaid::Lost(format!("{}{hint}", refused.message))));
                 }
                 Err(error) => {
                     self.client = None;
-                    return Ok(Err(lost(&self.name, &error.to_string())));
+                    return lost(self, &error.to_string());
                 }
             }
         }
@@ -285,7 +350,7 @@ impl App {
     /// nothing, when it does not tell in time.
     pub fn classes(&mut self) -> Option<&[ClassInfo]> {
         if self.classes.is_none() {
-            let text = self.glance("sorm CTRL -describe")?;
+            let text = self.glance(&self.entry.clone(), "sorm CTRL -describe")?;
             let lines = text.lines();
             let classes = lines.filter_map(|line| serde_json::from_str(line).ok());
             let mut classes: Vec<ClassInfo> = classes.collect();
@@ -299,7 +364,7 @@ impl App {
     pub fn names(&mut self) -> Vec<String> {
         let mut names = Vec::new();
         for line in ["sorm CTRL -list", "dict CTRL -list"] {
-            let text = self.glance(line).unwrap_or_default();
+            let text = self.glance(&self.entry.clone(), line).unwrap_or_default();
             let found = words::split(&text).unwrap_or_default();
             names.extend(found.into_iter().map(|word| word.text));
         }
@@ -307,10 +372,10 @@ impl App {
     }
 
     /// The text of an answer that comes at once. Says nothing when there is none.
-    fn glance(&mut self, line: &str) -> Option<String> {
+    fn glance(&mut self, task: &str, line: &str) -> Option<String> {
         let client = self.client.as_mut()?;
         let request = Request::Say(SayRequest {
-            task: self.entry.clone(),
+            task: task.to_owned(),
             line: line.to_owned(),
             trace: 0,
             limit_s: Some(GLANCE.as_secs_f64()),
@@ -347,11 +412,12 @@ impl App {
     }
 }
 
-/// Whether an app has closed a connection over which nothing is awaited.
-fn has_ended(client: &mut Client) -> bool {
-    // The shortest time that a socket takes.
-    let now = Duration::from_micros(1);
-    !matches!(client.read_within(now), Ok(Within::NotYet))
+/// Why a line has no answer.
+enum Unsaid {
+    /// It, or its answer, was lost.
+    Lost(String),
+    /// It did not come in time.
+    Late,
 }
 
 fn daemons(view: &AppView) -> Vec<String> {
@@ -379,12 +445,16 @@ fn renamed(reply: &str, name: ObjectName) -> String {
 
 /// The reply of an object that nobody could ask.
 pub(crate) fn refusal(line: &str, why: &str) -> String {
+    refused(line, code::DAEMON, why)
+}
+
+fn refused(line: &str, code: i32, why: &str) -> String {
     let name = line.split_whitespace().next().unwrap_or_default();
     let name = match name.parse::<ObjectName>() {
         Ok(name) => name.to_string(),
         Err(_) => "sorm".to_owned(),
     };
-    let report = Report::error(code::DAEMON, why);
+    let report = Report::error(code, why);
     format!(
         "{name} RET {} TDBX {}",
         report.code,

@@ -27,12 +27,13 @@ use std::{
     path::{Path, PathBuf},
     process::ExitCode,
     sync::Arc,
+    time::Duration,
 };
 
 use clap::Parser;
 use signal_hook::consts::SIGINT;
 
-use attach::{App, AttachError, Interrupt, Where};
+use attach::{App, AttachError, Interrupt, Limit, Where};
 use backend::Backend;
 use cli_common::{
     exit,
@@ -40,6 +41,9 @@ use cli_common::{
     show::{self, Colour},
 };
 use session::{Flow, Place, Session};
+
+/// What an app permits, s.
+const LONGEST_LIMIT_S: f64 = 86_400.0;
 
 const EXAMPLES: &str = "Examples:
   scott calibrate
@@ -73,6 +77,10 @@ pub struct Cli {
     /// it is left out
     #[arg(long, value_name = "TASK", conflicts_with = "local")]
     pub daemon: Option<String>,
+    /// How long an answer is waited for, s; then it is said what keeps it, and what can be done. What is asked of
+    /// objects of this very process (--local) has no limit but Ctrl-C, which ends the program
+    #[arg(long, value_name = "S", default_value_t = attach::LIMIT_S, value_parser = limit, conflicts_with = "local")]
+    pub limit: f64,
     /// Carry all classes of service objects in this process; no app needs to run
     #[arg(long, conflicts_with = "at")]
     pub local: bool,
@@ -131,6 +139,13 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(&Cli::parse()))
 }
 
+/// Reads how long an answer is waited for, s.
+fn limit(text: &str) -> Result<f64, String> {
+    let limit = text.parse().ok();
+    let limit = limit.filter(|limit| (0.0..=LONGEST_LIMIT_S).contains(limit));
+    limit.ok_or_else(|| format!("it is 0 to {LONGEST_LIMIT_S} s"))
+}
+
 fn run(cli: &Cli) -> u8 {
     let backend = match backend(cli) {
         Ok(backend) => backend,
@@ -179,6 +194,7 @@ fn backend(cli: &Cli) -> Result<Backend, u8> {
         app: cli.app.clone(),
         at: cli.at.clone(),
         daemon: cli.daemon.clone(),
+        limit: Limit(Duration::from_secs_f64(cli.limit)),
     };
     match App::attach(place, interrupt) {
         Ok(app) => Ok(Backend::App(Box::new(app))),

@@ -518,6 +518,7 @@ fn exit_of(ret: i32) -> u8 {
     match ret {
         code::UNKNOWN_CLASS | code::UNKNOWN_FLAVOR => exit::NO_SUCH_NAME,
         code::DAEMON => exit::UNREACHABLE,
+        code::LATE => exit::TIMED_OUT,
         _ => exit::FAILED,
     }
 }

@@ -130,7 +130,7 @@ pub(super) const TABLES: &[Table] = &[
         "restart": Choice(&["never", "on-failure", "always"]) = "\"never\"", "When its process is started again after it ended; \"never\": the app ends with it.";
         "max_restarts": Integer(1, 1_000_000), "So many restarts within the window are the last; the next failure ends the app. Default, where there are restarts: 3.";
         "restart_window_s": Seconds(86_400.0), "The window in which restarts are counted, s. Default, where there are restarts: 60.";
-        "restart_backoff_s": Seconds(3600.0), "The pause before a restart, s; doubles with each one within the window. Default, where there are restarts: 0.5.";
+        "restart_backoff_s": Seconds(3600.0), "The pause before a restart, s; doubles with each one within the window, up to 30 s. Default, where there are restarts: 0.5.";
         "on_task_failure": Choice(&["app", "restart-chassis"]) = "\"app\"", "What a task that failed for good leads to.";
         "processors": Named(PROCESSOR), "Its threads, by name. Default: one that is called `main`.";
     },
@@ -150,7 +150,7 @@ pub(super) const TABLES: &[Table] = &[
         "state": Choice(&["memory", "durable"]) = "\"memory\"", "Whether its state survives its process: stored before an answer leaves, and taken over by the next process.";
         "max_restarts": Integer(1, 1_000_000), "How many restarts there are within the window at most. Default: 3.";
         "restart_window_s": Seconds(86_400.0), "The window, s. Default: 60.";
-        "restart_backoff_s": Seconds(3_600.0), "The wait before a restart, s; it doubles with each one in the window. Default: 0.1.";
+        "restart_backoff_s": Seconds(3_600.0), "The wait before a restart, s; it doubles with each one in the window, up to 30 s. Default: 0.1.";
         "call_deadline_s": Seconds(86_400.0), "Deadline of the calls it makes, s. Default: the runtime's.";
         "handler_limit_s": Seconds(86_400.0), "How long its handler may be at one message before a warning names it, s. Default: 1 where it keeps its processor from others, 30 where it waits.";
         "args": Free, "What the handler wants to know; each handler has keys of its own.";

@@ -128,7 +128,8 @@ impl Chassis {
     }
 
     /// What the configuration says of chassis number `index`; nothing of the one that boots, 0.
-    pub(crate) fn config_of(&self, index: u8) -> Option<&ChassisConfig> {
+    #[must_use]
+    pub fn config_of(&self, index: u8) -> Option<&ChassisConfig> {
         configured(&self.app, index)
     }
 

@@ -46,6 +46,8 @@ pub struct Names {
     used: BTreeMap<Tid, String>,
     /// The last id of each name that has none now.
     past: BTreeMap<String, Tid>,
+    /// Those whose task came to its end by itself.
+    ended: BTreeSet<String>,
     waiting: BTreeMap<String, Vec<Waiter>>,
     monitors: BTreeMap<String, BTreeSet<Tid>>,
     /// Names whose task takes no messages at the moment.
@@ -98,6 +100,7 @@ impl TidServer {
         state.used.insert(task.tid, task.name.clone());
         state.names.insert(task.name.clone(), task.tid);
         let before = state.past.remove(&task.name);
+        state.ended.remove(&task.name);
         let waiters = state.waiting.remove(&task.name).unwrap_or_default();
         drop(state);
         if let Some(old) = before {
@@ -150,6 +153,7 @@ impl TidServer {
             if !self.state.borrow_mut().free(&task) {
                 return;
             }
+            self.state.borrow_mut().ended.insert(task.name.clone());
             broadcast(cx, &task.name, task.tid, None);
         }
         self.notify(cx, &task, &change);

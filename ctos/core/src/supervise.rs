@@ -15,7 +15,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use ctos_time::Instant;
 
-/// The longest wait before a restart, however often it doubled.
+/// The longest wait that doubling leads to; the policy itself may ask for a longer one.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(30);
 
 /// How something came to its end.
@@ -102,7 +102,8 @@ impl Restarts {
             .rng
             .get_or_insert_with(|| Box::new(ChaCha8Rng::seed_from_u64(seed)));
         let part: f64 = rng.random_range(0.8..=1.0);
-        whole.min(LONGEST_BACKOFF).mul_f64(part)
+        let longest = LONGEST_BACKOFF.max(self.policy.backoff);
+        whole.min(longest).mul_f64(part)
     }
 }
 
@@ -259,6 +260,24 @@ mod tests {
             };
             let whole = first * doubled;
             assert!(wait <= whole && wait >= whole.mul_f64(0.8), "{wait:?}");
+        }
+    }
+
+    #[test]
+    fn a_wait_that_is_longer_than_doubling_leads_to_stays_as_the_policy_says() {
+        let hour = Duration::from_secs(3600);
+        let policy = Policy {
+            when: When::Always,
+            backoff: hour,
+            ..Policy::default()
+        };
+        let mut restarts = Restarts::new(policy, 7);
+        for second in 0..3 {
+            let verdict = restarts.judge(Ending::Failure, at_s(second));
+            let Verdict::RestartAfter(wait) = verdict else {
+                panic!("refused at {second} s");
+            };
+            assert!(wait <= hour && wait >= hour.mul_f64(0.8), "{wait:?}");
         }
     }
 

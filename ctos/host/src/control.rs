@@ -13,6 +13,7 @@ mod moves;
 mod news;
 mod place;
 mod recording;
+mod restarts;
 mod server;
 mod service;
 mod view;

@@ -205,6 +205,55 @@ fn no_lookup_fails_while_a_chassis_is_stopped_in_order_because_a_task_failed() {
     }
 }
 
+#[test]
+fn a_task_that_the_boot_has_not_created_yet_is_waited_for() {
+    struct Early;
+    #[ctos::handler]
+    impl Early {
+        #[phase]
+        async fn enters(&mut self, cx: &Context, phase: Phase) -> Handled {
+            // As soon as it is created; the other chassis may be later.
+            let late = cx.task("late").await?;
+            if phase == Phase::Run {
+                let text = late.name().to_owned();
+                let (ok, json) = (true, String::new());
+                cx.finish(AppResult { ok, text, json });
+            }
+            Ok(())
+        }
+    }
+    const APP: &str = r#"
+        [app]
+        until = "early"
+        [chassis.desk]
+        [chassis.cage]
+        [task.early]
+        handler = "early"
+        on = "desk"
+        [task.counter]
+        handler = "counter"
+        on = "cage"
+        [task.twin]
+        handler = "counter"
+        on = "cage"
+        [task.late]
+        handler = "counter"
+        on = "cage"
+    "#;
+    for seed in 0..40 {
+        let app = load_texts(&[("app.toml", APP)], &[format!("app.seed={seed}")], &[]).unwrap();
+        let mut registry = Registry::new();
+        registry.handler("counter", &Counter::COMMANDS, |_| Ok(Counter::default()));
+        registry.handler("early", &Early::COMMANDS, |_| Ok(Early));
+        let observer: Observer = Arc::new(|_: &BootEvent| ());
+        let end = simulate(app, registry, &[], &observer).unwrap().end;
+        let End::Finished(result) = end else {
+            panic!("seed {seed}: {end:?}");
+        };
+        assert_eq!(result.text, "late", "seed {seed}");
+    }
+}
+
 /// Waits until the death, and says what becomes of a lookup and how long it took.
 fn asks_once(
     cx: Context,

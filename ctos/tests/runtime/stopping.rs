@@ -7,7 +7,7 @@ use std::{
 
 use ctos::{
     boot::{BootEvent, End, Observer},
-    config::load_texts,
+    config::{Node, load_texts},
     message::{Command, Message},
     registry::Registry,
     simulation::{self, Fault, FaultKind, Faults, Setup},
@@ -346,4 +346,58 @@ fn a_second_interrupt_ends_the_step_and_leaves_the_others_their_time() {
             ran.events
         );
     }
+}
+
+/// Starts so many tasks, and ends the app.
+struct Parent;
+
+#[ctos::handler]
+impl Parent {
+    #[phase]
+    async fn enters(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Connect {
+            for number in 0..2000 {
+                let name = format!("child{number}");
+                cx.start(&name, "child", Node::table()).await?;
+            }
+        }
+        if phase == Phase::Run {
+            let (ok, text, json) = (true, String::new(), String::new());
+            cx.finish(AppResult { ok, text, json });
+        }
+        Ok(())
+    }
+}
+
+struct Child;
+
+#[ctos::handler]
+impl Child {}
+
+#[test]
+fn thousands_of_started_tasks_are_stopped_without_a_question_to_the_names_for_each() {
+    let app = r#"
+        [app]
+        until = "parent"
+        stop_timeout_s = 0.02
+        phase_timeout_s = 100
+        [chassis.a]
+        [task.parent]
+        handler = "parent"
+        on = "a"
+    "#;
+    let app = load_texts(&[("app.toml", app)], &[], &[]).unwrap();
+    let mut registry = Registry::new();
+    registry.handler("parent", &Parent::COMMANDS, |_| Ok(Parent));
+    registry.handler("child", &Child::COMMANDS, |_| Ok(Child));
+    let events = Trace::default();
+    let seen = events.clone();
+    let observer: Observer = Arc::new(move |event: &BootEvent| {
+        if let BootEvent::Stopped { task, error } = event {
+            seen.lock().unwrap().push(format!("{task} {error:?}"));
+        }
+    });
+    let run = simulation::run(app, registry, Setup::default(), &observer).unwrap();
+    assert!(matches!(run.outcome.end, End::Finished(_)), "{:?}", run.outcome);
+    assert_eq!(*events.lock().unwrap(), ["parent None"]);
 }

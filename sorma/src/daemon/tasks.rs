@@ -11,6 +11,7 @@ use crate::report::{Report, code};
 use crate::request::Request;
 use crate::results::Keep;
 use crate::transport::Transport;
+use crate::workers::Workers;
 use ctos::call::{CallError, Fault};
 use ctos::message::CommandInfo;
 use ctos::task::{Context, NameError, TaskRef};
@@ -28,6 +29,7 @@ pub struct Tasks {
     cx: Context,
     deadline: Option<Duration>,
     retries: u32,
+    workers: Option<&'static Workers>,
 }
 
 impl Tasks {
@@ -38,6 +40,16 @@ impl Tasks {
             cx: cx.clone(),
             deadline: None,
             retries: 0,
+            workers: None,
+        }
+    }
+
+    /// In the name of a daemon, whose objects keep it from nobody. In virtual time there is one thread for everything.
+    pub(super) fn serving(cx: &Context) -> Self {
+        let is_real = cx.chassis().clock().origin_ns().is_some();
+        Self {
+            workers: is_real.then(Workers::of_process).flatten(),
+            ..Self::of(cx)
         }
     }
 
@@ -291,6 +303,10 @@ impl Comm for Tasks {
             back.map(|_| ())
                 .map_err(|error| raise!(code::DAEMON, "`@{daemon}`: {error}"))
         })
+    }
+
+    fn workers(&self) -> Option<&'static Workers> {
+        self.workers
     }
 
     fn is_in_app(&self) -> bool {

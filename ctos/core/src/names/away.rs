@@ -91,7 +91,10 @@ impl Names {
             Some(tid) if !hidden && !lost => return Ok(tid),
             // It exists, and nobody can say any more when it has passed its phases.
             Some(tid) if presence.stopping && !lost => return Ok(tid),
-            None if !presence.absent.contains_key(&index) => return Err(unknown()),
+            // All others of the configuration will be there, unless their chassis is seen to be gone.
+            None if self.ended.contains(name) && !presence.absent.contains_key(&index) => {
+                return Err(unknown());
+            }
             _ => {}
         }
         if let Some(Some(why)) = presence.absent.get(&index) {

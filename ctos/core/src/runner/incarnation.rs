@@ -209,6 +209,11 @@ impl Runner {
         // Whatever is still in its queue is answered before the name can be anybody else's.
         self.cx.chassis().remove_task(self.cx.tid());
         let changed = self.changed(Change::Ended { reason });
+        if self.cx.chassis().is_stopping() {
+            // Nobody takes the name any more, so nobody need wait until it is free.
+            let chassis = self.cx.chassis();
+            return chassis.post_system(crate::system::TID_SERVER, changed);
+        }
         let told = self.cx.call(&Context::server(), changed);
         if let Err(error) = told.deadline(self.cx.app().stop_timeout).await {
             tracing::debug!(task = %self.cx.name(), error = %error, "its name is not free");

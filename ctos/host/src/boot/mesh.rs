@@ -227,6 +227,12 @@ impl Mesh {
         self.inner.supersede(chassis, incarnation);
     }
 
+    /// At the boot: nobody need wait for `chassis`, which ended before it called.
+    pub(crate) fn miss(&self, chassis: u8) {
+        lock(&self.inner.state).peers.remove(&chassis);
+        self.inner.changed();
+    }
+
     /// What happens next.
     pub(crate) async fn next(&mut self) -> MeshEvent {
         match self.events.recv().await {

@@ -17,7 +17,8 @@ use crate::{
     boot::{
         launcher::{Launcher, ProcessId},
         mesh::{FLUSH_TIMEOUT, Identification, Mesh, MeshEvent},
-        processes::{Keeper, Process, Starter},
+        processes::{Keeper, Process, Starter, tell_ended},
+        spawn::Ending,
     },
     control::{Gate, LogStore, Server, Ticker},
     doors::PortSecret,
@@ -27,7 +28,7 @@ use ctos_bootstrap::{
     bootstrap::{BootError, BootEvent, End, Observer, Outcome, Seat, io_error as io},
     watch,
 };
-use ctos_config::App;
+use ctos_config::{App, ChassisRestart};
 use ctos_core::{chassis::Chassis, registry::Registry, system};
 use ctos_link::{
     handshake::Token,
@@ -161,7 +162,7 @@ async fn run_processes(
     }
     let timeout = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
-    tokio::select! {
+    let killed = tokio::select! {
         connected = tokio::time::timeout(timeout, connect(&starter, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
@@ -187,6 +188,9 @@ async fn run_processes(
     let server = Server::start(chassis, &logs, ticker.clone(), gate);
     let mut newcomers = Newcomers::default();
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
+    for (id, ending) in killed {
+        tell_ended(chassis, id, &ending);
+    }
     loop {
         tokio::select! {
             _ = &mut exited => break,
@@ -267,64 +271,97 @@ impl Newcomers {
     }
 }
 
-/// Waits until all chassis are connected to each other and to this one. `missing` says at any time who
-/// is not.
+/// Waits until all chassis are connected to each other and to this one, but for those that were killed and may be
+/// started again: these are its result, for their supervisors. `missing` says at any time who is not there.
 async fn connect(
     starter: &Starter,
     mesh: &mut Mesh,
     processes: &mut [Process],
     missing: &mut BTreeSet<u8>,
-) -> Result<(), BootError> {
+) -> Result<Vec<Exit>, BootError> {
     for index in missing.iter() {
         mesh.expect(*index, 1);
     }
+    let mut killed: Vec<Exit> = Vec::new();
     while !missing.is_empty() {
+        let mut living: Vec<&mut Process> = processes.iter_mut().collect();
+        living.retain(|process| killed.iter().all(|(id, _)| *id != process.id));
         let event = tokio::select! {
             // The process first: that it ended says more than that its connection did.
             biased;
-            ended = first_exit(starter, processes) => return Err(ended),
-            event = mesh.next() => event,
+            exit = first_exit(&mut living) => Err(exit),
+            event = mesh.next() => Ok(event),
         };
         // A connection that breaks off mostly belongs to a process that is just ending; one that
         // said why it cannot start has said more than its end would.
-        let (index, reason, ends) = match event {
-            MeshEvent::Joined { chassis, .. } => {
+        let exit = match event {
+            Err(exit) => exit,
+            Ok(MeshEvent::Joined { chassis, .. }) => {
                 missing.remove(&chassis);
                 continue;
             }
-            MeshEvent::Up { .. } => continue,
-            MeshEvent::Down {
+            Ok(MeshEvent::Up { .. }) => continue,
+            Ok(MeshEvent::Down { chassis, .. })
+                if killed.iter().any(|(id, _)| id.chassis == chassis) =>
+            {
+                continue;
+            }
+            Ok(MeshEvent::Down {
                 chassis, reason, ..
-            } => (chassis, reason.to_string(), true),
-            MeshEvent::Unable { chassis, reason } => (chassis, reason, false),
+            }) => {
+                let exit = first_exit(&mut living);
+                match tokio::time::timeout(FLUSH_TIMEOUT, exit).await {
+                    Ok(exit) => exit,
+                    Err(_) => return Err(unable(starter, chassis, reason.to_string())),
+                }
+            }
+            Ok(MeshEvent::Unable { chassis, reason }) => {
+                return Err(unable(starter, chassis, reason));
+            }
         };
-        let ended = first_exit(starter, processes);
-        if ends && let Ok(ended) = tokio::time::timeout(FLUSH_TIMEOUT, ended).await {
-            return Err(ended);
+        let (id, ending) = &exit;
+        let config = starter.chassis.config_of(id.chassis);
+        let restarts = config
+            .is_some_and(|config| config.supervision.restart.when != ChassisRestart::Never);
+        // What ends by itself, before it is asked for anything, would only do so again.
+        if !(ending.by_signal && restarts) {
+            return Err(ended(starter, id.chassis, &ending.how));
         }
-        return Err(BootError::Chassis {
-            chassis: starter.chassis.name_of(index).to_owned(),
-            reason,
-        });
+        missing.remove(&id.chassis);
+        mesh.miss(id.chassis);
+        killed.push(exit);
     }
-    Ok(())
+    Ok(killed)
 }
 
+/// A process that has ended, and how.
+type Exit = (ProcessId, Ending);
+
 /// Ends when the first process does.
-async fn first_exit(starter: &Starter, processes: &mut [Process]) -> BootError {
+async fn first_exit(processes: &mut [&mut Process]) -> Exit {
     let waits = processes.iter_mut().map(|process| {
-        let name = process.name.clone();
-        Box::pin(async move { (name, process.ended().await) })
+        let id = process.id;
+        Box::pin(async move { (id, process.ended().await) })
     });
-    let ((chassis, ending), _, _) = futures_util::future::select_all(waits).await;
-    let how = ending.how;
-    let lines = starter.logs.last_words(&chassis);
+    futures_util::future::select_all(waits).await.0
+}
+
+fn unable(starter: &Starter, chassis: u8, reason: String) -> BootError {
+    BootError::Chassis {
+        chassis: starter.chassis.name_of(chassis).to_owned(),
+        reason,
+    }
+}
+
+/// Why a process that has ended ends the boot, with what it said last.
+fn ended(starter: &Starter, chassis: u8, how: &str) -> BootError {
+    let lines = starter.logs.last_words(starter.chassis.name_of(chassis));
     let reason = if lines.is_empty() {
         format!("it {how}")
     } else {
         format!("it {how}; its last lines:\n{lines}")
     };
-    BootError::Chassis { chassis, reason }
+    unable(starter, chassis, reason)
 }
 
 /// What asks for the end of the app: Ctrl-C, and SIGTERM, of which the observer is told.

@@ -26,7 +26,7 @@ use ctos_time::lock::lock;
 /// A chassis's process.
 pub(super) struct Process {
     pub(super) name: String,
-    id: ProcessId,
+    pub(super) id: ProcessId,
     home: Home,
     ended: watch::Receiver<Option<Ending>>,
 }
@@ -192,7 +192,7 @@ impl Starter {
 }
 
 /// Tells the bootstrap service of the end of a process.
-fn tell_ended(chassis: &Arc<Chassis>, id: ProcessId, ending: &Ending) {
+pub(super) fn tell_ended(chassis: &Arc<Chassis>, id: ProcessId, ending: &Ending) {
     let ended = system::ProcessEnded {
         chassis: id.chassis,
         incarnation: id.incarnation,

@@ -3,6 +3,7 @@
 //! The boot starts chassis with it, and so does the agent of another host. Knows nothing of either.
 
 use std::{
+    os::unix::process::ExitStatusExt,
     process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
     time::Duration,
@@ -32,6 +33,8 @@ pub(crate) struct Ending {
     pub(crate) how: String,
     /// Its exit code, if it ended by itself.
     pub(crate) code: Option<i32>,
+    /// Whether a signal ended it: it did run, and may do so again.
+    pub(crate) by_signal: bool,
 }
 
 impl Ending {
@@ -40,6 +43,7 @@ impl Ending {
         Self {
             how: how.into(),
             code: None,
+            by_signal: false,
         }
     }
 
@@ -48,6 +52,7 @@ impl Ending {
             Ok(status) => Self {
                 how: describe(&status),
                 code: status.code(),
+                by_signal: status.signal().is_some(),
             },
             Err(error) => Self::unseen(format!("ended, and nobody can tell how: {error}")),
         }
@@ -170,7 +175,6 @@ async fn read(stream: impl AsyncRead + Unpin, line: Arc<Mutex<impl FnMut(String)
 }
 
 fn describe(status: &ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("ended with exit code {code}"),
         (None, Some(9)) => "was killed by signal 9 (SIGKILL)".to_owned(),

@@ -13,7 +13,10 @@ use std::{
 };
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use rustix::net::sockopt::{Timeout, set_socket_timeout};
+use rustix::{
+    io::ioctl_fionbio,
+    net::sockopt::{Timeout, set_socket_timeout},
+};
 
 use crate::{
     control::{
@@ -348,6 +351,16 @@ impl Client {
         }
     }
 
+    /// Whether the app has closed a connection over which nothing is awaited, or says what nobody has asked for. It does not
+    /// wait: a time-out, however short, costs a tick of the system's clock.
+    pub fn has_ended(&mut self) -> bool {
+        let set = ioctl_fionbio(&self.socket, true);
+        let read = self.stream.read_until(b'\n', &mut self.begun);
+        let back = ioctl_fionbio(&self.socket, false);
+        let is_quiet = read.is_err_and(|error| is_late(&error));
+        set.is_err() || back.is_err() || !is_quiet
+    }
+
     /// The answer that has been read to its end.
     fn whole(&mut self) -> Result<Option<Answer>, ClientError> {
         let bytes = std::mem::take(&mut self.begun);
@@ -491,7 +504,70 @@ fn called(at: &str, timeout: Duration) -> io::Result<(TcpStream, OwnedFd)> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use rustix::{
+        fs::{OFlags, fcntl_getfl},
+        net::sockopt::socket_timeout,
+    };
+
     use super::*;
+
+    /// A connection that notes, at each reading, whether that would wait, and how long.
+    struct Noted {
+        stream: UnixStream,
+        readings: Arc<Mutex<Vec<(bool, Option<Duration>)>>>,
+    }
+
+    impl Read for Noted {
+        fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+            let waits = !fcntl_getfl(&self.stream)?.contains(OFlags::NONBLOCK);
+            let patience = socket_timeout(&self.stream, Timeout::Recv)?;
+            self.readings.lock().unwrap().push((waits, patience));
+            self.stream.read(into)
+        }
+    }
+
+    impl Write for Noted {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.stream.write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            self.stream.flush()
+        }
+    }
+
+    #[test]
+    fn a_look_waits_for_nothing_finds_the_end_and_keeps_what_came_of_a_line() {
+        const PATIENCE: Duration = Duration::from_secs(3);
+        let (stream, mut app) = UnixStream::pair().unwrap();
+        let (readings, fd) = (Arc::default(), timed(&stream, PATIENCE).unwrap());
+        let noted = Noted {
+            stream,
+            readings: Arc::clone(&readings),
+        };
+        let mut client = Client::over(Box::new(noted), fd, socket("cell", 7), PATIENCE, None);
+        let looks = |client: &mut Client| {
+            readings.lock().unwrap().clear();
+            let ended = client.has_ended();
+            let seen = readings.lock().unwrap().clone();
+            // The time-outs are as they were, and no reading may wait for one.
+            let quick = |one: &(bool, Option<Duration>)| *one == (false, Some(PATIENCE));
+            assert!(!seen.is_empty() && seen.iter().all(quick), "{seen:?}");
+            ended
+        };
+        assert!(!looks(&mut client));
+        app.write_all(b"{\"kind\":\"do").unwrap();
+        assert!(!looks(&mut client));
+        app.write_all(b"ne\"}\n").unwrap();
+        // What is asked for waits as before, and has the line from its beginning.
+        readings.lock().unwrap().clear();
+        assert!(matches!(client.read(), Ok(Some(Answer::Done {}))));
+        assert_eq!(*readings.lock().unwrap(), [(true, Some(PATIENCE))]);
+        drop(app);
+        assert!(looks(&mut client));
+    }
 
     fn socket(app: &str, pid: u32) -> Socket {
         Socket {

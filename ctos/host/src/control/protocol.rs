@@ -52,7 +52,8 @@ pub enum Request {
         /// Skips the polite stop of every task that does not answer at once.
         now: bool,
     },
-    /// Restarts a task, or a chassis with all its tasks: [`Answer::Done`] when it runs again.
+    /// Restarts a task, or a chassis with all its tasks: [`Answer::Waiting`] every second, [`Answer::Done`] when it
+    /// runs again.
     Restart {
         /// Its name.
         name: String,
@@ -194,6 +195,13 @@ pub enum Answer {
     Moving(MoveView),
     /// It is there.
     Moved(MoveView),
+    /// A restart is not over yet.
+    Waiting {
+        /// How long it has taken so far, s.
+        took_s: f64,
+        /// What it waits for.
+        at: String,
+    },
     /// What a task answered to a line of text.
     Said {
         /// Its line.

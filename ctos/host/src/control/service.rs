@@ -206,11 +206,11 @@ impl Service {
             Request::Logs(request) => return self.logs(&request, writer).await,
             Request::Stop { now } => return self.stop(now, writer).await,
             Request::Record(request) => return self.record(request, writer).await,
+            Request::Restart { name } => return self.restart(&name, writer).await,
             Request::Move { task, to } => return self.move_task(task, &to, writer).await,
             Request::Say(request) => self.say(request, speaker).await,
             Request::Ps {} => self.app().await.map(Answer::App),
             Request::Status { name } => self.status(&name).await,
-            Request::Restart { name } => self.restart(&name).await,
             Request::RecordStop { key } if self.recordings.stop(key) => Ok(Answer::Done {}),
             Request::RecordStop { key } => {
                 let text = format!("there is no record {key}");

@@ -584,6 +584,7 @@ pub(crate) fn corpus() -> Vec<Vec<u8>> {
         crate::boot::spawn::Ending {
             how: "ended".to_owned(),
             code: Some(1),
+            by_signal: false,
         },
         3,
     );

@@ -16,7 +16,7 @@ use crate::{
     text::Say,
 };
 use ctos_bootstrap::bootstrap::{BootEvent, StopStep};
-use ctos_core::system::{self, FindTid, Interrupt, RestartChassis, RestartTask};
+use ctos_core::system::{self, FindTid, Interrupt};
 use ctos_message::{Tid, fault::Fault};
 
 /// The longest that a client may wait for a task.
@@ -180,7 +180,7 @@ impl Service {
                 return Err(ErrorView::new(ErrorCode::BadRequest, text));
             }
         };
-        let task = self.find(&request.task, SAY_TIMEOUT).await?;
+        let task = self.find(&request.task, timeout).await?;
         speaker.heard.insert(task);
         let say = Say {
             line: request.line,
@@ -222,29 +222,6 @@ impl Service {
                 Err(broadcast::error::RecvError::Lagged(_)) => {}
                 Err(broadcast::error::RecvError::Closed) => return Ok(()),
             }
-        }
-    }
-
-    pub(super) async fn restart(&self, name: &str) -> Answered {
-        let app = &self.chassis.app;
-        // Every phase and every rung of the ladder may take its time.
-        let timeout = app.phase_timeout.saturating_mul(4) + app.stop_timeout.saturating_mul(4);
-        let chassis = (1..).zip(&app.chassis).find(|(_, one)| one.name == name);
-        let restarted = if let Some((chassis, _)) = chassis {
-            let order = RestartChassis { chassis };
-            view::ask(&self.chassis, system::BOOTSTRAP, order, timeout).await
-        } else {
-            self.app().await?;
-            let task = self.find(name, timeout).await?;
-            view::ask(&self.chassis, task, RestartTask {}, timeout).await
-        };
-        match restarted {
-            Ok(()) => Ok(Answer::Done {}),
-            Err(Fault::NoReply) => {
-                let text = format!("the app ended while `{name}` was being restarted");
-                Err(ErrorView::new(ErrorCode::Failed, text))
-            }
-            Err(fault) => Err(fault.into()),
         }
     }
 }
