@@ -205,6 +205,78 @@ fn masked(line: &str) -> String {
     out
 }
 
+/// The names that are called in a text in Rust: what stands before each `(`, turbofish left out.
+fn called(text: &str) -> BTreeSet<String> {
+    let code = text.lines().map(|line| line.split("//").next().unwrap());
+    let code: Vec<&str> = code.collect();
+    let code = code.join("\n");
+    let mut names = BTreeSet::new();
+    for (at, _) in code.match_indices('(') {
+        let before = match code[..at].rsplit_once("::<") {
+            Some((name, kind)) if kind.ends_with('>') && !kind.contains(['(', ';']) => name,
+            _ => &code[..at],
+        };
+        let is_name = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
+        let start = before
+            .rfind(|letter| !is_name(letter))
+            .map_or(0, |at| at + 1);
+        let (path, name) = before.split_at(start);
+        let defined = path.ends_with("fn ");
+        let called = path.ends_with('.') || path.ends_with("::");
+        if !name.is_empty() && !defined && (called || path.ends_with(' ')) {
+            names.insert(name.to_owned());
+        }
+    }
+    names
+}
+
+#[test]
+fn every_call_of_the_app_that_ctos_new_writes_stands_in_the_documents() {
+    /// Those of the standard library, of Rust, and of the app itself.
+    const PLAIN: [&str; 25] = [
+        "Add",
+        "Arc",
+        "Err",
+        "None",
+        "Ok",
+        "Some",
+        "add",
+        "add_all",
+        "checked_add",
+        "collect",
+        "concat",
+        "contains",
+        "derive",
+        "from_secs",
+        "iter",
+        "map",
+        "new",
+        "ok_or",
+        "parse",
+        "registry",
+        "report",
+        "run",
+        "to_owned",
+        "told",
+        "unwrap",
+    ];
+    let page = read("docs/tasks.md");
+    let (_, section) = page.split_once("## The calls of a small app").unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let mut calls = BTreeSet::new();
+    for file in ["main", "handlers", "tests"] {
+        calls.extend(called(&read(&format!(
+            "cli/examples/template/src/{file}.rs"
+        ))));
+    }
+    assert!(calls.len() > 20, "{calls:?}");
+    for call in calls.iter().filter(|call| !PLAIN.contains(&call.as_str())) {
+        let written = [format!("{call}("), format!("{call}::<")];
+        let told = written.iter().any(|text| section.contains(text));
+        assert!(told, "docs/tasks.md does not tell of `{call}`: {calls:?}");
+    }
+}
+
 /// The files that the tutorial shows whole, by the last one of each name.
 const FILES: [&str; 4] = ["src/handlers.rs", "src/main.rs", "app.toml", "tea.net"];
 

@@ -210,7 +210,7 @@ impl Front {
 
 fn failed(listen: SocketAddr, error: &dyn std::fmt::Display) -> HandlerError {
     HandlerError::new(format!(
-        "a page cannot be served at {listen}: {error}; choose another address where this one is given: `--display=ADDRESS`, or `args.listen` of the task"
+        "a page cannot be served at {listen}: {error}; choose another `listen`, or another address for `--display` if that gave it"
     ))
 }
 

@@ -13,7 +13,7 @@ use cli_common::{exit, show};
 
 use crate::program;
 
-/// Write a small app of your own: handlers, configuration, test
+/// Write a small app of your own: handlers, configuration, net, test, page
 #[derive(Debug, Args)]
 #[command(after_help = "Example:
   ctos new my-app
@@ -29,8 +29,8 @@ pub struct NewArgs {
     pub quiet: bool,
 }
 
-/// The files: path and text, with `my-app`, `my_app` and `CTOS/` for what is filled in.
-const FILES: [(&str, &str); 7] = [
+/// The files: path and text, with `my-app`, `my_app`, `CTOS/` and `/examples/template/` for what is filled in.
+const FILES: [(&str, &str); 8] = [
     (
         "Cargo.toml",
         include_str!("../../examples/template/Cargo.toml.in"),
@@ -41,6 +41,7 @@ const FILES: [(&str, &str); 7] = [
         include_str!("../../examples/template/README.md"),
     ),
     ("app.toml", include_str!("../../examples/template/app.toml")),
+    ("sum.net", include_str!("../../examples/template/sum.net")),
     (
         "src/main.rs",
         include_str!("../../examples/template/src/main.rs"),
@@ -57,15 +58,7 @@ const FILES: [(&str, &str); 7] = [
 
 /// Words that cannot name a package: of the language, of its libraries, or of what the app is built with.
 const TAKEN: [&str; 9] = [
-    "cli",
-    "core",
-    "crate",
-    "ctos",
-    "self",
-    "serde",
-    "serde_json",
-    "std",
-    "test",
+    "cli", "core", "crate", "ctos", "pnt", "self", "serde", "std", "test",
 ];
 
 /// Runs the command.
@@ -144,6 +137,13 @@ fn filled(text: &str, name: &str, workspace: &Path) -> String {
     text.replace("my-app", name)
         .replace("my_app", &name.replace('-', "_"))
         .replace("CTOS/", &format!("{workspace}/"))
+        .replace("/examples/template/", "/")
+}
+
+/// How the workspace builds: its profiles, which stand last in its manifest.
+fn profiles(manifest: &str) -> &str {
+    let start = manifest.find("\n[profile.").map(|at| at + 1);
+    start.and_then(|at| manifest.get(at..)).unwrap_or_default()
 }
 
 /// Writes all files into `folder`, which must not be there.
@@ -152,12 +152,22 @@ fn write(folder: &Path, name: &str, workspace: &Path) -> Result<(), (PathBuf, io
         let path = path.to_owned();
         move |error| (path, error)
     };
+    let schema = format!("{:#}\n", program::schema());
+    let files = FILES.map(|(path, text)| (path, filled(text, name, workspace)));
+    // The versions that the workspace is tested with, and built with already.
+    let read = |name: &str| {
+        let path = workspace.join(name);
+        std::fs::read_to_string(&path).map_err(at(&path))
+    };
+    let (lock, manifest) = (read("Cargo.lock")?, read("Cargo.toml")?);
     std::fs::create_dir(folder).map_err(at(folder))?;
     let source = folder.join("src");
     std::fs::create_dir(&source).map_err(at(&source))?;
-    let schema = format!("{:#}\n", program::schema());
-    let files = FILES.map(|(path, text)| (path, filled(text, name, workspace)));
-    for (path, text) in files.into_iter().chain([("ctos.schema.json", schema)]) {
+    let more = [("ctos.schema.json", schema), ("Cargo.lock", lock)];
+    for (path, mut text) in files.into_iter().chain(more) {
+        if path == "Cargo.toml" {
+            text.push_str(profiles(&manifest));
+        }
         let path = folder.join(path);
         std::fs::write(&path, text).map_err(at(&path))?;
     }
@@ -180,7 +190,7 @@ mod tests {
     fn nothing_of_the_template_is_left_unfilled() {
         for (path, text) in FILES {
             let text = filled(text, "thing", Path::new("/w \"s\""));
-            for word in ["my-app", "my_app", "CTOS/", "{{"] {
+            for word in ["my-app", "my_app", "CTOS/", "{{", "template"] {
                 assert!(!text.contains(word), "{path} holds {word}");
             }
         }

@@ -333,8 +333,16 @@ fn new_writes_the_template_with_its_name_and_overwrites_nothing() {
         *text = text
             .replace("my-app", "tea-robot")
             .replace("my_app", "tea_robot")
-            .replace("CTOS/", &format!("{}/", workspace.display()));
+            .replace("CTOS/", &format!("{}/", workspace.display()))
+            .replace("/examples/template/", "/");
+        if name == "Cargo.toml" {
+            let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("the manifest");
+            let profiles = manifest.find("[profile.dev]").expect("a profile");
+            text.push_str(&manifest[profiles..]);
+        }
     }
+    let lock = fs::read_to_string(root().join("Cargo.lock"));
+    expected.push(("Cargo.lock".to_owned(), lock.expect("the lock file")));
     expected.push((".gitignore".to_owned(), "/target\n".to_owned()));
     let schema = fs::read_to_string(root().join("configs/ctos.schema.json"));
     expected.push(("ctos.schema.json".to_owned(), schema.expect("the schema")));
@@ -372,13 +380,57 @@ fn what_new_writes_boots_in_processes_and_on_the_virtual_clock_and_its_readme_is
     };
     good(&template(&["check", &file]));
     let (out, err) = good(&template(&["boot", "-q", &file, "--profile", "virtual"]));
-    assert_eq!((out.as_str(), err.as_str()), ("the sum is 6\n", ""));
-    let quick = ["--set", "task.client.args.every_s=0.01"];
+    // In one process, what the reporter prints stands before the result.
+    let result = "added\nthe sum is 6\n";
+    let printed = format!("the sum is 6\n{result}");
+    assert_eq!((out.as_str(), err.as_str()), (printed.as_str(), ""));
+    let quick = ["--set", "task.adder.args.takes_s=0.01"];
     let (out, err) = good(&template(&[&["boot", &file], &quick[..]].concat()));
-    assert_eq!(out, "the sum is 6\n", "{err}");
+    assert_eq!(out, result, "{err}");
     assert!(err.contains("pid"), "{err}");
+    assert!(err.contains("shelf │ the sum is 6\n"), "{err}");
+    let page = [&["boot", &file, "--profile", "page"], &quick[..]].concat();
+    let (out, err) = good(&template(&page));
+    assert_eq!(out, result, "{err}");
+    assert!(err.contains("nets are shown"), "{err}");
     let readme = fs::read_to_string(app.join("README.md")).expect("a text");
     assert!(readme.lines().count() <= 16);
+}
+
+/// The packages of a lock file: name and version.
+fn locked(text: &str) -> Vec<(String, String)> {
+    let value = |line: &str| line.split('"').nth(1).unwrap_or_default().to_owned();
+    let packages = text.split("[[package]]").skip(1);
+    let read = packages.map(|package| {
+        let mut lines = package.lines();
+        let mut of = |key: &str| lines.find(|line| line.starts_with(key)).map(value);
+        (
+            of("name = ").expect("a name"),
+            of("version = ").expect("a version"),
+        )
+    });
+    read.collect()
+}
+
+#[test]
+fn what_new_writes_is_a_package_of_the_versions_that_the_workspace_is_built_with() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let app = folder.path().join("my-app");
+    good(&run(&["new", "-q", &app.display().to_string()]));
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    // It reads the manifest with its profiles, and fits the lock file to it.
+    let output = Command::new(cargo)
+        .args(["metadata", "--offline", "--format-version", "1"])
+        .current_dir(&app)
+        .output()
+        .expect("cargo runs");
+    good(&output);
+    let ours = locked(&fs::read_to_string(root().join("Cargo.lock")).expect("a lock file"));
+    let its = locked(&fs::read_to_string(app.join("Cargo.lock")).expect("a lock file"));
+    assert!(its.len() > 100, "{its:?}");
+    for package in its.iter().filter(|(name, _)| name != "my-app") {
+        assert!(ours.contains(package), "{package:?}");
+    }
 }
 
 #[test]
@@ -388,14 +440,14 @@ fn a_profile_and_the_environment_reach_the_processes_of_the_chassis() {
     good(&run(&["new", "-q", &app.display().to_string()]));
     let file = app.join("app.toml");
     let mut text = fs::read_to_string(&file).expect("a text");
-    text.push_str("[profile.quick.task.client.args]\nnumbers = [20, 1]\nevery_s = 0.01\nadder = \"${ADDER}\"\n");
+    text.push_str("[profile.quick.task.operator.args]\narguments = [\"20\", \"${NUMBER}\"]\n[profile.quick.task.adder.args]\ntakes_s = 0.01\n");
     fs::write(&file, text).expect("a file");
     let output = example("template")
         .arg("boot")
         .args([file.as_os_str(), "--profile".as_ref(), "quick".as_ref()])
-        .env("ADDER", "adder")
+        .env("NUMBER", "1")
         .output()
         .expect("the example runs");
     let (out, err) = good(&output);
-    assert_eq!(out, "the sum is 21\n", "{err}");
+    assert_eq!(out, "added\nthe sum is 21\n", "{err}");
 }

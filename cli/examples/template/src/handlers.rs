@@ -1,99 +1,91 @@
-//! The event handlers of my-app.
+//! The event handlers of my-app, and the functions that its net names.
 
 use std::time::Duration;
 
 use ctos::{
-    message::{Command, Message},
+    message::Command,
     registry::Registry,
-    system::AppResult,
-    task::{Context, EventHandler, Handled, HandlerError, Phase},
+    task::{Context, HandlerError},
 };
-use serde::Deserialize;
+use pnt::library::{Acted, Action, Library};
+use serde::{Deserialize, Serialize};
 
-ctos::command! {
-    /// Adds a number to the sum, and tells the sum.
-    pub struct Add { pub number: i64 } => i64, 0x0001, "add"
+/// Adds a number to the sum, and tells the sum.
+#[derive(Serialize, Deserialize, Command)]
+#[command(reply = i64, code = 0x0001)]
+struct Add {
+    number: i64,
 }
 
-/// Keeps a sum: an event handler with a state.
+/// Tells the sum to whoever reads the log.
+#[derive(Serialize, Deserialize, Command)]
+#[command(code = 0x0001)]
+struct Report {}
+
+/// What stands in `[task.adder.args]`.
+#[derive(Deserialize)]
+struct AdderArgs {
+    /// How long it takes to add a number, s.
+    takes_s: Duration,
+}
+
+/// Keeps a sum: an event handler as a type, for any number of commands and with a state.
 struct Adder {
+    args: AdderArgs,
     sum: i64,
 }
 
-impl EventHandler for Adder {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        match message.command() {
-            Add::CODE => {
-                let (Add { number }, reply) = message.open::<Add>()?;
-                let sum = self.sum.checked_add(number);
-                self.sum = sum.ok_or("the sum is too large")?;
-                reply.ok(self.sum)
-            }
-            _ => cx.default_processing(message),
-        }
+#[ctos::handler]
+impl Adder {
+    #[command]
+    async fn add(&mut self, cx: &Context, Add { number }: Add) -> Result<i64, HandlerError> {
+        // All that waits is a call or a sleep of the context, so it is the same in virtual time.
+        cx.sleep(self.args.takes_s).await;
+        let sum = self.sum.checked_add(number);
+        self.sum = sum.ok_or("the sum is too large")?;
+        Ok(self.sum)
     }
 }
 
-/// What stands in `[task.client.args]`.
-#[derive(Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ClientArgs {
-    /// The task that adds.
-    adder: String,
-    /// What it is to add.
-    numbers: Vec<i64>,
-    /// Time between two numbers, s.
-    every_s: f64,
-}
-
-/// Gives numbers to the adder, then ends the app with their sum.
-struct Client {
-    args: ClientArgs,
-}
-
-impl EventHandler for Client {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        cx.default_processing(message)
+/// An event handler as a function: one command, no state.
+async fn report(cx: Context, _: Report) -> Result<(), HandlerError> {
+    let adder = cx.task("adder").await?;
+    let sum = cx.call(&adder, Add { number: 0 }).await?;
+    // It stands in the log, with the name of the chassis.
+    #[allow(clippy::print_stdout, reason = "the log is where it goes")]
+    {
+        println!("the sum is {sum}");
     }
-
-    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        if phase == Phase::Run {
-            let (child, args) = (cx.clone(), self.args.clone());
-            cx.spawn(async move {
-                match add_all(&child, &args).await {
-                    Ok(result) => child.finish(result),
-                    Err(error) => child.fail(&error.to_string()),
-                }
-            });
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
-/// All that waits is a call or a sleep of the context, so it is the same in virtual time.
-async fn add_all(cx: &Context, args: &ClientArgs) -> Result<AppResult, HandlerError> {
-    let adder = cx.task(&args.adder).await?;
-    let pause = Duration::try_from_secs_f64(args.every_s)?;
+/// What `do add_all` in the net means: adds all numbers that the command brings.
+async fn add_all(action: Action<()>) -> Acted {
+    let adder = action.cx().task("adder").await?;
     let mut sum = 0;
-    for number in args.numbers.iter().copied() {
-        cx.sleep(pause).await;
-        sum = cx.call(&adder, Add { number }).await?;
+    for number in action.arguments() {
+        let number = number.parse()?;
+        sum = action.cx().call(&adder, Add { number }).await?;
     }
-    Ok(AppResult {
-        ok: true,
-        text: format!("the sum is {sum}"),
-        json: serde_json::json!({ "ok": true, "sum": sum }).to_string(),
-    })
+    // It stands below the net's answer.
+    action.note(format!("the sum is {sum}"));
+    Ok(())
 }
 
-/// Every event handler of this app, by the name that `app.toml` uses.
+fn library() -> Library<()> {
+    Library::new(()).action("add_all", add_all)
+}
+
+/// Every event handler that `app.toml` can name: those of CTOS, and these.
 pub fn registry() -> Registry {
-    let mut registry = Registry::new();
-    registry.handler("my_app.adder", &[Add::INFO], |_| Ok(Adder { sum: 0 }));
-    registry
-        .handler("my_app.client", &[], |cx| Ok(Client { args: cx.args()? }))
-        .check(|task, findings| {
-            findings.keep(task.args.parse::<ClientArgs>());
-        });
+    let mut registry = cli::program::registry();
+    let adder = registry.handler("my_app.adder", &Adder::COMMANDS, |cx| {
+        let args = cx.args()?;
+        Ok(Adder { args, sum: 0 })
+    });
+    // What it reads is checked before anything starts.
+    adder.args::<AdderArgs>();
+    registry.function("my_app.reporter", report);
+    pnt::task::register(&mut registry, "my_app.net", library);
     registry
 }
