@@ -342,7 +342,11 @@ mod tests {
 
     #[test]
     fn a_live_display_keeps_a_bounded_past_and_what_it_keeps_leads_to_the_present() {
-        let hub = Hub::live("app", Overviews::default(), ctos::time::Clock::virtual_clock());
+        let hub = Hub::live(
+            "app",
+            Overviews::default(),
+            ctos::time::Clock::virtual_clock(),
+        );
         hub.describe(view(), state(0)).unwrap();
         for seq in 1..=6_001 {
             hub.take("n", batch(&Step::Event(Box::new(event(seq)))))

@@ -79,7 +79,9 @@ fn ours(mut words: Vec<String>) -> Option<Vec<String>> {
     }
     let first = words.first()?;
     // A drawing has other signs, and a prompt of the inspector is none of a shell.
-    let is_command = words.iter().all(|word| !word.starts_with('─') && !word.ends_with("objects>"));
+    let is_command = words
+        .iter()
+        .all(|word| !word.starts_with('─') && !word.ends_with("objects>"));
     (is_command && (first == "ctos" || first == "scott")).then_some(words)
 }
 
@@ -183,12 +185,13 @@ fn missing(line: &Line) -> Option<String> {
             continue;
         };
         let there = match file.split_once('*') {
-            Some((folder, ending)) => fs::read_dir(root().join("configs").join(folder))
-                .is_ok_and(|mut files| {
+            Some((folder, ending)) => {
+                fs::read_dir(root().join("configs").join(folder)).is_ok_and(|mut files| {
                     files.any(|file| {
                         file.is_ok_and(|file| file.file_name().to_string_lossy().ends_with(ending))
                     })
-                }),
+                })
+            }
             None => root().join(word).exists(),
         };
         if !there {
@@ -197,11 +200,15 @@ fn missing(line: &Line) -> Option<String> {
     }
     // Nets that are named without their app are those of the calibration.
     let named = words.iter().find(|word| {
-        word.starts_with("configs/") && word.ends_with(".toml") && !word.starts_with("configs/panels/")
+        word.starts_with("configs/")
+            && word.ends_with(".toml")
+            && !word.starts_with("configs/panels/")
     });
     let of_net = ["break", "fire", "put", "take", "cancel", "complete"];
     let by_hand = words.get(1).is_some_and(|word| word == "net")
-        && words.get(2).is_some_and(|word| of_net.contains(&word.as_str()));
+        && words
+            .get(2)
+            .is_some_and(|word| of_net.contains(&word.as_str()));
     let calibrate = "configs/calibrate.toml".to_owned();
     let file = match named {
         Some(file) => file,
@@ -254,7 +261,9 @@ fn what_command_lines_name_of_the_shipped_apps_is_there() {
 fn is_run(words: &[String]) -> bool {
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let shipped = || {
-        let files = words.iter().filter(|word| word.contains('.') && word.contains('/'));
+        let files = words
+            .iter()
+            .filter(|word| word.contains('.') && word.contains('/'));
         files.clone().count() > 0 && files.into_iter().all(|word| word.starts_with("configs/"))
     };
     match words.as_slice() {
@@ -263,7 +272,12 @@ fn is_run(words: &[String]) -> bool {
         ["ctos", "sim", "--profiles"] => true,
         ["ctos", "keys", "new", ..] => true,
         ["ctos", "check", ..] | ["ctos", "config", "show", ..] => shipped(),
-        ["ctos", "net", "check" | "perf" | "draw" | "convert" | "fmt", ..] => shipped(),
+        [
+            "ctos",
+            "net",
+            "check" | "perf" | "draw" | "convert" | "fmt",
+            ..,
+        ] => shipped(),
         ["scott", "--local", "-c", lines @ ..] => !lines.iter().any(|line| line.contains(".csv")),
         _ => false,
     }
@@ -282,7 +296,11 @@ fn command_lines_that_need_neither_an_app_nor_minutes_are_run_and_go_well() {
     let mut seen = BTreeSet::new();
     let mut wrong = Vec::new();
     for line in lines() {
-        let in_text = line.in_text && line.words.iter().any(|word| word.contains(char::is_uppercase));
+        let in_text = line.in_text
+            && line
+                .words
+                .iter()
+                .any(|word| word.contains(char::is_uppercase));
         if in_text || !is_run(&line.words) || !seen.insert(line.words.clone()) {
             continue;
         }

@@ -84,7 +84,11 @@ fn replay_all(file: &Path, seed: u64, record: &Record) -> Replayed {
     for task in app(file, seed).tasks {
         match replay(app(file, seed), registry(), &task.name, record) {
             Ok(report) => {
-                assert!(report.is_same(), "{}, seed {seed}: {report}", file.display());
+                assert!(
+                    report.is_same(),
+                    "{}, seed {seed}: {report}",
+                    file.display()
+                );
                 replayed.same.insert(task.name);
             }
             Err(error @ (ReplayError::Outside { .. } | ReplayError::Incomplete { .. })) => {
@@ -104,7 +108,13 @@ fn run_and_replay(file: &Path, seed: u64, faults: &str) -> Replayed {
         stop_after: Some(Duration::from_secs(60)),
         ..Setup::default()
     };
-    simulation::run(app(file, seed), registry(), setup, &(Arc::new(|_: &_| ()) as _)).unwrap();
+    simulation::run(
+        app(file, seed),
+        registry(),
+        setup,
+        &(Arc::new(|_: &_| ()) as _),
+    )
+    .unwrap();
     let path = file.with_file_name("run.mcap");
     let record = Record::read(std::slice::from_ref(&path), &Filter::default()).unwrap();
     fs::remove_file(path).unwrap();

@@ -336,7 +336,9 @@ impl Observer for Recorders {
     }
 
     fn polled(&self, task: Tid, part: u64) {
-        self.traffic(task, None, key_within(task), Step::Polled { part }, |_| true);
+        self.traffic(task, None, key_within(task), Step::Polled { part }, |_| {
+            true
+        });
     }
 
     fn read(&self, task: Tid, what: &dyn Display, value: Option<WriteData<'_>>) {

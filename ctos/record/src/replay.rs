@@ -60,7 +60,9 @@ pub enum ReplayError {
         reason: String,
     },
     /// The task reads what no record holds.
-    #[error("`{task}` cannot be replayed: it uses {what}, which no record holds; what a task reads with `Context::outside` is recorded")]
+    #[error(
+        "`{task}` cannot be replayed: it uses {what}, which no record holds; what a task reads with `Context::outside` is recorded"
+    )]
     Outside {
         /// The task.
         task: String,

@@ -245,7 +245,11 @@ mod tests {
                 Step::Read { lacking, .. } => !lacking,
                 Step::Began | Step::Ended { .. } | Step::Polled { .. } => false,
             };
-            let (id, trace) = if step.is_within() { (0, 0) } else { (id, trace) };
+            let (id, trace) = if step.is_within() {
+                (0, 0)
+            } else {
+                (id, trace)
+            };
             if !carries {
                 data.clear();
             }

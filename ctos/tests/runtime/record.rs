@@ -319,11 +319,13 @@ struct Reader {
     lines: std::rc::Rc<std::cell::RefCell<Vec<String>>>,
 }
 
-/// What the host has, which no message tells.
-static HOST: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+thread_local! {
+    /// What the host has, which no message tells; a simulated app has one thread.
+    static HOST: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
+}
 
 fn host() -> u64 {
-    HOST.fetch_add(1, std::sync::atomic::Ordering::Relaxed)
+    HOST.replace(HOST.get() + 1)
 }
 
 impl EventHandler for Reader {
@@ -344,7 +346,9 @@ impl EventHandler for Reader {
                     let read = own.outside("the host", host);
                     let waited = own.outside_wait("a device", async { host() }).await;
                     let now = own.now().as_nanos();
-                    lines.borrow_mut().push(format!("{child} {round} {read} {waited} {now}"));
+                    lines
+                        .borrow_mut()
+                        .push(format!("{child} {round} {read} {waited} {now}"));
                     // What all children did so far: another order is another message.
                     let text = lines.borrow().join(", ");
                     let _ = own.try_send(&adder, Note { text: text.clone() });
@@ -430,7 +434,10 @@ fn readers(folder: &Path, sets: &[String]) -> (App, Registry) {
 
 fn record_of_readers(folder: &Path, seed: u64, faults: &str) -> Record {
     use ctos::simulation::{Faults, Setup, run};
-    let sets = [format!("seed={seed}"), "record.file=\"run.mcap\"".to_owned()];
+    let sets = [
+        format!("seed={seed}"),
+        "record.file=\"run.mcap\"".to_owned(),
+    ];
     let (app, registry) = readers(folder, &sets);
     let faults = Faults::built_in(faults).unwrap();
     let setup = Setup {
@@ -453,7 +460,10 @@ fn children_have_their_turns_as_they_had_them_and_read_what_they_had_read() {
         let before = host();
         let (app, registry) = readers(folder.path(), &[]);
         let report = replay(app, registry, "reader", &record).unwrap();
-        assert!(report.is_same() && report.same > 60, "seed {seed}: {report}");
+        assert!(
+            report.is_same() && report.same > 60,
+            "seed {seed}: {report}"
+        );
         assert_eq!(host(), before + 1, "a replay reads nothing of the host");
     }
 }
@@ -490,7 +500,9 @@ fn who_shares_memory_with_another_task_is_refused_at_once_and_who_has_it_alone_i
     for task in ["left", "right"] {
         let why = again(task).unwrap_err().to_string();
         assert!(
-            why.contains(&format!("`{task}` cannot be replayed: it uses shared memory `between`")),
+            why.contains(&format!(
+                "`{task}` cannot be replayed: it uses shared memory `between`"
+            )),
             "{why}"
         );
     }

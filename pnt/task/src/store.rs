@@ -162,7 +162,10 @@ impl Store {
     pub async fn commit(&self, cx: &Context, changes: Vec<Change>) -> Result<(), StoreError> {
         let committed = cx.outside_wait("that its store has taken changes", async {
             match &self.kind {
-                Kind::File(file) => file.commit(changes).await.map_err(|error| error.to_string()),
+                Kind::File(file) => file
+                    .commit(changes)
+                    .await
+                    .map_err(|error| error.to_string()),
                 Kind::Simulated(simulated) => {
                     simulated.commit(cx, changes).await;
                     Ok(())

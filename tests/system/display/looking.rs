@@ -271,8 +271,7 @@ fn a_page_that_has_forgotten_the_oldest_events_says_so_and_shows_the_rest_exactl
 #[ignore = "needs Chromium"]
 fn breakpoints_of_the_boot_are_marked_and_the_clock_is_that_of_the_app_whoever_comes_when() {
     let scratch = scratch();
-    let waits =
-        "task.dispatcher.args.breakpoints=[\"init_calib\", \"loop_again\", \"move_robot\"]";
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\", \"loop_again\", \"move_robot\"]";
     let (_run, page) = boot(&scratch, &["--set", waits]);
     let page = format!("{page}#net=dispatcher");
     let mut browser = Browser::open(&page, SIZE);

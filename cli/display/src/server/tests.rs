@@ -28,7 +28,11 @@ fn served(viewers: usize) -> Served {
     let pages = Pages::new(listener, None, &[]).unwrap();
     let (orders, _) = mpsc::channel(1);
     let service = Service {
-        hub: Arc::new(Hub::live("app", Overviews::default(), Clock::virtual_clock())),
+        hub: Arc::new(Hub::live(
+            "app",
+            Overviews::default(),
+            Clock::virtual_clock(),
+        )),
         door: Door {
             token: Some("secret".to_owned()),
             anybody_looks: true,

@@ -165,7 +165,10 @@ impl Screen {
             lines.push(Line::from(format!("tape     {}", tape.join(" "))));
         }
         if !net.breakpoints.is_empty() {
-            lines.push(Line::from(format!("breaks   {}", net.breakpoints.join(" "))));
+            lines.push(Line::from(format!(
+                "breaks   {}",
+                net.breakpoints.join(" ")
+            )));
         }
         let stops = |shown: &str| {
             let mut parts = net.view.transitions.iter().filter(|one| one.shown == shown);

@@ -14,19 +14,8 @@ use std::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::core::{Context, Inner};
-use crate::tap::{Came, Observer};
+use crate::tap::{Came, Observer, Turn};
 use ctos_time::Instant;
-
-/// Which part of a task is polled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Turn {
-    /// None.
-    No,
-    /// This one, and the record does not say so yet.
-    Of(u64),
-    /// One of which the record says so.
-    Noted,
-}
 
 /// Dropped when a turn is over, by a panic too: the one around it goes on.
 struct TurnEnds<'i>(&'i Inner, Turn);
@@ -151,7 +140,9 @@ impl Context {
             let inner = &self.inner;
             let observer = inner.reader();
             if let Some(observer) = observer.filter(|observer| observer.replays()) {
-                return inner.again(observer, &what).map_or(Poll::Pending, Poll::Ready);
+                return inner
+                    .again(observer, &what)
+                    .map_or(Poll::Pending, Poll::Ready);
             }
             let value = read.as_mut().poll(poll);
             if let (Poll::Ready(value), Some(observer)) = (&value, observer) {

@@ -132,7 +132,9 @@ impl Others {
         let mut found = left
             .iter_mut()
             .take_while(|(output, _)| Some(output.segment) == segment)
-            .filter(|(output, expected)| *expected && self.is_like(output, message, data.as_deref()));
+            .filter(|(output, expected)| {
+                *expected && self.is_like(output, message, data.as_deref())
+            });
         if let Some((output, expected)) = found.next() {
             *expected = false;
             report.same();

@@ -11,13 +11,7 @@ use super::{
     ReplayError,
 };
 use crate::{DRIFT, TURNS};
-use ctos_core::{
-    context::SHARED,
-    reply::Answer,
-    report::Ending,
-    system::WaitsFor,
-    tap::Came,
-};
+use ctos_core::{context::SHARED, reply::Answer, report::Ending, system::WaitsFor, tap::Came};
 use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
 
@@ -144,7 +138,9 @@ impl Script {
             script: Self {
                 tid,
                 seed: seeds.first().and_then(|seed| seed.parse().ok()),
-                real: runs.clone().any(|run| run.noted.get("time").is_some_and(|time| time == "real")),
+                real: runs
+                    .clone()
+                    .any(|run| run.noted.get("time").is_some_and(|time| time == "real")),
                 drift: runs
                     .filter_map(|run| drift_of(run.noted.get(&drift)?))
                     .next()
@@ -336,9 +332,7 @@ impl Reader<'_> {
 
     /// What the present turn takes.
     fn takes(&mut self) -> &mut Takes {
-        let turn = self
-            .turn
-            .and_then(|index| self.script.steps.get_mut(index));
+        let turn = self.turn.and_then(|index| self.script.steps.get_mut(index));
         turn.map_or(&mut self.loose, |turn| &mut turn.takes)
     }
 

@@ -172,7 +172,8 @@ impl Manual {
         let mut breakpoint = Breakpoint::parse(text, execution.net())?;
         // What holds already has not become true.
         breakpoint.held = breakpoint.holds(execution);
-        self.breakpoints.retain(|other| other.text != breakpoint.text);
+        self.breakpoints
+            .retain(|other| other.text != breakpoint.text);
         self.breakpoints.push(breakpoint);
         Ok(())
     }
@@ -184,7 +185,8 @@ impl Manual {
         };
         let before = self.breakpoints.len();
         let named = name_of(at, net);
-        self.breakpoints.retain(|breakpoint| breakpoint.text != named);
+        self.breakpoints
+            .retain(|breakpoint| breakpoint.text != named);
         if self.breakpoints.len() == before {
             let there = self.breakpoints().join(", ");
             return Err(BreakError::NotSet(at.to_owned(), there));
