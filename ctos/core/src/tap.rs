@@ -97,6 +97,17 @@ pub enum Came {
     First,
 }
 
+/// Which part of a task is polled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// None.
+    No,
+    /// This one, and the record does not say so yet.
+    Of(u64),
+    /// One of which the record says so.
+    Noted,
+}
+
 /// The number of a task's own loop among its parts; its children have others.
 pub const LOOP: u64 = 0;
 

@@ -319,11 +319,13 @@ struct Reader {
     lines: std::rc::Rc<std::cell::RefCell<Vec<String>>>,
 }
 
-/// What the host has, which no message tells.
-static HOST: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+thread_local! {
+    /// What the host has, which no message tells; a simulated app has one thread.
+    static HOST: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
+}
 
 fn host() -> u64 {
-    HOST.fetch_add(1, std::sync::atomic::Ordering::Relaxed)
+    HOST.replace(HOST.get() + 1)
 }
 
 impl EventHandler for Reader {

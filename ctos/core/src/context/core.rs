@@ -15,13 +15,14 @@ use futures_util::future::{Either, select};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::de::DeserializeOwned;
 
-use super::{outside::Turn, quiet::Quiet, task_ref::TaskRef};
+use super::{quiet::Quiet, task_ref::TaskRef};
 use crate::{
     chassis::Chassis,
     kept::Kept,
     processor::{Processor, wake::FutureId},
     report::AtReport,
     system::Broke,
+    tap::Turn,
     task_record::TaskRecord,
 };
 use ctos_config::{TaskConfig, diagnostic::Finding};

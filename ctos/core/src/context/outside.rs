@@ -14,19 +14,8 @@ use std::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::core::{Context, Inner};
-use crate::tap::{Came, Observer};
+use crate::tap::{Came, Observer, Turn};
 use ctos_time::Instant;
-
-/// Which part of a task is polled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Turn {
-    /// None.
-    No,
-    /// This one, and the record does not say so yet.
-    Of(u64),
-    /// One of which the record says so.
-    Noted,
-}
 
 /// Dropped when a turn is over, by a panic too: the one around it goes on.
 struct TurnEnds<'i>(&'i Inner, Turn);
