@@ -15,5 +15,6 @@ mod manager;
 #[path = "../../examples/market.rs"]
 mod market;
 mod names;
+mod on_demand;
 mod protected;
 mod trading;
