@@ -18,6 +18,26 @@ fn up(scratch: &Scratch) -> Run<'_> {
     run
 }
 
+#[test]
+fn a_daemon_on_demand_has_no_process_until_somebody_asks_for_it() {
+    let scratch = Scratch::new();
+    let start = "chassis.cage.start=on-demand";
+    let mut run = scratch.start(CTOS, &["boot", "configs/objects.toml", "--set", start], &[]);
+    run.wait_for("phase 3");
+    let state = || {
+        let ended = scratch.ctos(&["ps", "--json"]);
+        ended.must_exit_leaving(0);
+        ended.stdout
+    };
+    let before = state();
+    assert!(before.contains("\"waiting\""), "{before}");
+    assert!(said(&scratch, "foo.a@d2 EXEC").starts_with("foo.a@d2 RET 0 TMSG breakfast"));
+    let after = state();
+    assert!(!after.contains("\"waiting\""), "{after}");
+    run.signal(Signal::INT);
+    assert_eq!(run.end().code, Some(130));
+}
+
 /// What a statement prints, which must not fail.
 #[track_caller]
 fn said(scratch: &Scratch, statement: &str) -> String {

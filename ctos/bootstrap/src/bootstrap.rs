@@ -26,8 +26,8 @@ use ctos_core::{
     handled::Handled,
     phase::{Phase, StopReason},
     system::{
-        AllLinked, AppResult, AtBreakpoint, ChassisLinked, Finish, Interrupt, ProcessEnded,
-        Progress, RestartChassis, TaskFailed, TaskMoved,
+        AllLinked, AppResult, AtBreakpoint, ChassisLinked, ChassisWanted, Finish, Interrupt,
+        ProcessEnded, Progress, RestartChassis, TaskFailed, TaskMoved,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -396,6 +396,11 @@ impl Bootstrap {
     #[command]
     fn restart(&self, order: RestartChassis, reply: Replier<RestartChassis>) -> Handled {
         self.0.restart(order.chassis, reply)
+    }
+
+    #[command]
+    fn chassis_wanted(&self, ChassisWanted { chassis }: ChassisWanted) {
+        self.0.is_wanted(chassis);
     }
 
     #[command]

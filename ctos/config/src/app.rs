@@ -114,6 +114,8 @@ pub struct ChassisConfig {
     pub listen: Option<SocketAddr>,
     /// Whether it is stopped before the others (hardware that must come to rest first).
     pub stop_first: bool,
+    /// Whether its process starts when somebody looks for one of its tasks, and not with the app.
+    pub start: Start,
     /// What happens when its process ends while the app runs.
     pub supervision: ChassisSupervision,
     /// Its processors, in declared order; never empty.
@@ -167,6 +169,17 @@ pub enum OnTaskFailure {
     App,
     /// A restart of its chassis, under that chassis's policy.
     RestartChassis,
+}
+
+/// When the process of a chassis starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Start {
+    /// With the app.
+    #[default]
+    Boot,
+    /// When somebody looks for one of its tasks.
+    OnDemand,
 }
 
 /// One thread of a chassis.

@@ -146,6 +146,7 @@ impl Builder<'_> {
             host: node.read("host"),
             listen: node.read("listen"),
             stop_first: node.read("stop_first").unwrap_or_default(),
+            start: node.read("start").unwrap_or_default(),
             supervision: supervision(node, self.findings),
             processors: processors.map(|one| self.processor(one, &place)).collect(),
             place,

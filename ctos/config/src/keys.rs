@@ -127,6 +127,7 @@ pub(super) const TABLES: &[Table] = &[
         "host": Text, "The host it lives on, a name of [host]. Default: that of the boot.";
         "listen": Address("127.0.0.1:0"), "Address at which the other chassis reach it, \"IP:PORT\". Default: a free port of its host.";
         "stop_first": Flag = "false", "Whether it is stopped before the others, for hardware that must come to rest first.";
+        "start": Choice(&["boot", "on-demand"]) = "\"boot\"", "When its process starts: with the app, or when somebody looks for one of its tasks.";
         "restart": Choice(&["never", "on-failure", "always"]) = "\"never\"", "When its process is started again after it ended; \"never\": the app ends with it.";
         "max_restarts": Integer(1, 1_000_000), "So many restarts within the window are the last; the next failure ends the app. Default, where there are restarts: 3.";
         "restart_window_s": Seconds(86_400.0), "The window in which restarts are counted, s. Default, where there are restarts: 60.";

@@ -41,7 +41,7 @@ mod zenoh;
 
 pub use app::{
     App, ChassisConfig, ChassisSupervision, HostConfig, OnTaskFailure, ProcessorConfig,
-    RecordConfig, SharedConfig, TaskConfig, TimeMode,
+    RecordConfig, SharedConfig, Start, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use expander::{Expander, GeneratedTask};

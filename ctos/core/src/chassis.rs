@@ -28,7 +28,7 @@ use crate::{
     tap::Tap,
     task_record::TaskRecord,
 };
-use ctos_config::{App, ChassisConfig, ProcessorConfig};
+use ctos_config::{App, ChassisConfig, ProcessorConfig, Start};
 use ctos_message::{Tid, fault::Fault};
 use ctos_time::{Clock, lock::lock, park::Park};
 
@@ -131,6 +131,14 @@ impl Chassis {
     #[must_use]
     pub fn config_of(&self, index: u8) -> Option<&ChassisConfig> {
         configured(&self.app, index)
+    }
+
+    /// Whether the process of chassis `index` starts when somebody looks for one of its tasks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn starts_on_demand(&self, index: u8) -> bool {
+        self.config_of(index)
+            .is_some_and(|config| config.start == Start::OnDemand)
     }
 
     /// What the configuration says of processor `index`; nothing of the runtime's own, 0.

@@ -126,7 +126,8 @@ impl TidServer {
     }
 
     #[command]
-    fn await_tid(&self, request: AwaitTid, reply: Replier<AwaitTid>) -> Handled {
+    fn await_tid(&self, cx: &Context, request: AwaitTid, reply: Replier<AwaitTid>) -> Handled {
+        away::want(cx, &request.name);
         self.state.borrow_mut().wait(request, reply)
     }
 

@@ -161,6 +161,9 @@ command! {
     /// Restarts a chassis whatever its policy; answered when its tasks have passed all phases.
     pub struct RestartChassis { pub chassis: u8 } => (), 0xff56, "restart_chassis";
 
+    /// Tells the bootstrap service that somebody looks for a task of a chassis that starts on demand.
+    pub struct ChassisWanted { pub chassis: u8 } => (), 0xff59, "chassis_wanted";
+
     /// Asks an agent for everything that is known of its chassis.
     pub struct Survey => ChassisReport, 0xff50, "survey";
 

@@ -190,9 +190,13 @@ impl Simulation {
         let recording = record::start(&chassis, watch::COMMANDS)
             .map_err(ctos_bootstrap::bootstrap::io_error("cannot record"))?;
         let exits = Exits::default();
+        // The others start when they are asked for.
         for from in &chassis {
             events.watch(from, &chassis);
-            for to in from.others() {
+            if from.starts_on_demand(from.index()) {
+                continue;
+            }
+            for to in from.others().filter(|to| !from.starts_on_demand(*to)) {
                 from.link_up(to, network.link(from.index(), to));
             }
             if from.index() > 0 {
@@ -207,9 +211,13 @@ impl Simulation {
         for fault in &happened {
             events.note(|| format!("fault {fault}"));
         }
-        let machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
+        let mut machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
+        for machine in &mut machines {
+            let chassis = &machine.chassis;
+            machine.gone = chassis.starts_on_demand(chassis.index());
+        }
         let (seat, orders) = Seat::new(observer);
-        for machine in &machines {
+        for machine in machines.iter().filter(|machine| !machine.gone) {
             let boots = machine.chassis.index() == 0;
             ctos_bootstrap::bootstrap::start_system_tasks(&machine.chassis, boots.then_some(&seat));
         }

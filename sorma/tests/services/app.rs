@@ -14,7 +14,7 @@ use sorma::{
     Class, Context, Dictionary, Method, OptionTable, Outcome, Report, Request, ServiceObject, Sorm,
     Transport, Waiting, raise,
 };
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::Duration;
 
 #[derive(Debug, Clone)]
@@ -218,6 +218,8 @@ pub struct App {
     /// Further handlers.
     pub handlers: fn(&mut Registry),
     pub seed: u64,
+    /// Chassis that start when somebody looks for one of their tasks.
+    pub on_demand: &'static [&'static str],
     /// What the daemons serve besides what every daemon does.
     pub classes: fn(&Sorm),
 }
@@ -232,11 +234,17 @@ impl App {
             faults: Vec::new(),
             handlers: |_| {},
             seed: 1,
+            on_demand: &[],
             classes,
         }
     }
 
     pub fn run(self) -> Result<String, String> {
+        self.run_seen().0
+    }
+
+    /// [`Self::run`], and what happened.
+    pub fn run_seen(self) -> (Result<String, String>, Vec<BootEvent>) {
         let folder = tempfile::tempdir().unwrap();
         let book = folder.path().join("cook.dict");
         std::fs::write(&book, COOKBOOK).unwrap();
@@ -253,8 +261,12 @@ impl App {
                     book.display().to_string()
                 ),
             };
+            let start = match self.on_demand.contains(chassis) {
+                true => "start = \"on-demand\"\n",
+                false => "",
+            };
             app += &format!(
-                "[chassis.{chassis}]\nrestart = \"on-failure\"\nmax_restarts = 100\n\
+                "[chassis.{chassis}]\n{start}restart = \"on-failure\"\nmax_restarts = 100\n\
                  [task.{task}]\non = \"{chassis}\"\n{handler}{lines}\n"
             );
         }
@@ -277,13 +289,19 @@ impl App {
             classes(&sorm);
             Ok(Client { scenario, sorm })
         });
-        let observer: Observer = Arc::new(|_: &BootEvent| ());
+        let seen: Arc<Mutex<Vec<BootEvent>>> = Arc::default();
+        let sees = Arc::clone(&seen);
+        let observer: Observer = Arc::new(move |event: &BootEvent| {
+            sees.lock().unwrap().push(event.clone());
+        });
         let outcome = simulate(app, registry, &self.faults, &observer).unwrap();
-        match outcome.end {
+        let seen = seen.lock().unwrap().clone();
+        let result = match outcome.end {
             End::Finished(result) if result.ok => Ok(result.text),
             End::Finished(result) => Err(result.text),
             other => Err(format!("{other:?}")),
-        }
+        };
+        (result, seen)
     }
 }
 

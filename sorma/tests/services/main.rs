@@ -16,5 +16,6 @@ mod manager;
 #[path = "../../examples/market.rs"]
 mod market;
 mod names;
+mod on_demand;
 mod protected;
 mod trading;

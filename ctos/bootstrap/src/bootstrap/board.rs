@@ -12,7 +12,7 @@ use crate::bootstrap::{
     BootEvent, End, ProcessOrder, Seat,
     states::{BootStep, ChassisStep, Table},
 };
-use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure};
+use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure, Start};
 use ctos_core::{
     context::Context,
     envelope::Replier,
@@ -37,6 +37,8 @@ pub(super) enum Event {
     TaskFailed { task: String, reason: String },
     /// A person wants it anew.
     Restart,
+    /// Somebody looks for a task of it.
+    Wanted,
     /// The app is being stopped.
     Stop,
 }
@@ -88,6 +90,8 @@ pub(super) struct Member {
     pub(super) failures: RefCell<Vec<(String, String)>>,
     /// When the incarnation before this one failed.
     pub(super) failed_at: Cell<Option<Instant>>,
+    /// It starts on demand, and nobody has asked for it yet.
+    pub(super) asleep: Cell<bool>,
     /// Who waits for it to come up again.
     restarts: RefCell<Vec<Replier<RestartChassis>>>,
     events: Inbox<Event>,
@@ -112,6 +116,7 @@ impl Member {
             reached: Cell::default(),
             failures: RefCell::default(),
             failed_at: Cell::default(),
+            asleep: Cell::new(config.start == Start::OnDemand),
             restarts: RefCell::default(),
             events: Inbox::default(),
             phase_wanted: Signal::new(),
@@ -262,7 +267,8 @@ impl Board {
     /// Ends when every chassis has reached `phase`, or when tasks have not: these, with the reasons.
     pub(super) async fn all_reach(&self, phase: Phase) -> Result<(), Vec<(String, String)>> {
         let settled = |member: &Rc<Member>| {
-            member.reached.get() >= Some(phase) || !member.failures.borrow().is_empty()
+            let reached = member.reached.get() >= Some(phase) || member.asleep.get();
+            reached || !member.failures.borrow().is_empty()
         };
         while !self.members.iter().all(settled) {
             self.changed.wait().await;
@@ -350,6 +356,13 @@ impl Board {
         member.restarts.borrow_mut().push(reply);
         member.tell(Event::Restart);
         Ok(())
+    }
+
+    /// Somebody looks for a task of chassis `index`.
+    pub(super) fn is_wanted(&self, index: u8) {
+        if let Some(member) = self.member(index) {
+            member.tell(Event::Wanted);
+        }
     }
 
     /// Orders something for the process of a chassis.

@@ -10,7 +10,7 @@ use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
     board::{Board, Event, Member},
     explain::explained,
-    states::ChassisStep,
+    states::{ChassisState, ChassisStep},
 };
 use ctos_config::ChassisRestart;
 use ctos_core::{
@@ -61,6 +61,9 @@ struct Supervisor {
 
 impl Supervisor {
     async fn run(&self) -> Result<Infallible, Done> {
+        if self.member.asleep.get() {
+            self.sleep().await?;
+        }
         loop {
             let over = self.live().await?;
             let failed_at = self.board.cx.now();
@@ -91,6 +94,25 @@ impl Supervisor {
             let order = ProcessOrder::Start(self.member.index, incarnation);
             self.board.order(order);
         }
+    }
+
+    /// Until somebody looks for one of its tasks there is no process; then one starts, as after a restart.
+    async fn sleep(&self) -> Result<(), Done> {
+        self.board.tell_names(News::Away(self.member.index));
+        self.member.report.borrow_mut().state = ChassisState::Waiting;
+        let wanted = |event| matches!(event, Event::Wanted | Event::Restart).then_some(());
+        self.until(wanted).await?;
+        self.member.asleep.set(false);
+        self.member.failed_at.set(Some(self.board.cx.now()));
+        self.step(ChassisStep::Paused);
+        let incarnation = {
+            let mut report = self.member.report.borrow_mut();
+            report.incarnation += 1;
+            report.incarnation
+        };
+        self.board
+            .order(ProcessOrder::Start(self.member.index, incarnation));
+        Ok(())
     }
 
     fn name(&self) -> String {
@@ -134,7 +156,7 @@ impl Supervisor {
         self.step(ChassisStep::Joined);
         let up = std::pin::pin!(self.up());
         let trouble = std::pin::pin!(self.until(|event| match event {
-            Event::Joined | Event::Stop => None,
+            Event::Joined | Event::Wanted | Event::Stop => None,
             Event::Lost => Some(Over::Lost),
             Event::Dead(ending) => Some(Over::Dead(ending)),
             Event::TaskFailed { task, reason } => {

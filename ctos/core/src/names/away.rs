@@ -8,7 +8,7 @@ use crate::{
     context::Context,
     envelope::Replier,
     handled::Handled,
-    system::{FindTid, Missing, News},
+    system::{BOOTSTRAP, ChassisWanted, FindTid, Missing, News},
 };
 use ctos_config::ChassisRestart;
 use ctos_message::Tid;
@@ -48,7 +48,11 @@ impl Names {
         request: FindTid,
         reply: Replier<FindTid>,
     ) -> Handled {
-        match self.find(cx, reply.asker(), &request) {
+        let found = self.find(cx, reply.asker(), &request);
+        if matches!(found, Err(Missing::Away { .. })) {
+            want(cx, &request.name);
+        }
+        match found {
             Err(Missing::Away { .. }) if request.waits => {
                 let waiting = &mut self.presence.waiting;
                 waiting.retain(|(_, reply)| !reply.is_abandoned());
@@ -106,6 +110,16 @@ impl Names {
             return Err(Missing::Gone { chassis, why });
         }
         Err(Missing::Away { chassis })
+    }
+}
+
+/// Has the chassis of a task started, if it starts on demand.
+pub(super) fn want(cx: &Context, name: &str) {
+    let home = cx.app().task(name).map(|task| task.chassis.as_str());
+    let here = cx.chassis();
+    let mut sleepers = here.others().filter(|index| here.starts_on_demand(*index));
+    if let Some(chassis) = sleepers.find(|index| Some(here.name_of(*index)) == home) {
+        here.post_system(BOOTSTRAP, ChassisWanted { chassis });
     }
 }
 

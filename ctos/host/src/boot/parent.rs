@@ -153,7 +153,9 @@ async fn run_processes(
         logs: logs.clone(),
         hosts: started.hosts.clone(),
     };
-    for index in chassis.others() {
+    // The others start when they are asked for.
+    let starts = |index: &u8| !chassis.starts_on_demand(*index);
+    for index in chassis.others().filter(starts) {
         let id = ProcessId {
             chassis: index,
             incarnation: 1,
@@ -161,7 +163,7 @@ async fn run_processes(
         processes.push(starter.start(id)?);
     }
     let timeout = chassis.app.phase_timeout;
-    let mut missing: BTreeSet<u8> = chassis.others().collect();
+    let mut missing: BTreeSet<u8> = chassis.others().filter(starts).collect();
     let killed = tokio::select! {
         connected = tokio::time::timeout(timeout, connect(&starter, &mut mesh, processes, &mut missing)) => {
             match connected {

@@ -210,12 +210,15 @@ pub(super) struct Keeper {
 }
 
 impl Keeper {
-    /// Keeps `processes`, which are those of chassis 1, 2, ...
+    /// Keeps `processes`.
     pub(super) fn new(starter: Starter, orders: ProcessOrders, processes: Vec<Process>) -> Self {
         Self {
             starter,
             orders,
-            processes: (1..).zip(processes).collect(),
+            processes: processes
+                .into_iter()
+                .map(|one| (one.id.chassis, one))
+                .collect(),
         }
     }
 

@@ -40,10 +40,18 @@ impl Service {
         name: &str,
         timeout: Duration,
     ) -> Result<Tid, ErrorView> {
+        let home = self
+            .chassis
+            .app
+            .task(name)
+            .map(|task| task.chassis.as_str());
         let query = FindTid {
             name: name.to_owned(),
             gone: None,
-            waits: false,
+            // To look for it starts its process.
+            waits: self.chassis.others().any(|index| {
+                self.chassis.starts_on_demand(index) && home == Some(self.chassis.name_of(index))
+            }),
         };
         let found = view::ask(&self.chassis, system::TID_SERVER, query, timeout).await?;
         found.map_err(|_| match self.chassis.app.task(name) {
