@@ -117,7 +117,9 @@ fn what_ctrl_changed_of_an_object_survives_the_kill_of_its_daemon_and_the_next_b
     let mut run = boot();
     run.wait_for("phase 3");
     let change = "foo.b@d2 CTRL -where kitchen";
-    scratch.scott(&["objects", "-c", change]).must_exit_leaving(0);
+    scratch
+        .scott(&["objects", "-c", change])
+        .must_exit_leaving(0);
     let before = dumped();
     assert!(before.contains("kitchen"), "{before}");
     run.kill("cage");

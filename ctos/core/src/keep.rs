@@ -63,7 +63,11 @@ impl Context {
         };
         let mut stored = kept.stored.lock().await;
         if !stored.loaded {
-            stored.state = self.registry().state_store()?.load(self)?.unwrap_or_default();
+            stored.state = self
+                .registry()
+                .state_store()?
+                .load(self)?
+                .unwrap_or_default();
             stored.loaded = true;
             if !stored.state.is_empty() {
                 let tap = &self.chassis().tap;

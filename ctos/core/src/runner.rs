@@ -204,17 +204,19 @@ impl Runner {
             };
             let of_tasks = message.command() < SYSTEM_COMMANDS;
             let then = match self.handler.as_deref_mut() {
-                Some(handler) if of_tasks && self.cx.inner.kept.is_none() => match handler.serve(&serving, message).await {
-                    Served::Next(message) => {
-                        next = Some(message);
-                        continue;
+                Some(handler) if of_tasks && self.cx.inner.kept.is_none() => {
+                    match handler.serve(&serving, message).await {
+                        Served::Next(message) => {
+                            next = Some(message);
+                            continue;
+                        }
+                        Served::Closed => break,
+                        Served::Panicked(text) => {
+                            let why = format!("its handler panicked: {text}");
+                            self.supervise(Ending::Failure, why).boxed_local().await
+                        }
                     }
-                    Served::Closed => break,
-                    Served::Panicked(text) => {
-                        let why = format!("its handler panicked: {text}");
-                        self.supervise(Ending::Failure, why).boxed_local().await
-                    }
-                },
+                }
                 _ => self.take(message).boxed_local().await,
             };
             match then {

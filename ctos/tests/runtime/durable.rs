@@ -54,7 +54,7 @@ impl Sum {
     fn add(&mut self, request: Add, reply: Replier<Add>) -> Handled {
         self.0 += request.number;
         match request.then.as_str() {
-            "refuse" => return Err(format!("refused at {}", self.0).into()),
+            "refuse" => Err(format!("refused at {}", self.0).into()),
             "panic" => panic!("on purpose"),
             "answer and panic" => {
                 reply.ok(self.0)?;
@@ -191,12 +191,7 @@ fn run(store: Slow, faults: &[Fault], scene: Scene) -> String {
     registry.handler("driver", &[], move |_| Ok(Driver(scene, store.clone())));
     let app = app(APP);
     assert!(registry.check(&app).is_empty());
-    let outcome = simulate(
-        app,
-        registry,
-        faults,
-        &(Arc::new(|_: &BootEvent| ()) as _),
-    );
+    let outcome = simulate(app, registry, faults, &(Arc::new(|_: &BootEvent| ()) as _));
     match outcome.unwrap().end {
         End::Finished(result) => result.text,
         other => panic!("{other:?}"),
@@ -295,14 +290,12 @@ fn what_a_child_answers_waits_for_no_handler() {
             let to = cx.task("sum").await?;
             let later = cx.call(&to, Later { seconds: 1 });
             // The handler that is at work meanwhile has its state stored for a second more.
-            let (later, sum) = futures_util::future::join(
-                async { (later.await, cx.now()) },
-                async {
+            let (later, sum) =
+                futures_util::future::join(async { (later.await, cx.now()) }, async {
                     cx.sleep(Duration::from_millis(500)).await;
                     (add(cx, 2, "").await, cx.now())
-                },
-            )
-            .await;
+                })
+                .await;
             Ok(format!("{} {} {}", later.0?, sum.0, later.1 < sum.1))
         })
     });
@@ -329,7 +322,9 @@ fn a_durable_task_moves_within_its_chassis_and_not_away_from_its_store() {
 fn a_task_without_a_state_to_store_and_a_program_without_a_store_are_refused_with_what_to_do() {
     let mut registry = Registry::new();
     registry.handover("sum", &Sum::COMMANDS, |_| Ok(Sum::default()));
-    registry.handler("driver", &[], |_| Ok(Driver(|_, _| unreachable!(), Slow::default())));
+    registry.handler("driver", &[], |_| {
+        Ok(Driver(|_, _| unreachable!(), Slow::default()))
+    });
     let findings = registry.check(&app(APP)).to_string();
     let told = "app.toml:11:5: error: the state of task `sum` cannot be durable: its handler `sum` has none that can be stored";
     assert!(findings.contains(told), "{findings}");
