@@ -21,4 +21,6 @@ pub use pnt_task::{layout, library, store, stream, task};
 mod pages {
     #[doc = include_str!("../../docs/running-nets.md")]
     mod running_nets {}
+    #[doc = include_str!("../../docs/durable-state.md")]
+    mod durable_state {}
 }

@@ -97,6 +97,7 @@ fn the_calibration_goes_on_at_its_position_whenever_the_dispatcher_is_killed_and
         let ended = run(&job, &Disturbance::KillDispatcher(kills.clone()));
         println!("killed at {kills:?} s: {}", ended.told());
         ended.must_succeed();
+        assert_eq!(ended.faults, kills.len());
         assert_eq!(ended.motions.len(), whole.motions.len(), "{kills:?}");
         ended.arm_must_be_at_rest_without_power();
     }

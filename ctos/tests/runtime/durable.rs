@@ -54,7 +54,7 @@ impl Sum {
     fn add(&mut self, request: Add, reply: Replier<Add>) -> Handled {
         self.0 += request.number;
         match request.then.as_str() {
-            "refuse" => return Err(format!("refused at {}", self.0).into()),
+            "refuse" => Err(format!("refused at {}", self.0).into()),
             "panic" => panic!("on purpose"),
             "answer and panic" => {
                 reply.ok(self.0)?;

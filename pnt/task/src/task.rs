@@ -258,6 +258,7 @@ impl EventHandler for NetTask {
     }
 
     async fn stop(&mut self, _cx: &Context, reason: &StopReason) -> Handled {
+        self.engine.stopping.set(true);
         self.engine.tell_unfinished();
         self.engine.stop(&reason.to_string());
         Ok(())

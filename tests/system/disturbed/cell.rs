@@ -99,6 +99,8 @@ struct Seen {
 /// What is left of a run.
 pub struct Ended {
     pub end: End,
+    /// How many faults came to pass.
+    pub faults: usize,
     pub motions: Vec<(f64, f64)>,
     powers: Vec<(f64, Power)>,
     speed: f64,
@@ -522,10 +524,7 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
     let findings = registry.check(&app);
     assert!(!findings.has_errors(), "{findings}");
     let observer: Observer = Arc::new(|_| {});
-    let end = simulation::run(app, registry, setup, &observer)
-        .unwrap()
-        .outcome
-        .end;
+    let ran = simulation::run(app, registry, setup, &observer).unwrap();
     let results = std::fs::read_dir(&results).unwrap().map(|entry| {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
@@ -535,7 +534,8 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
     let seen = std::mem::take(&mut *seen.lock().unwrap());
     let events = std::mem::take(&mut *events.lock().unwrap());
     Ended {
-        end,
+        end: ran.outcome.end,
+        faults: ran.faults.len(),
         motions: seen.motions,
         powers: seen.powers,
         speed: seen.speed,

@@ -43,13 +43,16 @@ struct Erased<H: 'static> {
     passing: Option<&'static Passing<H>>,
 }
 
+/// A state in postcard.
+type State = Result<Vec<u8>, HandlerError>;
+
 /// How the state of a handler is passed on.
 struct Passing<H> {
     after_panic: bool,
-    give: fn(&mut H) -> Result<Vec<u8>, HandlerError>,
+    give: fn(&mut H) -> State,
     take: fn(&mut H, &Context, &[u8]) -> Handled,
     /// Of a durable handler.
-    state: Option<fn(&H) -> Result<Vec<u8>, HandlerError>>,
+    state: Option<fn(&H) -> State>,
 }
 
 impl<H: Handover> Erased<H> {

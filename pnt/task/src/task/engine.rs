@@ -220,6 +220,9 @@ impl Engine {
                 let name = core.execution.net().name();
                 return reply.fail(&format!("net `{name}` takes no commands: {why}"));
             }
+            if self.leaves_unanswered(&reply) {
+                return Ok(());
+            }
             if self.refuses(&reply) {
                 let name = core.execution.net().name();
                 return reply.fail(&format!("net `{name}` takes no commands: {BEING_STOPPED}"));
@@ -255,10 +258,14 @@ impl Engine {
             Known::New => self.put_tape(cx, (symbol, arguments), Asker::Once(reply, request)),
             Known::Open(number) => {
                 let mut core = self.core.borrow_mut();
-                if let Some(why) = &core.halted {
-                    return reply.fail(format!("the net has stopped: {why}"));
+                let reply = Asker::Once(reply, request);
+                if self.leaves_unanswered(&reply) {
+                    return Ok(());
                 }
-                core.waiting.insert(number, Asker::Once(reply, request));
+                if let Some(why) = &core.halted {
+                    return reply.fail(&format!("the net has stopped: {why}"));
+                }
+                core.waiting.insert(number, reply);
                 core.commands.insert(number, cx.clone());
                 Ok(())
             }
@@ -370,7 +377,8 @@ impl Engine {
         };
         let text = format!("net `{name}` has stopped: {why}");
         // Answering never fails; a caller that is gone needs no answer.
-        for reply in waiting.into_values() {
+        let waiting = waiting.into_values();
+        for reply in waiting.filter(|reply| !self.leaves_unanswered(reply)) {
             let _ = reply.fail(&text);
         }
         if let Some(replacing) = replacing {

@@ -46,6 +46,12 @@ impl Engine {
             }
     }
 
+    /// Whether somebody gets no answer, which is no refusal: the next process of a durable net takes the command that is
+    /// asked for again.
+    pub(super) fn leaves_unanswered(&self, asker: &Asker) -> bool {
+        self.stopping.get() && self.durable.is_kept() && matches!(asker, Asker::Once(..))
+    }
+
     fn is_of_net(&self, request: &RequestId) -> bool {
         let name = request.from.split(' ').next().unwrap_or_default();
         let task = self.cx.app().task(name);

@@ -150,6 +150,37 @@ fn a_command_that_is_asked_for_again_is_put_once_whenever_its_net_dies() {
     }
 }
 
+#[test]
+fn who_puts_a_command_once_learns_nothing_of_a_process_that_is_stopped_in_order_and_begun_again() {
+    async fn ask(cx: Context) -> Result<String, HandlerError> {
+        for number in 1..=6 {
+            let answer = put_once(&cx, "n", &request(number), Duration::from_secs(600)).await?;
+            if answer.symbol != "gone" {
+                return Err(format!("{number}: {answer:?}").into());
+            }
+        }
+        let snapshot = insist(&cx, "n", Marking {}).await?;
+        Ok(format!("times {}", tokens(&snapshot, "times")))
+    }
+    for step in 0..60_u64 {
+        let app = durable_app(&[("n", "durable = true")], step);
+        let mut registry = Registry::new();
+        register_with_settings(&mut registry, ONE, || {
+            Library::new(()).action("work", slow(Duration::from_millis(100)))
+        });
+        register_script(&mut registry, ask);
+        // As after a freeze of the boot, whose chassis stop their tasks and are started again.
+        let restart = Fault::on(
+            "on_n",
+            FaultKind::Restart,
+            Instant::from_nanos(1_000_000 + step * 9_000_000),
+        );
+        let script = Faults::of_script("restart", vec![restart]);
+        let found = simulate(app, registry, script).0;
+        assert_eq!(found.as_deref(), Ok("times 6"), "step {step}");
+    }
+}
+
 /// A net whose action is a command to the one above.
 const ASKS: &str = "net m
 place ready = 3, free = 1, over, lost
