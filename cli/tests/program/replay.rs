@@ -24,7 +24,7 @@ fn registry() -> Registry {
     registry
 }
 
-/// The folder of configurations, with so few positions that a calibration is short.
+/// The folder of configurations, with as few positions as a calibration takes.
 fn configs() -> tempfile::TempDir {
     fn copy(from: &Path, to: &Path) {
         fs::create_dir_all(to).unwrap();
@@ -42,7 +42,7 @@ fn configs() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     copy(&root().join("configs"), folder.path());
     let positions = fs::read_to_string(folder.path().join("positions.csv")).unwrap();
-    let few: Vec<&str> = positions.lines().take(7).collect();
+    let few: Vec<&str> = positions.lines().take(14).collect();
     fs::write(folder.path().join("positions.csv"), few.join("\n")).unwrap();
     folder
 }

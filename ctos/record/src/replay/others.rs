@@ -9,7 +9,7 @@ use std::{
 use super::{
     super::lines::{self, Number},
     ReplayReport,
-    script::{Recorded, Script, Sent, Takes, What},
+    script::{Reads, Recorded, Script, Sent, Takes, What},
 };
 use crate::glossary::Glossary;
 use ctos_core::{
@@ -35,7 +35,7 @@ struct State {
     unanswered: Vec<ReplySlot>,
     ends: VecDeque<(u16, Ending)>,
     /// The part that has its turn, and what that still reads.
-    turn: Option<(u64, VecDeque<(String, Vec<u8>)>)>,
+    turn: Option<(u64, Reads)>,
     /// Which part sent what, of what it still waits for.
     senders: BTreeMap<Number, u64>,
     /// Answers that come to the present turn before their questions were made again.

@@ -50,11 +50,14 @@ pub(super) struct Step {
     pub(super) takes: Takes,
 }
 
+/// What was read, by name, in order.
+pub(super) type Reads = VecDeque<(String, Vec<u8>)>;
+
 /// What a turn of a task takes from elsewhere than the messages that its handler begins, in order.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Takes {
     /// What it reads, by name.
-    pub(super) reads: VecDeque<(String, Vec<u8>)>,
+    pub(super) reads: Reads,
     /// Answers to messages of its own.
     pub(super) answers: Vec<(Number, Recorded)>,
 }
