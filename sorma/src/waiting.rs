@@ -207,7 +207,11 @@ async fn ask(
     if at_once || outer.is_some_and(|call| call.is_within(slot)) {
         return slot.call_unseen(sorm, outer, method, io);
     }
-    let patience = if slot.waits() { PATIENCE } else { slot::PATIENCE };
+    let patience = if slot.waits() {
+        PATIENCE
+    } else {
+        slot::PATIENCE
+    };
     let turn = match select(pin!(slot.turn.lock()), comm.sleep(patience)).await {
         Either::Left((turn, _)) => Some(turn),
         Either::Right(_) => None,
@@ -217,9 +221,9 @@ async fn ask(
             slot.exec_waiting(sorm, comm, outer, io).await;
         }
         (Some(_turn), Some(workers)) => call_on(workers, slot, (sorm, comm), method, io).await,
-        (None, Some(_)) => slot.refuse_busy(sorm, io),
+        (None, Some(_)) if !slot.waits() => slot.refuse_busy(sorm, io),
         // Without a turn the object is still in a call, which this finds.
-        (_, None) => slot.call_unseen(sorm, outer, method, io),
+        _ => slot.call_unseen(sorm, outer, method, io),
     }
 }
 

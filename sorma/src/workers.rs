@@ -68,8 +68,15 @@ mod tests {
     use futures_util::future::{LocalBoxFuture, join};
     use std::sync::mpsc::{Receiver, Sender, channel};
 
-    /// Reaches nobody, has objects called on threads, and waits so long for a turn.
-    struct Threads(Duration);
+    /// How long it is waited.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Patience {
+        Endless,
+        None,
+    }
+
+    /// Reaches nobody, and has objects called on threads.
+    struct Threads(Patience);
 
     impl Comm for Threads {
         fn ask<'a>(&'a self, at: &'a Location, request: Request) -> Answer<'a, Transport> {
@@ -77,7 +84,10 @@ mod tests {
         }
 
         fn sleep(&self, _: Duration) -> LocalBoxFuture<'_, ()> {
-            Box::pin(tokio::time::sleep(self.0))
+            match self.0 {
+                Patience::Endless => Box::pin(std::future::pending()),
+                Patience::None => Box::pin(std::future::ready(())),
+            }
         }
 
         fn spawn(&self, job: Job) -> Result<(), Report> {
@@ -131,28 +141,26 @@ mod tests {
     }
 
     fn run<T>(work: impl Future<Output = T>) -> T {
-        let runtime = Builder::new_current_thread().enable_time().build();
+        let runtime = Builder::new_current_thread().build();
         runtime.unwrap().block_on(work)
     }
 
-    async fn asked(sorm: &Sorm, wait: Duration, line: &str) -> Reply {
+    async fn asked(sorm: &Sorm, wait: Patience, line: &str) -> Reply {
         let told = sorm.tell(&Threads(wait), line, "anna").await;
         told.parse().unwrap()
     }
 
-    const LONG: Duration = Duration::from_secs(60);
-
     #[test]
     fn an_object_that_does_not_end_keeps_nobody_from_others_and_is_named_to_who_wants_it() {
         let (sorm, turns, end) = mill();
-        let grinds = asked(&sorm, LONG, "mill.a EXEC");
+        let grinds = asked(&sorm, Patience::Endless, "mill.a EXEC");
         let meanwhile = async {
             // It begins on its own thread, so this one may wait for it here.
             turns.recv().unwrap();
-            let other = asked(&sorm, LONG, "bar CTRL -tea 1 -dump").await;
-            let busy = asked(&sorm, LONG, "sorm CTRL -busy").await;
-            let second = asked(&sorm, Duration::ZERO, "mill.a EXEC").await;
-            let dump = asked(&sorm, Duration::ZERO, "mill.a CTRL -dump").await;
+            let other = asked(&sorm, Patience::Endless, "bar CTRL -tea 1 -dump").await;
+            let busy = asked(&sorm, Patience::Endless, "sorm CTRL -busy").await;
+            let second = asked(&sorm, Patience::None, "mill.a EXEC").await;
+            let dump = asked(&sorm, Patience::None, "mill.a CTRL -dump").await;
             end.send(()).unwrap();
             (other, busy, second, dump)
         };
@@ -163,10 +171,18 @@ mod tests {
         for late in [second, dump] {
             assert_eq!(late.body.code, code::BUSY);
             let text = &late.body.reports[0].text;
-            assert!(text.starts_with("`mill.a` is in EXEC of `anna` for "), "{text}");
+            assert!(
+                text.starts_with("`mill.a` is in EXEC of `anna` for "),
+                "{text}"
+            );
             assert!(text.contains("`ctos restart "), "{text}");
         }
-        assert_eq!(run(asked(&sorm, LONG, "sorm CTRL -busy")).body.text, "");
+        assert_eq!(
+            run(asked(&sorm, Patience::Endless, "sorm CTRL -busy"))
+                .body
+                .text,
+            ""
+        );
     }
 
     #[test]
@@ -174,8 +190,8 @@ mod tests {
         let (sorm, ..) = mill();
         for place in ["garden", "kitchen", "garden"] {
             let line = format!("foo CTRL -where {place}");
-            let set = asked(&sorm, LONG, &line);
-            let served = asked(&sorm, LONG, "foo EXEC");
+            let set = asked(&sorm, Patience::Endless, &line);
+            let served = asked(&sorm, Patience::Endless, "foo EXEC");
             let (set, served) = run(join(set, served));
             assert!(set.body.is_ok());
             assert_eq!(served.body.text, format!("dinner in the {place}, piano"));
@@ -185,8 +201,15 @@ mod tests {
     #[test]
     fn a_panic_on_a_thread_is_a_report_and_the_object_is_gone() {
         let (sorm, ..) = mill();
-        let reply = run(asked(&sorm, LONG, "mill.a EXEC break FMSG 1 2"));
-        assert_eq!((reply.body.code, &*reply.body.floats), (code::PANIC, &[2.0][..]));
+        let reply = run(asked(
+            &sorm,
+            Patience::Endless,
+            "mill.a EXEC break FMSG 1 2",
+        ));
+        assert_eq!(
+            (reply.body.code, &*reply.body.floats),
+            (code::PANIC, &[2.0][..])
+        );
         assert!(sorm.find("mill.a").is_none());
     }
 }

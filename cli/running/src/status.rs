@@ -88,7 +88,10 @@ fn lines(status: &StatusView, name: &str, option: &str, width: usize) -> Vec<Str
     lines.extend(log_lines(status));
     lines.push(String::new());
     lines.push(format!("follow its log   ctos logs {name} -f{option}"));
-    lines.push(format!("restart it       ctos restart {}{option}", restartable(status, name)));
+    lines.push(format!(
+        "restart it       ctos restart {}{option}",
+        restartable(status, name)
+    ));
     lines
         .iter()
         .map(|line| table::fitted(line, width))

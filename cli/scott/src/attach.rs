@@ -18,7 +18,7 @@ use ctos::{
 };
 use sorma::{ClassInfo, Location, ObjectName, Reply, Report, daemon, report::code, words};
 
-use cli_common::remote::{self, AtArgs, connect_to};
+use cli_common::remote::{self, AtArgs, RemoteArgs, connect_to};
 
 /// How often it is looked whether the user has given up waiting.
 const LOOK: Duration = Duration::from_millis(100);
@@ -228,8 +228,17 @@ impl App {
             _ => return "the app does not say why".to_owned(),
         };
         let chassis = &status.chassis.name;
-        let restart = format!("`ctos restart {chassis} --app {}` ends it", self.name);
-        if let Some(busy) = self.glance(task, "sorm CTRL -busy").filter(|busy| !busy.is_empty()) {
+        let at = RemoteArgs {
+            app: self.place.app.clone(),
+            at: self.place.at.clone(),
+        };
+        let client = self.client.as_ref();
+        let option = client.map_or_else(String::new, |client| at.option(client.app()));
+        let restart = format!("`ctos restart {chassis}{option}` ends it");
+        if let Some(busy) = self
+            .glance(task, "sorm CTRL -busy")
+            .filter(|busy| !busy.is_empty())
+        {
             let busy = busy.lines().collect::<Vec<_>>().join("; ");
             return format!("objects of chassis `{chassis}` are in calls: {busy}; {restart}");
         }

@@ -398,6 +398,10 @@ fn thousands_of_started_tasks_are_stopped_without_a_question_to_the_names_for_ea
         }
     });
     let run = simulation::run(app, registry, Setup::default(), &observer).unwrap();
-    assert!(matches!(run.outcome.end, End::Finished(_)), "{:?}", run.outcome);
+    assert!(
+        matches!(run.outcome.end, End::Finished(_)),
+        "{:?}",
+        run.outcome
+    );
     assert_eq!(*events.lock().unwrap(), ["parent None"]);
 }

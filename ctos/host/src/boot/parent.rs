@@ -323,8 +323,8 @@ async fn connect(
         };
         let (id, ending) = &exit;
         let config = starter.chassis.config_of(id.chassis);
-        let restarts = config
-            .is_some_and(|config| config.supervision.restart.when != ChassisRestart::Never);
+        let restarts =
+            config.is_some_and(|config| config.supervision.restart.when != ChassisRestart::Never);
         // What ends by itself, before it is asked for anything, would only do so again.
         if !(ending.by_signal && restarts) {
             return Err(ended(starter, id.chassis, &ending.how));

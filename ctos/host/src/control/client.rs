@@ -513,10 +513,13 @@ mod tests {
 
     use super::*;
 
-    /// A connection that notes, at each reading, whether that would wait, and how long.
+    /// Whether a reading would wait, and how long.
+    type Reading = (bool, Option<Duration>);
+
+    /// A connection that notes its readings.
     struct Noted {
         stream: UnixStream,
-        readings: Arc<Mutex<Vec<(bool, Option<Duration>)>>>,
+        readings: Arc<Mutex<Vec<Reading>>>,
     }
 
     impl Read for Noted {
@@ -553,7 +556,7 @@ mod tests {
             let ended = client.has_ended();
             let seen = readings.lock().unwrap().clone();
             // The time-outs are as they were, and no reading may wait for one.
-            let quick = |one: &(bool, Option<Duration>)| *one == (false, Some(PATIENCE));
+            let quick = |one: &Reading| *one == (false, Some(PATIENCE));
             assert!(!seen.is_empty() && seen.iter().all(quick), "{seen:?}");
             ended
         };
