@@ -4,6 +4,11 @@
 //! does. Without git it compiles all the same, and says so. Only this crate, which stands above all others, is compiled
 //! anew for it, and only when a source of the workspace has changed, or the revision.
 
+#![allow(
+    clippy::print_stdout,
+    reason = "that is how a build script speaks to cargo"
+)]
+
 use std::{
     env,
     path::{Path, PathBuf},

@@ -264,7 +264,6 @@ fn the_load_moves_away_from_a_daemon_that_slows_or_stands_still() {
 #[test]
 fn the_example_trades_balances_and_streams_the_same_every_time() {
     let told = crate::market::run().unwrap();
-    println!("{told}");
     assert_eq!(crate::market::run(), Ok(told.clone()));
     for part in [
         "traded: frame by two\n",
