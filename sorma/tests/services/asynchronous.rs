@@ -633,3 +633,33 @@ fn a_fork_forwards_its_data_and_answers_that_nobody_collects_give_way() {
         })
     });
 }
+
+#[test]
+fn the_width_of_a_fork_bounds_what_several_daemons_do_for_it_at_once() {
+    let scenario: Scenario = |cx, sorm| {
+        Box::pin(async move {
+            let ask = async |line: &str| ask(&sorm, &cx, line).await.body;
+            let add = "dict CTRL -add fork.one '-object nap@anyone -width 1' -add fork.two '-object nap@anyone -width 2'";
+            assert!(ask(add).await.is_ok());
+            for (fork, after_6_s) in [("fork.one", "not yet"), ("fork.two", "nap@anyone RET 0")] {
+                for _ in 0..2 {
+                    assert!(ask(&format!("{fork} EXEC")).await.is_ok());
+                }
+                cx.sleep(seconds(6.0)).await;
+                let second = ask(&format!("{fork} CTRL -collect 2")).await.text;
+                assert_eq!(second, after_6_s, "{fork}");
+                cx.sleep(seconds(10.0)).await;
+            }
+            Ok(String::new())
+        })
+    };
+    let app = App {
+        here: "anyone trade -spread\n",
+        daemons: vec![
+            ("d1", "one", "args.offers.nap = {}"),
+            ("d2", "two", "args.offers.nap = {}"),
+        ],
+        ..App::new(scenario)
+    };
+    assert_eq!(app.run(), Ok(String::new()));
+}
