@@ -163,11 +163,13 @@ pub fn register(registry: &mut Registry) {
     });
     registry.handler("test.spinning", &[Spin::INFO], |_| Ok(Spinning));
     registry.handler("test.dying", &[Die::INFO], |_| Ok(Dying));
-    registry.handler("test.parent", &[], |cx| {
+    let parent = registry.handler("test.parent", &[], |cx| {
         Ok(Parent(cx.args::<ParentArgs>()?.children))
     });
-    registry.handler("test.finder", &[], |cx| {
+    parent.args::<ParentArgs>();
+    let finder = registry.handler("test.finder", &[], |cx| {
         let deaths = cx.args::<FinderArgs>()?.deaths;
         Ok(Finder { deaths })
     });
+    finder.args::<FinderArgs>();
 }

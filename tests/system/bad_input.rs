@@ -451,8 +451,8 @@ fn a_function_that_the_library_does_not_have_is_refused() {
     refused(
         &scratch,
         &[
-            unknown("more_postions\n  do store_point\n  out loop_ready"),
-            unknown("more_postions\n  do store_point\n  out points_complete"),
+            unknown("more_postions\n  do store_point\n  idempotent\n  out loop_ready"),
+            unknown("more_postions\n  do store_point\n  idempotent\n  out points_complete"),
         ],
     );
 }

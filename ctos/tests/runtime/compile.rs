@@ -4,7 +4,6 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::Command,
-    time::SystemTime,
 };
 
 const HANDLER: &str = "
@@ -25,7 +24,7 @@ impl Counter {
 /// The libraries beside this program, those called `name`, newest first: more than one may be there.
 fn libraries(folder: &Path, name: &str) -> Vec<PathBuf> {
     let start = format!("lib{name}-");
-    let mut found: Vec<(SystemTime, PathBuf)> = fs::read_dir(folder)
+    let mut found: Vec<_> = fs::read_dir(folder)
         .unwrap()
         .filter_map(|entry| {
             let entry = entry.ok()?;

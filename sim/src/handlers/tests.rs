@@ -127,21 +127,23 @@ fn run(camera: &str, seed: u64) -> (End, Seen) {
     let seen = Arc::new(Mutex::new(Seen::default()));
     let mut registry = Registry::new();
     register_world(&mut registry);
-    registry.handler("test.servo", &[], |cx| {
+    let servo = registry.handler("test.servo", &[], |cx| {
         let args = &cx.config().unwrap().args;
         Ok(Servo {
             driver: RefCell::new(Some(open_arm(cx, args)?)),
             cycle: None,
         })
     });
+    servo.args::<ArmArgs>();
     let (camera, shared) = (camera.to_owned(), seen.clone());
-    registry.handler("test.eye", &[], move |cx| {
+    let eye = registry.handler("test.eye", &[], move |cx| {
         let args = &cx.config().unwrap().args;
         Ok(Eye {
             camera: Some(SimCamera::new(cx, &camera, args)?),
             seen: shared.clone(),
         })
     });
+    eye.args::<CameraArgs>();
     assert!(!registry.check(&app).has_errors());
     let launcher = Launcher {
         program: "none".into(),
