@@ -10,6 +10,7 @@
 pub(crate) mod market;
 pub(crate) mod wanted;
 
+use market::FIRST;
 pub use market::Ranked;
 pub use wanted::{Attributes, Wanted, attributes};
 
@@ -25,9 +26,6 @@ use std::time::Duration;
 
 /// A daemon is asked for its offers again when the last answer is older than this.
 const REFRESH: Duration = Duration::from_secs(1);
-
-/// How long one waits for the first answer of a daemon that one knows nothing about.
-const FIRST: Duration = Duration::from_secs(2);
 
 impl Sorm {
     /// Offers a class to others, with attributes; an earlier offer of it is replaced.
@@ -88,12 +86,30 @@ impl Sorm {
                 self.inner.market.lock().given_up(&unknown, now);
             }
         }
+        self.first_answers(comm, &daemons).await;
         let market = self.inner.market.lock();
         let ranked = market.rank(&daemons, name, wanted, self.now());
         if ranked.is_empty() {
             return Err(wanted.unmet(name, &market.said(&daemons, name.class())));
         }
         Ok(ranked)
+    }
+
+    /// Waits for the answers of daemons that another request has just asked for the first time.
+    async fn first_answers(&self, comm: &dyn Comm, daemons: &[String]) {
+        let mut limit = comm.sleep(FIRST);
+        let known = self.inner.market.lock().known();
+        loop {
+            let mut changed = pin!(known.notified());
+            // From now on a change is seen, also one before the next wait.
+            changed.as_mut().enable();
+            if !self.inner.market.lock().asks_first(daemons, self.now()) {
+                return;
+            }
+            if let Either::Right(_) = select(changed, &mut limit).await {
+                return;
+            }
+        }
     }
 
     /// The daemon whose offer for an object is the best.

@@ -117,10 +117,14 @@ fn others_requests_are_watched_with_replies_and_durations() {
     let wanted = "watch foo.* --kind EXEC --from its-user* --count 3";
     let watching = scratch.start(SCOTT, &["objects", "--json", "-c", wanted], &[]);
     for daemon in ["d1", "d2"] {
-        let list = format!("sorm@{daemon} CTRL -list");
+        // It is there before it has been told what to watch.
+        let calls = format!("sorm@{daemon} CTRL -statistics");
         until(
-            || scratch.scott(&["-c", &list]),
-            |ended| ended.stdout.contains("watch.scott-"),
+            || scratch.scott(&["-c", &calls]),
+            |ended| {
+                let calls = ended.stdout.split("watch.scott-").nth(1);
+                calls.is_some_and(|calls| calls.contains(" ctrl 1 "))
+            },
         );
     }
     said(&scratch, "foo.a EXEC");
@@ -152,7 +156,7 @@ fn others_requests_are_watched_with_replies_and_durations() {
         })
         .collect();
     let nonsense = seen[2]["code"].as_i64().unwrap();
-    assert_ne!(nonsense, 0);
+    assert_ne!(nonsense, 0, "{seen:#?}");
     assert_eq!(
         told,
         [

@@ -5,7 +5,12 @@ use crate::name::ObjectName;
 use crate::words;
 use ctos::time::Instant;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::Notify;
+
+/// How long one waits for the first answer of a daemon that one knows nothing about.
+pub(super) const FIRST: Duration = Duration::from_secs(2);
 
 /// A daemon is slow when it takes so many times longer than the fastest that meets the requirements...
 const SLOW_TIMES: u32 = 4;
@@ -39,6 +44,8 @@ pub(crate) struct Market {
     chosen: BTreeMap<String, String>,
     /// How many traded requests were given away so far.
     turns: u64,
+    /// Told whenever something becomes known about a daemon.
+    known: Arc<Notify>,
 }
 
 /// What is known about a daemon.
@@ -59,6 +66,12 @@ struct Standing {
 }
 
 impl Standing {
+    /// Whether it is just being asked for the first time. Whoever asked may have gone without an answer.
+    fn is_first_question(&self, now: Instant) -> bool {
+        let asked = self.asked.filter(|_| self.known.is_none());
+        asked.is_some_and(|asked| now.since(asked) < FIRST)
+    }
+
     /// How long an answer takes, as far as one can tell: at least as long as one has been waiting now.
     fn expected(&self, now: Instant) -> Option<Duration> {
         let waiting = self.asked.map(|asked| now.since(asked));
@@ -86,11 +99,23 @@ impl Market {
     pub(super) fn begin(&mut self, daemon: &str, now: Instant, every: Duration) -> Option<bool> {
         let standing = self.others.entry(daemon.to_owned()).or_default();
         let recent = standing.known.is_some_and(|known| now.since(known) < every);
-        if standing.asked.is_some() || recent {
+        let first = standing.is_first_question(now);
+        if recent || first || standing.known.is_some() && standing.asked.is_some() {
             return None;
         }
         standing.asked = Some(now);
         Some(standing.known.is_some())
+    }
+
+    /// Told whenever a daemon has said what it offers, or is given up.
+    pub(super) fn known(&self) -> Arc<Notify> {
+        Arc::clone(&self.known)
+    }
+
+    /// Whether one of these daemons is just being asked for the first time.
+    pub(super) fn asks_first(&self, daemons: &[String], now: Instant) -> bool {
+        let mut asked = daemons.iter().filter_map(|daemon| self.others.get(daemon));
+        asked.any(|standing| standing.is_first_question(now))
     }
 
     /// Nobody waits any more for the answers of those that have not given one.
@@ -117,6 +142,7 @@ impl Market {
         standing.asked = None;
         standing.known = Some(now);
         standing.down = false;
+        self.known.notify_waiters();
     }
 
     /// A daemon has not answered.
@@ -125,6 +151,7 @@ impl Market {
         standing.asked = None;
         standing.known = Some(now);
         standing.down = true;
+        self.known.notify_waiters();
     }
 
     /// A daemon is given a traded request.

@@ -93,6 +93,8 @@ pub(crate) fn class() -> ClassInfo {
 pub(crate) struct Watch {
     settings: Settings,
     watcher: Arc<Watcher>,
+    /// Whether it does so yet: not before its first request has said what it is to see.
+    watches: bool,
     watchers: Arc<Watchers>,
     owner: String,
 }
@@ -101,12 +103,18 @@ impl Watch {
     pub(crate) fn new(watchers: &Arc<Watchers>) -> Self {
         let settings = Settings::default();
         let watcher = Arc::new(Watcher::new(capacity(&settings)));
-        watchers.add(&watcher);
         Self {
             settings,
             watcher,
+            watches: false,
             watchers: Arc::clone(watchers),
             owner: String::new(),
+        }
+    }
+
+    fn begin(&mut self) {
+        if !std::mem::replace(&mut self.watches, true) {
+            self.watchers.add(&self.watcher);
         }
     }
 
@@ -173,6 +181,7 @@ impl ServiceObject for Watch {
         io: &'a mut Transport,
     ) -> object::Later<'a> {
         self.own(&io.from);
+        self.begin();
         Some(Box::pin(async move {
             let patience = patience(&io.text)?;
             if self.watcher.is_empty() && !patience.is_zero() {
@@ -193,6 +202,7 @@ impl ServiceObject for Watch {
         self.watcher
             .capacity
             .store(capacity(&self.settings), Ordering::Relaxed);
+        self.begin();
         Ok(())
     }
 

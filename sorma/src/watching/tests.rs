@@ -55,6 +55,16 @@ fn a_watcher_sees_what_it_wants_and_nothing_else() {
 }
 
 #[test]
+fn a_watcher_that_was_built_sees_nothing_before_it_is_told_what() {
+    let sorm = sorm();
+    sorm.get("watch.late").unwrap();
+    ask(&sorm, "dict CTRL -list");
+    ask(&sorm, "watch.late CTRL -objects foo.*");
+    ask(&sorm, "foo.a EXEC");
+    assert_eq!(seen(&sorm, "watch.late").len(), 1);
+}
+
+#[test]
 fn nested_calls_have_the_number_of_the_request_that_they_belong_to() {
     let sorm = sorm();
     ask(&sorm, "foo.a CTRL -drink bar");

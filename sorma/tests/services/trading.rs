@@ -5,6 +5,7 @@ use crate::app::{App, Scenario, ask, kill, request, seconds};
 use ctos::boot::{Fault, FaultKind};
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;
+use futures_util::future::join;
 use sorma::daemon::Tasks;
 use sorma::report::code;
 use sorma::{Keep, Sorm};
@@ -96,6 +97,22 @@ fn an_alias_is_traded_as_a_class_is_and_so_are_one_way_requests_and_streams() {
     };
     let here = "cheap trade arm=left -least price\n";
     assert_eq!(market(scenario, here, Vec::new()), Ok("0 1 0".to_owned()));
+}
+
+#[test]
+fn requests_that_come_at_once_before_any_offer_is_known_are_all_met() {
+    let scenario: Scenario = |cx, sorm| {
+        Box::pin(async move {
+            let line = "SCALE.two EXEC FMSG 1 21";
+            let (one, other) = join(ask(&sorm, &cx, line), ask(&sorm, &cx, line)).await;
+            for reply in [one, other] {
+                assert_eq!(reply.body.floats, [42.0], "{:?}", reply.body.reports);
+            }
+            Ok(String::new())
+        })
+    };
+    let here = "SCALE trade arm=left -least price\n";
+    assert_eq!(market(scenario, here, Vec::new()), Ok(String::new()));
 }
 
 #[test]

@@ -125,9 +125,9 @@ impl Context {
     ///
     /// A task of the configuration whose chassis is being restarted is waited for, from the moment that the
     /// death is noticed until its tasks have passed their phases: as long as a call of this task waits,
-    /// unless [`Find::deadline`] says otherwise. So is one that the boot has not created yet. The answer comes at once when the chassis is not started
-    /// again, when the app is being stopped, when the task has come to its end, and when none is configured by that
-    /// name and none has it.
+    /// unless [`Find::deadline`] says otherwise. So is one that the boot has not created yet. The answer comes at
+    /// once when the chassis is not started again, or the app is being stopped. It also does when the task has come to
+    /// its end, and when no task has the name and none is configured by it.
     /// A task that alone is being restarted keeps its name and its queue: it is found, and calls wait there.
     ///
     /// # Errors
