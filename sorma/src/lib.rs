@@ -9,8 +9,8 @@
 //!
 //! 1. text: `words`, `name`, `report`
 //! 2. data: `opaque`, `transport`, `request`, `results`, `layout`, `description`, `reserve`, `meter`, `meta`
-//! 3. parts that know no object: `options`, `dictionary`, `trade/wanted`, `trade/market`, `watching`, `comm`, `clock`,
-//!    `process`, `snapshot`
+//! 3. parts that know no object: `options`, `dictionary`, `trade/wanted`, `trade/market`, `watching`, `comm`, `clock`;
+//!    the crate `sorma-snapshot`
 //! 4. what an object is and where it stands, the one circle: `object`, `class`, `sorm`
 //! 5. calls by reference: `dbx`, `slot`
 //! 6. objects by their names: `plant`, `together`, `trade`
@@ -40,13 +40,11 @@ pub mod object;
 pub mod opaque;
 pub mod options;
 mod plant;
-pub mod process;
 pub mod report;
 pub mod request;
 mod reserve;
 pub mod results;
 mod slot;
-pub mod snapshot;
 pub mod sorm;
 pub mod stream;
 pub mod together;
@@ -72,6 +70,7 @@ pub use request::{Method, Reply, Request, RequestError};
 pub use results::{Keep, Sample};
 pub use slot::{Claim, Handle, Owned};
 pub use sorm::Sorm;
+pub use sorma_snapshot as snapshot;
 pub use stream::Stream;
 pub use transport::Transport;
 pub use workers::Workers;

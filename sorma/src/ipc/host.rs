@@ -2,8 +2,8 @@
 
 use super::answer::code;
 use crate::report::Report;
-use crate::snapshot::{Place, SnapshotError};
 use ctos::time::{Clock, Instant};
+use sorma_snapshot::{Place, SnapshotError};
 use std::path::PathBuf;
 
 /// What the objects of these classes need to know.

@@ -9,10 +9,10 @@ use super::host::Host;
 use super::tickets::{Tickets, Turn};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
-use crate::process::Process;
 use crate::report::Report;
 use crate::transport::Transport;
 use ctos::time::Instant;
+use sorma_snapshot::process::Process;
 use std::fmt::Write as _;
 use std::sync::LazyLock;
 

@@ -5,9 +5,9 @@ use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
-use crate::snapshot::{Reader, Snapshot, SnapshotError, WriterState};
 use crate::transport::Transport;
 use ctos::time::Clock;
+use sorma_snapshot::{Reader, Snapshot, SnapshotError, WriterState};
 use std::sync::LazyLock;
 
 #[derive(Debug, Clone, PartialEq)]

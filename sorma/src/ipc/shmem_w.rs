@@ -5,8 +5,8 @@ use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
-use crate::snapshot::{Layout, MOST_BYTES, MOST_FLOATS, MOST_SLOTS, SnapshotError, Writer};
 use crate::transport::Transport;
+use sorma_snapshot::{Layout, MOST_BYTES, MOST_FLOATS, MOST_SLOTS, SnapshotError, Writer};
 use std::sync::LazyLock;
 
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -1,10 +1,10 @@
 //! The forms that a flight record can have.
 
-use crate::snapshot::{Layout, Reader, Snapshot};
 use base64::{Engine, engine::general_purpose::STANDARD};
 use ctos::time::{Clock, Instant};
 use mcap::{WriteOptions, records::MessageHeader};
 use serde_json::{Map, Value, json};
+use sorma_snapshot::{Layout, Reader, Snapshot};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs::File;

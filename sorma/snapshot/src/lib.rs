@@ -9,7 +9,7 @@
 //!
 //! ```
 //! use ctos::time::Clock;
-//! use sorma::snapshot::{Layout, Place, Reader, Snapshot, Writer};
+//! use sorma_snapshot::{Layout, Place, Reader, Snapshot, Writer};
 //!
 //! # let folder = tempfile::tempdir().unwrap();
 //! # let place = Place::under(&folder.path().join("shm"), "demo").unwrap();
@@ -24,7 +24,7 @@
 //! assert_eq!((record.count, record.floats.as_slice()), (1, [0.1, 0.2].as_slice()));
 //! let age = record.age(&clock);
 //! # let _ = age;
-//! # Ok::<(), sorma::snapshot::SnapshotError>(())
+//! # Ok::<(), sorma_snapshot::SnapshotError>(())
 //! ```
 //!
 //! `docs/snapshots.md` says how the memory is laid out and why it is done so.
@@ -34,6 +34,7 @@ mod error;
 mod layout;
 mod memory;
 mod place;
+pub mod process;
 mod protocol;
 mod reader;
 mod record;
