@@ -4,7 +4,7 @@
 //! they look like, so that the field's viewers can read them. What happened to a message is there twice: for
 //! people, and as base64 of its postcard bytes for replay.
 
-use std::{fmt, io::Write};
+use std::{borrow::Cow, fmt, io::Write};
 
 use base64::{Engine, display::Base64Display, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize, Serializer};
@@ -237,18 +237,29 @@ fn again(event: &Traffic) -> String {
 
 /// What of a line of [`traffic`] is for replay.
 #[derive(Deserialize)]
-struct Again {
-    event: String,
-    #[serde(default)]
-    bytes: String,
+struct Again<'a> {
+    #[serde(borrow)]
+    event: Cow<'a, str>,
+    #[serde(borrow, default)]
+    bytes: Cow<'a, str>,
+}
+
+/// Data as it stands in a line. Most of a record is of no concern to one task, and stays as it is.
+pub(crate) struct Written<'a>(Cow<'a, str>);
+
+impl Written<'_> {
+    /// The data; `None` when it is not base64.
+    pub(crate) fn read(&self) -> Option<Vec<u8>> {
+        STANDARD.decode(&*self.0).ok()
+    }
 }
 
 /// What happened to a message and its data, from the line that [`traffic`] made of it.
-pub(crate) fn from_line(json: &[u8]) -> Option<(Traffic, Vec<u8>)> {
+pub(crate) fn from_line(json: &[u8]) -> Option<(Traffic, Written<'_>)> {
     let Again { event, bytes } = serde_json::from_slice(json).ok()?;
-    let event = STANDARD.decode(event).ok()?;
+    let event = STANDARD.decode(&*event).ok()?;
     let (event, ..) = Events::new(&event).next()?;
-    Some((event, STANDARD.decode(bytes).ok()?))
+    Some((event, Written(bytes)))
 }
 
 pub(crate) fn priority(flags: Flags) -> &'static str {

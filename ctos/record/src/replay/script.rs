@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use super::{
     super::{
         event::{Key, Side, Step as Event, Traffic},
-        lines::{self, Number},
+        lines::{self, Number, Written},
         read::{Entry, Record},
     },
     ReplayError,
@@ -221,6 +221,7 @@ impl Reader<'_> {
         } = event.step
             && side != Side::Sender
         {
+            let data = data_of(entry, &data)?;
             let message = self.sent(event.chassis, event.key, flags, deadline, data);
             self.messages.insert(message.id, message);
         }
@@ -280,6 +281,7 @@ impl Reader<'_> {
                 if key.peer == tid && side != Side::Receiver && key.command != WaitsFor::CODE {
                     let output = What::Output(self.script.outputs.len());
                     self.push(at, key.trace, output);
+                    let data = data_of(entry, &data)?;
                     let message = self.sent(event.chassis, key, flags, deadline, data);
                     self.script.outputs.push(message);
                 }
@@ -302,17 +304,25 @@ impl Reader<'_> {
             }
             Event::Read { what, .. } => {
                 if key.task == tid {
-                    self.takes().reads.push_back((what, data));
+                    let value = data_of(entry, &data)?;
+                    self.takes().reads.push_back((what, value));
                 }
             }
             Event::Answered { side, came, fault } => {
-                let answer = Recorded(fault.map_or(Ok(data), Err));
-                if key.task == tid && side != Side::Sender {
-                    let answer = answer.clone();
-                    self.push(at, key.trace, What::Replied { id, answer });
-                }
-                if key.peer == tid && side != Side::Receiver {
-                    self.answered(at, key.trace, id, came, answer);
+                let replied = key.task == tid && side != Side::Sender;
+                let answered = key.peer == tid && side != Side::Receiver;
+                if replied || answered {
+                    let answer = match fault {
+                        None => Recorded(Ok(data_of(entry, &data)?)),
+                        Some(fault) => Recorded(Err(fault)),
+                    };
+                    if replied {
+                        let answer = answer.clone();
+                        self.push(at, key.trace, What::Replied { id, answer });
+                    }
+                    if answered {
+                        self.answered(at, key.trace, id, came, answer);
+                    }
                 }
             }
         }
@@ -421,8 +431,12 @@ struct PhaseRead {
     phase: String,
 }
 
-fn parsed(entry: &Entry) -> Result<(Traffic, Vec<u8>), ReplayError> {
+fn parsed(entry: &Entry) -> Result<(Traffic, Written<'_>), ReplayError> {
     lines::from_line(&entry.json).ok_or_else(|| unreadable(entry))
+}
+
+fn data_of(entry: &Entry, written: &Written<'_>) -> Result<Vec<u8>, ReplayError> {
+    written.read().ok_or_else(|| unreadable(entry))
 }
 
 fn unreadable(entry: &Entry) -> ReplayError {
