@@ -398,7 +398,7 @@ fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
     let app = app.to_str().expect("a name");
     let play = |files: &[&str]| {
         let all = [
-            &["net", "play"],
+            &["net", "play"][..],
             files,
             &["--app", app, "--sequence", "steps"],
         ]
@@ -411,7 +411,10 @@ fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
             text(output.stderr),
         )
     };
-    for (files, place) in [(&[][..], "hello.idle"), (&["hello.net"], "hello.rested")] {
+    for (files, place) in [
+        (&[][..], "hello.idle"),
+        (&["hello.net"][..], "hello.rested"),
+    ] {
         let (code, said, errors) = play(files);
         assert_eq!(code, Some(0), "{said}{errors}");
         let lines: Vec<&str> = said.lines().collect();
