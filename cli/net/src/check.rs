@@ -14,7 +14,7 @@ use std::{
 use clap::{Args, ValueEnum};
 use ctos::{
     config::Selection,
-    diagnostic::{Finding, Findings, Source},
+    diagnostic::{Findings, Source},
     registry::Registry,
     time::Clock,
 };
@@ -390,6 +390,7 @@ fn system(nets: &[Arc<Net>], tapes: &[Tape], ending: &Ending, args: &CheckArgs) 
             threads: usize::from(args.threads),
             stop: ending.stop(),
         },
+        boot: Limits::default(),
         engines: args.engine.into(),
         questions: questions(args),
         workflows: rule == Rule::Rest,
@@ -410,11 +411,6 @@ fn system(nets: &[Arc<Net>], tapes: &[Tape], ending: &Ending, args: &CheckArgs) 
         Ok(proof) => proof,
         Err(findings) => return wrong(with_hint(findings, args), args),
     };
-    if rule != Rule::Closed
-        && let Some(finding) = more_than_a_boot_permits(&proof)
-    {
-        proof.findings.push(finding);
-    }
     let answer = Answer::new(nets, &options, &proof, seconds, args.structure);
     let code = code(&proof, ending);
     shown(std::mem::take(&mut proof.findings), args);
@@ -437,20 +433,6 @@ fn questions(args: &CheckArgs) -> Vec<(Asks, String)> {
         .into_iter()
         .flat_map(|(asks, texts)| texts.iter().map(move |t| (asks, t)));
     asked.map(|(asks, text)| (asks, text.clone())).collect()
-}
-
-/// What is sound and too large for the check before a boot.
-fn more_than_a_boot_permits(proof: &Proof) -> Option<Finding> {
-    let most = Limits::default().markings;
-    let large = proof.sound() == Some(true) && proof.verdict.markings > most as u128;
-    large.then(|| {
-        let text = format!(
-            "an app with these nets does not boot: its check looks at no more than {most} markings, and they have {}",
-            proof.verdict.markings
-        );
-        Finding::warning("pnt::check::too_large", text)
-            .help("bound what can be in flight with semaphore places, or split the nets where they ask each other")
-    })
 }
 
 /// Not proved for want of room or time is no fault of the nets; a question may be answered all the same.

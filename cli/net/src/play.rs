@@ -1,7 +1,7 @@
 //! `ctos net play`.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     io::{self, Read as _},
     path::{Path, PathBuf},
     sync::Arc,
@@ -94,8 +94,11 @@ fn nets(args: &PlayArgs, registry: &Registry, read: ReadApp) -> Result<Vec<Arc<N
     Ok(nets)
 }
 
+/// A step by its name: the ways in which it can be taken, of which the marking permits one at most.
+type Ways = Vec<TransitionNumber>;
+
 /// The steps of the sequence file.
-fn steps(args: &PlayArgs, model: &Model) -> Result<Vec<TransitionNumber>, Findings> {
+fn steps(args: &PlayArgs, model: &Model) -> Result<Vec<Ways>, Findings> {
     let source = if args.sequence == Path::new("-") {
         let mut text = String::new();
         io::stdin().read_to_string(&mut text).map_err(|error| {
@@ -121,7 +124,7 @@ fn steps(args: &PlayArgs, model: &Model) -> Result<Vec<TransitionNumber>, Findin
     for line in source.text().split_inclusive('\n') {
         let text = line.split('#').next().unwrap_or_default();
         // A name may have commas itself.
-        let parts = match names.by_name.contains_key(text.trim()) {
+        let parts = match names.knows(text.trim()) {
             true => vec![text],
             false => text.split(',').collect(),
         };
@@ -139,9 +142,7 @@ fn steps(args: &PlayArgs, model: &Model) -> Result<Vec<TransitionNumber>, Findin
     found(each)
 }
 
-fn found(
-    each: impl IntoIterator<Item = Result<TransitionNumber, Finding>>,
-) -> Result<Vec<TransitionNumber>, Findings> {
+fn found(each: impl IntoIterator<Item = Result<Ways, Finding>>) -> Result<Vec<Ways>, Findings> {
     let mut findings = Findings::new();
     let mut steps = Vec::new();
     for step in each {
@@ -156,43 +157,53 @@ fn found(
 
 /// Names of steps, with and without the net where that leaves no doubt.
 struct Names<'a> {
-    by_name: BTreeMap<&'a str, Option<TransitionNumber>>,
+    by_name: BTreeMap<&'a str, Ways>,
+    /// Names without the net, and those that they may stand for.
+    short: BTreeMap<&'a str, BTreeSet<&'a str>>,
 }
 
 impl<'a> Names<'a> {
     fn of(model: &'a Model) -> Self {
-        let mut by_name: BTreeMap<&str, Option<TransitionNumber>> = BTreeMap::new();
-        let named = (0..).zip(&model.transitions);
-        for (number, transition) in named.clone() {
-            by_name.insert(transition.name.as_str(), Some(number));
-        }
-        let mut short: BTreeMap<&str, Option<TransitionNumber>> = BTreeMap::new();
-        for (number, transition) in named {
-            if let Some((_, name)) = transition.name.split_once('.') {
-                let one = short.entry(name).or_insert(Some(number));
-                *one = one.filter(|other| *other == number);
+        let mut by_name: BTreeMap<&str, Ways> = BTreeMap::new();
+        let mut short: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        for (number, transition) in (0..).zip(&model.transitions) {
+            let name = transition.name.as_str();
+            by_name.entry(name).or_default().push(number);
+            if let Some((_, without_net)) = name.split_once('.') {
+                short.entry(without_net).or_default().insert(name);
             }
         }
-        for (name, number) in short {
-            by_name.entry(name).or_insert(number);
-        }
-        Self { by_name }
+        Self { by_name, short }
     }
 
-    fn find(&self, word: &str, at: ctos::diagnostic::Place) -> Result<TransitionNumber, Finding> {
-        match self.by_name.get(word) {
-            Some(Some(number)) => Ok(*number),
-            Some(None) => {
+    fn knows(&self, word: &str) -> bool {
+        self.by_name.contains_key(word) || self.short.contains_key(word)
+    }
+
+    fn find(&self, word: &str, at: ctos::diagnostic::Place) -> Result<Ways, Finding> {
+        if let Some(ways) = self.by_name.get(word) {
+            return Ok(ways.clone());
+        }
+        let meant: Vec<&Ways> = self
+            .short
+            .get(word)
+            .into_iter()
+            .flatten()
+            .filter_map(|name| self.by_name.get(name))
+            .collect();
+        match meant.as_slice() {
+            [ways] => Ok((*ways).clone()),
+            [] => Err(
+                Finding::error("pnt::play::step", format!("there is no step `{word}`"))
+                    .at(at)
+                    .suggest(word, self.by_name.keys().chain(self.short.keys()).copied()),
+            ),
+            _ => {
                 let text = format!("several nets have a step `{word}`");
                 Err(Finding::error("pnt::play::step", text)
                     .at(at)
                     .help("write the name of the net and a point before it"))
             }
-            None => Err(
-                Finding::error("pnt::play::step", format!("there is no step `{word}`"))
-                    .at(at)
-                    .suggest(word, self.by_name.keys().copied()),
-            ),
         }
     }
 }
@@ -225,18 +236,22 @@ fn words_of_json(source: &Source, number: u16) -> Result<Vec<String>, Finding> {
             .collect::<Vec<_>>()
     };
     let all: Vec<Value> = values.iter().flat_map(shown).collect();
-    let one = all.get(usize::from(number) - 1).ok_or_else(|| {
-        bad(format!(
-            "there is no sequence {number} here; there are {}",
-            all.len()
-        ))
-    })?;
+    let one = all
+        .get(usize::from(number) - 1)
+        .ok_or_else(|| match all.len() {
+            0 => bad("there is no sequence here".to_owned())
+                .help("a check of sound nets has nothing to show; give a list of step names"),
+            count => bad(format!(
+                "there is no sequence {number} here; there are {count}"
+            ))
+            .help("count with `--number` from 1"),
+        })?;
     let part = |key: &str| one.get(key).and_then(list).unwrap_or_default();
     let round = part("round");
     Ok([part("sequence"), round.clone(), round].concat())
 }
 
-fn play(model: &Model, steps: &[TransitionNumber], json: bool) -> u8 {
+fn play(model: &Model, steps: &[Ways], json: bool) -> u8 {
     let name = |number: TransitionNumber| {
         let transition = model.transitions.get(number as usize);
         transition.map(|t| t.name.clone()).unwrap_or_default()
@@ -267,25 +282,26 @@ fn play(model: &Model, steps: &[TransitionNumber], json: bool) -> u8 {
     if show::data(&told(0, None, &player)).is_err() {
         return exit::OK;
     }
-    for (before, step) in steps.iter().enumerate() {
+    for (before, ways) in steps.iter().enumerate() {
         let number = before + 1;
-        if let Err(refused) = player.fire(*step) {
+        let step = ways.first().copied().unwrap_or_default();
+        if let Err(refused) = fire(&mut player, ways) {
             let why = why(model, &refused, &names);
             let enabled = names(&player.enabled());
             if json {
                 let line = json!({
-                    "step": number, "refused": name(*step), "why": why, "enabled": enabled,
+                    "step": number, "refused": name(step), "why": why, "enabled": enabled,
                 });
                 let _ = show::data(&line.to_string());
             }
             show::say(&format!(
                 "error: step {number}, `{}`, is not possible: {why}",
-                name(*step)
+                name(step)
             ));
             return exit::FAILED;
         }
         // A reader that went away has what it wanted.
-        if show::data(&told(number, Some(name(*step)), &player)).is_err() {
+        if show::data(&told(number, Some(name(step)), &player)).is_err() {
             return exit::OK;
         }
     }
@@ -297,6 +313,26 @@ fn play(model: &Model, steps: &[TransitionNumber], json: bool) -> u8 {
     };
     let _ = show::data(&end);
     exit::OK
+}
+
+/// Takes a step in the way that is possible; else what keeps it from the way that lacks least.
+fn fire(player: &mut Player<'_>, ways: &[TransitionNumber]) -> Result<(), Refused> {
+    let mut nearest = Refused::Lacks(Vec::new());
+    let mut fewest = usize::MAX;
+    for way in ways {
+        let refused = match player.fire(*way) {
+            Ok(()) => return Ok(()),
+            Err(refused) => refused,
+        };
+        let lacking = match &refused {
+            Refused::Lacks(lacks) => lacks.len(),
+            Refused::MoreUrgent(_) | Refused::Overflow => 0,
+        };
+        if lacking < fewest {
+            (nearest, fewest) = (refused, lacking);
+        }
+    }
+    Err(nearest)
 }
 
 fn marking(model: &Model, marking: &[u32]) -> BTreeMap<String, u32> {

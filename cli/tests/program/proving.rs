@@ -384,6 +384,77 @@ fn a_counterexample_in_json_is_played_by_a_command() {
 }
 
 #[test]
+fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let net = fs::read_to_string(root().join("configs/nets/hello.net")).expect("the net");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("a file");
+    write("hello.net", &net.replace("idle", "rested"));
+    write("other.net", &net.replace("net hello ", "net other "));
+    write("broken.net", &net.replace("write hello_done", "write gone"));
+    // The whole round of a command. Some of its steps can be taken in several ways, by what is in progress.
+    let round = "command hello to hello\ngreet starts\nhello.greet completes\nhello.count starts\nhello.count completes\n";
+    write("steps", round);
+    let app = root().join("configs/hello.toml");
+    let app = app.to_str().expect("a name");
+    let play = |files: &[&str]| {
+        let all = [
+            &["net", "play"][..],
+            files,
+            &["--app", app, "--sequence", "steps"],
+        ]
+        .concat();
+        let output = ctos(folder.path(), &all);
+        let text = |bytes| String::from_utf8(bytes).expect("text");
+        (
+            output.status.code(),
+            text(output.stdout),
+            text(output.stderr),
+        )
+    };
+    for (files, place) in [
+        (&[][..], "hello.idle"),
+        (&["hello.net"][..], "hello.rested"),
+    ] {
+        let (code, said, errors) = play(files);
+        assert_eq!(code, Some(0), "{said}{errors}");
+        let lines: Vec<&str> = said.lines().collect();
+        assert_eq!(lines[0], format!("   0  begins: hello idle, {place}"));
+        assert_eq!(
+            lines[5],
+            format!("   5  hello.count completes: hello idle, {place}")
+        );
+    }
+    // A net of another name stands beside those of the app.
+    let (code, said, errors) = play(&["other.net"]);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(
+        errors.contains("several nets have a step `greet starts`"),
+        "{errors}"
+    );
+    let (code, _, errors) = play(&["broken.net"]);
+    assert_eq!(code, Some(3));
+    assert!(errors.contains("broken.net:16:9"), "{errors}");
+}
+
+#[test]
+fn what_a_check_of_sound_nets_has_written_holds_no_sequence_and_that_is_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("n.net"), BUFFER).expect("a net");
+    let output = ctos(folder.path(), &["net", "check", "n.net", "--json"]);
+    fs::write(folder.path().join("check.json"), output.stdout).expect("a file");
+    let output = ctos(
+        folder.path(),
+        &["net", "play", "n.net", "--sequence", "check.json"],
+    );
+    let said = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(
+        said.contains("a check of sound nets has nothing to show"),
+        "{said}"
+    );
+}
+
+#[test]
 fn growth_in_json_has_a_round_that_is_played_again_and_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let pump = "net pump\nplace s, done\ntransition arrive\n  out s\n  time exponential 4 s\ntransition serve\n  in s\n  out done\n  time exponential 2 s\ntransition leave\n  in done\n";

@@ -34,6 +34,11 @@ use pnt_analysis::{
 };
 use pnt_language::{compile, net::Net};
 
+const EFFORT: symbolic::Effort = symbolic::Effort {
+    bytes: 256 << 20,
+    steps: u64::MAX,
+};
+
 fn main() {
     if std::env::args().any(|word| word == "threads") {
         compare_threads("Kanban with 5 cards", &kanban(5), usize::MAX);
@@ -257,7 +262,7 @@ fn wide_net_explicit_on_threads(bencher: Bencher, threads: usize) {
 fn philosophers_by_diagrams(bencher: Bencher, count: usize) {
     let model = model(&philosophers(count));
     bencher.bench_local(|| {
-        symbolic::count(&model, 256 << 20, Stop::default())
+        symbolic::count(&model, EFFORT, Stop::default())
             .unwrap()
             .markings
     });
@@ -267,7 +272,7 @@ fn philosophers_by_diagrams(bencher: Bencher, count: usize) {
 fn kanban_by_diagrams(bencher: Bencher, cards: usize) {
     let model = kanban(cards);
     bencher.bench_local(|| {
-        symbolic::count(&model, 256 << 20, Stop::default())
+        symbolic::count(&model, EFFORT, Stop::default())
             .unwrap()
             .markings
     });

@@ -46,6 +46,7 @@ pub(super) struct Answer {
     engine: &'static str,
     seconds: f64,
     peak_bytes: usize,
+    diagram_steps: u64,
     /// Firing sequences that show why the nets are not sound.
     counterexamples: Vec<Shown>,
     findings: Vec<serde_json::Value>,
@@ -263,6 +264,7 @@ impl Answer {
             },
             seconds,
             peak_bytes: verdict.peak_bytes,
+            diagram_steps: verdict.diagram_steps,
             unbounded_places: match &proof.cover {
                 Some(cover) => cover.unbounded().filter_map(place).collect(),
                 None => proof.grows.into_iter().filter_map(place).collect(),

@@ -22,6 +22,22 @@ use saturate::{Event, Firing, events};
 /// The diagrams recurse once per place; so much is enough for tens of thousands.
 const STACK_BYTES: usize = 512 << 20;
 
+/// What counting may take at most.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effort {
+    /// Bytes of the diagrams.
+    pub bytes: usize,
+    /// Nodes that are made or found again.
+    pub steps: u64,
+}
+
+/// Counting has come to no end with the effort that it was allowed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GaveUp {
+    /// The steps it took.
+    pub steps: u64,
+}
+
 /// What was counted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Counted {
@@ -35,17 +51,29 @@ pub struct Counted {
     pub most_tokens: u64,
     /// Dead markings.
     pub deadlocks: u128,
-    /// A shortest firing sequence to the nearest of them, and that marking, unless memory ran out.
+    /// A shortest firing sequence to the nearest of them, and that marking, unless the effort was not enough.
     pub deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
     /// Per transition, whether it is enabled somewhere.
     pub seen: Vec<bool>,
-    /// Whether the initial marking can be reached from every reachable one; none when memory ran out.
+    /// Whether the initial marking can be reached from every reachable one; none when the effort
+    /// was not enough.
     pub reversible: Option<bool>,
     /// Per label of the model, whether it can become enabled again from every reachable marking;
-    /// none when memory ran out.
+    /// none when the effort was not enough.
     pub live: Option<bool>,
     /// Bytes held at the end, which is when they are most.
     pub bytes: usize,
+    /// Steps taken.
+    pub steps: u64,
+}
+
+impl Counted {
+    /// Whether nothing was left out.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        let way = self.deadlocks == 0 || self.deadlock.is_some();
+        way && self.reversible.is_some() && self.live.is_some()
+    }
 }
 
 /// Whether the model is one that diagrams can count.
@@ -54,20 +82,22 @@ pub fn fits(model: &Model) -> bool {
     !model.has_priorities() && model.transitions.iter().all(|t| t.when.is_none())
 }
 
-/// Counts the reachable markings; nothing when the model does not [fit](fits) or when more bytes or
-/// larger numbers than permitted are needed, as for every net without a bound, or when it is stopped.
-#[must_use]
-pub fn count(model: &Model, bytes: usize, stop: Stop) -> Option<Counted> {
+/// Counts the reachable markings.
+///
+/// # Errors
+/// When the model does not [fit](fits), when more effort or larger numbers than permitted are needed, as for every
+/// net without a bound, or when it is stopped.
+pub fn count(model: &Model, effort: Effort, stop: Stop) -> Result<Counted, GaveUp> {
     if !fits(model) {
-        return None;
+        return Err(GaveUp { steps: 0 });
     }
     // The calling thread's stack may be small.
     std::thread::scope(|scope| {
         let counting = std::thread::Builder::new()
             .stack_size(STACK_BYTES)
-            .spawn_scoped(scope, || Counter::count(model, bytes, stop));
-        match counting.ok()?.join() {
-            Ok(counted) => counted.ok(),
+            .spawn_scoped(scope, || Counter::count(model, effort, stop));
+        match counting.map_err(|_| GaveUp { steps: 0 })?.join() {
+            Ok(counted) => counted,
             Err(panic) => std::panic::resume_unwind(panic),
         }
     })
@@ -86,31 +116,41 @@ struct Counter<'a> {
     reachable: Node,
 }
 
-impl<'a> Counter<'a> {
-    fn count(model: &'a Model, bytes: usize, stop: Stop) -> Result<Counted, Full> {
+impl Counter<'_> {
+    fn count(model: &Model, effort: Effort, stop: Stop) -> Result<Counted, GaveUp> {
         let order = order::order(model);
         let mut levels = vec![0_u32; order.len()];
         for (level, place) in (0..).zip(&order) {
             levels[*place as usize] = level;
         }
         let events = events(model, &levels);
-        let mut firing = Firing::new(&events, order.len(), bytes, stop);
-        let start = model.initial();
-        let start: Vec<u32> = order.iter().map(|place| start[*place as usize]).collect();
-        let initial = firing.diagram.single(&start)?;
-        let reachable = firing.closure(initial, 0)?;
-        let counter = Counter {
+        let mut counter = Counter {
             model,
-            firing,
+            firing: Firing::new(&events, order.len(), effort, stop),
             order,
             events: &events,
-            initial,
-            reachable,
+            initial: NONE,
+            reachable: NONE,
         };
-        counter.finish()
+        let counted = counter.reach().and_then(|()| counter.counted());
+        counted.map_err(|Full| GaveUp {
+            steps: counter.firing.diagram.steps(),
+        })
     }
 
-    fn finish(mut self) -> Result<Counted, Full> {
+    fn reach(&mut self) -> Result<(), Full> {
+        let start = self.model.initial();
+        let start: Vec<u32> = self
+            .order
+            .iter()
+            .map(|place| start[*place as usize])
+            .collect();
+        self.initial = self.firing.diagram.single(&start)?;
+        self.reachable = self.firing.closure(self.initial, 0)?;
+        Ok(())
+    }
+
+    fn counted(&mut self) -> Result<Counted, Full> {
         let mut counts = HashMap::new();
         let markings = self.firing.diagram.count(self.reachable, &mut counts)?;
         let mut edges = 0_u128;
@@ -133,7 +173,7 @@ impl<'a> Counter<'a> {
         for (place, bound) in self.order.iter().zip(by_level) {
             bounds[*place as usize] = bound;
         }
-        // From here on, running out of memory leaves an answer out.
+        // From here on, running out of effort leaves an answer out.
         let deadlock = if dead == NONE {
             None
         } else {
@@ -152,6 +192,7 @@ impl<'a> Counter<'a> {
             reversible,
             live,
             bytes: self.firing.diagram.bytes(),
+            steps: self.firing.diagram.steps(),
         })
     }
 

@@ -1,21 +1,43 @@
 //! Everything that one look at a model tells, in numbers, whichever engine found it.
 
+#[cfg(test)]
+mod tests;
+
 use super::{
     explicit::{Explored, Limits, Progress, Stopped, explore_with},
     model::{Model, TransitionNumber},
     returns::{Returns, returns},
     stubborn,
-    symbolic::{self, Counted},
+    symbolic::{self, Counted, Effort},
 };
 
-/// Markings that are always listed one by one before anything else is tried.
-const LISTED_FIRST: usize = 200_000;
+/// How the two engines take turns where either may do: diagrams that work are soon done, so they are given up soon,
+/// and tried again only when listing has taken longer than they may.
+#[derive(Debug, Clone, Copy)]
+struct Turns {
+    /// Markings that are always listed before anything else is tried.
+    listed_first: usize,
+    /// What diagrams may take then.
+    diagrams_first: Effort,
+    /// Markings that are listed next.
+    listed_next: usize,
+    /// What diagrams may take then. After that, markings are listed up to the limits.
+    diagrams_next: Effort,
+}
 
-/// Bytes that a decision diagram may take, which say also how long it takes: one that works is small. The
-/// first look gives up soon, and the second comes after so many markings listed.
-const SMALL_DIAGRAM_BYTES: usize = 16 << 20;
-const DIAGRAM_BYTES: usize = 256 << 20;
-const LISTED_BETWEEN: usize = 8_000_000;
+/// A step of a diagram takes about as long as a marking that is listed.
+const TURNS: Turns = Turns {
+    listed_first: 200_000,
+    diagrams_first: Effort {
+        bytes: 16 << 20,
+        steps: 1_000_000,
+    },
+    listed_next: 8_000_000,
+    diagrams_next: Effort {
+        bytes: 256 << 20,
+        steps: 100_000_000,
+    },
+};
 
 /// The engine that found the reachable markings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +84,8 @@ pub struct Verdict {
     pub stopped: Option<Stopped>,
     /// Bytes for the markings and what finds them, at most at any time.
     pub peak_bytes: usize,
+    /// Steps of decision diagrams, those that were given up included.
+    pub diagram_steps: u64,
 }
 
 /// What was explored one by one, and what follows for the long run.
@@ -100,7 +124,7 @@ pub fn look<'a>(
     engines: Engines,
     progress: &mut dyn FnMut(&Progress),
 ) -> Looked<'a> {
-    let mut looked = choose(model, limits, engines, progress);
+    let mut looked = choose(model, limits, engines, TURNS, progress);
     look_for_deadlock(&mut looked, limits, progress);
     looked
 }
@@ -109,55 +133,74 @@ fn choose<'a>(
     model: &'a Model,
     limits: &Limits,
     engines: Engines,
+    turns: Turns,
     progress: &mut dyn FnMut(&Progress),
 ) -> Looked<'a> {
-    let diagrams = engines == Engines::Both || engines == Engines::Symbolic;
-    if !diagrams || limits.markings <= LISTED_FIRST || !symbolic::fits(model) {
+    let listed_first = match engines {
+        Engines::Explicit => usize::MAX,
+        Engines::Both => turns.listed_first,
+        Engines::Symbolic => 1,
+    };
+    if limits.markings <= listed_first || !symbolic::fits(model) {
         return list(model, limits, progress);
     }
-    let few = Limits {
-        markings: if engines == Engines::Both {
-            LISTED_FIRST
-        } else {
-            1
-        },
+    let up_to = |markings: usize| Limits {
+        markings: limits.markings.min(markings),
         ..*limits
     };
-    let first = list(model, &few, progress);
+    let first = list(model, &up_to(listed_first), progress);
     if first.verdict.complete || first.verdict.bounded.is_some() {
         return first;
     }
-    let count = |bytes: usize| {
-        let counted = symbolic::count(model, limits.bytes.min(bytes), limits.stop);
-        counted.filter(|counted| counted.markings <= limits.markings as u128)
+    let mut steps = 0;
+    let mut count = |effort: Effort, whole: bool| {
+        let bytes = limits.bytes.min(effort.bytes);
+        let counted = symbolic::count(model, Effort { bytes, ..effort }, limits.stop);
+        steps += counted
+            .as_ref()
+            .map_or_else(|gave_up| gave_up.steps, |counted| counted.steps);
+        let counted = counted.ok().filter(|counted| {
+            counted.markings <= limits.markings as u128 && (counted.is_whole() || !whole)
+        });
+        (counted, steps)
     };
     if engines == Engines::Both {
-        if let Some(counted) = count(SMALL_DIAGRAM_BYTES) {
+        if let (Some(counted), _) = count(turns.diagrams_first, true) {
             return counted_look(first, counted);
         }
-        let between = Limits {
-            markings: limits.markings.min(LISTED_BETWEEN),
-            ..*limits
-        };
         if limits.stop.is_set() {
             return first;
         }
-        let listed = list(model, &between, progress);
-        let enough = between.markings == limits.markings;
+        let next = up_to(turns.listed_next);
+        let mut listed = list(model, &next, progress);
+        let enough = next.markings == limits.markings;
         if enough || listed.verdict.stopped != Some(Stopped::Markings) {
+            listed.verdict.diagram_steps = steps;
             return listed;
         }
     }
-    match count(DIAGRAM_BYTES) {
+    let (counted, steps) = count(
+        match engines {
+            Engines::Symbolic => Effort {
+                steps: u64::MAX,
+                ..turns.diagrams_next
+            },
+            Engines::Both | Engines::Explicit => turns.diagrams_next,
+        },
+        false,
+    );
+    let mut looked = match counted {
         Some(counted) => counted_look(first, counted),
         None if limits.stop.is_set() => first,
         None => list(model, limits, progress),
-    }
+    };
+    looked.verdict.diagram_steps = steps;
+    looked
 }
 
 /// Looks for a deadlock where listing has ended without one, by looking at fewer markings. The listed
 /// ones are given up for it, so that both together keep to the limit of memory.
-fn look_for_deadlock(
+pub fn look_for_deadlock(
     looked: &mut Looked<'_>,
     limits: &Limits,
     progress: &mut dyn FnMut(&Progress),
@@ -210,6 +253,7 @@ fn counted_look<'a>(first: Looked<'a>, counted: Counted) -> Looked<'a> {
         complete: true,
         stopped: None,
         peak_bytes: first.verdict.peak_bytes.max(counted.bytes),
+        diagram_steps: counted.steps,
     };
     Looked {
         verdict,
@@ -289,5 +333,6 @@ fn verdict(explored: &Explored<'_>, returns: Option<&Returns>) -> Verdict {
         peak_bytes: explored
             .peak_bytes
             .max(returns.map_or(0, |returns| explored.bytes() + returns.bytes)),
+        diagram_steps: 0,
     }
 }

@@ -11,7 +11,7 @@ use crate::{
 };
 use pnt_language::net::CommandId;
 
-use super::End;
+use super::ending::End;
 
 /// What one command by itself comes to.
 #[derive(Debug, Clone, PartialEq, Eq)]

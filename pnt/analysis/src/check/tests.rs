@@ -1,17 +1,18 @@
-use std::fmt::Write as _;
+use std::{collections::BTreeSet, fmt::Write as _};
 
 use ctos::diagnostic::{Severity, Source};
 use proptest::prelude::*;
 
-use super::*;
-use pnt_language::{compile, format};
+use super::{proof::DEADLOCK, *};
+use crate::analysis::verdict::Engine;
+use pnt_language::format;
 
 const DISPATCHER: &str = include_str!("../../../tests/nets/dispatcher.net");
 const VISION: &str = include_str!("../../../tests/nets/vision.net");
 const MOTION: &str = include_str!("../../../tests/nets/motion.net");
 
 fn net(name: &str, text: &str) -> Arc<Net> {
-    Arc::new(compile::net(&Source::new(name, text)).unwrap_or_else(|f| panic!("{f}")))
+    Arc::new(pnt_language::compile::net(&Source::new(name, text)).unwrap_or_else(|f| panic!("{f}")))
 }
 
 fn check_all(texts: &[&str]) -> (Report, Vec<Finding>) {
@@ -40,7 +41,7 @@ fn the(findings: &[Finding], code: &str, place: &str) -> String {
 
 /// The same for the only finding of a compilation.
 fn compile_finding(text: &str, code: &str, place: &str) -> String {
-    let findings = compile::net(&Source::new("n.net", text)).unwrap_err();
+    let findings = pnt_language::compile::net(&Source::new("n.net", text)).unwrap_err();
     the(&findings.into_sorted(), code, place)
 }
 
@@ -301,7 +302,7 @@ fn a_net_or_place_or_request_that_no_net_has_is_found_where_it_is_named() {
 #[test]
 fn names_that_one_net_does_not_know_are_found_at_once() {
     let unknown = "net n\nplace a = 1\ntransition t\n  in a, b\n  out aa\n";
-    let findings = compile::net(&Source::new("n.net", unknown))
+    let findings = pnt_language::compile::net(&Source::new("n.net", unknown))
         .unwrap_err()
         .into_sorted();
     let shown: Vec<String> = findings.iter().map(ToString::to_string).collect();
@@ -477,7 +478,7 @@ fn room_that_is_kept_for_a_running_action_is_no_room() {
 fn refused_by_the_boot(texts: &[Source], limits: &Limits) -> Vec<String> {
     let (mut nets, mut findings) = (Vec::new(), Findings::new());
     for source in texts {
-        match compile::net(source) {
+        match pnt_language::compile::net(source) {
             Ok(net) => nets.push(Arc::new(net)),
             Err(found) => findings.extend(found),
         }
@@ -701,4 +702,106 @@ fn a_sequence_is_whole_and_each_dead_marking_has_one_when_that_is_asked_for() {
             found[0]
         );
     }
+}
+
+/// A ring of parts, with a command beside it or without: nothing is wrong with it.
+fn ring(parts: usize, command: bool) -> Arc<Net> {
+    let mut text = format!(
+        "net ring\nplace left = {parts}, right, idle = 1\ntransition go\n  in left\n  out right\ntransition back\n  in right\n  out left\ntransition look\n  in idle\n  out idle\n"
+    );
+    if command {
+        text = text.replace(
+            "transition look\n",
+            "command see -> seen\ntransition look\n  tape see\n  write seen\n",
+        );
+    }
+    net("ring.net", &text)
+}
+
+/// Whether the check before a boot that looks this far refuses a net, and whether a check that looks further says that
+/// it will.
+fn refused_and_foretold(net: &Arc<Net>, boot: Limits, engines: Engines) -> (bool, bool) {
+    let nets = [Arc::clone(net)];
+    let refused = check(&nets, &boot).1.has_errors();
+    let options = Options {
+        boot,
+        engines,
+        ..Options::new(Rule::of(&nets), Limits::default())
+    };
+    let proof = prove(&nets, &options, &mut |_| {}).unwrap();
+    assert_eq!(proof.sound(), Some(true), "{:?}", proof.findings);
+    let mut told = proof.findings.iter();
+    (
+        refused,
+        told.any(|finding| finding.code == "pnt::check::too_large"),
+    )
+}
+
+#[test]
+fn a_check_that_proves_more_than_the_boot_looks_at_says_that_the_boot_refuses_it() {
+    for command in [false, true] {
+        let ring = ring(50, command);
+        let (report, findings) = check(&[Arc::clone(&ring)], &Limits::default());
+        assert!(findings.is_empty() && report.markings >= 51, "{report:?}");
+        let all = usize::try_from(report.markings).unwrap();
+        for markings in [1, all - 2, all - 1, all, all + 1, 10 * all] {
+            let boot = Limits {
+                markings,
+                ..Limits::default()
+            };
+            for engines in [Engines::Both, Engines::Explicit, Engines::Symbolic] {
+                let (refused, foretold) = refused_and_foretold(&ring, boot, engines);
+                assert_eq!(refused, markings < all, "{markings} of {all}");
+                assert_eq!(foretold, refused, "{markings} of {all}, {engines:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn so_it_does_where_the_boot_has_too_little_memory() {
+    let mut refusals = BTreeSet::new();
+    for command in [false, true] {
+        let ring = ring(1_000, command);
+        for bytes in [12, 14, 15, 16, 18].map(|power| 1 << power) {
+            let boot = Limits {
+                bytes,
+                ..Limits::default()
+            };
+            for engines in [Engines::Both, Engines::Explicit] {
+                let (refused, foretold) = refused_and_foretold(&ring, boot, engines);
+                assert_eq!(foretold, refused, "{bytes}, {engines:?}");
+                refusals.insert(refused);
+            }
+        }
+    }
+    assert_eq!(refusals.len(), 2);
+}
+
+#[test]
+fn nets_with_a_deadlock_are_not_sound_also_where_no_way_to_it_was_found() {
+    let mut text = String::from("net lines\n");
+    for line in 0..8 {
+        let _ = write!(
+            text,
+            "place a{line} = 1, b{line}, c{line}\ntransition f{line}\n  in a{line}\n  out b{line}\ntransition g{line}\n  in b{line}\n  out c{line}\n"
+        );
+    }
+    let nets = [net("lines.net", &text)];
+    let mut without_a_way = 0;
+    for bytes in (1_000..40_000).step_by(200) {
+        let limits = Limits {
+            bytes,
+            ..Limits::default()
+        };
+        let options = Options {
+            engines: Engines::Symbolic,
+            ..Options::new(Rule::Closed, limits)
+        };
+        let proof = prove(&nets, &options, &mut |_| {}).unwrap();
+        assert_ne!(proof.sound(), Some(true), "{bytes}");
+        let symbolic = proof.verdict.engine == Engine::Symbolic;
+        without_a_way += usize::from(symbolic && proof.counterexamples.is_empty());
+    }
+    assert!(without_a_way > 0);
 }

@@ -13,9 +13,10 @@ use crate::{
     format::file::{NetFile, Positions},
 };
 
-/// Writes a net. What PNML has no words for stands in `toolspecific` sections of tool `pnt`; inhibitor
-/// and reset arcs are arcs with a `type`, as TAPAAL and PIPE have them; a read arc is a loop that other
-/// tools take for one and this one for what it is.
+/// Writes a net. What PNML has no words for stands in `toolspecific` sections of tool `pnt`. An
+/// inhibitor or reset arc says its kind three times: in an attribute `type` for TAPAAL, in an element `type` for PIPE and
+/// GreatSPN, and in a label `arctype` for PM4Py. A read arc is a loop that other tools take for one and this one for
+/// what it is.
 ///
 /// # Errors
 /// Names that XML cannot hold.
@@ -76,12 +77,12 @@ pub fn only_here(draft: &Draft) -> Findings {
     warn(
         &mut transitions().flat_map(|t| t.inhibitors.iter().filter(here).map(|arc| &arc.place)),
         "inhibitor arcs",
-        "TAPAAL and PIPE know them by their `type`; other tools refuse them or take them for ordinary arcs",
+        "TAPAAL, PIPE, GreatSPN and PM4Py know them; other tools refuse them or take them for ordinary arcs",
     );
     warn(
         &mut transitions().flat_map(|t| &t.resets),
         "reset arcs",
-        "few tools know the `type` of such an arc; others refuse it or take it for an ordinary arc",
+        "PM4Py knows them; other tools refuse them or, as TAPAAL does, take them for ordinary arcs",
     );
     warn(
         &mut transitions().flat_map(|t| t.reads.iter().filter(here).map(|arc| &arc.place)),
@@ -426,9 +427,10 @@ impl<'a> Writer<'a> {
         } else {
             (id, place_id.as_str())
         };
-        let of_type = match kind {
-            "" | "read" => String::new(),
-            kind => format!(" type=\"{kind}\""),
+        let typed = !matches!(kind, "" | "read");
+        let of_type = match typed {
+            true => format!(" type=\"{kind}\""),
+            false => String::new(),
         };
         let [own, source, target] = [own.as_str(), source, target].map(escape);
         let tag = format!("arc id=\"{own}\" source=\"{source}\" target=\"{target}\"{of_type}");
@@ -437,6 +439,10 @@ impl<'a> Writer<'a> {
         let of_label = kept.map_or(&[][..], |kept| &kept.label);
         if arc.weight != 1 || !of_label.is_empty() {
             self.labelled(4, "inscription", &arc.weight.to_string(), of_label);
+        }
+        if typed {
+            self.line(4, &format!("<type value=\"{kind}\"/>"));
+            self.line(4, &format!("<arctype><text>{kind}</text></arctype>"));
         }
         let points = self.positions.arcs.get(&key);
         self.graphics(kept, points.map_or(&[], Vec::as_slice));

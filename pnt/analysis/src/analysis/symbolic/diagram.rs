@@ -6,7 +6,7 @@ use std::hash::BuildHasher as _;
 
 use hashbrown::{DefaultHashBuilder, HashMap, HashTable};
 
-use super::super::stop::Stop;
+use super::{super::stop::Stop, Effort};
 
 /// A node.
 pub(super) type Node = u32;
@@ -20,7 +20,7 @@ pub(super) const UNIT: Node = 1;
 /// Tokens of a place, and what may stand below.
 pub(super) type Edge = (u32, Node);
 
-/// The diagram has outgrown its memory, or numbers their size.
+/// The diagram has taken all the effort that it may, or numbers have outgrown their size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Full;
 
@@ -50,13 +50,14 @@ pub(super) struct Diagram {
     meets: HashMap<(Node, Node), Node>,
     /// Entries of caches that others keep.
     pub(super) cached: usize,
-    limit: usize,
+    steps: u64,
+    most: Effort,
     stop: Stop,
 }
 
 impl Diagram {
-    /// An empty diagram that may grow to so many bytes, until it is stopped.
-    pub(super) fn new(bytes: usize, stop: Stop) -> Self {
+    /// An empty diagram that may take so much effort, until it is stopped.
+    pub(super) fn new(most: Effort, stop: Stop) -> Self {
         Self {
             // The two terminal nodes.
             nodes: vec![(0, 0); 2],
@@ -66,9 +67,15 @@ impl Diagram {
             unions: HashMap::new(),
             meets: HashMap::new(),
             cached: 0,
-            limit: bytes,
+            steps: 0,
+            most,
             stop,
         }
+    }
+
+    /// Nodes that were made or found again so far.
+    pub(super) fn steps(&self) -> u64 {
+        self.steps
     }
 
     /// Bytes held, caches included.
@@ -109,11 +116,15 @@ impl Diagram {
         if edges.is_empty() {
             return Ok(NONE);
         }
+        self.steps += 1;
+        if self.steps > self.most.steps {
+            return Err(Full);
+        }
         let hash = self.hash(edges);
         if let Some(node) = self.unique.find(hash, |node| self.edges(*node) == edges) {
             return Ok(*node);
         }
-        if self.bytes() > self.limit || self.stop.is_set() {
+        if self.bytes() > self.most.bytes || self.stop.is_set() {
             return Err(Full);
         }
         let node = Node::try_from(self.nodes.len()).map_err(|_| Full)?;

@@ -6,6 +6,7 @@ use hashbrown::HashMap;
 
 use super::{
     super::{model::Model, stop::Stop},
+    Effort,
     diagram::{Condition, Diagram, Edge, Full, NONE, Node},
 };
 
@@ -95,7 +96,7 @@ pub(super) struct Firing<'a> {
 }
 
 impl<'a> Firing<'a> {
-    pub(super) fn new(events: &'a [Event], levels: usize, bytes: usize, stop: Stop) -> Self {
+    pub(super) fn new(events: &'a [Event], levels: usize, most: Effort, stop: Stop) -> Self {
         let mut by_top = vec![Vec::new(); levels];
         for (number, event) in events.iter().enumerate() {
             let changes = event.iter().any(|l| l.change != 0 || l.reset.is_some());
@@ -104,7 +105,7 @@ impl<'a> Firing<'a> {
             }
         }
         Self {
-            diagram: Diagram::new(bytes, stop),
+            diagram: Diagram::new(most, stop),
             events,
             by_top,
             saturated: HashMap::new(),

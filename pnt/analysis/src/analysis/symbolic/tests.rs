@@ -7,8 +7,13 @@ use crate::analysis::{
     samples::{KANBAN, buffer, kanban, philosophers, random_model},
 };
 
+const EFFORT: Effort = Effort {
+    bytes: 256 << 20,
+    steps: u64::MAX,
+};
+
 fn counted(model: &Model) -> Counted {
-    count(model, 256 << 20, Stop::default()).unwrap()
+    count(model, EFFORT, Stop::default()).unwrap()
 }
 
 #[test]
@@ -43,8 +48,27 @@ fn kanban_systems_are_counted_as_published() {
 }
 
 #[test]
-fn a_diagram_that_outgrows_its_memory_gives_up() {
-    assert_eq!(count(&kanban(5), 10_000, Stop::default()), None);
+fn a_diagram_that_outgrows_its_memory_or_takes_too_many_steps_gives_up() {
+    let model = kanban(5);
+    let gave_up = |effort| count(&model, effort, Stop::default()).unwrap_err();
+    let little_room = Effort {
+        bytes: 10_000,
+        ..EFFORT
+    };
+    assert!(gave_up(little_room).steps > 0);
+    let whole = counted(&model);
+    assert!(whole.is_whole());
+    let few_steps = Effort {
+        steps: whole.steps / 10,
+        ..EFFORT
+    };
+    // The step that is refused is counted, too.
+    assert_eq!(gave_up(few_steps).steps, few_steps.steps + 1);
+    let enough = Effort {
+        steps: whole.steps,
+        ..EFFORT
+    };
+    assert_eq!(count(&model, enough, Stop::default()), Ok(whole));
 }
 
 #[test]
