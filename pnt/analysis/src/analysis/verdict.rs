@@ -169,7 +169,7 @@ fn choose<'a>(
             return counted_look(first, counted);
         }
         if limits.stop.is_set() {
-            return first;
+            return stopped(first, steps);
         }
         let next = up_to(turns.listed_next);
         let mut listed = list(model, &next, progress);
@@ -191,11 +191,18 @@ fn choose<'a>(
     );
     let mut looked = match counted {
         Some(counted) => counted_look(first, counted),
-        None if limits.stop.is_set() => first,
+        None if limits.stop.is_set() => return stopped(first, steps),
         None => list(model, limits, progress),
     };
     looked.verdict.diagram_steps = steps;
     looked
+}
+
+/// What was listed before somebody ended the counting.
+fn stopped(mut listed: Looked<'_>, steps: u64) -> Looked<'_> {
+    listed.verdict.stopped = Some(Stopped::Stop);
+    listed.verdict.diagram_steps = steps;
+    listed
 }
 
 /// Looks for a deadlock where listing has ended without one, by looking at fewer markings. The listed

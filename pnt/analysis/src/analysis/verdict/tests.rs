@@ -70,3 +70,15 @@ fn no_turn_of_the_diagrams_takes_much_longer_than_what_was_listed_before_it() {
     assert!(per_marking(TURNS.diagrams_first, TURNS.listed_first) <= 5);
     assert!(per_marking(TURNS.diagrams_next, TURNS.listed_next) <= 13);
 }
+
+#[test]
+fn a_count_that_somebody_ends_says_so() {
+    static NOW: std::sync::atomic::AtomicBool = std::sync::atomic::AtomicBool::new(true);
+    let limits = Limits {
+        stop: crate::analysis::stop::Stop::when(&NOW),
+        ..Limits::default()
+    };
+    let turns = turns(100, 1_000);
+    let looked = choose(&kanban(2), &limits, Engines::Symbolic, turns, &mut |_| {});
+    assert_eq!(looked.verdict.stopped, Some(Stopped::Stop));
+}
