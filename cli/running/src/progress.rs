@@ -1,7 +1,6 @@
 //! What a person sees while an app runs: phases, how far it is, its log, and how it stops.
 
 use std::{
-    fmt::Write as _,
     io::IsTerminal,
     sync::{
         Mutex, PoisonError,
@@ -121,10 +120,13 @@ impl Display {
                 "run      {prefix} {pos} of {len} [{bar:30}] {seconds}  {wide_msg}",
             );
             let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-            let style = style.with_key("seconds", |state: &ProgressState, out: &mut dyn std::fmt::Write| {
-                // A bar that cannot be written is not shown.
-                let _ = write!(out, "{} s", state.elapsed().as_secs());
-            });
+            let style = style.with_key(
+                "seconds",
+                |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+                    // A bar that cannot be written is not shown.
+                    let _ = write!(out, "{} s", state.elapsed().as_secs());
+                },
+            );
             ProgressBar::new(total).with_style(style.progress_chars("━╸ "))
         });
         bar.set_length(total);
