@@ -23,7 +23,7 @@ pub fn warnings(app: &App) -> Findings {
     for mut finding in busy(app).map(|(_, finding)| finding) {
         finding.severity = Severity::Warning;
         findings.push(finding.help(
-            "if this app is running, it has the port itself, and all is well; else free it, choose another one, or leave `listen` out",
+            "if this app is running, it has the port itself, and all is well; else free it, choose another `listen`, or leave it out for a free one",
         ));
     }
     findings
@@ -37,7 +37,8 @@ pub fn taken(app: &App, display: Option<SocketAddr>) -> Findings {
         let typed = display == Some(address) && path == "task.\"display\".args.listen";
         findings.push(match typed {
             true => of_option(&finding, address),
-            false => finding.help("free the port, choose another one, or leave `listen` out"),
+            false => finding
+                .help("free the port, choose another `listen`, or leave it out for a free one"),
         });
     }
     findings
