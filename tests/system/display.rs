@@ -432,9 +432,6 @@ fn choose(browser: &mut Browser, transition: &str) {
     ));
 }
 
-/// How many points of the painting above the arcs have the colour of breakpoints.
-const STOPS: &str = "(() => { const one = document.createElement('canvas').getContext('2d'); one.fillStyle = getComputedStyle(document.documentElement).getPropertyValue('--failed').trim(); one.fillRect(0, 0, 1, 1); const [r, g, b] = one.getImageData(0, 0, 1, 1).data; const canvas = document.querySelector('canvas.field.moving'); const all = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data; let count = 0; for (let at = 0; at < all.length; at += 4) if (all[at] === r && all[at + 1] === g && all[at + 2] === b && all[at + 3] === 255) count += 1; return count; })()";
-
 /// Figures are printed, and none is asserted: they are another machine's to have.
 #[test]
 #[ignore = "needs Chromium"]
@@ -465,20 +462,6 @@ fn a_large_net_and_a_fast_one_are_shown_while_they_fire() {
     let frames = browser.ask("new Promise((done) => { const gaps = []; let last = performance.now(); const frame = (now) => { gaps.push(now - last); last = now; if (gaps.length < 90) requestAnimationFrame(frame); else done(gaps.sort((a, b) => a - b)); }; requestAnimationFrame(frame); })");
     let before = browser.ask("nets.nets.get('large').head.seq");
     browser.wait(&format!("nets.nets.get('large').head.seq > {before}"));
-
-    // Breakpoints are marked on a canvas too, at places and at transitions.
-    assert_eq!(browser.ask(STOPS), 0);
-    let mut marked = 0;
-    for stops in [
-        "{ at: 'p7=3', place: 'p7' }",
-        "{ at: 'p7=3', place: 'p7' }, { at: 't9', transition: 't9' }",
-    ] {
-        browser.ask(&format!(
-            "nets.take({{ kind: 'breakpoints', net: 'large', breakpoints: [{stops}] }})"
-        ));
-        browser.wait(&format!("{STOPS} > {marked}"));
-        marked = browser.ask(STOPS).as_i64().unwrap();
-    }
 
     browser.ask("nets.open('fast', null)");
     browser.ask("(() => { globalThis.late = []; const take = nets.take.bind(nets); nets.take = (message) => { if (message.net === 'fast') for (const event of message.events ?? []) late.push(performance.now() - (nets.origin + event.at_ns) / 1e6); take(message); }; globalThis.begun = [performance.now(), nets.nets.get('fast').head.seq]; })()");

@@ -110,13 +110,13 @@ export class Field {
 
   place(pen, { node, kind, count, chosen, armed }, small) {
     const { palette } = this;
-    if (armed) this.stop(pen, node.x - 14, node.y - 12, small);
     if (chosen) ring(pen, node, RADIUS + 5, palette.mark, 2);
     pen.beginPath();
     pen.arc(node.x, node.y, RADIUS, 0, TURN);
     pen.fillStyle = small && count > 0 ? palette.token : palette.panel;
     pen.fill();
     ring(pen, node, RADIUS, count > 0 ? palette.token : kind === "remote" ? palette.faint : palette.ring, count > 0 ? 2.1 : 1.5);
+    if (armed) this.stop(pen, node.x - 14, node.y - 12, small);
     if (small || !(count > 0)) return;
     pen.fillStyle = palette.token;
     if (count === 1) {
