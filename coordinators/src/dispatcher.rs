@@ -18,7 +18,7 @@ use mcs::Manipulator;
 use pnt::{
     check::FunctionNames,
     library::{Acted, Action, Library},
-    task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
 use vss::command::{Calibrate, Outcome as Vss, VisionError};
@@ -102,7 +102,8 @@ pub(crate) fn register(registry: &mut Registry) {
             Ok(args) => names(&args).vocabulary(),
             Err(_) => Vocabulary::new(),
         })
-        .check_in_app(check);
+        .keys(&KEYS)
+        .checked_args(check);
     registry.app_check("coordinators::lamp", |app, registry, findings| {
         for task in app.tasks.iter().filter(|task| task.handler == HANDLER) {
             if let Ok(args) = net_args::<DispatcherArgs>(task)
@@ -115,15 +116,12 @@ pub(crate) fn register(registry: &mut Registry) {
     });
 }
 
-fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
-    let Some(args) = findings.keep(net_args::<DispatcherArgs>(task)) else {
-        return;
-    };
+fn check(args: &DispatcherArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
     crate::need_task(task, app, "dom", &args.dom, findings);
     crate::need_task(task, app, "vsm", &args.vsm, findings);
     crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
-    check_positions(task, app, &args, findings);
-    check_args(task, app, &names(&args), findings);
+    check_positions(task, app, args, findings);
+    check_args(task, app, &names(args), findings);
 }
 
 fn names(args: &DispatcherArgs) -> FunctionNames {

@@ -130,9 +130,7 @@ impl Default for DomArgs {
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
     let handler = registry.handler(HANDLER, COMMANDS, Dom::from_args);
-    handler.check(|task, findings| {
-        findings.keep(task.args.parse::<DomArgs>());
-    });
+    handler.args::<DomArgs>();
 }
 
 impl Dom {

@@ -20,7 +20,7 @@ use mcs::{
 use pnt::{
     check::FunctionNames,
     library::{Acted, Action, Library},
-    task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
 
@@ -108,28 +108,27 @@ pub(crate) fn register(registry: &mut Registry) {
             Ok(args) => names(&args).vocabulary(),
             Err(_) => Vocabulary::new(),
         })
-        .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(net_args::<MotionArgs>(task)) {
-                check_args(task, app, &names(&args), findings);
-                crate::need_task(task, app, "mcs", &args.mcs, findings);
-                crate::need_task(task, app, "dom", &args.dom, findings);
-                for (key, value) in [
-                    ("resume_within_s", args.resume_within_s),
-                    ("service_within_s", args.service_within_s),
-                ] {
-                    crate::check_seconds(task, key, value, findings);
-                }
-                if !(args.speed > 0.0 && args.speed <= 1.0) {
-                    let place = task.args.locate("speed");
-                    findings.push(
-                        Finding::error(
-                            "coordinators::motion::speed",
-                            format!("`speed` is {}", args.speed),
-                        )
-                        .at(place.unwrap_or_else(|| task.place.clone()))
-                        .help("give a fraction of full speed, above 0 and up to 1"),
-                    );
-                }
+        .keys(&KEYS)
+        .checked_args::<MotionArgs>(|args, task, app, findings| {
+            check_args(task, app, &names(args), findings);
+            crate::need_task(task, app, "mcs", &args.mcs, findings);
+            crate::need_task(task, app, "dom", &args.dom, findings);
+            for (key, value) in [
+                ("resume_within_s", args.resume_within_s),
+                ("service_within_s", args.service_within_s),
+            ] {
+                crate::check_seconds(task, key, value, findings);
+            }
+            if !(args.speed > 0.0 && args.speed <= 1.0) {
+                let place = task.args.locate("speed");
+                findings.push(
+                    Finding::error(
+                        "coordinators::motion::speed",
+                        format!("`speed` is {}", args.speed),
+                    )
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help("give a fraction of full speed, above 0 and up to 1"),
+                );
             }
         });
 }

@@ -61,10 +61,7 @@ struct Operator {
 pub(crate) fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &[], |cx| Ok(Operator { args: cx.args()? }))
-        .check_in_app(|task, app, findings| {
-            let Some(args) = findings.keep(task.args.parse::<OperatorArgs>()) else {
-                return;
-            };
+        .checked_args::<OperatorArgs>(|args, task, app, findings| {
             crate::need_task(task, app, "dispatcher", &args.dispatcher, findings);
             if let Some(judge) = &args.judge {
                 crate::need_task(task, app, "judge", judge, findings);
@@ -83,7 +80,7 @@ pub(crate) fn register(registry: &mut Registry) {
             // What is wrong with a net by itself is told of its own task.
             let dispatcher = app.task(&args.dispatcher);
             if let Some(Ok(net)) = dispatcher.map(|task| pnt::task::net_of(task, app)) {
-                check_symbols(&args, &net, task, findings);
+                check_symbols(args, &net, task, findings);
             }
         });
 }

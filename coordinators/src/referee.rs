@@ -114,11 +114,9 @@ pub(crate) fn register(registry: &mut Registry) {
         .handler(HANDLER, &[Judge::INFO], |cx| {
             Ok(Referee { args: cx.args()? })
         })
-        .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(task.args.parse::<RefereeArgs>()) {
-                crate::need_task(task, app, "world", &args.world, findings);
-                crate::need_task(task, app, "dom", &args.dom, findings);
-            }
+        .checked_args::<RefereeArgs>(|args, task, app, findings| {
+            crate::need_task(task, app, "world", &args.world, findings);
+            crate::need_task(task, app, "dom", &args.dom, findings);
         });
 }
 

@@ -12,7 +12,7 @@ use futures_util::future::join_all;
 use pnt::{
     check::FunctionNames,
     library::{Acted, Action, Library},
-    task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
 use vss::command::{Outcome as Vss, SpotFind, SpotReport, VisionError};
@@ -78,22 +78,21 @@ pub(crate) fn register(registry: &mut Registry) {
             Ok(args) => names(&args).vocabulary(),
             Err(_) => Vocabulary::new(),
         })
-        .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(net_args::<VisionArgs>(task)) {
-                if args.cameras.is_empty() {
-                    let place = task.args.locate("cameras");
-                    findings.push(
-                        Finding::error("coordinators::vision::cameras", "no camera is named")
-                            .at(place.unwrap_or_else(|| task.place.clone()))
-                            .help("name at least one camera of [vss.cameras]"),
-                    );
-                }
-                check_cameras(task, app, &args.cameras, findings);
-                crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
-                check_args(task, app, &names(&args), findings);
-                crate::need_task(task, app, "vsm", &args.vsm, findings);
-                crate::need_task(task, app, "dom", &args.dom, findings);
+        .keys(&KEYS)
+        .checked_args::<VisionArgs>(|args, task, app, findings| {
+            if args.cameras.is_empty() {
+                let place = task.args.locate("cameras");
+                findings.push(
+                    Finding::error("coordinators::vision::cameras", "no camera is named")
+                        .at(place.unwrap_or_else(|| task.place.clone()))
+                        .help("name at least one camera of [vss.cameras]"),
+                );
             }
+            check_cameras(task, app, &args.cameras, findings);
+            crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
+            check_args(task, app, &names(args), findings);
+            crate::need_task(task, app, "vsm", &args.vsm, findings);
+            crate::need_task(task, app, "dom", &args.dom, findings);
         });
 }
 

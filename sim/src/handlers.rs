@@ -103,18 +103,11 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
 }
 
 fn register_world(registry: &mut Registry) {
-    registry
-        .handler(
-            WORLD,
-            &[GetScene::INFO, SetLamp::INFO, TrueCameras::INFO],
-            |_| Ok(WorldTask),
-        )
-        .check(|task, findings| {
-            #[derive(Deserialize)]
-            #[serde(deny_unknown_fields)]
-            struct NoArgs {}
-            findings.keep(task.args.parse::<NoArgs>());
-        });
+    registry.handler(
+        WORLD,
+        &[GetScene::INFO, SetLamp::INFO, TrueCameras::INFO],
+        |_| Ok(WorldTask),
+    );
 }
 
 /// Checks every task that is a camera of this simulator, and that the task it asks is there.

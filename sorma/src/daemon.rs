@@ -64,7 +64,7 @@ pub fn register(
             subscribers: Rc::default(),
         })
     });
-    handler.check_in_app(arguments::check);
+    handler.checked_args(arguments::check);
 }
 
 /// The manager of a task's chassis, with the dictionary that its arguments name, over a shipped one.

@@ -12,7 +12,7 @@ pub struct Form {
     /// The text of the request: a word as it stands, in capitals what stands there (`FILE`), or the one
     /// before the other (`camera NAME`); empty when the request has no text.
     pub text: &'static str,
-    /// How many floats go in.
+    /// How many floats go in; [`Form::ANY`] for any number of them.
     pub floats: usize,
     /// What these floats are, with units.
     pub takes: &'static str,
@@ -26,11 +26,19 @@ pub struct Form {
 }
 
 impl Form {
+    /// The count of floats where a request may have any number of them.
+    pub const ANY: usize = usize::MAX;
+
     /// Whether the text stands for something else, for example a file.
     #[must_use]
     pub fn is_placeholder(&self) -> bool {
         self.text
             .starts_with(|first: char| first.is_ascii_uppercase())
+    }
+
+    /// Whether a request of this form has so many floats.
+    pub(crate) fn takes_so_many(&self, floats: usize) -> bool {
+        self.floats == floats || self.floats == Self::ANY
     }
 
     /// Whether the text of a request is of this form.
@@ -45,9 +53,10 @@ fn is_of(form: &str, placeholder: bool, text: &str) -> bool {
         return !text.is_empty();
     }
     match form.split_once(' ') {
-        Some((word, _)) => text
-            .split_once(char::is_whitespace)
-            .is_some_and(|(first, rest)| first == word && !rest.trim().is_empty()),
+        Some((word, _)) => {
+            let words = |text: &str| text.split_whitespace().count();
+            text.split_whitespace().next() == Some(word) && words(text) >= words(form)
+        }
         None => form == text,
     }
 }
@@ -59,7 +68,7 @@ pub struct FormInfo {
     pub text: String,
     /// Whether the text stands for something else, for example a file.
     pub placeholder: bool,
-    /// How many floats go in.
+    /// How many floats go in; [`Form::ANY`] for any number of them.
     pub floats: usize,
     /// What these floats are, with units.
     pub takes: String,
@@ -87,6 +96,12 @@ impl From<&Form> for FormInfo {
 }
 
 impl FormInfo {
+    /// Whether a request of this form has so many floats.
+    #[must_use]
+    pub fn takes_so_many(&self, floats: usize) -> bool {
+        self.floats == floats || self.floats == Form::ANY
+    }
+
     /// Whether the text of a request is of this form.
     #[must_use]
     pub fn is_of(&self, text: &str) -> bool {
@@ -187,7 +202,7 @@ impl ClassInfo {
     pub fn form(&self, text: &str, floats: usize) -> Option<&FormInfo> {
         let text = text.trim();
         let mut fitting = self.forms.iter().filter(|form| form.is_of(text));
-        let counted = fitting.clone().find(|form| form.floats == floats);
+        let counted = fitting.clone().find(|form| form.takes_so_many(floats));
         counted.or_else(|| fitting.next())
     }
 }

@@ -313,7 +313,9 @@ fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report>
     let fits = |form: &&Form| form.is_of(text);
     let mut fitting = forms.iter().filter(fits);
     // Forms of one text differ by the count of their floats.
-    let counted = fitting.clone().find(|form| form.floats == io.floats.len());
+    let counted = fitting
+        .clone()
+        .find(|form| form.takes_so_many(io.floats.len()));
     let Some(form) = counted.or_else(|| fitting.next()) else {
         return Err(no_form(forms, text));
     };
@@ -324,7 +326,7 @@ fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report>
             format!("{} {text}", called(form)),
         ))
     };
-    if io.floats.len() != form.floats {
+    if !form.takes_so_many(io.floats.len()) {
         let given = io.floats.len();
         return wrong(match form.floats {
             0 => format!("takes no floats (FMSG), not {given}"),
@@ -335,7 +337,7 @@ fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report>
     }
     if let Some(index) = io.floats.iter().position(|float| !float.is_finite()) {
         let (count, given) = (
-            form.floats,
+            io.floats.len(),
             io.floats.get(index).copied().unwrap_or_default(),
         );
         let at = index + 1;
@@ -357,11 +359,12 @@ fn no_form(forms: &[Form], text: &str) -> Report {
     let known: Vec<&str> = forms.iter().map(|form| form.text).collect();
     let listed = known.join(", ");
     // The text when the numbers at its end are meant as numbers.
-    let mut words = text;
+    let (mut words, mut count) = (text, 0);
     while let Some((before, last)) = words.rsplit_once(char::is_whitespace)
         && last.parse::<f64>().is_ok()
     {
         words = before.trim_end();
+        count += 1;
     }
     let meant = forms
         .iter()
@@ -369,7 +372,10 @@ fn no_form(forms: &[Form], text: &str) -> Report {
     let text = match (known.as_slice(), text) {
         _ if meant.is_some() => format!(
             "the numbers of EXEC {words} stand after FMSG and their count: write FMSG {} and the numbers",
-            meant.map_or(0, |form| form.floats)
+            meant.map_or(0, |form| match form.floats {
+                Form::ANY => count,
+                floats => floats,
+            })
         ),
         ([], _) => "this class has no EXEC".to_owned(),
         ([one], "") => format!("after EXEC stands {one}"),
@@ -390,6 +396,7 @@ fn help(about: &str, forms: &[Form], options: &mut dyn Options) -> String {
     for form in forms {
         let floats = match form.floats {
             0 => String::new(),
+            Form::ANY => " [FMSG N ...]".to_owned(),
             count => format!(" FMSG {count}"),
         };
         let request = format!("EXEC {}{floats}", form.text);

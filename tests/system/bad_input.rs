@@ -803,6 +803,7 @@ fn a_port_in_use_is_found_by_the_check_and_named_by_the_option_that_was_typed() 
     checked
         .must_exit(0)
         .must_say(&format!("[metrics] cannot listen on {at} here"))
+        .must_say("if this app is running, it has the port itself")
         .must_say("1 warning");
     let display = format!("--display={at}");
     let booted = scratch.boot(&[&display]);
@@ -817,4 +818,22 @@ fn a_port_in_use_is_found_by_the_check_and_named_by_the_option_that_was_typed() 
         .must_exit(3)
         .must_say(&format!("the page of task `panel` cannot listen on {at}"))
         .must_not_say("phase 1");
+    for (set, who) in [
+        ("metrics.listen", "[metrics]"),
+        ("control.listen", "[control]"),
+        ("app.listen", "the boot"),
+        ("chassis.cage_motion.listen", "chassis `cage_motion`"),
+    ] {
+        let set = format!("{set}={at:?}");
+        let says = format!("{who} cannot listen on {at} here");
+        let checked = scratch.ctos(&["check", APP, "--set", &set]);
+        checked.must_exit(0).must_say(&says);
+        let booted = scratch.boot(&["--set", &set]);
+        booted
+            .must_exit(3)
+            .must_say(&says)
+            .must_say("--set")
+            .must_not_say("chassis  cage_motion  pid")
+            .must_not_say("phase 1");
+    }
 }

@@ -297,6 +297,26 @@ fn a_chassis_on_another_host_that_is_killed_comes_back() {
 }
 
 #[test]
+fn a_chassis_on_another_host_starts_on_demand() {
+    let [here, x] = [Scratch::empty(), Scratch::empty()];
+    let agent = Agent::start(&x, &[]);
+    let text = pair(&agent.address, "start = \"on-demand\"");
+    let mut run = boot(&here, &text, &[]);
+    run.wait_for("phase 3");
+    assert_eq!(x.processes().len(), 1, "the agent alone");
+    ask(&here, &["restart", "cage"]).must_exit_leaving(0);
+    run.wait_for("start    cage is up");
+    assert_eq!(x.processes().len(), 2, "the agent and the chassis");
+    run.signal(Signal::INT);
+    run.end()
+        .must_exit(130)
+        .must_say("start    cage, on demand: ")
+        .must_not_say("restart");
+    assert_eq!(x.processes().len(), 1, "the agent alone");
+    agent.end();
+}
+
+#[test]
 fn when_an_agent_is_killed_the_app_ends_and_nothing_is_left_on_its_host() {
     let [here, x] = [Scratch::empty(), Scratch::empty()];
     let on_x = Agent::start(&x, &[]);

@@ -35,7 +35,12 @@ fn a_daemon_on_demand_has_no_process_until_somebody_asks_for_it() {
     let after = state();
     assert!(!after.contains("\"waiting\""), "{after}");
     run.signal(Signal::INT);
-    assert_eq!(run.end().code, Some(130));
+    let ended = run.end();
+    ended
+        .must_exit(130)
+        .must_say("start    cage, on demand: first asked")
+        .must_say("start    cage is up")
+        .must_not_say("restart");
 }
 
 /// What a statement prints, which must not fail.

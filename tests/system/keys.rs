@@ -346,9 +346,9 @@ fn a_port_of_control_that_is_taken_is_an_error_of_the_boot() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
     let ended = boot(&here, &watched(port, ""), &[]).end();
-    ended.must_exit(1).must_say(&format!(
-        "cannot listen at 127.0.0.1:{port}, as [control] says"
-    ));
+    ended
+        .must_exit(3)
+        .must_say(&format!("[control] cannot listen on 127.0.0.1:{port} here"));
 }
 
 /// Why a chassis cannot start reaches the boot over TLS too.
@@ -356,10 +356,11 @@ fn a_port_of_control_that_is_taken_is_an_error_of_the_boot() {
 fn a_chassis_with_keys_that_cannot_listen_says_so() {
     let here = Scratch::empty();
     keys(&here, &[("cell", "boot")]);
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let at = taken.local_addr().unwrap();
+    // Nobody has the port before the boot itself does, on one of the addresses that the chassis wants.
+    let port = free_port();
+    let at = format!("0.0.0.0:{port}");
     let text = format!(
-        "[app]\nsame_host = \"tcp\"\n[security]\nkey = \"keys/cell\"\nauthority = \"keys/ca.pem\"\n[chassis.cage]\nlisten = \"{at}\"\n[task.arm]\nhandler = \"test.steady\"\non = \"cage\"\nargs = {{ slow_s = 0.0 }}\n"
+        "[app]\nsame_host = \"tcp\"\n[control]\nlisten = \"127.0.0.1:{port}\"\n[security]\nkey = \"keys/cell\"\nauthority = \"keys/ca.pem\"\n[chassis.cage]\nlisten = \"{at}\"\n[task.arm]\nhandler = \"test.steady\"\non = \"cage\"\nargs = {{ slow_s = 0.0 }}\n"
     );
     let ended = boot(&here, &text, &[]).end();
     // Not how the process ended, and not the last lines of its log: its own reason.

@@ -7,7 +7,6 @@ use ctos::{
     diagnostic::{Finding, Findings},
     registry::Registry,
 };
-use serde::de::DeserializeOwned;
 
 use crate::{service, source::FrameSources, spot::SpotOptions, tool, vm, vmm, vsm};
 
@@ -16,11 +15,11 @@ pub fn register(registry: &mut Registry, sources: FrameSources) {
     let sources = Arc::new(sources);
     registry
         .handler("vss.vsm", vsm::COMMANDS, vsm::ServicesManager::new)
-        .check(arguments::<vsm::VsmArgs>)
+        .args::<vsm::VsmArgs>()
         .waits_for(vsm::waits_for);
     registry
         .handler("vss.vmm", vmm::COMMANDS, vmm::ModuleManager::new)
-        .check(arguments::<vmm::VmmArgs>);
+        .args::<vmm::VmmArgs>();
     services(registry);
     tools(registry);
     modules(registry, &sources);
@@ -33,39 +32,37 @@ fn services(registry: &mut Registry) {
             service::SPOT_FIND_COMMANDS,
             service::SpotFindService::new,
         )
-        .check(arguments::<service::SpotFindArgs>);
-    registry
-        .handler("vss.svc_calibrate", service::CALIBRATE_COMMANDS, |_| {
-            Ok(service::CalibrateService)
-        })
-        .check(no_arguments);
+        .args::<service::SpotFindArgs>();
+    registry.handler("vss.svc_calibrate", service::CALIBRATE_COMMANDS, |_| {
+        Ok(service::CalibrateService)
+    });
 }
 
 fn tools(registry: &mut Registry) {
     registry
         .handler("vss.tool_snap", tool::SNAP_COMMANDS, tool::SnapTool::new)
-        .check(arguments::<tool::PerCameraArgs>);
+        .args::<tool::PerCameraArgs>();
     registry
         .handler(
             "vss.tool_image_disp",
             tool::IMAGE_DISP_COMMANDS,
             tool::ImageDispTool::new,
         )
-        .check(arguments::<tool::SharedArgs>);
+        .args::<tool::SharedArgs>();
     registry
         .handler(
             "vss.tool_spot_find",
             tool::SPOT_FIND_COMMANDS,
             tool::SpotFindTool::new,
         )
-        .check(arguments::<SpotOptions>);
+        .args::<SpotOptions>();
     registry
         .handler(
             "vss.tool_spot_disp",
             tool::SPOT_DISP_COMMANDS,
             tool::SpotDispTool::new,
         )
-        .check(arguments::<tool::SharedArgs>);
+        .args::<tool::SharedArgs>();
 }
 
 fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
@@ -74,35 +71,18 @@ fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
         .handler("vss.vm_snap", vm::SNAP_COMMANDS, move |cx| {
             vm::SnapModule::new(cx, &building)
         })
-        .check(move |task, findings| snap_arguments(task, &checking, findings));
-    registry
-        .handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| {
-            Ok(vm::ImageDispModule)
-        })
-        .check(no_arguments);
+        .keys(&["camera", "source", "args"])
+        .check_in_app(move |task, _, findings| snap_arguments(task, &checking, findings));
+    registry.handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| {
+        Ok(vm::ImageDispModule)
+    });
     registry
         .handler(
             "vss.vm_spot_disp",
             vm::SPOT_DISP_COMMANDS,
             vm::SpotDispModule::new,
         )
-        .check(arguments::<vm::SpotDispArgs>);
-}
-
-/// The arguments read as a `T`.
-fn arguments<T: DeserializeOwned>(task: &TaskConfig, findings: &mut Findings) {
-    findings.keep(task.args.parse::<T>());
-}
-
-fn no_arguments(task: &TaskConfig, findings: &mut Findings) {
-    for entry in task.args.entries() {
-        let text = format!("`{}` takes no arguments, so no `{}`", task.name, entry.key);
-        let place = entry
-            .key_place
-            .clone()
-            .unwrap_or_else(|| task.place.clone());
-        findings.push(Finding::error("vss::args::none", text).at(place));
-    }
+        .args::<vm::SpotDispArgs>();
 }
 
 fn snap_arguments(task: &TaskConfig, sources: &FrameSources, findings: &mut Findings) {
@@ -110,13 +90,6 @@ fn snap_arguments(task: &TaskConfig, sources: &FrameSources, findings: &mut Find
         let place = place.unwrap_or(&task.place).clone();
         Finding::error("vss::args::camera", text).at(place)
     };
-    for entry in task.args.entries() {
-        if !["camera", "source", "args"].contains(&entry.key.as_str()) {
-            let text = format!("`{}` takes no `{}`", task.name, entry.key);
-            let finding = refuse(text, entry.key_place.as_ref());
-            findings.push(finding.suggest(&entry.key, ["camera", "source", "args"]));
-        }
-    }
     match vm::snap_args(&task.args) {
         Ok((camera, source, own)) => sources.check(&source, &camera, &own, findings),
         Err(error) => findings.push(refuse(error.to_string(), task.args.place())),

@@ -59,10 +59,7 @@ fn viewers() -> usize {
 }
 
 /// Checks a display's arguments against the app.
-pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
-    let Some(args) = findings.keep(task.args.parse::<DisplayArgs>()) else {
-        return;
-    };
+pub(super) fn check(args: &DisplayArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
     let at = |finding: Finding, key: &str| page::at(task, key, finding);
     if args.viewers == 0 || args.viewers > MOST_VIEWERS {
         let text = format!("a display for {} viewers", args.viewers);

@@ -32,6 +32,6 @@ use ctos::registry::Registry;
 pub fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &[], task::NetDisplay::new)
-        .check_in_app(args::check);
+        .checked_args(args::check);
     registry.app_check(HANDLER, args::check_overviews);
 }

@@ -19,7 +19,7 @@ use cli_common::{
 #[command(after_help = "Examples:
   ctos logs
   ctos logs cage_motion -f
-  ctos logs arm --level warn --last 20")]
+  ctos logs motion --level warn --last 20")]
 pub struct LogsArgs {
     /// Name of the chassis, or of the task that lines must be about
     pub name: Option<String>,

@@ -14,7 +14,7 @@ use ctos::{
     config::App,
     task::Phase,
 };
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
 use cli_common::show;
 
@@ -117,9 +117,16 @@ impl Display {
         let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
         let bar = bar.get_or_insert_with(|| {
             let style = ProgressStyle::with_template(
-                "run      {prefix} {pos} of {len} [{bar:30}] {elapsed}  {wide_msg}",
+                "run      {prefix} {pos} of {len} [{bar:30}] {seconds}  {wide_msg}",
             );
             let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+            let style = style.with_key(
+                "seconds",
+                |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+                    // A bar that cannot be written is not shown.
+                    let _ = write!(out, "{} s", state.elapsed().as_secs());
+                },
+            );
             ProgressBar::new(total).with_style(style.progress_chars("━╸ "))
         });
         bar.set_length(total);
@@ -189,6 +196,22 @@ pub fn words(event: &BootEvent, width: usize) -> Option<String> {
         } => format!(
             "restart  {chassis} as process {incarnation} in {}",
             seconds(*pause)
+        ),
+        BootEvent::Wanted { chassis, task, by } => {
+            let first = match (task, by) {
+                (Some(task), Some(by)) => format!("first asked by `{by}` for `{task}`"),
+                (Some(task), None) => format!("first asked from outside for `{task}`"),
+                (None, _) => "as a person asked".to_owned(),
+            };
+            format!("start    {chassis}, on demand: {first}")
+        }
+        BootEvent::Awake {
+            chassis,
+            tasks,
+            took,
+        } => format!(
+            "start    {chassis} is up ✓ {tasks}/{tasks}  after {}",
+            seconds(*took)
         ),
         BootEvent::Restarted {
             chassis,

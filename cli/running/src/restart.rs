@@ -21,7 +21,7 @@ use cli_common::{
 /// its chassis helps.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  ctos restart arm
+  ctos restart motion
   ctos restart cage_motion")]
 pub struct RestartArgs {
     /// Name of the task or chassis

@@ -23,7 +23,7 @@ const STUCK_S: f64 = 5.0;
 /// lines of its log and of the logs of the processes before it. Without a name: as `ctos ps`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  ctos status arm
+  ctos status motion
   ctos status cage_motion --json")]
 pub struct StatusArgs {
     /// Name of the task or chassis

@@ -4,7 +4,7 @@
 use std::fs;
 
 use sorma::{
-    ClassInfo,
+    ClassInfo, Form,
     describe::{self, FormInfo, OptionInfo, OptionKind},
 };
 
@@ -285,7 +285,10 @@ pub fn hint(text: &str, known: Known<'_>) -> String {
 
 fn next_of_request(class: &ClassInfo, rest: &[&str]) -> String {
     let rest = rest.strip_prefix(&["TMSG"]).unwrap_or(rest);
-    let takes = |form: &FormInfo| format!("{} numbers <{}>", form.floats, form.takes);
+    let takes = |form: &FormInfo| match form.floats {
+        Form::ANY => format!("numbers <{}>", form.takes),
+        count => format!("{count} numbers <{}>", form.takes),
+    };
     match rest {
         [] => {
             let texts = class.forms.iter().map(|form| match form.text.as_str() {

@@ -6,7 +6,7 @@ use std::{borrow::Cow, fmt::Write as _};
 use ctos::diagnostic::Finding;
 use serde_json::{Value, json};
 use sorma::{
-    ClassInfo, Request,
+    ClassInfo, Form, Request,
     describe::{self, FormInfo, Layout, OptionInfo},
     words::{self, Word},
 };
@@ -51,6 +51,7 @@ pub(crate) fn about(name: &str, classes: &[ClassInfo]) -> Result<String, String>
         let numbers = match form.floats {
             0 => String::new(),
             1 => " NUMBER".to_owned(),
+            Form::ANY => " NUMBERS".to_owned(),
             count => format!(" {count} NUMBERS"),
         };
         let words = match form.text.as_str() {
@@ -179,7 +180,7 @@ fn written(line: &str, classes: &[ClassInfo]) -> Option<String> {
     };
     let takes = |text: &str, count: usize| {
         let forms = class.forms.iter();
-        let fits = |form: &&FormInfo| form.floats == count && count > 0 && form.is_of(text);
+        let fits = |form: &&FormInfo| count > 0 && form.takes_so_many(count) && form.is_of(text);
         forms.clone().any(|form| fits(&form))
     };
     if let Some(count) = (1..=numbers)
@@ -257,13 +258,52 @@ mod tests {
         assert_eq!(said("kin EXEC fkine 0 0"), "kin EXEC fkine FMSG 2 0 0");
     }
 
+    /// What a form is asked with, its numbers as they stand and announced.
+    fn asked(class: &str, form: &FormInfo) -> (String, String) {
+        let words = form
+            .text
+            .replace(|letter: char| letter.is_ascii_uppercase(), "x");
+        let count = form.floats.min(7);
+        let numbers: Vec<String> = (0..count).map(|number| format!("{number}.5")).collect();
+        let start = format!("{class} EXEC {words}");
+        let (start, numbers) = (start.trim_end(), numbers.join(" "));
+        let announced = format!("{start} FMSG {count} {numbers}");
+        (format!("{start} {numbers}"), announced)
+    }
+
+    #[test]
+    fn numbers_need_no_keyword_in_any_request_of_any_class() {
+        for class in CLASSES.iter() {
+            for form in class.forms.iter().filter(|form| form.floats > 0) {
+                let (typed, announced) = asked(&class.name, form);
+                assert_eq!(said(&typed), announced);
+            }
+            let takes_floats = ["with FMSG", "EXEC FMSG", "any data"]
+                .iter()
+                .any(|words| class.about.contains(words));
+            let declared = class.forms.iter().any(|form| form.floats > 0);
+            assert!(declared || !takes_floats, "{}", class.name);
+        }
+        assert_eq!(said("event EXEC 1 2"), "event EXEC FMSG 2 1 2");
+        assert_eq!(said("queue.a EXEC put 7"), "queue.a EXEC put FMSG 1 7");
+        assert_eq!(
+            said("blackboard EXEC swap pose 3 0.5 1"),
+            "blackboard EXEC swap pose 3 FMSG 2 0.5 1"
+        );
+        assert_eq!(said("fork.sound EXEC 440"), "fork.sound EXEC FMSG 1 440");
+    }
+
     #[test]
     fn what_is_no_number_of_a_form_stays_as_it_is() {
         for line in [
             "kin EXEC fkine FMSG 6 0 0 0 0 0 0",
             "spot EXEC camera 3",
             "spot EXEC 2024.png",
-            "queue EXEC put 1 2",
+            "queue EXEC take 3",
+            "queue EXEC put '1' '2'",
+            "queue EXEC claim 4",
+            "blackboard EXEC swap pose 3",
+            "shmem_r EXEC history 3",
             "later EXEC collect 1",
             "kin EXEC fkine '0'",
             "kin CTRL -d1 0.5",

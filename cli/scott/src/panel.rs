@@ -38,7 +38,7 @@ use service::Service;
 pub fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &[], task::ObjectPanel::new)
-        .check_in_app(args::check);
+        .checked_args(args::check);
 }
 
 /// Serves a panel until Ctrl-C; the exit code. `what` is a file, or the name of an object whose options are shown.

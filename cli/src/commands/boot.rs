@@ -188,7 +188,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         Ok(checked) => checked,
         Err(findings) => return not_started(args, findings),
     };
-    let taken = ports::taken_pages(&app, args.display);
+    let taken = ports::taken(&app, args.display);
     if taken.has_errors() {
         return not_started(args, taken);
     }

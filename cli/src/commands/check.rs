@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use ctos::{config::Selection, diagnostic::Severity, registry::Registry};
+use ctos::{config::Selection, registry::Registry};
 
 use cli_common::{exit, show};
 
@@ -51,7 +51,7 @@ fn check(selection: &Selection, args: &CheckArgs, registry: &Registry) -> u8 {
     let (found, code) = match program::checked(selection, registry) {
         Ok((app, mut warnings)) => {
             // The app may be running, and have its ports itself: no error.
-            warnings.extend(ports::taken(&app, Severity::Warning));
+            warnings.extend(ports::warnings(&app));
             (warnings, exit::OK)
         }
         Err(findings) => (findings, exit::CONFIG),

@@ -16,33 +16,30 @@ const PAGES: [(&str, SocketAddr); 2] = [
 /// Who of an app listens, where, and the path of the key that says so.
 type Wanted = (String, SocketAddr, String);
 
-/// Finds the ports that are not to be had now.
+/// Finds the ports that are not to be had now, where nothing else is wrong: the app itself may be running.
 #[must_use]
-pub fn taken(app: &App, severity: Severity) -> Findings {
+pub fn warnings(app: &App) -> Findings {
     let mut findings = Findings::new();
-    if app.time == TimeMode::Real {
-        for wanted in links(app).chain(pages(app)) {
-            findings
-                .extend(busy(app, &wanted, severity).map_or_else(Findings::new, Findings::from));
-        }
+    for mut finding in busy(app).map(|(_, finding)| finding) {
+        finding.severity = Severity::Warning;
+        findings.push(finding.help(
+            "if this app is running, it has the port itself, and all is well; else free it, choose another `listen`, or leave it out for a free one",
+        ));
     }
     findings
 }
 
-/// Finds those of pages, which a boot would find only when all its processes run. `display` is the address that
-/// `--display` gave.
+/// Finds the ports without which an app cannot start. `display` is the address that `--display` gave.
 #[must_use]
-pub fn taken_pages(app: &App, display: Option<SocketAddr>) -> Findings {
+pub fn taken(app: &App, display: Option<SocketAddr>) -> Findings {
     let mut findings = Findings::new();
-    for wanted in pages(app).filter(|_| app.time == TimeMode::Real) {
-        let typed = display == Some(wanted.1) && wanted.2 == "task.\"display\".args.listen";
-        if let Some(finding) = busy(app, &wanted, Severity::Error) {
-            findings.push(if typed {
-                of_option(&finding, wanted.1)
-            } else {
-                finding
-            });
-        }
+    for ((_, address, path), finding) in busy(app) {
+        let typed = display == Some(address) && path == "task.\"display\".args.listen";
+        findings.push(match typed {
+            true => of_option(&finding, address),
+            false => finding
+                .help("free the port, choose another `listen`, or leave it out for a free one"),
+        });
     }
     findings
 }
@@ -86,10 +83,15 @@ fn pages(app: &App) -> impl Iterator<Item = Wanted> {
     })
 }
 
-fn busy(app: &App, (who, address, path): &Wanted, severity: Severity) -> Option<Finding> {
-    let error = TcpListener::bind(address).err()?;
-    let text = format!("{who} cannot listen on {address} here: {error}");
-    let mut finding = Finding::error("ctos::doctor::address", text).at(app.locate(path));
-    finding.severity = severity;
-    Some(finding.help("free the port, choose another one, or leave `listen` out"))
+/// Who cannot listen where it shall, and why.
+fn busy(app: &App) -> impl Iterator<Item = (Wanted, Finding)> {
+    let real = app.time == TimeMode::Real;
+    let wanted = links(app).chain(pages(app)).filter(move |_| real);
+    wanted.filter_map(|wanted| {
+        let (who, address, path) = &wanted;
+        let error = TcpListener::bind(address).err()?;
+        let text = format!("{who} cannot listen on {address} here: {error}");
+        let finding = Finding::error("ctos::doctor::address", text).at(app.locate(path));
+        Some((wanted, finding))
+    })
 }

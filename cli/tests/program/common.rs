@@ -10,11 +10,11 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// A command that runs an example, built now if it is not.
+/// A command that builds an example.
 ///
 /// Built as all tests are, for the whole workspace: asked for by itself, cargo would choose other features of
 /// what it depends on, and build all of that anew.
-pub fn example(name: &str) -> Command {
+pub fn build(name: &str) -> Command {
     let mut build = Command::new(env!("CARGO"));
     // What cargo tells a test of its own package makes build scripts that look at it (ring's) run again, and
     // half of the workspace be compiled anew. What a person tells cargo stays.
@@ -30,9 +30,15 @@ pub fn example(name: &str) -> Command {
             build.env_remove(&key);
         }
     }
-    let built = build
+    build
         .current_dir(root())
-        .args(["build", "--quiet", "--workspace", "--example", name])
+        .args(["build", "--quiet", "--workspace", "--example", name]);
+    build
+}
+
+/// A command that runs an example, built now if it is not.
+pub fn example(name: &str) -> Command {
+    let built = build(name)
         .status()
         .expect("cargo runs, for it runs this test");
     assert!(built.success(), "{name} is not built");

@@ -15,15 +15,15 @@ use cli::{
 use ctos::config::Selection;
 
 /// A command line, and where it stands.
-struct Line {
-    place: String,
-    words: Vec<String>,
+pub struct Line {
+    pub place: String,
+    pub words: Vec<String>,
     /// Whether it stands in running text, where what is left out is meant to be.
-    in_text: bool,
+    pub in_text: bool,
 }
 
 impl Line {
-    fn text(&self) -> String {
+    pub fn text(&self) -> String {
         format!("{}: {}", self.place, self.words.join(" "))
     }
 }
@@ -126,7 +126,7 @@ fn lines_of(page: &str) -> Vec<Line> {
     lines
 }
 
-fn lines() -> Vec<Line> {
+pub fn lines() -> Vec<Line> {
     let mut pages = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
     for entry in fs::read_dir(root().join("docs")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();
@@ -258,7 +258,7 @@ fn what_command_lines_name_of_the_shipped_apps_is_there() {
 }
 
 /// Whether a command of `ctos` ends by itself, soon, and needs nothing but the files of this folder.
-fn is_run(words: &[String]) -> bool {
+pub fn is_run(words: &[String]) -> bool {
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let shipped = || {
         let files = words
@@ -270,7 +270,7 @@ fn is_run(words: &[String]) -> bool {
         ["ctos", "explain" | "completions" | "doctor", ..] => true,
         ["ctos", "config", "defaults" | "schema", ..] => true,
         ["ctos", "sim", "--profiles"] => true,
-        ["ctos", "keys", "new", ..] => true,
+        ["ctos", "keys", "new" | "list", ..] => true,
         ["ctos", "check", ..] | ["ctos", "config", "show", ..] => shipped(),
         [
             "ctos",

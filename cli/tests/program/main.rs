@@ -8,6 +8,7 @@
     reason = "a test may end where it cannot be set up or finds something wrong"
 )]
 
+mod arguments;
 mod authoring;
 mod bad_nets;
 mod build;
@@ -19,6 +20,7 @@ mod hello;
 mod hello_example;
 mod lines;
 mod lsp;
+mod made;
 mod nets;
 mod offline;
 mod panel;
@@ -26,5 +28,6 @@ mod proving;
 mod readme;
 mod reference;
 mod replay;
+mod running;
 mod scott;
 mod sim;

@@ -12,7 +12,7 @@ use cli::{
     exit, program,
     scott::{self, services::CLASSES},
 };
-use sorma::describe::{self, OptionInfo};
+use sorma::describe::{self, Form, OptionInfo};
 
 /// Holds `text` against the file, or writes the file when asked to.
 fn same_as(file: &str, text: &str) {
@@ -93,10 +93,10 @@ fn services() -> String {
             } else {
                 format!("`{}`", form.text)
             };
-            let takes = if form.floats == 0 {
-                "none".to_owned()
-            } else {
-                format!("{}: {}", form.floats, form.takes)
+            let takes = match form.floats {
+                0 => "none".to_owned(),
+                Form::ANY => format!("any number: {}", form.takes),
+                count => format!("{count}: {}", form.takes),
             };
             let _ = writeln!(
                 page,

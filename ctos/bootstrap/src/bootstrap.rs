@@ -142,6 +142,25 @@ pub enum BootEvent {
         #[serde(rename = "pause_s", with = "in_seconds")]
         pause: Duration,
     },
+    /// Somebody looks for a task of a chassis that starts on demand; its process is started.
+    Wanted {
+        /// The chassis.
+        chassis: String,
+        /// The task that is looked for; not known where a person had the chassis started.
+        task: Option<String>,
+        /// The task that looks for it; not known of a tool, which is none.
+        by: Option<String>,
+    },
+    /// The tasks of a chassis that starts on demand have passed all phases for the first time.
+    Awake {
+        /// The chassis.
+        chassis: String,
+        /// How many tasks it has.
+        tasks: usize,
+        /// How long that took.
+        #[serde(rename = "took_s", with = "in_seconds")]
+        took: Duration,
+    },
     /// A chassis is back, and its tasks have passed all phases.
     Restarted {
         /// The chassis.
@@ -399,8 +418,8 @@ impl Bootstrap {
     }
 
     #[command]
-    fn chassis_wanted(&self, ChassisWanted { chassis }: ChassisWanted) {
-        self.0.is_wanted(chassis);
+    fn chassis_wanted(&self, wanted: ChassisWanted) {
+        self.0.is_wanted(wanted);
     }
 
     #[command]

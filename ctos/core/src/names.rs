@@ -127,7 +127,8 @@ impl TidServer {
 
     #[command]
     fn await_tid(&self, cx: &Context, request: AwaitTid, reply: Replier<AwaitTid>) -> Handled {
-        away::want(cx, &request.name);
+        let by = self.state.borrow().name_of(reply.asker());
+        away::want(cx, &request.name, by);
         self.state.borrow_mut().wait(request, reply)
     }
 

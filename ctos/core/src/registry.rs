@@ -6,7 +6,7 @@ mod tests;
 mod waiting;
 
 use std::{
-    collections::{BTreeMap, BTreeSet, btree_map::Entry},
+    collections::{BTreeMap, BTreeSet, btree_map},
     future::Future,
     rc::Rc,
     sync::Arc,
@@ -22,7 +22,7 @@ use crate::{
     runner::dynamic::{DynHandler, durable, passing, plain},
 };
 use ctos_config::{
-    App, TaskConfig,
+    App, Entry, Node, TaskConfig,
     diagnostic::{Finding, Findings},
 };
 use ctos_message::{Command, CommandInfo};
@@ -31,6 +31,7 @@ use serde::de::DeserializeOwned;
 
 type Build = Box<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
+type CheckArgs = Box<dyn Fn(&Node, &TaskConfig, &App, &mut Findings) + Send + Sync>;
 type WaitsFor = Box<dyn Fn(&TaskConfig) -> Vec<String> + Send + Sync>;
 type Speaks = Box<dyn Fn(&TaskConfig) -> Vocabulary + Send + Sync>;
 type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
@@ -59,6 +60,10 @@ impl Default for Recipe {
 pub struct HandlerKind {
     name: String,
     recipe: Arc<Recipe>,
+    /// The keys that it reads by hand.
+    keys: Vec<&'static str>,
+    /// How the rest of its arguments is read, and what is found then; nobody reads them without it.
+    args: Option<CheckArgs>,
     checks: Vec<CheckTask>,
     waits_for: Option<WaitsFor>,
     vocabulary: Option<Speaks>,
@@ -67,15 +72,6 @@ pub struct HandlerKind {
 }
 
 impl HandlerKind {
-    /// Adds a check that also sees the rest of the app.
-    pub fn check_in_app(
-        &mut self,
-        check: impl Fn(&TaskConfig, &App, &mut Findings) + Send + Sync + 'static,
-    ) -> &mut Self {
-        self.checks.push(Box::new(check));
-        self
-    }
-
     /// Declares the words of its own that the files of a task of this kind may use, for editors.
     pub fn speaks(
         &mut self,
@@ -130,35 +126,70 @@ impl HandlerKind {
 
     /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]: what does not
     /// fit, and what nobody reads, is found before anything starts.
-    pub fn args<T: DeserializeOwned>(&mut self) -> &mut Self {
-        self.check(|task, findings| {
-            findings.keep(task.args.parse::<T>());
-        })
+    pub fn args<T: DeserializeOwned + 'static>(&mut self) -> &mut Self {
+        self.checked_args::<T>(|_, _, _, _| {})
     }
 
-    /// Finds arguments of a task whose kind reads none, as far as it has declared.
-    fn check_unread(&self, task: &TaskConfig, findings: &mut Findings) {
-        let declared = self.waits_for.is_some() || self.vocabulary.is_some();
-        let unread = task.args.entries().first();
-        if let Some(unread) = unread.filter(|_| self.checks.is_empty() && !declared) {
-            let text = format!(
-                "task `{}` gives `args.{}`, and its event handler `{}` declares no arguments",
-                task.name, unread.key, self.name
-            );
-            let place = unread.key_place.as_ref().unwrap_or(&task.place);
-            let finding = Finding::error("ctos::handler::unread_args", text).at(place.clone());
-            findings.push(finding.label("nobody reads this key").help(
-                "leave it out; or declare what the handler reads where it is registered: `registry.handler(..).args::<ItsArgs>()`",
-            ));
+    /// The same, with a check of arguments that could be read, which sees their task and the rest of the app.
+    pub fn checked_args<T: DeserializeOwned + 'static>(
+        &mut self,
+        check: impl Fn(&T, &TaskConfig, &App, &mut Findings) + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.args = Some(Box::new(move |args, task, app, findings| {
+            if let Some(args) = findings.keep(args.parse::<T>()) {
+                check(&args, task, app, findings);
+            }
+        }));
+        self
+    }
+
+    /// Declares keys of the arguments that the kind reads by hand, besides what [`Self::args`] declares.
+    pub fn keys(&mut self, keys: &[&'static str]) -> &mut Self {
+        self.keys.extend(keys);
+        self
+    }
+
+    /// Adds a check of a task of this kind and the rest of the app that runs before anything starts. What nobody
+    /// reads is found without it.
+    pub fn check_in_app(
+        &mut self,
+        check: impl Fn(&TaskConfig, &App, &mut Findings) + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.checks.push(Box::new(check));
+        self
+    }
+
+    /// Checks a task of this kind. Whatever its own checks look at, a key that the kind has not declared is found.
+    fn check_task(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        let args = task.args.without(&self.keys);
+        match &self.args {
+            Some(read) => read(&args, task, app, findings),
+            None => args
+                .entries()
+                .iter()
+                .for_each(|entry| findings.push(self.unread(task, entry))),
+        }
+        for check in &self.checks {
+            check(task, app, findings);
         }
     }
 
-    /// Adds a check of a task's arguments that runs before anything starts.
-    pub fn check(
-        &mut self,
-        check: impl Fn(&TaskConfig, &mut Findings) + Send + Sync + 'static,
-    ) -> &mut Self {
-        self.check_in_app(move |task, _, findings| check(task, findings))
+    /// A key of a task whose kind has declared no type of arguments.
+    fn unread(&self, task: &TaskConfig, entry: &Entry) -> Finding {
+        let declares = match self.keys.is_empty() {
+            true => "declares no arguments",
+            false => "does not read it",
+        };
+        let text = format!(
+            "task `{}` gives `args.{}`, and its event handler `{}` {declares}",
+            task.name, entry.key, self.name
+        );
+        let place = entry.key_place.as_ref().unwrap_or(&task.place);
+        let finding = Finding::error("ctos::handler::unread_args", text).at(place.clone());
+        let finding = finding.label("nobody reads this key").help(
+            "leave it out; or declare what the handler reads where it is registered: `registry.handler(..).args::<ItsArgs>()`",
+        );
+        finding.suggest(&entry.key, self.keys.iter().copied())
     }
 }
 
@@ -241,14 +272,16 @@ impl Registry {
                 commands: commands.into(),
                 build,
             }),
+            keys: Vec::new(),
+            args: None,
             checks: Vec::new(),
             waits_for: None,
             vocabulary: None,
             durable: false,
         };
         match self.kinds.entry(name.to_owned()) {
-            Entry::Vacant(free) => free.insert(kind),
-            Entry::Occupied(there) => {
+            btree_map::Entry::Vacant(free) => free.insert(kind),
+            btree_map::Entry::Occupied(there) => {
                 let there = there.into_mut();
                 *there = kind;
                 there
@@ -337,10 +370,7 @@ impl Registry {
                 Some(kind) => {
                     codes::check(kind, task, &mut findings);
                     self.check_state(kind, task, app, &mut findings);
-                    kind.check_unread(task, &mut findings);
-                    for check in &kind.checks {
-                        check(task, app, &mut findings);
-                    }
+                    kind.check_task(task, app, &mut findings);
                 }
                 None => findings.push(
                     Finding::error(

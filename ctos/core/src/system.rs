@@ -162,7 +162,13 @@ command! {
     pub struct RestartChassis { pub chassis: u8 } => (), 0xff56, "restart_chassis";
 
     /// Tells the bootstrap service that somebody looks for a task of a chassis that starts on demand.
-    pub struct ChassisWanted { pub chassis: u8 } => (), 0xff59, "chassis_wanted";
+    pub struct ChassisWanted {
+        pub chassis: u8,
+        /// The task looked for.
+        pub task: String,
+        /// The task that looks for it; not known of a tool, which is none.
+        pub by: Option<String>,
+    } => (), 0xff59, "chassis_wanted";
 
     /// Asks an agent for everything that is known of its chassis.
     pub struct Survey => ChassisReport, 0xff50, "survey";

@@ -113,6 +113,11 @@ impl ServoArgs {
     /// Reads the arguments and checks every number, all findings at once.
     pub fn read(task: &TaskConfig, findings: &mut Findings) -> Option<Self> {
         let args: Self = findings.keep(task.args.parse())?;
+        args.check(task, findings).then_some(args)
+    }
+
+    /// Checks every number; whether all are sound.
+    pub(super) fn check(&self, task: &TaskConfig, findings: &mut Findings) -> bool {
         let mut sound = true;
         let mut within = |key: &str, value: f64, low: f64, high: f64| {
             if !(low..=high).contains(&value) {
@@ -124,25 +129,25 @@ impl ServoArgs {
                 findings.push(finding.at(place).help(help));
             }
         };
-        within("period_ms", args.period_ms, 0.1, 100.0);
-        within("setpoint_every", f64::from(args.setpoint_every), 1.0, 100.0);
-        within("damping", args.damping, 0.1, 5.0);
-        within("following_error_rad", args.following_error_rad, 1e-4, 3.2);
-        within("following_window_rad", args.following_window_rad, 1e-4, 3.2);
-        within("following_timeout_s", args.following_timeout_s, 0.0, 10.0);
+        within("period_ms", self.period_ms, 0.1, 100.0);
+        within("setpoint_every", f64::from(self.setpoint_every), 1.0, 100.0);
+        within("damping", self.damping, 0.1, 5.0);
+        within("following_error_rad", self.following_error_rad, 1e-4, 3.2);
+        within("following_window_rad", self.following_window_rad, 1e-4, 3.2);
+        within("following_timeout_s", self.following_timeout_s, 0.0, 10.0);
         let top = most_bandwidth_hz(Duration::from_secs_f64(
-            args.period_ms.clamp(0.1, 1e3) / 1e3,
+            self.period_ms.clamp(0.1, 1e3) / 1e3,
         ));
-        within("bandwidth_hz", args.bandwidth_hz, 0.1, top);
-        within("settling.error", args.settling.error, 1e-6, 1.0);
-        within("settling.speed", args.settling.speed, 1e-6, 10.0);
+        within("bandwidth_hz", self.bandwidth_hz, 0.1, top);
+        within("settling.error", self.settling.error, 1e-6, 1.0);
+        within("settling.speed", self.settling.speed, 1e-6, 10.0);
         within(
             "settling.patience",
-            f64::from(args.settling.patience),
+            f64::from(self.settling.patience),
             1.0,
             1e5,
         );
-        let line = &args.cartesian;
+        let line = &self.cartesian;
         within("cartesian.linear_speed", line.linear_speed, 1e-3, 10.0);
         within(
             "cartesian.linear_acceleration",
@@ -157,10 +162,10 @@ impl ServoArgs {
             1e-3,
             500.0,
         );
-        for value in args.tool_xyz {
+        for value in self.tool_xyz {
             within("tool_xyz", value, -2.0, 2.0);
         }
-        for value in args.tool_rpy {
+        for value in self.tool_rpy {
             within("tool_rpy", value, -7.0, 7.0);
         }
         let arm = ArmModel::puma560();
@@ -170,11 +175,11 @@ impl ServoArgs {
                 within(key, *value, 1e-3, most(limit));
             }
         };
-        limited("velocity", &args.velocity, |limit| limit.velocity);
-        limited("acceleration", &args.acceleration, |limit| {
+        limited("velocity", &self.velocity, |limit| limit.velocity);
+        limited("acceleration", &self.acceleration, |limit| {
             limit.acceleration
         });
-        sound.then_some(args)
+        sound
     }
 
     /// The arm with the limits given.

@@ -47,15 +47,13 @@ pub(super) fn register(registry: &mut Registry) {
                 parts: None,
             })
         })
-        .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(task.args.parse::<ClientArgs>()) {
-                for (key, name, handler) in [
-                    ("servo", &args.servo, SERVO),
-                    ("state", &args.state, STATE),
-                    ("planner", &args.planner, PLANNER),
-                ] {
-                    check_reference(task, app, findings, (key, name), handler, false);
-                }
+        .checked_args::<ClientArgs>(|args, task, app, findings| {
+            for (key, name, handler) in [
+                ("servo", &args.servo, SERVO),
+                ("state", &args.state, STATE),
+                ("planner", &args.planner, PLANNER),
+            ] {
+                check_reference(task, app, findings, (key, name), handler, false);
             }
         });
 }

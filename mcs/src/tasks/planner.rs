@@ -36,10 +36,8 @@ pub(super) fn register(registry: &mut Registry) {
                 ending: None,
             })
         })
-        .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(task.args.parse::<PartArgs>()) {
-                check_reference(task, app, findings, ("servo", &args.servo), SERVO, true);
-            }
+        .checked_args::<PartArgs>(|args, task, app, findings| {
+            check_reference(task, app, findings, ("servo", &args.servo), SERVO, true);
         });
 }
 

@@ -74,7 +74,9 @@ pub(super) fn register(registry: &mut Registry, drivers: Arc<DriverRegistry>) {
     let known = Arc::clone(&drivers);
     registry
         .handler(SERVO, &COMMANDS, move |cx| ServoTask::new(cx, &drivers))
-        .check_in_app(move |task, app, findings| check(task, app, &known, findings));
+        .checked_args::<ServoArgs>(move |args, task, app, findings| {
+            check(args, (task, app), &known, findings);
+        });
 }
 
 fn driver_args(task: &TaskConfig) -> Node {
@@ -84,10 +86,15 @@ fn driver_args(task: &TaskConfig) -> Node {
         .unwrap_or_else(Node::table)
 }
 
-fn check(task: &TaskConfig, app: &App, drivers: &DriverRegistry, findings: &mut Findings) {
-    let Some(args) = ServoArgs::read(task, findings) else {
+fn check(
+    args: &ServoArgs,
+    (task, app): (&TaskConfig, &App),
+    drivers: &DriverRegistry,
+    findings: &mut Findings,
+) {
+    if !args.check(task, findings) {
         return;
-    };
+    }
     match drivers.kind(&args.driver) {
         Some(kind) => kind.run_check(task, app, &driver_args(task), findings),
         None => findings.push(unknown_driver(task, &args.driver, drivers)),

@@ -72,6 +72,7 @@ pub fn register<S: 'static>(
         .handler(name, &COMMANDS, move |cx| {
             NetTask::from_args(cx, build(), None)
         })
+        .keys(&KEYS)
         .check_in_app(move |task, app, findings| {
             check_args(task, app, &library().names(), findings);
         })

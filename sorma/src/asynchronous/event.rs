@@ -1,5 +1,6 @@
 //! The class `event`: whoever asks it with EXEC notifies all who subscribe to it.
 
+use crate::description::Form;
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::transport::Transport;
@@ -14,6 +15,24 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Event>> = LazyLock::new(|| {
          in text with a `stream`); it answers the same data. A flavor of one's own, with an empty recipe, is an event \
          of one's own",
     )
+    .exec(&[
+        Form {
+            text: "",
+            floats: Form::ANY,
+            takes: "whatever the event tells",
+            gives: "the same",
+            results: "",
+            help: "tells all who subscribe",
+        },
+        Form {
+            text: "TEXT",
+            floats: Form::ANY,
+            takes: "whatever the event tells",
+            gives: "the same",
+            results: "",
+            help: "tells all who subscribe",
+        },
+    ])
 });
 
 impl ServiceObject for Event {

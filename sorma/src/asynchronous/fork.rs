@@ -3,6 +3,7 @@
 
 use super::answer::{begin, request};
 use super::tickets::Tickets;
+use crate::description::Form;
 use crate::ipc::answer::{NOT_YET, int, split};
 use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
@@ -52,6 +53,32 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Fork>> = LazyLock::new(|| {
          that is not 0 is the answer's. With -object: EXEC with any data asks that object with EXEC and the same data, and \
          does not wait: IMSG 1 TICKET",
     )
+    .exec(&[
+        Form {
+            text: "REQUEST ..",
+            floats: 0,
+            takes: "",
+            gives: "the replies, a line each; their floats; their return codes in IMSG",
+            results: "",
+            help: "asks several objects at once",
+        },
+        Form {
+            text: "",
+            floats: Form::ANY,
+            takes: "what the object takes",
+            gives: "IMSG 1 TICKET",
+            results: "",
+            help: "with -object: asks that object, and does not wait",
+        },
+        Form {
+            text: "TEXT",
+            floats: Form::ANY,
+            takes: "what the object takes",
+            gives: "IMSG 1 TICKET",
+            results: "",
+            help: "with -object: asks that object, and does not wait",
+        },
+    ])
     .int(
         "width",
         1..=1000,

@@ -26,10 +26,7 @@ pub(super) struct Arguments {
 }
 
 /// Checks the arguments before anything starts, and reads the dictionaries that they name.
-pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
-    let Some(arguments) = findings.keep(task.args.parse::<Arguments>()) else {
-        return;
-    };
+pub(super) fn check(arguments: &Arguments, task: &TaskConfig, app: &App, findings: &mut Findings) {
     for (number, file) in arguments.dictionary.iter().enumerate() {
         let place = task.args.locate(&format!("dictionary.{number}"));
         let source = app.read(file).map_err(|finding| finding.at(place));

@@ -2,6 +2,7 @@
 //! change, so that waiting for a change is asking for a later version (SORMA technical report, figure 1.10).
 
 use super::answer::{after, code, int, not_yet, number, split, wrong};
+use crate::description::Form;
 use crate::name::suggestion;
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::opaque::Opaque;
@@ -85,6 +86,72 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Board>> = LazyLock::new(|| {
          VERSION (0: any), else `not yet`; swap KEY VERSION [TEXT]: as set, but only if the value has that version; \
          remove KEY; keys [PREFIX]; changes VERSION: the keys that changed after it, with IMSG 1, the version now",
     )
+    .exec(&[
+        Form {
+            text: "set KEY",
+            floats: Form::ANY,
+            takes: "the value",
+            gives: "IMSG 1 VERSION",
+            results: "",
+            help: "sets a value; a text may stand after the key",
+        },
+        Form {
+            text: "swap KEY VERSION",
+            floats: Form::ANY,
+            takes: "the value",
+            gives: "IMSG 1 VERSION",
+            results: "",
+            help: "sets a value, but only if it has that version",
+        },
+        Form {
+            text: "get KEY",
+            floats: 0,
+            takes: "",
+            gives: "the value; IMSG 2: its version, and when it was set (ns)",
+            results: "",
+            help: "tells a value",
+        },
+        Form {
+            text: "wait KEY VERSION",
+            floats: 0,
+            takes: "",
+            gives: "the value, or `not yet`",
+            results: "",
+            help: "tells a value that is later than VERSION",
+        },
+        Form {
+            text: "remove KEY",
+            floats: 0,
+            takes: "",
+            gives: "nothing",
+            results: "",
+            help: "removes a key",
+        },
+        Form {
+            text: "keys",
+            floats: 0,
+            takes: "",
+            gives: "the keys",
+            results: "",
+            help: "tells the keys",
+        },
+        Form {
+            text: "keys PREFIX",
+            floats: 0,
+            takes: "",
+            gives: "the keys that begin so",
+            results: "",
+            help: "tells some of the keys",
+        },
+        Form {
+            text: "changes VERSION",
+            floats: 0,
+            takes: "",
+            gives: "the keys that changed after it; IMSG 1, the version now",
+            results: "",
+            help: "tells what changed",
+        },
+    ])
     .int(
         "capacity",
         1..=1_000_000,

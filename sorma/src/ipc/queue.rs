@@ -3,6 +3,7 @@
 
 use super::answer::{after, code, int, not_yet, number, seconds, split, wrong};
 use super::tickets::{Tickets, Turn};
+use crate::description::Form;
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -87,6 +88,64 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Queue>> = LazyLock::new(|| {
          `not yet`, with IMSG 1 TICKET when there is a time to wait, with which claim TICKET asks again, in turn; \
          drop TICKET: waits no more; length: IMSG 2, items and those who wait",
     )
+    .exec(&[
+        Form {
+            text: "put",
+            floats: Form::ANY,
+            takes: "the item",
+            gives: "nothing",
+            results: "",
+            help: "adds an item",
+        },
+        Form {
+            text: "put TEXT",
+            floats: Form::ANY,
+            takes: "the item",
+            gives: "nothing",
+            results: "",
+            help: "adds an item",
+        },
+        Form {
+            text: "take",
+            floats: 0,
+            takes: "",
+            gives: "the oldest item, or `not yet`",
+            results: "",
+            help: "takes an item",
+        },
+        Form {
+            text: "take SECONDS",
+            floats: 0,
+            takes: "",
+            gives: "the oldest item, or `not yet` with IMSG 1 TICKET",
+            results: "",
+            help: "takes an item, or stands in line for so long",
+        },
+        Form {
+            text: "claim TICKET",
+            floats: 0,
+            takes: "",
+            gives: "the item, or `not yet`",
+            results: "",
+            help: "asks again, in turn",
+        },
+        Form {
+            text: "drop TICKET",
+            floats: 0,
+            takes: "",
+            gives: "nothing",
+            results: "",
+            help: "waits no more",
+        },
+        Form {
+            text: "length",
+            floats: 0,
+            takes: "",
+            gives: "IMSG 2: items, and those who wait",
+            results: "",
+            help: "tells how long it is",
+        },
+    ])
     .int(
         "capacity",
         1..=1_000_000,

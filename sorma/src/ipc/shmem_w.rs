@@ -2,6 +2,7 @@
 
 use super::answer::{int, wrong};
 use super::host::{Host, buffer, buffer_error};
+use crate::description::Form;
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -25,6 +26,24 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
         "writes records into a snapshot buffer. EXEC FMSG: the floats of a record, opaque or TMSG: its \
          bytes; answers IMSG 1: the number of the record",
     )
+    .exec(&[
+        Form {
+            text: "",
+            floats: Form::ANY,
+            takes: "the floats of a record",
+            gives: "IMSG 1: the number of the record",
+            results: "",
+            help: "writes a record",
+        },
+        Form {
+            text: "TEXT",
+            floats: Form::ANY,
+            takes: "the floats of a record",
+            gives: "IMSG 1: the number of the record",
+            results: "",
+            help: "writes a record with bytes",
+        },
+    ])
     .word(
         "name",
         "BUFFER",

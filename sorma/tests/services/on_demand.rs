@@ -8,7 +8,12 @@ use ctos::task::{Context, Handled, Phase};
 
 /// How often a chassis came up after the app's boot.
 fn starts(seen: &[BootEvent], name: &str) -> usize {
-    let of = |event: &&BootEvent| matches!(event, BootEvent::Restarted { chassis, .. } if chassis == name);
+    let of = |event: &&BootEvent| {
+        matches!(
+            event,
+            BootEvent::Awake { chassis, .. } | BootEvent::Restarted { chassis, .. } if chassis == name
+        )
+    };
     seen.iter().filter(of).count()
 }
 
@@ -52,6 +57,21 @@ fn the_first_request_starts_it_and_those_after_it_find_it() {
     .run_seen();
     assert_eq!(result, Ok(String::new()));
     assert_eq!(starts(&seen, "shelf"), 1, "{seen:?}");
+    // It is no restart, and who asked first is told.
+    let asked = seen.iter().find_map(|event| match event {
+        BootEvent::Wanted { chassis, task, by } => Some((chassis, task.as_deref(), by)),
+        _ => None,
+    });
+    let (chassis, task, by) = asked.unwrap();
+    assert_eq!((chassis.as_str(), task), ("shelf", Some("d2")));
+    assert!(by.is_some(), "{seen:?}");
+    let restarts = |event: &BootEvent| {
+        matches!(
+            event,
+            BootEvent::Restarting { .. } | BootEvent::Restarted { .. }
+        )
+    };
+    assert!(!seen.iter().any(restarts), "{seen:?}");
 }
 
 #[test]

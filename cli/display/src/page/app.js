@@ -431,7 +431,8 @@ class App extends Moments {
       }
       return this.tasks.get(task)?.now;
     };
-    const text = first === null || this.forks.size > 0 ? "nothing is under way" : whyOf(first, this.nets, (net) => this.stateOf(net), nowOf, this.now());
+    const text = this.nets.size === 0 ? "waiting for the nets of the app"
+      : first === null || this.forks.size > 0 ? "nothing is under way" : whyOf(first, this.nets, (net) => this.stateOf(net), nowOf, this.now());
     if ($("why").textContent !== text) $("why").textContent = text;
   }
 

@@ -4,7 +4,7 @@
 export const RADIUS = 13;
 export const BAR = { width: 8, height: 32 };
 /** How far a node's halo, breakpoint and note reach, px. */
-const REACH = 26;
+const REACH = 34;
 const TURN = 2 * Math.PI;
 
 /** The colours of the page, by their names in its style; read again when the scheme changes. */
@@ -108,7 +108,7 @@ export class Field {
     }
   }
 
-  place(pen, { node, kind, count, chosen }, small) {
+  place(pen, { node, kind, count, chosen, armed }, small) {
     const { palette } = this;
     if (chosen) ring(pen, node, RADIUS + 5, palette.mark, 2);
     pen.beginPath();
@@ -116,6 +116,7 @@ export class Field {
     pen.fillStyle = small && count > 0 ? palette.token : palette.panel;
     pen.fill();
     ring(pen, node, RADIUS, count > 0 ? palette.token : kind === "remote" ? palette.faint : palette.ring, count > 0 ? 2.1 : 1.5);
+    if (armed) this.stop(pen, node.x - 14, node.y - 12, small);
     if (small || !(count > 0)) return;
     pen.fillStyle = palette.token;
     if (count === 1) {
@@ -152,7 +153,7 @@ export class Field {
       pen.lineWidth = 1.8;
       pen.strokeRect(x, y, width, height);
     }
-    if (armed) dot(pen, node.lying ? node.x : node.x - 12, node.lying ? node.y - 12 : node.y - 20, 4.5, palette.failed);
+    if (armed) this.stop(pen, node.lying ? node.x : node.x - 12, node.lying ? node.y - 12 : node.y - 20, small);
     if (net.notes.some((one) => one.node === node.name)) dot(pen, node.x + 12, node.y - 14, 5, palette.running);
   }
 
@@ -167,7 +168,12 @@ export class Field {
     pen.textAlign = "center";
     pen.fillStyle = palette.token;
     pen.fillText(count > 0 ? `● ${count}` : "…", node.x, node.y + 4);
-    if (armed) dot(pen, node.x - 22, node.y - 15, 4.5, palette.failed);
+    if (armed) this.stop(pen, node.x - 22, node.y - 15, this.scale < 0.25);
+  }
+
+  /** A breakpoint; larger where the drawing is so small that it would not be seen. */
+  stop(pen, x, y, small) {
+    dot(pen, x, y, small ? 11 : 4.5, this.palette.failed);
   }
 
   /** The node at a point, px of the drawing. */

@@ -165,7 +165,9 @@ export class Table {
     found.sort((a, b) => b.event.at_ns - a.event.at_ns || b.event.seq - a.event.seq);
     const most = app.cursor === null && app.mode === "live" ? LIVE_ROWS : MOST_ROWS;
     const rows = found.slice(0, most);
-    this.count.textContent = found.length > most ? `latest ${most}` : `${rows.length}`;
+    const unfiltered = wanted.value === "" && unwanted.value === "";
+    this.count.textContent = found.length > most ? `latest ${most}`
+      : rows.length === 0 && unfiltered && app.cursor !== null ? "none until this moment: ▶ goes on" : `${rows.length}`;
     this.body.replaceChildren(...rows.map((row, index) => this.row(row, index === 0)));
   }
 

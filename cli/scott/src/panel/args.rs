@@ -74,10 +74,7 @@ fn daemons(app: &App) -> impl Iterator<Item = String> {
 }
 
 /// Checks a panel's arguments against the app.
-pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
-    let Some(args) = findings.keep(task.args.parse::<PanelArgs>()) else {
-        return;
-    };
+pub(super) fn check(args: &PanelArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
     let at = |finding: Finding, key: &str| page::at(task, key, finding);
     let name = &task.name;
     for file in &args.panels {

@@ -20,7 +20,7 @@ use ctos_core::{
     phase::Phase,
     supervise::Restarts,
     sync::Signal,
-    system::{self, ChassisNews, News, ProcessEnded, RestartChassis, TaskName},
+    system::{self, ChassisNews, ChassisWanted, News, ProcessEnded, RestartChassis, TaskName},
 };
 use ctos_message::Tid;
 use ctos_time::{Instant, seed::mix};
@@ -38,7 +38,7 @@ pub(super) enum Event {
     /// A person wants it anew.
     Restart,
     /// Somebody looks for a task of it.
-    Wanted,
+    Wanted(ChassisWanted),
     /// The app is being stopped.
     Stop,
 }
@@ -88,7 +88,9 @@ pub(super) struct Member {
     pub(super) reached: Cell<Option<Phase>>,
     /// What kept its tasks from a phase while the app was booted: task and reason.
     pub(super) failures: RefCell<Vec<(String, String)>>,
-    /// When the incarnation before this one failed.
+    /// Whether this incarnation is the first of a chassis that starts on demand.
+    pub(super) first: Cell<bool>,
+    /// When the incarnation before this one failed, or the first one was wanted.
     pub(super) failed_at: Cell<Option<Instant>>,
     /// It starts on demand, and nobody has asked for it yet.
     pub(super) asleep: Cell<bool>,
@@ -116,6 +118,7 @@ impl Member {
             reached: Cell::default(),
             failures: RefCell::default(),
             failed_at: Cell::default(),
+            first: Cell::new(false),
             asleep: Cell::new(config.start == Start::OnDemand),
             restarts: RefCell::default(),
             events: Inbox::default(),
@@ -358,10 +361,10 @@ impl Board {
         Ok(())
     }
 
-    /// Somebody looks for a task of chassis `index`.
-    pub(super) fn is_wanted(&self, index: u8) {
-        if let Some(member) = self.member(index) {
-            member.tell(Event::Wanted);
+    /// Somebody looks for a task of a chassis.
+    pub(super) fn is_wanted(&self, wanted: ChassisWanted) {
+        if let Some(member) = self.member(wanted.chassis) {
+            member.tell(Event::Wanted(wanted));
         }
     }
 

@@ -72,6 +72,7 @@ impl Supervisor {
                 self.board.tell_names(News::Away(self.member.index));
             }
             self.member.reached.set(None);
+            self.member.first.set(false);
             self.member.failed_at.set(Some(failed_at));
             let death = self.bury(over).await?;
             let (incarnation, pause) = self.judge(death)?;
@@ -100,9 +101,22 @@ impl Supervisor {
     async fn sleep(&self) -> Result<(), Done> {
         self.board.tell_names(News::Away(self.member.index));
         self.member.report.borrow_mut().state = ChassisState::Waiting;
-        let wanted = |event| matches!(event, Event::Wanted | Event::Restart).then_some(());
-        self.until(wanted).await?;
+        let wanted = self.until(|event| match event {
+            Event::Wanted(wanted) => Some(Some(wanted)),
+            Event::Restart => Some(None),
+            _ => None,
+        });
+        let (task, by) = match wanted.await? {
+            Some(wanted) => (Some(wanted.task), wanted.by),
+            None => (None, None),
+        };
+        self.board.event(&BootEvent::Wanted {
+            chassis: self.name(),
+            task,
+            by,
+        });
         self.member.asleep.set(false);
+        self.member.first.set(true);
         self.member.failed_at.set(Some(self.board.cx.now()));
         self.step(ChassisStep::Paused);
         let incarnation = {
@@ -156,7 +170,7 @@ impl Supervisor {
         self.step(ChassisStep::Joined);
         let up = std::pin::pin!(self.up());
         let trouble = std::pin::pin!(self.until(|event| match event {
-            Event::Joined | Event::Wanted | Event::Stop => None,
+            Event::Joined | Event::Wanted(_) | Event::Stop => None,
             Event::Lost => Some(Over::Lost),
             Event::Dead(ending) => Some(Over::Dead(ending)),
             Event::TaskFailed { task, reason } => {
@@ -210,10 +224,19 @@ impl Supervisor {
                     board.cx.chassis().post_system(agent, announce);
                 }
             }
-            board.event(&BootEvent::Restarted {
-                chassis,
-                tasks: self.member.tasks().len(),
-                took: board.cx.now().since(failed_at),
+            let tasks = self.member.tasks().len();
+            let took = board.cx.now().since(failed_at);
+            board.event(&match self.member.first.get() {
+                true => BootEvent::Awake {
+                    chassis,
+                    tasks,
+                    took,
+                },
+                false => BootEvent::Restarted {
+                    chassis,
+                    tasks,
+                    took,
+                },
             });
             self.member.answer_restarts(Ok(()));
         }

@@ -50,7 +50,7 @@ impl Names {
     ) -> Handled {
         let found = self.find(cx, reply.asker(), &request);
         if matches!(found, Err(Missing::Away { .. })) {
-            want(cx, &request.name);
+            want(cx, &request.name, self.name_of(reply.asker()));
         }
         match found {
             Err(Missing::Away { .. }) if request.waits => {
@@ -69,6 +69,14 @@ impl Names {
             // A reply cannot fail.
             let _ = self.asked(cx, request, reply);
         }
+    }
+
+    /// The task with this id.
+    pub(super) fn name_of(&self, tid: Tid) -> Option<String> {
+        let mut names = self.names.iter();
+        names
+            .find(|(_, own)| **own == tid)
+            .map(|(name, _)| name.clone())
     }
 
     fn find(&self, cx: &Context, from: Tid, request: &FindTid) -> Result<Tid, Missing> {
@@ -113,13 +121,18 @@ impl Names {
     }
 }
 
-/// Has the chassis of a task started, if it starts on demand.
-pub(super) fn want(cx: &Context, name: &str) {
+/// Has the chassis of a task started for `by`, if it starts on demand.
+pub(super) fn want(cx: &Context, name: &str, by: Option<String>) {
     let home = cx.app().task(name).map(|task| task.chassis.as_str());
     let here = cx.chassis();
     let mut sleepers = here.others().filter(|index| here.starts_on_demand(*index));
     if let Some(chassis) = sleepers.find(|index| Some(here.name_of(*index)) == home) {
-        here.post_system(BOOTSTRAP, ChassisWanted { chassis });
+        let wanted = ChassisWanted {
+            chassis,
+            task: name.to_owned(),
+            by,
+        };
+        here.post_system(BOOTSTRAP, wanted);
     }
 }
 

@@ -52,7 +52,8 @@ fn a_handler_whose_commands_cannot_be_told_apart_is_refused_once_where_a_task_na
 #[test]
 fn tasks_that_wait_for_each_other_in_their_startup_are_refused_with_the_circle() {
     let mut registry = Registry::new();
-    registry.handler("h", &[], |_| Ok(Idle)).waits_for(|task| {
+    let kind = registry.handler("h", &[], |_| Ok(Idle));
+    kind.keys(&["waits_for"]).waits_for(|task| {
         let on = task.args.get("waits_for").and_then(|on| on.as_str());
         on.map(str::to_owned).into_iter().collect()
     });

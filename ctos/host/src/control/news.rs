@@ -52,7 +52,9 @@ pub(super) async fn ended(news: &mut broadcast::Receiver<News>) {
 pub(super) async fn restarted(news: &mut broadcast::Receiver<News>) -> Option<String> {
     loop {
         match news.recv().await {
-            Ok(News::Event(BootEvent::Restarted { chassis, .. })) => return Some(chassis),
+            Ok(News::Event(
+                BootEvent::Awake { chassis, .. } | BootEvent::Restarted { chassis, .. },
+            )) => return Some(chassis),
             Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return None,
             Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
         }

@@ -12,7 +12,7 @@
 use ctos::time::Clock;
 use libtest_mimic::{Arguments, Failed, Trial};
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
-use sorma::snapshot::{Layout, Place, Reader, Snapshot, Waited, Writer, WriterState};
+use sorma_snapshot::{Layout, Place, Reader, Snapshot, Waited, Writer, WriterState};
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::{fs::FileExt, process::parent_id};
 use std::path::Path;

@@ -7,7 +7,7 @@
 
 use ctos::time::Clock;
 use divan::{Bencher, black_box, counter::BytesCount};
-use sorma::snapshot::{Layout, Place, Reader, Snapshot, Writer};
+use sorma_snapshot::{Layout, Place, Reader, Snapshot, Writer};
 
 /// Bytes of a large frame.
 const FRAME: usize = 1 << 20;
