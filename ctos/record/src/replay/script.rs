@@ -113,18 +113,16 @@ impl Script {
         let Some(first) = on(format!("/began/{task}")).next() else {
             return Err(not_recorded(record, task));
         };
-        let seeds: BTreeSet<&String> = record
-            .runs
-            .iter()
-            .filter_map(|run| run.noted.get("seed"))
-            .collect();
+        let noted = |key: &str| {
+            let key = key.to_owned();
+            record.runs.iter().map(move |run| run.noted.get(&key))
+        };
+        let seeds: BTreeSet<&String> = noted("seed").flatten().collect();
         if seeds.len() > 1 {
-            return Err(incomplete(
-                "the files are of different runs: their seeds differ",
-            ));
+            let why = "the files are of different runs: their seeds differ";
+            return Err(incomplete(why));
         }
-        let runs = record.runs.iter();
-        if record.runs.iter().any(|run| !run.noted.contains_key(TURNS)) {
+        if noted(TURNS).any(|turns| turns.is_none()) {
             return Err(incomplete(
                 "it was made by an earlier version of ctos, which did not note all that a task reads; record the app anew",
             ));
@@ -141,12 +139,10 @@ impl Script {
             script: Self {
                 tid,
                 seed: seeds.first().and_then(|seed| seed.parse().ok()),
-                real: runs
-                    .clone()
-                    .any(|run| run.noted.get("time").is_some_and(|time| time == "real")),
-                drift: runs
-                    .filter_map(|run| drift_of(run.noted.get(&drift)?))
-                    .next()
+                real: noted("time").flatten().any(|time| time == "real"),
+                drift: noted(&drift)
+                    .flatten()
+                    .find_map(|text| drift_of(text))
                     .unwrap_or_default(),
                 names: BTreeMap::new(),
                 lost: record.runs.iter().map(|run| run.lost).sum(),
@@ -356,9 +352,10 @@ impl Reader<'_> {
     }
 
     fn phase(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let phase: PhaseRead =
+        let phase: BTreeMap<String, String> =
             serde_json::from_slice(&entry.json).map_err(|_| unreadable(entry))?;
-        if phase.task == self.task && phase.phase == "built" {
+        let is = |key: &str, value: &str| phase.get(key).is_some_and(|there| there == value);
+        if is("task", self.task) && is("phase", "built") {
             self.begin_turn(entry.at, 0, What::Built);
             let loose = std::mem::take(&mut self.loose);
             *self.takes() = loose;
@@ -369,12 +366,8 @@ impl Reader<'_> {
     /// The message that the task was given.
     fn begun(&self, entry: &Entry, key: Key, id: Number) -> Result<Sent, ReplayError> {
         let task = self.task;
-        if !self
-            .script
-            .steps
-            .iter()
-            .any(|step| step.what == What::Built)
-        {
+        let mut steps = self.script.steps.iter();
+        if !steps.any(|step| step.what == What::Built) {
             return Err(incomplete(format!(
                 "it does not hold the beginning of `{task}`: it was begun while the app ran, or leaves out the channel /phase; record the whole run with `ctos boot --record FILE`"
             )));
@@ -413,12 +406,6 @@ impl Reader<'_> {
             self.script.refused.insert(id, fault);
         }
     }
-}
-
-#[derive(serde::Deserialize)]
-struct PhaseRead {
-    task: String,
-    phase: String,
 }
 
 fn parsed(entry: &Entry) -> Result<(Traffic, Vec<u8>), ReplayError> {
