@@ -154,15 +154,7 @@ impl Simulation {
         if let Some(recording) = &self.recording {
             recording.add(&new);
         }
-        let mut all: Vec<_> = self
-            .machines
-            .iter()
-            .map(|one| one.chassis.clone())
-            .collect();
-        if let Some(place) = all.get_mut(usize::from(index)) {
-            place.clone_from(&new);
-        }
-        self.events.watch(&new, &all);
+        self.events.watch(&new);
         ctos_bootstrap::bootstrap::start_system_tasks(&new, None);
         self.casualties.remove(&index);
         if let Some(place) = self.machines.get_mut(usize::from(index)) {
