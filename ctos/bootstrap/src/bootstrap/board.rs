@@ -7,9 +7,8 @@ use std::{
     rc::Rc,
 };
 
-use crate::bootstrap::{AppReport, BootState, ChassisState, MemberReport};
 use crate::bootstrap::{
-    BootEvent, End, ProcessOrder, Seat,
+    AppReport, BootEvent, BootState, ChassisState, End, MemberReport, ProcessOrder, Seat,
     states::{BootStep, ChassisStep, Table},
 };
 use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure, Start};
@@ -41,6 +40,14 @@ pub(super) enum Event {
     Wanted,
     /// The app is being stopped.
     Stop,
+}
+
+/// An error unless there are no failures.
+pub(super) fn none<T>(failures: Vec<T>) -> Result<(), Vec<T>> {
+    match failures.is_empty() {
+        true => Ok(()),
+        false => Err(failures),
+    }
 }
 
 /// What is told to somebody who takes it one by one.
@@ -275,11 +282,7 @@ impl Board {
         }
         let failures = self.members.iter().map(|one| one.failures.borrow().clone());
         let failures = failures.collect::<Vec<_>>().concat();
-        if failures.is_empty() {
-            Ok(())
-        } else {
-            Err(failures)
-        }
+        none(failures)
     }
 
     /// The sequence that boots the app shall look again.

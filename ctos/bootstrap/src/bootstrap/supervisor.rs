@@ -8,7 +8,7 @@ use futures_util::future::{Either, join_all, select};
 
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
-    board::{Board, Event, Member},
+    board::{Board, Event, Member, none},
     explain::explained,
     states::{ChassisState, ChassisStep},
 };
@@ -74,26 +74,29 @@ impl Supervisor {
             self.member.reached.set(None);
             self.member.failed_at.set(Some(failed_at));
             let death = self.bury(over).await?;
-            let (incarnation, pause) = self.judge(death)?;
+            let pause = self.judge(death)?;
             self.step(ChassisStep::DeadMayRestart);
             self.board.event(&BootEvent::Restarting {
                 chassis: self.name(),
-                incarnation,
+                incarnation: self.member.report.borrow().incarnation + 1,
                 pause,
             });
             // A person need not wait for the pause.
             let asked = self.until(|event| matches!(event, Event::Restart).then_some(()));
             let paused = self.board.cx.timeout(pause, asked).await;
             paused.unwrap_or(Ok(()))?;
-            self.step(ChassisStep::Paused);
-            {
-                let mut report = self.member.report.borrow_mut();
-                report.incarnation = incarnation;
-                report.tasks.clear();
-            }
-            let order = ProcessOrder::Start(self.member.index, incarnation);
-            self.board.order(order);
+            self.start();
         }
+    }
+
+    /// Has the next process started.
+    fn start(&self) {
+        self.step(ChassisStep::Paused);
+        let mut report = self.member.report.borrow_mut();
+        report.incarnation += 1;
+        report.tasks.clear();
+        let order = ProcessOrder::Start(self.member.index, report.incarnation);
+        self.board.order(order);
     }
 
     /// Until somebody looks for one of its tasks there is no process; then one starts, as after a restart.
@@ -104,14 +107,7 @@ impl Supervisor {
         self.until(wanted).await?;
         self.member.asleep.set(false);
         self.member.failed_at.set(Some(self.board.cx.now()));
-        self.step(ChassisStep::Paused);
-        let incarnation = {
-            let mut report = self.member.report.borrow_mut();
-            report.incarnation += 1;
-            report.incarnation
-        };
-        self.board
-            .order(ProcessOrder::Start(self.member.index, incarnation));
+        self.start();
         Ok(())
     }
 
@@ -140,14 +136,14 @@ impl Supervisor {
     async fn live(&self) -> Result<Over, Done> {
         let timeout = self.board.cx.app().phase_timeout;
         let joined = self.until(|event| match event {
-            Event::Joined => Some(None),
-            Event::Dead(ending) => Some(Some(Over::Dead(ending))),
+            Event::Joined => Some(Ok(())),
+            Event::Dead(ending) => Some(Err(Over::Dead(ending))),
             // Of the process before this one, or of a person who has what he wants.
             _ => None,
         });
         match self.board.cx.timeout(timeout, joined).await {
             Ok(joined) => {
-                if let Some(over) = joined? {
+                if let Err(over) = joined? {
                     return Ok(over);
                 }
             }
@@ -201,12 +197,10 @@ impl Supervisor {
             // Before anybody is told and may look for its tasks.
             board.tell_names(News::Back(self.member.index));
             for other in board.cx.chassis().others().chain([0]) {
-                if other != self.member.index && (other == 0 || board.cx.chassis().is_linked(other))
-                {
-                    let announce = AnnounceUp {
-                        chassis: chassis.clone(),
-                    };
-                    let agent = system::agent_tid(other);
+                let is_there = other == 0 || board.cx.chassis().is_linked(other);
+                if other != self.member.index && is_there {
+                    let (agent, chassis) = (system::agent_tid(other), chassis.clone());
+                    let announce = AnnounceUp { chassis };
                     board.cx.chassis().post_system(agent, announce);
                 }
             }
@@ -228,14 +222,10 @@ impl Supervisor {
             self.board.changed();
             return pending().await;
         }
-        let failures: Vec<String> = failures
-            .iter()
-            .map(|(task, reason)| format!("`{task}`: {reason}"))
-            .collect();
-        format!(
-            "did not pass startup phase `{phase}`: {}",
-            failures.join("; ")
-        )
+        let failures = failures.iter();
+        let failures = failures.map(|(task, reason)| format!("`{task}`: {reason}"));
+        let failures = failures.collect::<Vec<_>>().join("; ");
+        format!("did not pass startup phase `{phase}`: {failures}")
     }
 
     /// Lets the agent create the tasks.
@@ -255,11 +245,7 @@ impl Supervisor {
         match call.deadline(timeout).await {
             Ok(created) => {
                 self.member.report.borrow_mut().tasks = created.tasks;
-                if created.failed.is_empty() {
-                    Ok(())
-                } else {
-                    Err(created.failed)
-                }
+                none(created.failed)
             }
             // The process is gone, which is told in another way.
             Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
@@ -356,11 +342,11 @@ impl Supervisor {
 
     /// Ends when the process is dead, with how.
     async fn dead(&self) -> Result<ProcessEnded, Done> {
-        let dead = self.until(|event| match event {
+        self.until(|event| match event {
             Event::Dead(ending) => Some(ending),
             _ => None,
-        });
-        dead.await
+        })
+        .await
     }
 
     /// Waits for the end of the process, and ends it when that takes too long. When even that does not
@@ -392,20 +378,16 @@ impl Supervisor {
         closed
     }
 
-    /// What the policy says to the death: the number of the next incarnation and the pause before it. Where
-    /// there is none the app ends.
-    fn judge(&self, death: Death) -> Result<(u32, Duration), Done> {
-        let mut report = self.member.report.borrow_mut();
-        report.last_end = Some(death.reason.clone());
-        let incarnation = report.incarnation.saturating_add(1);
-        drop(report);
+    /// What the policy says to the death: the pause before the next incarnation. Where there is none the app ends.
+    fn judge(&self, death: Death) -> Result<Duration, Done> {
+        self.member.report.borrow_mut().last_end = Some(death.reason.clone());
         if death.asked {
-            return Ok((incarnation, Duration::ZERO));
+            return Ok(Duration::ZERO);
         }
         let now = self.board.cx.now();
         let verdict = self.member.intensity.borrow_mut().judge(death.ended, now);
         match verdict {
-            Verdict::RestartAfter(pause) => Ok((incarnation, pause)),
+            Verdict::RestartAfter(pause) => Ok(pause),
             Verdict::StayDown => {
                 let chassis = self.name();
                 let why = format!("{} and may not be started again", death.reason);
