@@ -236,10 +236,7 @@ impl Simulation {
     }
 
     fn run(mut self) -> Run {
-        if let Some(boot) = self.machines.first() {
-            boot.chassis
-                .post_system(system::BOOTSTRAP, system::AllLinked {});
-        }
+        self.tell_boot(system::AllLinked {});
         let end = loop {
             if let Some(end) = lock(&self.end).take() {
                 break end;
@@ -374,10 +371,7 @@ impl Simulation {
         }
         if self.stops.first().is_some_and(|at| *at <= moment) {
             self.stops.pop_first();
-            if let Some(boot) = self.machines.first() {
-                boot.chassis
-                    .post_system(system::BOOTSTRAP, system::Interrupt {});
-            }
+            self.tell_boot(system::Interrupt {});
         }
         while let Some(flight) = self.network.arrive(moment) {
             self.land(flight, moment);

@@ -32,8 +32,8 @@ pub(super) enum Event {
     Lost,
     /// Its process is dead.
     Dead(ProcessEnded),
-    /// A task of it failed for good.
-    TaskFailed { task: String, reason: String },
+    /// It must go, for a reason that completes "the chassis ...".
+    Failed(String),
     /// A person wants it anew.
     Restart,
     /// Somebody looks for a task of it.
@@ -342,7 +342,10 @@ impl Board {
             self.is_up() && one.policy.on_task_failure == OnTaskFailure::RestartChassis
         };
         match self.member(index).filter(contains) {
-            Some(member) => member.tell(Event::TaskFailed { task, reason }),
+            Some(member) => {
+                let reason = format!("has a task that failed: `{task}`: {reason}");
+                member.tell(Event::Failed(reason));
+            }
             None => self.end(End::TaskFailed { task, reason }),
         }
     }

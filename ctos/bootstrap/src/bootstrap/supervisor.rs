@@ -24,20 +24,8 @@ use ctos_message::fault::Fault;
 /// How long the links of a dead process may take to close.
 const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Why an incarnation of a chassis is over.
-enum Over {
-    /// Its process is dead.
-    Dead(ProcessEnded),
-    /// Nobody is connected to it any more.
-    Lost,
-    /// It must go, for a reason that completes "the chassis ...".
-    Failed(String),
-    /// A person wants it anew.
-    Asked,
-}
-
 /// There is nothing more to supervise: the app ends, or is being stopped.
-struct Done;
+pub(super) struct Done;
 
 /// How a dead process ended, and whether a person wanted it to.
 struct Death {
@@ -47,20 +35,15 @@ struct Death {
     asked: bool,
 }
 
-/// Supervises a chassis until the app is stopped.
-pub(super) async fn supervise(board: Rc<Board>, member: Rc<Member>) {
-    let supervisor = Supervisor { board, member };
-    // Its end is that of the app, which the sequence sees to.
-    let Err(Done) = supervisor.run().await;
-}
-
-struct Supervisor {
-    board: Rc<Board>,
-    member: Rc<Member>,
+/// Supervises a chassis.
+pub(super) struct Supervisor {
+    pub(super) board: Rc<Board>,
+    pub(super) member: Rc<Member>,
 }
 
 impl Supervisor {
-    async fn run(&self) -> Result<Infallible, Done> {
+    /// Supervises it until the app is stopped. That it ends is the end of the app, which the sequence sees to.
+    pub(super) async fn run(&self) -> Result<Infallible, Done> {
         if self.member.asleep.get() {
             self.sleep().await?;
         }
@@ -68,7 +51,7 @@ impl Supervisor {
             let over = self.live().await?;
             let failed_at = self.board.cx.now();
             self.step(ChassisStep::Fails);
-            if matches!(over, Over::Asked) || self.may_return() {
+            if matches!(over, Event::Restart) || self.may_return() {
                 self.board.tell_names(News::Away(self.member.index));
             }
             self.member.reached.set(None);
@@ -132,12 +115,12 @@ impl Supervisor {
         }
     }
 
-    /// One incarnation, from the start of its process until it is over.
-    async fn live(&self) -> Result<Over, Done> {
+    /// One incarnation, from the start of its process until it is over: what ends it.
+    async fn live(&self) -> Result<Event, Done> {
         let timeout = self.board.cx.app().phase_timeout;
         let joined = self.until(|event| match event {
             Event::Joined => Some(Ok(())),
-            Event::Dead(ending) => Some(Err(Over::Dead(ending))),
+            Event::Dead(_) => Some(Err(event)),
             // Of the process before this one, or of a person who has what he wants.
             _ => None,
         });
@@ -147,23 +130,17 @@ impl Supervisor {
                     return Ok(over);
                 }
             }
-            Err(elapsed) => return Ok(Over::Failed(format!("did not connect: {elapsed}"))),
+            Err(elapsed) => return Ok(Event::Failed(format!("did not connect: {elapsed}"))),
         }
         self.step(ChassisStep::Joined);
         let up = std::pin::pin!(self.up());
         let trouble = std::pin::pin!(self.until(|event| match event {
             Event::Joined | Event::Wanted | Event::Stop => None,
-            Event::Lost => Some(Over::Lost),
-            Event::Dead(ending) => Some(Over::Dead(ending)),
-            Event::TaskFailed { task, reason } => {
-                let reason = format!("has a task that failed: `{task}`: {reason}");
-                Some(Over::Failed(reason))
-            }
-            Event::Restart => Some(Over::Asked),
+            trouble => Some(trouble),
         }));
         match select(up, trouble).await {
-            Either::Left((reason, _)) => Ok(Over::Failed(reason)),
-            Either::Right((over, _)) => over,
+            Either::Left((reason, _)) => Ok(Event::Failed(reason)),
+            Either::Right((trouble, _)) => trouble,
         }
     }
 
@@ -278,27 +255,28 @@ impl Supervisor {
     }
 
     /// Makes sure that the process is dead.
-    async fn bury(&self, over: Over) -> Result<Death, Done> {
+    async fn bury(&self, over: Event) -> Result<Death, Done> {
         let (reason, asked) = match over {
-            Over::Dead(ending) => {
+            Event::Dead(ending) => {
                 self.told_failed(&ending.how);
                 self.links_closed().await?;
                 return Ok(Death::of(ending));
             }
-            Over::Lost if !self.may_return() => {
+            Event::Lost if !self.may_return() => {
                 // Its end need not be waited for: the app ends, and that waits for all processes.
                 let chassis = self.name();
                 self.board.end(End::ChassisDown { chassis });
                 return Err(Done);
             }
-            Over::Lost => {
+            Event::Lost => {
                 // Having lost the boot it stops its tasks by itself.
                 let ending = self.dead_or_killed().await?;
                 self.told_failed(&ending.how);
                 return Ok(Death::of(ending));
             }
-            Over::Failed(reason) => (reason, false),
-            Over::Asked => ("was to be restarted".to_owned(), true),
+            Event::Failed(reason) => (reason, false),
+            // The others end nothing.
+            _ => ("was to be restarted".to_owned(), true),
         };
         self.told_failed(&reason);
         let wound_down = Box::pin(self.wind_down(&reason));
