@@ -9,7 +9,7 @@ use tokio::net::UnixStream;
 use super::{Inner, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
+    handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
     security::Keys,
     session::{
         DownReason, Session, drive,
@@ -172,7 +172,7 @@ impl Inner {
                 shared,
             },
         };
-        greet(&mut stream, &greeting).await?;
+        greet(&mut stream, GREETING, &greeting).await?;
         let answer = hear(&mut stream).await?;
         Ok((stream, answer))
     }
@@ -208,7 +208,7 @@ pub(crate) async fn unable(
             chassis: chassis.index(),
             reason: reason.to_owned(),
         };
-        greet(&mut stream, &greeting).await.ok()?;
+        greet(&mut stream, GREETING, &greeting).await.ok()?;
         hang_up(stream).await.ok()
     };
     let _ = tokio::time::timeout(ANSWER_TIMEOUT, tell).await;

@@ -11,7 +11,7 @@ use super::{Inner, MeshEvent};
 use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
+    handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
     security::{Identity, KeyError, Role},
     session::{AttachError, drive},
     shm,
@@ -69,7 +69,7 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
 async fn hear(mesh: &Arc<Inner>, call: Call) -> Result<Option<(Stream, Hello)>, RefusedError> {
     let (mut stream, identity) = call.prove().await?;
     may_be_chassis(identity.as_ref())?;
-    let greeting = hear_greeting(&mut stream).await?;
+    let greeting: Greeting = hear_greeting(&mut stream, GREETING).await?;
     if *greeting.token() != mesh.who.token {
         return Err(HandshakeError::Stranger.into());
     }
