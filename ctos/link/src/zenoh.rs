@@ -9,7 +9,6 @@
 //! zenoh waits on whatever thread it is called from and refuses those of a single-threaded runtime, so it
 //! is called from threads that belong to nobody else.
 
-mod pipe;
 mod settings;
 mod stream;
 
@@ -25,11 +24,13 @@ use ::zenoh::{
     bytes::ZBytes,
     query::{ConsolidationMode, Query},
 };
-use tokio::sync::{Mutex as AsyncMutex, mpsc, oneshot};
+use tokio::{
+    runtime::Handle,
+    sync::{Mutex as AsyncMutex, mpsc, oneshot},
+};
 
-pub use self::stream::ZenohStream;
 use self::{settings::settings, stream::End};
-use crate::{address::is_plain_key, config::App, lock::lock, noise, security};
+use crate::{address::is_plain_key, config::App, lock::lock, noise, security, transport::Stream};
 
 /// Every key begins so.
 const ROOT: &str = "ctos";
@@ -137,29 +138,24 @@ impl Fabric {
 
     /// Opens a stream on a thread of its own, which then publishes what is written to it. `open` is told whether nobody
     /// waits for it any more.
-    async fn stream<F>(&self, open: F) -> io::Result<ZenohStream>
+    async fn stream<F>(&self, open: F) -> io::Result<Stream>
     where
         F: FnOnce(&Session, &dyn Fn() -> bool) -> io::Result<End> + Send + 'static,
     {
         let (alive, membership) = (self.alive()?, self.membership.clone());
         let (sender, opened) = oneshot::channel();
+        let runtime = Handle::current();
         std::thread::Builder::new()
             .name("zenoh-stream".to_owned())
             .spawn(move || {
                 let ended = || sender.is_closed();
-                match membership
-                    .session()
-                    .and_then(|session| open(session, &ended))
-                {
-                    Ok(end) => {
-                        // Nobody takes it when who waited gave up just now: then it is dropped and ends.
-                        let _ = sender.send(Ok(end.stream()));
-                        end.publish(alive);
-                    }
-                    Err(error) => {
-                        let _ = sender.send(Err(error));
-                    }
+                let session = membership.session();
+                // Nobody takes it when who waited gave up just now: then it is dropped and ends.
+                match session.and_then(|session| open(session, &ended)) {
+                    Ok(end) => end.publish(&runtime, |user| drop(sender.send(Ok(user)))),
+                    Err(error) => drop(sender.send(Err(error))),
                 }
+                drop(alive);
             })?;
         opened
             .await
@@ -208,7 +204,7 @@ impl Fabric {
     ///
     /// # Errors
     /// When the key is none of this app's, or the session is over.
-    pub async fn connect(&self, key: &str) -> io::Result<ZenohStream> {
+    pub async fn connect(&self, key: &str) -> io::Result<Stream> {
         let rest = key.strip_prefix(&self.prefix);
         if !is_plain_key(key) || !rest.is_some_and(|rest| rest.starts_with('/')) {
             let text = format!("`{key}` is not a key of this app");
@@ -318,7 +314,7 @@ impl Caller {
     ///
     /// # Errors
     /// When the call has no stream's id, or the session is over.
-    pub async fn answer(self) -> io::Result<ZenohStream> {
+    pub async fn answer(self) -> io::Result<Stream> {
         let Self { fabric, key, query } = self;
         let id = query.payload().and_then(stream_id);
         let id = id.ok_or_else(|| io::Error::other("a call over zenoh without a stream's id"))?;
