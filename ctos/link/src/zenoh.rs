@@ -15,7 +15,7 @@ mod stream;
 use std::{
     io,
     path::Path,
-    sync::{Arc, Mutex, mpsc::RecvTimeoutError},
+    sync::{Arc, mpsc::RecvTimeoutError},
     time::Duration,
 };
 
@@ -28,9 +28,10 @@ use tokio::{
     runtime::Handle,
     sync::{Mutex as AsyncMutex, mpsc, oneshot},
 };
+use tokio_util::task::TaskTracker;
 
 use self::{settings::settings, stream::End};
-use crate::{address::is_plain_key, config::App, lock::lock, noise, security, transport::Stream};
+use crate::{address::is_plain_key, config::App, noise, security, transport::Stream};
 
 /// Every key begins so.
 const ROOT: &str = "ctos";
@@ -89,9 +90,8 @@ pub struct Fabric {
     membership: Arc<Membership>,
     /// All keys of the app begin so.
     prefix: String,
-    /// Held by every stream that has something to send.
-    alive: Mutex<Option<mpsc::Sender<()>>>,
-    over: AsyncMutex<mpsc::Receiver<()>>,
+    /// Those that have something to send.
+    streams: TaskTracker,
 }
 
 impl Fabric {
@@ -127,12 +127,10 @@ impl Fabric {
                 .map_err(|error| io::Error::other(error.to_string()))
         })
         .await??;
-        let (alive, over) = mpsc::channel(1);
         Ok(Some(Arc::new(Self {
             membership: Arc::new(Membership(Some(session))),
             prefix: format!("{ROOT}/{}", key_part(&app.name)),
-            alive: Mutex::new(Some(alive)),
-            over: AsyncMutex::new(over),
+            streams: TaskTracker::new(),
         })))
     }
 
@@ -142,7 +140,10 @@ impl Fabric {
     where
         F: FnOnce(&Session, &dyn Fn() -> bool) -> io::Result<End> + Send + 'static,
     {
-        let (alive, membership) = (self.alive()?, self.membership.clone());
+        let (alive, membership) = (self.streams.token(), self.membership.clone());
+        if self.streams.is_closed() {
+            return Err(io::Error::other("this process leaves the zenoh network"));
+        }
         let (sender, opened) = oneshot::channel();
         let runtime = Handle::current();
         std::thread::Builder::new()
@@ -160,11 +161,6 @@ impl Fabric {
         opened
             .await
             .map_err(|_| io::Error::other("zenoh ended unexpectedly"))?
-    }
-
-    fn alive(&self) -> io::Result<mpsc::Sender<()>> {
-        let closing = || io::Error::other("this process leaves the zenoh network");
-        lock(&self.alive).clone().ok_or_else(closing)
     }
 
     /// Can be called from now on, as chassis `name`.
@@ -217,10 +213,9 @@ impl Fabric {
 
     /// Leaves the network once everything written has arrived, or cannot.
     pub async fn close(&self) {
-        drop(lock(&self.alive).take());
-        let over = async { self.over.lock().await.recv().await };
+        self.streams.close();
         // What does not arrive in time belongs to somebody who no longer reads.
-        let _ = tokio::time::timeout(CLOSE_DEADLINE, over).await;
+        let _ = tokio::time::timeout(CLOSE_DEADLINE, self.streams.wait()).await;
         let membership = self.membership.clone();
         let left = on_thread(move || match membership.session() {
             Ok(session) => session.close().wait().map_err(|error| error.to_string()),

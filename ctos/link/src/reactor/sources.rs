@@ -8,7 +8,7 @@ use std::{
     io,
     os::fd::{AsRawFd, BorrowedFd, OwnedFd},
     sync::{
-        Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
+        Arc, Mutex,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
     time::Duration,
@@ -23,7 +23,10 @@ use rustix::{
     },
 };
 
-use crate::time::{Clock, Instant};
+use crate::{
+    lock::lock,
+    time::{Clock, Instant},
+};
 
 /// How many events are taken at a time.
 const EVENTS: usize = 32;
@@ -97,7 +100,7 @@ pub(super) struct Sources {
     waker: Waker,
     timer: OwnedFd,
     next: AtomicUsize,
-    map: RwLock<Map>,
+    map: Mutex<Map>,
     /// Counts the changes of the map.
     version: AtomicU64,
 }
@@ -135,7 +138,7 @@ impl Sources {
             waker,
             timer,
             next: AtomicUsize::new(TIMER.0 + 1),
-            map: RwLock::default(),
+            map: Mutex::default(),
             version: AtomicU64::new(0),
         };
         let poller = Poller {
@@ -156,7 +159,7 @@ impl Sources {
     /// What the system says.
     pub(super) fn add(&self, source: Arc<dyn Source>) -> io::Result<usize> {
         let id = self.next.fetch_add(1, Ordering::Relaxed);
-        self.write().insert(id, source.clone());
+        lock(&self.map).insert(id, source.clone());
         self.version.fetch_add(1, Ordering::Release);
         let (fd, interest) = (source.fd().as_raw_fd(), interest(&*source));
         let registered = self
@@ -172,7 +175,7 @@ impl Sources {
 
     /// Polls it no longer.
     pub(super) fn remove(&self, id: usize) {
-        let removed = self.write().remove(&id);
+        let removed = lock(&self.map).remove(&id);
         if let Some(source) = removed {
             self.version.fetch_add(1, Ordering::Release);
             // It fails when it could not be added.
@@ -192,7 +195,7 @@ impl Sources {
 
     /// Whether anything has come that can be seen without asking the system.
     pub(super) fn has_come(&self) -> bool {
-        self.read().values().any(has_come)
+        lock(&self.map).values().any(has_come)
     }
 
     /// Looks which sources there are, if that has changed.
@@ -203,7 +206,7 @@ impl Sources {
         }
         // What changes meanwhile makes another version.
         poller.version = version;
-        let sources = self.read();
+        let sources = lock(&self.map);
         let visible = sources
             .iter()
             .filter(|(_, source)| source.visible().is_some());
@@ -231,13 +234,11 @@ impl Sources {
             Seen::Nothing => before,
             Seen::Frames => Seen::Frames,
             Seen::More => {
-                if let Some(source) = self.read().get(&id) {
+                if let Some(source) = lock(&self.map).get(&id) {
                     let (fd, interest) = (source.fd().as_raw_fd(), interest(&**source));
+                    let (mut fd, registry) = (SourceFd(&fd), &self.registry);
                     // What is there already happens once more.
-                    let again = self
-                        .registry
-                        .reregister(&mut SourceFd(&fd), Token(id), interest);
-                    if let Err(error) = again {
+                    if let Err(error) = registry.reregister(&mut fd, Token(id), interest) {
                         tracing::error!(%error, "a link is no longer read");
                     }
                 }
@@ -263,7 +264,7 @@ impl Sources {
                         closed: event.is_read_closed() || event.is_error(),
                         writable: event.is_writable(),
                     };
-                    let source = self.read().get(&id).cloned();
+                    let source = lock(&self.map).get(&id).cloned();
                     if let Some(source) = source {
                         seen = self.served(id, source.serve(happened), seen);
                     }
@@ -314,14 +315,6 @@ impl Sources {
         poller.rings_at = Some(deadline);
         Ok(())
     }
-
-    fn read(&self) -> RwLockReadGuard<'_, Map> {
-        self.map.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn write(&self) -> RwLockWriteGuard<'_, Map> {
-        self.map.write().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl Poller {
@@ -332,11 +325,8 @@ impl Poller {
 
     /// Whether their file descriptors must say when something comes.
     pub(super) fn set_asleep(&self, asleep: bool) {
-        for visible in self
-            .visible
-            .iter()
-            .filter_map(|(_, source)| source.visible())
-        {
+        let sources = self.visible.iter();
+        for visible in sources.filter_map(|(_, source)| source.visible()) {
             visible.set_asleep(asleep);
         }
     }

@@ -85,7 +85,7 @@ impl Others {
                 // Before whatever else the task does in this poll, as it was.
                 Some((at, answer)) => {
                     self.clock.advance_to(*at);
-                    slot.answer(answer.clone().into_answer());
+                    slot.answer(answer.clone().map(Data::Bytes));
                 }
                 None => {
                     let mut state = lock(&self.state);
@@ -177,7 +177,7 @@ impl Others {
         };
         state.turn = Some((part, takes.reads));
         drop(state);
-        for (id, Recorded(answer)) in takes.answers {
+        for (id, answer) in takes.answers {
             let answer = answer.map(Data::Bytes);
             let mut state = lock(&self.state);
             match state.promises.remove(&id) {
@@ -276,7 +276,7 @@ impl Others {
         if command == Statistics::CODE {
             return;
         }
-        let wanted = match &expected.0 {
+        let wanted = match expected {
             Ok(data) => Ok(data.clone()),
             // Not the task's own doing: its caller gave up, or never reached it.
             Err(
@@ -362,15 +362,9 @@ fn text_of(data: &[u8], shape: Option<&Shape>) -> String {
 }
 
 fn hex(data: &[u8]) -> String {
-    use std::fmt::Write;
-    let mut text = format!("of {} bytes", data.len());
-    for (index, byte) in data.iter().take(32).enumerate() {
-        let gap = if index == 0 { ": " } else { " " };
-        // A string takes all that is written to it.
-        let _ = write!(text, "{gap}{byte:02x}");
-    }
-    if data.len() > 32 {
-        text.push('…');
-    }
-    text
+    let shown = data.iter().take(32).map(|byte| format!("{byte:02x}"));
+    let shown = shown.collect::<Vec<_>>().join(" ");
+    let colon = if data.is_empty() { "" } else { ": " };
+    let more = if data.len() > 32 { "…" } else { "" };
+    format!("of {} bytes{colon}{shown}{more}", data.len())
 }

@@ -11,8 +11,8 @@ use super::{
     ReplayError,
 };
 use crate::{DRIFT, TURNS};
-use ctos_core::{context::SHARED, reply::Answer, report::Ending, system::WaitsFor, tap::Came};
-use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
+use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
+use ctos_message::{Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
 
 /// A message that the task was given, or sent.
@@ -31,14 +31,7 @@ pub(super) struct Sent {
 }
 
 /// An answer as it stands in the record.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Recorded(pub(super) Result<Vec<u8>, Fault>);
-
-impl Recorded {
-    pub(super) fn into_answer(self) -> Answer {
-        self.0.map(Data::Bytes)
-    }
-}
+pub(super) type Recorded = Result<Vec<u8>, Fault>;
 
 /// One step of the task.
 #[derive(Debug, Clone, PartialEq)]
@@ -302,7 +295,7 @@ impl Reader<'_> {
                 }
             }
             Event::Answered { side, came, fault } => {
-                let answer = Recorded(fault.map_or(Ok(data), Err));
+                let answer = fault.map_or(Ok(data), Err);
                 if key.task == tid && side != Side::Sender {
                     let answer = answer.clone();
                     self.push(at, key.trace, What::Replied { id, answer });
@@ -402,7 +395,7 @@ impl Reader<'_> {
                 Came::Later => {}
             }
             self.takes().answers.push((id, answer));
-        } else if let Recorded(Err(fault)) = answer {
+        } else if let Err(fault) = answer {
             self.script.refused.insert(id, fault);
         }
     }

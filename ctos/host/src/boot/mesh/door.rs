@@ -13,7 +13,7 @@ use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
     handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
     security::{Identity, KeyError, Role},
-    session::{AttachError, drive},
+    session::{AttachError, Core, drive},
     shm,
     transport::{Call, Listener, Stream, is},
 };
@@ -117,12 +117,15 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         });
     };
     mesh.introduce(member);
-    let shared = shared && mesh.shares_memory && is::<UnixStream>(&stream) && !session.is_injured();
+    let shared = shared
+        && mesh.shares_memory
+        && is::<UnixStream>(&stream)
+        && !session.look(Core::is_injured);
     let welcome = Answer::Welcome {
         chassis: mesh.chassis.index(),
         incarnation: mesh.who.incarnation,
         process: mesh.process.clone(),
-        received: session.received(),
+        received: session.look(Core::received),
         shared,
     };
     tokio::time::timeout(STRANGER_TIMEOUT, say(&mut stream, &welcome))
