@@ -8,7 +8,7 @@ use std::{
     io,
     os::fd::{AsRawFd, BorrowedFd, OwnedFd},
     sync::{
-        Arc, Mutex,
+        Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
         atomic::{AtomicU64, AtomicUsize, Ordering},
     },
     time::Duration,
@@ -23,10 +23,7 @@ use rustix::{
     },
 };
 
-use crate::{
-    lock::lock,
-    time::{Clock, Instant},
-};
+use crate::time::{Clock, Instant};
 
 /// How many events are taken at a time.
 const EVENTS: usize = 32;
@@ -100,7 +97,7 @@ pub(super) struct Sources {
     waker: Waker,
     timer: OwnedFd,
     next: AtomicUsize,
-    map: Mutex<Map>,
+    map: RwLock<Map>,
     /// Counts the changes of the map.
     version: AtomicU64,
 }
@@ -138,7 +135,7 @@ impl Sources {
             waker,
             timer,
             next: AtomicUsize::new(TIMER.0 + 1),
-            map: Mutex::default(),
+            map: RwLock::default(),
             version: AtomicU64::new(0),
         };
         let poller = Poller {
@@ -159,7 +156,7 @@ impl Sources {
     /// What the system says.
     pub(super) fn add(&self, source: Arc<dyn Source>) -> io::Result<usize> {
         let id = self.next.fetch_add(1, Ordering::Relaxed);
-        lock(&self.map).insert(id, source.clone());
+        self.write().insert(id, source.clone());
         self.version.fetch_add(1, Ordering::Release);
         let (fd, interest) = (source.fd().as_raw_fd(), interest(&*source));
         let registered = self
@@ -175,7 +172,7 @@ impl Sources {
 
     /// Polls it no longer.
     pub(super) fn remove(&self, id: usize) {
-        let removed = lock(&self.map).remove(&id);
+        let removed = self.write().remove(&id);
         if let Some(source) = removed {
             self.version.fetch_add(1, Ordering::Release);
             // It fails when it could not be added.
@@ -195,7 +192,7 @@ impl Sources {
 
     /// Whether anything has come that can be seen without asking the system.
     pub(super) fn has_come(&self) -> bool {
-        lock(&self.map).values().any(has_come)
+        self.read().values().any(has_come)
     }
 
     /// Looks which sources there are, if that has changed.
@@ -206,7 +203,7 @@ impl Sources {
         }
         // What changes meanwhile makes another version.
         poller.version = version;
-        let sources = lock(&self.map);
+        let sources = self.read();
         let visible = sources
             .iter()
             .filter(|(_, source)| source.visible().is_some());
@@ -234,7 +231,7 @@ impl Sources {
             Seen::Nothing => before,
             Seen::Frames => Seen::Frames,
             Seen::More => {
-                if let Some(source) = lock(&self.map).get(&id) {
+                if let Some(source) = self.read().get(&id) {
                     let (fd, interest) = (source.fd().as_raw_fd(), interest(&**source));
                     let (mut fd, registry) = (SourceFd(&fd), &self.registry);
                     // What is there already happens once more.
@@ -264,7 +261,7 @@ impl Sources {
                         closed: event.is_read_closed() || event.is_error(),
                         writable: event.is_writable(),
                     };
-                    let source = lock(&self.map).get(&id).cloned();
+                    let source = self.read().get(&id).cloned();
                     if let Some(source) = source {
                         seen = self.served(id, source.serve(happened), seen);
                     }
@@ -314,6 +311,14 @@ impl Sources {
         timerfd_settime(&self.timer, TimerfdTimerFlags::empty(), &once)?;
         poller.rings_at = Some(deadline);
         Ok(())
+    }
+
+    fn read(&self) -> RwLockReadGuard<'_, Map> {
+        self.map.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self) -> RwLockWriteGuard<'_, Map> {
+        self.map.write().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
