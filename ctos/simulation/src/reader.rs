@@ -119,9 +119,12 @@ impl<'n, 'f> Reader<'n, 'f> {
         let (from, to) = (allowed.start(), allowed.end());
         let expected = format!("[least, most], two numbers from {from} to {to}");
         self.must(key, &expected, |node| {
-            let range = node.parse::<(f64, f64)>().ok()?;
-            let right = range.0 <= range.1 && allowed.contains(&range.0);
-            (right && allowed.contains(&range.1)).then_some(range)
+            let [least, most] = node.elements() else {
+                return None;
+            };
+            let (least, most) = (least.as_f64()?, most.as_f64()?);
+            let right = least <= most && allowed.contains(&least) && allowed.contains(&most);
+            right.then_some((least, most))
         })
     }
 
@@ -137,8 +140,11 @@ impl<'n, 'f> Reader<'n, 'f> {
     pub(crate) fn pair(&mut self, key: &str) -> Option<(String, String)> {
         let expected = "two different chassis, for example [\"desk\", \"cage\"]";
         self.must(key, expected, |node| {
-            let pair = node.parse::<(String, String)>().ok()?;
-            (pair.0 != pair.1).then_some(pair)
+            let [one, other] = node.elements() else {
+                return None;
+            };
+            let (one, other) = (one.as_str()?, other.as_str()?);
+            (one != other).then(|| (one.to_owned(), other.to_owned()))
         })
     }
 }

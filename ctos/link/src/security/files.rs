@@ -31,7 +31,10 @@ pub fn make_key(path: &Path, role: Role) -> Result<PathBuf, KeyError> {
     if name.is_empty() || name.len() > 64 || !name.chars().all(plain) || name == AUTHORITY {
         return Err(KeyError::Name { name });
     }
-    let folder = &Path::new(".").join(path.parent().unwrap_or(path));
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
     let made = fs::DirBuilder::new()
         .recursive(true)
         .mode(0o700)
