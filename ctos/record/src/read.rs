@@ -250,7 +250,8 @@ impl<'a> Scan<'a> {
             }
             Part::Message { header, data } => self.message(&header, &data, see),
             Part::Metadata(metadata) if metadata.name == NAMES => {
-                if !self.glossary.add(&metadata.metadata) {
+                let read = self.glossary.add(&metadata.metadata);
+                if !read {
                     self.tear("the names in it cannot be read");
                 }
             }
