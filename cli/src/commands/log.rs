@@ -246,7 +246,7 @@ fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), ReadError> 
 /// A line within one more object, as it is: what a program reads is not parsed twice.
 fn line_json(entry: &Entry) -> String {
     let topic = serde_json::Value::from(entry.channel.topic.as_str());
-    let schema = serde_json::Value::from(entry.channel.schema.as_str());
+    let schema = serde_json::Value::from(entry.channel.schema());
     let line = String::from_utf8_lossy(&entry.json);
     let at = seconds(entry.at);
     format!("{{\"at_s\":{at:.9},\"topic\":{topic},\"schema\":{schema},\"line\":{line}}}")

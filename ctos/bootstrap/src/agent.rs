@@ -198,30 +198,30 @@ impl Agent {
             .collect();
         // None before the first move; asked because this chassis may be one that was started again.
         let moved = cx.call(&Context::server(), MovedTasks {}).await?;
-        for config in chassis.app.tasks.iter() {
-            let Some(config) = placed_here(&chassis, config, &moved) else {
-                continue;
-            };
-            let config = &config;
-            match create_one(cx, &chassis, config).await {
-                Ok(tid) => {
-                    let task = TaskName {
-                        name: config.name.clone(),
-                        tid,
-                    };
-                    // It runs, so it is stopped with the others even if its name cannot be had.
-                    self.tasks.push(task.clone());
-                    if let Err(error) = cx.call(&Context::server(), RegisterTid { task }).await {
-                        failed.push((config.name.clone(), error.reason()));
-                    }
-                }
-                Err(reason) => failed.push((config.name.clone(), reason)),
+        let tasks = chassis.app.tasks.iter();
+        for config in tasks.filter_map(|config| placed_here(&chassis, config, &moved)) {
+            if let Err(reason) = self.create_and_register(cx, &config).await {
+                failed.push((config.name, reason));
             }
         }
         Ok(Created {
             tasks: self.tasks.clone(),
             failed,
         })
+    }
+
+    async fn create_and_register(
+        &mut self,
+        cx: &Context,
+        config: &TaskConfig,
+    ) -> Result<(), String> {
+        let name = config.name.clone();
+        let tid = create_one(cx, cx.chassis(), config).await?;
+        let task = TaskName { name, tid };
+        // It runs, so it is stopped with the others even if its name cannot be had.
+        self.tasks.push(task.clone());
+        let registered = cx.call(&Context::server(), RegisterTid { task }).await;
+        registered.map_err(|error| error.reason())
     }
 
     /// A place that a task comes to or has left is settled.
@@ -316,13 +316,8 @@ async fn create_one(
     let slot = chassis.directory.free_slot(number);
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
-    let spec = TaskSpec::new(
-        &config.name,
-        tid,
-        Some(config.clone()),
-        kind.recipe(),
-        processor,
-    );
+    let (name, recipe) = (&config.name, kind.recipe());
+    let spec = TaskSpec::new(name, tid, Some(config.clone()), recipe, processor);
     let (built, building) = oneshot::channel();
     let home = chassis.clone();
     processor.inject(move |processor| {

@@ -34,6 +34,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 
 use board::{Board, Event};
+use supervisor::Supervisor;
 
 pub use outcome::{BootError, HostError, Outcome};
 pub use outcome::{contained, io_error};
@@ -357,7 +358,9 @@ impl Bootstrap {
         self.0.all_linked();
         cx.spawn(sequence::run(self.0.clone()));
         for member in &self.0.members {
-            cx.spawn(supervisor::supervise(self.0.clone(), member.clone()));
+            let (board, member) = (self.0.clone(), member.clone());
+            let supervisor = Supervisor { board, member };
+            cx.spawn(async move { drop(supervisor.run().await) });
         }
     }
 

@@ -12,7 +12,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use crate::{address::Address, noise};
 
 /// The first bytes of a caller: the protocol, and its version.
-const GREETING: [u8; 8] = *b"ctos\0\0\0\x06";
+pub const GREETING: [u8; 8] = *b"ctos\0\0\0\x06";
 
 /// The most that is read before both ends know each other, bytes.
 pub const HANDSHAKE_LIMIT: usize = 16 * 1024;
@@ -167,28 +167,30 @@ pub enum HandshakeError {
     Late,
 }
 
-/// Says who calls.
+/// Says in a protocol who calls.
 ///
 /// # Errors
 /// [`HandshakeError`].
 pub async fn greet(
     stream: &mut (impl AsyncWrite + Unpin),
-    greeting: &Greeting,
+    protocol: [u8; 8],
+    greeting: &impl Serialize,
 ) -> Result<(), HandshakeError> {
-    stream.write_all(&GREETING).await?;
+    stream.write_all(&protocol).await?;
     say(stream, greeting).await
 }
 
-/// Hears who calls.
+/// Hears who calls, if it speaks this protocol.
 ///
 /// # Errors
 /// [`HandshakeError`].
-pub async fn hear_greeting(
+pub async fn hear_greeting<T: DeserializeOwned>(
     stream: &mut (impl AsyncRead + Unpin),
-) -> Result<Greeting, HandshakeError> {
-    let mut protocol = GREETING;
-    stream.read_exact(&mut protocol).await?;
-    if protocol != GREETING {
+    protocol: [u8; 8],
+) -> Result<T, HandshakeError> {
+    let mut said = protocol;
+    stream.read_exact(&mut said).await?;
+    if said != protocol {
         return Err(HandshakeError::Version);
     }
     hear(stream).await
@@ -252,10 +254,15 @@ mod tests {
     fn a_greeting_is_heard_and_nothing_behind_it_is_taken() {
         run(async {
             let mut bytes = Vec::new();
-            greet(&mut bytes, &unable()).await.unwrap();
+            greet(&mut bytes, GREETING, &unable()).await.unwrap();
             bytes.extend_from_slice(b"frames");
             let mut stream = bytes.as_slice();
-            assert_eq!(hear_greeting(&mut stream).await.unwrap(), unable());
+            assert_eq!(
+                hear_greeting::<Greeting>(&mut stream, GREETING)
+                    .await
+                    .unwrap(),
+                unable()
+            );
             assert_eq!(stream, b"frames");
         });
     }
@@ -275,7 +282,7 @@ mod tests {
     fn an_announcement_beyond_the_limit_is_refused_before_anything_is_reserved() {
         run(async {
             let two_gibibytes = [&GREETING[..], &(1_u32 << 31).to_le_bytes()].concat();
-            let error = hear_greeting(&mut two_gibibytes.as_slice())
+            let error = hear_greeting::<Greeting>(&mut two_gibibytes.as_slice(), GREETING)
                 .await
                 .unwrap_err();
             assert!(matches!(error, HandshakeError::TooLong(length) if length == 1 << 31));
@@ -287,8 +294,8 @@ mod tests {
         fn rubbish_is_an_error_and_never_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
             let behind = [&GREETING[..], &bytes].concat();
             run(async {
-                let _ = hear_greeting(&mut bytes.as_slice()).await;
-                let _ = hear_greeting(&mut behind.as_slice()).await;
+                let _ = hear_greeting::<Greeting>(&mut bytes.as_slice(), GREETING).await;
+                let _ = hear_greeting::<Greeting>(&mut behind.as_slice(), GREETING).await;
                 let _ = hear::<Answer>(&mut bytes.as_slice()).await;
             });
         }

@@ -3,16 +3,13 @@
 
 use std::{io, sync::Arc};
 
-use crate::config::App;
+use crate::{config::App, transport::Stream};
 
 /// There is none, so nobody listens at it and nobody calls.
 pub enum Fabric {}
 
 pub use Fabric as Listener;
 pub use Fabric as Caller;
-
-/// There is none.
-pub type ZenohStream = tokio::io::Empty;
 
 impl Fabric {
     /// Joins no network.
@@ -30,7 +27,7 @@ impl Fabric {
         match **self {}
     }
 
-    pub async fn connect(&self, _: &str) -> io::Result<ZenohStream> {
+    pub async fn connect(&self, _: &str) -> io::Result<Stream> {
         match *self {}
     }
 
@@ -46,7 +43,7 @@ impl Fabric {
         match *self {}
     }
 
-    pub async fn answer(self) -> io::Result<ZenohStream> {
+    pub async fn answer(self) -> io::Result<Stream> {
         match self {}
     }
 }

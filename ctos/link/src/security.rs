@@ -10,6 +10,11 @@ mod tls;
 
 use std::{fmt, io, path::PathBuf, str::FromStr};
 
+use serde::{
+    Deserialize, Serialize,
+    de::{self, IntoDeserializer},
+};
+
 pub use files::{Listed, list_keys, make_key};
 pub use tls::{BlockingStream, Keys};
 
@@ -17,7 +22,8 @@ pub use tls::{BlockingStream, Keys};
 pub use files::KeyFiles;
 
 /// What the holder of a key may do; each role includes those before it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Role {
     /// See what happens.
     Watch,
@@ -32,20 +38,11 @@ pub enum Role {
 impl Role {
     /// All roles, the least first.
     pub const ALL: [Self; 4] = [Self::Watch, Self::Call, Self::Control, Self::Boot];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Watch => "watch",
-            Self::Call => "call",
-            Self::Control => "control",
-            Self::Boot => "boot",
-        }
-    }
 }
 
 impl fmt::Display for Role {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        self.serialize(f)
     }
 }
 
@@ -58,8 +55,8 @@ impl FromStr for Role {
     type Err = RoleError;
 
     fn from_str(text: &str) -> Result<Self, RoleError> {
-        let found = Self::ALL.into_iter().find(|role| role.name() == text);
-        found.ok_or_else(|| RoleError(text.to_owned()))
+        let role = Self::deserialize(text.into_deserializer());
+        role.map_err(|_: de::value::Error| RoleError(text.to_owned()))
     }
 }
 

@@ -25,10 +25,9 @@ use std::{
 
 use tokio::{io::AsyncWrite, sync::watch};
 
-pub use self::core::{AttachError, Limits};
+pub use self::core::{AttachError, Core, Limits};
 pub use self::state::DownReason;
 use self::{
-    core::Core,
     direct::Carrier,
     packet::Content,
     state::{Event, State},
@@ -155,24 +154,14 @@ impl Session {
         matches!(self.state(), State::Waiting | State::Up | State::Broken)
     }
 
-    /// Whether it has had no stream at all.
-    pub fn was_never_up(&self) -> bool {
-        lock(&self.joined).core.stream() == 0
-    }
-
-    /// Whether it is injured on purpose.
-    pub fn is_injured(&self) -> bool {
-        lock(&self.joined).core.is_injured()
+    /// Looks at its core.
+    pub fn look<T>(&self, look: impl FnOnce(&Core) -> T) -> T {
+        look(&lock(&self.joined).core)
     }
 
     /// Whether its streams are cut on purpose at the moment.
     pub fn is_cut(&self) -> bool {
-        lock(&self.joined).core.is_cut(self.clock.now())
-    }
-
-    /// The number up to which everything of the peer has come; said when a stream begins.
-    pub fn received(&self) -> u64 {
-        lock(&self.joined).core.received()
+        self.look(|core| core.is_cut(self.clock.now()))
     }
 
     // -- its streams ------------------------------------------------------------------------
@@ -384,7 +373,7 @@ impl Link for Session {
     }
 
     fn counts(&self) -> Counts {
-        lock(&self.joined).core.counts()
+        self.look(Core::counts)
     }
 }
 

@@ -9,14 +9,13 @@
 //! zenoh waits on whatever thread it is called from and refuses those of a single-threaded runtime, so it
 //! is called from threads that belong to nobody else.
 
-mod pipe;
 mod settings;
 mod stream;
 
 use std::{
     io,
     path::Path,
-    sync::{Arc, Mutex, mpsc::RecvTimeoutError},
+    sync::{Arc, mpsc::RecvTimeoutError},
     time::Duration,
 };
 
@@ -25,11 +24,14 @@ use ::zenoh::{
     bytes::ZBytes,
     query::{ConsolidationMode, Query},
 };
-use tokio::sync::{Mutex as AsyncMutex, mpsc, oneshot};
+use tokio::{
+    runtime::Handle,
+    sync::{Mutex as AsyncMutex, mpsc, oneshot},
+};
+use tokio_util::task::TaskTracker;
 
-pub use self::stream::ZenohStream;
 use self::{settings::settings, stream::End};
-use crate::{address::is_plain_key, config::App, lock::lock, noise, security};
+use crate::{address::is_plain_key, config::App, noise, security, transport::Stream};
 
 /// Every key begins so.
 const ROOT: &str = "ctos";
@@ -88,9 +90,8 @@ pub struct Fabric {
     membership: Arc<Membership>,
     /// All keys of the app begin so.
     prefix: String,
-    /// Held by every stream that has something to send.
-    alive: Mutex<Option<mpsc::Sender<()>>>,
-    over: AsyncMutex<mpsc::Receiver<()>>,
+    /// Those that have something to send.
+    streams: TaskTracker,
 }
 
 impl Fabric {
@@ -126,49 +127,40 @@ impl Fabric {
                 .map_err(|error| io::Error::other(error.to_string()))
         })
         .await??;
-        let (alive, over) = mpsc::channel(1);
         Ok(Some(Arc::new(Self {
             membership: Arc::new(Membership(Some(session))),
             prefix: format!("{ROOT}/{}", key_part(&app.name)),
-            alive: Mutex::new(Some(alive)),
-            over: AsyncMutex::new(over),
+            streams: TaskTracker::new(),
         })))
     }
 
     /// Opens a stream on a thread of its own, which then publishes what is written to it. `open` is told whether nobody
     /// waits for it any more.
-    async fn stream<F>(&self, open: F) -> io::Result<ZenohStream>
+    async fn stream<F>(&self, open: F) -> io::Result<Stream>
     where
         F: FnOnce(&Session, &dyn Fn() -> bool) -> io::Result<End> + Send + 'static,
     {
-        let (alive, membership) = (self.alive()?, self.membership.clone());
+        let (alive, membership) = (self.streams.token(), self.membership.clone());
+        if self.streams.is_closed() {
+            return Err(io::Error::other("this process leaves the zenoh network"));
+        }
         let (sender, opened) = oneshot::channel();
+        let runtime = Handle::current();
         std::thread::Builder::new()
             .name("zenoh-stream".to_owned())
             .spawn(move || {
                 let ended = || sender.is_closed();
-                match membership
-                    .session()
-                    .and_then(|session| open(session, &ended))
-                {
-                    Ok(end) => {
-                        // Nobody takes it when who waited gave up just now: then it is dropped and ends.
-                        let _ = sender.send(Ok(end.stream()));
-                        end.publish(alive);
-                    }
-                    Err(error) => {
-                        let _ = sender.send(Err(error));
-                    }
+                let session = membership.session();
+                // Nobody takes it when who waited gave up just now: then it is dropped and ends.
+                match session.and_then(|session| open(session, &ended)) {
+                    Ok(end) => end.publish(&runtime, |user| drop(sender.send(Ok(user)))),
+                    Err(error) => drop(sender.send(Err(error))),
                 }
+                drop(alive);
             })?;
         opened
             .await
             .map_err(|_| io::Error::other("zenoh ended unexpectedly"))?
-    }
-
-    fn alive(&self) -> io::Result<mpsc::Sender<()>> {
-        let closing = || io::Error::other("this process leaves the zenoh network");
-        lock(&self.alive).clone().ok_or_else(closing)
     }
 
     /// Can be called from now on, as chassis `name`.
@@ -208,7 +200,7 @@ impl Fabric {
     ///
     /// # Errors
     /// When the key is none of this app's, or the session is over.
-    pub async fn connect(&self, key: &str) -> io::Result<ZenohStream> {
+    pub async fn connect(&self, key: &str) -> io::Result<Stream> {
         let rest = key.strip_prefix(&self.prefix);
         if !is_plain_key(key) || !rest.is_some_and(|rest| rest.starts_with('/')) {
             let text = format!("`{key}` is not a key of this app");
@@ -221,10 +213,9 @@ impl Fabric {
 
     /// Leaves the network once everything written has arrived, or cannot.
     pub async fn close(&self) {
-        drop(lock(&self.alive).take());
-        let over = async { self.over.lock().await.recv().await };
+        self.streams.close();
         // What does not arrive in time belongs to somebody who no longer reads.
-        let _ = tokio::time::timeout(CLOSE_DEADLINE, over).await;
+        let _ = tokio::time::timeout(CLOSE_DEADLINE, self.streams.wait()).await;
         let membership = self.membership.clone();
         let left = on_thread(move || match membership.session() {
             Ok(session) => session.close().wait().map_err(|error| error.to_string()),
@@ -318,7 +309,7 @@ impl Caller {
     ///
     /// # Errors
     /// When the call has no stream's id, or the session is over.
-    pub async fn answer(self) -> io::Result<ZenohStream> {
+    pub async fn answer(self) -> io::Result<Stream> {
         let Self { fabric, key, query } = self;
         let id = query.payload().and_then(stream_id);
         let id = id.ok_or_else(|| io::Error::other("a call over zenoh without a stream's id"))?;

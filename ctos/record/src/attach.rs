@@ -100,14 +100,9 @@ impl Guest {
     ) -> Result<Self, String> {
         let app = &chassis.app;
         let file = Path::new(&request.folder).join(file_name(&app.name));
-        let config = match &app.record {
-            Some(config) => RecordConfig {
-                file,
-                ..config.clone()
-            },
-            None => RecordConfig::new(file),
-        };
-        let path = suffixed(&config.file, chassis.name());
+        let config = app.record.clone();
+        let config = config.unwrap_or_else(|| RecordConfig::new(file.clone()));
+        let path = suffixed(&file, chassis.name());
         let mut run = run_of(chassis);
         let now = chassis.clock.now().as_nanos();
         run.insert("attached_ns".to_owned(), now.to_string());

@@ -86,6 +86,19 @@ impl Batch {
         added
     }
 
+    /// [`Self::line`] of a value.
+    pub(crate) fn json(
+        &mut self,
+        at: u64,
+        topic: String,
+        schema: Schema,
+        value: &serde_json::Value,
+    ) -> bool {
+        self.line(at, topic, schema, |buffer| {
+            serde_json::to_writer(buffer, value).is_ok()
+        })
+    }
+
     /// What is in it.
     pub(crate) fn lines(&self) -> impl Iterator<Item = Line<'_>> {
         let ends = self.pieces.iter().skip(1).map(|next| next.start);

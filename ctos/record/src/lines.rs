@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use super::{
-    event::{Key, Step, Traffic},
+    event::{Step, Traffic},
     glossary::Glossary,
     traffic::{Coder, Events},
 };
@@ -39,30 +39,23 @@ pub(crate) enum Schema {
 }
 
 /// A schema as it stands in a file.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct SchemaText<'a> {
-    pub(crate) name: &'a str,
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct SchemaText {
+    pub(crate) name: Cow<'static, str>,
     /// How the schema is written.
-    pub(crate) language: &'a str,
-    pub(crate) text: &'a [u8],
+    pub(crate) language: Cow<'static, str>,
+    pub(crate) text: Cow<'static, [u8]>,
     /// How what stands in the channel is written.
-    pub(crate) encoding: &'a str,
+    pub(crate) encoding: Cow<'static, str>,
 }
 
 /// How stretches of events are written.
 pub(crate) const EVENTS: &str = "ctos.events";
 
 impl Schema {
-    pub(crate) fn text(self) -> SchemaText<'static> {
+    pub(crate) fn text(self) -> SchemaText {
         let (name, text): (_, &[u8]) = match self {
-            Self::Events => {
-                return SchemaText {
-                    name: "ctos.Events",
-                    language: "text",
-                    text: include_bytes!("schemas/events.txt"),
-                    encoding: EVENTS,
-                };
-            }
+            Self::Events => ("ctos.Events", include_bytes!("schemas/events.txt")),
             Self::Message => ("ctos.Message", include_bytes!("schemas/message.json")),
             Self::Began => ("ctos.Began", include_bytes!("schemas/began.json")),
             Self::Ended => ("ctos.Ended", include_bytes!("schemas/ended.json")),
@@ -74,11 +67,15 @@ impl Schema {
             Self::Value => ("ctos.Value", include_bytes!("schemas/value.json")),
             Self::Recorder => ("ctos.Recorder", include_bytes!("schemas/recorder.json")),
         };
+        let (language, encoding) = match self {
+            Self::Events => ("text", EVENTS),
+            _ => ("jsonschema", "json"),
+        };
         SchemaText {
-            name,
-            language: "jsonschema",
-            text,
-            encoding: "json",
+            name: name.into(),
+            language: language.into(),
+            text: text.into(),
+            encoding: encoding.into(),
         }
     }
 }
@@ -141,30 +138,24 @@ pub(crate) fn traffic(
     data: &[u8],
     glossary: &Glossary,
 ) -> Result<Vec<u8>, serde_json::Error> {
-    let Key {
-        id: number,
-        task,
-        peer,
-        command,
-        trace,
-    } = event.key;
-    let (task, peer) = (glossary.task(task), glossary.task(peer));
-    let known = glossary.command(&task, command);
+    let Traffic { chassis, key, .. } = *event;
+    let (task, peer) = (glossary.task(key.task), glossary.task(key.peer));
+    let known = glossary.command(&task, key.command);
     let (receiver, sender) = match event.step {
         Step::Sent { .. } => ("to", "from"),
         Step::Began | Step::Ended { .. } => ("task", "from"),
         Step::Answered { .. } => ("by", "to"),
         Step::Polled { .. } | Step::Read { .. } => ("task", ""),
     };
-    let chassis = event.chassis;
+    let number = key.id;
     let mut line = vec![(receiver, json!(&*task))];
     if !event.step.is_within() {
         line.extend([
             ("id", json!(Number { chassis, number })),
             (sender, json!(&*peer)),
-            ("command", json!(glossary.command_name(&task, command))),
-            ("code", json!(command)),
-            ("trace", json!(Number::of_trace(trace))),
+            ("command", json!(glossary.command_name(&task, key.command))),
+            ("code", json!(key.command)),
+            ("trace", json!(Number::of_trace(key.trace))),
         ]);
     }
     match &event.step {
@@ -206,24 +197,13 @@ pub(crate) fn traffic(
     line.push(("event", json!(again(event))));
     let mut json = Vec::new();
     serde_json::Serializer::new(&mut json).collect_map(line)?;
-    match &event.step {
-        Step::Sent { .. } => {
-            append_data(
-                &mut json,
-                data,
-                known.and_then(|known| known.request.as_ref()),
-            );
-        }
-        Step::Answered { .. } => {
-            append_data(
-                &mut json,
-                data,
-                known.and_then(|known| known.reply.as_ref()),
-            );
-        }
-        Step::Read { lacking: false, .. } => append_data(&mut json, data, None),
-        _ => {}
-    }
+    let shape = match &event.step {
+        Step::Sent { .. } => known.and_then(|known| known.request.as_ref()),
+        Step::Answered { .. } => known.and_then(|known| known.reply.as_ref()),
+        Step::Read { lacking: false, .. } => None,
+        _ => return Ok(json),
+    };
+    append_data(&mut json, data, shape);
     Ok(json)
 }
 

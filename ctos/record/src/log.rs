@@ -1,16 +1,11 @@
 //! The log's way into the record: a layer of `tracing-subscriber` that the program adds to its
 //! subscriber, and to which the recorder attaches itself when it begins.
 
-use std::{
-    fmt,
-    sync::{Arc, Mutex},
-};
+use std::sync::{Arc, Mutex};
 
 use serde_json::{Map, Value, json};
-use tracing::{
-    Event, Level, Subscriber,
-    field::{Field, Visit},
-};
+use tracing::{Event, Level, Subscriber};
+use tracing_serde::fields::AsMap;
 use tracing_subscriber::layer::{Context, Layer};
 
 use super::{lines::Schema, recorder::Recorder};
@@ -71,24 +66,28 @@ impl<S: Subscriber> Layer<S> for RecordLayer {
 
 /// Puts a line into one record.
 fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
-    let mut line = Line::default();
-    event.record(&mut line);
+    let mut fields = match serde_json::to_value(event.field_map()) {
+        Ok(Value::Object(fields)) => fields,
+        _ => Map::new(),
+    };
+    let message = take_text(&mut fields, "message").unwrap_or_default();
+    let task = take_text(&mut fields, "task");
     let at = recorder.now();
     let file = event.metadata().target();
-    let name = line.task.as_deref();
+    let name = task.as_deref();
     let topic = format!("/log/{}", name.unwrap_or("ctos"));
     let json = json!({
         "timestamp": { "sec": at / 1_000_000_000, "nsec": at % 1_000_000_000 },
         "level": level_of(*event.metadata().level()),
-        "message": line.message,
+        "message": message,
         "name": name.unwrap_or(file),
         "file": file,
         "line": 0,
-        "fields": line.fields,
+        "fields": fields,
     });
     // On the runtime's own processor: which one this thread belongs to is not known here.
-    recorder.line(Tid::new(*chassis, 0, 0), at, topic, Schema::Log, |buffer| {
-        serde_json::to_writer(buffer, &json).is_ok()
+    recorder.note(Tid::new(*chassis, 0, 0), |batch| {
+        batch.json(at, topic, Schema::Log, &json)
     });
 }
 
@@ -102,48 +101,9 @@ fn level_of(level: Level) -> u8 {
     }
 }
 
-/// The fields of one event.
-#[derive(Default)]
-struct Line {
-    message: String,
-    task: Option<String>,
-    fields: Map<String, Value>,
-}
-
-impl Line {
-    fn put(&mut self, field: &Field, value: Value) {
-        match (field.name(), value) {
-            ("message", Value::String(text)) => self.message = text,
-            ("task", Value::String(task)) => self.task = Some(task),
-            (name, value) => {
-                self.fields.insert(name.to_owned(), value);
-            }
-        }
-    }
-}
-
-impl Visit for Line {
-    fn record_f64(&mut self, field: &Field, value: f64) {
-        self.put(field, value.into());
-    }
-
-    fn record_i64(&mut self, field: &Field, value: i64) {
-        self.put(field, value.into());
-    }
-
-    fn record_u64(&mut self, field: &Field, value: u64) {
-        self.put(field, value.into());
-    }
-
-    fn record_bool(&mut self, field: &Field, value: bool) {
-        self.put(field, value.into());
-    }
-
-    fn record_str(&mut self, field: &Field, value: &str) {
-        self.put(field, value.into());
-    }
-
-    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        self.put(field, format!("{value:?}").into());
-    }
+/// Takes out a field that is a text.
+fn take_text(fields: &mut Map<String, Value>, name: &str) -> Option<String> {
+    let text = fields.get(name)?.as_str()?.to_owned();
+    fields.remove(name);
+    Some(text)
 }

@@ -85,21 +85,15 @@ impl<W: Write + Seek> LineWriter<W> {
     pub(crate) fn line(
         &mut self,
         topic: &str,
-        schema: &SchemaText<'_>,
+        schema: &SchemaText,
         at: u64,
         bytes: &[u8],
     ) -> mcap::McapResult<()> {
         if !self.channels.contains_key(topic) {
-            let SchemaText {
-                name,
-                language,
-                text,
-                encoding,
-            } = *schema;
-            let id = self.mcap.add_schema(name, language, text)?;
-            let id = self
-                .mcap
-                .add_channel(id, topic, encoding, &BTreeMap::new())?;
+            let (language, encoding) = (&schema.language, &schema.encoding);
+            let id = self.mcap.add_schema(&schema.name, language, &schema.text)?;
+            let none = BTreeMap::new();
+            let id = self.mcap.add_channel(id, topic, encoding, &none)?;
             self.channels.insert(topic.to_owned(), (id, 0));
         }
         let (channel_id, sequence) = self.channels.get_mut(topic).map_or((0, 0), |(id, lines)| {
@@ -155,8 +149,8 @@ pub(crate) struct PartError {
 }
 
 impl PartError {
-    fn new(path: &Path, reason: impl ToString) -> Self {
-        Self {
+    fn of<E: ToString>(path: &Path) -> impl Fn(E) -> Self {
+        move |reason| Self {
             path: path.to_owned(),
             reason: reason.to_string(),
         }
@@ -270,16 +264,14 @@ impl Parts {
         }
         let line = serde_json::json!({ "dropped": self.untold, "why": self.why }).to_string();
         self.untold = 0;
-        self.write(
-            now,
-            &Line {
-                topic: "/recorder",
-                schema: Schema::Recorder,
-                at: now,
-                bytes: line.as_bytes(),
-                lines: 1,
-            },
-        );
+        let line = Line {
+            topic: "/recorder",
+            schema: Schema::Recorder,
+            at: now,
+            bytes: line.as_bytes(),
+            lines: 1,
+        };
+        self.write(now, &line);
     }
 
     /// Writes one line; it is lost, and counted, when there is no file to write to.
@@ -397,10 +389,10 @@ impl Parts {
 
 impl Part {
     fn open(place: &Place, run: &BTreeMap<String, String>) -> Result<Self, PartError> {
-        let parts = parts_of(&place.path).map_err(|error| PartError::new(&place.path, error))?;
+        let parts = parts_of(&place.path).map_err(PartError::of(&place.path))?;
         let number = parts.keys().next_back().map_or(1, |last| last + 1);
         let path = part_path(&place.path, number);
-        let file = (place.create)(&path).map_err(|error| PartError::new(&path, error))?;
+        let file = (place.create)(&path).map_err(PartError::of(&path))?;
         // The new one counts too.
         let surplus = (parts.len() + 1).saturating_sub(place.keep.max(1));
         for old in parts.values().take(surplus) {
@@ -414,7 +406,7 @@ impl Part {
         let unwritten = Unwritten::default();
         let writer = LineWriter::new(options, NoSeek::new(unwritten.clone()));
         let mut part = Self {
-            writer: writer.map_err(|error| PartError::new(&path, error))?,
+            writer: writer.map_err(PartError::of(&path))?,
             path,
             file,
             unwritten,
@@ -430,7 +422,7 @@ impl Part {
         if let Err(error) = begun.and_then(|()| part.flush()) {
             // Nothing is in it.
             let _ = std::fs::remove_file(&part.path);
-            return Err(PartError::new(&part.path, error));
+            return Err(PartError::of(&part.path)(error));
         }
         Ok(part)
     }
@@ -491,13 +483,10 @@ pub(crate) fn suffixed(path: &Path, suffix: &str) -> PathBuf {
 /// # Errors
 /// When the folder cannot be read.
 pub(crate) fn parts_of(path: &Path) -> io::Result<BTreeMap<u64, PathBuf>> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
+    let folder = path.parent().unwrap_or(Path::new(""));
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let mut parts = BTreeMap::new();
-    for entry in std::fs::read_dir(folder)? {
+    for entry in std::fs::read_dir(Path::new(".").join(folder))? {
         let there = entry?.path();
         if there.extension() != path.extension() {
             continue;
@@ -505,17 +494,12 @@ pub(crate) fn parts_of(path: &Path) -> io::Result<BTreeMap<u64, PathBuf>> {
         let name = there.file_stem().unwrap_or_default().to_string_lossy();
         let number = match name.strip_prefix(&*stem) {
             Some("") => Some(1),
-            Some(rest) => rest
-                .strip_prefix(".part")
+            rest => rest
+                .and_then(|rest| rest.strip_prefix(".part"))
                 .and_then(|number| number.parse().ok()),
-            None => None,
         };
-        if let Some(number) = number {
-            parts.insert(
-                number,
-                path.with_file_name(there.file_name().unwrap_or_default()),
-            );
-        }
+        let name = there.file_name().unwrap_or_default();
+        parts.extend(number.map(|number| (number, path.with_file_name(name))));
     }
     Ok(parts)
 }

@@ -19,9 +19,8 @@ use mcap::{
 };
 
 use super::{
-    event::Traffic,
     glossary::Glossary,
-    lines::{self, EVENTS, Schema, SchemaText},
+    lines::{self, EVENTS, SchemaText},
     parts::{LOST, LineWriter, NAMES, RUN},
     traffic::Events,
 };
@@ -56,31 +55,14 @@ pub enum ReadError {
 pub struct Channel {
     /// Its name, `/message/arm` for example.
     pub topic: String,
-    /// The name of its schema.
-    pub schema: String,
-    schema_text: Vec<u8>,
-    schema_encoding: String,
-    encoding: String,
+    schema: SchemaText,
 }
 
 impl Channel {
-    fn new(topic: String, schema: &SchemaText<'_>) -> Self {
-        Self {
-            topic,
-            schema: schema.name.to_owned(),
-            schema_text: schema.text.to_vec(),
-            schema_encoding: schema.language.to_owned(),
-            encoding: schema.encoding.to_owned(),
-        }
-    }
-
-    fn schema_text(&self) -> SchemaText<'_> {
-        SchemaText {
-            name: &self.schema,
-            language: &self.schema_encoding,
-            text: &self.schema_text,
-            encoding: &self.encoding,
-        }
+    /// The name of its schema.
+    #[must_use]
+    pub fn schema(&self) -> &str {
+        &self.schema.name
     }
 }
 
@@ -177,10 +159,8 @@ impl Record {
     pub fn read(paths: &[PathBuf], filter: &Filter) -> Result<Self, ReadError> {
         let mut record = Self::default();
         for path in paths {
-            let entries = &mut record.entries;
-            record
-                .runs
-                .push(scan_only(path, filter, |entry| entries.push(entry))?);
+            let run = scan_only(path, filter, |entry| record.entries.push(entry))?;
+            record.runs.push(run);
         }
         // Stable: lines of one file at one moment keep their order.
         record.entries.sort_by_key(|entry| entry.at);
@@ -212,7 +192,7 @@ impl Record {
         }
         writer.lost(self.runs.iter().map(|run| run.lost).sum())?;
         for Entry { at, channel, json } in &self.entries {
-            writer.line(&channel.topic, &channel.schema_text(), at.as_nanos(), json)?;
+            writer.line(&channel.topic, &channel.schema, at.as_nanos(), json)?;
         }
         writer.mcap.finish()?;
         writer.mcap.into_inner().flush()?;
@@ -223,8 +203,7 @@ impl Record {
 /// What has been read of a file so far.
 struct Scan<'a> {
     filter: &'a Filter,
-    /// By the numbers of schemas: what their channels have of them.
-    schemas: BTreeMap<u16, Channel>,
+    schemas: BTreeMap<u16, SchemaText>,
     channels: BTreeMap<u16, Arc<Channel>>,
     glossary: Glossary,
     /// The channels of what happened to messages, by their names.
@@ -253,22 +232,21 @@ impl<'a> Scan<'a> {
     fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
         match part {
             Part::Schema { header, data } => {
-                let channel = Channel {
-                    schema: header.name,
-                    schema_encoding: header.encoding,
-                    schema_text: data.into_owned(),
-                    ..Channel::default()
+                let schema = SchemaText {
+                    name: header.name.into(),
+                    language: header.encoding.into(),
+                    text: data.into_owned().into(),
+                    ..SchemaText::default()
                 };
-                self.schemas.insert(header.id, channel);
+                self.schemas.insert(header.id, schema);
             }
             Part::Channel(channel) => {
                 let schema = self.schemas.get(&channel.schema_id).cloned();
-                let whole = Channel {
-                    topic: channel.topic,
-                    encoding: channel.message_encoding,
-                    ..schema.unwrap_or_default()
-                };
-                self.channels.insert(channel.id, Arc::new(whole));
+                let mut schema = schema.unwrap_or_default();
+                schema.encoding = channel.message_encoding.into();
+                let topic = channel.topic;
+                let channel_of = Channel { topic, schema };
+                self.channels.insert(channel.id, Arc::new(channel_of));
             }
             Part::Message { header, data } => self.message(&header, &data, see),
             Part::Metadata(metadata) if metadata.name == NAMES => {
@@ -298,7 +276,7 @@ impl<'a> Scan<'a> {
         let Some(channel) = self.channels.get(&header.channel_id).cloned() else {
             return;
         };
-        if channel.encoding == EVENTS {
+        if channel.schema.encoding == EVENTS {
             return self.stretch(data, see);
         }
         let at = Instant::from_nanos(header.log_time);
@@ -322,39 +300,27 @@ impl<'a> Scan<'a> {
     fn stretch(&mut self, bytes: &[u8], see: &mut impl FnMut(Entry)) {
         let mut events = Events::new(bytes);
         for (event, data, length) in events.by_ref() {
-            let (topic, schema) =
-                lines::channel_of(&event.step, &self.glossary.task(event.key.task));
+            let task = self.glossary.task(event.key.task);
+            let (topic, schema) = lines::channel_of(&event.step, &task);
             let at = Instant::from_nanos(event.at);
             self.count(&topic, at, length);
-            if self.filter.takes(&topic, at) {
-                self.line(topic, schema, &event, data, see);
+            if !self.filter.takes(&topic, at) {
+                continue;
             }
+            let json = match lines::traffic(&event, data, &self.glossary) {
+                Ok(json) => json,
+                Err(error) => return self.tear(&error.to_string()),
+            };
+            let new = |topic: &String| {
+                let (topic, schema) = (topic.clone(), schema.text());
+                Arc::new(Channel { topic, schema })
+            };
+            let channel = self.traffic.entry(topic).or_insert_with_key(new);
+            let channel = channel.clone();
+            see(Entry { at, channel, json });
         }
         if !events.is_at_end() {
             self.tear("what happened to messages cannot be read any further");
-        }
-    }
-
-    fn line(
-        &mut self,
-        topic: String,
-        schema: Schema,
-        event: &Traffic,
-        data: &[u8],
-        see: &mut impl FnMut(Entry),
-    ) {
-        match lines::traffic(event, data, &self.glossary) {
-            Ok(json) => {
-                let channel = self.traffic.entry(topic).or_insert_with_key(|topic| {
-                    Arc::new(Channel::new(topic.clone(), &schema.text()))
-                });
-                see(Entry {
-                    at: Instant::from_nanos(event.at),
-                    channel: channel.clone(),
-                    json,
-                });
-            }
-            Err(error) => self.tear(&error.to_string()),
         }
     }
 }
@@ -402,10 +368,10 @@ pub fn scan_only(
         }
     }
     if !begun {
-        let reason = scan.run.torn;
+        scan.tear("it holds nothing");
         return Err(ReadError::Format {
             path: path.to_owned(),
-            reason: reason.unwrap_or_else(|| "it holds nothing".to_owned()),
+            reason: scan.run.torn.unwrap_or_default(),
         });
     }
     if !scan.closed {

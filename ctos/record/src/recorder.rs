@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use super::{batch::Batch, event::Traffic, glossary::Glossary, lines::Schema, writer::Writer};
+use super::{batch::Batch, glossary::Glossary, writer::Writer};
 use ctos_core::report::RecordReport;
 use ctos_message::{CommandInfo, Tid};
 use ctos_time::{Clock, Instant, lock::lock};
@@ -59,13 +59,7 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder with `lanes` buffers of at most `limit` bytes, whose writer is called at once when
-    /// one has grown.
-    pub(crate) fn inline(clock: Clock, writer: Writer, limit: usize) -> Arc<Self> {
-        Arc::new(Self::new(clock, writer, 1, limit, None))
-    }
-
-    /// A recorder whose writer is a thread.
+    /// A recorder with `lanes` buffers of at most `limit` bytes, whose writer is a thread.
     ///
     /// # Errors
     /// When the system refuses the thread.
@@ -88,6 +82,11 @@ impl Recorder {
         Ok(recorder)
     }
 
+    /// A recorder whose writer is called at once when a buffer has grown.
+    pub(crate) fn inline(clock: Clock, writer: Writer, limit: usize) -> Arc<Self> {
+        Arc::new(Self::new(clock, writer, 1, limit, None))
+    }
+
     fn new(
         clock: Clock,
         writer: Writer,
@@ -95,8 +94,8 @@ impl Recorder {
         limit: usize,
         worker: Option<Worker>,
     ) -> Self {
-        let names = writer.names().clone();
-        let report = Mutex::new(writer.report());
+        let names = writer.names.clone();
+        let report = Mutex::new(writer.parts.report());
         let batches = (0..lanes).map(|_| Batch::default()).collect();
         Self {
             clock,
@@ -154,31 +153,9 @@ impl Recorder {
         lock(&self.report).clone()
     }
 
-    /// Notes what happened to a message at the processor of `place`. False when it was dropped.
+    /// Notes what `add` adds at the processor of `place`. False when it was dropped.
     #[inline]
-    pub(crate) fn traffic(
-        &self,
-        place: Tid,
-        event: Traffic,
-        data: impl FnOnce(&mut Vec<u8>) -> bool,
-    ) -> bool {
-        self.note(place, |batch| batch.traffic(event, data))
-    }
-
-    /// Notes a line of a channel at the processor of `place`; `json` writes it. False when it was dropped.
-    pub(crate) fn line(
-        &self,
-        place: Tid,
-        at: u64,
-        topic: String,
-        schema: Schema,
-        json: impl FnOnce(&mut Vec<u8>) -> bool,
-    ) -> bool {
-        self.note(place, |batch| batch.line(at, topic, schema, json))
-    }
-
-    #[inline]
-    fn note(&self, place: Tid, add: impl FnOnce(&mut Batch) -> bool) -> bool {
+    pub(crate) fn note(&self, place: Tid, add: impl FnOnce(&mut Batch) -> bool) -> bool {
         if self.ended.load(Ordering::Relaxed) {
             return false;
         }
@@ -216,14 +193,14 @@ impl Recorder {
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return,
         };
-        let Some(emptying) = writer.as_mut() else {
-            return;
-        };
-        let Emptying {
+        let Some(Emptying {
             writer,
             batches,
             dropped: known,
-        } = emptying;
+        }) = writer.as_mut()
+        else {
+            return;
+        };
         for (lane, batch) in self.lanes.iter().zip(&mut *batches) {
             std::mem::swap(&mut *lock(lane), batch);
         }
@@ -232,14 +209,14 @@ impl Recorder {
         writer.write(now, batches, dropped - std::mem::replace(known, dropped));
         batches.iter_mut().for_each(Batch::clear);
         if flush {
-            writer.flush(now);
+            writer.parts.flush(now);
         }
         self.tell(writer);
     }
 
     fn tell(&self, writer: &Writer) {
         self.unwritten.store(writer.unwritten(), Ordering::Relaxed);
-        *lock(&self.report) = writer.report();
+        *lock(&self.report) = writer.parts.report();
     }
 
     /// The writer's thread; dropping `_end` tells that it has ended.
@@ -264,7 +241,7 @@ impl Recorder {
     fn close(&self) {
         let writer = lock(&self.writer).take();
         if let Some(Emptying { mut writer, .. }) = writer {
-            writer.close(self.now());
+            writer.parts.close(self.now());
             self.tell(&writer);
         }
     }

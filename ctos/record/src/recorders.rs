@@ -159,27 +159,25 @@ impl Recorders {
         if let Some(only) = self.first.get()
             && !self.visited.load(Ordering::Relaxed)
         {
-            return only.traffic(place, event(only), data);
+            return only.note(place, |batch| batch.traffic(event(only), data));
         }
         let recorders = self.recorders();
         let Some(event) = recorders.first().map(|one| event(one)) else {
             return false;
         };
-        let note = |one: &Arc<Recorder>| one.traffic(place, event.clone(), &data);
-        recorders
-            .iter()
-            .map(note)
-            .fold(false, |noted, one| noted | one)
+        let mut noted = false;
+        for one in recorders {
+            noted |= one.note(place, |batch| batch.traffic(event.clone(), &data));
+        }
+        noted
     }
 
     /// Notes with everybody who records that a task was built or has entered a phase.
     fn entered(&self, task: Tid, phase: &str) {
         for recorder in self.recorders() {
             let line = json!({ "task": &*recorder.name_of(task), "phase": phase });
-            let topic = "/phase".to_owned();
-            recorder.line(task, recorder.now(), topic, Schema::Phase, |buffer| {
-                serde_json::to_writer(buffer, &line).is_ok()
-            });
+            let (at, topic) = (recorder.now(), "/phase".to_owned());
+            recorder.note(task, |batch| batch.json(at, topic, Schema::Phase, &line));
         }
     }
 
@@ -209,10 +207,9 @@ impl Recorders {
             fault: answer.err().cloned(),
         };
         // Noted where it happened: at the one who answers, or at the one who asked.
-        let place = if side == Side::Receiver {
-            asked.to
-        } else {
-            asked.by
+        let place = match side {
+            Side::Receiver => asked.to,
+            Side::Here | Side::Sender => asked.by,
         };
         self.traffic(place, None, key_of(id, asked), step, |buffer| {
             answer.is_ok_and(|data| data.append_to(buffer).is_ok())
@@ -323,22 +320,22 @@ impl Observer for Recorders {
     fn value(&self, task: Tid, channel: &str, value: WriteData<'_>) {
         let root = if channel.starts_with('/') { "" } else { "/" };
         for recorder in self.recorders() {
-            let topic = format!("{root}{channel}");
-            recorder.line(task, recorder.now(), topic, Schema::Value, |json| {
+            let (at, topic) = (recorder.now(), format!("{root}{channel}"));
+            let write = |json: &mut Vec<u8>| {
                 let start = json.len();
                 if !value(json) || json.len() == start {
                     json.truncate(start);
                     json.extend_from_slice(b"null");
                 }
                 true
-            });
+            };
+            recorder.note(task, |batch| batch.line(at, topic, Schema::Value, write));
         }
     }
 
     fn polled(&self, task: Tid, part: u64) {
-        self.traffic(task, None, key_within(task), Step::Polled { part }, |_| {
-            true
-        });
+        let step = Step::Polled { part };
+        self.traffic(task, None, key_within(task), step, |_| true);
     }
 
     fn read(&self, task: Tid, what: &dyn Display, value: Option<WriteData<'_>>) {

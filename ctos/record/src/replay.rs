@@ -25,11 +25,7 @@ use std::{collections::BTreeMap, fmt, rc::Rc, sync::Arc};
 
 use futures_util::FutureExt;
 
-use super::{
-    glossary::Glossary,
-    lines::{self, Number},
-    read::Record,
-};
+use super::{glossary::Glossary, lines::Number, read::Record};
 
 pub(crate) use others::Others;
 use script::{Recorded, Script, Sent, Step, Takes, What};
@@ -123,14 +119,10 @@ impl ReplayReport {
     fn differs(&mut self, at: Instant, trace: u64, expected: String, got: String) {
         self.different += 1;
         if self.first.is_none() {
-            let trace = lines::Number::of_trace(trace);
+            let trace = Some(Number::of_trace(trace)).filter(|trace| trace.number != 0);
             self.first = Some(Difference {
                 at_ns: at.as_nanos(),
-                trace: if trace.number == 0 {
-                    String::new()
-                } else {
-                    trace.to_string()
-                },
+                trace: trace.map_or_else(String::new, |trace| trace.to_string()),
                 expected,
                 got,
             });
@@ -147,17 +139,14 @@ impl fmt::Display for ReplayReport {
             different,
             ..
         } = self;
-        if *different == 0 {
-            write!(
-                f,
-                "`{task}` did the same again: {messages} messages, {same} results compared"
-            )?;
-        } else {
-            write!(
-                f,
-                "`{task}` did otherwise: {messages} messages, {same} results the same, {different} different"
-            )?;
-        }
+        let (how, results) = match different {
+            0 => ("did the same again", "compared".to_owned()),
+            _ => ("did otherwise", format!("the same, {different} different")),
+        };
+        write!(
+            f,
+            "`{task}` {how}: {messages} messages, {same} results {results}"
+        )?;
         if let Some(first) = &self.first {
             let at = Instant::from_nanos(first.at_ns);
             let trace = match first.trace.as_str() {
@@ -193,6 +182,8 @@ pub fn replay(
         return Err(ReplayError::NoTask { task, known });
     };
     let mut script = Script::of(record, task)?;
+    let (tid, lost) = (script.tid, script.lost);
+    let steps = std::mem::take(&mut script.steps);
     let mut app = app;
     app.time = TimeMode::Virtual;
     app.record = None;
@@ -203,23 +194,23 @@ pub fn replay(
     let names = Glossary::of(&app, &registry, &[]);
     let clock = Clock::virtual_clock();
     let chassis = Chassis::new(
-        script.tid.chassis(),
+        tid.chassis(),
         Arc::new(app),
         Arc::new(registry),
         clock.drifting(script.drift),
     );
-    let others = Arc::new(Others::new(clock.clone(), names, &mut script));
+    let others = Arc::new(Others::new(clock.clone(), names, script));
     Recorders::replay_at(&chassis, others.clone());
     // The configuration may have fewer processors now than it had then.
     let last = chassis.processors.len().saturating_sub(1);
-    let index = usize::from(script.tid.processor()).min(last);
+    let index = usize::from(tid.processor()).min(last);
     let processor = chassis
         .processor(index)
         .ok_or_else(|| ReplayError::Incomplete {
             reason: "its chassis has no processor".to_owned(),
         })?;
     let stage = Stage {
-        tid: script.tid,
+        tid,
         config,
         chassis,
         processor,
@@ -229,8 +220,8 @@ pub fn replay(
         unanswered: Vec::new(),
         messages: 0,
     };
-    let mut report = stage.play(script.steps)?;
-    report.lost = script.lost;
+    let mut report = stage.play(steps)?;
+    report.lost = lost;
     Ok(report)
 }
 
@@ -244,18 +235,12 @@ struct Stage {
     others: Arc<Others>,
     /// The answers that the task owes, by the number of the message.
     waiting: BTreeMap<Number, (u16, Waiting)>,
-    /// What it answered in the record and not yet here.
+    /// What it answered in the record and not yet here: with the moment and the trace.
     unanswered: Vec<Answered>,
     messages: u64,
 }
 
-/// An answer of the task, in the record.
-struct Answered {
-    at: Instant,
-    trace: u64,
-    id: Number,
-    answer: Recorded,
-}
+type Answered = (Instant, u64, Number, Recorded);
 
 impl Stage {
     fn play(mut self, steps: Vec<Step>) -> Result<ReplayReport, ReplayError> {
@@ -281,14 +266,7 @@ impl Stage {
                 What::Output(index) => self.others.must_be_done(*index, at),
                 What::Ended { command, ending } => self.ended(at, trace, *command, ending),
                 What::Replied { id, answer } => {
-                    let (id, answer) = (*id, answer.clone());
-                    let replied = Answered {
-                        at,
-                        trace,
-                        id,
-                        answer,
-                    };
-                    self.replied(replied, false);
+                    self.replied((at, trace, *id, answer.clone()), false);
                 }
             }
         }
@@ -362,18 +340,13 @@ impl Stage {
 
     /// Compares what the task answered. When nothing else in the turn told whose it was, the answer stands before it.
     fn replied(&mut self, replied: Answered, is_last: bool) {
-        let Some((command, waiting)) = self.waiting.get_mut(&replied.id) else {
+        let (at, trace, id, ref answer) = replied;
+        let Some((command, waiting)) = self.waiting.get_mut(&id) else {
             return;
         };
         match waiting.now_or_never() {
             None if !is_last => self.unanswered.push(replied),
             got => {
-                let Answered {
-                    at,
-                    trace,
-                    id,
-                    ref answer,
-                } = replied;
                 self.others.compare_reply(at, trace, *command, answer, got);
                 self.waiting.remove(&id);
             }

@@ -17,21 +17,14 @@ struct Packed {
     at: i64,
     id: i64,
     trace: i64,
-    /// Unless all of it is as before.
+    /// Who has to do with the message: chassis, task, peer and command. Unless all of it is as before.
     ends: Option<Ends>,
     step: Step,
     /// The length of the data that follows.
     length: usize,
 }
 
-/// Who has to do with a message.
-#[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Ends {
-    chassis: u8,
-    task: Tid,
-    peer: Tid,
-    command: u16,
-}
+type Ends = (u8, Tid, Tid, u16);
 
 /// What writer and reader of a sequence know of what came before.
 #[derive(Clone, Default)]
@@ -80,33 +73,16 @@ impl Coder {
         if !data(&mut self.data) {
             self.data.clear();
         }
-        let Traffic {
-            at,
-            chassis,
-            key,
-            step,
-        } = event;
-        let Key {
-            id,
-            task,
-            peer,
-            command,
-            trace,
-        } = key;
-        let ends = Ends {
-            chassis,
-            task,
-            peer,
-            command,
-        };
+        let Traffic { key, step, .. } = event;
+        let ends = (event.chassis, key.task, key.peer, key.command);
         let mut last = self.last.clone();
         // What happened within a task has no message.
         let (id, trace) = match step.is_within() {
             true => (last.id, last.trace),
-            false => (id, trace),
+            false => (key.id, key.trace),
         };
         let packed = Packed {
-            at: change(&mut last.at, at),
+            at: change(&mut last.at, event.at),
             id: change(&mut last.id, id),
             trace: change(&mut last.trace, trace),
             ends: (ends != last.ends).then_some(ends),
@@ -150,27 +126,17 @@ impl<'a> Iterator for Events<'a> {
         let (data, rest) = rest.split_at_checked(packed.length)?;
         let last = &mut self.last;
         last.ends = packed.ends.unwrap_or(last.ends);
-        let Ends {
-            chassis,
+        let (chassis, task, peer, command) = last.ends;
+        let mut key = Key {
+            id: changed(&mut last.id, packed.id),
             task,
             peer,
             command,
-        } = last.ends;
-        let (id, trace) = (
-            changed(&mut last.id, packed.id),
-            changed(&mut last.trace, packed.trace),
-        );
-        let (id, trace) = match packed.step.is_within() {
-            true => (0, 0),
-            false => (id, trace),
+            trace: changed(&mut last.trace, packed.trace),
         };
-        let key = Key {
-            id,
-            task,
-            peer,
-            command,
-            trace,
-        };
+        if packed.step.is_within() {
+            (key.id, key.trace) = (0, 0);
+        }
         let event = Traffic {
             at: changed(&mut last.at, packed.at),
             chassis,

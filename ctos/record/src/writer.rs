@@ -11,15 +11,14 @@ use super::{
     read::matches,
     traffic::Events,
 };
-use ctos_core::report::RecordReport;
 use ctos_time::lock::lock;
 
 /// Writes one record.
 pub(crate) struct Writer {
-    names: Arc<Mutex<Glossary>>,
+    pub(crate) names: Arc<Mutex<Glossary>>,
     /// Which file has been told how much of them.
     told: (u64, usize),
-    parts: Parts,
+    pub(crate) parts: Parts,
     /// Which channels are written, in whose names `*` stands for any letters; none: all.
     channels: Vec<String>,
     /// Events that found no space in the buffers.
@@ -44,16 +43,7 @@ impl Writer {
 
     /// Events that found no space on the disk.
     pub(crate) fn unwritten(&self) -> u64 {
-        self.report().lost.saturating_sub(self.dropped)
-    }
-
-    /// How the record is.
-    pub(crate) fn report(&self) -> RecordReport {
-        self.parts.report()
-    }
-
-    pub(crate) fn names(&self) -> &Arc<Mutex<Glossary>> {
-        &self.names
+        self.parts.report().lost.saturating_sub(self.dropped)
     }
 
     /// Writes what all buffers hold; `dropped` more were not taken. What one buffer holds keeps its order.
@@ -118,16 +108,6 @@ impl Writer {
             }
         }
         chosen
-    }
-
-    /// Brings to the disk what was written.
-    pub(crate) fn flush(&mut self, now: u64) {
-        self.parts.flush(now);
-    }
-
-    /// Closes the record.
-    pub(crate) fn close(&mut self, now: u64) {
-        self.parts.close(now);
     }
 }
 
@@ -201,12 +181,12 @@ mod tests {
         let late = Tid::new(1, 1, 5);
         for id in 1..=600 {
             if id == 300 {
-                lock(writer.names()).name(late, "late");
+                lock(&writer.names).name(late, "late");
             }
             let task = if id < 300 { TASK } else { late };
             writer.write(id, &[batch(task, id)], 0);
         }
-        writer.close(600);
+        writer.parts.close(600);
         let files = parts_of(&path).unwrap();
         assert!(files.len() > 3, "{files:?}");
         let mut ids = Vec::new();
@@ -235,8 +215,8 @@ mod tests {
         for id in 1..=9 {
             writer.write(id, &[batch(TASK, id), batch(Tid::new(1, 1, 5), id)], 0);
         }
-        assert_eq!(writer.report().lines, 9);
-        writer.close(9);
+        assert_eq!(writer.parts.report().lines, 9);
+        writer.parts.close(9);
         let record = Record::read(&[path], &Filter::default()).unwrap();
         let topics = record
             .entries

@@ -76,8 +76,6 @@ fn drawn(rng: &mut ChaCha8Rng, (least, most): (f64, f64)) -> f64 {
 /// The faults of a profile for one app and one seed.
 pub(crate) struct Drawn {
     streams: Vec<Stream>,
-    /// The stream that comes next, and when.
-    first: Option<(Instant, usize)>,
 }
 
 impl Drawn {
@@ -99,12 +97,7 @@ impl Drawn {
             }
             add(Site::Chassis(one.clone()), index == 0);
         }
-        let mut drawn = Self {
-            streams,
-            first: None,
-        };
-        drawn.find_first();
-        drawn
+        Self { streams }
     }
 
     /// How wrong each clock is.
@@ -123,26 +116,15 @@ impl Drawn {
         names.iter().map(drift).collect()
     }
 
-    fn find_first(&mut self) {
-        let next = self.streams.iter().enumerate();
-        self.first = next
-            .filter_map(|(index, stream)| Some((stream.next?, index)))
-            .min();
-    }
-
     /// When the next one happens.
     pub(crate) fn next(&self) -> Option<Instant> {
-        self.first.map(|(moment, _)| moment)
+        self.streams.iter().filter_map(|stream| stream.next).min()
     }
 
     /// The next one that happens until `now`.
     pub(crate) fn pop(&mut self, now: Instant) -> Option<Fault> {
-        let (moment, index) = self.first?;
-        if moment > now {
-            return None;
-        }
-        let fault = self.streams.get_mut(index).and_then(Stream::pop);
-        self.find_first();
-        fault
+        let next = self.next().filter(|next| *next <= now)?;
+        let mut streams = self.streams.iter_mut();
+        streams.find(|stream| stream.next == Some(next))?.pop()
     }
 }

@@ -1,13 +1,13 @@
 //! The event log of a simulated app: a line for every delivery and for everything that goes wrong.
 
 use std::{
-    fmt::Write as _,
-    sync::{Arc, Weak},
+    collections::BTreeMap,
+    sync::{Arc, Mutex, Weak},
 };
 
 use ctos_core::{chassis::Chassis, envelope::Message, task_record::TaskRecord};
 use ctos_message::Tid;
-use ctos_time::{Clock, Instant};
+use ctos_time::{Clock, Instant, lock::lock};
 
 /// Takes the lines of an event log, without their ends.
 pub type EventSink = Arc<dyn Fn(&str) + Send + Sync>;
@@ -17,11 +17,14 @@ pub type EventSink = Arc<dyn Fn(&str) + Send + Sync>;
 pub(crate) struct EventLog {
     sink: Option<EventSink>,
     clock: Clock,
+    /// The chassis that are watched: weak, because each owns what tells of it.
+    all: Arc<Mutex<BTreeMap<u8, Weak<Chassis>>>>,
 }
 
 impl EventLog {
     pub(crate) fn new(sink: Option<EventSink>, clock: Clock) -> Self {
-        Self { sink, clock }
+        let all = Arc::default();
+        Self { sink, clock, all }
     }
 
     /// Writes a line, if anybody reads it.
@@ -32,42 +35,32 @@ impl EventLog {
     }
 
     /// Lets `chassis` tell of every message that one of its tasks begins to handle.
-    pub(crate) fn watch(&self, chassis: &Arc<Chassis>, all: &[Arc<Chassis>]) {
+    pub(crate) fn watch(&self, chassis: &Arc<Chassis>) {
         if self.sink.is_none() {
             return;
         }
-        // Weak, because the chassis owns what is made here.
-        let all: Vec<Weak<Chassis>> = all.iter().map(Arc::downgrade).collect();
-        let (log, home) = (self.clone(), Arc::downgrade(chassis));
+        lock(&self.all).insert(chassis.index(), Arc::downgrade(chassis));
+        let (log, home) = (self.clone(), chassis.name().to_owned());
         chassis.on_delivery(Box::new(move |task: &TaskRecord, message: &Message| {
             log.note(|| {
                 let header = message.header();
-                let mut line = String::from("deliver ");
-                let home = home.upgrade();
-                let home = home.as_ref().map_or("?", |chassis| chassis.name());
-                // Writing to a string does not fail.
-                let _ = write!(line, "{home}/{} from ", task.name);
-                write_task(&mut line, &all, header.from);
-                let _ = write!(
-                    line,
-                    " command={:#06x} flags={:#06x} trace={:#x}",
+                format!(
+                    "deliver {home}/{} from {} command={:#06x} flags={:#06x} trace={:#x}",
+                    task.name,
+                    log.name_of(header.from),
                     header.command,
                     header.flags.bits(),
                     message.trace()
-                );
-                line
+                )
             });
         }));
     }
-}
 
-fn write_task(line: &mut String, all: &[Weak<Chassis>], tid: Tid) {
-    let chassis = all.get(usize::from(tid.chassis())).and_then(Weak::upgrade);
-    let name = chassis.as_ref().and_then(|chassis| chassis.task_name(tid));
-    let _ = match (chassis, name) {
-        (Some(chassis), Some(name)) => write!(line, "{}/{name}", chassis.name()),
-        _ => write!(line, "{tid}"),
-    };
+    fn name_of(&self, tid: Tid) -> String {
+        let chassis = lock(&self.all).get(&tid.chassis()).and_then(Weak::upgrade);
+        let named = chassis.and_then(|one| Some(format!("{}/{}", one.name(), one.task_name(tid)?)));
+        named.unwrap_or_else(|| tid.to_string())
+    }
 }
 
 /// `0.001234567`

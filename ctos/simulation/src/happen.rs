@@ -44,12 +44,7 @@ impl Simulation {
         let until = fault.until.unwrap_or(Instant::LAST);
         match fault.kind {
             FaultKind::Kill => self.kill(number),
-            FaultKind::Restart => {
-                if let Some(boot) = self.machines.first() {
-                    let restart = system::RestartChassis { chassis: number };
-                    boot.chassis.post_system(system::BOOTSTRAP, restart);
-                }
-            }
+            FaultKind::Restart => self.tell_boot(system::RestartChassis { chassis: number }),
             FaultKind::Freeze if !machine.gone => {
                 machine.freeze(until);
                 for other in self.machines.iter().filter(|other| !other.gone) {

@@ -292,14 +292,36 @@ impl Direction {
 }
 
 impl State {
-    fn insert(&mut self, moment: Instant, from: u8, to: u8, arrival: Arrival) {
-        let number = self.next;
-        self.next += 1;
-        let flight = InFlight { from, to, arrival };
-        self.flights.insert((moment, number), flight);
-        if self.breaches.is_some() {
-            self.breach((moment, number));
+    fn insert(&mut self, moment: Instant, from: u8, to: u8, mut arrival: Arrival) {
+        let mut breach = None;
+        if let (Arrival::Frame(frame), Some((asked, rng))) = (&mut arrival, &mut self.breaches)
+            && asked.concerns(frame)
+            && rng.random_range(0..BREACH_ONE_IN) == 0
+        {
+            breach = Some(*asked);
+            match asked {
+                Breach::Lose => return,
+                Breach::Misdeliver => {
+                    frame.header.to = ctos_message::Tid::from_bits(frame.header.to.bits() ^ 1);
+                }
+                Breach::Duplicate => {
+                    let arrival = Arrival::Frame(frame.clone());
+                    self.fly(moment, InFlight { from, to, arrival });
+                }
+                Breach::Swap => {}
+            }
         }
+        let key = self.fly(moment, InFlight { from, to, arrival });
+        if breach == Some(Breach::Swap) {
+            self.swap(key);
+        }
+    }
+
+    fn fly(&mut self, moment: Instant, flight: InFlight) -> (Instant, u64) {
+        let key = (moment, self.next);
+        self.next += 1;
+        self.flights.insert(key, flight);
+        key
     }
 
     /// Makes what is under way in one direction arrive at `until` or later, in its order.
@@ -352,63 +374,22 @@ impl State {
         direction.given_up = true;
     }
 
-    /// Breaks, now and then, the rule that a test asked for, at the frame that was just put under way.
-    fn breach(&mut self, key: (Instant, u64)) {
-        let Some((breach, rng)) = &mut self.breaches else {
-            return;
-        };
-        let breach = *breach;
-        let Some(InFlight {
-            from,
-            to,
-            arrival: Arrival::Frame(frame),
-        }) = self.flights.get(&key)
-        else {
-            return;
-        };
-        if !breach.concerns(frame) || rng.random_range(0..BREACH_ONE_IN) > 0 {
-            return;
-        }
-        let (from, to, frame) = (*from, *to, frame.clone());
-        match breach {
-            Breach::Duplicate => {
-                let number = self.next;
-                self.next += 1;
-                let arrival = Arrival::Frame(frame);
-                self.flights
-                    .insert((key.0, number), InFlight { from, to, arrival });
-            }
-            Breach::Lose => {
-                self.flights.remove(&key);
-            }
-            Breach::Swap => self.swap(key, &frame),
-            Breach::Misdeliver => {
-                if let Some(InFlight {
-                    arrival: Arrival::Frame(frame),
-                    ..
-                }) = self.flights.get_mut(&key)
-                {
-                    frame.header.to = ctos_message::Tid::from_bits(frame.header.to.bits() ^ 1);
-                }
-            }
-        }
-    }
-
     /// Exchanges a frame with the one before it between the same two tasks.
-    fn swap(&mut self, key: (Instant, u64), frame: &Frame) {
-        let ends = (frame.header.from, frame.header.to);
-        let before = self.flights.range(..key).rev().find(|(_, flight)| {
-            matches!(&flight.arrival, Arrival::Frame(other)
-                if (other.header.from, other.header.to) == ends)
-        });
-        let Some(before) = before.map(|(key, _)| *key) else {
+    fn swap(&mut self, key: (Instant, u64)) {
+        let ends = |flight: &InFlight| match &flight.arrival {
+            Arrival::Frame(frame) => Some((frame.header.from, frame.header.to)),
+            Arrival::Closed | Arrival::Silence => None,
+        };
+        let Some(one) = self.flights.remove(&key) else {
             return;
         };
-        if let (Some(one), Some(other)) = (self.flights.remove(&key), self.flights.remove(&before))
-        {
-            self.flights.insert(before, one);
-            self.flights.insert(key, other);
-        }
+        let mut earlier = self.flights.range_mut(..key).rev();
+        let before = earlier.find(|(_, flight)| ends(flight) == ends(&one));
+        let last = match before {
+            Some((_, before)) => std::mem::replace(before, one),
+            None => one,
+        };
+        self.flights.insert(key, last);
     }
 }
 

@@ -12,6 +12,7 @@ use rand::RngExt;
 use crate::{injured, machine::Machine, run::Simulation};
 use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
+use ctos_message::Command;
 use ctos_time::lock::lock;
 
 /// How long the process of a chassis takes to start, ns.
@@ -93,16 +94,13 @@ impl Simulation {
     /// A process ends: nothing of it runs any more, and the others see its links close.
     fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
         let incarnation = self.incarnation(index);
-        if let Some(boot) = self.machines.first() {
-            // Also of one that has not started yet: it never will.
-            let ended = system::ProcessEnded {
-                chassis: index,
-                incarnation,
-                how: how.to_owned(),
-                code,
-            };
-            boot.chassis.post_system(system::BOOTSTRAP, ended);
-        }
+        // Also of one that has not started yet: it never will.
+        self.tell_boot(system::ProcessEnded {
+            chassis: index,
+            incarnation,
+            how: how.to_owned(),
+            code,
+        });
         self.starts.retain(|(_, starting), _| *starting != index);
         let Some(machine) = self.machines.get_mut(usize::from(index)) else {
             return;
@@ -154,26 +152,22 @@ impl Simulation {
         if let Some(recording) = &self.recording {
             recording.add(&new);
         }
-        let mut all: Vec<_> = self
-            .machines
-            .iter()
-            .map(|one| one.chassis.clone())
-            .collect();
-        if let Some(place) = all.get_mut(usize::from(index)) {
-            place.clone_from(&new);
-        }
-        self.events.watch(&new, &all);
+        self.events.watch(&new);
         ctos_bootstrap::bootstrap::start_system_tasks(&new, None);
         self.casualties.remove(&index);
         if let Some(place) = self.machines.get_mut(usize::from(index)) {
             *place = Machine::new(new);
         }
+        self.tell_boot(system::ChassisLinked {
+            chassis: index,
+            incarnation,
+        });
+    }
+
+    /// Tells the bootstrap service.
+    pub(super) fn tell_boot(&self, what: impl Command) {
         if let Some(boot) = self.machines.first() {
-            let linked = system::ChassisLinked {
-                chassis: index,
-                incarnation,
-            };
-            boot.chassis.post_system(system::BOOTSTRAP, linked);
+            boot.chassis.post_system(system::BOOTSTRAP, what);
         }
     }
 }

@@ -190,4 +190,16 @@ mod tests {
             assert!(found.starts_with(expected), "{found}\n{expected}");
         }
     }
+
+    #[test]
+    fn a_range_is_two_numbers_and_a_link_two_chassis() {
+        for text in [
+            "[cut]\nper_s = 1\nlasts_s = [0.1, 0.2, 0.3]\n",
+            "[cut]\nper_s = 1\nlasts_s = [0.1]\n",
+            "[[fault]]\nkind = \"refuse\"\nat_s = 1\nbetween = [\"a\", \"b\", \"c\"]\n",
+            "[[fault]]\nkind = \"refuse\"\nat_s = 1\nbetween = [\"a\", \"a\"]\n",
+        ] {
+            assert!(parse(text).is_err(), "{text}");
+        }
+    }
 }

@@ -3,18 +3,16 @@
 use std::{ops::RangeInclusive, time::Duration};
 
 use ctos_config::{
-    Node, Value,
-    diagnostic::{Finding, Findings, Place},
+    Entry, Node, Value,
+    diagnostic::{Finding, Findings},
 };
 
 /// A table, with a name for messages. A getter returns `None` for a key that is absent, and, with a
 /// finding, for one that is wrong.
 pub(crate) struct Reader<'n, 'f> {
     node: &'n Node,
-    /// Where the table begins.
-    place: Option<Place>,
     what: String,
-    findings: &'f mut Findings,
+    pub(crate) findings: &'f mut Findings,
 }
 
 impl<'n, 'f> Reader<'n, 'f> {
@@ -25,40 +23,35 @@ impl<'n, 'f> Reader<'n, 'f> {
         known: &[&str],
         findings: &'f mut Findings,
     ) -> Self {
-        let mut reader = Self {
-            node,
-            place: node.place().cloned(),
-            what: what.into(),
-            findings,
-        };
-        for entry in node.entries() {
-            if !known.contains(&entry.key.as_str()) {
-                let message = format!("unknown key `{}` in {}", entry.key, reader.what);
-                let finding = Finding::error("ctos::faults::unknown_key", message)
-                    .label("nobody reads this key")
-                    .suggest(&entry.key, known.iter().copied());
-                reader.push(finding, entry.key_place.as_ref());
-            }
+        let what = what.into();
+        let unknown = |entry: &&Entry| !known.contains(&entry.key.as_str());
+        for entry in node.entries().iter().filter(unknown) {
+            let message = format!("unknown key `{}` in {what}", entry.key);
+            let finding = Finding::error("ctos::faults::unknown_key", message)
+                .label("nobody reads this key")
+                .suggest(&entry.key, known.iter().copied());
+            findings.push(finding.at(entry.key_place.clone()));
         }
-        reader
+        Self {
+            node,
+            what,
+            findings,
+        }
     }
 
-    pub(crate) fn push(&mut self, finding: Finding, place: Option<&Place>) {
-        self.findings.push(match place.or(self.place.as_ref()) {
-            Some(place) => finding.at(place.clone()),
-            None => finding,
-        });
+    /// Reports what is wrong with the value of a key, or with the table where there is none.
+    pub(crate) fn push(&mut self, finding: Finding, key: &str) {
+        let place = self.value(key).unwrap_or(self.node).place();
+        self.findings.push(finding.at(place.cloned()));
     }
 
     fn value(&self, key: &str) -> Option<&'n Node> {
         self.node.entry(key).map(|entry| &entry.value)
     }
 
-    fn wrong<T>(&mut self, key: &str, node: &Node, expected: &str) -> Option<T> {
+    fn wrong(&mut self, key: &str, expected: &str) {
         let message = format!("{}: `{key}` must be {expected}", self.what);
-        let finding = Finding::error("ctos::faults::value", message);
-        self.push(finding, node.place());
-        None
+        self.push(Finding::error("ctos::faults::value", message), key);
     }
 
     /// What `read` makes of the value of a key that must be there.
@@ -66,49 +59,41 @@ impl<'n, 'f> Reader<'n, 'f> {
         &mut self,
         key: &str,
         expected: &str,
-        read: impl FnOnce(&Node) -> Option<T>,
+        read: impl FnOnce(&'n Node) -> Option<T>,
     ) -> Option<T> {
         let Some(node) = self.value(key) else {
             let message = format!("{} has no `{key}`", self.what);
-            let finding = Finding::error("ctos::faults::missing_key", message)
-                .help(format!("add `{key}`: {expected}"));
-            self.push(finding, None);
+            let finding = Finding::error("ctos::faults::missing_key", message);
+            self.push(finding.help(format!("add `{key}`: {expected}")), key);
             return None;
         };
-        read(node).or_else(|| self.wrong(key, node, expected))
+        let read = read(node);
+        if read.is_none() {
+            self.wrong(key, expected);
+        }
+        read
     }
 
     /// A table below this one.
     pub(crate) fn table(&mut self, key: &str, known: &[&str]) -> Option<Reader<'n, '_>> {
         let node = self.value(key)?;
-        if !matches!(node.value(), Value::Table(_)) {
-            return self.wrong(key, node, "a table of keys");
+        if !is_table(node) {
+            self.wrong(key, "a table of keys");
+            return None;
         }
         Some(Reader::new(node, format!("[{key}]"), known, self.findings))
     }
 
-    /// The tables of an array, each with the name that `named` gives it.
+    /// The tables of an array.
     pub(crate) fn tables(&mut self, key: &str) -> &'n [Node] {
-        let Some(node) = self.value(key) else {
-            return &[];
+        let tables = |node: &'n Node| {
+            let tables = node.elements();
+            let is_array = matches!(node.value(), Value::Array(_));
+            (is_array && tables.iter().all(is_table)).then_some(tables)
         };
-        let is_table = |node: &Node| matches!(node.value(), Value::Table(_));
-        if !matches!(node.value(), Value::Array(_)) || !node.elements().iter().all(is_table) {
-            let expected = format!("a list of tables, written [[{key}]]");
-            let _: Option<()> = self.wrong(key, node, &expected);
-            return &[];
-        }
-        node.elements()
-    }
-
-    /// A reader of one of [`Self::tables`].
-    pub(crate) fn element(
-        &mut self,
-        node: &'n Node,
-        what: String,
-        known: &[&str],
-    ) -> Reader<'n, '_> {
-        Reader::new(node, what, known, self.findings)
+        self.value(key)
+            .and_then(|_| self.must(key, &format!("a list of tables, written [[{key}]]"), tables))
+            .unwrap_or_default()
     }
 
     /// A number.
@@ -131,11 +116,8 @@ impl<'n, 'f> Reader<'n, 'f> {
 
     /// Two numbers in order, `[least, most]`, that must be there.
     pub(crate) fn range(&mut self, key: &str, allowed: RangeInclusive<f64>) -> Option<(f64, f64)> {
-        let expected = format!(
-            "[least, most], two numbers from {} to {}",
-            allowed.start(),
-            allowed.end()
-        );
+        let (from, to) = (allowed.start(), allowed.end());
+        let expected = format!("[least, most], two numbers from {from} to {to}");
         self.must(key, &expected, |node| {
             let [least, most] = node.elements() else {
                 return None;
@@ -148,12 +130,10 @@ impl<'n, 'f> Reader<'n, 'f> {
 
     /// A text that must be there.
     pub(crate) fn text(&mut self, key: &str, expected: &str) -> Option<String> {
-        let text = |node: &Node| {
-            node.as_str()
-                .filter(|text| !text.is_empty())
-                .map(str::to_owned)
-        };
-        self.must(key, expected, text)
+        let text = self.must(key, expected, |node| {
+            node.as_str().filter(|text| !text.is_empty())
+        });
+        text.map(str::to_owned)
     }
 
     /// Two different names that must be there.
@@ -167,12 +147,10 @@ impl<'n, 'f> Reader<'n, 'f> {
             (one != other).then(|| (one.to_owned(), other.to_owned()))
         })
     }
+}
 
-    /// The place of a key's value, or of the table.
-    pub(crate) fn place_of(&self, key: &str) -> Option<Place> {
-        let place = self.value(key).and_then(|node| node.place().cloned());
-        place.or_else(|| self.place.clone())
-    }
+fn is_table(node: &Node) -> bool {
+    matches!(node.value(), Value::Table(_))
 }
 
 /// Seconds as a duration, to the nearest nanosecond.

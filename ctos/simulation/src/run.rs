@@ -25,14 +25,12 @@ use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
 use crate::{
     draw::Drawn,
-    events::EventLog,
-    events::EventSink,
+    events::{EventLog, EventSink},
     fault::Fault,
     happen::{drift_of, schedule},
     injured,
     machine::Machine,
-    network::Breach,
-    network::{Arrival, InFlight, Network, below},
+    network::{Arrival, Breach, InFlight, Network, below},
     processes::{Exits, watch_exit},
     profile::Faults,
 };
@@ -107,13 +105,8 @@ pub fn run_shared(
     setup: Setup,
     observer: &Observer,
 ) -> Result<Run, BootError> {
-    Ok(Simulation::new(
-        app,
-        registry,
-        setup,
-        &ctos_bootstrap::bootstrap::contained(observer),
-    )?
-    .run())
+    let observer = ctos_bootstrap::bootstrap::contained(observer);
+    Ok(Simulation::new(app, registry, setup, &observer)?.run())
 }
 
 pub(super) struct Simulation {
@@ -154,14 +147,7 @@ impl Simulation {
         setup: Setup,
         observer: &Observer,
     ) -> Result<Self, BootError> {
-        let Setup {
-            clock,
-            faults,
-            events,
-            stop_after,
-            stop_again_after,
-            breach,
-        } = setup;
+        let Setup { clock, faults, .. } = setup;
         let seed = app.seed;
         let names: Vec<String> = std::iter::once(BOOT_CHASSIS.to_owned())
             .chain(app.chassis.iter().map(|chassis| chassis.name.clone()))
@@ -174,8 +160,8 @@ impl Simulation {
             let at = script.entry(injury.at).or_default();
             at.push(injury.clone());
         }
-        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
-        let events = EventLog::new(events, clock.clone());
+        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.breach);
+        let events = EventLog::new(setup.events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
         let disk = Arc::new(Disk::default());
         let chassis: Vec<Arc<Chassis>> = (0..=count)
@@ -192,7 +178,7 @@ impl Simulation {
         let exits = Exits::default();
         // The others start when they are asked for.
         for from in &chassis {
-            events.watch(from, &chassis);
+            events.watch(from);
             if from.starts_on_demand(from.index()) {
                 continue;
             }
@@ -222,9 +208,9 @@ impl Simulation {
             ctos_bootstrap::bootstrap::start_system_tasks(&machine.chassis, boots.then_some(&seat));
         }
         Ok(Self {
-            stops: stop_after
+            stops: [setup.stop_after, setup.stop_again_after]
                 .into_iter()
-                .chain(stop_again_after)
+                .flatten()
                 .map(|after| clock.now() + after)
                 .collect(),
             clock,
@@ -250,10 +236,7 @@ impl Simulation {
     }
 
     fn run(mut self) -> Run {
-        if let Some(boot) = self.machines.first() {
-            boot.chassis
-                .post_system(system::BOOTSTRAP, system::AllLinked {});
-        }
+        self.tell_boot(system::AllLinked {});
         let end = loop {
             if let Some(end) = lock(&self.end).take() {
                 break end;
@@ -352,18 +335,13 @@ impl Simulation {
         let machines = self.machines.iter();
         let machines = machines.filter_map(|machine| machine.next_event(now));
         let starts = self.starts.keys().next().map(|key| key.0);
-        let next = machines
-            .chain(self.network.next_arrival())
-            .chain(starts)
-            .min();
+        let arrives = self.network.next_arrival();
+        let next = machines.chain(arrives).chain(starts).min();
         // When nothing else can ever happen, what is given still can; what is drawn has no end.
         let drawn = next.and(self.drawn.next());
         let given = self.script.keys().next().copied();
-        next.into_iter()
-            .chain(drawn)
-            .chain(given)
-            .chain(self.stops.first().copied())
-            .min()
+        let stops = self.stops.first().copied();
+        [next, drawn, given, stops].into_iter().flatten().min()
     }
 
     /// Moves the clock and lets everything happen that is due then.
@@ -393,10 +371,7 @@ impl Simulation {
         }
         if self.stops.first().is_some_and(|at| *at <= moment) {
             self.stops.pop_first();
-            if let Some(boot) = self.machines.first() {
-                boot.chassis
-                    .post_system(system::BOOTSTRAP, system::Interrupt {});
-            }
+            self.tell_boot(system::Interrupt {});
         }
         while let Some(flight) = self.network.arrive(moment) {
             self.land(flight, moment);

@@ -33,17 +33,19 @@ pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
 }
 
 fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
-    let all: Vec<&str> = KINDS.iter().flat_map(keys_of).chain(DRIFT).collect();
-    let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
-    let words: Vec<&str> = KINDS
-        .iter()
-        .map(|kind| kind.word)
-        .chain(["drift"])
-        .collect();
-    let word = any.text("kind", &format!("one of {}", words.join(", ")))?;
-    let named = format!("[[fault]] `{word}`");
+    let word = table.entry("kind").and_then(|kind| kind.value.as_str());
+    let kind = KINDS.iter().find(|kind| Some(kind.word) == word);
+    let keys = match (word, kind) {
+        (Some("drift"), _) => DRIFT.to_vec(),
+        (_, Some(kind)) => keys_of(kind),
+        _ => KINDS.iter().flat_map(keys_of).chain(DRIFT).collect(),
+    };
+    let named = word.map_or_else(String::new, |word| format!(" `{word}`"));
+    let mut one = Reader::new(table, format!("[[fault]]{named}"), &keys, reader.findings);
+    let words = KINDS.iter().map(|kind| kind.word).chain(["drift"]);
+    let words: Vec<&str> = words.collect();
+    let word = one.text("kind", &format!("one of {}", words.join(", ")))?;
     if word == "drift" {
-        let mut one = reader.element(table, named, &DRIFT);
         let chassis = one.text("chassis", "the name of a chassis");
         let ahead = one.time("ahead_s", MOST);
         let rate = one.needed("rate_ppm", -100_000.0..=100_000.0);
@@ -51,14 +53,12 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
         let drift = FaultKind::Drift { ahead, rate_ppb };
         return Some(Fault::on(chassis?, drift, Instant::START));
     }
-    let Some(kind) = KINDS.iter().find(|kind| kind.word == word) else {
+    let Some(kind) = kind else {
         let message = format!("there is no fault `{word}`");
         let finding = Finding::error("ctos::faults::unknown_fault", message);
-        let place = any.place_of("kind");
-        any.push(finding.suggest(&word, words), place.as_ref());
+        one.push(finding.suggest(&word, words), "kind");
         return None;
     };
-    let mut one = reader.element(table, named, &keys_of(kind));
     let at = one.time("at_s", MOST);
     let site = if kind.on_link {
         one.pair("between")

@@ -252,7 +252,7 @@ fn everything_that_happens_is_in_the_record() {
     assert_eq!(json["command"], "add");
     assert_eq!(json["waits"], "reply");
     assert!(json["data"]["number"].as_u64().unwrap() < 20, "{json}");
-    assert_eq!(message.channel.schema, "ctos.Message");
+    assert_eq!(message.channel.schema(), "ctos.Message");
 }
 
 fn replayed(

@@ -7,9 +7,8 @@ use std::{
     rc::Rc,
 };
 
-use crate::bootstrap::{AppReport, BootState, ChassisState, MemberReport};
 use crate::bootstrap::{
-    BootEvent, End, ProcessOrder, Seat,
+    AppReport, BootEvent, BootState, ChassisState, End, MemberReport, ProcessOrder, Seat,
     states::{BootStep, ChassisStep, Table},
 };
 use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure, Start};
@@ -33,14 +32,22 @@ pub(super) enum Event {
     Lost,
     /// Its process is dead.
     Dead(ProcessEnded),
-    /// A task of it failed for good.
-    TaskFailed { task: String, reason: String },
+    /// It must go, for a reason that completes "the chassis ...".
+    Failed(String),
     /// A person wants it anew.
     Restart,
     /// Somebody looks for a task of it.
     Wanted(ChassisWanted),
     /// The app is being stopped.
     Stop,
+}
+
+/// An error unless there are no failures.
+pub(super) fn none<T>(failures: Vec<T>) -> Result<(), Vec<T>> {
+    match failures.is_empty() {
+        true => Ok(()),
+        false => Err(failures),
+    }
 }
 
 /// What is told to somebody who takes it one by one.
@@ -278,11 +285,7 @@ impl Board {
         }
         let failures = self.members.iter().map(|one| one.failures.borrow().clone());
         let failures = failures.collect::<Vec<_>>().concat();
-        if failures.is_empty() {
-            Ok(())
-        } else {
-            Err(failures)
-        }
+        none(failures)
     }
 
     /// The sequence that boots the app shall look again.
@@ -342,7 +345,10 @@ impl Board {
             self.is_up() && one.policy.on_task_failure == OnTaskFailure::RestartChassis
         };
         match self.member(index).filter(contains) {
-            Some(member) => member.tell(Event::TaskFailed { task, reason }),
+            Some(member) => {
+                let reason = format!("has a task that failed: `{task}`: {reason}");
+                member.tell(Event::Failed(reason));
+            }
             None => self.end(End::TaskFailed { task, reason }),
         }
     }

@@ -86,11 +86,8 @@ impl Board {
         let reference = TaskRef::new(task.name.as_str(), task.tid);
         let reason = reason.clone();
         let timeout = self.cx.app().stop_timeout;
-        let asked = self
-            .cx
-            .call(&reference, Quiesce { reason })
-            .deadline(timeout);
-        let error = match asked.await {
+        let asked = self.cx.call(&reference, Quiesce { reason });
+        let error = match asked.deadline(timeout).await {
             Ok(()) => return Ok(()),
             // A task that is not there was shut down before.
             Err(error) if error.fault == Fault::UnknownTask => return Ok(()),
@@ -99,12 +96,8 @@ impl Board {
         let Fault::Deadline { after } = error.fault else {
             return Err(error.reason());
         };
-        match self
-            .cx
-            .call(&reference, NotQuiet {})
-            .deadline(TIMEOUT)
-            .await
-        {
+        let why = self.cx.call(&reference, NotQuiet {}).deadline(TIMEOUT);
+        match why.await {
             Ok(Some(waits)) => Err(format!("not within {:.3} s: {waits}", after.as_secs_f64())),
             Ok(None) => Ok(()),
             Err(_) => Err(explained(&self.cx, task, "come to rest", error).await),

@@ -4,9 +4,8 @@ use std::{collections::BTreeMap, rc::Rc};
 
 use futures_util::future::{Either, pending, select};
 
-use crate::bootstrap::ChassisState;
 use crate::bootstrap::{
-    BootEvent, End, ProcessOrder, StopStep,
+    BootEvent, ChassisState, End, ProcessOrder, StopStep,
     board::{Board, Event},
     states::{BootStep, ChassisStep},
 };

@@ -10,14 +10,9 @@ use ctos_core::{
     phase::StopReason,
     system::{self, Exit, StopTask, TaskName},
 };
-use ctos_message::fault::Fault;
+use ctos_message::fault::{CallError, Fault};
 
 impl Board {
-    /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
-    pub(super) async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
-        self.order_stop(task, reason, None).await
-    }
-
     /// Stops one task of chassis `index`, unless it has moved away.
     pub(super) async fn stop_task_of(&self, index: u8, task: &TaskName, reason: &StopReason) {
         if self.place_of(task) == index {
@@ -25,6 +20,7 @@ impl Board {
         }
     }
 
+    /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
     async fn order_stop(&self, task: &TaskName, reason: &StopReason, on: Option<u8>) -> bool {
         if !self.cx.chassis().is_linked(self.place_of(task)) {
             return false;
@@ -37,30 +33,27 @@ impl Board {
         let timeout = self.cx.app().stop_timeout;
         let stopped = self.cx.call(&reference, request).deadline(timeout).await;
         // A task that is not there was shut down before.
-        let failed = stopped
-            .err()
-            .filter(|error| error.fault != Fault::UnknownTask);
-        let error = failed.map(|error| error.reason());
-        let stopped = error.is_none();
-        self.event(&BootEvent::Stopped {
-            task: task.name.clone(),
-            error,
-        });
+        let there = |error: &CallError| error.fault != Fault::UnknownTask;
+        let error = stopped.err().filter(there).map(|error| error.reason());
+        self.stopped(task, error)
+    }
+
+    /// Tells of a task: whether it has stopped in order.
+    fn stopped(&self, task: &TaskName, error: Option<String>) -> bool {
+        let (task, stopped) = (task.name.clone(), error.is_none());
+        self.event(&BootEvent::Stopped { task, error });
         stopped
     }
 
-    /// As [`Self::stop_task`]; a further interrupt goes on to the next task at once.
+    /// Stops one task, unless its chassis is gone; a further interrupt goes on to the next task at once. Whether it has
+    /// stopped in order.
     pub(super) async fn stop_task_or_skip(&self, task: &TaskName, reason: &StopReason) -> bool {
         let interrupted = std::pin::pin!(self.interrupted());
-        let stopping = std::pin::pin!(self.stop_task(task, reason));
+        let stopping = std::pin::pin!(self.order_stop(task, reason, None));
         match select(stopping, interrupted).await {
             Either::Left((stopped, _)) => stopped,
             Either::Right(((), _)) => {
-                self.event(&BootEvent::Stopped {
-                    task: task.name.clone(),
-                    error: Some("skipped at a second interrupt".to_owned()),
-                });
-                false
+                self.stopped(task, Some("skipped at a second interrupt".to_owned()))
             }
         }
     }

@@ -8,7 +8,7 @@ use futures_util::future::{Either, join_all, select};
 
 use crate::bootstrap::{
     BootEvent, End, ProcessOrder,
-    board::{Board, Event, Member},
+    board::{Board, Event, Member, none},
     explain::explained,
     states::{ChassisState, ChassisStep},
 };
@@ -24,20 +24,8 @@ use ctos_message::fault::Fault;
 /// How long the links of a dead process may take to close.
 const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Why an incarnation of a chassis is over.
-enum Over {
-    /// Its process is dead.
-    Dead(ProcessEnded),
-    /// Nobody is connected to it any more.
-    Lost,
-    /// It must go, for a reason that completes "the chassis ...".
-    Failed(String),
-    /// A person wants it anew.
-    Asked,
-}
-
 /// There is nothing more to supervise: the app ends, or is being stopped.
-struct Done;
+pub(super) struct Done;
 
 /// How a dead process ended, and whether a person wanted it to.
 struct Death {
@@ -47,20 +35,15 @@ struct Death {
     asked: bool,
 }
 
-/// Supervises a chassis until the app is stopped.
-pub(super) async fn supervise(board: Rc<Board>, member: Rc<Member>) {
-    let supervisor = Supervisor { board, member };
-    // Its end is that of the app, which the sequence sees to.
-    let Err(Done) = supervisor.run().await;
-}
-
-struct Supervisor {
-    board: Rc<Board>,
-    member: Rc<Member>,
+/// Supervises a chassis.
+pub(super) struct Supervisor {
+    pub(super) board: Rc<Board>,
+    pub(super) member: Rc<Member>,
 }
 
 impl Supervisor {
-    async fn run(&self) -> Result<Infallible, Done> {
+    /// Supervises it until the app is stopped. That it ends is the end of the app, which the sequence sees to.
+    pub(super) async fn run(&self) -> Result<Infallible, Done> {
         if self.member.asleep.get() {
             self.sleep().await?;
         }
@@ -68,33 +51,36 @@ impl Supervisor {
             let over = self.live().await?;
             let failed_at = self.board.cx.now();
             self.step(ChassisStep::Fails);
-            if matches!(over, Over::Asked) || self.may_return() {
+            if matches!(over, Event::Restart) || self.may_return() {
                 self.board.tell_names(News::Away(self.member.index));
             }
             self.member.reached.set(None);
             self.member.first.set(false);
             self.member.failed_at.set(Some(failed_at));
             let death = self.bury(over).await?;
-            let (incarnation, pause) = self.judge(death)?;
+            let pause = self.judge(death)?;
             self.step(ChassisStep::DeadMayRestart);
             self.board.event(&BootEvent::Restarting {
                 chassis: self.name(),
-                incarnation,
+                incarnation: self.member.report.borrow().incarnation + 1,
                 pause,
             });
             // A person need not wait for the pause.
             let asked = self.until(|event| matches!(event, Event::Restart).then_some(()));
             let paused = self.board.cx.timeout(pause, asked).await;
             paused.unwrap_or(Ok(()))?;
-            self.step(ChassisStep::Paused);
-            {
-                let mut report = self.member.report.borrow_mut();
-                report.incarnation = incarnation;
-                report.tasks.clear();
-            }
-            let order = ProcessOrder::Start(self.member.index, incarnation);
-            self.board.order(order);
+            self.start();
         }
+    }
+
+    /// Has the next process started.
+    fn start(&self) {
+        self.step(ChassisStep::Paused);
+        let mut report = self.member.report.borrow_mut();
+        report.incarnation += 1;
+        report.tasks.clear();
+        let order = ProcessOrder::Start(self.member.index, report.incarnation);
+        self.board.order(order);
     }
 
     /// Until somebody looks for one of its tasks there is no process; then one starts, as after a restart.
@@ -118,14 +104,7 @@ impl Supervisor {
         self.member.asleep.set(false);
         self.member.first.set(true);
         self.member.failed_at.set(Some(self.board.cx.now()));
-        self.step(ChassisStep::Paused);
-        let incarnation = {
-            let mut report = self.member.report.borrow_mut();
-            report.incarnation += 1;
-            report.incarnation
-        };
-        self.board
-            .order(ProcessOrder::Start(self.member.index, incarnation));
+        self.start();
         Ok(())
     }
 
@@ -150,38 +129,32 @@ impl Supervisor {
         }
     }
 
-    /// One incarnation, from the start of its process until it is over.
-    async fn live(&self) -> Result<Over, Done> {
+    /// One incarnation, from the start of its process until it is over: what ends it.
+    async fn live(&self) -> Result<Event, Done> {
         let timeout = self.board.cx.app().phase_timeout;
         let joined = self.until(|event| match event {
-            Event::Joined => Some(None),
-            Event::Dead(ending) => Some(Some(Over::Dead(ending))),
+            Event::Joined => Some(Ok(())),
+            Event::Dead(_) => Some(Err(event)),
             // Of the process before this one, or of a person who has what he wants.
             _ => None,
         });
         match self.board.cx.timeout(timeout, joined).await {
             Ok(joined) => {
-                if let Some(over) = joined? {
+                if let Err(over) = joined? {
                     return Ok(over);
                 }
             }
-            Err(elapsed) => return Ok(Over::Failed(format!("did not connect: {elapsed}"))),
+            Err(elapsed) => return Ok(Event::Failed(format!("did not connect: {elapsed}"))),
         }
         self.step(ChassisStep::Joined);
         let up = std::pin::pin!(self.up());
         let trouble = std::pin::pin!(self.until(|event| match event {
             Event::Joined | Event::Wanted(_) | Event::Stop => None,
-            Event::Lost => Some(Over::Lost),
-            Event::Dead(ending) => Some(Over::Dead(ending)),
-            Event::TaskFailed { task, reason } => {
-                let reason = format!("has a task that failed: `{task}`: {reason}");
-                Some(Over::Failed(reason))
-            }
-            Event::Restart => Some(Over::Asked),
+            trouble => Some(trouble),
         }));
         match select(up, trouble).await {
-            Either::Left((reason, _)) => Ok(Over::Failed(reason)),
-            Either::Right((over, _)) => over,
+            Either::Left((reason, _)) => Ok(Event::Failed(reason)),
+            Either::Right((trouble, _)) => trouble,
         }
     }
 
@@ -215,12 +188,10 @@ impl Supervisor {
             // Before anybody is told and may look for its tasks.
             board.tell_names(News::Back(self.member.index));
             for other in board.cx.chassis().others().chain([0]) {
-                if other != self.member.index && (other == 0 || board.cx.chassis().is_linked(other))
-                {
-                    let announce = AnnounceUp {
-                        chassis: chassis.clone(),
-                    };
-                    let agent = system::agent_tid(other);
+                let is_there = other == 0 || board.cx.chassis().is_linked(other);
+                if other != self.member.index && is_there {
+                    let (agent, chassis) = (system::agent_tid(other), chassis.clone());
+                    let announce = AnnounceUp { chassis };
                     board.cx.chassis().post_system(agent, announce);
                 }
             }
@@ -251,14 +222,10 @@ impl Supervisor {
             self.board.changed();
             return pending().await;
         }
-        let failures: Vec<String> = failures
-            .iter()
-            .map(|(task, reason)| format!("`{task}`: {reason}"))
-            .collect();
-        format!(
-            "did not pass startup phase `{phase}`: {}",
-            failures.join("; ")
-        )
+        let failures = failures.iter();
+        let failures = failures.map(|(task, reason)| format!("`{task}`: {reason}"));
+        let failures = failures.collect::<Vec<_>>().join("; ");
+        format!("did not pass startup phase `{phase}`: {failures}")
     }
 
     /// Lets the agent create the tasks.
@@ -278,11 +245,7 @@ impl Supervisor {
         match call.deadline(timeout).await {
             Ok(created) => {
                 self.member.report.borrow_mut().tasks = created.tasks;
-                if created.failed.is_empty() {
-                    Ok(())
-                } else {
-                    Err(created.failed)
-                }
+                none(created.failed)
             }
             // The process is gone, which is told in another way.
             Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
@@ -315,27 +278,28 @@ impl Supervisor {
     }
 
     /// Makes sure that the process is dead.
-    async fn bury(&self, over: Over) -> Result<Death, Done> {
+    async fn bury(&self, over: Event) -> Result<Death, Done> {
         let (reason, asked) = match over {
-            Over::Dead(ending) => {
+            Event::Dead(ending) => {
                 self.told_failed(&ending.how);
                 self.links_closed().await?;
                 return Ok(Death::of(ending));
             }
-            Over::Lost if !self.may_return() => {
+            Event::Lost if !self.may_return() => {
                 // Its end need not be waited for: the app ends, and that waits for all processes.
                 let chassis = self.name();
                 self.board.end(End::ChassisDown { chassis });
                 return Err(Done);
             }
-            Over::Lost => {
+            Event::Lost => {
                 // Having lost the boot it stops its tasks by itself.
                 let ending = self.dead_or_killed().await?;
                 self.told_failed(&ending.how);
                 return Ok(Death::of(ending));
             }
-            Over::Failed(reason) => (reason, false),
-            Over::Asked => ("was to be restarted".to_owned(), true),
+            Event::Failed(reason) => (reason, false),
+            // The others end nothing.
+            _ => ("was to be restarted".to_owned(), true),
         };
         self.told_failed(&reason);
         let wound_down = Box::pin(self.wind_down(&reason));
@@ -379,11 +343,11 @@ impl Supervisor {
 
     /// Ends when the process is dead, with how.
     async fn dead(&self) -> Result<ProcessEnded, Done> {
-        let dead = self.until(|event| match event {
+        self.until(|event| match event {
             Event::Dead(ending) => Some(ending),
             _ => None,
-        });
-        dead.await
+        })
+        .await
     }
 
     /// Waits for the end of the process, and ends it when that takes too long. When even that does not
@@ -415,20 +379,16 @@ impl Supervisor {
         closed
     }
 
-    /// What the policy says to the death: the number of the next incarnation and the pause before it. Where
-    /// there is none the app ends.
-    fn judge(&self, death: Death) -> Result<(u32, Duration), Done> {
-        let mut report = self.member.report.borrow_mut();
-        report.last_end = Some(death.reason.clone());
-        let incarnation = report.incarnation.saturating_add(1);
-        drop(report);
+    /// What the policy says to the death: the pause before the next incarnation. Where there is none the app ends.
+    fn judge(&self, death: Death) -> Result<Duration, Done> {
+        self.member.report.borrow_mut().last_end = Some(death.reason.clone());
         if death.asked {
-            return Ok((incarnation, Duration::ZERO));
+            return Ok(Duration::ZERO);
         }
         let now = self.board.cx.now();
         let verdict = self.member.intensity.borrow_mut().judge(death.ended, now);
         match verdict {
-            Verdict::RestartAfter(pause) => Ok((incarnation, pause)),
+            Verdict::RestartAfter(pause) => Ok(pause),
             Verdict::StayDown => {
                 let chassis = self.name();
                 let why = format!("{} and may not be started again", death.reason);

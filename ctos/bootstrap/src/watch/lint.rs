@@ -10,15 +10,15 @@ use ctos_core::{
 };
 use ctos_message::Tid;
 use ctos_time::{Instant, lock::lock};
-use std::sync::Arc;
 use std::{
     collections::{BTreeMap, VecDeque},
     fmt,
-    sync::Mutex,
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 /// How long a handler may keep its processor, unless the configuration says otherwise.
 const POLL_TIMEOUT: Duration = Duration::from_secs(1);
@@ -103,14 +103,6 @@ struct State {
 #[derive(Default)]
 pub(crate) struct Watch(Mutex<State>);
 
-/// A lint as it is stored in the record.
-#[derive(Serialize)]
-struct Told<'a> {
-    present: bool,
-    #[serde(flatten)]
-    lint: &'a Lint,
-}
-
 impl Extension for Watch {
     fn new(_: &Chassis) -> Self {
         Self::default()
@@ -174,9 +166,10 @@ fn tell(chassis: &Chassis, lint: &Lint, present: bool) {
     } else {
         tracing::info!(task = %task, chassis = chassis.name(), lint = %code, "over: {text}");
     }
-    let told = Told { present, lint };
     let agent = system::agent_tid(chassis.index());
     if let Some(recorder) = chassis.tap.recorder() {
+        let mut told = json!(lint);
+        told["present"] = json!(present);
         let write = |buffer: &mut Vec<u8>| serde_json::to_writer(buffer, &told).is_ok();
         recorder.value(agent, "/lint", &write);
     }

@@ -176,10 +176,7 @@ impl Mesh {
             .map_err(MeshError::Zenoh)?;
         let listeners = listeners(chassis, keys.as_ref(), fabric.as_ref()).await?;
         let addresses: io::Result<Vec<Address>> = listeners.iter().map(Listener::address).collect();
-        let addresses = addresses.map_err(|error| MeshError::Listen {
-            address: chassis.name().to_owned(),
-            error,
-        })?;
+        let addresses = addresses.map_err(not_at(chassis.name()))?;
         let spin = app.links.spin_here();
         let reactor = Reactor::new(chassis.name(), chassis.clock.clone(), spin);
         let reactor = reactor.map_err(MeshError::Wait)?;
@@ -320,6 +317,12 @@ pub(crate) fn keys_of(app: &App) -> Result<Option<Arc<Keys>>, KeyError> {
     Ok(Some(Arc::new(keys)))
 }
 
+/// It cannot be listened there.
+fn not_at(address: impl ToString) -> impl FnOnce(io::Error) -> MeshError {
+    let address = address.to_string();
+    move |error| MeshError::Listen { address, error }
+}
+
 /// Where this chassis listens: for its own host, and where the configuration says. The first is where
 /// others of this host call.
 async fn listeners(
@@ -336,19 +339,13 @@ async fn listeners(
         listeners.push(Listener::Zenoh(listener, keys.cloned()));
     }
     if matches!(app.links.same_host, SameHost::Shared | SameHost::Unix) {
-        let listener = Listener::unix(chassis.name()).map_err(|error| MeshError::Listen {
-            address: "a socket of this user's own".to_owned(),
-            error,
-        })?;
-        listeners.push(listener);
+        let listener = Listener::unix(chassis.name());
+        listeners.push(listener.map_err(not_at("a socket of this user's own"))?);
     }
     if listen.is_some() || app.links.same_host == SameHost::Tcp || listeners.is_empty() {
         let address = listen.unwrap_or_else(|| ([127, 0, 0, 1], 0).into());
         let listener = Listener::tcp(address, keys.cloned()).await;
-        listeners.push(listener.map_err(|error| MeshError::Listen {
-            address: address.to_string(),
-            error,
-        })?);
+        listeners.push(listener.map_err(not_at(address))?);
     }
     if app.links.same_host != SameHost::Zenoh {
         // For those on other hosts that cannot be called more directly.

@@ -3,6 +3,7 @@
 
 use std::{
     collections::BTreeMap,
+    process::Stdio,
     sync::{Arc, Mutex},
     time::Duration,
 };
@@ -13,7 +14,7 @@ use tokio::{process::Command, sync::watch};
 use crate::{
     boot::{
         launcher::{Briefing, Launcher, ProcessId},
-        spawn::{self, Ending, Spawned, Tether},
+        spawn::{self, Ending, Spawned},
     },
     control::LogStore,
     remote::{HostLink, Hosts},
@@ -178,7 +179,7 @@ impl Starter {
         let (heard, at_end) = (witness.clone(), witness.clone());
         let spawned = spawn::spawn(
             command,
-            Tether::No,
+            Stdio::null(),
             move |line| heard.line(line),
             move |ending| at_end.ended(ending),
         )

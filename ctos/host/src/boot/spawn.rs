@@ -59,20 +59,11 @@ impl Ending {
     }
 }
 
-/// Whether the process has a hold on the one that started it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Tether {
-    /// None.
-    No,
-    /// Its standard input ends when the one that started it is gone, or lets go.
-    Stdin,
-}
-
 /// A process that was started.
 pub(crate) struct Spawned {
     pub(crate) pid: Option<u32>,
     signals: mpsc::UnboundedSender<Signal>,
-    /// Dropped to let it go, where it has a [`Tether`].
+    /// Its standard input, if it is piped: dropped to let it go.
     pub(crate) tether: Option<ChildStdin>,
 }
 
@@ -83,21 +74,18 @@ impl Spawned {
     }
 }
 
-/// Starts `command` in a process group of its own. `line` is told each line of its standard error and of
+/// Starts `command` in a process group of its own. Its standard input, if that is piped, ends when this process is gone or
+/// lets go. `line` is told each line of its standard error and of
 /// its standard output, `ended` how it ended, after its last line.
 ///
 /// # Errors
 /// What the system says.
 pub(crate) fn spawn(
     mut command: Command,
-    tether: Tether,
+    stdin: Stdio,
     line: impl FnMut(String) + Send + 'static,
     ended: impl FnOnce(Ending) + Send + 'static,
 ) -> std::io::Result<Spawned> {
-    let stdin = match tether {
-        Tether::No => Stdio::null(),
-        Tether::Stdin => Stdio::piped(),
-    };
     let mut child = command
         .stdin(stdin)
         .stdout(Stdio::piped())
@@ -107,13 +95,10 @@ pub(crate) fn spawn(
         .spawn()?;
     let pid = child.id();
     let line = Arc::new(Mutex::new(line));
-    let stderr = child.stderr.take();
+    let (stderr, stdout) = (child.stderr.take(), child.stdout.take());
     let logs = [
         stderr.map(|stderr| tokio::spawn(read(stderr, line.clone()))),
-        child
-            .stdout
-            .take()
-            .map(|stdout| tokio::spawn(read(stdout, line))),
+        stdout.map(|stdout| tokio::spawn(read(stdout, line))),
     ];
     let tether = child.stdin.take();
     let (signals, orders) = mpsc::unbounded_channel();

@@ -14,7 +14,6 @@ use tokio::{
 };
 
 use super::{
-    place,
     protocol::ErrorCode,
     service::{Client, Reader, Service, Writer, busy, error, tell},
 };
@@ -24,7 +23,7 @@ use crate::{
 };
 use ctos_link::{
     security::{KeyError, Role},
-    transport::{Call, Listener, Stream, is},
+    transport::{Call, Listener, is},
 };
 
 /// How many of the places for clients those of other hosts may have, so that there is always one for the app's own user.
@@ -46,8 +45,6 @@ enum GateError {
     Key(#[from] KeyError),
     #[error("it does not belong to the user of the app, who gave it no keys ([security])")]
     User,
-    #[error("the socket is its user's own")]
-    Socket,
     #[error("it does not know the secret of this port")]
     Secret,
     #[error(transparent)]
@@ -106,16 +103,7 @@ async fn meet(
     from: &str,
     secret: Option<&PortSecret>,
 ) -> Result<(Client, Reader, Writer), GateError> {
-    let (stream, identity) = match call {
-        Call::Unix(stream) => {
-            let theirs = stream.peer_cred().map_err(KeyError::from)?.uid();
-            if theirs != 0 && theirs != place::uid() {
-                return Err(GateError::Socket);
-            }
-            (Box::new(stream) as Stream, None)
-        }
-        call => call.prove().await?,
-    };
+    let (stream, identity) = call.prove().await?;
     let own = is::<UnixStream>(&stream);
     let (reader, mut writer) = tokio::io::split(stream);
     let mut reader = BufReader::new(reader);

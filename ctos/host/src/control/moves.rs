@@ -1,10 +1,10 @@
 //! A move that a client has asked for: checked, ordered, and told about until it is over.
 
-use std::{io, time::Duration};
+use std::time::Duration;
 
 use super::{
     protocol::{Answer, ErrorCode, ErrorView, MoveView},
-    service::{Service, Writer, tell},
+    service::{Answered, Service, Writer, tell},
     view,
 };
 use ctos_core::{
@@ -22,17 +22,10 @@ const FIND_TIMEOUT: Duration = Duration::from_secs(2);
 
 impl Service {
     /// Moves a task and tells the client about it. A client that goes before the end does not end the move.
-    pub(super) async fn move_task(
-        &self,
-        task: String,
-        to: &str,
-        writer: &mut Writer,
-    ) -> io::Result<()> {
+    pub(super) async fn move_task(&self, task: String, to: &str, writer: &mut Writer) -> Answered {
         let began = self.chassis.clock.now();
-        let mut moving = match self.begin_move(task, to).await {
-            Ok(moving) => moving,
-            Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
-        };
+        let took_s = || self.chassis.clock.now().since(began).as_secs_f64();
+        let mut moving = self.begin_move(task, to).await?;
         let timeout = PATIENCE + self.chassis.app.phase_timeout.saturating_mul(4);
         let order = MoveTask {
             task: moving.task.clone(),
@@ -41,22 +34,20 @@ impl Service {
         let moved = view::ask(&self.chassis, system::TID_SERVER, order, timeout);
         let mut moved = std::pin::pin!(moved);
         loop {
-            moving.took_s = self.chassis.clock.now().since(began).as_secs_f64();
+            moving.took_s = took_s();
             tell(writer, &Answer::Moving(moving.clone())).await?;
-            let answer = match tokio::time::timeout(TELL, &mut moved).await {
-                Ok(Ok(place)) => Answer::Moved(MoveView {
-                    to: place,
-                    took_s: self.chassis.clock.now().since(began).as_secs_f64(),
-                    at: None,
-                    ..moving
-                }),
-                Ok(Err(fault)) => Answer::Error(failure(&moving.task, fault)),
-                Err(_) => {
-                    moving.at = self.activity(&moving.task).await;
-                    continue;
+            match tokio::time::timeout(TELL, &mut moved).await {
+                Ok(Ok(place)) => {
+                    return Ok(Answer::Moved(MoveView {
+                        to: place,
+                        took_s: took_s(),
+                        at: None,
+                        ..moving
+                    }));
                 }
-            };
-            return tell(writer, &answer).await;
+                Ok(Err(fault)) => return Err(failure(&moving.task, fault).into()),
+                Err(_) => moving.at = self.activity(&moving.task).await,
+            }
         }
     }
 

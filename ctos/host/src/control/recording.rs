@@ -3,7 +3,6 @@
 
 use std::{
     collections::BTreeMap,
-    io,
     sync::{
         Arc, Mutex,
         atomic::{AtomicU64, Ordering},
@@ -17,7 +16,7 @@ use tokio::sync::Notify;
 use super::{
     news::restarted,
     protocol::{Answer, ErrorCode, ErrorView, RecordFile, RecordRequest, RecordView},
-    service::{Service, Writer, tell},
+    service::{Answered, Service, Writer, tell},
     view,
 };
 use ctos_core::{
@@ -53,17 +52,10 @@ impl Recordings {
 
 impl Service {
     /// Records the app and tells the client about it.
-    pub(super) async fn record(
-        &self,
-        request: RecordRequest,
-        writer: &mut Writer,
-    ) -> io::Result<()> {
+    pub(super) async fn record(&self, request: RecordRequest, writer: &mut Writer) -> Answered {
         let chassis = &self.chassis;
         let mut news = self.ticker.subscribe();
-        let mut recording = match Recording::begin(chassis, &self.recordings, request).await {
-            Ok(recording) => recording,
-            Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
-        };
+        let mut recording = Recording::begin(chassis, &self.recordings, request).await?;
         let stop = recording.stop.clone();
         loop {
             let view = recording.view();
@@ -80,8 +72,7 @@ impl Service {
                     None => {
                         // Every process has closed its part with the rest of it.
                         recording.over = true;
-                        let view = recording.view();
-                        return tell(writer, &Answer::Recorded(view)).await;
+                        return Ok(Answer::Recorded(recording.view()));
                     }
                 },
                 () = tokio::time::sleep(pause) => {
@@ -97,7 +88,7 @@ impl Service {
         let (took_s, key) = (recording.view().took_s, recording.key);
         recording.ask(|| EndRecord { key }, CLOSE_TIMEOUT).await;
         let view = recording.view();
-        tell(writer, &Answer::Recorded(RecordView { took_s, ..view })).await
+        Ok(Answer::Recorded(RecordView { took_s, ..view }))
     }
 }
 

@@ -1,10 +1,10 @@
 //! A restart that a client has asked for: ordered, and told about until it is over.
 
-use std::{io, time::Duration};
+use std::time::Duration;
 
 use super::{
     protocol::{Activity, Answer, ErrorCode, ErrorView},
-    service::{Service, Writer, tell},
+    service::{Answered, Service, Writer, tell},
     view,
 };
 use ctos_core::system::{self, RestartChassis, RestartTask};
@@ -16,24 +16,17 @@ const TELL: Duration = Duration::from_secs(1);
 impl Service {
     /// Restarts a task or a chassis and tells the client about it. A client that goes before the end does not end the
     /// restart.
-    pub(super) async fn restart(&self, name: &str, writer: &mut Writer) -> io::Result<()> {
+    pub(super) async fn restart(&self, name: &str, writer: &mut Writer) -> Answered {
         let began = self.chassis.clock.now();
         let mut restarted = std::pin::pin!(self.restarted(name));
         loop {
-            let over = tokio::time::timeout(TELL, &mut restarted).await;
+            if let Ok(over) = tokio::time::timeout(TELL, &mut restarted).await {
+                over?;
+                return Ok(Answer::Done {});
+            }
             let took_s = self.chassis.clock.now().since(began).as_secs_f64();
-            let answer = match over {
-                Ok(Ok(())) => Answer::Done {},
-                Ok(Err(wrong)) => Answer::Error(wrong),
-                Err(_) => match self.kept(name, took_s).await {
-                    Ok(at) => {
-                        tell(writer, &Answer::Waiting { took_s, at }).await?;
-                        continue;
-                    }
-                    Err(runaway) => Answer::Error(runaway),
-                },
-            };
-            return tell(writer, &answer).await;
+            let at = self.kept(name, took_s).await?;
+            tell(writer, &Answer::Waiting { took_s, at }).await?;
         }
     }
 

@@ -202,19 +202,19 @@ impl Service {
         speaker: &mut Speaker,
         writer: &mut Writer,
     ) -> io::Result<()> {
-        let answer = match request {
-            Request::Logs(request) => return self.logs(&request, writer).await,
-            Request::Stop { now } => return self.stop(now, writer).await,
-            Request::Record(request) => return self.record(request, writer).await,
-            Request::Restart { name } => return self.restart(&name, writer).await,
-            Request::Move { task, to } => return self.move_task(task, &to, writer).await,
+        let answered = match request {
+            Request::Logs(request) => self.logs(&request, writer).await,
+            Request::Stop { now } => self.stop(now, writer).await,
+            Request::Record(request) => self.record(request, writer).await,
+            Request::Restart { name } => self.restart(&name, writer).await,
+            Request::Move { task, to } => self.move_task(task, &to, writer).await,
             Request::Say(request) => self.say(request, speaker).await,
-            Request::Ps {} => self.app().await.map(Answer::App),
+            Request::Ps {} => self.app().await.map(Answer::App).map_err(Failed::from),
             Request::Status { name } => self.status(&name).await,
             Request::RecordStop { key } if self.recordings.stop(key) => Ok(Answer::Done {}),
             Request::RecordStop { key } => {
                 let text = format!("there is no record {key}");
-                Err(ErrorView::new(ErrorCode::NoSuchName, text))
+                Err(ErrorView::new(ErrorCode::NoSuchName, text).into())
             }
             Request::Call {
                 task,
@@ -223,7 +223,33 @@ impl Service {
                 within_s,
             } => self.call(&task, &command, &data, within_s).await,
         };
-        tell(writer, &answer.unwrap_or_else(Answer::Error)).await
+        match answered {
+            Ok(answer) => tell(writer, &answer).await,
+            Err(Failed::Refused(wrong)) => tell(writer, &Answer::Error(wrong)).await,
+            Err(Failed::Io(error)) => Err(error),
+        }
+    }
+}
+
+/// The last answer to a request; those before it have been told.
+pub(super) type Answered = Result<Answer, Failed>;
+
+/// Why a request has no answer.
+pub(super) enum Failed {
+    /// The client is gone.
+    Io(io::Error),
+    Refused(ErrorView),
+}
+
+impl From<io::Error> for Failed {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<ErrorView> for Failed {
+    fn from(error: ErrorView) -> Self {
+        Self::Refused(error)
     }
 }
 

@@ -346,14 +346,7 @@ impl HostAgent {
     async fn hear(&self, call: Call) -> Result<Heard, RefusedError> {
         let ends = call.ends();
         let (mut stream, identity) = call.prove().await?;
-        let mut protocol = GREETING;
-        tokio::io::AsyncReadExt::read_exact(&mut stream, &mut protocol)
-            .await
-            .map_err(HandshakeError::from)?;
-        if protocol != GREETING {
-            return Err(HandshakeError::Version.into());
-        }
-        let hello: Hello = handshake::hear(&mut stream).await?;
+        let hello = handshake::hear_greeting(&mut stream, GREETING).await?;
         Ok(Heard {
             stream,
             identity,
@@ -420,7 +413,7 @@ impl HostAgent {
         if let Some((connections, outbox)) = known {
             let connection = Connection::new(stream, outbox, FRAME_LIMIT, silence);
             // A run that has just ended has nobody to come back to; the boot sees it hang up.
-            let _ = connections.send(Return::Connected(connection));
+            let _ = connections.send(Some(connection));
             return;
         }
         let from = from.map_or_else(String::new, |from| from.to_string());
@@ -435,7 +428,7 @@ impl HostAgent {
         let replaced = replaced.and_then(|run| lock(&self.runs).get(&run.0).cloned());
         if let Some((replaced, _)) = replaced {
             // It may just have ended.
-            let _ = replaced.send(Return::Anew);
+            let _ = replaced.send(None);
             replaced.closed().await;
         }
         let (sender, anew) = mpsc::unbounded_channel();

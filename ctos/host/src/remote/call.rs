@@ -3,8 +3,6 @@
 
 use std::time::Duration;
 
-use tokio::io::AsyncWriteExt;
-
 use super::{
     link::Link,
     wire::{
@@ -124,8 +122,7 @@ impl Link {
             hello.secret = Secret::of_port(self.host.agent).ok();
         }
         let answer = async {
-            stream.write_all(&GREETING).await?;
-            handshake::say(&mut stream, &hello).await?;
+            handshake::greet(&mut stream, GREETING, &hello).await?;
             handshake::hear::<HelloAnswer>(&mut stream).await
         };
         match answer.await {

@@ -6,6 +6,7 @@
 use std::{
     collections::BTreeMap,
     path::PathBuf,
+    process::Stdio,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -25,7 +26,7 @@ use super::{
 };
 use crate::boot::{
     launcher::{Briefing, ProcessId, TETHER_VARIABLE},
-    spawn::{self, Ending, LAST_WORDS, Spawned, Tether},
+    spawn::{self, Ending, LAST_WORDS, Spawned},
 };
 use ctos_core::registry::Registry;
 use ctos_time::Clock;
@@ -42,13 +43,8 @@ pub(super) struct Common {
     pub(super) stopping: watch::Receiver<bool>,
 }
 
-/// A boot is back.
-pub(super) enum Return {
-    /// With a new connection.
-    Connected(Connection),
-    /// With a new run in the place of this one.
-    Anew,
-}
+/// A boot is back with a new connection, or else with a new run in the place of this one.
+pub(super) type Return = Option<Connection>;
 
 /// What a boot said of its run.
 pub(super) struct About {
@@ -70,22 +66,8 @@ struct Child {
 /// A process has ended.
 type Gone = (ProcessId, Ending);
 
-/// Why a run is over, and whether its boot is there to hear of it.
-struct Over {
-    why: String,
-    heard: bool,
-}
-
-impl Over {
-    fn new(why: impl Into<String>) -> Self {
-        let (why, heard) = (why.into(), true);
-        Self { why, heard }
-    }
-
-    fn lost(why: String) -> Self {
-        Self { why, heard: false }
-    }
-}
+/// Why a run is over: the error when its boot is not there to hear of it.
+type Over = Result<String, String>;
 
 /// A run.
 pub(super) struct Run {
@@ -117,11 +99,12 @@ impl Run {
         mut anew: mpsc::UnboundedReceiver<Return>,
     ) {
         let mut connection = Some(first);
-        let Over { why, heard } = self.live(&mut connection, &mut anew).await;
-        if !heard {
+        let why = self.live(&mut connection, &mut anew).await;
+        let why = why.unwrap_or_else(|why| {
             tracing::warn!(app = self.about.app, reason = why, "a run is ended");
             connection = None;
-        }
+            why
+        });
         self.end().await;
         if let Some(unpacked) = self.unpacked.take() {
             unpacked.remove();
@@ -158,18 +141,18 @@ impl Run {
             };
             tokio::select! {
                 heard = heard => match heard {
-                    Ok(ToAgent::Bye) => return Over::new("the boot has ended it"),
+                    Ok(ToAgent::Bye) => return Ok("the boot has ended it".to_owned()),
                     Ok(said) => {
                         pulse.heard();
                         if let (ToAgent::App(_), Some(connection)) = (&said, connection.as_mut()) {
                             connection.limit(FRAME_LIMIT);
                         }
                         if let Err(over) = self.heard(said) {
-                            return over;
+                            return Ok(over);
                         }
                     }
                     Err(WireError::Garbled(error)) => {
-                        return Over::lost(format!("the boot says what cannot be read: {error}"));
+                        return Err(format!("the boot says what cannot be read: {error}"));
                     }
                     Err(error) => {
                         tracing::debug!(app = self.about.app, error = %error, "a boot is away");
@@ -178,24 +161,28 @@ impl Run {
                     }
                 },
                 Some(back) = anew.recv() => match back {
-                    Return::Connected(new) => {
+                    Some(new) => {
                         pulse.heard();
                         *connection = Some(new);
                         self.say_all();
                     }
-                    Return::Anew => return Over::lost("its boot has begun anew".to_owned()),
+                    None => return Err("its boot has begun anew".to_owned()),
                 },
                 Some(gone) = self.gone.1.recv() => self.ended(gone),
                 _ = ticks.tick() => if let Err(error) = pulse.look() {
                     let reason = if connection.is_some() { error.to_string() } else { broke };
-                    return Over::lost(format!("its boot is gone: {reason}"));
+                    return Err(format!("its boot is gone: {reason}"));
                 },
-                _ = stopping.wait_for(|stopping| *stopping) => return Over::new("the agent is being stopped"),
+                _ = stopping.wait_for(|stopping| *stopping) => return Ok("the agent is being stopped".to_owned()),
             }
         }
     }
 
-    fn heard(&mut self, said: ToAgent) -> Result<(), Over> {
+    /// Does what the boot says.
+    ///
+    /// # Errors
+    /// Why the run is over.
+    fn heard(&mut self, said: ToAgent) -> Result<(), String> {
         match said {
             ToAgent::App(files) => match self.unpack(*files) {
                 Ok(()) => self.outbox.say(ToBoot::Unpacked),
@@ -205,7 +192,7 @@ impl Run {
                         reason: reason.clone(),
                     });
                     self.outbox.say(ToBoot::Refused { reason });
-                    return Err(Over::new("it cannot run here"));
+                    return Err("it cannot run here".to_owned());
                 }
             },
             ToAgent::Start(chassis, briefing) => self.start(chassis, &briefing),
@@ -290,7 +277,7 @@ impl Run {
             // The run waits for all its processes.
             let _ = gone.send((id, ending));
         };
-        let spawned = spawn::spawn(command, Tether::Stdin, line, ended);
+        let spawned = spawn::spawn(command, Stdio::piped(), line, ended);
         spawned.map_err(|error| format!("{}: {error}", self.common.program.display()))
     }
 

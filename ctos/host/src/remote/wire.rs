@@ -5,9 +5,11 @@
 //! lives, so everything that is said may be said twice, and lines of a log are numbered.
 
 use std::{
-    collections::VecDeque,
     io,
-    sync::{Arc, Mutex},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::Duration,
 };
 
@@ -15,7 +17,7 @@ use futures_util::StreamExt;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::{
     io::{AsyncWriteExt, ReadHalf, WriteHalf},
-    sync::Notify,
+    sync::{Mutex, mpsc},
     task::JoinHandle,
 };
 use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
@@ -32,7 +34,7 @@ use ctos_link::{
     handshake::{Process, Token},
     transport::{Stream, hang_up},
 };
-use ctos_time::{Clock, Instant, lock::lock};
+use ctos_time::{Clock, Instant};
 
 /// The first bytes of a boot that calls an agent: the protocol.
 pub(crate) const GREETING: [u8; 8] = *b"ctosagt\0";
@@ -162,58 +164,45 @@ impl Said for ToAgent {
 
 /// What waits to be said, in order. It outlives the connection.
 pub(crate) struct Outbox<T> {
-    waiting: Mutex<Waiting<T>>,
-    news: Notify,
-}
-
-struct Waiting<T> {
-    items: VecDeque<T>,
-    droppable: usize,
+    sender: mpsc::UnboundedSender<T>,
+    waiting: Mutex<mpsc::UnboundedReceiver<T>>,
+    /// How many of them may be dropped.
+    droppable: AtomicUsize,
 }
 
 impl<T: Said> Outbox<T> {
     pub(crate) fn new() -> Arc<Self> {
+        let (sender, waiting) = mpsc::unbounded_channel();
         Arc::new(Self {
-            waiting: Mutex::new(Waiting {
-                items: VecDeque::new(),
-                droppable: 0,
-            }),
-            news: Notify::new(),
+            sender,
+            waiting: Mutex::new(waiting),
+            droppable: AtomicUsize::new(0),
         })
     }
 
     /// Adds `item`; one that may be dropped only while there is space for it.
     pub(crate) fn say(&self, item: T) {
-        {
-            let mut waiting = lock(&self.waiting);
-            if item.may_be_dropped() {
-                if waiting.droppable == LINES_WAITING {
-                    return;
-                }
-                waiting.droppable += 1;
+        if item.may_be_dropped() {
+            if self.droppable.load(Ordering::Relaxed) >= LINES_WAITING {
+                return;
             }
-            waiting.items.push_back(item);
+            self.droppable.fetch_add(1, Ordering::Relaxed);
         }
-        self.news.notify_one();
+        // The other end is in here, too.
+        let _ = self.sender.send(item);
     }
 
-    async fn next(&self) -> T {
-        loop {
-            {
-                let mut waiting = lock(&self.waiting);
-                if let Some(item) = waiting.items.pop_front() {
-                    waiting.droppable -= usize::from(item.may_be_dropped());
-                    return item;
-                }
-            }
-            self.news.notified().await;
-        }
+    async fn next(&self) -> Option<T> {
+        let item = self.waiting.lock().await.recv().await?;
+        let dropped = usize::from(item.may_be_dropped());
+        self.droppable.fetch_sub(dropped, Ordering::Relaxed);
+        Some(item)
     }
 
     /// How much waits.
     #[cfg(test)]
     pub(crate) fn len(&self) -> usize {
-        lock(&self.waiting).items.len()
+        self.waiting.try_lock().unwrap().len()
     }
 }
 
@@ -291,8 +280,7 @@ async fn write<T: Said>(
     outbox: Arc<Outbox<T>>,
     silence: Duration,
 ) -> WireError {
-    loop {
-        let item = outbox.next().await;
+    while let Some(item) = outbox.next().await {
         let frame = match postcard::to_stdvec(&item) {
             Ok(body) => framed(body),
             Err(error) => return WireError::Garbled(error.to_string()),
@@ -310,6 +298,7 @@ async fn write<T: Said>(
             Err(_) => return WireError::Silence(timeout),
         }
     }
+    WireError::HungUp
 }
 
 fn framed(body: Vec<u8>) -> Vec<u8> {

@@ -8,7 +8,9 @@ use mutate::Mutator;
 
 use ctos_config::load_texts;
 use ctos_link::{
-    handshake::{Answer, Greeting, Hello, Member, Process, Token, greet, hear, hear_greeting},
+    handshake::{
+        Answer, GREETING, Greeting, Hello, Member, Process, Token, greet, hear, hear_greeting,
+    },
     session::packet::Decoder,
     transport::Address,
 };
@@ -58,7 +60,7 @@ fn handshake(bytes: &[u8]) {
         .build()
         .unwrap();
     runtime.block_on(async {
-        let _ = hear_greeting(&mut &*bytes).await;
+        let _ = hear_greeting::<Greeting>(&mut &*bytes, GREETING).await;
         let _ = hear::<Answer>(&mut &*bytes).await;
     });
     if let Ok(text) = std::str::from_utf8(bytes) {
@@ -109,7 +111,9 @@ fn greeting() -> Vec<u8> {
         .build()
         .unwrap();
     let mut bytes = Vec::new();
-    runtime.block_on(greet(&mut bytes, &greeting)).unwrap();
+    runtime
+        .block_on(greet(&mut bytes, GREETING, &greeting))
+        .unwrap();
     bytes
 }
 

@@ -233,11 +233,9 @@ impl Sources {
             Seen::More => {
                 if let Some(source) = self.read().get(&id) {
                     let (fd, interest) = (source.fd().as_raw_fd(), interest(&**source));
+                    let (mut fd, registry) = (SourceFd(&fd), &self.registry);
                     // What is there already happens once more.
-                    let again = self
-                        .registry
-                        .reregister(&mut SourceFd(&fd), Token(id), interest);
-                    if let Err(error) = again {
+                    if let Err(error) = registry.reregister(&mut fd, Token(id), interest) {
                         tracing::error!(%error, "a link is no longer read");
                     }
                 }
@@ -332,11 +330,8 @@ impl Poller {
 
     /// Whether their file descriptors must say when something comes.
     pub(super) fn set_asleep(&self, asleep: bool) {
-        for visible in self
-            .visible
-            .iter()
-            .filter_map(|(_, source)| source.visible())
-        {
+        let sources = self.visible.iter();
+        for visible in sources.filter_map(|(_, source)| source.visible()) {
             visible.set_asleep(asleep);
         }
     }

@@ -25,10 +25,8 @@ const AUTHORITY: &str = "ca";
 /// # Errors
 /// [`KeyError`]; an existing key is never replaced.
 pub fn make_key(path: &Path, role: Role) -> Result<PathBuf, KeyError> {
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
-    let name = name.unwrap_or_default();
+    let name = path.file_name().unwrap_or_default();
+    let name = name.to_string_lossy().into_owned();
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-.".contains(letter);
     if name.is_empty() || name.len() > 64 || !name.chars().all(plain) || name == AUTHORITY {
         return Err(KeyError::Name { name });
@@ -97,19 +95,13 @@ pub fn list_keys(folder: &Path) -> Result<Vec<Listed>, KeyError> {
         if path.extension().is_none_or(|end| end != "pem") {
             continue;
         }
-        let Ok(certificate) = certificate(&path) else {
-            continue;
-        };
-        let Some(identity) = tls::identity(&certificate) else {
-            continue;
-        };
-        let private = path.with_extension("key").exists();
-        let path = path.with_extension("");
-        keys.push(Listed {
-            path,
+        let certificate = certificate(&path).ok();
+        let identity = certificate.as_ref().and_then(tls::identity);
+        keys.extend(identity.map(|identity| Listed {
+            private: path.with_extension("key").exists(),
+            path: path.with_extension(""),
             identity,
-            private,
-        });
+        }));
     }
     keys.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(keys)
@@ -118,19 +110,18 @@ pub fn list_keys(folder: &Path) -> Result<Vec<Listed>, KeyError> {
 /// Reads a certificate.
 pub(super) fn certificate(path: &Path) -> Result<CertificateDer<'static>, KeyError> {
     let text = fs::read(path).map_err(|error| file_error(path, error))?;
-    CertificateDer::from_pem_slice(&text).map_err(|_| KeyError::Content {
-        path: path.to_owned(),
-        what: "certificate",
-    })
+    CertificateDer::from_pem_slice(&text).map_err(no(path, "certificate"))
 }
 
 /// Reads a private key that only this user may read.
 pub(super) fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>, KeyError> {
     let text = private_text(path)?;
-    PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(|_| KeyError::Content {
-        path: path.to_owned(),
-        what: "private key",
-    })
+    PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(no(path, "private key"))
+}
+
+fn no<E>(path: &Path, what: &'static str) -> impl FnOnce(E) -> KeyError {
+    let path = path.to_owned();
+    move |_| KeyError::Content { path, what }
 }
 
 /// `path` with `.ending` behind it, whatever dots its name has.
@@ -157,10 +148,8 @@ fn authority(folder: &Path) -> Result<Issuer<'static, KeyPair>, KeyError> {
     let certificate_path = key_path.with_extension("pem");
     let params = authority_params().map_err(certificate_error)?;
     if certificate_path.exists() || key_path.exists() {
-        let key = KeyPair::from_pem(&private_text(&key_path)?).map_err(|_| KeyError::Content {
-            path: key_path,
-            what: "private key",
-        })?;
+        let key = KeyPair::from_pem(&private_text(&key_path)?);
+        let key = key.map_err(no(&key_path, "private key"))?;
         return Ok(Issuer::new(params, key));
     }
     let key = KeyPair::generate().map_err(certificate_error)?;

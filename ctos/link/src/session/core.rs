@@ -51,7 +51,7 @@ pub enum AttachError {
 }
 
 /// What came of some bytes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Heard {
     /// For the receiver.
     pub content: Content,
@@ -110,6 +110,11 @@ impl Core {
     /// The present stream, or the last one; 0 before the first.
     pub fn stream(&self) -> u64 {
         self.stream
+    }
+
+    /// Whether it has had no stream at all.
+    pub fn was_never_up(&self) -> bool {
+        self.stream == 0
     }
 
     /// Whether it is injured on purpose.
@@ -278,12 +283,7 @@ impl Core {
 
     /// Takes what it needs of `bytes`, which came over `stream`: at most one packet.
     pub fn read(&mut self, stream: u64, bytes: &mut &[u8], now: Instant) -> Heard {
-        let mut heard = Heard {
-            content: Content::Nothing,
-            writes: false,
-            changed: false,
-            goes_on: false,
-        };
+        let mut heard = Heard::default();
         if self.stream != stream || self.state == State::Down {
             return heard;
         }

@@ -9,7 +9,7 @@ use tokio::{
 };
 
 use super::{
-    AttachError, Session, Writer,
+    AttachError, Core, Session, Writer,
     direct::{Carrier, DirectStream},
 };
 use crate::{
@@ -43,7 +43,7 @@ pub async fn drive(
 ) -> Result<(), AttachError> {
     let is_plain = is::<TcpStream>(&stream) || is::<UnixStream>(&stream);
     // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
-    if !is_plain || session.is_injured() {
+    if !is_plain || session.look(Core::is_injured) {
         return driven(session, stream, received).await;
     }
     match plain(stream) {
@@ -70,7 +70,7 @@ async fn driven(session: &Arc<Session>, stream: Stream, received: u64) -> Result
     let ended = tokio::select! {
         ended = &mut read => ended,
         error = write => {
-            if session.is_injured() {
+            if session.look(Core::is_injured) {
                 // A stream that is broken on purpose is broken at once.
                 Err(error)
             } else {
@@ -79,7 +79,7 @@ async fn driven(session: &Arc<Session>, stream: Stream, received: u64) -> Result
                 rest.unwrap_or(Ok(())).and(Err(error))
             }
         }
-        () = late, if session.is_injured() => Ok(()),
+        () = late, if session.look(Core::is_injured) => Ok(()),
     };
     if let Err(error) = ended {
         broke(&error);

@@ -89,8 +89,9 @@ pub struct Packet {
 }
 
 /// What a packet carries.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq, Eq)]
 pub enum Content {
+    #[default]
     Nothing,
     Frame(Frame),
     Notice(Vec<u8>),

@@ -44,11 +44,11 @@ async fn two() -> (Arc<Fabric>, Listener, Arc<Fabric>) {
     (boot, listener, chassis)
 }
 
-async fn accept(listener: &Listener) -> ZenohStream {
+async fn accept(listener: &Listener) -> Stream {
     listener.accept().await.unwrap().answer().await.unwrap()
 }
 
-async fn connected(from: &Fabric, to: &Listener) -> (ZenohStream, ZenohStream) {
+async fn connected(from: &Fabric, to: &Listener) -> (Stream, Stream) {
     let (called, caller) = tokio::join!(from.connect(to.key()), accept(to));
     (called.unwrap(), caller)
 }

@@ -227,9 +227,12 @@ mod slow {
         // The pipe holds 64 KiB, the buffer 1 MiB, the writer one batch.
         for _ in 0..1000 {
             let channel = "/x".to_owned();
-            let noted = recorder.line(Tid::default(), 1, channel, Schema::Value, |buffer| {
+            let write = |buffer: &mut Vec<u8>| {
                 buffer.extend_from_slice(json.as_bytes());
                 true
+            };
+            let noted = recorder.note(Tid::default(), |batch| {
+                batch.line(1, channel, Schema::Value, write)
             });
             if !noted {
                 refused.store(true, Ordering::Relaxed);

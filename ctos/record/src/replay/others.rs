@@ -45,36 +45,25 @@ struct State {
 
 /// The other tasks, as a record knows them.
 pub(crate) struct Others {
-    task: Tid,
-    /// Messages whose sender does not wait, and that were not taken.
-    refused: BTreeMap<Number, Fault>,
-    /// What whoever sent it was told in the same poll, and when.
-    at_once: BTreeMap<Number, (Instant, Recorded)>,
+    /// Without what the task sent and is to do.
+    script: Script,
     clock: Clock,
-    /// Whether the record is one of real time.
-    real: bool,
     names: Glossary,
-    /// The names of the record.
-    recorded: BTreeMap<Tid, String>,
     state: Mutex<State>,
 }
 
 impl Others {
     /// In place of the tasks that `script` knows besides its own.
-    pub(super) fn new(clock: Clock, names: Glossary, script: &mut Script) -> Self {
+    pub(super) fn new(clock: Clock, names: Glossary, mut script: Script) -> Self {
         let outputs = std::mem::take(&mut script.outputs);
         let state = State {
             outputs: outputs.into_iter().map(|output| (output, true)).collect(),
             ..State::default()
         };
         Self {
-            task: script.tid,
-            refused: std::mem::take(&mut script.refused),
-            at_once: std::mem::take(&mut script.at_once),
+            script,
             clock,
-            real: script.real,
             names,
-            recorded: std::mem::take(&mut script.names),
             state: Mutex::new(state),
         }
     }
@@ -83,20 +72,20 @@ impl Others {
     pub(crate) fn dispatch(&self, message: &Message, wait: WaitFor, now: Instant, slot: ReplySlot) {
         let accepted = || Ok(Data::NOTHING);
         // What the runtime says in the task's name (progress, results) is not compared.
-        if message.header().from != self.task {
+        if message.header().from != self.script.tid {
             return slot.answer(accepted());
         }
         let found = self.output(message, now);
         if wait == WaitFor::Nothing {
-            let refused = found.and_then(|id| self.refused.get(&id));
+            let refused = found.and_then(|id| self.script.refused.get(&id));
             return slot.answer(refused.map_or_else(accepted, |fault| Err(fault.clone())));
         }
         match found {
-            Some(id) => match self.at_once.get(&id) {
+            Some(id) => match self.script.at_once.get(&id) {
                 // Before whatever else the task does in this poll, as it was.
                 Some((at, answer)) => {
                     self.clock.advance_to(*at);
-                    slot.answer(answer.clone().into_answer());
+                    slot.answer(answer.clone().map(Data::Bytes));
                 }
                 None => {
                     let mut state = lock(&self.state);
@@ -157,7 +146,7 @@ impl Others {
     fn is_like(&self, output: &Sent, message: &Message, data: Option<&[u8]>) -> bool {
         let urgent = |flags: Flags| flags.contains(Flags::HIGH_PRIORITY);
         let to = message.header().to;
-        let name = |tid: Tid| self.recorded.get(&tid);
+        let name = |tid: Tid| self.script.names.get(&tid);
         (output.to == to || name(output.to).is_some_and(|wanted| name(to) == Some(wanted)))
             && output.command == message.header().command
             && urgent(output.flags) == urgent(message.header().flags)
@@ -188,7 +177,7 @@ impl Others {
         };
         state.turn = Some((part, takes.reads));
         drop(state);
-        for (id, Recorded(answer)) in takes.answers {
+        for (id, answer) in takes.answers {
             let answer = answer.map(Data::Bytes);
             let mut state = lock(&self.state);
             match state.promises.remove(&id) {
@@ -205,21 +194,21 @@ impl Others {
     pub(super) fn end_turn(&self) {
         let mut state = lock(&self.state);
         state.turn = None;
-        let early = std::mem::take(&mut state.early);
+        // Dropped when the lock is free again.
+        let _early = std::mem::take(&mut state.early);
         drop(state);
-        drop(early);
     }
 
     /// Whether a part of a task is polled now. What the task has started does as it likes: nobody listens.
     pub(crate) fn is_turn_of(&self, task: Tid, part: u64) -> bool {
         let state = lock(&self.state);
-        task != self.task || state.turn.as_ref().is_some_and(|(now, _)| *now == part)
+        task != self.script.tid || state.turn.as_ref().is_some_and(|(now, _)| *now == part)
     }
 
     /// What the task read in this turn under a name, once.
     pub(crate) fn read_again(&self, task: Tid, what: &str) -> Option<Vec<u8>> {
         let mut state = lock(&self.state);
-        let (_, reads) = state.turn.as_mut().filter(|_| task == self.task)?;
+        let (_, reads) = state.turn.as_mut().filter(|_| task == self.script.tid)?;
         let place = reads.iter().position(|(name, _)| name == what)?;
         reads.remove(place).map(|(_, value)| value)
     }
@@ -227,7 +216,7 @@ impl Others {
     /// The task reads what it did not read in the record.
     pub(crate) fn lacks(&self, task: Tid, what: &str) {
         // A virtual clock, which stands still in a turn, is not noted.
-        if task == self.task && (self.real || what != "clock") {
+        if task == self.script.tid && (self.script.real || what != "clock") {
             let now = self.clock.now();
             let (wanted, got) = ("no such read".to_owned(), format!("read {what}"));
             lock(&self.state).report.differs(now, 0, wanted, got);
@@ -236,7 +225,7 @@ impl Others {
 
     /// A handler has returned.
     pub(crate) fn ended(&self, asked: &Asked, ending: Ending) {
-        if ending != Ending::Stopped && asked.to == self.task {
+        if ending != Ending::Stopped && asked.to == self.script.tid {
             lock(&self.state).ends.push_back((asked.command, ending));
         }
     }
@@ -255,7 +244,7 @@ impl Others {
         expected: &Ending,
         got: Option<(u16, Ending)>,
     ) {
-        let task = self.names.task(self.task);
+        let task = self.names.task(self.script.tid);
         let said = |command: u16, ending: &Ending| {
             let command = self.names.command_name(&task, command);
             match lines::words(ending) {
@@ -264,10 +253,8 @@ impl Others {
             }
         };
         let wanted = said(command, expected);
-        let got = got.map_or_else(
-            || "it is still at it".to_owned(),
-            |(command, ending)| said(command, &ending),
-        );
+        let got = got.map(|(command, ending)| said(command, &ending));
+        let got = got.unwrap_or_else(|| "it is still at it".to_owned());
         let mut state = lock(&self.state);
         if wanted == got {
             state.report.same();
@@ -289,7 +276,7 @@ impl Others {
         if command == Statistics::CODE {
             return;
         }
-        let wanted = match &expected.0 {
+        let wanted = match expected {
             Ok(data) => Ok(data.clone()),
             // Not the task's own doing: its caller gave up, or never reached it.
             Err(
@@ -307,7 +294,7 @@ impl Others {
         if got.as_ref() == Some(&wanted) {
             return state.report.same();
         }
-        let task = self.names.task(self.task);
+        let task = self.names.task(self.script.tid);
         let known = self.names.command(&task, command);
         let shape = known.and_then(|known| known.reply.as_ref());
         let name = self.names.command_name(&task, command);
@@ -352,21 +339,18 @@ impl Others {
 
 fn bytes_of(data: &Data) -> Result<Vec<u8>, Fault> {
     let mut bytes = Vec::new();
-    match data.append_to(&mut bytes) {
-        Ok(()) => Ok(bytes),
-        Err(error) => Err(Fault::BadPayload {
-            text: error.to_string(),
-        }),
-    }
+    let appended = data
+        .append_to(&mut bytes)
+        .map_err(|error| error.to_string());
+    appended.map_err(|text| Fault::BadPayload { text })?;
+    Ok(bytes)
 }
 
 /// Data in words: as JSON where its type is known.
 fn text_of(data: &[u8], shape: Option<&Shape>) -> String {
     let mut json = Vec::new();
-    if shape
-        .and_then(|shape| shape.convert(data, &mut json))
-        .is_none()
-    {
+    let converted = shape.and_then(|shape| shape.convert(data, &mut json));
+    if converted.is_none() {
         return hex(data);
     }
     let text = String::from_utf8_lossy(&json);
@@ -378,15 +362,9 @@ fn text_of(data: &[u8], shape: Option<&Shape>) -> String {
 }
 
 fn hex(data: &[u8]) -> String {
-    use std::fmt::Write;
-    let mut text = format!("of {} bytes", data.len());
-    for (index, byte) in data.iter().take(32).enumerate() {
-        let gap = if index == 0 { ": " } else { " " };
-        // A string takes all that is written to it.
-        let _ = write!(text, "{gap}{byte:02x}");
-    }
-    if data.len() > 32 {
-        text.push('…');
-    }
-    text
+    let shown = data.iter().take(32).map(|byte| format!("{byte:02x}"));
+    let shown = shown.collect::<Vec<_>>().join(" ");
+    let colon = if data.is_empty() { "" } else { ": " };
+    let more = if data.len() > 32 { "…" } else { "" };
+    format!("of {} bytes{colon}{shown}{more}", data.len())
 }

@@ -11,8 +11,8 @@ use super::{
     ReplayError,
 };
 use crate::{DRIFT, TURNS};
-use ctos_core::{context::SHARED, reply::Answer, report::Ending, system::WaitsFor, tap::Came};
-use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
+use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
+use ctos_message::{Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
 
 /// A message that the task was given, or sent.
@@ -31,14 +31,7 @@ pub(super) struct Sent {
 }
 
 /// An answer as it stands in the record.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Recorded(pub(super) Result<Vec<u8>, Fault>);
-
-impl Recorded {
-    pub(super) fn into_answer(self) -> Answer {
-        self.0.map(Data::Bytes)
-    }
-}
+pub(super) type Recorded = Result<Vec<u8>, Fault>;
 
 /// One step of the task.
 #[derive(Debug, Clone, PartialEq)]
@@ -113,18 +106,16 @@ impl Script {
         let Some(first) = on(format!("/began/{task}")).next() else {
             return Err(not_recorded(record, task));
         };
-        let seeds: BTreeSet<&String> = record
-            .runs
-            .iter()
-            .filter_map(|run| run.noted.get("seed"))
-            .collect();
+        let noted = |key: &str| {
+            let key = key.to_owned();
+            record.runs.iter().map(move |run| run.noted.get(&key))
+        };
+        let seeds: BTreeSet<&String> = noted("seed").flatten().collect();
         if seeds.len() > 1 {
-            return Err(incomplete(
-                "the files are of different runs: their seeds differ",
-            ));
+            let why = "the files are of different runs: their seeds differ";
+            return Err(incomplete(why));
         }
-        let runs = record.runs.iter();
-        if record.runs.iter().any(|run| !run.noted.contains_key(TURNS)) {
+        if noted(TURNS).any(|turns| turns.is_none()) {
             return Err(incomplete(
                 "it was made by an earlier version of ctos, which did not note all that a task reads; record the app anew",
             ));
@@ -141,12 +132,10 @@ impl Script {
             script: Self {
                 tid,
                 seed: seeds.first().and_then(|seed| seed.parse().ok()),
-                real: runs
-                    .clone()
-                    .any(|run| run.noted.get("time").is_some_and(|time| time == "real")),
-                drift: runs
-                    .filter_map(|run| drift_of(run.noted.get(&drift)?))
-                    .next()
+                real: noted("time").flatten().any(|time| time == "real"),
+                drift: noted(&drift)
+                    .flatten()
+                    .find_map(|text| drift_of(text))
                     .unwrap_or_default(),
                 names: BTreeMap::new(),
                 lost: record.runs.iter().map(|run| run.lost).sum(),
@@ -313,8 +302,8 @@ impl Reader<'_> {
                 let answered = key.peer == tid && side != Side::Receiver;
                 if replied || answered {
                     let answer = match fault {
-                        None => Recorded(Ok(data_of(entry, &data)?)),
-                        Some(fault) => Recorded(Err(fault)),
+                        None => Ok(data_of(entry, &data)?),
+                        Some(fault) => Err(fault),
                     };
                     if replied {
                         let answer = answer.clone();
@@ -366,9 +355,10 @@ impl Reader<'_> {
     }
 
     fn phase(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let phase: PhaseRead =
+        let phase: BTreeMap<String, String> =
             serde_json::from_slice(&entry.json).map_err(|_| unreadable(entry))?;
-        if phase.task == self.task && phase.phase == "built" {
+        let is = |key: &str, value: &str| phase.get(key).is_some_and(|there| there == value);
+        if is("task", self.task) && is("phase", "built") {
             self.begin_turn(entry.at, 0, What::Built);
             let loose = std::mem::take(&mut self.loose);
             *self.takes() = loose;
@@ -379,12 +369,8 @@ impl Reader<'_> {
     /// The message that the task was given.
     fn begun(&self, entry: &Entry, key: Key, id: Number) -> Result<Sent, ReplayError> {
         let task = self.task;
-        if !self
-            .script
-            .steps
-            .iter()
-            .any(|step| step.what == What::Built)
-        {
+        let mut steps = self.script.steps.iter();
+        if !steps.any(|step| step.what == What::Built) {
             return Err(incomplete(format!(
                 "it does not hold the beginning of `{task}`: it was begun while the app ran, or leaves out the channel /phase; record the whole run with `ctos boot --record FILE`"
             )));
@@ -419,16 +405,10 @@ impl Reader<'_> {
                 Came::Later => {}
             }
             self.takes().answers.push((id, answer));
-        } else if let Recorded(Err(fault)) = answer {
+        } else if let Err(fault) = answer {
             self.script.refused.insert(id, fault);
         }
     }
-}
-
-#[derive(serde::Deserialize)]
-struct PhaseRead {
-    task: String,
-    phase: String,
 }
 
 fn parsed(entry: &Entry) -> Result<(Traffic, Written<'_>), ReplayError> {

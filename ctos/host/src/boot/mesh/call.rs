@@ -9,10 +9,10 @@ use tokio::net::UnixStream;
 use super::{Inner, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
+    handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
     security::Keys,
     session::{
-        DownReason, Session, drive,
+        Core, DownReason, Session, drive,
         state::{Event, State},
     },
     shm,
@@ -105,7 +105,7 @@ impl Inner {
             CallError::Other => session.event(Event::PeerEnded, DownReason::Replaced),
             _ => {}
         }
-        if session.state() == State::Down && session.was_never_up() {
+        if session.state() == State::Down && session.look(Core::was_never_up) {
             tracing::warn!(peer, error = %error, "cannot be reached");
         }
     }
@@ -132,7 +132,7 @@ impl Inner {
         if (chassis, incarnation) != (member.chassis, member.incarnation) {
             return Err(CallError::Other);
         }
-        if chassis == 0 && session.was_never_up() && self.process.sees(&process) {
+        if chassis == 0 && session.look(Core::was_never_up) && self.process.sees(&process) {
             // Of the boot only its address was known.
             self.runtime
                 .spawn(super::peer::watch(session.clone(), process.pid));
@@ -158,7 +158,8 @@ impl Inner {
         let (keys, fabric) = (self.keys.as_ref(), self.fabric.as_ref());
         let (mut stream, identity) = connect(address, keys, fabric).await?;
         may_be_chassis(identity.as_ref())?;
-        let shared = self.shares_memory && is::<UnixStream>(&stream) && !session.is_injured();
+        let shared =
+            self.shares_memory && is::<UnixStream>(&stream) && !session.look(Core::is_injured);
         let greeting = Greeting::Hello {
             token: self.who.token.clone(),
             hello: Hello {
@@ -168,11 +169,11 @@ impl Inner {
                     process: self.process.clone(),
                     listen: self.listen.clone(),
                 },
-                received: session.received(),
+                received: session.look(Core::received),
                 shared,
             },
         };
-        greet(&mut stream, &greeting).await?;
+        greet(&mut stream, GREETING, &greeting).await?;
         let answer = hear(&mut stream).await?;
         Ok((stream, answer))
     }
@@ -208,7 +209,7 @@ pub(crate) async fn unable(
             chassis: chassis.index(),
             reason: reason.to_owned(),
         };
-        greet(&mut stream, &greeting).await.ok()?;
+        greet(&mut stream, GREETING, &greeting).await.ok()?;
         hang_up(stream).await.ok()
     };
     let _ = tokio::time::timeout(ANSWER_TIMEOUT, tell).await;

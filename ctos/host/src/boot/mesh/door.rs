@@ -11,9 +11,9 @@ use super::{Inner, MeshEvent};
 use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
-    handshake::{Answer, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
+    handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
     security::{Identity, KeyError, Role},
-    session::{AttachError, drive},
+    session::{AttachError, Core, drive},
     shm,
     transport::{Call, Listener, Stream, is},
 };
@@ -69,7 +69,7 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
 async fn hear(mesh: &Arc<Inner>, call: Call) -> Result<Option<(Stream, Hello)>, RefusedError> {
     let (mut stream, identity) = call.prove().await?;
     may_be_chassis(identity.as_ref())?;
-    let greeting = hear_greeting(&mut stream).await?;
+    let greeting: Greeting = hear_greeting(&mut stream, GREETING).await?;
     if *greeting.token() != mesh.who.token {
         return Err(HandshakeError::Stranger.into());
     }
@@ -117,12 +117,15 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         });
     };
     mesh.introduce(member);
-    let shared = shared && mesh.shares_memory && is::<UnixStream>(&stream) && !session.is_injured();
+    let shared = shared
+        && mesh.shares_memory
+        && is::<UnixStream>(&stream)
+        && !session.look(Core::is_injured);
     let welcome = Answer::Welcome {
         chassis: mesh.chassis.index(),
         incarnation: mesh.who.incarnation,
         process: mesh.process.clone(),
-        received: session.received(),
+        received: session.look(Core::received),
         shared,
     };
     tokio::time::timeout(STRANGER_TIMEOUT, say(&mut stream, &welcome))

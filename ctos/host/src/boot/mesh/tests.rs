@@ -12,7 +12,7 @@ use crate::doors::{NO_PAGE, STRANGERS};
 use ctos_config::load_texts;
 use ctos_core::{envelope::Message, registry::Registry, tap::WaitFor};
 use ctos_link::{
-    handshake::{Answer, Greeting, Hello, greet, hear},
+    handshake::{Answer, GREETING, Greeting, Hello, greet, hear},
     security::{Role, make_key},
     transport::{Stream, connect},
 };
@@ -186,7 +186,7 @@ fn strangers_delay_nobody_and_are_counted() {
             token: Token("guessed".to_owned()),
             hello: hello(1, 1),
         };
-        greet(&mut guesses, &greeting).await.unwrap();
+        greet(&mut guesses, GREETING, &greeting).await.unwrap();
         assert!(hear::<Answer>(&mut guesses).await.is_err());
         // Knows the secret and calls itself what nobody is.
         for nobody in [0, 4, 200] {
@@ -257,7 +257,7 @@ fn hello(chassis: u8, incarnation: u32) -> Hello {
 
 async fn say_hello(stream: &mut Stream, hello: Hello) {
     let token = token();
-    greet(stream, &Greeting::Hello { token, hello })
+    greet(stream, GREETING, &Greeting::Hello { token, hello })
         .await
         .unwrap();
 }

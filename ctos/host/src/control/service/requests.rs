@@ -1,11 +1,11 @@
 //! What each request is answered with.
 
-use std::{io, time::Duration};
+use std::time::Duration;
 
 use base64::{Engine, engine::general_purpose::STANDARD};
 use tokio::sync::broadcast;
 
-use super::{Service, Speaker, Writer, tell};
+use super::{Answered, Service, Speaker, Writer, tell};
 use crate::{
     control::{
         logs::LogLine,
@@ -25,8 +25,6 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(3600);
 const SAY_TIMEOUT: Duration = Duration::from_secs(600);
 /// The longest that a request may have its answer waited for, s.
 const LONGEST_SAY_S: f64 = 86_400.0;
-/// An answer of one line, or why there is none.
-type Answered = Result<Answer, ErrorView>;
 
 impl Service {
     /// The app as it is now.
@@ -40,11 +38,8 @@ impl Service {
         name: &str,
         timeout: Duration,
     ) -> Result<Tid, ErrorView> {
-        let home = self
-            .chassis
-            .app
-            .task(name)
-            .map(|task| task.chassis.as_str());
+        let app = &self.chassis.app;
+        let home = app.task(name).map(|task| task.chassis.as_str());
         let query = FindTid {
             name: name.to_owned(),
             gone: None,
@@ -54,7 +49,7 @@ impl Service {
             }),
         };
         let found = view::ask(&self.chassis, system::TID_SERVER, query, timeout).await?;
-        found.map_err(|_| match self.chassis.app.task(name) {
+        found.map_err(|_| match app.task(name) {
             Some(_) => ErrorView::new(
                 ErrorCode::Failed,
                 format!(
@@ -75,7 +70,7 @@ impl Service {
     ) -> Answered {
         let chassis = &self.chassis;
         if chassis.app.task(task).is_none() {
-            return Err(self.no_such_name(task));
+            return Err(self.no_such_name(task).into());
         }
         let info = chassis.registry().command_of(&chassis.app, task, command);
         let info =
@@ -87,7 +82,8 @@ impl Service {
         let timeout = Duration::try_from_secs_f64(within_s).unwrap_or(CALL_TIMEOUT);
         let timeout = timeout.min(CALL_TIMEOUT);
         let tid = self.find(task, timeout).await?;
-        let data = view::ask_raw(chassis, tid, (info.code, data), timeout).await?;
+        let data = view::ask_raw(chassis, tid, (info.code, data), timeout).await;
+        let data = data.map_err(ErrorView::from)?;
         Ok(Answer::Reply {
             data: STANDARD.encode(data),
         })
@@ -124,13 +120,12 @@ impl Service {
         })))
     }
 
-    pub(super) async fn logs(&self, request: &LogRequest, writer: &mut Writer) -> io::Result<()> {
+    pub(super) async fn logs(&self, request: &LogRequest, writer: &mut Writer) -> Answered {
         let app = &self.chassis.app;
         if let Some(name) = &request.name {
             let chassis = app.chassis.iter().any(|chassis| chassis.name == *name);
             if !chassis && app.task(name).is_none() {
-                let wrong = Answer::Error(self.no_such_name(name));
-                return tell(writer, &wrong).await;
+                return Err(self.no_such_name(name).into());
             }
         }
         let mut news = self.ticker.subscribe();
@@ -159,7 +154,7 @@ impl Service {
                 () = ended(&mut news) => is_over = true,
             }
         }
-        tell(writer, &Answer::Done {}).await
+        Ok(Answer::Done {})
     }
 
     fn is_wanted(&self, line: &LogLine, request: &LogRequest) -> bool {
@@ -185,7 +180,7 @@ impl Service {
             }
             Some(timeout) => {
                 let text = format!("`limit_s` is 0 to {LONGEST_SAY_S} s, not {timeout}");
-                return Err(ErrorView::new(ErrorCode::BadRequest, text));
+                return Err(ErrorView::new(ErrorCode::BadRequest, text).into());
             }
         };
         let task = self.find(&request.task, timeout).await?;
@@ -203,13 +198,13 @@ impl Service {
                     request.task,
                     takes.join(", ")
                 );
-                Err(ErrorView::new(ErrorCode::Failed, text))
+                Err(ErrorView::new(ErrorCode::Failed, text).into())
             }
-            Err(fault) => Err(fault.into()),
+            Err(fault) => Err(ErrorView::from(fault).into()),
         }
     }
 
-    pub(super) async fn stop(&self, now: bool, writer: &mut Writer) -> io::Result<()> {
+    pub(super) async fn stop(&self, now: bool, writer: &mut Writer) -> Answered {
         let mut news = self.ticker.subscribe();
         self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
         loop {
@@ -226,9 +221,9 @@ impl Service {
                     }
                     tell(writer, &Answer::Event { what }).await?;
                 }
-                Ok(News::Ended(ended)) => return tell(writer, &Answer::Ended(ended)).await,
+                Ok(News::Ended(ended)) => return Ok(Answer::Ended(ended)),
                 Err(broadcast::error::RecvError::Lagged(_)) => {}
-                Err(broadcast::error::RecvError::Closed) => return Ok(()),
+                Err(broadcast::error::RecvError::Closed) => return Ok(Answer::Done {}),
             }
         }
     }
