@@ -13,7 +13,7 @@ use crate::request::{Method, Reply, Request};
 use crate::slot::{self, Handle};
 use crate::sorm::{Place, Sorm, parse};
 use crate::transport::Transport;
-use crate::workers::Workers;
+use crate::workers::{Work, Workers};
 use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
 use futures_util::future::{Either, LocalBoxFuture, select};
@@ -162,8 +162,12 @@ impl Sorm {
             since: self.now(),
         };
         let (manager, wanted) = (self.clone(), name.clone());
-        let building = (&*local, call, self.process());
-        let built = workers.call(building, None, move |built| {
+        let work = Work {
+            name: local.clone(),
+            call: call.title(),
+            since: call.since,
+        };
+        let built = workers.call(work, self.process(), None, move |built| {
             *built = Some(manager.resolve(&wanted));
         });
         let built = match select(pin!(built), comm.sleep(slot::PATIENCE)).await {
@@ -281,10 +285,14 @@ async fn call_on(
         method,
         since: sorm.now(),
     };
-    *slot.call.lock() = Some(call.clone());
+    let work = Work {
+        name: slot.name().to_owned(),
+        call: call.title(),
+        since: call.since,
+    };
+    *slot.call.lock() = Some(call);
     let (object, manager) = (Arc::clone(slot), sorm.clone());
-    let calling = (slot.name(), call, sorm.process());
-    let called = workers.call(calling, std::mem::take(io), move |io| {
+    let called = workers.call(work, sorm.process(), std::mem::take(io), move |io| {
         object.call_unseen(&manager, None, method, io);
         *object.call.lock() = None;
     });

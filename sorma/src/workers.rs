@@ -1,7 +1,6 @@
 //! Threads on which a daemon has its objects built and called: one that takes its time, or never comes to an end, keeps
 //! nobody else waiting. A thread that an object does not give back ends with its process.
 
-use crate::object::Call;
 use crate::raise;
 use crate::report::{Report, code};
 use ctos::time::Instant;
@@ -25,13 +24,23 @@ const LONG: Duration = Duration::from_secs(1);
 /// So many of them are named.
 const NAMED: usize = 3;
 
+/// What is at work, or waits for a thread.
+#[derive(Debug)]
+pub(crate) struct Work {
+    /// The object.
+    pub(crate) name: String,
+    /// Which call of it, of whom.
+    pub(crate) call: String,
+    pub(crate) since: Instant,
+}
+
 /// The threads of this process, made when they are needed.
 #[derive(Debug)]
 pub struct Workers {
     threads: Runtime,
     most: usize,
-    /// What is at work, or waits for a thread, in the order in which it came.
-    at_work: Mutex<BTreeMap<u64, (String, Call)>>,
+    /// In the order in which it came.
+    at_work: Mutex<BTreeMap<u64, Work>>,
 }
 
 static WORKERS: LazyLock<Option<Workers>> = LazyLock::new(|| {
@@ -62,17 +71,18 @@ impl Workers {
         WORKERS.as_ref()
     }
 
-    /// Does something to a value there, for a call of the object `name`; with the value comes back what a panic said.
+    /// Does some work to a value there; with the value comes back what a panic said.
     ///
     /// # Errors
     /// All threads have been at work for long; which objects keep them, in the chassis `process`.
     pub(crate) async fn call<T: Send + 'static>(
         &'static self,
-        (name, call, process): (&str, Call, &str),
+        work: Work,
+        process: &str,
         mut value: T,
         act: impl FnOnce(&mut T) + Send + 'static,
     ) -> Result<(T, Result<(), Box<dyn Any + Send>>), (T, Report)> {
-        let number = match self.begin(name, call, process) {
+        let number = match self.begin(work, process) {
             Ok(number) => number,
             Err(report) => return Err((value, report)),
         };
@@ -89,32 +99,35 @@ impl Workers {
     }
 
     /// Notes what will be at work.
-    fn begin(&self, name: &str, call: Call, process: &str) -> Result<u64, Report> {
+    fn begin(&self, work: Work, process: &str) -> Result<u64, Report> {
         let mut at_work = self.at_work.lock();
-        let now = call.since;
-        let is_long = |call: &Call| now.since(call.since) >= LONG;
-        let long = at_work.values().filter(|(_, call)| is_long(call)).count();
+        let now = work.since;
+        let is_long = |work: &&Work| now.since(work.since) >= LONG;
+        let long = at_work.values().filter(is_long).count();
         if long >= self.most {
             return Err(crowded(at_work.values(), process, now));
         }
         let number = at_work
             .last_key_value()
             .map_or(0, |(last, _)| last.wrapping_add(1));
-        at_work.insert(number, (name.to_owned(), call));
+        at_work.insert(number, work);
         Ok(number)
     }
 }
 
 /// Nobody else has a turn; why.
 fn crowded<'a>(
-    at_work: impl ExactSizeIterator<Item = &'a (String, Call)>,
+    at_work: impl ExactSizeIterator<Item = &'a Work>,
     process: &str,
     now: Instant,
 ) -> Report {
     let count = at_work.len();
     let named = at_work.take(NAMED);
     let named: Vec<String> = named
-        .map(|(name, call)| format!("`{name}` is in {}", call.words(now)))
+        .map(|Work { name, call, since }| {
+            let time = now.since(*since).as_secs_f64();
+            format!("`{name}` is in {call} for {time:.1} s")
+        })
         .collect();
     let more = match count.saturating_sub(NAMED) {
         0 => String::new(),
@@ -136,7 +149,6 @@ mod tests {
     use crate::name::Location;
     use crate::object::{Context, Outcome, ServiceObject};
     use crate::report::{Report, code};
-    use crate::request::Method;
     use crate::request::{Reply, Request};
     use crate::transport::Transport;
     use crate::{Dictionary, Sorm, demo};
@@ -329,12 +341,12 @@ mod tests {
         let waits = |line| asked_on(workers, &sorm, Patience::Endless, line);
         let meanwhile = async {
             begun.recv().unwrap();
-            let call = Call {
-                from: "bert".to_owned(),
-                method: Method::Exec,
+            let work = Work {
+                name: "mill".to_owned(),
+                call: "EXEC of `bert`".to_owned(),
                 since: sorm.now(),
             };
-            let held = workers.begin("mill", call, "cage").unwrap();
+            let held = workers.begin(work, "cage").unwrap();
             // Nothing takes long yet, and there is a thread.
             let early = waits("bar CTRL -dump").await;
             clock.advance_to(Instant::START + LONG);
