@@ -300,14 +300,20 @@ fn statistics(cx: &Context<'_>) -> String {
     }))
 }
 
-/// The calls that are made now, but for this one.
+/// The calls that are made now, but for this one, and what is being built.
 fn busy(cx: &Context<'_>) -> String {
     let now = cx.sorm().now();
     let slots = cx.sorm().slots().into_iter();
-    lines(slots.filter_map(|slot| {
+    let calls = slots.filter_map(|slot| {
         let call = slot.call.lock().clone()?;
         (slot.name() != cx.name()).then(|| format!("{}: {}", slot.name(), call.words(now)))
-    }))
+    });
+    let building = cx.sorm().inner.building.lock();
+    let building = building.iter().map(|one| {
+        let time = now.since(one.since).as_secs_f64();
+        format!("{}: is being built for {time:.1} s", one.name)
+    });
+    lines(calls.chain(building))
 }
 
 fn prepare(

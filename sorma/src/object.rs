@@ -159,14 +159,19 @@ pub(crate) struct Call {
 }
 
 impl Call {
-    /// In words: who has called what, and how long ago.
-    pub(crate) fn words(&self, now: Instant) -> String {
+    /// In words: who has called what.
+    pub(crate) fn title(&self) -> String {
         let by = match &*self.from {
             "" => "somebody",
             from => from,
         };
+        format!("{} of `{by}`", self.method)
+    }
+
+    /// In words: who has called what, and how long ago.
+    pub(crate) fn words(&self, now: Instant) -> String {
         let time = now.since(self.since).as_secs_f64();
-        format!("{} of `{by}` for {time:.1} s", self.method)
+        format!("{} for {time:.1} s", self.title())
     }
 }
 

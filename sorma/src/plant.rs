@@ -5,12 +5,29 @@ use crate::object::Slot;
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::Method;
-use crate::slot::{Handle, Owned};
-use crate::sorm::{Place, Sorm, parse};
+use crate::slot::{Handle, Owned, PATIENCE};
+use crate::sorm::{Building, Place, Sorm, parse};
 use crate::transport::Transport;
 use crate::words;
-use std::cell::RefCell;
 use std::sync::Arc;
+use std::thread::ThreadId;
+
+/// An object is being built, by a thread, until this is dropped.
+struct Begun<'s>(&'s Sorm, String, ThreadId);
+
+impl Drop for Begun<'_> {
+    fn drop(&mut self) {
+        let Self(sorm, name, by) = self;
+        let mut all = sorm.inner.building.lock();
+        let place = all
+            .iter()
+            .rposition(|one| one.name == *name && one.by == *by);
+        if let Some(place) = place {
+            all.remove(place);
+        }
+        sorm.inner.built.notify_all();
+    }
+}
 
 impl Sorm {
     /// The object of that name. The first use builds it: the class makes an object, whose own CTRL
@@ -42,14 +59,38 @@ impl Sorm {
     }
 
     fn first_use(&self, name: &ObjectName) -> Result<Handle, Report> {
-        let building = self.inner.building.lock();
+        let local = name.local();
+        let mut all = self.inner.building.lock();
+        let is_elsewhere =
+            |one: &Building| one.name == local && one.by != std::thread::current().id();
+        while all.iter().any(is_elsewhere) {
+            if self.inner.built.wait_for(&mut all, PATIENCE).timed_out() {
+                drop(all);
+                return Err(self.in_the_making(&local));
+            }
+        }
         // Another thread may have built it meanwhile.
-        if let Some(slot) = self.find(&name.local()) {
+        if let Some(slot) = self.find(&local) {
             return Ok(Handle { slot });
         }
-        let slot = Arc::new(self.build(name, &building)?);
+        let begun = self.begin(local, &mut all)?;
+        drop(all);
+        let slot = Arc::new(self.build_one(name)?);
         self.add(Arc::clone(&slot));
+        drop(begun);
         Ok(Handle { slot })
+    }
+
+    /// What is said to whoever does not wait for an object any longer that another one has built.
+    pub(crate) fn in_the_making(&self, local: &str) -> Report {
+        let all = self.inner.building.lock();
+        let since = all.iter().find(|one| one.name == local);
+        let time = since.map_or(0.0, |one| self.now().since(one.since).as_secs_f64());
+        raise!(
+            code::BUSY,
+            "`{local}` has been in the making for {time:.1} s; ask again when it is built, or `ctos restart {}` ends that",
+            self.process()
+        )
     }
 
     /// Builds an object that stands in no repository: for whoever asks alone, as a part of its own.
@@ -58,30 +99,33 @@ impl Sorm {
     /// As [`Sorm::get`].
     pub fn private(&self, name: &str) -> Result<Owned, Report> {
         let name = parse(name)?;
-        let building = self.inner.building.lock();
-        self.build(&name, &building).map(Owned::new)
+        let begun = self.begin(name.local(), &mut self.inner.building.lock())?;
+        let built = self.build_one(&name).map(Owned::new);
+        drop(begun);
+        built
     }
 
-    /// Builds the object: the class makes it, it takes its recipe, it tests itself.
-    pub(crate) fn build(
-        &self,
-        name: &ObjectName,
-        building: &RefCell<Vec<String>>,
-    ) -> Result<Slot, Report> {
-        let local = name.local();
-        if building.borrow().contains(&local) {
-            let chain = building.borrow().join(" -> ");
+    /// Notes that this thread builds an object from now on.
+    fn begin(&self, local: String, all: &mut Vec<Building>) -> Result<Begun<'_>, Report> {
+        let by = std::thread::current().id();
+        let chain = all.iter().filter(|one| one.by == by);
+        let chain: Vec<&str> = chain.map(|one| &*one.name).collect();
+        if chain.contains(&&*local) {
+            let chain = chain.join(" -> ");
             return Err(raise!(
                 code::RECIPE,
                 "objects need each other to be built: {chain} -> {local}"
             ));
         }
-        building.borrow_mut().push(local);
-        let built = self.build_one(name);
-        building.borrow_mut().pop();
-        built
+        all.push(Building {
+            name: local.clone(),
+            by,
+            since: self.now(),
+        });
+        Ok(Begun(self, local, by))
     }
 
+    /// Builds the object: the class makes it, it takes its recipe, it tests itself.
     fn build_one(&self, name: &ObjectName) -> Result<Slot, Report> {
         let class = self.class(name)?;
         let local = name.local();

@@ -396,7 +396,7 @@ impl Slot {
     }
 
     /// The report with this object's name, unless a sub-service has put its own.
-    fn signed(&self, mut report: Report, sorm: Option<&Sorm>) -> Report {
+    pub(crate) fn signed(&self, mut report: Report, sorm: Option<&Sorm>) -> Report {
         if report.object.is_empty() {
             self.name().clone_into(&mut report.object);
         }

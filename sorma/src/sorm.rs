@@ -15,10 +15,10 @@ use crate::trade::wanted::Wanted;
 use crate::transport::Transport;
 use crate::watching::Watchers;
 use ctos::time::{Clock, Instant};
-use parking_lot::{Mutex, ReentrantMutex, RwLock};
-use std::cell::RefCell;
+use parking_lot::{Condvar, Mutex, RwLock};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::thread::ThreadId;
 
 /// The word of the dictionary by which a daemon is sought among those that offer the class.
 const TRADE: &str = "trade";
@@ -45,8 +45,17 @@ pub(crate) struct Inner {
     pub(crate) dictionary: Arc<RwLock<Dictionary>>,
     /// What CTRL has changed of objects, for a process to come; `None`: nobody keeps it.
     kept: Mutex<Option<Kept>>,
-    /// Objects being built now, outermost first: by one thread at a time.
-    pub(crate) building: ReentrantMutex<RefCell<Vec<String>>>,
+    /// Objects being built now; of each thread the outermost first.
+    pub(crate) building: Mutex<Vec<Building>>,
+    /// One of them is built.
+    pub(crate) built: Condvar,
+}
+
+/// An object that is being built.
+pub(crate) struct Building {
+    pub(crate) name: String,
+    pub(crate) by: ThreadId,
+    pub(crate) since: Instant,
 }
 
 /// Objects by their local names, with the options that they had after the last CTRL that changed them, as `-dump`
@@ -85,7 +94,8 @@ impl Sorm {
                 watchers: Arc::default(),
                 kept: Mutex::default(),
                 dictionary: Arc::new(RwLock::new(dictionary)),
-                building: ReentrantMutex::default(),
+                building: Mutex::default(),
+                built: Condvar::new(),
             }),
         }
     }

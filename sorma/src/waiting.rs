@@ -13,7 +13,7 @@ use crate::request::{Method, Reply, Request};
 use crate::slot::{self, Handle};
 use crate::sorm::{Place, Sorm, parse};
 use crate::transport::Transport;
-use crate::workers::Workers;
+use crate::workers::{Work, Workers};
 use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
 use futures_util::future::{Either, LocalBoxFuture, select};
@@ -128,7 +128,7 @@ impl Sorm {
             mut body,
         } = request;
         match self.place(&name) {
-            Ok(Place::Here) => match self.resolve(&name) {
+            Ok(Place::Here) => match self.built(comm, &name, method, &body.from).await {
                 Ok(handle) => self.meet(comm, within, &handle, method, &mut body).await,
                 Err(report) => self.refuse(&mut body, report),
             },
@@ -142,6 +142,51 @@ impl Sorm {
             Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
+    }
+
+    /// The object of that name in this process; what is to be built for a request of `from` is built on a thread of its own.
+    async fn built(
+        &self,
+        comm: &dyn Comm,
+        name: &ObjectName,
+        method: Method,
+        from: &str,
+    ) -> Result<Handle, Report> {
+        let local = name.local();
+        let Some(workers) = comm.workers().filter(|_| self.find(&local).is_none()) else {
+            return self.resolve(name);
+        };
+        let call = Call {
+            from: from.to_owned(),
+            method,
+            since: self.now(),
+        };
+        let (manager, wanted) = (self.clone(), name.clone());
+        let work = Work {
+            name: local.clone(),
+            call: call.title(),
+            since: call.since,
+        };
+        let built = workers.call(work, self.process(), None, move |built| {
+            *built = Some(manager.resolve(&wanted));
+        });
+        let built = match select(pin!(built), comm.sleep(slot::PATIENCE)).await {
+            Either::Left((built, _)) => built,
+            // It goes on, for whoever asks next.
+            Either::Right(_) => return Err(self.in_the_making(&local)),
+        };
+        let (built, ended) = built.map_err(|(_, report)| report)?;
+        match (built, ended) {
+            (Some(built), _) => built,
+            (None, Err(panic)) => {
+                let text = ctos::panic_text(panic.as_ref());
+                Err(raise!(
+                    code::PANIC,
+                    "`{name}` panicked while it was built: {text}"
+                ))
+            }
+            (None, Ok(())) => self.resolve(name),
+        }
     }
 
     /// Has a request met by an object of this process, panics and all.
@@ -229,29 +274,44 @@ async fn ask(
 
 /// Has an object called on a thread of its own.
 async fn call_on(
-    workers: &Workers,
+    workers: &'static Workers,
     slot: &Arc<Slot>,
     (sorm, comm): (&Sorm, &dyn Comm),
     method: Method,
     io: &mut Transport,
 ) {
-    *slot.call.lock() = Some(Call {
+    let call = Call {
         from: io.from.clone(),
         method,
         since: sorm.now(),
-    });
+    };
+    let work = Work {
+        name: slot.name().to_owned(),
+        call: call.title(),
+        since: call.since,
+    };
+    *slot.call.lock() = Some(call);
     let (object, manager) = (Arc::clone(slot), sorm.clone());
-    let called = workers.call(std::mem::take(io), move |io| {
+    let called = workers.call(work, sorm.process(), std::mem::take(io), move |io| {
         object.call_unseen(&manager, None, method, io);
         *object.call.lock() = None;
     });
-    let (body, ended) = match select(pin!(called), comm.sleep(slot::PATIENCE)).await {
+    let called = match select(pin!(called), comm.sleep(slot::PATIENCE)).await {
         Either::Left((done, _)) => done,
         Either::Right(((), called)) => {
             let call = slot.call.lock().clone();
             let call = call.map(|call| call.words(sorm.now())).unwrap_or_default();
             tracing::warn!(object = slot.name(), call, "does not come to an end");
             called.await
+        }
+    };
+    let (body, ended) = match called {
+        Ok(called) => called,
+        Err((body, report)) => {
+            *slot.call.lock() = None;
+            *io = body;
+            io.code = 0;
+            return io.report(slot.signed(report, Some(sorm)));
         }
     };
     *io = body;

@@ -1,6 +1,6 @@
 //! What never comes to an end: an object of a daemon, and a handler. What ends at once, whenever it is asked.
 
-use std::time::Duration;
+use std::{io::Write, time::Duration};
 
 use ctos::{
     message::{Command, Message},
@@ -12,6 +12,16 @@ use sorma::{Class, Dictionary, Outcome, ServiceObject, Transport, daemon, demo};
 
 /// An object whose EXEC never ends.
 struct Mill;
+
+/// An object whose building never ends.
+fn unfinished() -> Class {
+    Class::new("ruin", "1.0", |_, _| {
+        loop {
+            std::thread::park();
+        }
+    })
+    .any_flavor()
+}
 
 impl ServiceObject for Mill {
     fn exec(&mut self, _cx: &sorma::Context<'_>, _io: &mut Transport) -> Outcome {
@@ -156,10 +166,77 @@ impl EventHandler for Parent {
     }
 }
 
+/// Arguments of [`Owner`].
+#[derive(Clone, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OwnerArgs {
+    /// Where it writes while it has the permit, until there is a file `enough` in the folder of the configuration.
+    file: String,
+    /// Whether it looks at the app's clock before it writes.
+    looks: bool,
+    /// The file of the owner before it, if it is not the first one: it waits for that, and ends the app.
+    after: Option<String>,
+}
+
+/// Takes the only permit of the app and, in a handler that never waits, writes as long as it believes to have it: the
+/// number of the permit.
+struct Owner(OwnerArgs);
+
+impl Owner {
+    async fn own(&self, cx: &Context) -> Handled {
+        while let Some(file) = &self.0.after
+            && !cx.path(file).exists()
+        {
+            cx.sleep(Duration::from_millis(10)).await;
+        }
+        let permit = cx.semaphore("app/board", 1)?.acquire().await?;
+        tracing::warn!(task = cx.name(), "has permit {}", permit.number());
+        let mut file = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(cx.path(&self.0.file))?;
+        while !cx.path("enough").exists() {
+            std::thread::sleep(Duration::from_millis(1));
+            if self.0.looks {
+                let _now = cx.now();
+            }
+            writeln!(file, "{}", permit.number())?;
+        }
+        if self.0.after.is_some() {
+            cx.finish(AppResult {
+                ok: true,
+                text: "enough".to_owned(),
+                json: "{}".to_owned(),
+            });
+        }
+        Ok(())
+    }
+}
+
+impl EventHandler for Owner {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() == Spin::CODE {
+            return self.own(cx).await;
+        }
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let own = cx.task(cx.name()).await?;
+            cx.try_send(&own, Spin {})?;
+        }
+        Ok(())
+    }
+}
+
 pub fn register(registry: &mut Registry) {
+    let owner = registry.handler("test.owner", &[Spin::INFO], |cx| Ok(Owner(cx.args()?)));
+    owner.args::<OwnerArgs>();
     daemon::register(registry, Dictionary::new(), |_, sorm| {
         demo::register(sorm);
         sorm.register(Class::new("mill", "1.0", |_, _| Ok(Box::new(Mill))).any_flavor());
+        sorm.register(unfinished());
     });
     registry.handler("test.spinning", &[Spin::INFO], |_| Ok(Spinning));
     registry.handler("test.dying", &[Die::INFO], |_| Ok(Dying));

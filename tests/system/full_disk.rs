@@ -127,3 +127,44 @@ fn an_app_whose_disk_is_full_goes_on_without_its_record_and_says_so() {
     assert_eq!(ended.code, Some(0), "{}", ended.told);
     must_be_readable(&scratch, "kept/run.desk.mcap");
 }
+
+/// How many moves beneath records that break off are tried, and how many of them in each app.
+const MOVES: usize = 6;
+const IN_AN_APP: usize = 10;
+
+/// Once in some hundred runs of an app like this, with a move each, a message came after a later one of its sender: a
+/// fence overtook requests that waited for the link. The records of all its processes break off again and again here.
+#[test]
+fn messages_to_a_task_that_moves_while_records_break_off_come_once_and_in_order() {
+    let wanted = std::env::var("CTOS_MOVES");
+    let wanted = wanted.map_or(MOVES, |moves| moves.parse().unwrap());
+    let mut made = 0;
+    while made < wanted {
+        let count = IN_AN_APP.min(wanted - made);
+        let scratch = Scratch::empty();
+        scratch.write("app.toml", APP);
+        let moves = format!("task.judge.args.moves={count}");
+        let limited = ["-c", LIMITED, MISBEHAVING];
+        let sets = [
+            "--set",
+            "same_host=\"unix\"",
+            "--set",
+            "record.keep=3",
+            "--set",
+            &moves,
+        ];
+        let all = [&limited[..], &BOOT[..], &sets[..]].concat();
+        let mut run = scratch.start("sh", &all, &[]);
+        run.wait_for("phase 3");
+        run.wait_for("the record broke off");
+        for number in 0..count {
+            let to = if number % 2 == 0 { "cage" } else { "desk" };
+            must_have_moved_at_last(&ctos(&scratch, &["move", "sink", to]));
+        }
+        made += count;
+        let ended = run.end();
+        let said = ended.stdout.contains("came once and in order");
+        assert!(said, "within {made} moves: {}", ended.told);
+        ended.must_exit(0);
+    }
+}

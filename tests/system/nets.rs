@@ -1,6 +1,10 @@
 //! Durable nets in real processes that are killed: no token is lost or doubled, and a boot goes on where
 //! the last one was. And the commands that intervene in a running net.
 
+use std::time::Duration;
+
+use rustix::process::Signal;
+
 use crate::harness::{Ended, MISBEHAVING, Run, Scratch};
 
 const NETS: [(&str, &str); 3] = [
@@ -57,6 +61,80 @@ fn killed_nets_lose_and_double_no_token_and_the_next_boot_goes_on_with_them() {
     must_count(&run.end());
     assert!(scratch.path("state/a.redb").exists());
     must_count(&start(&scratch).end());
+}
+
+const COMMANDED: &str = "net net
+place free = 1, done
+command go -> gone
+transition work
+  in free
+  tape go
+  do work
+  idempotent
+  out done
+transition answer
+  in done
+  out free
+  write gone
+";
+
+const PUTTING: &str = r#"
+[app]
+name = "putting"
+until = "putter"
+peer_timeout_s = 1.0
+stop_timeout_s = 2
+
+[chassis.desk]
+restart = "always"
+max_restarts = 100
+
+[chassis.cage]
+restart = "always"
+max_restarts = 100
+
+[task.putter]
+handler = "test.putter"
+on = "desk"
+
+[task.net]
+handler = "test.told"
+on = "cage"
+args = { net = "commanded.net", durable = true }
+"#;
+
+#[test]
+fn who_puts_a_command_once_is_answered_when_it_is_done_though_the_boot_is_frozen_meanwhile() {
+    let scratch = Scratch::empty();
+    scratch.write("commanded.net", COMMANDED);
+    scratch.write("app.toml", PUTTING);
+    let mut run = start(&scratch);
+    run.wait_for("phase 3");
+    let freeze = |run: &Run<'_>, time| {
+        run.signal(Signal::STOP);
+        run.hold(Duration::from_millis(time));
+        run.signal(Signal::CONT);
+    };
+    // For less than the time after which the others give it up, and for longer: then all is stopped in order, and begun again.
+    for time in [300, 600, 1_900] {
+        freeze(&run, time);
+    }
+    run.wait_for("desk is up again");
+    run.hold(Duration::from_millis(300));
+    scratch.write("enough", "");
+    let ended = run.end();
+    ended.must_exit(0);
+    let told = scratch.read("told");
+    let answers: Vec<&str> = told
+        .lines()
+        .filter(|line| !line.starts_with("did "))
+        .collect();
+    assert!(answers.len() > 10, "{told}");
+    for (number, answer) in (1..).zip(answers) {
+        assert_eq!(answer, format!("answered {number} gone"), "{told}");
+        let done = told.find(&format!("did {number}\n"));
+        assert!(done < told.find(answer) && done.is_some(), "{told}");
+    }
 }
 
 #[test]

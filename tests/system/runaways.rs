@@ -1,5 +1,9 @@
 //! Objects and handlers that never come to an end: what goes on beside them, who names them, and what ends them.
 
+use std::{fs, time::Duration};
+
+use rustix::process::Signal;
+
 use crate::harness::{Ended, MISBEHAVING, Run, SCOTT, Scratch};
 
 const APP: &str = r#"
@@ -90,4 +94,89 @@ fn a_restart_of_a_task_that_never_ends_says_what_it_waits_for_and_offers_what_wo
     ctos(&scratch, &["restart", "cage"]).must_exit_leaving(0);
     // What comes to an end is restarted as before.
     ctos(&scratch, &["restart", "d2"]).must_exit_leaving(0);
+}
+
+#[test]
+fn a_daemon_goes_on_beside_an_object_whose_building_never_ends() {
+    let scratch = Scratch::empty();
+    let _run = up(&scratch, "");
+    let building = scratch.start(SCOTT, &["-c", "ruin@d2 EXEC"], &[]);
+    until(&scratch, "sorm@d2 CTRL -busy", "ruin: is being built for ");
+    let other = scratch.scott(&["-c", "foo@d2 EXEC", "-c", "bar@d2 CTRL -dump"]);
+    other.must_exit_leaving(0);
+    let busy = building.end();
+    busy.must_exit_leaving(1)
+        .must_say("`ruin` has been in the making for ")
+        .must_say("`ctos restart cage` ends that");
+}
+
+#[test]
+fn an_app_whose_boot_is_frozen_keeps_no_command_for_ever() {
+    let scratch = Scratch::empty();
+    let run = up(&scratch, "");
+    run.signal(Signal::STOP);
+    for command in [&["restart", "d2"][..], &["move", "d2", "desk"], &["stop"]] {
+        let late = ctos(&scratch, command);
+        late.must_exit_leaving(6)
+            .must_say("app `runaways` (pid ")
+            .must_say("did not answer within 5 s: is its process stopped, or very busy?");
+    }
+    run.signal(Signal::KILL);
+    run.signal(Signal::CONT);
+}
+
+/// Two tasks that want the same permit, of which the chassis of the first is frozen until the second has it. How often the
+/// first wrote after that.
+fn written_by_a_frozen_owner(looks: bool) -> usize {
+    let scratch = Scratch::empty();
+    let owner = |task: &str, on: &str, more: &str| {
+        format!(
+            "[task.{task}]\nhandler = \"test.owner\"\non = \"{on}\"\nargs = {{ file = \"{task}\", looks = {looks}{more} }}\n"
+        )
+    };
+    let app = "[app]\nuntil = \"second\"\npeer_timeout_s = 1.0\nstop_timeout_s = 30\n[chassis.desk]\n[chassis.cage]\nrestart = \"on-failure\"\n";
+    let tasks = owner("first", "cage", "") + &owner("second", "desk", ", after = \"first\"");
+    scratch.write("app.toml", app.to_owned() + &tasks);
+    let mut run = scratch.start(MISBEHAVING, &["boot", "app.toml"], &[]);
+    run.wait_for("phase 3");
+    let written = || {
+        fs::read_to_string(scratch.path("first"))
+            .unwrap_or_default()
+            .lines()
+            .count()
+    };
+    while written() == 0 {
+        run.hold(Duration::from_millis(10));
+    }
+    run.freeze("cage");
+    run.wait_for("has permit 2");
+    let before = written();
+    run.resume("cage");
+    // It ends by itself, long before the boot would end it.
+    let why = run.line_with("given up: ");
+    assert!(
+        why.contains("peer_timeout_s = 1: this chassis ends"),
+        "{why}"
+    );
+    run.wait_for("failed   cage ended with exit code 6");
+    let after = written() - before;
+    run.wait_for("cage is up again");
+    scratch.write("enough", "");
+    let ended = run.end();
+    ended.must_exit(0).must_not_say("SIGKILL");
+    after
+}
+
+#[test]
+fn an_owner_that_was_frozen_and_given_up_writes_nothing_more_that_it_looks_at_the_clock_for() {
+    // It may have been frozen between the two.
+    let written = written_by_a_frozen_owner(true);
+    assert!(written <= 1, "{written} times");
+}
+
+#[test]
+fn an_owner_that_was_frozen_and_given_up_is_ended_at_once_though_it_asks_for_nothing() {
+    // Each takes a millisecond; the process went on for a second before it ended.
+    let written = written_by_a_frozen_owner(false);
+    assert!(written < 100, "{written} times");
 }

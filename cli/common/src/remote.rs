@@ -163,6 +163,17 @@ pub fn view(client: &mut Client) -> Result<AppView, ClientError> {
     }
 }
 
+/// Whether an app answers, over a connection of its own; one that cannot be connected to has ended, which others tell.
+///
+/// # Errors
+/// [`ClientError::TimedOut`].
+pub fn answers(app: Option<&str>, at: &AtArgs) -> Result<(), ClientError> {
+    match connect_to(app, at).and_then(|mut client| client.get(Request::Ps {})) {
+        Err(error @ ClientError::TimedOut { .. }) => Err(error),
+        _ => Ok(()),
+    }
+}
+
 /// A log line without the blanks that it begins with.
 #[must_use]
 pub fn log_text(line: &LogLine) -> &str {

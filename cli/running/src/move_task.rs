@@ -73,8 +73,7 @@ fn moved(args: &MoveArgs) -> Result<Option<MoveView>, ClientError> {
         task: args.task.clone(),
         to: args.to.clone(),
     })?;
-    // The app keeps the limits.
-    client.wait_for_ever()?;
+    // The app keeps the limits, and says every second what it waits for.
     loop {
         match client.read()? {
             Some(Answer::Moved(view)) => return Ok(Some(view)),

@@ -61,8 +61,7 @@ fn restarted(args: &RestartArgs) -> Result<Option<Answer>, ClientError> {
     let mut client = args.remote.connect()?;
     let name = args.name.clone();
     client.ask(Request::Restart { name })?;
-    // The app keeps the limits.
-    client.wait_for_ever()?;
+    // The app keeps the limits, and says every second what it waits for.
     loop {
         match client.read()? {
             Some(Answer::Waiting { took_s, at }) => {

@@ -1,7 +1,12 @@
 //! `ctos stop`.
 
+use std::time::Duration;
+
 use clap::Args;
-use ctos::control::protocol::{Answer, Request};
+use ctos::control::{
+    client::Within,
+    protocol::{Answer, Request},
+};
 
 use cli_common::{
     exit,
@@ -10,6 +15,9 @@ use cli_common::{
 };
 
 use crate::progress;
+
+/// After how long without a word it is looked whether the app answers at all.
+const LOOK: Duration = Duration::from_secs(5);
 
 /// Stop an app in order
 ///
@@ -41,17 +49,18 @@ pub fn run(args: &StopArgs) -> u8 {
         Ok(client) => client,
         Err(error) => return remote::failed(&error),
     };
-    let asked = client
-        .ask(Request::Stop { now: args.now })
-        // Every rung has a limit of its own, which the app keeps.
-        .and_then(|()| client.wait_for_ever());
-    if let Err(error) = asked {
+    if let Err(error) = client.ask(Request::Stop { now: args.now }) {
         return remote::failed(&error);
     }
     loop {
-        let answer = match client.read() {
-            Ok(Some(answer)) => answer,
-            Ok(None) => {
+        // Every rung has a limit of its own, which the app keeps while it answers at all.
+        let answer = match client.read_within(LOOK) {
+            Ok(Within::Answer(answer)) => *answer,
+            Ok(Within::NotYet) => match remote::answers(args.app.as_deref(), &args.at) {
+                Ok(()) => continue,
+                Err(error) => return remote::failed(&error),
+            },
+            Ok(Within::Closed) => {
                 show::say("error: the app went away without saying how it ended");
                 return exit::UNREACHABLE;
             }

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use ctos::{
-    record::{Filter, Record, ReplayError, replay},
+    config::App,
+    record::{Filter, Record, ReplayError, replay, replayable},
     registry::Registry,
 };
 
@@ -17,12 +18,15 @@ use crate::{
 
 /// Let one task do again what it did in a record, and compare
 ///
+/// Without --task it says which tasks of the app the record can do that with, and why not with the others.
+///
 /// The task runs alone on a virtual clock. It is given its messages at the recorded moments and the recorded answers to
 /// what it asks; what it sends, answers and returns is compared with the record. Exit code 0 when it did the same, 1 when
 /// it did not.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --record run.mcap
+  ctos replay configs/calibrate.toml run.mcap
   ctos replay configs/calibrate.toml run.mcap --task dispatcher
   ctos replay configs/calibrate.toml run.*.mcap --task dispatcher --json")]
 pub struct ReplayArgs {
@@ -32,9 +36,9 @@ pub struct ReplayArgs {
     /// Records of one run: the file of the task's process, or several
     #[arg(required = true, value_name = "RECORD")]
     pub files: Vec<PathBuf>,
-    /// Name of the task
+    /// Name of the task; without it all are listed
     #[arg(long, value_name = "NAME")]
-    pub task: String,
+    pub task: Option<String>,
     /// Print the result as one JSON object
     #[arg(long)]
     pub json: bool,
@@ -57,7 +61,10 @@ pub fn run(args: &ReplayArgs, registry: Registry) -> u8 {
             return exit::FAILED;
         }
     };
-    match replay(app, registry, &args.task, &record) {
+    let Some(task) = &args.task else {
+        return list(&app, &record, args.json);
+    };
+    match replay(app, registry, task, &record) {
         Ok(report) => {
             let text = if args.json {
                 serde_json::json!({
@@ -85,4 +92,26 @@ pub fn run(args: &ReplayArgs, registry: Registry) -> u8 {
             }
         }
     }
+}
+
+/// Which tasks can be replayed.
+fn list(app: &App, record: &Record, json: bool) -> u8 {
+    let tasks = replayable(app, record);
+    let text = if json {
+        let tasks = tasks.iter().map(|(task, can)| {
+            let why = can.as_ref().err().map(ToString::to_string);
+            serde_json::json!({ "task": task, "replays": can.is_ok(), "why": why })
+        });
+        serde_json::json!({ "tasks": tasks.collect::<Vec<_>>() }).to_string()
+    } else {
+        let width = tasks.iter().map(|(task, _)| task.len()).max().unwrap_or(0);
+        let line = |(task, can): &(String, Result<(), ReplayError>)| match can {
+            Ok(()) => format!("{task:<width$}  replays"),
+            Err(why) => format!("{task:<width$}  does not: {why}"),
+        };
+        tasks.iter().map(line).collect::<Vec<_>>().join("\n")
+    };
+    // A reader that went away has what it wanted.
+    let _ = show::data(&text);
+    exit::OK
 }

@@ -13,7 +13,7 @@ use crate::{common::root, hello_example};
 use cli::program;
 use ctos::{
     config::{App, Selection},
-    record::{Filter, Record, ReplayError, replay},
+    record::{Filter, Record, ReplayError, replay, replayable},
     registry::Registry,
     simulation::{self, Faults, Setup},
 };
@@ -87,7 +87,10 @@ struct Replayed {
 
 fn replay_all(file: &Path, seed: u64, record: &Record) -> Replayed {
     let mut replayed = Replayed::default();
+    let listed = replayable(&app(file, seed), record);
+    let listed: BTreeMap<String, Result<(), ReplayError>> = listed.into_iter().collect();
     for task in app(file, seed).tasks {
+        let listed = &listed[&task.name];
         match replay(app(file, seed), registry(), &task.name, record) {
             Ok(report) => {
                 assert!(
@@ -95,9 +98,12 @@ fn replay_all(file: &Path, seed: u64, record: &Record) -> Replayed {
                     "{}, seed {seed}: {report}",
                     file.display()
                 );
+                assert_eq!(*listed, Ok(()), "{}", task.name);
                 replayed.same.insert(task.name);
             }
             Err(error @ (ReplayError::Outside { .. } | ReplayError::Incomplete { .. })) => {
+                // Known before any is chosen.
+                assert_eq!(*listed, Err(error.clone()));
                 replayed.refused.insert(task.name, error.to_string());
             }
             Err(error) => panic!("{}, seed {seed}: {error}", file.display()),
@@ -204,9 +210,48 @@ fn records_of_real_processes_with_a_display_are_replayed() {
         let files: Vec<PathBuf> = files.into_iter().collect();
         let record = Record::read(&files, &Filter::default()).unwrap();
         let Replayed { same, refused } = replay_all(&path(app), 1, &record);
+        must_list(&path(app), &files, &same, &refused);
         assert!(same.len() >= 4, "{same:?}");
         for (task, why) in &refused {
             assert!(REFUSED.contains(&task.as_str()), "{why}");
+        }
+    }
+}
+
+/// `ctos replay` without a task says of each whether it does the same again, for people and for programs.
+fn must_list(
+    app: &Path,
+    files: &[PathBuf],
+    same: &BTreeSet<String>,
+    refused: &BTreeMap<String, String>,
+) {
+    let list = |more: &[&str]| {
+        let mut command = crate::common::example("hello");
+        let listed = command.arg("replay").arg(app).args(files).args(more);
+        let listed = listed.env("NO_COLOR", "1").output().unwrap();
+        assert_eq!(listed.status.code(), Some(0), "{listed:?}");
+        String::from_utf8(listed.stdout).unwrap()
+    };
+    let text = list(&[]);
+    let json: serde_json::Value = serde_json::from_str(&list(&["--json"])).unwrap();
+    let told = json["tasks"].as_array().unwrap();
+    assert_eq!(
+        (text.lines().count(), told.len()),
+        (same.len() + refused.len(), text.lines().count())
+    );
+    for (line, told) in text.lines().zip(told) {
+        let task = told["task"].as_str().unwrap();
+        assert!(line.starts_with(&format!("{task} ")), "{line}");
+        assert_eq!(told["replays"], same.contains(task), "{told}");
+        match refused.get(task) {
+            Some(why) => {
+                assert_eq!(told["why"], why.as_str());
+                assert!(line.ends_with(&format!("  does not: {why}")), "{line}");
+            }
+            None => assert!(
+                told["why"].is_null() && line.ends_with("  replays"),
+                "{line}"
+            ),
         }
     }
 }

@@ -46,7 +46,7 @@ impl TaskDirectory {
     }
 
     /// The task `name`, if this chassis was told; with the name, which all who ask share.
-    pub(crate) fn known(&self, name: &str) -> Option<(Arc<str>, Tid)> {
+    pub fn known(&self, name: &str) -> Option<(Arc<str>, Tid)> {
         let known = lock(&self.known);
         let (name, tid) = known.get_key_value(name)?;
         Some((Arc::clone(name), *tid))
@@ -54,7 +54,7 @@ impl TaskDirectory {
 
     /// Remembers an answer of the task identification service, which may be older than a change that
     /// was told since.
-    pub(crate) fn learn(&self, name: &str, tid: Tid) -> Tid {
+    pub fn learn(&self, name: &str, tid: Tid) -> Tid {
         let tid = self.current(tid);
         lock(&self.known).insert(name.into(), tid);
         tid
@@ -78,7 +78,7 @@ impl TaskDirectory {
     }
 
     /// Whoever had this name does not answer: it is asked for again.
-    pub(crate) fn forget(&self, name: &str) {
+    pub fn forget(&self, name: &str) {
         lock(&self.known).remove(name);
     }
 

@@ -33,7 +33,7 @@ use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 pub use lines::Number;
 pub use log::RecordLayer;
 pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan_only};
-pub use replay::{Difference, ReplayError, ReplayReport, replay};
+pub use replay::{Difference, ReplayError, ReplayReport, replay, replayable};
 
 pub use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
 

@@ -166,6 +166,18 @@ impl fmt::Display for ReplayReport {
     }
 }
 
+/// Which tasks of `app` can be replayed from `record`, and why the others cannot.
+#[must_use]
+pub fn replayable(app: &App, record: &Record) -> Vec<(String, Result<(), ReplayError>)> {
+    let names = app.tasks.iter().map(|task| task.name.clone());
+    names
+        .map(|name| {
+            let script = Script::of(record, &name);
+            (name, script.map(|_| ()))
+        })
+        .collect()
+}
+
 /// Lets task `task` of `app` do again what it did in `record`, and compares.
 ///
 /// # Errors

@@ -17,6 +17,8 @@ use std::{
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
+use crate::Lease;
+
 /// A moment, in nanoseconds since the app was started. The same in all processes of one host.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize,
@@ -84,6 +86,8 @@ pub struct Clock {
     origin_ns: u64,
     /// In place of the host's clock.
     simulated: Option<Simulated>,
+    /// Of a process that may be given up.
+    lease: Option<Arc<Lease>>,
 }
 
 /// A number that only the simulation advances, seen through a clock that need not be right.
@@ -144,11 +148,24 @@ impl Clock {
     /// an app on one host agree.
     #[must_use]
     pub fn real_from(origin_ns: u64) -> Self {
-        let simulated = None;
         Self {
             origin_ns,
-            simulated,
+            simulated: None,
+            lease: None,
         }
+    }
+
+    /// This clock, at which nobody looks any more when `lease` is over.
+    #[must_use]
+    pub fn leased(self, lease: Lease) -> Self {
+        let lease = Some(Arc::new(lease));
+        Self { lease, ..self }
+    }
+
+    /// What it was [leased](Self::leased) with.
+    #[must_use]
+    pub fn lease(&self) -> Option<&Lease> {
+        self.lease.as_deref()
     }
 
     /// A virtual clock at the start of the app.
@@ -157,6 +174,7 @@ impl Clock {
         Self {
             origin_ns: 0,
             simulated: Some(Simulated::default()),
+            lease: None,
         }
     }
 
@@ -180,10 +198,14 @@ impl Clock {
     /// The present moment.
     #[must_use]
     pub fn now(&self) -> Instant {
-        match &self.simulated {
+        let now = match &self.simulated {
             None => Instant(monotonic_ns().saturating_sub(self.origin_ns)),
             Some(it) => Instant(it.drift.shown(it.now_ns.load(Ordering::Acquire))),
+        };
+        if let Some(lease) = &self.lease {
+            lease.look(now);
         }
+        now
     }
 
     /// What this clock shows at a true moment of the simulation; the inverse of [`Self::true_at`].
@@ -274,6 +296,31 @@ mod tests {
         let second = Clock::real_from(first.origin_ns().unwrap());
         let before = first.now();
         assert!(second.now() >= before);
+    }
+
+    #[test]
+    fn whoever_looks_at_a_clock_whose_lease_is_over_finds_out_for_how_long_it_was_not_extended() {
+        let (tell, told) = std::sync::mpsc::channel();
+        let lease = Lease::new(Duration::from_secs(2), move |late| tell.send(late).unwrap());
+        let clock = Clock::virtual_clock().leased(lease);
+        let goes_on_to = |seconds: u64| {
+            clock.advance_to(Instant::START + Duration::from_secs(seconds));
+            // Another thread's clock is the same.
+            let now = clock.clone().now();
+            (now, told.try_recv().ok())
+        };
+        let second = Duration::from_secs(1);
+        assert_eq!(goes_on_to(100).1, None, "it was never extended");
+        clock.lease().unwrap().extend(goes_on_to(100).0);
+        assert_eq!(goes_on_to(102).1, None);
+        clock.lease().unwrap().extend(goes_on_to(102).0);
+        assert_eq!(goes_on_to(104).1, None);
+        assert_eq!(goes_on_to(105).1, Some(Some(3 * second)));
+        clock.lease().unwrap().lift();
+        assert_eq!(goes_on_to(200).1, None);
+        clock.lease().unwrap().revoke();
+        assert_eq!(goes_on_to(200).1, Some(None), "who revokes it");
+        assert_eq!(goes_on_to(200).1, Some(None), "who looks");
     }
 
     #[test]

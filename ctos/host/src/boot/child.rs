@@ -1,7 +1,15 @@
 //! The process of one chassis: connects to the others, runs its processors until it is told to end.
 
 use ctos_record as record;
-use std::{os::fd::AsFd, sync::Arc};
+use std::{
+    cell::Cell,
+    os::fd::AsFd,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
 
 use tokio::{io::AsyncReadExt, net::unix::pipe, sync::oneshot};
 
@@ -11,7 +19,7 @@ use ctos_config::App;
 use ctos_core::{chassis::Chassis, registry::Registry};
 use ctos_link::{handshake::Token, transport::Address};
 use ctos_record;
-use ctos_time::Clock;
+use ctos_time::{Clock, Lease};
 
 /// Why a chassis could not start.
 #[derive(Debug, thiserror::Error)]
@@ -58,7 +66,8 @@ pub fn run_chassis(
         .and_then(|position| u8::try_from(position + 1).ok())
         .ok_or_else(|| ChildError::Unknown(name.to_owned()))?;
     let token = Token(std::env::var(crate::boot::launcher::TOKEN_VARIABLE).unwrap_or_default());
-    let chassis = Chassis::new(index, app, Arc::new(registry), Clock::real_from(origin_ns));
+    let clock = Clock::real_from(origin_ns).leased(lease(app.links.peer_timeout));
+    let chassis = Chassis::new(index, app, Arc::new(registry), clock);
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
@@ -72,6 +81,36 @@ pub fn run_chassis(
         recording.finish();
     }
     code
+}
+
+thread_local! {
+    /// Whether this thread is just telling that the process was given up.
+    static TELLS: Cell<bool> = const { Cell::new(false) };
+}
+
+/// The lease of a chassis's process: one that is frozen for longer than `peer_timeout` is given up by the others, who go on
+/// without it. It ends when it thaws, before any of its handlers does something in the belief that nothing has happened.
+fn lease(peer_timeout: Duration) -> Lease {
+    let told = AtomicBool::new(false);
+    Lease::new(peer_timeout, move |frozen| {
+        // Who tells may look at the clock.
+        if TELLS.get() {
+            return;
+        }
+        if told.swap(true, Ordering::AcqRel) {
+            // Another thread tells; it may want what this one holds.
+            std::thread::sleep(FLUSH_TIMEOUT);
+        } else {
+            TELLS.set(true);
+            let why = match frozen {
+                Some(frozen) => format!("frozen for {:.1} s", frozen.as_secs_f64()),
+                None => "the boot says that nothing was heard for too long".to_owned(),
+            };
+            let limit = peer_timeout.as_secs_f64();
+            tracing::error!("given up: {why}, peer_timeout_s = {limit}: this chassis ends");
+        }
+        std::process::exit(mesh::EXIT_GIVEN_UP);
+    })
 }
 
 async fn serve(

@@ -13,6 +13,7 @@ mod members;
 mod peer;
 
 pub(crate) use call::unable;
+pub(crate) use peer::EXIT_GIVEN_UP;
 
 use std::{
     collections::BTreeMap,
@@ -418,7 +419,8 @@ impl Inner {
         let clock = self.chassis.clock.clone();
         let session = Session::new(clock, limits, injury, Box::new(receiver));
         peer.session = Some(session.clone());
-        self.runtime.spawn(peer::keep(session.clone()));
+        let leased = (chassis == 0).then(|| self.chassis.clock.clone());
+        self.runtime.spawn(peer::keep(session.clone(), leased));
         if self.process.sees(process) {
             self.runtime
                 .spawn(peer::watch(session.clone(), process.pid));

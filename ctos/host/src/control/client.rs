@@ -80,7 +80,7 @@ pub enum ClientError {
         error: io::Error,
     },
     /// It took too long.
-    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .timeout.as_secs_f64())]
+    #[error("app `{app}`{} did not answer within {} s: is its process stopped, or very busy?", of(*.pid), .timeout.as_secs_f64())]
     TimedOut {
         /// The app.
         app: String,
@@ -504,7 +504,13 @@ fn called(at: &str, timeout: Duration) -> io::Result<(TcpStream, OwnedFd)> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{Arc, Mutex};
+    use std::sync::{
+        Arc, Mutex,
+        mpsc::{Receiver, Sender, channel},
+    };
+
+    use ctos_link::security::make_key;
+    use tokio::io::AsyncWriteExt;
 
     use rustix::{
         fs::{OFlags, fcntl_getfl},
@@ -570,6 +576,66 @@ mod tests {
         assert_eq!(*readings.lock().unwrap(), [(true, Some(PATIENCE))]);
         drop(app);
         assert!(looks(&mut client));
+    }
+
+    /// An app that proves who it is, and says over TLS what it is told to. It tells when that is written.
+    fn secured(
+        key: Keys,
+        to_say: Receiver<&'static [u8]>,
+        said: Sender<()>,
+    ) -> (String, std::thread::JoinHandle<()>) {
+        let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let at = listener.local_addr().unwrap().to_string();
+        let serve = async move {
+            let listener = tokio::net::TcpListener::from_std(listener).unwrap();
+            let (stream, _) = listener.accept().await.unwrap();
+            let (mut stream, _) = key.answer(stream).await.unwrap();
+            while let Ok(bytes) = to_say.recv() {
+                stream.write_all(bytes).await.unwrap();
+                stream.flush().await.unwrap();
+                said.send(()).unwrap();
+            }
+        };
+        let served = std::thread::spawn(move || {
+            let mut runtime = tokio::runtime::Builder::new_current_thread();
+            runtime.enable_all().build().unwrap().block_on(serve);
+        });
+        (at, served)
+    }
+
+    #[test]
+    fn a_look_at_a_connection_with_keys_waits_for_nothing_finds_the_end_and_keeps_what_came_of_a_line()
+     {
+        /// Whoever waited would never come to an end.
+        const PATIENCE: Duration = Duration::from_secs(100_000);
+        let folder = tempfile::tempdir().unwrap();
+        let key = |name: &str, role| {
+            let key = make_key(&folder.path().join(name), role).unwrap();
+            Keys::load(&key, &folder.path().join("ca.pem")).unwrap()
+        };
+        let (app, tool) = (key("app", Role::Boot), key("tool", Role::Watch));
+        let ((say, to_say), (tell, said)) = (channel(), channel());
+        let (at, served) = secured(app, to_say, tell);
+        let pass = Pass::Key(Box::new(tool));
+        let mut client = Client::connect_at(&at, &pass, PATIENCE).unwrap();
+        assert!(!client.has_ended());
+        for part in [&b"{\"kind\":\"do"[..], b"ne\"}\n{\"kind"] {
+            say.send(part).unwrap();
+            said.recv().unwrap();
+            // The end of a line is no silence; a part of one may be what somebody waits for.
+            let whole = part.contains(&b'\n');
+            assert!(whole || !client.has_ended());
+        }
+        // What is asked for waits as before, and has the line from its beginning.
+        assert!(matches!(client.read(), Ok(Some(Answer::Done {}))));
+        assert!(!client.has_ended());
+        say.send(b"\":\"done\"}\n").unwrap();
+        assert!(matches!(client.read(), Ok(Some(Answer::Done {}))));
+        assert!(!client.has_ended());
+        drop(say);
+        served.join().unwrap();
+        assert!(client.has_ended());
     }
 
     fn socket(app: &str, pid: u32) -> Socket {

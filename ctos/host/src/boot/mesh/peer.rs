@@ -12,18 +12,27 @@ use ctos_link::session::{
     state::{Event, State},
 };
 use ctos_message::frame::Frame;
-use ctos_time::{Instant, lock::lock};
+use ctos_time::{Clock, Instant, lock::lock};
 
 /// Exit code of a chassis that the boot has given up: it was silent for too long.
-const EXIT_GIVEN_UP: i32 = 6;
+pub(crate) const EXIT_GIVEN_UP: i32 = 6;
 
-/// Looks after a session until it is over.
-pub(super) async fn keep(session: Arc<Session>) {
+/// Looks after a session until it is over. For that with the boot `clock` is given: each sign of life that goes there
+/// extends the lease of this process.
+pub(super) async fn keep(session: Arc<Session>, clock: Option<Clock>) {
+    let lease = clock.as_ref().and_then(Clock::lease);
     let mut ticks = tokio::time::interval(session.pulse_every());
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     while session.state() != State::Down {
         ticks.tick().await;
+        if let (Some(lease), Some(clock)) = (lease, &clock) {
+            lease.extend(clock.now());
+        }
         session.keep();
+    }
+    // Without the boot there is nobody to give this process up; its tasks are stopped in their order.
+    if let Some(lease) = lease {
+        lease.lift();
     }
 }
 
@@ -112,9 +121,10 @@ impl Receiver for PeerReceiver {
             _ => tracing::warn!(peer, reason = %reason, "link down"),
         }
         if self.chassis == 0 && *reason == DownReason::GivenUp {
-            tracing::error!(
-                "the boot has given this chassis up, which was silent for too long: it ends"
-            );
+            // Nothing that goes on here is true any more for the others.
+            if let Some(lease) = mesh.chassis.clock.lease() {
+                lease.revoke();
+            }
             // Before the tasks see that the boot is gone, and take that for the reason.
             mesh.chassis.exit(EXIT_GIVEN_UP);
         }

@@ -183,14 +183,25 @@ impl Service {
                 return Err(ErrorView::new(ErrorCode::BadRequest, text).into());
             }
         };
-        let task = self.find(&request.task, timeout).await?;
-        speaker.heard.insert(task);
         let say = Say {
             line: request.line,
             from: speaker.name.clone(),
             trace: request.trace,
         };
-        match view::ask(&self.chassis, task, say, timeout).await {
+        let directory = &self.chassis.directory;
+        let mut task = match directory.known(&request.task) {
+            Some((_, task)) => task,
+            None => directory.learn(&request.task, self.find(&request.task, timeout).await?),
+        };
+        let mut said = view::ask(&self.chassis, task, say.clone(), timeout).await;
+        if said == Err(Fault::UnknownTask) {
+            // It is somewhere else now, or nowhere.
+            directory.forget(&request.task);
+            task = self.find(&request.task, timeout).await?;
+            said = view::ask(&self.chassis, task, say, timeout).await;
+        }
+        speaker.heard.insert(task);
+        match said {
             Ok(line) => Ok(Answer::Said { line }),
             Err(Fault::UnknownCommand { takes }) => {
                 let text = format!(
