@@ -79,6 +79,7 @@ fn a_count_that_somebody_ends_says_so() {
         ..Limits::default()
     };
     let turns = turns(100, 1_000);
-    let looked = choose(&kanban(2), &limits, Engines::Symbolic, turns, &mut |_| {});
+    let model = kanban(2);
+    let looked = choose(&model, &limits, Engines::Symbolic, turns, &mut |_| {});
     assert_eq!(looked.verdict.stopped, Some(Stopped::Stop));
 }
