@@ -3,8 +3,9 @@
 //! The layers of CIRSSE report 108, section 4, from the bottom: [`driver`] is the testbed interface
 //! (slots over channel drivers), [`control`] the laws that turn setpoints into torques, [`trajectory`]
 //! the planning of segments, [`servo`] the synchronous function that runs all three at the servo
-//! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`arm`] is the
-//! manipulator's model; the tasks put everything behind event handlers, registered by [`register`].
+//! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`model`] is any
+//! arm as data with its kinematics and dynamics, [`arm`] the six-joint arm that servo, laws and
+//! planner still know; the tasks put everything behind event handlers, registered by [`register`].
 //!
 //! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
 //! registers it in a [`driver::DriverRegistry`].
@@ -13,6 +14,7 @@ pub mod arm;
 pub mod client;
 pub mod control;
 pub mod driver;
+pub mod model;
 pub mod services;
 pub mod servo;
 pub mod state;

@@ -5,6 +5,7 @@
 //! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
 //! under joint 1 and frame 6 as the DH table has it.
 
+mod arm;
 mod dynamics;
 mod kinematics;
 mod local;
@@ -13,7 +14,7 @@ mod pino;
 
 use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
-use crate::arm::{ArmModel, Joints};
+use crate::arm::Joints;
 use crate::client::MotionError;
 use local::SharedArm;
 use mvpos::MvPos;
@@ -21,9 +22,6 @@ use pino::Pino;
 
 /// Version of the classes.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
-
-/// Height of frame 0's origin to joint 2's axis, m, unless an option says otherwise.
-const PEDESTAL: f64 = 0.67183;
 
 sorma::prototypes! {
     /// The codes of the reports of these classes.
@@ -41,13 +39,25 @@ sorma::prototypes! {
         NO_POSITION = 125, Error, "no position of this name, or none of a flavor's own",
             "`dict CTRL -add position.NAME 'q1 .. q6'` names one, rad; -to gives a flavor its own";
         MOTION = 126, Error, "the motion cannot be made", "the text says what is in the way, and where";
+        MODEL = 127, Error, "the description of an arm is wrong, or odd",
+            "mend it at file:line:column, which the text begins with";
+        NO_INERTIA = 128, Error, "no accelerations follow from the torques",
+            "give every link that is moved its mass and inertia, or set -rotor";
     }
 }
 
 /// The recipes that are shipped with the classes.
 pub const DICTIONARY: &str = "\
 kin.puma560 -arm puma560
+kin.puma600 -arm puma600
+kin.transporter -arm transporter
+kin.testbed9 -arm testbed9
+kin.testbed18 -arm testbed18
 dyn.puma560 -arm puma560
+dyn.puma600 -arm puma600
+dyn.transporter -arm transporter
+dyn.testbed9 -arm testbed9
+dyn.testbed18 -arm testbed18
 mvpos -speed 0.3
 mvpos.home -SUBST mvpos -to 0 0.7853981633974483 -3.141592653589793 0 0.7853981633974483 0
 position.home 0 0.7853981633974483 -3.141592653589793 0 0.7853981633974483 0
@@ -58,10 +68,10 @@ position.side 1.5707963267948966 0.7853981633974483 -3.141592653589793 0 0.78539
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
     let kin = Class::new("kin", VERSION, |_, _| {
-        Ok(Box::new(kinematics::Kinematics::default()))
+        Ok(Box::new(kinematics::Kinematics::new()?))
     });
     let dynamics = Class::new("dyn", VERSION, |_, _| {
-        Ok(Box::new(dynamics::Dynamics::default()))
+        Ok(Box::new(dynamics::Dynamics::new()?))
     });
     let arm = SharedArm::new();
     let own = arm.clone();
@@ -85,17 +95,6 @@ pub fn classes() -> Vec<ClassInfo> {
         mvpos::TABLE.class("mvpos", VERSION),
         pino::TABLE.class("pino", VERSION),
     ]
-}
-
-/// The PUMA 560 with its published inertias, or with those that physics engines accept.
-fn arm(inertias: &str, pedestal: f64) -> ArmModel {
-    let mut model = match inertias {
-        "engine" => ArmModel::puma560(),
-        _ => ArmModel::puma560_identified(),
-    };
-    let [first, ..] = &mut model.dh;
-    first.d = pedestal;
-    model
 }
 
 /// The joint vector that begins at `start` in `floats`, which the table has counted; missing numbers

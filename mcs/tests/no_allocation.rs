@@ -8,6 +8,8 @@ use std::time::Duration;
 use mcs::arm::{ArmModel, DOF, DynamicsOptions, Joints};
 use mcs::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
 use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use mcs::model::inverse::{Preferences, Search};
+use mcs::model::{built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
 use mcs::trajectory::{CartesianLimits, Planner};
 use nalgebra::{Isometry3, Translation3};
@@ -138,6 +140,27 @@ fn kinematics_and_dynamics_do_not_allocate() {
         std::hint::black_box(model.gravity_torques(&START));
         let options = DynamicsOptions::FULL;
         std::hint::black_box(model.inverse_dynamics(&START, &GOAL, &GOAL, options));
+    });
+    assert_eq!(info.count_total, 0);
+}
+
+#[test]
+fn the_general_model_does_not_allocate_per_evaluation() {
+    let model = built_in::model("testbed18", Inertias::Identified)
+        .unwrap()
+        .unwrap();
+    let (tip, mut data) = (model.tip(), model.data());
+    let (q, qd) = ([0.2; 18], [0.1; 18]);
+    let goal = model.placement(&mut data, &q, tip);
+    let mut search = Search::new(&model, tip, true, Preferences::default());
+    let info = allocation_counter::measure(|| {
+        let options = DynamicsOptions::FULL;
+        std::hint::black_box(model.jacobian(&mut data, &q, tip));
+        std::hint::black_box(model.gravity_torques(&mut data, &q));
+        std::hint::black_box(model.inverse_dynamics(&mut data, &q, &qd, &qd, options));
+        std::hint::black_box(model.mass_matrix(&mut data, &q, options));
+        std::hint::black_box(model.forward_dynamics(&mut data, &q, &qd, &qd, options)).unwrap();
+        std::hint::black_box(search.solve(&model, &goal, &[0.0; 18])).unwrap();
     });
     assert_eq!(info.count_total, 0);
 }

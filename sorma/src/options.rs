@@ -308,7 +308,12 @@ fn describe(options: &mut dyn Options) -> Vec<OptionInfo> {
     described
 }
 
-fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report> {
+/// Which of `forms` a request has, as [`OptionTable::form`]: for an object whose counts of floats follow from its
+/// options, and so stand in no table.
+///
+/// # Errors
+/// What is wrong with the request, and what would have been right.
+pub fn form<'f>(forms: &'f [Form], io: &Transport) -> Result<&'f Form, Report> {
     let text = io.text.trim();
     let fits = |form: &&Form| form.is_of(text);
     let mut fitting = forms.iter().filter(fits);
@@ -356,7 +361,8 @@ fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report>
 }
 
 fn no_form(forms: &[Form], text: &str) -> Report {
-    let known: Vec<&str> = forms.iter().map(|form| form.text).collect();
+    let mut known: Vec<&str> = forms.iter().map(|form| form.text).collect();
+    known.dedup();
     let listed = known.join(", ");
     // The text when the numbers at its end are meant as numbers.
     let (mut words, mut count) = (text, 0);

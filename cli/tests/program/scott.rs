@@ -427,7 +427,10 @@ fn scripts_have_help_and_list_and_their_replies_stay_as_they_were() {
     let json = run(&["--json", "-c", "list puma"]);
     let first: Value =
         serde_json::from_str(json.out.lines().next().expect("a line")).expect("JSON");
-    assert_eq!(first["names"], serde_json::json!(["dyn.puma560"]));
+    assert_eq!(
+        first["names"],
+        serde_json::json!(["dyn.puma560", "dyn.puma600"])
+    );
     // Numbers need FMSG in a script, and the answer says so; a name alone is no request.
     let plain = run(&["-c", "kin EXEC fkine 0 0 0 0 0 0"]);
     assert_eq!(plain.code, Some(1));

@@ -5,34 +5,7 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::model::{ArmModel, DOF, DhRow, Joints};
-
-/// What inverse dynamics counts besides the rigid links.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct DynamicsOptions {
-    /// Adds the reflected inertia of the rotors. Without it the PUMA's mass matrix is so badly
-    /// conditioned that a simulation of it is useless.
-    pub rotor_inertia: bool,
-    /// Adds viscous and Coulomb friction.
-    pub friction: bool,
-}
-
-impl DynamicsOptions {
-    /// Links only.
-    pub const RIGID: Self = Self {
-        rotor_inertia: false,
-        friction: false,
-    };
-    /// Links and rotors: what the drives feel on a frictionless arm.
-    pub const WITH_ROTORS: Self = Self {
-        rotor_inertia: true,
-        friction: false,
-    };
-    /// Links, rotors and friction.
-    pub const FULL: Self = Self {
-        rotor_inertia: true,
-        friction: true,
-    };
-}
+pub use crate::model::DynamicsOptions;
 
 /// Rotation of frame i in frame i-1 and the way from origin i-1 to origin i, in frame i.
 fn step(row: &DhRow, angle: f64) -> (Matrix3<f64>, Vector3<f64>) {

@@ -1,164 +1,14 @@
-//! Inverse kinematics in closed form: all eight postures of a PUMA-like arm, or a named reason.
-//!
-//! Holds for arms whose DH twists are +90, 0, -90, +90, -90, 0 degrees, whose first axis meets the
-//! second and whose last three axes meet (PUMA 560 and its like). Wrist centre first, then the
-//! orientation, as R. P. Paul and H. Zhang do (Int. J. Robotics Research 5(2), 1986). No allocation.
+//! Inverse kinematics of the six-joint arm: the closed form of [`Puma`] with this arm's lengths and limits.
 
-use std::f64::consts::{PI, TAU};
+use nalgebra::Isometry3;
 
-use nalgebra::{Isometry3, Matrix3, Vector3};
-
-use super::model::{ArmModel, DOF, JointLimits, Joints};
+use super::model::{ArmModel, DOF, Joints};
+pub use crate::model::inverse::{
+    Branch, Elbow, IkError, IkSolution, IkSolutions, Puma, Shoulder, Singular, Wrist,
+};
 
 #[cfg(test)]
 mod tests;
-
-/// Below this sine a posture counts as singular, and lengths (m) this short as zero.
-const SINGULAR: f64 = 1e-9;
-/// The elbow's angle comes from an arc cosine near one, which keeps only half the digits.
-const SINGULAR_ELBOW: f64 = 1e-6;
-/// A joint this little (rad) beyond its limit is rounding and is set onto the limit.
-const LIMIT_ROUNDING: f64 = 1e-9;
-
-/// On which side of the shoulder the forearm hangs, seen from behind the arm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub enum Shoulder {
-    /// Wrist centre behind the axis of joint 1 in the plane of the upper arm.
-    Left,
-    /// Wrist centre before the axis of joint 1: the usual posture.
-    Right,
-}
-
-/// Whether the elbow is over or under the line from shoulder to wrist.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub enum Elbow {
-    /// Elbow above the line.
-    Above,
-    /// Elbow below the line.
-    Below,
-}
-
-/// Which of the two wrist postures gives the orientation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub enum Wrist {
-    /// Joint 5 at or above zero.
-    NoFlip,
-    /// Joint 5 below zero.
-    Flip,
-}
-
-/// One of the eight postures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Branch {
-    /// Shoulder posture.
-    pub shoulder: Shoulder,
-    /// Elbow posture.
-    pub elbow: Elbow,
-    /// Wrist posture.
-    pub wrist: Wrist,
-}
-
-impl Branch {
-    /// All eight, in a fixed order.
-    pub const ALL: [Self; 8] = {
-        let mut all = [Self {
-            shoulder: Shoulder::Right,
-            elbow: Elbow::Above,
-            wrist: Wrist::NoFlip,
-        }; 8];
-        let mut index = 0;
-        while index < 8 {
-            if index & 4 != 0 {
-                all[index].shoulder = Shoulder::Left;
-            }
-            if index & 2 != 0 {
-                all[index].elbow = Elbow::Below;
-            }
-            if index & 1 != 0 {
-                all[index].wrist = Wrist::Flip;
-            }
-            index += 1;
-        }
-        all
-    };
-}
-
-/// Why a pose has no usable joint positions.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum IkError {
-    /// The pose holds a NaN or an infinity.
-    #[error("the pose holds a value that is not a finite number")]
-    NotFinite,
-    /// The wrist centre is too far from the shoulder, or too near it.
-    #[error(
-        "out of reach: the wrist centre would be {distance:.4} m from the shoulder, the arm spans {nearest:.4} to {farthest:.4} m"
-    )]
-    OutOfReach {
-        /// Distance from shoulder to wrist centre in the plane of the arm, m.
-        distance: f64,
-        /// Smallest distance possible, m.
-        nearest: f64,
-        /// Largest distance possible, m.
-        farthest: f64,
-    },
-    /// The wrist centre is nearer to joint 1's axis than the shoulder offset d3.
-    #[error(
-        "inside the shoulder: the wrist centre would be {radius:.4} m from the axis of joint 1, it cannot come nearer than the shoulder offset of {offset:.4} m"
-    )]
-    InsideShoulder {
-        /// Distance of the wrist centre from the axis of joint 1, m.
-        radius: f64,
-        /// The shoulder offset |d3|, m.
-        offset: f64,
-    },
-    /// No allowed posture keeps every joint within its limits; the named joint is the one that the
-    /// best of them breaks.
-    #[error(
-        "joint {joint} would have to be at {value:.4} rad, its limits are {lower:.4} to {upper:.4} rad"
-    )]
-    JointLimit {
-        /// Joint number, from 1.
-        joint: usize,
-        /// The position needed, rad.
-        value: f64,
-        /// Lower limit, rad.
-        lower: f64,
-        /// Upper limit, rad.
-        upper: f64,
-    },
-}
-
-/// Joint positions for one posture.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct IkSolution {
-    /// The posture.
-    pub branch: Branch,
-    /// Joint positions, rad, each turned by whole turns to lie within its limits where it can and
-    /// otherwise nearest to the positions asked to be near.
-    pub joints: Joints,
-    /// First joint beyond its limits, by index from 0.
-    pub outside: Option<usize>,
-}
-
-/// Which of the arm's three singularities a pose lies in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Singular {
-    /// Wrist centre at the shoulder offset from joint 1's axis: both shoulder postures coincide.
-    pub shoulder: bool,
-    /// Arm straight (or folded): both elbow postures coincide.
-    pub elbow: bool,
-    /// Joint 5 at zero: only the sum of joints 4 and 6 matters; joint 4 is kept near.
-    pub wrist: bool,
-}
-
-/// All eight postures for one pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct IkSolutions {
-    /// In the order of [`Branch::ALL`]. At a singularity some of them coincide.
-    pub all: [IkSolution; 8],
-    /// Singularities of the pose.
-    pub singular: Singular,
-}
 
 impl IkSolutions {
     /// The posture within limits that takes the shortest time from `near` at full joint speeds,
@@ -172,146 +22,24 @@ impl IkSolutions {
         near: &Joints,
         elbow: Option<Elbow>,
     ) -> Result<IkSolution, IkError> {
-        let allowed = |found: &&IkSolution| elbow.is_none_or(|elbow| found.branch.elbow == elbow);
-        let time = |found: &IkSolution| {
-            let per_joint = found.joints.iter().zip(near).zip(&model.limits);
-            per_joint.fold(0.0_f64, |longest, ((to, from), limit)| {
-                longest.max((to - from).abs() / limit.velocity)
-            })
-        };
-        let inside = self
-            .all
-            .iter()
-            .filter(allowed)
-            .filter(|found| found.outside.is_none());
-        if let Some(best) = inside.min_by(|a, b| time(a).total_cmp(&time(b))) {
-            return Ok(*best);
-        }
-        let excess = |found: &IkSolution| {
-            let per_joint = found.joints.iter().zip(&model.limits);
-            per_joint.fold(0.0_f64, |most, (value, limit)| {
-                most.max(beyond(*value, limit))
-            })
-        };
-        let least = self
-            .all
-            .iter()
-            .filter(allowed)
-            .min_by(|a, b| excess(a).total_cmp(&excess(b)));
-        let least = least.unwrap_or(&self.all[0]);
-        Err(limit_error(
-            model,
-            &least.joints,
-            least.outside.unwrap_or(0),
-        ))
+        self.nearest_within(&model.limits, near, elbow)
     }
-}
-
-/// How far `value` is beyond its limits, rad; zero within.
-fn beyond(value: f64, limit: &JointLimits) -> f64 {
-    (limit.lower - value).max(value - limit.upper).max(0.0)
 }
 
 /// The error that names joint `index` of `joints`.
 pub(crate) fn limit_error(model: &ArmModel, joints: &Joints, index: usize) -> IkError {
-    let index = index.min(DOF - 1);
-    IkError::JointLimit {
-        joint: index + 1,
-        value: joints[index],
-        lower: model.limits[index].lower,
-        upper: model.limits[index].upper,
-    }
-}
-
-/// The wrist centre in the plane of the arm and what follows from it for every posture.
-struct Reach {
-    /// Direction of the wrist centre about joint 1's axis, rad.
-    bearing: f64,
-    /// Coordinates in the plane of the upper arm, m: outward (magnitude) and up from the shoulder.
-    outward: f64,
-    up: f64,
-    /// Angle of the elbow from straight, rad, magnitude.
-    bend: f64,
-    singular: Singular,
+    crate::model::inverse::limit_error(&model.limits, joints, index.min(DOF - 1))
 }
 
 impl ArmModel {
-    /// Length of the forearm from elbow to wrist centre (m) and its angle to the DH x axis (rad).
-    fn forearm(&self) -> (f64, f64) {
-        let (a3, d4) = (self.dh[2].a, self.dh[3].d);
-        (a3.hypot(d4), d4.atan2(a3))
-    }
-
-    fn reach(&self, wrist_centre: &Vector3<f64>) -> Result<Reach, IkError> {
-        let offset = self.dh[2].d;
-        let (upper_arm, (forearm, _)) = (self.dh[1].a, self.forearm());
-        let radius = wrist_centre.x.hypot(wrist_centre.y);
-        let clear = (radius - offset.abs()) * (radius + offset.abs());
-        if clear < -SINGULAR * SINGULAR {
-            return Err(IkError::InsideShoulder {
-                radius,
-                offset: offset.abs(),
-            });
+    fn puma(&self) -> Puma {
+        Puma {
+            height: self.dh[0].d,
+            upper_arm: self.dh[1].a,
+            offset: self.dh[2].d,
+            elbow: self.dh[2].a,
+            forearm: self.dh[3].d,
         }
-        let outward = clear.max(0.0).sqrt();
-        let up = wrist_centre.z - self.dh[0].d;
-        let squared = outward * outward + up * up;
-        let cosine =
-            (squared - upper_arm * upper_arm - forearm * forearm) / (2.0 * upper_arm * forearm);
-        if cosine.abs() > 1.0 + 1e-12 {
-            return Err(IkError::OutOfReach {
-                distance: squared.sqrt(),
-                nearest: (upper_arm - forearm).abs(),
-                farthest: upper_arm + forearm,
-            });
-        }
-        let bend = cosine.clamp(-1.0, 1.0).acos();
-        Ok(Reach {
-            bearing: wrist_centre.y.atan2(wrist_centre.x),
-            outward,
-            up,
-            bend,
-            singular: Singular {
-                shoulder: outward < SINGULAR,
-                elbow: bend.sin() < SINGULAR_ELBOW,
-                wrist: false,
-            },
-        })
-    }
-
-    /// Joints 1 to 3 of one posture, rad, not yet turned into limits.
-    fn arm_joints(&self, reach: &Reach, shoulder: Shoulder, elbow: Elbow) -> [f64; 3] {
-        let (forearm, forearm_angle) = self.forearm();
-        let (outward, above) = match shoulder {
-            Shoulder::Right => (reach.outward, -1.0),
-            Shoulder::Left => (-reach.outward, 1.0),
-        };
-        let bend = match elbow {
-            Elbow::Above => above * reach.bend,
-            Elbow::Below => -above * reach.bend,
-        };
-        let q1 = reach.bearing - (-self.dh[2].d).atan2(outward);
-        let (sin, cos) = bend.sin_cos();
-        let along = self.dh[1].a + forearm * cos;
-        let q2 = reach.up.atan2(outward) - (forearm * sin).atan2(along);
-        [q1, q2, bend - forearm_angle]
-    }
-
-    /// Orientation of frame 3 for joints 1 to 3.
-    fn base_r_3(arm: &[f64; 3]) -> Matrix3<f64> {
-        let (s1, c1) = arm[0].sin_cos();
-        let (s, c) = (arm[1] + arm[2]).sin_cos();
-        Matrix3::new(
-            c1 * c,
-            -s1,
-            -c1 * s, //
-            s1 * c,
-            c1,
-            -s1 * s, //
-            s,
-            0.0,
-            c,
-        )
     }
 
     /// All eight postures that put frame 6 at `base_t_6`, whole turns chosen near `near` (rad).
@@ -324,27 +52,7 @@ impl ArmModel {
         base_t_6: &Isometry3<f64>,
         near: &Joints,
     ) -> Result<IkSolutions, IkError> {
-        let (rotation, origin) = parts(base_t_6)?;
-        let reach = self.reach(&origin)?;
-        let mut singular = reach.singular;
-        let mut all = Branch::ALL.map(|branch| IkSolution {
-            branch,
-            joints: [0.0; DOF],
-            outside: None,
-        });
-        for pair in all.chunks_exact_mut(2) {
-            let branch = pair[0].branch;
-            let arm = self.arm_joints(&reach, branch.shoulder, branch.elbow);
-            let wrist_rotation = Self::base_r_3(&arm).tr_mul(&rotation);
-            for found in pair {
-                let (wrist, is_singular) =
-                    wrist_joints(&wrist_rotation, found.branch.wrist, near[3]);
-                singular.wrist |= is_singular;
-                found.joints = self.turned(&arm, &wrist, near);
-                found.outside = self.joint_outside(&found.joints);
-            }
-        }
-        Ok(IkSolutions { all, singular })
+        self.puma().inverse(base_t_6, near, &self.limits)
     }
 
     /// The joint positions of one posture, for following a path without changing posture.
@@ -357,115 +65,13 @@ impl ArmModel {
         branch: Branch,
         near: &Joints,
     ) -> Result<Joints, IkError> {
-        let (rotation, origin) = parts(base_t_6)?;
-        let reach = self.reach(&origin)?;
-        let arm = self.arm_joints(&reach, branch.shoulder, branch.elbow);
-        let wrist_rotation = Self::base_r_3(&arm).tr_mul(&rotation);
-        let (wrist, _) = wrist_joints(&wrist_rotation, branch.wrist, near[3]);
-        let joints = self.turned(&arm, &wrist, near);
-        match self.joint_outside(&joints) {
-            None => Ok(joints),
-            Some(index) => Err(limit_error(self, &joints, index)),
-        }
+        self.puma()
+            .inverse_branch(base_t_6, branch, near, &self.limits)
     }
 
     /// The posture that joint positions `q` (rad) are in.
     #[must_use]
     pub fn branch_of(&self, q: &Joints) -> Branch {
-        let (forearm, forearm_angle) = self.forearm();
-        let bend = wrapped(q[2] + forearm_angle);
-        let outward = self.dh[1].a * q[1].cos() + forearm * (q[1] + bend).cos();
-        let shoulder = if outward >= 0.0 {
-            Shoulder::Right
-        } else {
-            Shoulder::Left
-        };
-        let elbow = if (bend <= 0.0) == (shoulder == Shoulder::Right) {
-            Elbow::Above
-        } else {
-            Elbow::Below
-        };
-        let wrist = if wrapped(q[4]) >= 0.0 {
-            Wrist::NoFlip
-        } else {
-            Wrist::Flip
-        };
-        Branch {
-            shoulder,
-            elbow,
-            wrist,
-        }
+        self.puma().branch_of(q)
     }
-
-    /// Joins the two halves and turns every joint by whole turns into its limits, near `near`.
-    fn turned(&self, arm: &[f64; 3], wrist: &[f64; 3], near: &Joints) -> Joints {
-        let raw = [arm[0], arm[1], arm[2], wrist[0], wrist[1], wrist[2]];
-        std::array::from_fn(|index| nearest_turn(raw[index], near[index], &self.limits[index]))
-    }
-}
-
-fn parts(pose: &Isometry3<f64>) -> Result<(Matrix3<f64>, Vector3<f64>), IkError> {
-    let rotation = *pose.rotation.to_rotation_matrix().matrix();
-    let origin = pose.translation.vector;
-    let finite = rotation
-        .iter()
-        .chain(origin.iter())
-        .all(|value| value.is_finite());
-    if finite {
-        Ok((rotation, origin))
-    } else {
-        Err(IkError::NotFinite)
-    }
-}
-
-/// Joints 4 to 6 from the orientation of frame 6 in frame 3, `Rz(q4) Ry(-q5) Rz(q6)`, and whether
-/// the wrist is singular; then joint 4 stays at `near_4`.
-fn wrist_joints(rotation: &Matrix3<f64>, wrist: Wrist, near_4: f64) -> ([f64; 3], bool) {
-    let r = |row: usize, column: usize| rotation[(row, column)];
-    let sine = r(0, 2).hypot(r(1, 2));
-    if sine < SINGULAR {
-        let near_4 = if near_4.is_finite() { near_4 } else { 0.0 };
-        // At q5 = 0 the orientation is Rz(q4 + q6), at q5 = pi it is Rz(q4 - q6) turned about y.
-        let (q5, q6) = if r(2, 2) > 0.0 {
-            (0.0, r(1, 0).atan2(r(0, 0)) - near_4)
-        } else {
-            (PI, near_4 - (-r(1, 0)).atan2(-r(0, 0)))
-        };
-        return ([near_4, q5, q6], true);
-    }
-    let sign = match wrist {
-        Wrist::NoFlip => 1.0,
-        Wrist::Flip => -1.0,
-    };
-    let q4 = (-sign * r(1, 2)).atan2(-sign * r(0, 2));
-    let q5 = (sign * sine).atan2(r(2, 2));
-    let q6 = (-sign * r(2, 1)).atan2(sign * r(2, 0));
-    ([q4, q5, q6], false)
-}
-
-/// An angle in (-pi, pi].
-pub(crate) fn wrapped(angle: f64) -> f64 {
-    let turned = angle.rem_euclid(TAU);
-    if turned > PI { turned - TAU } else { turned }
-}
-
-/// `angle` plus whole turns: within the limits where possible, then as near `near` as possible.
-fn nearest_turn(angle: f64, near: f64, limit: &JointLimits) -> f64 {
-    let base = wrapped(angle);
-    let near = if near.is_finite() { near } else { 0.0 };
-    let mut best = base;
-    let mut best_rank = (f64::INFINITY, f64::INFINITY);
-    for candidate in [base - TAU, base, base + TAU] {
-        let excess = beyond(candidate, limit);
-        let (candidate, excess) = if excess <= LIMIT_ROUNDING {
-            (candidate.clamp(limit.lower, limit.upper), 0.0)
-        } else {
-            (candidate, excess)
-        };
-        let rank = (excess, (candidate - near).abs());
-        if rank < best_rank {
-            (best, best_rank) = (candidate, rank);
-        }
-    }
-    best
 }

@@ -5,6 +5,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+pub use crate::model::{Friction, Limits as JointLimits, Motor};
+
 /// Number of joints of one arm.
 pub const DOF: usize = 6;
 
@@ -59,66 +61,6 @@ pub struct Link {
     pub inertia: Matrix3<f64>,
 }
 
-/// Viscous and Coulomb friction of one joint, at the motor shaft as it was measured.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Friction {
-    /// Viscous coefficient B, N m s/rad at the motor.
-    pub viscous: f64,
-    /// Coulomb torque while the motor turns forward, N m at the motor, positive.
-    pub coulomb_forward: f64,
-    /// Coulomb torque while the motor turns backward, N m at the motor, negative.
-    pub coulomb_backward: f64,
-}
-
-/// Motor and gear train of one joint.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motor {
-    /// Rotor inertia Jm, kg m^2 at the motor.
-    pub rotor_inertia: f64,
-    /// Gear ratio G, motor turns per joint turn. Its sign is direction only.
-    pub gear_ratio: f64,
-    /// Friction, measured at the motor.
-    pub friction: Friction,
-}
-
-impl Motor {
-    /// Rotor inertia seen at the joint, `Jm G^2`, kg m^2.
-    #[must_use]
-    pub fn reflected_inertia(&self) -> f64 {
-        self.rotor_inertia * self.gear_ratio * self.gear_ratio
-    }
-
-    /// Friction torque seen at the joint that turns with `velocity` (rad/s), N m:
-    /// `|G| (B |G| qd + Tc)`. At rest the Coulomb part is undetermined and taken as zero.
-    #[must_use]
-    pub fn friction_torque(&self, velocity: f64) -> f64 {
-        let gear = self.gear_ratio.abs();
-        let coulomb = if velocity > 0.0 {
-            self.friction.coulomb_forward
-        } else if velocity < 0.0 {
-            self.friction.coulomb_backward
-        } else {
-            0.0
-        };
-        gear * (self.friction.viscous * gear * velocity + coulomb)
-    }
-}
-
-/// What one joint may do.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JointLimits {
-    /// Smallest position, rad.
-    pub lower: f64,
-    /// Largest position, rad.
-    pub upper: f64,
-    /// Largest speed, rad/s.
-    pub velocity: f64,
-    /// Largest acceleration, rad/s^2.
-    pub acceleration: f64,
-    /// Largest torque of the drive at the joint, N m.
-    pub torque: f64,
-}
-
 /// A six-joint arm with a spherical wrist.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArmModel {
@@ -158,12 +100,14 @@ const fn motor(rotor_inertia: f64, gear_ratio: f64, viscous: f64, coulomb: [f64;
     }
 }
 
+/// Jerk is ten times the acceleration, of the wrist fifteen times: published nowhere, and chosen.
 fn limits(degrees: [f64; 2], velocity: f64, acceleration: f64, torque: f64) -> JointLimits {
     JointLimits {
         lower: degrees[0].to_radians(),
         upper: degrees[1].to_radians(),
         velocity,
         acceleration,
+        jerk: acceleration * if torque < 50.0 { 15.0 } else { 10.0 },
         torque,
     }
 }

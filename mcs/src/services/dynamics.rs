@@ -2,10 +2,12 @@
 
 use std::sync::LazyLock;
 
+use nalgebra::Vector3;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
-use super::{PEDESTAL, arm, code, ended, joints};
-use crate::arm::{ArmModel, DOF, DynamicsOptions};
+use super::arm::Which;
+use super::{code, ended};
+use crate::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 
 const FORMS: &[Form] = &[
     Form {
@@ -14,7 +16,8 @@ const FORMS: &[Form] = &[
         takes: "joint positions q1 to q6, rad",
         gives: "6 floats, N m",
         results: "t1 t2 t3 t4 t5 t6: N m",
-        help: "joint torques that hold the arm at rest",
+        help: "joint torques that hold the arm at rest. An arm of n joints takes n positions in the order of its model, rad, or m of \
+               one that slides, whose force is in N",
     },
     Form {
         text: "rne",
@@ -22,7 +25,7 @@ const FORMS: &[Form] = &[
         takes: "6 positions in rad, 6 speeds in rad/s, 6 accelerations in rad/s^2",
         gives: "6 floats, N m",
         results: "t1 t2 t3 t4 t5 t6: N m",
-        help: "inverse dynamics: joint torques that give the accelerations",
+        help: "inverse dynamics: joint torques that give the accelerations; of n joints 3 n floats",
     },
     Form {
         text: "inertia",
@@ -30,13 +33,46 @@ const FORMS: &[Form] = &[
         takes: "joint positions q1 to q6, rad",
         gives: "36 floats, row by row, kg m^2",
         results: "inertia 6x6: kg m^2",
-        help: "joint-space mass matrix",
+        help: "joint-space mass matrix; of n joints n n floats",
+    },
+    Form {
+        text: "fdyn",
+        floats: 18,
+        takes: "6 positions in rad, 6 speeds in rad/s, 6 torques in N m",
+        gives: "6 floats, rad/s^2",
+        results: "a1 a2 a3 a4 a5 a6: rad/s^2",
+        help: "forward dynamics: joint accelerations under the torques; of n joints 3 n floats",
     },
 ];
 
-#[derive(Debug, Clone)]
+/// The same of an arm with so many joints that is not the PUMA of the table.
+fn forms(n: usize) -> Vec<Form> {
+    let all = [
+        (n, "joint positions in the model's order, rad or m"),
+        (
+            3 * n,
+            "all positions in the model's order, rad or m, then all speeds, then all accelerations",
+        ),
+        (n, "joint positions in the model's order, rad or m"),
+        (
+            3 * n,
+            "all positions in the model's order, rad or m, then all speeds, then all torques",
+        ),
+    ];
+    FORMS
+        .iter()
+        .zip(all)
+        .map(|(form, (floats, takes))| Form {
+            floats,
+            takes,
+            ..*form
+        })
+        .collect()
+}
+
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Options {
-    arm: String,
+    which: Which,
     inertias: String,
     rotor: bool,
     friction: bool,
@@ -46,7 +82,7 @@ pub(super) struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            arm: "puma560".to_owned(),
+            which: Which::default(),
             inertias: "identified".to_owned(),
             rotor: false,
             friction: false,
@@ -56,12 +92,6 @@ impl Default for Options {
 }
 
 impl Options {
-    fn model(&self) -> ArmModel {
-        let mut model = arm(&self.inertias, PEDESTAL);
-        model.gravity.z = -self.gravity;
-        model
-    }
-
     fn counted(&self) -> DynamicsOptions {
         DynamicsOptions {
             rotor_inertia: self.rotor,
@@ -75,9 +105,9 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         .exec(FORMS)
         .choice(
             "arm",
-            &["puma560"],
+            &built_in::NAMES,
             "whose dynamics",
-            |options: &mut Options| &mut options.arm,
+            |options: &mut Options| &mut options.which.arm,
         )
         .choice(
             "inertias",
@@ -87,12 +117,12 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         )
         .flag(
             "rotor",
-            "adds the inertia of the rotors to rne and inertia",
+            "adds the inertia of the rotors to rne, inertia and fdyn",
             |options| &mut options.rotor,
         )
         .flag(
             "friction",
-            "adds viscous and Coulomb friction to rne",
+            "adds viscous and Coulomb friction to rne and fdyn",
             |options| &mut options.friction,
         )
         .float(
@@ -102,33 +132,89 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "acceleration of gravity, along -z of the base frame",
             |options| &mut options.gravity,
         )
+        .word(
+            "tip",
+            "FRAME",
+            "where the way through a URDF ends; of other arms a frame of the model, and without meaning here",
+            |options| &mut options.which.tip,
+        )
+        .word(
+            "urdf",
+            "FILE",
+            "the joints that move between links -base and -tip of a URDF, instead of -arm; bodies off that way are left out",
+            |options| &mut options.which.urdf,
+        )
+        .word(
+            "base",
+            "LINK",
+            "the link of the URDF whose frame is the base frame. Empty: its root",
+            |options| &mut options.which.base,
+        )
+        .word(
+            "model",
+            "FILE",
+            "a model in TOML, as in configs/models, instead of -arm",
+            |options| &mut options.which.model,
+        )
 });
 
 /// An object of class `dyn`.
 pub(super) struct Dynamics {
     options: Options,
-    model: ArmModel,
+    model: Model,
+    data: Data,
+    forms: Vec<Form>,
+    /// What is odd about the arm's description and was not yet told.
+    warnings: Vec<Report>,
 }
 
-impl Default for Dynamics {
-    fn default() -> Self {
-        let options = Options::default();
-        let model = options.model();
-        Self { options, model }
+impl Dynamics {
+    /// An object with the usual options, or why there is none.
+    pub(super) fn new() -> Result<Self, Report> {
+        Self::with(Options::default())
+    }
+
+    fn with(options: Options) -> Result<Self, Report> {
+        let inertias = match options.inertias.as_str() {
+            "engine" => Inertias::Engine,
+            _ => Inertias::Identified,
+        };
+        let loaded = options.which.load(inertias, None)?;
+        let model = loaded
+            .model
+            .with_gravity(Vector3::new(0.0, 0.0, -options.gravity));
+        let forms = if options.which == Which::default() {
+            FORMS.to_vec()
+        } else {
+            forms(model.dof())
+        };
+        Ok(Self {
+            data: model.data(),
+            options,
+            model,
+            forms,
+            warnings: loaded.warnings,
+        })
     }
 }
 
 impl ServiceObject for Dynamics {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = TABLE
-            .form(io)
-            .and_then(|form| self.compute(form.text, &mut io.floats));
+        let outcome = sorma::options::form(&self.forms, io).map(|form| form.text);
+        let outcome = outcome.and_then(|what| self.compute(what, &mut io.floats));
         ended(io, outcome)
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        TABLE.ctrl(&mut self.options, io);
-        self.model = self.options.model();
+        let mut options = self.options.clone();
+        TABLE.ctrl(&mut options, io);
+        if options == self.options {
+            return Ok(());
+        }
+        *self = Self::with(options).inspect_err(|_| io.text.clear())?;
+        for warning in std::mem::take(&mut self.warnings) {
+            io.report(warning);
+        }
         Ok(())
     }
 
@@ -139,25 +225,38 @@ impl ServiceObject for Dynamics {
 
 impl Dynamics {
     /// From the numbers of a request to those of its answer, in place.
-    fn compute(&self, what: &str, floats: &mut Vec<f64>) -> Outcome {
+    fn compute(&mut self, what: &str, floats: &mut Vec<f64>) -> Outcome {
         let counted = self.options.counted();
-        let q = joints(floats, 0);
+        let (model, data) = (&self.model, &mut self.data);
+        let n = model.dof();
+        // The table has counted them.
+        let (q, rest) = floats.split_at(n.min(floats.len()));
+        let (qd, third) = rest.split_at(n.min(rest.len()));
         match what {
             "gravity" => {
-                let torques = self.model.gravity_torques(&q);
-                floats.clear();
-                floats.extend(torques);
+                let torques = model.gravity_torques(data, q);
+                torques.clone_into(floats);
             }
             "rne" => {
-                let (qd, qdd) = (joints(floats, DOF), joints(floats, 2 * DOF));
-                let torques = self.model.inverse_dynamics(&q, &qd, &qdd, counted);
-                floats.clear();
-                floats.extend(torques);
+                let torques = model.inverse_dynamics(data, q, qd, third, counted);
+                torques.clone_into(floats);
+            }
+            "fdyn" => {
+                let found = model.forward_dynamics(data, q, qd, third, counted);
+                let found = found.map_err(|error| {
+                    let name = model
+                        .joints()
+                        .get(error.joint)
+                        .map_or("", |joint| joint.name.as_str());
+                    Report::error(code::NO_INERTIA, format!("EXEC fdyn: {error} (`{name}`)"))
+                })?;
+                found.clone_into(floats);
             }
             _ => {
-                let matrix = self.model.mass_matrix(&q, counted);
+                let matrix = model.mass_matrix(data, q, counted);
                 floats.clear();
-                floats.extend(matrix.transpose().iter());
+                // It is symmetric: its columns are its rows.
+                floats.extend(matrix.iter());
             }
         }
         if floats.iter().all(|float| float.is_finite()) {

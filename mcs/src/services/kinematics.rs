@@ -5,8 +5,15 @@ use std::{f64::consts::TAU, sync::LazyLock};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
-use super::{PEDESTAL, arm, code, ended, joints};
-use crate::arm::{ArmModel, DOF, IkError, IkSolution, JointLimits, Joints};
+use super::arm::{Which, pedestal};
+use super::{code, ended, joints};
+use crate::model::inverse::{ClosedForm, IkError, IkSolution, Preferences, Search};
+use crate::model::{Data, FrameId, Limits, Model, Placement, built_in, file::Inertias};
+
+/// How many joints an arm with a closed form has.
+const DOF: usize = 6;
+
+type Joints = [f64; DOF];
 
 /// A joint this little (rad) beyond its limit is rounding.
 const LIMIT_ROUNDING: f64 = 1e-9;
@@ -30,7 +37,8 @@ const FORMS: &[Form] = &[
         takes: "joint positions q1 to q6, rad",
         gives: "16 floats: base_T_6, row by row, m",
         results: "base_T_6 4x4: m",
-        help: "forward kinematics",
+        help: "forward kinematics. An arm of n joints takes n positions in the order of its model, rad, or m of one that slides; \
+               for 6 stands the frame that -tip names, and the base frame of a testbed is the world",
     },
     Form {
         text: "jacobian",
@@ -38,7 +46,7 @@ const FORMS: &[Form] = &[
         takes: "joint positions q1 to q6, rad",
         gives: "36 floats, row by row: vx vy vz wx wy wz of frame 6's origin in the base frame per rad/s of each joint",
         results: "jacobian 6x6: rows vx vy vz, m/s, and wx wy wz, rad/s, per rad/s of q1 to q6",
-        help: "geometric Jacobian",
+        help: "geometric Jacobian; of n joints 6 n floats, with zeros for those that do not carry the tip",
     },
     Form {
         text: "ikine",
@@ -46,13 +54,50 @@ const FORMS: &[Form] = &[
         takes: "base_T_6, row by row, m",
         gives: "6 n floats: all n solutions, rad; 1 int: n",
         results: "* q1 q2 q3 q4 q5 q6: rad; ints solutions",
-        help: "inverse kinematics: every solution, or the reason why there is none",
+        help: "inverse kinematics of an arm with a PUMA's geometry: every solution, or the reason why there is none. With joint \
+               positions to start from after the pose, 16+n floats, of every arm: n floats, the solution nearest to them; without a \
+               PUMA's geometry it is found by damped least squares within the limits, or refused with 120",
     },
 ];
 
-#[derive(Debug, Clone)]
+/// Inverse kinematics from a start. Its text is that of another form, so it stands in no table.
+const FROM_START: Form = Form {
+    text: "ikine",
+    floats: 16 + DOF,
+    takes: "base_T_6, row by row, m, and then 6 joint positions to start from, rad",
+    gives: "6 floats, rad",
+    results: "q1 q2 q3 q4 q5 q6: rad",
+    help: "inverse kinematics: the solution nearest to the start",
+};
+
+/// The same of an arm with so many joints that is not the PUMA of the table.
+fn forms(n: usize, closed: bool) -> Vec<Form> {
+    let all = [
+        (n, "joint positions in the model's order, rad or m"),
+        (n, "joint positions in the model's order, rad or m"),
+        (16, "base_T_tip, row by row, m"),
+        (
+            16 + n,
+            "base_T_tip, row by row, m, and then joint positions to start from, rad or m",
+        ),
+    ];
+    let forms = FORMS
+        .iter()
+        .chain([&FROM_START])
+        .zip(all)
+        .map(|(form, (floats, takes))| Form {
+            floats,
+            takes,
+            ..*form
+        });
+    forms
+        .filter(|form| closed || form.floats != 16 || form.text != "ikine")
+        .collect()
+}
+
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Options {
-    arm: String,
+    which: Which,
     pedestal: f64,
     limits: bool,
     turns: String,
@@ -62,9 +107,10 @@ pub(super) struct Options {
 
 impl Default for Options {
     fn default() -> Self {
+        let which = Which::default();
         Self {
-            arm: "puma560".to_owned(),
-            pedestal: PEDESTAL,
+            pedestal: pedestal(&which.arm).unwrap_or_default(),
+            which,
             limits: true,
             turns: "all".to_owned(),
             singular: "refuse".to_owned(),
@@ -78,15 +124,15 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         .exec(FORMS)
         .choice(
             "arm",
-            &["puma560"],
+            &built_in::NAMES,
             "whose kinematics",
-            |options: &mut Options| &mut options.arm,
+            |options: &mut Options| &mut options.which.arm,
         )
         .float(
             "d1",
             0.0..=5.0,
             "m",
-            "height of the shoulder above the base frame; 0 puts the base frame there",
+            "height of a PUMA's shoulder above the base frame; 0 puts the base frame there",
             |options| &mut options.pedestal,
         )
         .flag(
@@ -115,35 +161,100 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "joint positions that -turns near and -singular near go by",
             |options| &mut options.near,
         )
+        .word(
+            "tip",
+            "FRAME",
+            "whose pose: left or right of testbed18, a link of a URDF; any frame of the model. Empty: the model's own",
+            |options| &mut options.which.tip,
+        )
+        .word(
+            "urdf",
+            "FILE",
+            "the joints that move between links -base and -tip of a URDF, instead of -arm; bodies off that way are left out",
+            |options| &mut options.which.urdf,
+        )
+        .word(
+            "base",
+            "LINK",
+            "the link of the URDF whose frame is the base frame. Empty: its root",
+            |options| &mut options.which.base,
+        )
+        .word(
+            "model",
+            "FILE",
+            "a model in TOML, as in configs/models, instead of -arm",
+            |options| &mut options.which.model,
+        )
 });
 
 /// An object of class `kin`.
 pub(super) struct Kinematics {
     options: Options,
-    model: ArmModel,
+    model: Model,
+    tip: FrameId,
+    data: Data,
+    closed: Option<ClosedForm>,
+    search: Search,
+    forms: Vec<Form>,
+    /// What is odd about the arm's description and was not yet told.
+    warnings: Vec<Report>,
 }
 
-impl Default for Kinematics {
-    fn default() -> Self {
-        let options = Options::default();
-        let model = arm("identified", options.pedestal);
-        Self { options, model }
+impl Kinematics {
+    /// An object with the usual options, or why there is none.
+    pub(super) fn new() -> Result<Self, Report> {
+        Self::with(Options::default())
+    }
+
+    fn with(options: Options) -> Result<Self, Report> {
+        let loaded = options
+            .which
+            .load(Inertias::Identified, Some(options.pedestal))?;
+        let (model, tip) = (loaded.model, loaded.tip);
+        let closed = ClosedForm::of(&model, tip);
+        let forms = match &closed {
+            Some(_) if options.which == Which::default() => [FORMS, &[FROM_START]].concat(),
+            closed => forms(model.dof(), closed.is_some()),
+        };
+        Ok(Self {
+            data: model.data(),
+            search: Search::new(&model, tip, options.limits, Preferences::default()),
+            options,
+            model,
+            tip,
+            closed,
+            forms,
+            warnings: loaded.warnings,
+        })
     }
 }
 
 impl ServiceObject for Kinematics {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = TABLE.form(io).and_then(|form| match form.text {
-            "fkine" => self.forward(io),
-            "jacobian" => self.jacobian(io),
-            _ => self.inverse(io),
+        let outcome = sorma::options::form(&self.forms, io).map(|form| (form.text, form.floats));
+        let outcome = outcome.and_then(|form| match form {
+            ("fkine", _) => self.forward(io),
+            ("jacobian", _) => self.jacobian(io),
+            (_, 16) => self.inverse(io),
+            _ => self.inverse_from(io),
         });
         ended(io, outcome)
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        TABLE.ctrl(&mut self.options, io);
-        self.model = arm("identified", self.options.pedestal);
+        let mut options = self.options.clone();
+        TABLE.ctrl(&mut options, io);
+        if options == self.options {
+            return Ok(());
+        }
+        if options.which.arm != self.options.which.arm && options.pedestal == self.options.pedestal
+        {
+            options.pedestal = pedestal(&options.which.arm).unwrap_or_default();
+        }
+        *self = Self::with(options).inspect_err(|_| io.text.clear())?;
+        for warning in std::mem::take(&mut self.warnings) {
+            io.report(warning);
+        }
         Ok(())
     }
 
@@ -153,51 +264,91 @@ impl ServiceObject for Kinematics {
 }
 
 impl Kinematics {
-    fn forward(&self, io: &mut Transport) -> Outcome {
-        let frame = self.model.frame_6(&joints(&io.floats, 0));
+    fn forward(&mut self, io: &mut Transport) -> Outcome {
+        let frame = self.model.placement(&mut self.data, &io.floats, self.tip);
         io.floats.clear();
         for row in 0..3 {
             io.floats.extend(frame.rotation.row(row).iter());
             io.floats.push(frame.origin[row]);
         }
         io.floats.extend([0.0, 0.0, 0.0, 1.0]);
-        Ok(())
+        far_from_nothing(io)
     }
 
-    fn jacobian(&self, io: &mut Transport) -> Outcome {
-        let jacobian = self
-            .model
-            .jacobian(&joints(&io.floats, 0), &Vector3::zeros());
+    fn jacobian(&mut self, io: &mut Transport) -> Outcome {
+        let jacobian = self.model.jacobian(&mut self.data, &io.floats, self.tip);
         io.floats.clear();
-        io.floats.extend(jacobian.transpose().iter());
+        for row in jacobian.row_iter() {
+            io.floats.extend(row.iter());
+        }
+        far_from_nothing(io)
+    }
+
+    /// The solution nearest to where the request says to start.
+    fn inverse_from(&mut self, io: &mut Transport) -> Outcome {
+        let goal = Placement::from(&pose(io)?);
+        let start = io.floats.split_off(16);
+        let solution = match &self.closed {
+            Some(closed) => {
+                let near = joints(&start, 0);
+                let found = closed
+                    .inverse(&goal, &near)
+                    .map_err(|error| unreachable(&error))?;
+                let unlimited = [Limits::NONE; DOF];
+                let limits = if self.options.limits {
+                    closed.limits()
+                } else {
+                    &unlimited
+                };
+                let solution = found
+                    .nearest_within(limits, &near, None)
+                    .map_err(|why| outside(&why))?;
+                solution.joints.to_vec()
+            }
+            None => {
+                let found = self.search.solve(&self.model, &goal, &start);
+                found.map_err(|error| unreachable(&error))?.to_vec()
+            }
+        };
+        io.floats = solution;
         Ok(())
     }
 
     fn inverse(&self, io: &mut Transport) -> Outcome {
-        let pose = pose(io)?;
+        let Some(closed) = &self.closed else {
+            // Without a closed form no request comes here.
+            return Err(Report::error(
+                code::UNREACHABLE,
+                "this arm has no closed form",
+            ));
+        };
+        let goal = Placement::from(&pose(io)?);
         let near = joints(&self.options.near, 0);
-        let found = self.model.inverse(&pose, &near).map_err(|error| {
-            // The pose's numbers are finite, so every error here is one of reach.
-            Report::error(code::UNREACHABLE, format!("unreachable: {error}"))
-        })?;
+        let found = closed
+            .inverse(&goal, &near)
+            .map_err(|error| unreachable(&error))?;
         let usable = |found: &&IkSolution| found.outside.is_none() || !self.options.limits;
         let postures: Vec<&IkSolution> = found.all.iter().filter(usable).collect();
         if postures.is_empty() {
-            let why = match found.nearest(&self.model, &near, None) {
+            let why = match found.nearest_within(closed.limits(), &near, None) {
                 Err(error) => error,
                 // Not reached: without a posture within limits there is no nearest one.
                 Ok(_) => IkError::NotFinite,
             };
-            let text = format!("outside joint limits in every posture: in the best of them {why}");
-            return Err(Report::error(code::LIMITS, text));
+            return Err(outside(&why));
         }
-        if let Some(posture) = postures.iter().find(|posture| wrist_is_singular(posture)) {
-            self.singular(posture, io)?;
+        let singular =
+            |posture: &&&IkSolution| closed.wrist(&posture.joints).0.abs() < WRIST_SINGULAR;
+        if let Some(posture) = postures.iter().find(singular) {
+            self.singular(closed, posture, io)?;
         }
         let coincide = found.singular.elbow || found.singular.shoulder;
         let same = if coincide { SAME_AT_SINGULARITY } else { SAME };
         let mut solutions: Vec<Joints> = Vec::new();
-        for turned in postures.iter().flat_map(|posture| self.turned(posture)) {
+        for turned in postures
+            .iter()
+            .flat_map(|posture| self.turned(closed, posture))
+        {
             let known = |other: &Joints| {
                 let mut pairs = other.iter().zip(&turned);
                 pairs.all(|(a, b)| (a - b).abs() <= same)
@@ -215,9 +366,10 @@ impl Kinematics {
     }
 
     /// At a singular wrist: refused, or with a warning answered.
-    fn singular(&self, posture: &IkSolution, io: &mut Transport) -> Outcome {
+    fn singular(&self, closed: &ClosedForm, posture: &IkSolution, io: &mut Transport) -> Outcome {
         let [.., q4, q5, q6] = posture.joints;
-        let (sign, only) = if q5.abs() < 1.0 {
+        let straight = closed.wrist(&posture.joints).1 > 0.0;
+        let (sign, only) = if straight == closed.wrist_turns_alike() {
             ("+", q4 + q6)
         } else {
             ("-", q4 - q6)
@@ -241,12 +393,12 @@ impl Kinematics {
 
     /// The posture with every whole turn that keeps each joint within its limits; the posture alone
     /// when turns are not asked for.
-    fn turned(&self, posture: &IkSolution) -> Vec<Joints> {
+    fn turned(&self, closed: &ClosedForm, posture: &IkSolution) -> Vec<Joints> {
         let mut all = vec![posture.joints];
         if self.options.turns == "near" || !self.options.limits {
             return all;
         }
-        for (index, limit) in self.model.limits.iter().enumerate() {
+        for (index, limit) in closed.limits().iter().enumerate() {
             let turned: Vec<Joints> = all
                 .iter()
                 .flat_map(|joints| {
@@ -265,14 +417,30 @@ impl Kinematics {
 }
 
 /// The position, when it is within the limits; rounding beyond them is taken off.
-fn within(position: f64, limit: &JointLimits) -> Option<f64> {
+fn within(position: f64, limit: &Limits) -> Option<f64> {
     let clamped = position.clamp(limit.lower, limit.upper);
     ((position - clamped).abs() <= LIMIT_ROUNDING).then_some(clamped)
 }
 
-fn wrist_is_singular(posture: &IkSolution) -> bool {
-    let [.., q5, _] = posture.joints;
-    q5.sin().abs() < WRIST_SINGULAR
+/// Finite positions that are too large leave no finite pose.
+fn far_from_nothing(io: &Transport) -> Outcome {
+    if io.floats.iter().all(|float| float.is_finite()) {
+        return Ok(());
+    }
+    Err(Report::error(
+        code::TOO_LARGE,
+        "the joint positions are too large to compute with",
+    ))
+}
+
+/// The pose's numbers are finite, so every error of inverse kinematics is one of reach.
+fn unreachable(error: &IkError) -> Report {
+    Report::error(code::UNREACHABLE, format!("unreachable: {error}"))
+}
+
+fn outside(why: &IkError) -> Report {
+    let text = format!("outside joint limits in every posture: in the best of them {why}");
+    Report::error(code::LIMITS, text)
 }
 
 /// The pose of 16 numbers, with a warning when its rotation had to be rounded.

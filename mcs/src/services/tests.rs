@@ -1,7 +1,10 @@
 //! The classes `kin` and `dyn` by their textual requests: published answers, identities that hold for
 //! any arm, and every way to ask wrongly.
 
+mod arms;
+
 use super::*;
+use crate::arm::ArmModel;
 use ctos::diagnostic::Source;
 use nalgebra::{DMatrix, Matrix3, Matrix4};
 use proptest::prelude::*;

@@ -1,7 +1,7 @@
 //! All eight postures against forward kinematics, and every reason for having none.
 
 use super::*;
-use nalgebra::{Translation3, UnitQuaternion};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 fn within_limits() -> impl Strategy<Value = Joints> {
@@ -12,9 +12,8 @@ fn within_limits() -> impl Strategy<Value = Joints> {
 }
 
 fn regular(model: &ArmModel, q: &Joints) -> bool {
-    let (_, forearm_angle) = model.forearm();
-    let outward =
-        model.dh[1].a * q[1].cos() + model.forearm().0 * (q[1] + q[2] + forearm_angle).cos();
+    let (forearm, forearm_angle) = model.puma().elbow_to_wrist();
+    let outward = model.dh[1].a * q[1].cos() + forearm * (q[1] + q[2] + forearm_angle).cos();
     outward.abs() > 1e-3 && (q[2] + forearm_angle).sin().abs() > 1e-3 && q[4].sin().abs() > 1e-3
 }
 

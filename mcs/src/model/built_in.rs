@@ -1,0 +1,76 @@
+//! The models that come with the program: the files of `configs/models`, as they were when it was built.
+
+use ctos::diagnostic::{Findings, Source};
+
+use super::features::Model;
+use super::file::{self, Inertias};
+
+/// Their names.
+pub const NAMES: [&str; 5] = ["puma560", "puma600", "transporter", "testbed9", "testbed18"];
+
+const TEXTS: [&str; 5] = [
+    include_str!("../../../configs/models/puma560.toml"),
+    include_str!("../../../configs/models/puma600.toml"),
+    include_str!("../../../configs/models/transporter.toml"),
+    include_str!("../../../configs/models/testbed9.toml"),
+    include_str!("../../../configs/models/testbed18.toml"),
+];
+
+/// The file of a model.
+#[must_use]
+pub fn source(name: &str) -> Option<Source> {
+    let mut all = NAMES.iter().zip(TEXTS);
+    let (_, text) = all.find(|(known, _)| **known == name)?;
+    Some(Source::new(format!("configs/models/{name}.toml"), text))
+}
+
+/// The model of that name; `None` when none is called so.
+///
+/// # Errors
+/// What is wrong in its file; the tests of this crate hold that nothing is.
+pub fn model(name: &str, inertias: Inertias) -> Option<Result<Model, Findings>> {
+    source(name).map(|source| file::parse(&source, inertias))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_file_is_a_model_with_as_many_joints_as_its_name_says() {
+        for (name, joints) in NAMES.into_iter().zip([6, 6, 3, 9, 18]) {
+            for inertias in [Inertias::Identified, Inertias::Engine] {
+                let model = model(name, inertias).unwrap().unwrap();
+                assert_eq!((model.name(), model.dof()), (name, joints));
+            }
+        }
+    }
+
+    #[test]
+    fn every_body_of_the_engine_set_is_a_possible_rigid_body() {
+        for name in NAMES {
+            for joint in model(name, Inertias::Engine).unwrap().unwrap().joints() {
+                let principal = joint.body.inertia.symmetric_eigenvalues();
+                assert!(
+                    joint.body.mass > 0.0 && principal.min() > 0.0,
+                    "{name} {}",
+                    joint.name
+                );
+                assert!(
+                    2.0 * principal.max() <= principal.sum() + 1e-12,
+                    "{name} {}",
+                    joint.name
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn reflected_inertia_matches_the_published_column() {
+        let expected = [0.78403, 2.32481, 0.57687, 0.19079, 0.17071, 0.19406];
+        let model = model("puma560", Inertias::Identified).unwrap().unwrap();
+        for (joint, expected) in model.joints().iter().zip(expected) {
+            assert!((joint.motor.reflected_inertia() - expected).abs() < 5e-6);
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! Models from URDF, the robot description of ROS (wiki.ros.org/urdf/XML): the joints between two links.
+//!
+//! Read with `roxmltree`, which keeps the place of every element; `urdf-rs` loses them, and every mistake here is a
+//! finding with its place. Shapes and meshes are no part of motion and are not read. Nothing recurses and nothing takes
+//! the square of the file's size.
+
+mod description;
+mod xml;
+
+use std::path::Path;
+
+use ctos::diagnostic::{Finding, Source};
+
+use super::builder::{JointSpec, ModelBuilder};
+use super::features::{FrameId, JointKind, Model};
+use description::{Description, JointText, Motion};
+
+/// A model from URDF, with what is odd about it.
+#[derive(Debug, Clone)]
+pub struct FromUrdf {
+    /// The joints that move between the two links, in that order; its base frame is the one, its tip the other.
+    pub model: Model,
+    /// What a reader should know: bodies without mass, say.
+    pub warnings: Vec<Finding>,
+}
+
+/// Reads the joints from link `base` to link `tip`. The base is the root and the tip the only leaf unless they are
+/// named. The base may be any link, also one beyond the tip: then the joints are passed from their child to their parent, with
+/// positions as they are. Bodies off the way are left out; gravity is along -z of the base link.
+///
+/// # Errors
+/// The first thing that is wrong, with its place.
+pub fn read(path: &Path, base: Option<&str>, tip: Option<&str>) -> Result<FromUrdf, Finding> {
+    parse(&Source::read(path)?, base, tip)
+}
+
+/// As [`read`], from a text.
+///
+/// # Errors
+/// The first thing that is wrong, with its place.
+pub fn parse(source: &Source, base: Option<&str>, tip: Option<&str>) -> Result<FromUrdf, Finding> {
+    let document = xml::parse(source)?;
+    let description = Description::read(source, &document)?;
+    let base = match base {
+        Some(name) => description.link(name, "base")?,
+        None => description.root,
+    };
+    let tip = match tip {
+        Some(name) => description.link(name, "tip")?,
+        None => description.only_leaf()?,
+    };
+    let mut making = Making {
+        builder: ModelBuilder::new(description.name, description.links[base].name),
+        description: &description,
+        warnings: Vec::new(),
+    };
+    let mut at = making.builder.base();
+    for step in way(&description, base, tip) {
+        at = making.step(at, step)?;
+    }
+    making.builder.tip(at);
+    Ok(FromUrdf {
+        model: making.builder.build(),
+        warnings: making.warnings,
+    })
+}
+
+/// One joint of the way, and whether it is passed from its child to its parent.
+#[derive(Clone, Copy)]
+struct Step {
+    joint: usize,
+    up: bool,
+}
+
+/// The joints from one link to another: up to the link that carries both, then down.
+fn way(description: &Description<'_>, base: usize, tip: usize) -> Vec<Step> {
+    let carriers = |link: usize| -> Vec<usize> {
+        let parent = |joint: &usize| description.links[description.joints[*joint].parent].carrier;
+        std::iter::successors(description.links[link].carrier, parent).collect()
+    };
+    let (mut up, mut down) = (carriers(base), carriers(tip));
+    // What both are carried by, counted from the root, is not on the way.
+    while up.last().is_some() && up.last() == down.last() {
+        up.pop();
+        down.pop();
+    }
+    let step = |up: bool| move |joint| Step { joint, up };
+    up.into_iter()
+        .map(step(true))
+        .chain(down.into_iter().rev().map(step(false)))
+        .collect()
+}
+
+struct Making<'d> {
+    builder: ModelBuilder,
+    description: &'d Description<'d>,
+    warnings: Vec<Finding>,
+}
+
+impl Making<'_> {
+    /// Adds a joint of the way and the link that it leads to.
+    fn step(&mut self, at: FrameId, step: Step) -> Result<FrameId, Finding> {
+        let joint = &self.description.joints[step.joint];
+        let link = &self.description.links[if step.up { joint.parent } else { joint.child }];
+        let made = match joint.motion {
+            Motion::Fixed => {
+                let placement = if step.up {
+                    joint.origin.inverse()
+                } else {
+                    joint.origin
+                };
+                self.builder.frame(link.name, at, &placement)
+            }
+            Motion::Moving(kind) => self
+                .builder
+                .joint(spec(joint, kind, at, step.up), link.name),
+            Motion::Unsupported(kind) => {
+                let text = format!(
+                    "unsupported joint type: joint `{}` between base and tip is {kind}",
+                    joint.name
+                );
+                return Err(self.description.finding(text, &joint.type_range).help(
+                    "joints between base and tip are revolute, continuous, prismatic or fixed",
+                ));
+            }
+        };
+        let frame =
+            made.map_err(|error| self.description.place(Finding::from(&error), &joint.range))?;
+        if let Some(mimicked) = joint.mimics {
+            let text = format!(
+                "joint `{}` mimics `{mimicked}`; here it moves by itself",
+                joint.name
+            );
+            self.warn(text, &joint.range);
+        }
+        match &link.body {
+            Some(body) => {
+                let fixed = self.builder.body(frame, body);
+                fixed
+                    .map_err(|error| self.description.place(Finding::from(&error), &link.range))?;
+            }
+            None if matches!(joint.motion, Motion::Moving(_)) => {
+                let text = format!("link `{}` has no <inertial>: it has no mass", link.name);
+                self.warn(text, &link.range);
+            }
+            None => {}
+        }
+        Ok(frame)
+    }
+
+    fn warn(&mut self, text: String, range: &std::ops::Range<usize>) {
+        let warning = Finding::warning("mcs::model::urdf", text);
+        self.warnings.push(self.description.place(warning, range));
+    }
+}
+
+/// The joint as the model's builder takes it. Passed upwards, its own frame is its child's, and it turns the other way.
+fn spec(joint: &JointText<'_>, kind: JointKind, parent: FrameId, up: bool) -> JointSpec {
+    let mut spec = JointSpec::new(joint.name, kind, parent);
+    spec.limits = joint.limits;
+    spec.motor = joint.motor;
+    if up {
+        spec.axis = -joint.axis;
+        spec.after = joint.origin.inverse();
+    } else {
+        spec.axis = joint.axis;
+        spec.before = joint.origin;
+    }
+    spec
+}
+
+#[cfg(test)]
+mod tests;

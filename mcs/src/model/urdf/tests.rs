@@ -1,0 +1,283 @@
+//! URDF that is wrong: each mistake has its name and its place, however large the file.
+
+use super::*;
+
+fn read(text: &str) -> Result<FromUrdf, Finding> {
+    parse(&Source::new("arm.urdf", text), None, None)
+}
+
+/// Two links with a joint of this body between them, a line each.
+fn robot(link: &str, joint: &str) -> String {
+    format!(
+        "<robot name=\"r\">\n<link name=\"a\"/>\n<link name=\"b\">{link}</link>\n\
+         <joint name=\"j\" type=\"revolute\"><parent link=\"a\"/><child link=\"b\"/>{joint}</joint>\n</robot>"
+    )
+}
+
+const LIMIT: &str = "<limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/>";
+
+fn inertial(mass: &str, inertia: &str) -> String {
+    format!("<inertial>{mass}{inertia}</inertial>")
+}
+
+#[test]
+fn every_mistake_has_a_name_and_a_place() {
+    let unit = "<inertia ixx=\"1\" iyy=\"1\" izz=\"1\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/>";
+    let not_definite = "<inertia ixx=\"1\" iyy=\"1\" izz=\"1\" ixy=\"2\" ixz=\"0\" iyz=\"0\"/>";
+    let one = "<mass value=\"1\"/>";
+    let links = |joints: &str| {
+        format!(
+            "<robot name=\"r\">\n<link name=\"a\"/>\n<link name=\"b\"/>\n<link name=\"c\"/>\n{joints}</robot>"
+        )
+    };
+    let joint = |name: &str, parent: &str, child: &str| {
+        format!(
+            "<joint name=\"{name}\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"{child}\"/></joint>\n"
+        )
+    };
+    let cases = [
+        (
+            "<robot><link name=\"a\"></robot>".to_owned(),
+            "malformed XML: ",
+            "1:",
+        ),
+        ("<robot".to_owned(), "malformed XML: ", "1:"),
+        (String::new(), "malformed XML: ", "1:1"),
+        (
+            "<!DOCTYPE a [<!ENTITY b \"c\">]><robot/>".to_owned(),
+            "malformed XML: ",
+            "1:1",
+        ),
+        ("<sdf/>".to_owned(), "not a robot: ", "1:1"),
+        ("<robot name=\"r\"/>".to_owned(), "no links: ", "1:1"),
+        (
+            "<robot xmlns:xacro=\"x\">\n<xacro:arm/></robot>".to_owned(),
+            "not expanded: ",
+            "2:1",
+        ),
+        (
+            "<robot>\n<link/></robot>".to_owned(),
+            "missing attribute: ",
+            "2:1",
+        ),
+        (robot("", ""), "no limits: joint `j`", "4:1"),
+        (
+            robot("", LIMIT).replace("revolute", "screw"),
+            "unknown joint type: `screw`",
+            "4:23",
+        ),
+        (
+            robot("", LIMIT).replace("revolute", "planar"),
+            "unsupported joint type: ",
+            "4:23",
+        ),
+        (
+            robot("", &LIMIT.replace("-1", "2")),
+            "limits: the lower limit 2",
+            "4:",
+        ),
+        (
+            robot("", &LIMIT.replace("-1", "-90deg")),
+            "not a number: `-90deg`",
+            "4:",
+        ),
+        (
+            robot("", &format!("{LIMIT}<axis xyz=\"0 0 0\"/>")),
+            "no axis: ",
+            "4:14",
+        ),
+        (
+            robot("", &format!("{LIMIT}<axis xyz=\"0 1\"/>")),
+            "not a number: 3 are needed, fewer stand",
+            "4:",
+        ),
+        (
+            robot("", &format!("{LIMIT}<origin xyz=\"0 nan 1\"/>")),
+            "not a number: `nan`",
+            "4:",
+        ),
+        (robot(&inertial("", unit), LIMIT), "missing mass: ", "3:16"),
+        (
+            robot(&inertial(one, ""), LIMIT),
+            "missing inertia: ",
+            "3:16",
+        ),
+        (
+            robot(&inertial("<mass/>", unit), LIMIT),
+            "missing attribute: <mass> has no `value`",
+            "3:26",
+        ),
+        (
+            robot(&inertial("<mass value=\"-1\"/>", unit), LIMIT),
+            "negative mass: `b` has -1 kg",
+            "3:26",
+        ),
+        (
+            robot(&inertial(one, not_definite), LIMIT),
+            "inertia not positive definite: ",
+            "3:43",
+        ),
+        (
+            robot(
+                &inertial(one, &unit.replace("izz=\"1\"", "izz=\"-1\"")),
+                LIMIT,
+            ),
+            "inertia not positive definite: ",
+            "3:43",
+        ),
+        (
+            robot("", LIMIT).replace("child link=\"b\"", "child link=\"x\""),
+            "unknown link: the child `x`",
+            "4:64",
+        ),
+        (
+            robot("", LIMIT).replace("<child link=\"b\"/>", ""),
+            "missing child: ",
+            "4:1",
+        ),
+        (
+            robot("", LIMIT).replace("name=\"b\"", "name=\"a\""),
+            "duplicate name: there is a link `a`",
+            "3:13",
+        ),
+        (
+            links(&(joint("j", "a", "b") + &joint("j", "b", "c"))),
+            "duplicate name: there is a joint `j`",
+            "6:14",
+        ),
+        (
+            links(&joint("j", "a", "b")),
+            "two roots: nothing carries link `a`, and nothing link `c`",
+            "4:13",
+        ),
+        (
+            links(&(joint("j", "a", "b") + &joint("k", "b", "c") + &joint("l", "a", "c"))),
+            "loop: link `c` has two parents",
+            "7:14",
+        ),
+        (
+            links(&(joint("j", "a", "b") + &joint("k", "b", "c") + &joint("l", "c", "a"))),
+            "loop: every link has a parent",
+            "2:13",
+        ),
+        (
+            links(&(joint("k", "b", "c") + &joint("l", "c", "b"))),
+            "loop: link `b` is carried by links that it carries",
+            "3:13",
+        ),
+        (
+            links(&(joint("j", "a", "b") + &joint("k", "a", "c"))),
+            "no tip: several links carry nothing",
+            "2:13",
+        ),
+    ];
+    for (text, name, place) in cases {
+        let error = read(&text).expect_err(name);
+        assert!(
+            error.message.starts_with(name),
+            "`{}` is not `{name}`: {text}",
+            error.message
+        );
+        let at = error
+            .place
+            .as_ref()
+            .map(ToString::to_string)
+            .unwrap_or_default();
+        assert!(
+            at.starts_with(&format!("arm.urdf:{place}")),
+            "{name}: at {at}, not {place}"
+        );
+    }
+}
+
+#[test]
+fn a_base_or_tip_that_is_no_link_is_named_with_what_was_probably_meant() {
+    let text = robot("", LIMIT);
+    for (base, tip) in [(Some("bb"), None), (None, Some("bb"))] {
+        let error = parse(&Source::new("arm.urdf", &*text), base, tip).unwrap_err();
+        assert!(error.message.starts_with("unknown link: the "), "{error}");
+        assert_eq!(error.help.as_deref(), Some("did you mean `b`?"));
+    }
+}
+
+/// A chain of links with joints of this type.
+fn chain(links: usize, kind: &str) -> String {
+    let mut text = "<robot name=\"long\">\n<link name=\"l0\"/>\n".to_owned();
+    for index in 1..links {
+        text += &format!(
+            "<link name=\"l{index}\"/>\n<joint name=\"j{index}\" type=\"{kind}\"><origin xyz=\"0 0 0.001\"/>\
+             <parent link=\"l{}\"/><child link=\"l{index}\"/></joint>\n",
+            index - 1
+        );
+    }
+    text + "</robot>"
+}
+
+#[test]
+fn ten_thousand_links_are_read_at_once_or_refused_for_their_number() {
+    let many = read(&chain(10_000, "continuous")).unwrap_err();
+    assert!(
+        many.message.starts_with("too many joints: joint `j65`"),
+        "{many}"
+    );
+    let fixed = read(&chain(10_000, "fixed")).unwrap().model;
+    let tip = fixed.at(fixed.tip()).placement.origin;
+    assert_eq!(fixed.dof(), 0);
+    assert!((tip.z - 9.999).abs() < 1e-9, "{tip}");
+    let source = Source::new("long.urdf", chain(10_000, "continuous"));
+    let some = parse(&source, Some("l5000"), Some("l5010")).unwrap().model;
+    assert_eq!(some.dof(), 10);
+    let deep = "<a>".repeat(100_000);
+    assert!(read(&format!("<robot name=\"r\">{deep}")).is_err());
+    let wide: String = (0..100_000)
+        .map(|index| format!(" a{index}=\"\""))
+        .collect();
+    let wide = read(&format!("<robot{wide}/>")).unwrap_err();
+    assert!(wide.message.contains("more than 256 attributes"), "{wide}");
+}
+
+#[test]
+fn a_way_up_the_tree_is_the_way_down_backwards() {
+    let file = include_str!("../../../tests/known_answers/two_arms.urdf");
+    let source = Source::new("two_arms.urdf", file);
+    let ends = ["left_hand", "right_hand"];
+    let there = parse(&source, Some(ends[0]), Some(ends[1])).unwrap().model;
+    let back = parse(&source, Some(ends[1]), Some(ends[0])).unwrap().model;
+    let q = [0.3, -0.5, 0.7, 0.2, 0.1, -0.4];
+    let mut other = q;
+    other.reverse();
+    let names = |model: &Model| -> Vec<String> {
+        model
+            .joints()
+            .iter()
+            .map(|joint| joint.name.clone())
+            .collect()
+    };
+    let mut reversed = names(&back);
+    reversed.reverse();
+    assert_eq!(names(&there), reversed);
+    let way = there.placement(&mut there.data(), &q, there.tip());
+    let way_back = back.placement(&mut back.data(), &other, back.tip());
+    let none = way.then(&way_back);
+    assert!(
+        none.origin.norm() < 1e-12
+            && (none.rotation - nalgebra::Matrix3::identity()).norm() < 1e-12
+    );
+}
+
+proptest::proptest! {
+    #[test]
+    fn a_file_cut_or_changed_anywhere_is_read_or_refused(at in 0..7000_usize, byte in 0..128_u8, cut in proptest::prelude::any::<bool>()) {
+        let mut text = include_str!("../../../tests/known_answers/two_arms.urdf").to_owned();
+        let at = at % text.len();
+        if cut {
+            text.truncate(at);
+        } else {
+            text.replace_range(at..=at, &char::from(byte).to_string());
+        }
+        let source = Source::new("changed.urdf", text);
+        if let Err(finding) = parse(&source, None, Some("left_hand")) {
+            proptest::prop_assert!(finding.place.is_some(), "{}", finding);
+        }
+    }
+}
