@@ -134,9 +134,15 @@ const CLOCKS: [(&str, &[&str]); 9] = [
             "tests/peers/",
         ],
     ),
+    // A process that ends, and handlers that block on purpose, are real.
     (
         "thread::sleep",
-        &["tests/peers/", "ctos/tests/conformance/signals.rs"],
+        &[
+            "ctos/host/src/boot/child.rs",
+            "ctos/tests/conformance/signals.rs",
+            "tests/peers/",
+            "tests/src/runaways.rs",
+        ],
     ),
     // Around real sockets and processes only.
     (

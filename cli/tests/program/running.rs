@@ -158,6 +158,7 @@ const RECORD: &[(&str, Then)] = &[
         "ctos net draw run.ws1.mcap --net dispatcher --at 12.5",
         Ends,
     ),
+    ("ctos replay configs/calibrate.toml run.mcap", Ends),
     (
         "ctos replay configs/calibrate.toml run.mcap --task dispatcher",
         Ends,
