@@ -1,6 +1,6 @@
 //! The manipulator as data: a tree of joints and bodies of any shape, and what can be computed from it.
 //!
-//! A [`Model`] is made once, in code ([`ModelBuilder`]), from a TOML file ([`file`]), from URDF ([`urdf`]) or by the
+//! A [`Model`] is made once, in code ([`ModelBuilder`]), from a TOML file ([`mod@file`]), from URDF ([`urdf`]) or by the
 //! name of one that is [`built_in`], and never changes. Whatever a computation writes stands in [`Data`], which is
 //! allocated once for a model: no evaluation allocates. The split is that of Pinocchio (Carpentier and others, SII 2019);
 //! the algorithms are those of R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008.
