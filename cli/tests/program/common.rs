@@ -69,3 +69,15 @@ pub fn good(output: &Output) -> (String, String) {
     assert!(output.status.success(), "{}:\n{out}\n{err}", output.status);
     (out, err)
 }
+
+/// A folder with the configurations.
+pub fn configurations() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp")
+        .arg("-r")
+        .arg(root().join("configs"))
+        .arg(folder.path())
+        .status();
+    assert!(copied.unwrap().success());
+    folder
+}

@@ -3,7 +3,10 @@
 
 use std::{collections::BTreeSet, fs, path::Path, process::Command};
 
-use crate::{common::root, hello_example};
+use crate::{
+    common::{configurations, root},
+    hello_example,
+};
 use clap::{CommandFactory, Parser, error::ErrorKind};
 use cli::{
     commands::{
@@ -285,13 +288,7 @@ pub fn is_run(words: &[String]) -> bool {
 
 #[test]
 fn command_lines_that_need_neither_an_app_nor_minutes_are_run_and_go_well() {
-    let folder = tempfile::tempdir().unwrap();
-    let copied = Command::new("cp")
-        .arg("-r")
-        .arg(root().join("configs"))
-        .arg(folder.path())
-        .status();
-    assert!(copied.unwrap().success());
+    let folder = configurations();
     // A command that makes something finds it made when it stands on two pages.
     let mut seen = BTreeSet::new();
     let mut wrong = Vec::new();

@@ -16,7 +16,7 @@ use std::{
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{
-    common::{example, root},
+    common::{configurations, example, root},
     lines::{Line, is_run, lines},
 };
 
@@ -306,18 +306,6 @@ fn every_command_line_is_run_by_a_test_or_stands_in_a_list_with_the_reason() {
     }
 }
 
-/// A folder with the configurations.
-fn folder() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let copied = Command::new("cp")
-        .arg("-r")
-        .arg(root().join("configs"))
-        .arg(folder.path())
-        .status();
-    assert!(copied.unwrap().success());
-    folder
-}
-
 /// A command that knows no app but those of its folder.
 fn command(program: impl AsRef<OsStr>, folder: &Path) -> Command {
     let mut command = Command::new(program);
@@ -337,7 +325,7 @@ struct App {
 
 impl App {
     fn boot(file: &str, sets: &[&str]) -> Self {
-        let folder = folder();
+        let folder = configurations();
         let mut child = command(CTOS, folder.path())
             .args(["boot", file])
             .args(sets)
@@ -495,14 +483,14 @@ fn the_lines_about_service_objects_are_run_against_their_app_and_go_well() {
 
 #[test]
 fn the_lines_about_the_example_are_run_and_go_well() {
-    let folder = folder();
+    let folder = configurations();
     let hello = example("hello");
     run_all(HELLO, hello.get_program(), folder.path());
 }
 
 #[test]
 fn the_lines_about_a_record_are_run_and_go_well() {
-    let folder = folder();
+    let folder = configurations();
     let file = folder.path().join("configs/positions.csv");
     let positions = fs::read_to_string(&file).unwrap();
     let few: Vec<&str> = positions.lines().take(14).collect();
@@ -521,7 +509,7 @@ fn the_lines_about_a_record_are_run_and_go_well() {
 
 #[test]
 fn the_lines_about_files_of_the_reader_are_run_and_go_well() {
-    let folder = folder();
+    let folder = configurations();
     let net =
         "net ring\nplace a = 1, b\ntransition t\n  in a\n  out b\ntransition u\n  in b\n  out a\n";
     fs::write(folder.path().join("ring.net"), net).unwrap();

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use sorma::Report;
+use sorma::{OptionTable, Report};
 
 use super::code;
 use crate::model::{FrameId, Model, Placement, built_in, file, file::Inertias, urdf};
@@ -32,6 +32,35 @@ impl Default for Which {
             tip: String::new(),
         }
     }
+}
+
+/// Options with those that say which arm among them.
+pub(super) trait NamesArm: Clone + Default + 'static {
+    fn which(&mut self) -> &mut Which;
+}
+
+/// Adds the options that describe an arm which is not built in; `tip` says what the frame is for.
+pub(super) fn described<T: NamesArm>(table: OptionTable<T>, tip: &'static str) -> OptionTable<T> {
+    table
+        .word("tip", "FRAME", tip, |options| &mut options.which().tip)
+        .word(
+            "urdf",
+            "FILE",
+            "the joints that move between links -base and -tip of a URDF, instead of -arm; bodies off that way are left out",
+            |options| &mut options.which().urdf,
+        )
+        .word(
+            "base",
+            "LINK",
+            "the link of the URDF whose frame is the base frame. Empty: its root",
+            |options| &mut options.which().base,
+        )
+        .word(
+            "model",
+            "FILE",
+            "a model in TOML, as in configs/models, instead of -arm",
+            |options| &mut options.which().model,
+        )
 }
 
 /// An arm, the frame that requests are about, and what is odd about its description.

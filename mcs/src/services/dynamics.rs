@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use nalgebra::Vector3;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
-use super::arm::Which;
+use super::arm::{NamesArm, Which, described};
 use super::{code, ended};
 use crate::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 
@@ -100,8 +100,14 @@ impl Options {
     }
 }
 
+impl NamesArm for Options {
+    fn which(&mut self) -> &mut Which {
+        &mut self.which
+    }
+}
+
 pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
-    OptionTable::new("rigid-body dynamics of an arm")
+    let table = OptionTable::new("rigid-body dynamics of an arm")
         .exec(FORMS)
         .choice(
             "arm",
@@ -131,31 +137,11 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "m/s^2",
             "acceleration of gravity, along -z of the base frame",
             |options| &mut options.gravity,
-        )
-        .word(
-            "tip",
-            "FRAME",
-            "where the way through a URDF ends; of other arms a frame of the model, and without meaning here",
-            |options| &mut options.which.tip,
-        )
-        .word(
-            "urdf",
-            "FILE",
-            "the joints that move between links -base and -tip of a URDF, instead of -arm; bodies off that way are left out",
-            |options| &mut options.which.urdf,
-        )
-        .word(
-            "base",
-            "LINK",
-            "the link of the URDF whose frame is the base frame. Empty: its root",
-            |options| &mut options.which.base,
-        )
-        .word(
-            "model",
-            "FILE",
-            "a model in TOML, as in configs/models, instead of -arm",
-            |options| &mut options.which.model,
-        )
+        );
+    described(
+        table,
+        "where the way through a URDF ends; of other arms a frame of the model, and without meaning here",
+    )
 });
 
 /// An object of class `dyn`.

@@ -5,7 +5,7 @@ use std::{f64::consts::TAU, sync::LazyLock};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
-use super::arm::{Which, pedestal};
+use super::arm::{NamesArm, Which, described, pedestal};
 use super::{code, ended, joints};
 use crate::model::inverse::{ClosedForm, IkError, IkSolution, Preferences, Search};
 use crate::model::{Data, FrameId, Limits, Model, Placement, built_in, file::Inertias};
@@ -119,8 +119,14 @@ impl Default for Options {
     }
 }
 
+impl NamesArm for Options {
+    fn which(&mut self) -> &mut Which {
+        &mut self.which
+    }
+}
+
 pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
-    OptionTable::new("kinematics of an arm")
+    let table = OptionTable::new("kinematics of an arm")
         .exec(FORMS)
         .choice(
             "arm",
@@ -160,31 +166,11 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "rad",
             "joint positions that -turns near and -singular near go by",
             |options| &mut options.near,
-        )
-        .word(
-            "tip",
-            "FRAME",
-            "whose pose: left or right of testbed18, a link of a URDF; any frame of the model. Empty: the model's own",
-            |options| &mut options.which.tip,
-        )
-        .word(
-            "urdf",
-            "FILE",
-            "the joints that move between links -base and -tip of a URDF, instead of -arm; bodies off that way are left out",
-            |options| &mut options.which.urdf,
-        )
-        .word(
-            "base",
-            "LINK",
-            "the link of the URDF whose frame is the base frame. Empty: its root",
-            |options| &mut options.which.base,
-        )
-        .word(
-            "model",
-            "FILE",
-            "a model in TOML, as in configs/models, instead of -arm",
-            |options| &mut options.which.model,
-        )
+        );
+    described(
+        table,
+        "whose pose: left or right of testbed18, a link of a URDF; any frame of the model. Empty: the model's own",
+    )
 });
 
 /// An object of class `kin`.

@@ -190,8 +190,8 @@ impl Shared {
         });
     }
 
-    /// Carries what arrives to the user, and what the user writes to `chunks` as credits allow it, until the user is gone
-    /// and all of it was read at the other end, or cannot be.
+    /// Carries what arrives to the user, and what the user writes to `chunks` as credits allow it. Ends when the user is
+    /// gone and the other end has read all of it, or never will.
     async fn carry(&self, user: Other, chunks: mpsc::UnboundedSender<Chunk>) {
         let Other {
             mut arrived,

@@ -61,9 +61,11 @@ fn angle(from: &Vector3<f64>, to: &Vector3<f64>, axis: &Vector3<f64>) -> f64 {
 }
 
 impl ClosedForm {
-    /// The closed form between the base of a model and a frame; `None` when the joints between them are not all of
-    /// the model's, or not those of a PUMA: six that turn, the second across the first and meeting it, the third along the second, the
-    /// fourth across the third, and the last three meeting in one point, each across the one before it.
+    /// The closed form between the base of a model and a frame. `None` when the joints between them are not all of
+    /// the model's, or not those of a PUMA.
+    ///
+    /// A PUMA has six joints that turn. The second is across the first and meets it, the third is along the second,
+    /// and the fourth across the third. The last three meet in one point, each across the one before it.
     #[must_use]
     pub fn of(model: &Model, frame: FrameId) -> Option<Self> {
         let joints: &[_; DOF] = model.joints().try_into().ok()?;

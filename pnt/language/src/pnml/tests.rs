@@ -701,8 +701,8 @@ fn the_kind_of_an_arc_is_written_in_the_three_ways_that_other_tools_read() {
 }
 
 /// What breaks the grammar of place/transition nets (ISO/IEC 15909-2, `ptnet.pntd` on `pnmlcoremodel.rng`) in a file that
-/// we wrote, apart from the kinds of arcs: elements in other places, more than one label of a name, attributes that are
-/// missing or not known, ids that are not unique, arcs that join no place and transition, numbers of another sort.
+/// we wrote, apart from the kinds of arcs. Elements may stand in other places, labels be there twice, and attributes be
+/// missing or not known. Ids may not be unique, arcs join no place and transition, and numbers be of another sort.
 fn against_the_grammar(text: &str) -> Vec<String> {
     const CORE: &str = "http://www.pnml.org/version-2009/grammar/pnml";
     let document = roxmltree::Document::parse(text).unwrap();
