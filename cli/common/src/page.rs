@@ -33,6 +33,9 @@ use tokio::sync::oneshot;
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
+/// The log target under which a page's address is told: it is shown where nothing else of its level is.
+pub const LOG_TARGET: &str = "ctos::page";
+
 /// How a page is to be served.
 pub struct Setting<'a> {
     /// Where; port 0 takes any that is free.

@@ -89,7 +89,13 @@ impl NetDisplay {
         let front = Front::bind(cx.app(), &setting)?;
         let served = front.serve_task(cx, "display", "?token=", serve)?;
         let open = served.opener.as_ref().map(tracing::field::display);
-        tracing::warn!(task = cx.name(), page = served.url, open, "nets are shown");
+        tracing::info!(
+            target: page::LOG_TARGET,
+            task = cx.name(),
+            page = served.url,
+            open,
+            "nets are shown"
+        );
         self.served = Some(served);
         self.orders = Some(received);
         Ok(())

@@ -51,11 +51,14 @@ pub struct LogArgs {
     pub log_format: LogFormat,
 }
 
+/// What is shown where nothing else is asked for: warnings, and the addresses of pages.
+const SHOWN: &str = "warn,ctos::page=info";
+
 /// Starts logging or says why it cannot; the exit code then.
 pub(super) fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(), u8> {
     let level = match (args.quiet, args.verbose) {
         (true, _) => "error",
-        (false, 0) => "warn",
+        (false, 0) => SHOWN,
         (false, 1) => "info",
         (false, 2) => "debug",
         (false, _) => "trace",

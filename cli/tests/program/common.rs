@@ -24,6 +24,7 @@ pub fn build(name: &str) -> Command {
             "CARGO_PKG_",
             "CARGO_BIN_EXE_",
             "CARGO_CRATE_NAME",
+            "OUT_DIR",
         ];
         let is_of_package = |key: &str| of_package.iter().any(|start| key.starts_with(start));
         if key.to_str().is_some_and(is_of_package) {

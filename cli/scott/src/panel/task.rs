@@ -92,7 +92,8 @@ impl ObjectPanel {
         let front = Front::bind(cx.app(), &setting)?;
         let served = front.serve_task(cx, "panel", "#", serve)?;
         let open = served.opener.as_ref().map(tracing::field::display);
-        tracing::warn!(
+        tracing::info!(
+            target: page::LOG_TARGET,
             task = cx.name(),
             page = served.url,
             open,
