@@ -387,7 +387,7 @@ fn no_form(forms: &[Form], text: &str) -> Report {
         ([one], "") => format!("after EXEC stands {one}"),
         (_, "") => format!("after EXEC stands one of {listed}"),
         (_, given) => {
-            let hint = suggestion(given, known);
+            let hint = suggestion(words, known);
             format!(
                 "EXEC `{}` is not known here: this class has {listed}{hint}",
                 clipped(given)

@@ -106,6 +106,12 @@ impl de::Error for NodeError {
         Self::custom(format!("{found} does not fit, expected {wanted}"))
     }
 
+    fn invalid_length(found: usize, expected: &dyn de::Expected) -> Self {
+        let wanted = expected.to_string();
+        let wanted = wanted.trim_end_matches(" in sequence");
+        Self::custom(format!("expected {wanted}, found {found}"))
+    }
+
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
         let finding = Finding::error(UNKNOWN_KEY, format!("unknown key `{field}`"));
         let finding = finding.label("nobody reads this key");
@@ -210,7 +216,11 @@ impl<'de> Deserializer<'de> for At<'de> {
                 _ => visitor.visit_i128(*number),
             },
             Value::Array(elements) => {
-                visitor.visit_seq(SeqDeserializer::new(elements.iter().map(At::outermost)))
+                let mut elements = SeqDeserializer::new(elements.iter().map(At::outermost));
+                let value = visitor.visit_seq(&mut elements)?;
+                // A tuple takes as many as it has; what is left, nobody reads.
+                elements.end()?;
+                Ok(value)
             }
             Value::Table(entries) => visitor.visit_map(map(entries, None)),
         }

@@ -95,6 +95,14 @@ fn what_does_not_fit_a_type_is_an_error_at_its_exact_place() {
             "arm.toml:3:13: error: `joints.0.limit.1`: expected a number, found the boolean true",
         ),
         (
+            "speed = 1\n[[joints]]\nlimit = [0, 1, 2]\ngain = 1",
+            "arm.toml:3:9: error: `joints.0.limit`: expected 2 elements, found 3",
+        ),
+        (
+            "speed = 1\n[[joints]]\nlimit = [0]\ngain = 1",
+            "arm.toml:3:9: error: `joints.0.limit`: expected a tuple of size 2, found 1",
+        ),
+        (
             "speed = 1\n[[joints]]\nlimit = [0, 1]\ngian = 1",
             "arm.toml:4:1: error: unknown key `gian` in `joints.0` (did you mean `gain`?)",
         ),
