@@ -432,6 +432,53 @@ fn choose(browser: &mut Browser, transition: &str) {
     ));
 }
 
+/// The scratch folder's calibration with these nets besides.
+fn with_nets(scratch: &Scratch, names: &[&str]) {
+    let config = scratch.read("configs/calibrate.toml");
+    let net = |name: &&str| {
+        format!(
+            "[chassis.{name}]\n[task.{name}]\nhandler = \"coordinators.vision\"\non = \"{name}\"\n[task.{name}.args]\nnet = \"nets/{name}.net\"\ncameras = [\"ceiling_west\"]\nretries = 1\n\n"
+        )
+    };
+    let nets: String = names.iter().map(net).collect();
+    scratch.write("configs/calibrate.toml", config + "\n" + &nets);
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn a_breakpoint_of_a_large_net_is_seen_on_its_canvas_however_small_the_net_is_drawn() {
+    let scratch = scratch();
+    scratch.write("configs/nets/large.net", large(2_000).0);
+    with_nets(&scratch, &["large"]);
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (_run, page) = boot(&scratch, &["--set", waits]);
+    let mut browser = Browser::open(&format!("{page}#net=large"), SIZE);
+    browser.wait("nets.firstDrawn > 0 && nets.shown === 'large'");
+    // Red at the centre of the mark of a node, on the canvas of breakpoints.
+    let red = |node: &str, beside: &str| {
+        format!(
+            "(() => {{ const field = nets.picture.field, {{ node, kind }} = nets.picture.nodes.get('large/{node}'); \
+             const [dx, dy] = {beside}, scale = field.scale * devicePixelRatio, canvas = field.canvases[2]; \
+             const [x, y] = [(node.x + dx - field.box.x) * scale, (node.y + dy - field.box.y) * scale]; \
+             const [r, g, , a] = canvas.getContext('2d').getImageData(Math.round(x), Math.round(y), 1, 1).data; \
+             return a > 128 && r > 1.5 * g; }})()"
+        )
+    };
+    let transition = red("t3", "node.lying ? [0, -12] : [-12, -20]");
+    let place = red("p5", "[-14, -12]");
+    assert_eq!(browser.ask(&transition), false);
+    browser.ask("nets.order('break', nets.nets.get('large'), { transition: 't3' })");
+    browser.wait(&transition);
+    assert_eq!(browser.ask(&place), false);
+    browser.ask("nets.order('break', nets.nets.get('large'), { place: 'p5' })");
+    browser.wait(&place);
+    pictures(&mut browser, "breakpoints-of-a-large-net");
+    browser.ask("nets.order('clear', nets.nets.get('large'), { transition: 't3' })");
+    browser.wait(&format!("!{transition}"));
+    assert_eq!(browser.ask(&place), true);
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
 /// Figures are printed, and none is asserted: they are another machine's to have.
 #[test]
 #[ignore = "needs Chromium"]
@@ -442,16 +489,7 @@ fn a_large_net_and_a_fast_one_are_shown_while_they_fire() {
     let (large, fast) = large(nodes);
     scratch.write("configs/nets/large.net", large);
     scratch.write("configs/nets/fast.net", fast);
-    let config = scratch.read("configs/calibrate.toml");
-    let net = |name: &str| {
-        format!(
-            "[chassis.{name}]\n[task.{name}]\nhandler = \"coordinators.vision\"\non = \"{name}\"\n[task.{name}.args]\nnet = \"nets/{name}.net\"\ncameras = [\"ceiling_west\"]\nretries = 1\n\n"
-        )
-    };
-    scratch.write(
-        "configs/calibrate.toml",
-        config + "\n" + &net("large") + &net("fast"),
-    );
+    with_nets(&scratch, &["large", "fast"]);
     let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
     let (_run, page) = boot(&scratch, &["--set", waits]);
 

@@ -1,9 +1,9 @@
-// Paints nets of many nodes on two canvases: what stands still below, what changes above. Only nodes that
-// have changed, and lie in the part that is seen, are painted again. Knows shapes and colours, no person.
+// Paints nets of many nodes on three canvases: what stands still below, what changes above it, breakpoints on top. Only
+// nodes that have changed, and lie in the part that is seen, are painted again. Knows shapes and colours, no person.
 
 export const RADIUS = 13;
 export const BAR = { width: 8, height: 32 };
-/** How far a node's halo, breakpoint and note reach, px. */
+/** How far a node's halo and note reach, px. */
 const REACH = 34;
 const TURN = 2 * Math.PI;
 
@@ -16,7 +16,7 @@ export function colours() {
 
 export class Field {
   constructor(host) {
-    this.canvases = ["still", "moving"].map((name) => {
+    this.canvases = ["still", "moving", "stops"].map((name) => {
       const canvas = document.createElement("canvas");
       canvas.className = `field ${name}`;
       canvas.hidden = true;
@@ -54,6 +54,7 @@ export class Field {
     this.seen = this.nodes.filter((shown) => seen(shown.node));
     this.still();
     this.paint(this.seen);
+    this.stops();
   }
 
   /** Arcs and names. */
@@ -106,9 +107,10 @@ export class Field {
       else this.place(pen, shown, small);
       pen.globalAlpha = 1;
     }
+    if (changed.some(({ armed, stopped }) => armed !== stopped)) this.stops();
   }
 
-  place(pen, { node, kind, count, chosen, armed }, small) {
+  place(pen, { node, kind, count, chosen }, small) {
     const { palette } = this;
     if (chosen) ring(pen, node, RADIUS + 5, palette.mark, 2);
     pen.beginPath();
@@ -116,7 +118,6 @@ export class Field {
     pen.fillStyle = small && count > 0 ? palette.token : palette.panel;
     pen.fill();
     ring(pen, node, RADIUS, count > 0 ? palette.token : kind === "remote" ? palette.faint : palette.ring, count > 0 ? 2.1 : 1.5);
-    if (armed) this.stop(pen, node.x - 14, node.y - 12, small);
     if (small || !(count > 0)) return;
     pen.fillStyle = palette.token;
     if (count === 1) {
@@ -130,7 +131,7 @@ export class Field {
     }
   }
 
-  transition(pen, { node, state, chosen, armed, part = 0, net }, small) {
+  transition(pen, { node, state, chosen, part = 0, net }, small) {
     const { palette } = this;
     const [width, height] = node.lying ? [BAR.height, BAR.width] : [BAR.width, BAR.height];
     const [x, y] = [node.x - width / 2, node.y - height / 2];
@@ -153,11 +154,10 @@ export class Field {
       pen.lineWidth = 1.8;
       pen.strokeRect(x, y, width, height);
     }
-    if (armed) this.stop(pen, node.lying ? node.x : node.x - 12, node.lying ? node.y - 12 : node.y - 20, small);
     if (net.notes.some((one) => one.node === node.name)) dot(pen, node.x + 12, node.y - 14, 5, palette.running);
   }
 
-  fold(pen, { node, state, count, chosen, armed }) {
+  fold(pen, { node, state, count, chosen }) {
     const { palette } = this;
     pen.fillStyle = palette.panel;
     pen.fillRect(node.x - 22, node.y - 15, 44, 30);
@@ -168,12 +168,19 @@ export class Field {
     pen.textAlign = "center";
     pen.fillStyle = palette.token;
     pen.fillText(count > 0 ? `● ${count}` : "…", node.x, node.y + 4);
-    if (armed) this.stop(pen, node.x - 22, node.y - 15, this.scale < 0.25);
   }
 
-  /** A breakpoint; larger where the drawing is so small that it would not be seen. */
-  stop(pen, x, y, small) {
-    dot(pen, x, y, small ? 11 : 4.5, this.palette.failed);
+  /** Breakpoints: however small the drawing is, they can be seen, and no node beside them wipes them out. */
+  stops() {
+    const pen = this.pens[2];
+    const { box, scale, near, palette } = this;
+    pen.clearRect(box.x, box.y, pen.canvas.width / scale, pen.canvas.height / scale);
+    for (const shown of this.seen) {
+      shown.stopped = shown.armed;
+      if (!shown.armed || (near !== null && !near.has(shown.key))) continue;
+      const [x, y] = stopOf(shown);
+      dot(pen, x, y, Math.max(4.5, 4 / scale), palette.failed);
+    }
   }
 
   /** The node at a point, px of the drawing. */
@@ -181,6 +188,12 @@ export class Field {
     const near = ({ node }) => Math.abs(node.x - x) < 18 && Math.abs(node.y - y) < 22;
     return this.seen?.find(near)?.key ?? null;
   }
+}
+
+/** Where the mark of a breakpoint at a node is. */
+function stopOf({ node, kind }) {
+  const [x, y] = { fold: [-22, -15], transition: node.lying ? [0, -12] : [-12, -20] }[kind] ?? [-14, -12];
+  return [node.x + x, node.y + y];
 }
 
 function ring(pen, { x, y }, radius, colour, width) {
