@@ -18,14 +18,11 @@ pub use serde;
 pub mod boot;
 
 pub use ctos_config::diagnostic;
+#[doc(hidden)]
+pub use ctos_core::contain::{note_panic, panic_text};
 pub use ctos_core::{
     Context, DEFAULT_DEADLINE, TaskCounters, call, chassis, disk, message, realtime, recent,
     registry, semaphore, supervise, sync, task, time,
-};
-#[doc(hidden)]
-pub use ctos_core::{
-    bench,
-    contain::{note_panic, panic_text},
 };
 pub use ctos_derive::handler;
 pub use ctos_host::{control, doors, remote, text};
