@@ -396,12 +396,19 @@ mod tests {
         processor.add_queue(0, queue.clone());
         chassis.add_task(task.clone());
         let come = |chassis: &Arc<Chassis>, call: u64| {
-            let mut frame = Frame::of_body(Vec::new());
-            frame.header.to = Tid::new(1, 1, 0);
-            frame.header.from = Tid::new(2, 1, 0);
-            frame.header.command = 1;
-            frame.header.flags = Flags::ACCEPT_WAIT;
-            (frame.call, frame.trace) = (call, call);
+            let frame = Frame {
+                header: Header {
+                    to: Tid::new(1, 1, 0),
+                    from: Tid::new(2, 1, 0),
+                    command: 1,
+                    flags: Flags::ACCEPT_WAIT,
+                    size: 0,
+                },
+                call,
+                trace: call,
+                left_ns: NO_DEADLINE,
+                body: Body::default(),
+            };
             chassis.receive(2, frame, Instant::START);
         };
         // The last two are read by the receiver's own thread.
