@@ -30,7 +30,7 @@ use crate::{
     happen::{drift_of, schedule},
     injured,
     machine::Machine,
-    network::{Arrival, Breach, InFlight, Network, below},
+    network::{Arrival, InFlight, Network, Tamper, below},
     processes::{Exits, watch_exit},
     profile::Faults,
 };
@@ -51,7 +51,7 @@ pub struct Setup {
     /// When that is said once more.
     pub stop_again_after: Option<Duration>,
     #[doc(hidden)]
-    pub breach: Option<Breach>,
+    pub tamper: Option<Tamper>,
 }
 
 impl Default for Setup {
@@ -62,7 +62,7 @@ impl Default for Setup {
             events: None,
             stop_after: None,
             stop_again_after: None,
-            breach: None,
+            tamper: None,
         }
     }
 }
@@ -160,7 +160,7 @@ impl Simulation {
             let at = script.entry(injury.at).or_default();
             at.push(injury.clone());
         }
-        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.breach);
+        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.tamper);
         let events = EventLog::new(setup.events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
         let disk = Arc::new(Disk::default());
