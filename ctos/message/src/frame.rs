@@ -152,7 +152,7 @@ mod tests {
                     to: Tid::from_bits(to),
                     from: Tid::from_bits(from),
                     command,
-                    flags: Flags::from_bits(flags),
+                    flags: Flags::from_bits_retain(flags),
                     size: body.len() as u32,
                 },
                 call,

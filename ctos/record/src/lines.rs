@@ -164,7 +164,7 @@ pub(crate) fn traffic(
             deadline,
             side,
         } => {
-            let flags = Flags::from_bits(*flags);
+            let flags = Flags::from_bits_retain(*flags);
             line.extend([
                 ("priority", json!(priority(flags))),
                 ("waits", json!(waits(flags))),

@@ -88,7 +88,7 @@ impl Chassis {
             Ok(body) => body,
             Err(fault) => return Outcome::Failed(fault),
         };
-        header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
+        header.flags |= wait.flags() | Flags::OWNED;
         header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
@@ -156,7 +156,7 @@ impl Chassis {
         let (flags, body) = match answer.and_then(body_of) {
             Ok(body) => (Flags::REPLY, body),
             Err(fault) => (
-                Flags::REPLY.with(Flags::FAULT),
+                Flags::REPLY | Flags::FAULT,
                 // A fault is plain data; should it fail to encode, the empty body is read as one.
                 postcard::to_stdvec(&fault).unwrap_or_default().into(),
             ),

@@ -120,7 +120,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
         message.envelope.reply = Some(ReplySlot::call(ticket));
         if way == Way::Call {
             let header = &mut message.envelope.header;
-            header.flags = header.flags.with(Flags::REPLY_WAIT);
+            header.flags |= Flags::REPLY_WAIT;
         }
         task.mailbox.put(message);
         under_way.push_back((label, way, key));
