@@ -41,7 +41,7 @@ pub mod system {
 
 /// What a chassis tells about its tasks without disturbing them.
 pub mod survey {
-    pub use ctos_core::report::{AtReport, ChassisReport, QueueReport, TaskReport, WaitReport};
+    pub use ctos_core::report::{Activity, AtReport, ChassisReport, TaskReport, WaitReport};
 }
 
 /// Watching a running app: lints, which are warnings about what it does.

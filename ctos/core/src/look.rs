@@ -21,8 +21,8 @@ const DEADLINE: Duration = Duration::from_secs(2);
 pub struct TaskLook {
     /// How it is.
     pub task: TaskReport,
-    /// The moment at which it was so.
-    pub now: Instant,
+    /// When what it says that it is at will be over, if it is known.
+    pub until: Option<Instant>,
     /// The messages that it handled last, oldest first; the one at hand too. Those of before anybody looked at
     /// it are not known.
     pub last: Vec<LastMessage>,
@@ -56,7 +56,7 @@ impl Context {
             without: without.to_vec(),
         };
         let seen = self.call(&agent, ask).deadline(DEADLINE).await?;
-        let Some(Seen { task, last }) = seen else {
+        let Some(Seen { task, until, last }) = seen else {
             return Err(HandlerError::new(format!("`{}` has ended", task.name())));
         };
         let senders = self.names_of(&last).await?;
@@ -68,7 +68,7 @@ impl Context {
         };
         Ok(TaskLook {
             task,
-            now: self.now(),
+            until,
             last: last.into_iter().zip(senders).map(told).collect(),
         })
     }

@@ -10,6 +10,7 @@ use crate::{
     report::{ChassisReport, TaskCounters, TaskReport},
 };
 use ctos_message::{Command, Tid, command};
+use ctos_time::Instant;
 
 /// The task that starts and stops the tasks of chassis `index`.
 pub const fn agent_tid(index: u8) -> Tid {
@@ -258,6 +259,8 @@ command! {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Seen {
     pub task: TaskReport,
+    /// When what it says that it is at will be over, if it is known.
+    pub until: Option<Instant>,
     pub last: Vec<Note>,
 }
 

@@ -9,7 +9,6 @@ use ctos_core::{
     system::{self, Survey, TaskName},
 };
 use ctos_message::fault::{CallError, Fault};
-use ctos_time::Instant;
 
 /// How long the agent of a chassis may take to tell.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
@@ -34,29 +33,25 @@ pub(super) async fn explained(
         let chassis = cx.chassis().name_of(task.tid.chassis());
         return format!("{late}; its chassis `{chassis}` does not answer either");
     };
-    let found = report.tasks.iter().find(|one| one.tid == task.tid);
-    match found {
-        Some(found) => format!("{late}: {}", doing(found, report.now)),
+    let mut tasks = report.tasks.iter();
+    match tasks.find(|(tid, _)| *tid == task.tid) {
+        Some((_, found)) => format!("{late}: {}", doing(found)),
         None => format!("{late}: it has ended"),
     }
 }
 
-/// What a task does at `now`, in words.
-pub(crate) fn doing(task: &TaskReport, now: Instant) -> String {
-    let seconds = |since: Instant| now.since(since).as_secs_f64();
+/// What a task does, in words.
+pub(crate) fn doing(task: &TaskReport) -> String {
     if let Some(wait) = task.waits.first() {
         return format!(
             "it waits for the reply of `{}` to `{}` for {:.1} s",
-            wait.to,
-            wait.command,
-            seconds(wait.since)
+            wait.to, wait.command, wait.for_s
         );
     }
     let command = task.command.as_deref().unwrap_or("a message");
-    match task.counters.began {
-        Some(began) => format!(
-            "it has been at `{command}` for {:.1} s and waits for no task: it sleeps, waits for hardware, or does not come to an end",
-            seconds(began)
+    match task.in_handler_s {
+        Some(time_s) => format!(
+            "it has been at `{command}` for {time_s:.1} s and waits for no task: it sleeps, waits for hardware, or does not come to an end"
         ),
         None => {
             "it has not begun: its processor is busy with another task that does not come to an end"

@@ -141,11 +141,10 @@ impl Recording {
     async fn begin_on(&mut self, members: impl Iterator<Item = u8>) {
         let surveys = view::surveys(&self.chassis).await;
         let tasks = surveys.into_iter().flatten().flat_map(|one| one.tasks);
-        let tasks = tasks.filter(|task| task.tid.processor() > 0);
         let names: Vec<TaskName> = tasks
-            .map(|task| TaskName {
+            .map(|(tid, task)| TaskName {
                 name: task.name,
-                tid: task.tid,
+                tid,
             })
             .collect();
         let order = || BeginRecord {
