@@ -2,7 +2,6 @@
 
 use std::{
     future::{IntoFuture, poll_fn},
-    panic::AssertUnwindSafe,
     pin::pin,
     task::Poll,
     time::Duration,
@@ -12,7 +11,7 @@ use futures_util::future::{Either, select};
 
 use super::{LOOK, PATIENCE, UnderWay, agent_of};
 use crate::{
-    contain::panic_text,
+    contain::contained,
     context::{Context, TaskRef},
     envelope::Message,
     mailbox::queue::TaskQueue,
@@ -85,15 +84,14 @@ fn give_state(runner: &mut Runner, to: system::Place) -> Result<Vec<u8>, String>
         return Err("it can be moved between phase run and its stop only".to_owned());
     }
     let handler = runner.handler.as_mut().ok_or("it is being restarted")?;
-    let given = std::panic::catch_unwind(AssertUnwindSafe(|| handler.hand_over()));
-    match given {
+    match contained(|| handler.hand_over()) {
         Ok(Some(Ok(state))) => Ok(state),
         Ok(Some(Err(error))) => Err(error.to_string()),
         Ok(None) => Err("its handler passes no state on; see `task::Handover`".to_owned()),
         Err(panic) => {
-            let text = panic_text(panic.as_ref());
-            runner.cx.when_broken()(&format!("it panicked while it gave its state: {text}"));
-            Err(format!("it panicked while it gave its state: {text}"))
+            let why = format!("it panicked while it gave its state: {panic}");
+            runner.cx.when_broken()(&why);
+            Err(why)
         }
     }
 }
