@@ -315,13 +315,7 @@ pub(crate) fn next_serial() -> u64 {
 /// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
 /// until it is known how the handler ended.
 pub(crate) fn handling<T>(serial: u64, code: impl FnOnce() -> T) -> T {
-    struct Restore(u64);
-    impl Drop for Restore {
-        fn drop(&mut self) {
-            HANDLING.set(self.0);
-        }
-    }
-    let _restore = Restore(HANDLING.replace(serial));
+    let _restore = scopeguard::guard(HANDLING.replace(serial), |before| HANDLING.set(before));
     code()
 }
 

@@ -230,22 +230,13 @@ impl PartialEq for Body {
 
 impl Eq for Body {}
 
-/// Empties a place of this thread when what it was filled for is over, also by a panic.
-struct Emptied<T: 'static>(&'static std::thread::LocalKey<RefCell<Option<T>>>);
-
-impl<T> Drop for Emptied<T> {
-    fn drop(&mut self) {
-        self.0.set(None);
-    }
-}
-
 /// What `encode` writes; large blobs among it are shared instead of copied, where its output asks
 /// [`collect`].
 ///
 /// # Errors
 /// Those of `encode`.
 pub fn body_of<E>(encode: impl FnOnce() -> Result<Vec<u8>, E>) -> Result<Body, E> {
-    let emptied = Emptied(&COLLECTED);
+    let emptied = scopeguard::guard((), |()| COLLECTED.set(None));
     COLLECTED.set(Some(Vec::new()));
     let mut bytes = encode()?;
     let blobs = COLLECTED.take().unwrap_or_default();
@@ -287,7 +278,7 @@ pub fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T {
         return decode(&bytes);
     }
     let bytes = Bytes::from(bytes);
-    let _emptied = Emptied(&READ);
+    let _emptied = scopeguard::guard((), |()| READ.set(None));
     READ.set(Some(bytes.clone()));
     decode(&bytes)
 }
