@@ -18,9 +18,11 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::{
     io::{AsyncWriteExt, ReadHalf, WriteHalf},
     sync::{Mutex, mpsc},
-    task::JoinHandle,
 };
-use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
+use tokio_util::{
+    codec::{FramedRead, LengthDelimitedCodec},
+    task::AbortOnDropHandle,
+};
 
 use crate::{
     boot::{
@@ -223,7 +225,7 @@ pub(crate) enum WireError {
 /// A connection after the hello.
 pub(crate) struct Connection {
     frames: FramedRead<ReadHalf<Stream>, LengthDelimitedCodec>,
-    writer: JoinHandle<WireError>,
+    writer: AbortOnDropHandle<WireError>,
 }
 
 impl Connection {
@@ -242,7 +244,7 @@ impl Connection {
             .new_codec();
         Self {
             frames: FramedRead::new(reader, codec),
-            writer: tokio::spawn(write(writer, outbox, silence)),
+            writer: AbortOnDropHandle::new(tokio::spawn(write(writer, outbox, silence))),
         }
     }
 
@@ -269,13 +271,7 @@ impl Connection {
     }
 }
 
-impl Drop for Connection {
-    fn drop(&mut self) {
-        self.writer.abort();
-    }
-}
-
-async fn write<T: Said>(
+async fn write<T: Serialize>(
     mut stream: WriteHalf<Stream>,
     outbox: Arc<Outbox<T>>,
     silence: Duration,
