@@ -320,9 +320,7 @@ impl HostAgent {
             let from = call.ends().map(|(peer, _)| peer);
             let agent = agent.clone();
             serving.spawn(async move {
-                let heard = guest.hear(HELLO_TIMEOUT, agent.hear(call)).await;
-                let heard = heard.unwrap_or_else(|turned| Err(turned.into()));
-                match heard {
+                match guest.hear(HELLO_TIMEOUT, agent.hear(call)).await {
                     Ok(heard) => agent.admit(heard, from).await,
                     Err(error) => agent.refuse(from, &error.to_string()),
                 }
