@@ -430,7 +430,7 @@ impl HostAgent {
             replaced.closed().await;
         }
         let (sender, anew) = mpsc::unbounded_channel();
-        let outbox = Outbox::<ToBoot>::new();
+        let outbox = Outbox::new(ToBoot::may_be_dropped);
         lock(&self.runs).insert(hello.run.0.clone(), (sender, outbox.clone()));
         let connection = Connection::new(stream, outbox.clone(), BUNDLE_LIMIT, silence);
         let about = About {
