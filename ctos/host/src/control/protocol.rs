@@ -215,7 +215,8 @@ pub enum Answer {
 }
 
 /// Why something could not be done.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{message}")]
 pub struct ErrorView {
     /// What kind of error.
     pub code: ErrorCode,
