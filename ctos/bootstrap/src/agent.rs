@@ -15,13 +15,14 @@ use ctos_core::{
     context::{Context, TaskRef},
     envelope::Replier,
     handled::{Handled, HandlerError},
+    look::TaskLook,
     moving::{self, Arrivals},
     phase::StopReason,
     report::{ChassisReport, RecordReport},
     runner::{TaskSpec, start_task},
     system::{
         AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, LookAt, MoveIn, MovedTasks, Place,
-        Rebound, RegisterTid, Seen, Settle, Settled, StopTask, Survey, TaskName, Transfer, Waits,
+        Rebound, RegisterTid, Settle, Settled, StopTask, Survey, TaskName, Transfer, Waits,
         WaitsFor,
     },
 };
@@ -73,7 +74,7 @@ impl Agent {
     }
 
     #[command]
-    fn look_at(&self, cx: &Context, LookAt { task, without }: LookAt) -> Option<Seen> {
+    fn look_at(&self, cx: &Context, LookAt { task, without }: LookAt) -> Option<TaskLook> {
         seen(cx.chassis(), task, &without)
     }
 

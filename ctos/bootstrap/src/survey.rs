@@ -2,7 +2,9 @@
 //! task that is busy, or stuck, is seen as well as one that is idle.
 
 use crate::refusals::Refusals;
-use ctos_core::{chassis::Chassis, sync::CyclicStatistics, system::Seen, task_record::TaskRecord};
+use ctos_core::{
+    chassis::Chassis, look::TaskLook, sync::CyclicStatistics, task_record::TaskRecord,
+};
 use ctos_message::Tid;
 use ctos_record::Recorders;
 use ctos_time::Instant;
@@ -104,15 +106,15 @@ pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> Strin
 }
 
 /// How the task `tid` of `chassis` is.
-pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<Seen> {
+pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<TaskLook> {
     let record = chassis.task(tid)?;
     let mut last = record.statistics.activity().recent.look(without);
     let task = of_task(chassis, &record);
-    for note in &mut last {
-        note.named = command_name(chassis, &task.handler, note.command);
+    for message in &mut last {
+        message.command = command_name(chassis, &task.handler, message.code);
     }
     let until = record.statistics.at().and_then(|at| at.until);
-    Some(Seen { task, until, last })
+    Some(TaskLook { task, until, last })
 }
 
 #[cfg(test)]

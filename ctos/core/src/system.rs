@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    last_messages::Note,
+    look::TaskLook,
     phase::{Phase, StopReason},
-    report::{ChassisReport, TaskCounters, TaskReport},
+    report::{ChassisReport, TaskCounters},
 };
 use ctos_message::{Command, Tid, command};
-use ctos_time::Instant;
 
 /// The task that starts and stops the tasks of chassis `index`.
 pub const fn agent_tid(index: u8) -> Tid {
@@ -176,7 +175,7 @@ command! {
 
     /// Asks an agent how a task is and what it handled last; from then on that is kept, without messages of
     /// the commands `without`.
-    pub struct LookAt { pub task: Tid, pub without: Vec<u16> } => Option<Seen>, 0xff58, "look_at";
+    pub struct LookAt { pub task: Tid, pub without: Vec<u16> } => Option<TaskLook>, 0xff58, "look_at";
 
     /// Comes to an orderly stop; the app goes on without the task, or with it built anew.
     pub struct Shutdown => (), 0xff60, "shutdown";
@@ -254,14 +253,6 @@ command! {
 
     /// Tells the bootstrap service that a task is at another place now.
     pub struct TaskMoved { pub task: TaskName, pub old: Tid } => (), 0xff70, "task_moved";
-}
-/// What an agent tells of a task of its chassis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Seen {
-    pub task: TaskReport,
-    /// When what it says that it is at will be over, if it is known.
-    pub until: Option<Instant>,
-    pub last: Vec<Note>,
 }
 
 /// Why a name leads to no task.
