@@ -48,7 +48,9 @@ impl Token {
 }
 
 /// A process, so that others on its host can see it end.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+///
+/// The default is one that nobody sees.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Process {
     /// The same for all processes that see each other's numbers.
     pub host: String,
@@ -69,14 +71,6 @@ impl Process {
         Self {
             host: format!("{}/{}/{}/{user}", boot.trim(), space("pid"), space("mnt")),
             pid: std::process::id(),
-        }
-    }
-
-    /// One that nobody sees.
-    pub fn unseen() -> Self {
-        Self {
-            host: String::new(),
-            pid: 0,
         }
     }
 

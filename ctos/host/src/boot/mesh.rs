@@ -258,7 +258,7 @@ impl Mesh {
             process: if near {
                 self.inner.process.clone()
             } else {
-                Process::unseen()
+                Process::default()
             },
             listen: vec![boot.clone()],
         };
