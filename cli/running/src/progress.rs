@@ -37,7 +37,7 @@ impl Display {
         if !quiet {
             show::say(&format!(
                 "boot     {} · {} chassis · {} tasks",
-                app.file.display(),
+                app.selection.file.display(),
                 app.chassis.len(),
                 app.tasks.len()
             ));

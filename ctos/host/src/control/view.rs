@@ -74,7 +74,7 @@ pub(crate) async fn app(chassis: &Arc<Chassis>, logs: &LogStore) -> Result<AppVi
     let app = &chassis.app;
     let mut view = AppView {
         app: app.name.clone(),
-        file: app.file.display().to_string(),
+        file: app.selection.file.display().to_string(),
         pid: std::process::id(),
         state,
         up_s: now.since_start().as_secs_f64(),

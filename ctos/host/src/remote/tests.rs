@@ -21,7 +21,7 @@ use super::{
 };
 use crate::boot::launcher::{Briefing, ProcessId};
 use crate::doors::{NO_PAGE, STRANGERS, Secret};
-use ctos_config::{Bundle, load};
+use ctos_config::{Bundle, Selection, load};
 use ctos_core::registry::Registry;
 use ctos_link::{
     handshake::{self, Token},
@@ -224,10 +224,12 @@ impl Boot {
 fn files(handlers: &[HandlerView]) -> AppFiles {
     AppFiles {
         bundle: Bundle {
-            file: "app.toml".to_owned(),
+            selection: Selection {
+                file: "app.toml".into(),
+                profiles: vec!["p".to_owned()],
+                sets: vec!["app.seed=3".to_owned()],
+            },
             files: BTreeMap::from([("app.toml".to_owned(), "[app]\n".to_owned())]),
-            profiles: vec!["p".to_owned()],
-            sets: vec!["app.seed=3".to_owned()],
             variables: BTreeMap::from([
                 ("CTOS_TEST_ARM".to_owned(), Some("left".to_owned())),
                 ("HOME".to_owned(), None),
