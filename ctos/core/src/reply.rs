@@ -3,7 +3,6 @@
 
 use std::{
     cell::{Cell, RefCell},
-    fmt,
     future::Future,
     pin::Pin,
     sync::{
@@ -172,6 +171,8 @@ enum ReplyTo {
 /// The right to answer one message. Dropped without an answer, it tells the caller
 /// [`Fault::NoReply`]: at once, or, where the handler of the message itself drops it, when it is known
 /// how that handler ended, which may be a better answer.
+#[derive(derive_more::Debug)]
+#[debug("ReplySlot {{ open: {} }}", self.to.is_some())]
 pub struct ReplySlot {
     to: Option<ReplyTo>,
     /// The message at hand; 0 while it is not being handled.
@@ -262,12 +263,6 @@ fn drop_unanswered(slot: ReplySlot) {
         ORPHANS.with(|orphans| orphans.borrow_mut().push(slot));
     } else {
         slot.answer(Err(Fault::NoReply));
-    }
-}
-
-impl fmt::Debug for ReplySlot {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ReplySlot {{ open: {} }}", self.to.is_some())
     }
 }
 

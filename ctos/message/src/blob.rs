@@ -34,7 +34,8 @@ pub const LEAST: usize = 16 * 1024;
 /// let picture = Blob::from(vec![0_u8; 500 * 500]);
 /// assert_eq!(picture.len(), 250_000);
 /// ```
-#[derive(Clone, Default, PartialEq, Eq)]
+#[derive(Clone, Default, PartialEq, Eq, derive_more::Debug)]
+#[debug("Blob({} bytes)", self.0.len())]
 pub struct Blob(Bytes);
 
 thread_local! {
@@ -90,12 +91,6 @@ impl From<Blob> for Vec<u8> {
     /// Without a copy where the blob is the only owner of all its memory.
     fn from(blob: Blob) -> Self {
         blob.0.into()
-    }
-}
-
-impl fmt::Debug for Blob {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Blob({} bytes)", self.0.len())
     }
 }
 

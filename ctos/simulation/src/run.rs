@@ -39,6 +39,8 @@ use crate::{
 const STEPS_AT_ONCE: u64 = 10_000_000;
 
 /// How an app is simulated.
+#[derive(derive_more::Debug)]
+#[debug("Setup(faults `{}`)", self.faults.name())]
 pub struct Setup {
     /// The clock that shows the true time: [`Clock::virtual_clock`], kept by who wants to read it.
     pub clock: Clock,
@@ -64,12 +66,6 @@ impl Default for Setup {
             stop_again_after: None,
             tamper: None,
         }
-    }
-}
-
-impl std::fmt::Debug for Setup {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Setup(faults `{}`)", self.faults.name())
     }
 }
 

@@ -180,6 +180,8 @@ enum RefusedError {
 }
 
 /// The agent of a host.
+#[derive(derive_more::Debug)]
+#[debug("HostAgent({})", self.address)]
 pub struct HostAgent {
     listener: Listener,
     address: SocketAddr,
@@ -194,12 +196,6 @@ pub struct HostAgent {
 
 /// The runs by their secret: where their boots come back to, and what waits for them there.
 type Runs = Mutex<BTreeMap<String, (mpsc::UnboundedSender<Return>, Arc<Outbox<ToBoot>>)>>;
-
-impl std::fmt::Debug for HostAgent {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "HostAgent({})", self.address)
-    }
-}
 
 impl HostAgent {
     /// Listens, so that boots may call from now on, and serves them until SIGINT or SIGTERM; then
