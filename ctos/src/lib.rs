@@ -35,7 +35,7 @@ pub use ctos_time::seed::mix;
 pub mod system {
     pub use ctos_bootstrap::bootstrap::{AppReport, MemberReport};
     pub use ctos_core::system::{
-        AppResult, CommandDescription, Introspect, MoveTask, Ping, Shutdown, Statistics, TaskName,
+        AppResult, CommandDescription, Introspect, MoveTask, Ping, Shutdown, Statistics,
     };
 }
 

@@ -8,7 +8,7 @@ pub(crate) mod serving;
 use crate::{
     chassis::Chassis,
     contain::contained,
-    context::{Context, TaskRef},
+    context::Context,
     envelope::Message,
     handled::{Handled, HandlerError},
     mailbox::queue::TaskQueue,
@@ -445,10 +445,7 @@ async fn chassis_up(handler: &mut dyn DynHandler, cx: &Context, message: Message
 async fn task_changed(handler: &mut dyn DynHandler, cx: &Context, message: Message) -> Handled {
     let (TaskChanged { task, change }, _) = message.open::<TaskChanged>()?;
     match change {
-        Change::Up => {
-            let task = TaskRef::new(task.name, task.tid);
-            handler.tell(cx, Notice::TaskUp(&task)).await
-        }
+        Change::Up => handler.tell(cx, Notice::TaskUp(&task)).await,
         Change::Down { reason } | Change::Ended { reason } => {
             handler
                 .tell(cx, Notice::TaskDown(&task.name, &reason))

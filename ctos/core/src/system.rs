@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    context::TaskRef,
     look::TaskLook,
     phase::{Phase, StopReason},
     report::{ChassisReport, TaskCounters},
@@ -47,19 +48,10 @@ pub struct CommandDescription {
     pub doc: String,
 }
 
-/// A task as the task identification service knows it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TaskName {
-    /// Its symbolic name.
-    pub name: String,
-    /// Its id.
-    pub tid: Tid,
-}
-
 /// What became of the tasks that a chassis was told to create.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Created {
-    pub tasks: Vec<TaskName>,
+    pub tasks: Vec<TaskRef>,
     /// Task and reason.
     pub failed: Vec<(String, String)>,
 }
@@ -94,7 +86,7 @@ command! {
     pub struct ChassisDown { pub chassis: String } => (), 0xff04, "chassis_down";
 
     /// Adds a task to the names.
-    pub struct RegisterTid { pub task: TaskName } => (), 0xff10, "register_tid";
+    pub struct RegisterTid { pub task: TaskRef } => (), 0xff10, "register_tid";
 
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
     /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
@@ -234,7 +226,7 @@ command! {
     pub struct Monitor { pub name: String } => bool, 0xff6c, "monitor";
 
     /// Tells what became of a task.
-    pub struct TaskChanged { pub task: TaskName, pub change: Change } => (), 0xff6d, "task_changed";
+    pub struct TaskChanged { pub task: TaskRef, pub change: Change } => (), 0xff6d, "task_changed";
 
     /// Asks an agent whom a task waits for.
     pub struct WaitsFor { pub task: Tid } => Option<Waits>, 0xff6e, "waits_for";
@@ -252,7 +244,7 @@ command! {
     pub struct NamesOf { pub tids: Vec<Tid> } => Vec<Option<String>>, 0xff14, "names_of";
 
     /// Tells the bootstrap service that a task is at another place now.
-    pub struct TaskMoved { pub task: TaskName, pub old: Tid } => (), 0xff70, "task_moved";
+    pub struct TaskMoved { pub task: TaskRef, pub old: Tid } => (), 0xff70, "task_moved";
 }
 
 /// Why a name leads to no task.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use ctos_core::{
     context::{Context, TaskRef},
     report::TaskReport,
-    system::{self, Survey, TaskName},
+    system::{self, Survey},
 };
 use ctos_message::fault::{CallError, Fault};
 
@@ -16,7 +16,7 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
 /// Why `task` did not do what it was `asked`, in words.
 pub(super) async fn explained(
     cx: &Context,
-    task: &TaskName,
+    task: &TaskRef,
     asked: &str,
     error: CallError,
 ) -> String {
@@ -25,16 +25,16 @@ pub(super) async fn explained(
     };
     let late = format!(
         "`{}` did not {asked} within {:.3} s",
-        task.name,
+        task.name(),
         after.as_secs_f64()
     );
-    let agent = TaskRef::new("agent", system::agent_tid(task.tid.chassis()));
+    let agent = TaskRef::new("agent", system::agent_tid(task.tid().chassis()));
     let Ok(report) = cx.call(&agent, Survey {}).deadline(TIMEOUT).await else {
-        let chassis = cx.chassis().name_of(task.tid.chassis());
+        let chassis = cx.chassis().name_of(task.tid().chassis());
         return format!("{late}; its chassis `{chassis}` does not answer either");
     };
     let mut tasks = report.tasks.iter();
-    match tasks.find(|(tid, _)| *tid == task.tid) {
+    match tasks.find(|(tid, _)| *tid == task.tid()) {
         Some((_, found)) => format!("{late}: {}", doing(found)),
         None => format!("{late}: it has ended"),
     }

@@ -10,12 +10,12 @@ use futures_util::{
 use super::{Next, Runner, build_contained, drop_handler, dynamic::Notice};
 use crate::{
     contain::{contained, panic_text},
-    context::Context,
+    context::{Context, TaskRef},
     envelope::Message,
     handled::Handled,
     phase::{Phase, StopReason},
     supervise::{Ending, Event, State, Verdict},
-    system::{Broke, Change, RestartTask, Shutdown, TaskChanged, TaskName},
+    system::{Broke, Change, RestartTask, Shutdown, TaskChanged},
 };
 
 /// What came of building a handler anew.
@@ -220,10 +220,7 @@ impl Runner {
 
     fn changed(&self, change: Change) -> TaskChanged {
         TaskChanged {
-            task: TaskName {
-                name: self.cx.name().to_owned(),
-                tid: self.cx.tid(),
-            },
+            task: TaskRef::new(self.record.name.clone(), self.record.tid),
             change,
         }
     }
