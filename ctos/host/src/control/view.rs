@@ -33,8 +33,7 @@ pub(super) async fn ask_raw(
     let from = system::agent_tid(chassis.index());
     let message = Message::with_data(to, from, command, Data::Bytes(data));
     let message = message.in_trace(chassis.fresh_trace());
-    let data = sent(chassis, message, timeout).await?;
-    data.into_bytes().map_err(unreadable)
+    Ok(sent(chassis, message, timeout).await?.into_bytes()?)
 }
 
 /// Asks a task from outside of any task.
@@ -46,8 +45,7 @@ pub(crate) async fn ask<C: Command>(
 ) -> Result<C::Reply, Fault> {
     let from = system::agent_tid(chassis.index());
     let message = Message::request(to, from, C::CODE, request);
-    let data = sent(chassis, message, timeout).await?;
-    data.take::<C::Reply>().map_err(unreadable)
+    Ok(sent(chassis, message, timeout).await?.take::<C::Reply>()?)
 }
 
 async fn sent(chassis: &Arc<Chassis>, message: Message, timeout: Duration) -> Result<Data, Fault> {
@@ -56,12 +54,6 @@ async fn sent(chassis: &Arc<Chassis>, message: Message, timeout: Duration) -> Re
         .until(Some(chassis.clock.now() + timeout));
     let answer = tokio::time::timeout(timeout, chassis.dispatch(message, WaitFor::Reply)).await;
     answer.map_err(|_| Fault::Deadline { after: timeout })?
-}
-
-fn unreadable(error: impl ToString) -> Fault {
-    Fault::BadPayload {
-        text: error.to_string(),
-    }
 }
 
 /// The app as it is now.
