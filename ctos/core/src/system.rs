@@ -107,11 +107,17 @@ command! {
     pub struct Exit { pub code: i32 } => (), 0xff21, "exit";
 
     /// Tells how far a task is.
+    #[derive(Debug, Clone, PartialEq)]
     pub struct Progress {
+        /// The task.
         pub task: String,
+        /// Steps done.
         pub done: u64,
+        /// Steps in all.
         pub total: u64,
+        /// What a step is.
         pub step: String,
+        /// What happened at this one.
         pub what: String,
     } => (), 0xff30, "progress";
 
