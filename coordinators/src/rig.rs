@@ -304,8 +304,8 @@ pub(crate) fn boot(app: App, registry: Registry, world: &Shared) -> End {
     };
     let seen = world.clone();
     let observer: boot::Observer = Arc::new(move |event| {
-        if let BootEvent::Progress { what, .. } = event {
-            lock(&seen).progress.push(what.clone());
+        if let BootEvent::Progress(progress) = event {
+            lock(&seen).progress.push(progress.what.clone());
         }
     });
     boot::boot(app, registry, &launcher, &observer).unwrap().end

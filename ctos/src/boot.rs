@@ -10,7 +10,7 @@ use ctos_simulation::{self as simulation, Faults, Setup};
 use ctos_time::Clock;
 
 pub use ctos_bootstrap::bootstrap::{
-    BootError, BootEvent, BootState, ChassisState, End, Observer, Outcome, StopStep,
+    BootError, BootEvent, BootState, ChassisState, End, Observer, Outcome, Progress, StopStep,
 };
 pub use ctos_host::boot::{ChildError, Launcher, run_chassis};
 pub use ctos_link::transport::{Address, AddressError};

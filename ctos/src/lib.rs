@@ -18,14 +18,11 @@ pub use serde;
 pub mod boot;
 
 pub use ctos_config::diagnostic;
+#[doc(hidden)]
+pub use ctos_core::contain::{note_panic, panic_text};
 pub use ctos_core::{
     Context, DEFAULT_DEADLINE, TaskCounters, call, chassis, disk, message, realtime, recent,
     registry, semaphore, supervise, sync, task, time,
-};
-#[doc(hidden)]
-pub use ctos_core::{
-    bench,
-    contain::{note_panic, panic_text},
 };
 pub use ctos_derive::handler;
 pub use ctos_host::{control, doors, remote, text};
@@ -38,13 +35,13 @@ pub use ctos_time::seed::mix;
 pub mod system {
     pub use ctos_bootstrap::bootstrap::{AppReport, MemberReport};
     pub use ctos_core::system::{
-        AppResult, CommandDescription, Introspect, MoveTask, Ping, Shutdown, Statistics, TaskName,
+        AppResult, CommandDescription, Introspect, MoveTask, Ping, Shutdown, Statistics,
     };
 }
 
 /// What a chassis tells about its tasks without disturbing them.
 pub mod survey {
-    pub use ctos_core::report::{AtReport, ChassisReport, QueueReport, TaskReport, WaitReport};
+    pub use ctos_core::report::{Activity, AtReport, ChassisReport, TaskReport, WaitReport};
 }
 
 /// Watching a running app: lints, which are warnings about what it does.

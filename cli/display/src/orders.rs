@@ -100,10 +100,10 @@ pub(super) async fn look(cx: &Context, name: &str) -> Result<TaskLook, HandlerEr
 fn now(look: &TaskLook) -> TaskNow {
     let task = &look.task;
     TaskNow {
-        handled: task.counters.handled,
-        failed: task.counters.failed,
-        queued: task.queue.urgent + task.queue.normal,
-        restarts: task.counters.restarts,
+        handled: task.handled,
+        failed: task.failed,
+        queued: task.urgent + task.queued,
+        restarts: task.restarts,
         doing: doing(look),
         waits: task
             .waits
@@ -113,26 +113,25 @@ fn now(look: &TaskLook) -> TaskNow {
                 command: wait.command.clone(),
             })
             .collect(),
-        at: task.at.as_ref().map(|at| at.text.clone()),
-        until_ns: task.at.as_ref().and_then(|at| Some(at.until?.as_nanos())),
+        at: task.at.clone(),
+        until_ns: look.until.map(Instant::as_nanos),
     }
 }
 
 /// What a task does, in words.
 fn doing(look: &TaskLook) -> Option<String> {
-    let seconds = |since: Instant| look.now.since(since).as_secs_f64();
     if let Some(wait) = look.task.waits.first() {
         let (to, command) = (&wait.to, &wait.command);
-        let waited = seconds(wait.since);
+        let waited = wait.for_s;
         return Some(format!(
             "waits for `{to}` to answer `{command}`, {waited:.1} s"
         ));
     }
-    let Some(began) = look.task.counters.began else {
-        return Some(look.task.at.as_ref()?.text.clone());
+    let Some(time_s) = look.task.in_handler_s else {
+        return look.task.at.clone();
     };
     let command = look.task.command.as_deref().unwrap_or("a message");
-    Some(format!("is at `{command}`, {:.1} s", seconds(began)))
+    Some(format!("is at `{command}`, {time_s:.1} s"))
 }
 
 fn message(last: LastMessage) -> TaskMessage {

@@ -10,7 +10,7 @@ use std::{
 };
 
 use ctos::{
-    boot::{BootEvent, StopStep},
+    boot::{BootEvent, Progress, StopStep},
     config::App,
     task::Phase,
 };
@@ -37,7 +37,7 @@ impl Display {
         if !quiet {
             show::say(&format!(
                 "boot     {} · {} chassis · {} tasks",
-                app.file.display(),
+                app.selection.file.display(),
                 app.chassis.len(),
                 app.tasks.len()
             ));
@@ -68,13 +68,7 @@ impl Display {
             return;
         }
         match event {
-            BootEvent::Progress {
-                task,
-                done,
-                total,
-                step,
-                what,
-            } => self.progress(task, *done, *total, step, what),
+            BootEvent::Progress(progress) => self.progress(progress),
             _ => {
                 if let Some(words) = words(event, self.width) {
                     self.line(&words);
@@ -103,7 +97,11 @@ impl Display {
         }
     }
 
-    fn progress(&self, task: &str, done: u64, total: u64, step: &str, what: &str) {
+    fn progress(&self, progress: &Progress) {
+        let &Progress { done, total, .. } = progress;
+        let Progress {
+            task, step, what, ..
+        } = progress;
         if !self.animated {
             let part = done / PLAIN_EVERY;
             let again = self.told.swap(part, Ordering::Relaxed) == part;

@@ -15,14 +15,14 @@ use ctos_core::{
     context::{Context, TaskRef},
     envelope::Replier,
     handled::{Handled, HandlerError},
+    look::TaskLook,
     moving::{self, Arrivals},
     phase::StopReason,
     report::{ChassisReport, RecordReport},
     runner::{TaskSpec, start_task},
     system::{
         AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, LookAt, MoveIn, MovedTasks, Place,
-        Rebound, RegisterTid, Seen, Settle, Settled, StopTask, Survey, TaskName, Transfer, Waits,
-        WaitsFor,
+        Rebound, RegisterTid, Settle, Settled, StopTask, Survey, Transfer, Waits, WaitsFor,
     },
 };
 use ctos_message::Tid;
@@ -34,7 +34,7 @@ const EXIT_ORPHAN: i32 = 5;
 /// The agent's state.
 #[derive(Default)]
 pub(crate) struct Agent {
-    tasks: Vec<TaskName>,
+    tasks: Vec<TaskRef>,
     arrivals: Arrivals,
     records: Attached,
 }
@@ -73,7 +73,7 @@ impl Agent {
     }
 
     #[command]
-    fn look_at(&self, cx: &Context, LookAt { task, without }: LookAt) -> Option<Seen> {
+    fn look_at(&self, cx: &Context, LookAt { task, without }: LookAt) -> Option<TaskLook> {
         seen(cx.chassis(), task, &without)
     }
 
@@ -215,9 +215,8 @@ impl Agent {
         cx: &Context,
         config: &TaskConfig,
     ) -> Result<(), String> {
-        let name = config.name.clone();
         let tid = create_one(cx, cx.chassis(), config).await?;
-        let task = TaskName { name, tid };
+        let task = TaskRef::new(config.name.as_str(), tid);
         // It runs, so it is stopped with the others even if its name cannot be had.
         self.tasks.push(task.clone());
         let registered = cx.call(&Context::server(), RegisterTid { task }).await;
@@ -241,17 +240,15 @@ impl Agent {
                     record.mailbox.forget_gate(other);
                 }
                 self.arrivals.settle(place, true);
-                self.tasks.push(TaskName {
-                    name: record.name.to_string(),
-                    tid: place,
-                });
+                let task = TaskRef::new(record.name.clone(), place);
+                self.tasks.push(task);
             }
             Settled::Drop => {
                 self.arrivals.settle(place, false);
             }
             Settled::Retire => {
                 cx.chassis().remove_task(place);
-                self.tasks.retain(|task| task.tid != place);
+                self.tasks.retain(|task| task.tid() != place);
             }
         }
     }
@@ -261,21 +258,20 @@ impl Agent {
         let timeout = cx.app().stop_timeout;
         for task in self.tasks.iter().rev() {
             let here = cx.chassis();
-            if here.directory.current(task.tid).chassis() != here.index() {
+            if here.directory.current(task.tid()).chassis() != here.index() {
                 continue;
             }
-            let reference = TaskRef::new(task.name.as_str(), task.tid);
             let order = StopTask {
                 reason: StopReason::ChassisDown {
                     chassis: BOOT_CHASSIS.to_owned(),
                 },
                 on: Some(here.index()),
             };
-            let stopped = cx.call(&reference, order).deadline(timeout);
+            let stopped = cx.call(task, order).deadline(timeout);
             if let Err(error) = stopped.await
                 && !error.is_gone()
             {
-                tracing::warn!(task = %task.name, error = %error, "did not stop");
+                tracing::warn!(task = %task.name(), error = %error, "did not stop");
             }
         }
     }

@@ -27,7 +27,7 @@ use ctos_core::{
     phase::{Phase, StopReason},
     system::{
         AllLinked, AppResult, AtBreakpoint, ChassisLinked, ChassisWanted, Finish, Interrupt,
-        ProcessEnded, Progress, RestartChassis, TaskFailed, TaskMoved,
+        ProcessEnded, RestartChassis, TaskFailed, TaskMoved,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -36,6 +36,7 @@ use tokio::sync::mpsc;
 use board::{Board, Event};
 use supervisor::Supervisor;
 
+pub use ctos_core::system::Progress;
 pub use outcome::{BootError, HostError, Outcome};
 pub use outcome::{contained, io_error};
 pub use overview::{AppReport, MemberReport, Overview};
@@ -68,18 +69,7 @@ pub enum BootEvent {
         took: Duration,
     },
     /// A task tells how far it is.
-    Progress {
-        /// The task.
-        task: String,
-        /// Steps done.
-        done: u64,
-        /// Steps in all.
-        total: u64,
-        /// What a step is.
-        step: String,
-        /// What happened at this one.
-        what: String,
-    },
+    Progress(Progress),
     /// A line that a chassis wrote to its log.
     Log {
         /// The chassis.
@@ -368,13 +358,7 @@ impl Bootstrap {
     fn progress(&self, progress: Progress) {
         // How far its tasks are is no news any more once the app is being taken down.
         if !self.0.is_stopping() {
-            self.0.event(&BootEvent::Progress {
-                task: progress.task,
-                done: progress.done,
-                total: progress.total,
-                step: progress.step,
-                what: progress.what,
-            });
+            self.0.event(&BootEvent::Progress(progress));
         }
     }
 

@@ -2,12 +2,15 @@
 //! task that is busy, or stuck, is seen as well as one that is idle.
 
 use crate::refusals::Refusals;
-use ctos_core::{chassis::Chassis, sync::CyclicStatistics, system::Seen, task_record::TaskRecord};
+use ctos_core::{
+    chassis::Chassis, look::TaskLook, sync::CyclicStatistics, task_record::TaskRecord,
+};
 use ctos_message::Tid;
 use ctos_record::Recorders;
+use ctos_time::Instant;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-pub use ctos_core::report::{ChassisReport, QueueReport, TaskReport, WaitReport};
+pub use ctos_core::report::{Activity, ChassisReport, TaskReport};
 
 /// Everything that is known of `chassis` now.
 pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
@@ -17,15 +20,14 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
     let processors = chassis.processors.iter();
     let cyclic = cyclic_times(&chassis.cyclics());
     ChassisReport {
-        chassis: chassis.name().to_owned(),
-        pid: std::process::id(),
-        now: chassis.clock.now(),
+        pid: Some(std::process::id()),
         processors: processors.map(|(name, _)| name.clone()).collect(),
         records: Recorders::of(chassis).reports(),
         tasks: chassis
             .tasks()
             .iter()
-            .map(|task| report(chassis, task, &cyclic))
+            .filter(|task| task.tid.processor() > 0)
+            .map(|task| (task.tid, report(chassis, task, &cyclic)))
             .collect(),
         refused: Refusals::of(chassis).count(),
     }
@@ -48,26 +50,48 @@ pub(crate) fn of_task(chassis: &Chassis, task: &TaskRecord) -> TaskReport {
 }
 
 fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Duration>) -> TaskReport {
-    let counters = task.statistics.read();
+    let (statistics, now) = (&task.statistics, chassis.clock.now());
+    let seconds = |since: Instant| now.since(since).as_secs_f64();
+    let counters = statistics.read();
     let config = chassis.app.task(&task.name);
     let handler = config.map_or_else(String::new, |config| config.handler.clone());
     let any = counters.handled > 0 || counters.began.is_some();
     let processor = chassis.processors.get(usize::from(task.tid.processor()));
+    let cyclic = cyclic.get(&*task.name).copied().unwrap_or_default();
+    let in_handler_s = counters.began.map(seconds);
+    let [urgent, normal, waiting] = task.mailbox.lengths();
+    let (_, capacity) = task.mailbox.depth();
+    let waits = statistics.waits().map(|waits| waits.read(now));
+    let waits = waits.unwrap_or_default();
+    let at = statistics.at();
+    let left = at.as_ref().and_then(|at| Some(at.until?.since(now)));
     TaskReport {
         name: task.name.to_string(),
-        tid: task.tid,
+        chassis: chassis.name().to_owned(),
         processor: processor.map_or_else(String::new, |(name, _)| name.clone()),
+        pid: Some(std::process::id()),
+        activity: match (waits.is_empty(), in_handler_s) {
+            (false, _) => Activity::Waits,
+            (true, Some(_)) => Activity::Busy,
+            (true, None) => Activity::Idle,
+        },
+        phase: counters.phase,
+        phase_s: statistics.phase_since().map_or(0.0, seconds),
+        handled: counters.handled,
+        failed: counters.failed,
+        busy_s: (counters.busy + cyclic).as_secs_f64() + in_handler_s.unwrap_or(0.0),
+        longest_s: counters.longest.as_secs_f64(),
+        in_handler_s,
         command: any.then(|| command_name(chassis, &handler, counters.command)),
         handler,
-        counters,
-        cyclic: cyclic.get(&*task.name).copied().unwrap_or_default(),
-        phase_since: task.statistics.phase_since(),
-        queue: task.mailbox.lengths(),
-        waits: task
-            .statistics
-            .waits()
-            .map_or_else(Vec::new, |waits| waits.read()),
-        at: task.statistics.at(),
+        urgent: urgent as u64,
+        queued: normal as u64,
+        senders_waiting: waiting as u64,
+        capacity: capacity as u64,
+        restarts: counters.restarts,
+        waits,
+        left_s: left.map(|left| left.as_secs_f64()),
+        at: at.map(|at| at.text),
     }
 }
 
@@ -82,14 +106,15 @@ pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> Strin
 }
 
 /// How the task `tid` of `chassis` is.
-pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<Seen> {
+pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<TaskLook> {
     let record = chassis.task(tid)?;
     let mut last = record.statistics.activity().recent.look(without);
     let task = of_task(chassis, &record);
-    for note in &mut last {
-        note.named = command_name(chassis, &task.handler, note.command);
+    for message in &mut last {
+        message.command = command_name(chassis, &task.handler, message.code);
     }
-    Some(Seen { task, last })
+    let until = record.statistics.at().and_then(|at| at.until);
+    Some(TaskLook { task, until, last })
 }
 
 #[cfg(test)]

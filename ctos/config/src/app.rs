@@ -53,14 +53,10 @@ pub struct App {
     pub semaphores: Vec<SharedConfig>,
     /// The barriers that the configuration declares, in declared order.
     pub barriers: Vec<SharedConfig>,
-    /// The file as given.
-    pub file: PathBuf,
-    /// The profiles that were chosen, the later ones on top.
-    pub profiles: Vec<String>,
-    /// The `--set` texts as given. With `file` and `profiles` they make the same app again in
-    /// another process.
-    pub sets: Vec<String>,
-    /// The folder that relative paths of the app start from: that of `file`.
+    /// What makes the same app again in another process of this host: the file and the `--set` texts as given,
+    /// and the profiles that were chosen.
+    pub selection: Selection,
+    /// The folder that relative paths of the app start from: that of its file.
     pub folder: PathBuf,
     /// Warnings; an app with errors is not made.
     pub warnings: Findings,
@@ -265,16 +261,6 @@ impl App {
     #[must_use]
     pub fn root(&self) -> &Node {
         &self.root
-    }
-
-    /// What makes the same app again in another process of this host.
-    #[must_use]
-    pub fn selection(&self) -> Selection {
-        Selection {
-            file: self.file.clone(),
-            profiles: self.profiles.clone(),
-            sets: self.sets.clone(),
-        }
     }
 
     /// The task of that name.

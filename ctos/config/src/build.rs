@@ -75,13 +75,10 @@ pub(super) fn build(
         chassis,
         tasks,
         folder: folder.map_or_else(|| PathBuf::from("."), PathBuf::from),
-        file: file.clone(),
-        profiles: trail
-            .applied
-            .iter()
-            .map(|profile| profile.key.clone())
-            .collect(),
-        sets: selection.sets.clone(),
+        selection: Selection {
+            profiles: trail.applied.iter().map(|one| one.key.clone()).collect(),
+            ..selection.clone()
+        },
         warnings: Findings::new(),
         trail,
         root,

@@ -14,14 +14,10 @@ use std::path::{Component, Path, PathBuf};
 /// down in a folder, from which chassis are started as they are here.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bundle {
-    /// Which of `files` is the app's.
-    pub file: String,
     /// Every file by its path relative to the deepest folder that holds them all, with `/`.
     pub files: BTreeMap<String, String>,
-    /// The chosen profiles.
-    pub profiles: Vec<String>,
-    /// The `--set` texts.
-    pub sets: Vec<String>,
+    /// Which of `files` is the app's, the profiles that were chosen and the `--set` texts.
+    pub selection: Selection,
     /// The environment variables that the files name; `None` = not set where the bundle was made,
     /// and must not be set where the app is read again.
     pub variables: BTreeMap<String, Option<String>>,
@@ -74,13 +70,14 @@ impl App {
             parts.collect::<Vec<_>>().join("/")
         };
         Ok(Bundle {
-            file: name(&whole(&self.file)?),
             files: files
                 .iter()
                 .map(|(path, text)| (name(path), text.clone()))
                 .collect(),
-            profiles: self.profiles.clone(),
-            sets: self.sets.clone(),
+            selection: Selection {
+                file: name(&whole(&self.selection.file)?).into(),
+                ..self.selection.clone()
+            },
             variables: self.trail.used.clone(),
         })
     }
@@ -121,8 +118,7 @@ impl Bundle {
             .collect();
         let set = |(name, value): (&String, &Option<String>)| Some((name.clone(), value.clone()?));
         let variables = self.variables.iter().filter_map(set).collect();
-        let selection = self.selection(PathBuf::from(&self.file));
-        selection.load_texts(&texts, &variables, expanders)
+        self.selection.load_texts(&texts, &variables, expanders)
     }
 
     /// Writes the files into `folder`, which is made, and returns what to read the app again by.
@@ -138,8 +134,9 @@ impl Bundle {
         if let Some(path) = self.files.keys().find(|path| !plain(path)) {
             return Err(BundleError::Path(path.clone()));
         }
-        if !self.files.contains_key(&self.file) {
-            return Err(BundleError::Missing(self.file.clone()));
+        let file = &self.selection.file;
+        if !self.files.keys().any(|path| Path::new(path) == file) {
+            return Err(BundleError::Missing(file.display().to_string()));
         }
         for (path, text) in &self.files {
             let path = folder.join(path);
@@ -148,14 +145,9 @@ impl Bundle {
                 .and_then(|()| std::fs::write(&path, text))
                 .map_err(|error| BundleError::Io { path, error })?;
         }
-        Ok(self.selection(folder.join(&self.file)))
-    }
-
-    fn selection(&self, file: PathBuf) -> Selection {
-        Selection {
-            file,
-            profiles: self.profiles.clone(),
-            sets: self.sets.clone(),
-        }
+        Ok(Selection {
+            file: folder.join(file),
+            ..self.selection.clone()
+        })
     }
 }

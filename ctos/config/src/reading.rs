@@ -88,7 +88,7 @@ fn load_from(
     let (root, trail) = (merged.root, merged.trail);
     let mut app = build(root, selection, trail, expanders, &mut findings);
     for profile in &merged.profiles {
-        if !app.profiles.contains(&profile.key) {
+        if !app.selection.profiles.contains(&profile.key) {
             let root = merged.bare.clone();
             check_idle(profile, root, files, expanders, &mut findings);
         }

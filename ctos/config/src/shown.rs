@@ -51,11 +51,11 @@ impl App {
     /// each value where it comes from.
     #[must_use]
     pub fn to_toml(&self) -> String {
-        let mut text = format!("# {}", self.file.display());
-        for profile in &self.profiles {
+        let mut text = format!("# {}", self.selection.file.display());
+        for profile in &self.selection.profiles {
             let _ = write!(text, " --profile {profile}");
         }
-        for set in &self.sets {
+        for set in &self.selection.sets {
             let _ = write!(text, " --set {}", set.escape_debug());
         }
         text.push('\n');

@@ -50,6 +50,8 @@ fn configured(app: &App, index: u8) -> Option<&ChassisConfig> {
 }
 
 /// One process's share of an app. Shared by its threads.
+#[derive(derive_more::Debug)]
+#[debug("Chassis({} `{}`)", self.index, self.name())]
 pub struct Chassis {
     index: u8,
     #[doc(hidden)]
@@ -360,11 +362,5 @@ impl Chassis {
         for (_, handle) in &self.processors {
             handle.stop();
         }
-    }
-}
-
-impl std::fmt::Debug for Chassis {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Chassis({} `{}`)", self.index, self.name())
     }
 }

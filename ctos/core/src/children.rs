@@ -10,7 +10,7 @@ use crate::{
     phase::{Phase, StopReason},
     runner::{Origin, TaskSpec, start_at},
     supervise::Policy,
-    system::{Quiesce, RegisterTid, Shutdown, TaskName},
+    system::{Quiesce, RegisterTid, Shutdown},
 };
 use ctos_config::Node;
 use ctos_message::{Tid, fault::CallError};
@@ -123,10 +123,7 @@ impl Context {
     }
 
     async fn bring_up(&self, child: &TaskRef) -> Result<(), CallError> {
-        let task = TaskName {
-            name: child.name().to_owned(),
-            tid: child.tid(),
-        };
+        let task = child.clone();
         self.call(&Self::server(), RegisterTid { task }).await?;
         let deadline = self.app().phase_timeout;
         for phase in Phase::ALL {

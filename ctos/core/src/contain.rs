@@ -16,11 +16,18 @@ pub fn note_panic(panic: &PanicHookInfo<'_>) {
     PLACE.set(panic.location().map(ToString::to_string));
 }
 
+/// Calls code of others.
+///
+/// # Errors
+/// What it said when it panicked.
+pub fn contained<T>(code: impl FnOnce() -> T) -> Result<T, String> {
+    catch_unwind(AssertUnwindSafe(code)).map_err(|panic| panic_text(panic.as_ref()))
+}
+
 /// Drops what may hold code of others: a destructor that panics must not end the thread.
 pub(crate) fn drop_contained<T>(value: T) {
-    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(value))) {
-        let text = panic_text(panic.as_ref());
-        tracing::error!(panic = %text, "a destructor panicked");
+    if let Err(panic) = contained(|| drop(value)) {
+        tracing::error!(%panic, "a destructor panicked");
     }
 }
 

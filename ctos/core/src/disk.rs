@@ -7,7 +7,6 @@
 use std::{
     any::Any,
     collections::BTreeMap,
-    fmt,
     path::{Path, PathBuf},
     sync::{Arc, Mutex},
 };
@@ -19,7 +18,8 @@ use crate::{
 use ctos_time::lock::lock;
 
 /// The files of a simulated host.
-#[derive(Default)]
+#[derive(Default, derive_more::Debug)]
+#[debug("Disk({} files)", lock(&self.files).len())]
 pub struct Disk {
     files: Mutex<BTreeMap<PathBuf, Arc<dyn Any + Send + Sync>>>,
 }
@@ -58,12 +58,6 @@ impl Chassis {
     /// It is simulated, and this survives it.
     pub fn set_disk(&self, disk: Arc<Disk>) {
         self.extend(Arc::new(OnDisk(Some(disk))));
-    }
-}
-
-impl fmt::Debug for Disk {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Disk({} files)", lock(&self.files).len())
     }
 }
 

@@ -1,12 +1,12 @@
 //! How a handler ends.
 
-use std::{fmt, sync::Arc};
+use std::sync::Arc;
 
 /// What a handler returns.
 pub type Handled = Result<(), HandlerError>;
 
 /// Why a handler could not do what it was asked. The caller gets the text.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, derive_more::Display)]
 pub struct HandlerError(
     /// One pointer, so that what a handler returns costs nothing to pass on.
     Arc<String>,
@@ -17,12 +17,6 @@ impl HandlerError {
     #[must_use]
     pub fn new(text: impl Into<String>) -> Self {
         Self(Arc::new(text.into()))
-    }
-}
-
-impl fmt::Display for HandlerError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
     }
 }
 

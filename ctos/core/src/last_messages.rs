@@ -17,14 +17,21 @@ use ctos_time::{Instant, lock::lock};
 /// So many messages of a task are kept.
 const KEPT: usize = 16;
 
-/// The short form of a message.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Note {
-    pub(crate) from: Tid,
-    pub command: u16,
-    pub named: String,
-    pub(crate) began: Instant,
-    pub(crate) ended: Option<(Duration, Ending)>,
+/// A message that a task handled, or handles.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LastMessage {
+    /// Who sent it.
+    pub from: String,
+    /// Its id.
+    pub(crate) sender: Tid,
+    /// The command's name; its code, where the task's handler does not declare it.
+    pub command: String,
+    /// The command's code.
+    pub code: u16,
+    /// When the handler was called.
+    pub began: Instant,
+    /// How long the handler took and how it ended; `None` while it has not.
+    pub ended: Option<(Duration, Ending)>,
 }
 
 /// The last messages of one task, once somebody has looked at it.
@@ -34,28 +41,28 @@ pub struct Recent(OnceLock<Box<Mutex<Kept>>>);
 #[derive(Debug, Default)]
 struct Kept {
     without: Vec<u16>,
-    notes: VecDeque<Note>,
+    messages: VecDeque<LastMessage>,
 }
 
 impl Kept {
-    fn push(&mut self, note: Note) {
-        if self.notes.len() == KEPT {
-            self.notes.pop_front();
+    fn push(&mut self, message: LastMessage) {
+        if self.messages.len() == KEPT {
+            self.messages.pop_front();
         }
-        self.notes.push_back(note);
+        self.messages.push_back(message);
     }
 }
 
 impl Recent {
-    /// What is kept, which begins with the first call.
-    pub fn look(&self, without: &[u16]) -> Vec<Note> {
+    /// What is kept, which begins with the first call. Names are not known here.
+    pub fn look(&self, without: &[u16]) -> Vec<LastMessage> {
         let mut kept = lock(self.0.get_or_init(Box::default));
         for command in without {
             if !kept.without.contains(command) {
                 kept.without.push(*command);
             }
         }
-        kept.notes.iter().cloned().collect()
+        kept.messages.iter().cloned().collect()
     }
 
     /// The handler is called with a message of `from`.
@@ -64,10 +71,11 @@ impl Recent {
         if let Some(kept) = self.0.get() {
             let mut kept = lock(kept);
             if !kept.without.contains(&command) {
-                kept.push(Note {
-                    from,
-                    command,
-                    named: String::new(),
+                kept.push(LastMessage {
+                    from: String::new(),
+                    sender: from,
+                    command: String::new(),
+                    code: command,
                     began,
                     ended: None,
                 });
@@ -81,9 +89,12 @@ impl Recent {
         if let Some(kept) = self.0.get() {
             let mut kept = lock(kept);
             // One that was begun before anybody looked is not there.
-            let open = kept.notes.back_mut().filter(|note| note.ended.is_none());
-            if let Some(note) = open.filter(|note| note.command == command) {
-                note.ended = Some((now.since(note.began), ending()));
+            let open = kept
+                .messages
+                .back_mut()
+                .filter(|message| message.ended.is_none());
+            if let Some(message) = open.filter(|message| message.code == command) {
+                message.ended = Some((now.since(message.began), ending()));
             }
         }
     }
@@ -116,10 +127,7 @@ mod tests {
         let kept = recent.look(&[]);
         assert_eq!(kept.len(), KEPT);
         let end = Some((Duration::from_nanos(3), Ending::Done));
-        assert!(
-            kept.iter()
-                .all(|note| note.command == 1 && note.ended == end)
-        );
+        assert!(kept.iter().all(|note| note.code == 1 && note.ended == end));
         assert_eq!(kept.last().map(|note| note.began), Some(at(990)));
     }
 

@@ -21,8 +21,6 @@ extern crate self as ctos;
 pub use serde;
 
 mod asleep;
-#[doc(hidden)]
-pub mod bench;
 pub mod chassis;
 #[doc(hidden)]
 pub mod children;

@@ -2,43 +2,31 @@
 
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     context::{Context, TaskRef},
     handled::HandlerError,
-    last_messages::Note,
     report::TaskReport,
-    system::{self, LookAt, NamesOf, Seen},
+    system::{self, LookAt, NamesOf},
 };
 use ctos_time::Instant;
 
-pub use crate::report::Ending;
+pub use crate::{last_messages::LastMessage, report::Ending};
 
 /// How long whoever is asked may take.
 const DEADLINE: Duration = Duration::from_secs(2);
 
 /// A task that somebody looks at.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TaskLook {
     /// How it is.
     pub task: TaskReport,
-    /// The moment at which it was so.
-    pub now: Instant,
+    /// When what it says that it is at will be over, if it is known.
+    pub until: Option<Instant>,
     /// The messages that it handled last, oldest first; the one at hand too. Those of before anybody looked at
     /// it are not known.
     pub last: Vec<LastMessage>,
-}
-
-/// A message that a task handled, or handles.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LastMessage {
-    /// Who sent it.
-    pub from: String,
-    /// The command's name; its code, where the task's handler does not declare it.
-    pub command: String,
-    /// When the handler was called.
-    pub began: Instant,
-    /// How long the handler took and how it ended; `None` while it has not.
-    pub ended: Option<(Duration, Ending)>,
 }
 
 impl Context {
@@ -55,36 +43,28 @@ impl Context {
             task: tid,
             without: without.to_vec(),
         };
-        let seen = self.call(&agent, ask).deadline(DEADLINE).await?;
-        let Some(Seen { task, last }) = seen else {
+        let looked = self.call(&agent, ask).deadline(DEADLINE).await?;
+        let Some(mut look) = looked else {
             return Err(HandlerError::new(format!("`{}` has ended", task.name())));
         };
-        let senders = self.names_of(&last).await?;
-        let told = |(note, from): (Note, String)| LastMessage {
-            from,
-            command: note.named,
-            began: note.began,
-            ended: note.ended,
-        };
-        Ok(TaskLook {
-            task,
-            now: self.now(),
-            last: last.into_iter().zip(senders).map(told).collect(),
-        })
+        self.name_senders(&mut look.last).await?;
+        Ok(look)
     }
 
-    /// The names of the senders of `notes`, one for each.
-    async fn names_of(&self, notes: &[Note]) -> Result<Vec<String>, HandlerError> {
-        let tids = notes.iter().map(|note| note.from).collect();
+    async fn name_senders(&self, messages: &mut [LastMessage]) -> Result<(), HandlerError> {
+        let tids = messages.iter().map(|message| message.sender).collect();
         let ask = NamesOf { tids };
         let names = self.call(&Self::server(), ask).deadline(DEADLINE).await?;
-        let name = |(name, note): (Option<String>, &Note)| match name {
-            Some(name) => name,
-            None if note.from.processor() == 0 => {
-                format!("runtime of {}", self.chassis().name_of(note.from.chassis()))
-            }
-            None => note.from.to_string(),
-        };
-        Ok(names.into_iter().zip(notes).map(name).collect())
+        for (message, name) in messages.iter_mut().zip(names) {
+            let sender = message.sender;
+            message.from = match name {
+                Some(name) => name,
+                None if sender.processor() == 0 => {
+                    format!("runtime of {}", self.chassis().name_of(sender.chassis()))
+                }
+                None => sender.to_string(),
+            };
+        }
+        Ok(())
     }
 }

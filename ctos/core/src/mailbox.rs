@@ -22,7 +22,6 @@ use crate::{
     envelope::Message,
     processor::{Item, Processor, ProcessorHandle},
     reply::ReplySlot,
-    report::QueueReport,
 };
 use ctos_message::fault::Fault;
 
@@ -66,14 +65,11 @@ impl Mailbox {
         if urgent { &self.urgent } else { &self.normal }
     }
 
-    /// How much is in it, as senders on other threads see it.
-    pub fn lengths(&self) -> QueueReport {
-        QueueReport {
-            urgent: self.urgent.taken() as u64,
-            normal: self.normal.taken() as u64,
-            waiting: (self.urgent.waiting() + self.normal.waiting()) as u64,
-            capacity: self.capacity() as u64,
-        }
+    /// Messages of high and of normal priority in it, and senders that wait for a credit, as senders on other
+    /// threads see it.
+    pub fn lengths(&self) -> [usize; 3] {
+        let waiting = self.urgent.waiting() + self.normal.waiting();
+        [self.urgent.taken(), self.normal.taken(), waiting]
     }
 
     /// How many messages are in it, on their way to it or wait for a credit, and how many of each priority

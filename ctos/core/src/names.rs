@@ -19,13 +19,12 @@ use tokio::sync::oneshot;
 use away::Presence;
 
 use crate::{
-    context::Context,
+    context::{Context, TaskRef},
     envelope::Replier,
     handled::Handled,
     system::{
         self, AbortMove, AwaitTid, Change, ChassisNews, CommitMove, FindTid, FirstSlots, Monitor,
-        MoveTask, MovedTasks, NamesOf, Place, Rebound, RegisterTid, TaskChanged, TaskName,
-        WhoWaits,
+        MoveTask, MovedTasks, NamesOf, Place, Rebound, RegisterTid, TaskChanged, WhoWaits,
     },
 };
 use ctos_message::{CommandInfo, Tid};
@@ -79,7 +78,7 @@ impl TidServer {
             let chassis = cx.chassis().name_of(tid.chassis());
             format!("task {tid} on chassis `{chassis}`")
         };
-        match state.names.get(&task.name) {
+        match state.names.get(&*task.name) {
             Some(tid) if *tid == task.tid => return Ok(()),
             Some(tid) => {
                 return Err(format!(
@@ -97,11 +96,11 @@ impl TidServer {
                 task.tid
             ));
         }
-        state.used.insert(task.tid, task.name.clone());
-        state.names.insert(task.name.clone(), task.tid);
-        let before = state.past.remove(&task.name);
-        state.ended.remove(&task.name);
-        let waiters = state.waiting.remove(&task.name).unwrap_or_default();
+        state.used.insert(task.tid, task.name.to_string());
+        state.names.insert(task.name.to_string(), task.tid);
+        let before = state.past.remove(&*task.name);
+        state.ended.remove(&*task.name);
+        let waiters = state.waiting.remove(&*task.name).unwrap_or_default();
         drop(state);
         if let Some(old) = before {
             broadcast(cx, &task.name, old, Some(task.tid));
@@ -155,7 +154,7 @@ impl TidServer {
             if !self.state.borrow_mut().free(&task) {
                 return;
             }
-            self.state.borrow_mut().ended.insert(task.name.clone());
+            self.state.borrow_mut().ended.insert(task.name.to_string());
             broadcast(cx, &task.name, task.tid, None);
         }
         self.notify(cx, &task, &change);
@@ -215,14 +214,11 @@ impl TidServer {
     #[chassis_down]
     fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
         let here = cx.chassis();
-        let gone: Vec<TaskName> = {
+        let gone: Vec<TaskRef> = {
             let state = self.state.borrow();
             let all = state.names.iter();
             all.filter(|(_, tid)| here.name_of(tid.chassis()) == chassis)
-                .map(|(name, tid)| TaskName {
-                    name: name.clone(),
-                    tid: *tid,
-                })
+                .map(|(name, tid)| TaskRef::new(name.as_str(), *tid))
                 .collect()
         };
         for task in gone {
@@ -250,33 +246,33 @@ impl Names {
     }
 
     /// The name has no task any more.
-    fn free(&mut self, task: &TaskName) -> bool {
-        if self.names.get(&task.name) != Some(&task.tid) {
+    fn free(&mut self, task: &TaskRef) -> bool {
+        if self.names.get(&*task.name) != Some(&task.tid) {
             return false;
         }
-        self.names.remove(&task.name);
-        self.past.insert(task.name.clone(), task.tid);
+        self.names.remove(&*task.name);
+        self.past.insert(task.name.to_string(), task.tid);
         true
     }
 }
 
 impl TidServer {
     /// Tells those who monitor a task, if the change is one.
-    fn notify(&self, cx: &Context, task: &TaskName, change: &Change) {
+    fn notify(&self, cx: &Context, task: &TaskRef, change: &Change) {
         let mut state = self.state.borrow_mut();
         let news = match change {
-            Change::Up => state.down.remove(&task.name),
-            Change::Down { .. } => state.down.insert(task.name.clone()),
+            Change::Up => state.down.remove(&*task.name),
+            Change::Down { .. } => state.down.insert(task.name.to_string()),
             // Also when it was being restarted: it will not come up by itself.
             Change::Ended { .. } => {
-                state.down.insert(task.name.clone());
+                state.down.insert(task.name.to_string());
                 true
             }
         };
         if !news {
             return;
         }
-        for watcher in state.monitors.get(&task.name).into_iter().flatten() {
+        for watcher in state.monitors.get(&*task.name).into_iter().flatten() {
             let changed = TaskChanged {
                 task: task.clone(),
                 change: change.clone(),

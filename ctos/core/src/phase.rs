@@ -31,34 +31,27 @@ impl fmt::Display for Phase {
 }
 
 /// Why tasks are told to stop.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, derive_more::Display)]
 pub enum StopReason {
     /// The app has its result.
+    #[display("the app has finished")]
     Finished,
     /// The person asked for it.
+    #[display("the app was interrupted")]
     Interrupted,
     /// This task alone was told to end; the app goes on.
+    #[display("the task was told to shut down")]
     Shutdown,
     /// A chassis is gone.
+    #[display("chassis `{chassis}` is gone")]
     ChassisDown {
         /// Its name.
         chassis: String,
     },
     /// A task failed for good, or a startup phase did.
+    #[display("{what}")]
     Failed {
         /// Who and why.
         what: String,
     },
-}
-
-impl fmt::Display for StopReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Finished => f.write_str("the app has finished"),
-            Self::Interrupted => f.write_str("the app was interrupted"),
-            Self::Shutdown => f.write_str("the task was told to shut down"),
-            Self::ChassisDown { chassis } => write!(f, "chassis `{chassis}` is gone"),
-            Self::Failed { what } => f.write_str(what),
-        }
-    }
 }

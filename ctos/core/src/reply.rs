@@ -3,7 +3,6 @@
 
 use std::{
     cell::{Cell, RefCell},
-    fmt,
     future::Future,
     pin::Pin,
     sync::{
@@ -172,6 +171,8 @@ enum ReplyTo {
 /// The right to answer one message. Dropped without an answer, it tells the caller
 /// [`Fault::NoReply`]: at once, or, where the handler of the message itself drops it, when it is known
 /// how that handler ended, which may be a better answer.
+#[derive(derive_more::Debug)]
+#[debug("ReplySlot {{ open: {} }}", self.to.is_some())]
 pub struct ReplySlot {
     to: Option<ReplyTo>,
     /// The message at hand; 0 while it is not being handled.
@@ -265,12 +266,6 @@ fn drop_unanswered(slot: ReplySlot) {
     }
 }
 
-impl fmt::Debug for ReplySlot {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ReplySlot {{ open: {} }}", self.to.is_some())
-    }
-}
-
 /// Names an answer that is owed, without the right to give it: for the loop of the task, whose handler
 /// has that right, and may have passed it on.
 pub(crate) enum ReplyKey {
@@ -315,13 +310,7 @@ pub(crate) fn next_serial() -> u64 {
 /// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
 /// until it is known how the handler ended.
 pub(crate) fn handling<T>(serial: u64, code: impl FnOnce() -> T) -> T {
-    struct Restore(u64);
-    impl Drop for Restore {
-        fn drop(&mut self) {
-            HANDLING.set(self.0);
-        }
-    }
-    let _restore = Restore(HANDLING.replace(serial));
+    let _restore = scopeguard::guard(HANDLING.replace(serial), |before| HANDLING.set(before));
     code()
 }
 

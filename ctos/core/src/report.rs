@@ -9,49 +9,84 @@ use ctos_message::Tid;
 use ctos_time::Instant;
 
 /// A chassis at a moment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ChassisReport {
-    /// Its name.
-    pub chassis: String,
     /// Its process.
-    pub pid: u32,
-    /// The moment, on the chassis's clock.
-    pub now: Instant,
+    pub pid: Option<u32>,
     /// Its processors, in declared order, that of the runtime first.
     pub processors: Vec<String>,
-    /// Its tasks, those of the runtime too.
-    pub tasks: Vec<TaskReport>,
+    /// Its tasks, without those of the runtime.
+    pub tasks: Vec<(Tid, TaskReport)>,
     /// How many callers were refused.
     pub refused: u64,
     /// Its records, if it is recorded.
     pub records: Vec<RecordReport>,
 }
 
+/// What a task does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Activity {
+    /// It waits for messages.
+    Idle,
+    /// Its handler is at work.
+    Busy,
+    /// Its handler, or a child, waits for another task.
+    Waits,
+    /// Its chassis is gone, or does not answer.
+    #[default]
+    Gone,
+}
+
 /// A task at a moment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct TaskReport {
     /// Its symbolic name.
     pub name: String,
-    /// Its id.
-    pub tid: Tid,
-    /// The registered name of its handler; empty for tasks that no configuration declares.
-    pub handler: String,
-    /// Its processor's name.
+    /// Its chassis.
+    pub chassis: String,
+    /// Its processor.
     pub processor: String,
-    /// What it has done.
-    pub counters: TaskCounters,
-    /// What its synchronous functions have taken, those that are on the schedule now.
-    pub cyclic: Duration,
-    /// When it entered its last startup phase.
-    pub phase_since: Option<Instant>,
+    /// Its handler's registered name; empty for tasks that no configuration declares.
+    pub handler: String,
+    /// The process it runs in.
+    pub pid: Option<u32>,
+    /// What it does.
+    pub activity: Activity,
+    /// The startup phase it has passed.
+    pub phase: Option<Phase>,
+    /// For how long, s.
+    pub phase_s: f64,
+    /// Messages handled.
+    pub handled: u64,
+    /// Of these, those that ended with an error.
+    pub failed: u64,
+    /// Time spent in the handler, waiting for others included, and in its synchronous functions, s.
+    pub busy_s: f64,
+    /// The longest that one message took, s.
+    pub longest_s: f64,
+    /// How long it has been at the message at hand, s.
+    pub in_handler_s: Option<f64>,
     /// The command at hand, or the last one, by name; `None` before the first.
     pub command: Option<String>,
-    /// What is in its queue.
-    pub queue: QueueReport,
+    /// Messages of high priority in its queue.
+    pub urgent: u64,
+    /// Messages of normal priority in its queue.
+    pub queued: u64,
+    /// Senders that wait for space in its queue.
+    pub senders_waiting: u64,
+    /// How many messages of each priority its queue holds.
+    pub capacity: u64,
+    /// How often its handler was built anew.
+    pub restarts: u64,
     /// What it waits for, longest first.
     pub waits: Vec<WaitReport>,
-    /// What it says that it is at.
-    pub at: Option<AtReport>,
+    /// What it says that it is at, in words.
+    #[serde(default)]
+    pub at: Option<String>,
+    /// How long that will go on, as far as it is known, s.
+    #[serde(default)]
+    pub left_s: Option<f64>,
 }
 
 /// What a task says that it is at, besides its messages.
@@ -63,28 +98,15 @@ pub struct AtReport {
     pub until: Option<Instant>,
 }
 
-/// What is in a queue.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct QueueReport {
-    /// Messages of high priority.
-    pub urgent: u64,
-    /// Messages of normal priority.
-    pub normal: u64,
-    /// Senders that wait for a credit.
-    pub waiting: u64,
-    /// How many messages of each priority it holds at most.
-    pub capacity: u64,
-}
-
 /// A call, or a send, that has not ended yet.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WaitReport {
     /// The asked task.
     pub to: String,
     /// The command's name.
     pub command: String,
-    /// Since when.
-    pub since: Instant,
+    /// For how long, s.
+    pub for_s: f64,
 }
 
 /// The counters of one task at a moment.

@@ -7,8 +7,8 @@ pub(crate) mod serving;
 
 use crate::{
     chassis::Chassis,
-    contain::panic_text,
-    context::{Context, TaskRef},
+    contain::contained,
+    context::Context,
     envelope::Message,
     handled::{Handled, HandlerError},
     mailbox::queue::TaskQueue,
@@ -31,7 +31,7 @@ use crate::{
 };
 use ctos_config::TaskConfig;
 use ctos_message::{Command, SYSTEM_COMMANDS, Tid, fault::Fault};
-use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+use std::{cell::Cell, future::poll_fn, pin::pin, rc::Rc, sync::Arc};
 
 use futures_util::{FutureExt, future::LocalBoxFuture};
 
@@ -131,18 +131,16 @@ pub(crate) fn start_at(
     let recipe = spec.recipe;
     let handler = cx.inner.in_first_turn(|| build_contained(&recipe, &cx))?;
     let record = cx.inner.record.clone();
-    let (mut parent, mut arrival) = (None, None);
-    let queue = match origin {
-        Origin::Boot => TaskQueue::open(record.clone()),
-        Origin::StartedBy(by) => {
-            parent = Some(by);
-            TaskQueue::open(record.clone())
-        }
-        Origin::Moved(from) => {
-            arrival = Some(Box::new(from));
-            let gates = chassis.others().chain([chassis.index()]).collect();
-            TaskQueue::gated(record.clone(), gates)
-        }
+    let (parent, arrival) = match origin {
+        Origin::Boot => (None, None),
+        Origin::StartedBy(by) => (Some(by), None),
+        Origin::Moved(from) => (None, Some(Box::new(from))),
+    };
+    let queue = if arrival.is_some() {
+        let gates = chassis.others().chain([chassis.index()]).collect();
+        TaskQueue::gated(record.clone(), gates)
+    } else {
+        TaskQueue::open(record.clone())
     };
     processor.add_queue(record.tid.slot(), queue.clone());
     chassis.add_built(record.clone());
@@ -179,11 +177,9 @@ pub(crate) fn start_at(
 }
 
 fn build_contained(recipe: &Recipe, cx: &Context) -> Result<Box<dyn DynHandler>, HandlerError> {
-    std::panic::catch_unwind(AssertUnwindSafe(|| (recipe.build)(cx))).unwrap_or_else(|panic| {
-        Err(HandlerError::new(format!(
-            "panicked while it was built: {}",
-            panic_text(panic.as_ref())
-        )))
+    contained(|| (recipe.build)(cx)).unwrap_or_else(|panic| {
+        let text = format!("panicked while it was built: {panic}");
+        Err(HandlerError::new(text))
     })
 }
 
@@ -310,37 +306,28 @@ impl Runner {
     /// Stores the state of a durable task after a message, if it has changed, and lets go of the answers that waited
     /// for that. Why the handler has failed, if it has.
     async fn store_state(&mut self, panicked: Option<String>) -> Result<(), String> {
-        let kept = self.cx.inner.kept.clone();
-        let (instead, why) = match (panicked, &kept, &self.handler) {
-            (Some(text), ..) => {
+        let failed = match (panicked, &self.handler) {
+            (Some(text), _) => {
                 let why = format!("its handler panicked: {text}");
-                (Fault::Panicked { text }, why)
+                Some((Fault::Panicked { text }, why))
             }
-            (None, Some(_), Some(handler)) if self.resumed => {
-                let state = std::panic::catch_unwind(AssertUnwindSafe(|| handler.state()));
-                let stored = match state {
+            (None, Some(handler)) if self.resumed && self.cx.inner.kept.is_some() => {
+                let stored = match contained(|| handler.state()) {
                     Ok(Ok(state)) => self.cx.store_state(state).await,
                     Ok(Err(error)) => Err(error),
-                    Err(panic) => Err(HandlerError::new(panic_text(panic.as_ref()))),
+                    Err(panic) => Err(HandlerError::new(panic)),
                 };
-                match stored {
-                    Ok(()) => {
-                        kept.iter().for_each(|kept| kept.release(None));
-                        return Ok(());
-                    }
-                    Err(error) => {
-                        let text = format!("its state could not be stored: {error}");
-                        (Fault::Refused { text: text.clone() }, text)
-                    }
-                }
+                stored.err().map(|error| {
+                    let text = format!("its state could not be stored: {error}");
+                    (Fault::Refused { text: text.clone() }, text)
+                })
             }
-            (None, ..) => {
-                kept.iter().for_each(|kept| kept.release(None));
-                return Ok(());
-            }
+            (None, _) => None,
         };
-        kept.iter().for_each(|kept| kept.release(Some(&instead)));
-        Err(why)
+        if let Some(kept) = &self.cx.inner.kept {
+            kept.release(failed.as_ref().map(|(instead, _)| instead));
+        }
+        failed.map_or(Ok(()), |(_, why)| Err(why))
     }
 
     /// Calls the handler of a durable task for the first time: it goes on from what its last process has stored.
@@ -440,9 +427,8 @@ impl Runner {
 
 /// Drops a handler; a destructor that panics is no reason to lose the task.
 pub(crate) fn drop_handler(cx: &Context, handler: Box<dyn DynHandler>) {
-    if let Err(panic) = std::panic::catch_unwind(AssertUnwindSafe(|| drop(handler))) {
-        let text = panic_text(panic.as_ref());
-        tracing::error!(task = %cx.name(), panic = %text, "its destructor panicked");
+    if let Err(panic) = contained(|| drop(handler)) {
+        tracing::error!(task = %cx.name(), %panic, "its destructor panicked");
     }
 }
 
@@ -459,10 +445,7 @@ async fn chassis_up(handler: &mut dyn DynHandler, cx: &Context, message: Message
 async fn task_changed(handler: &mut dyn DynHandler, cx: &Context, message: Message) -> Handled {
     let (TaskChanged { task, change }, _) = message.open::<TaskChanged>()?;
     match change {
-        Change::Up => {
-            let task = TaskRef::new(task.name, task.tid);
-            handler.tell(cx, Notice::TaskUp(&task)).await
-        }
+        Change::Up => handler.tell(cx, Notice::TaskUp(&task)).await,
         Change::Down { reason } | Change::Ended { reason } => {
             handler
                 .tell(cx, Notice::TaskDown(&task.name, &reason))

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    last_messages::Note,
+    context::TaskRef,
+    look::TaskLook,
     phase::{Phase, StopReason},
-    report::{ChassisReport, TaskCounters, TaskReport},
+    report::{ChassisReport, TaskCounters},
 };
 use ctos_message::{Command, Tid, command};
 
@@ -47,19 +48,10 @@ pub struct CommandDescription {
     pub doc: String,
 }
 
-/// A task as the task identification service knows it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TaskName {
-    /// Its symbolic name.
-    pub name: String,
-    /// Its id.
-    pub tid: Tid,
-}
-
 /// What became of the tasks that a chassis was told to create.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Created {
-    pub tasks: Vec<TaskName>,
+    pub tasks: Vec<TaskRef>,
     /// Task and reason.
     pub failed: Vec<(String, String)>,
 }
@@ -94,7 +86,7 @@ command! {
     pub struct ChassisDown { pub chassis: String } => (), 0xff04, "chassis_down";
 
     /// Adds a task to the names.
-    pub struct RegisterTid { pub task: TaskName } => (), 0xff10, "register_tid";
+    pub struct RegisterTid { pub task: TaskRef } => (), 0xff10, "register_tid";
 
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
     /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
@@ -115,11 +107,17 @@ command! {
     pub struct Exit { pub code: i32 } => (), 0xff21, "exit";
 
     /// Tells how far a task is.
+    #[derive(Debug, Clone, PartialEq)]
     pub struct Progress {
+        /// The task.
         pub task: String,
+        /// Steps done.
         pub done: u64,
+        /// Steps in all.
         pub total: u64,
+        /// What a step is.
         pub step: String,
+        /// What happened at this one.
         pub what: String,
     } => (), 0xff30, "progress";
 
@@ -175,7 +173,7 @@ command! {
 
     /// Asks an agent how a task is and what it handled last; from then on that is kept, without messages of
     /// the commands `without`.
-    pub struct LookAt { pub task: Tid, pub without: Vec<u16> } => Option<Seen>, 0xff58, "look_at";
+    pub struct LookAt { pub task: Tid, pub without: Vec<u16> } => Option<TaskLook>, 0xff58, "look_at";
 
     /// Comes to an orderly stop; the app goes on without the task, or with it built anew.
     pub struct Shutdown => (), 0xff60, "shutdown";
@@ -234,7 +232,7 @@ command! {
     pub struct Monitor { pub name: String } => bool, 0xff6c, "monitor";
 
     /// Tells what became of a task.
-    pub struct TaskChanged { pub task: TaskName, pub change: Change } => (), 0xff6d, "task_changed";
+    pub struct TaskChanged { pub task: TaskRef, pub change: Change } => (), 0xff6d, "task_changed";
 
     /// Asks an agent whom a task waits for.
     pub struct WaitsFor { pub task: Tid } => Option<Waits>, 0xff6e, "waits_for";
@@ -252,13 +250,7 @@ command! {
     pub struct NamesOf { pub tids: Vec<Tid> } => Vec<Option<String>>, 0xff14, "names_of";
 
     /// Tells the bootstrap service that a task is at another place now.
-    pub struct TaskMoved { pub task: TaskName, pub old: Tid } => (), 0xff70, "task_moved";
-}
-/// What an agent tells of a task of its chassis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Seen {
-    pub task: TaskReport,
-    pub last: Vec<Note>,
+    pub struct TaskMoved { pub task: TaskRef, pub old: Tid } => (), 0xff70, "task_moved";
 }
 
 /// Why a name leads to no task.

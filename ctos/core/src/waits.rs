@@ -70,24 +70,20 @@ impl Waits {
         Some((latest.tid, latest.since))
     }
 
-    /// What is waited for now, longest first.
-    pub fn read(&self) -> Vec<WaitReport> {
+    /// What is waited for at `now`, longest first.
+    pub fn read(&self, now: Instant) -> Vec<WaitReport> {
         let Some(entries) = self.entries.get() else {
             return Vec::new();
         };
         let entries = lock(entries);
-        let mut waits: Vec<WaitReport> = entries
-            .iter()
-            .flatten()
-            .map(|entry| WaitReport {
-                to: entry.to.to_string(),
-                command: entry.command.to_owned(),
-                since: entry.since,
-            })
-            .collect();
-        drop(entries);
-        waits.sort_by(|one, other| (one.since, &one.to).cmp(&(other.since, &other.to)));
-        waits
+        let mut waits: Vec<&Entry> = entries.iter().flatten().collect();
+        waits.sort_by_key(|entry| (entry.since, &entry.to));
+        let report = |entry: &Entry| WaitReport {
+            to: entry.to.to_string(),
+            command: entry.command.to_owned(),
+            for_s: now.since(entry.since).as_secs_f64(),
+        };
+        waits.into_iter().map(report).collect()
     }
 }
 
@@ -101,7 +97,11 @@ mod tests {
         let first = waits.begin("arm".into(), Tid::default(), "go", Instant::from_nanos(5));
         let second = waits.begin("eye".into(), Tid::default(), "look", Instant::from_nanos(3));
         let names = |waits: &Waits| -> Vec<String> {
-            waits.read().into_iter().map(|wait| wait.to).collect()
+            waits
+                .read(Instant::START)
+                .into_iter()
+                .map(|wait| wait.to)
+                .collect()
         };
         assert_eq!(names(&waits), ["eye", "arm"]);
         waits.end(first);

@@ -1,28 +1,22 @@
 //! Where a chassis can be reached, as text and as data.
 
-use std::{fmt, net::SocketAddr, path::PathBuf, str::FromStr};
+use std::{net::SocketAddr, path::PathBuf, str::FromStr};
 
+use derive_more::Display;
 use serde::{Deserialize, Serialize};
 
 /// Where a chassis can be reached.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, Display)]
 pub enum Address {
     /// A port of a host.
+    #[display("tcp:{_0}")]
     Tcp(SocketAddr),
     /// A socket in the file system of this host.
+    #[display("unix:{}", _0.display())]
     Unix(PathBuf),
     /// A key of the zenoh network that the app's processes have joined.
+    #[display("zenoh:{_0}")]
     Zenoh(String),
-}
-
-impl fmt::Display for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Tcp(address) => write!(f, "tcp:{address}"),
-            Self::Unix(path) => write!(f, "unix:{}", path.display()),
-            Self::Zenoh(key) => write!(f, "zenoh:{key}"),
-        }
-    }
 }
 
 /// A text that is no address.

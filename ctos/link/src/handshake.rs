@@ -4,7 +4,7 @@
 //! Everything a stranger sends is bounded, and nothing of it is believed before the run's secret was
 //! said.
 
-use std::{fmt, io};
+use std::io;
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
@@ -17,8 +17,10 @@ pub const GREETING: [u8; 8] = *b"ctos\0\0\0\x06";
 /// The most that is read before both ends know each other, bytes.
 pub const HANDSHAKE_LIMIT: usize = 16 * 1024;
 
-/// The secret of one run, known to the chassis that were started for it.
-#[derive(Clone, Serialize, Deserialize)]
+/// The secret of one run, known to the chassis that were started for it. Handshakes are shown in logs; secrets
+/// are not.
+#[derive(Clone, Serialize, Deserialize, derive_more::Debug)]
+#[debug("Token(..)")]
 pub struct Token(pub String);
 
 /// In a time that does not depend on where they differ.
@@ -27,13 +29,6 @@ impl PartialEq for Token {
         let (ours, theirs) = (self.0.as_bytes(), other.0.as_bytes());
         let differ = ours.iter().zip(theirs).fold(0, |all, (a, b)| all | (a ^ b));
         differ == 0 && ours.len() == theirs.len()
-    }
-}
-
-/// Handshakes are shown in logs; secrets are not.
-impl fmt::Debug for Token {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Token(..)")
     }
 }
 
@@ -48,7 +43,9 @@ impl Token {
 }
 
 /// A process, so that others on its host can see it end.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+///
+/// The default is one that nobody sees.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Process {
     /// The same for all processes that see each other's numbers.
     pub host: String,
@@ -69,14 +66,6 @@ impl Process {
         Self {
             host: format!("{}/{}/{}/{user}", boot.trim(), space("pid"), space("mnt")),
             pid: std::process::id(),
-        }
-    }
-
-    /// One that nobody sees.
-    pub fn unseen() -> Self {
-        Self {
-            host: String::new(),
-            pid: 0,
         }
     }
 

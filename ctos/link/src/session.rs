@@ -53,6 +53,8 @@ pub trait Receiver: Send + Sync {
 }
 
 /// One end of a session, shared by the threads that post to it and read its streams.
+#[derive(derive_more::Debug)]
+#[debug("Session({:?})", self.state())]
 pub struct Session {
     clock: Clock,
     joined: Mutex<Joined>,
@@ -386,12 +388,6 @@ fn trace(frame: &Frame, way: &'static str) {
         bytes = frame.body.len(),
         "{way}"
     );
-}
-
-impl fmt::Debug for Session {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Session({:?})", self.state())
-    }
 }
 
 #[cfg(test)]

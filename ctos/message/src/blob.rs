@@ -34,7 +34,8 @@ pub const LEAST: usize = 16 * 1024;
 /// let picture = Blob::from(vec![0_u8; 500 * 500]);
 /// assert_eq!(picture.len(), 250_000);
 /// ```
-#[derive(Clone, Default, PartialEq, Eq)]
+#[derive(Clone, Default, PartialEq, Eq, derive_more::Debug)]
+#[debug("Blob({} bytes)", self.0.len())]
 pub struct Blob(Bytes);
 
 thread_local! {
@@ -90,12 +91,6 @@ impl From<Blob> for Vec<u8> {
     /// Without a copy where the blob is the only owner of all its memory.
     fn from(blob: Blob) -> Self {
         blob.0.into()
-    }
-}
-
-impl fmt::Debug for Blob {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Blob({} bytes)", self.0.len())
     }
 }
 
@@ -230,22 +225,13 @@ impl PartialEq for Body {
 
 impl Eq for Body {}
 
-/// Empties a place of this thread when what it was filled for is over, also by a panic.
-struct Emptied<T: 'static>(&'static std::thread::LocalKey<RefCell<Option<T>>>);
-
-impl<T> Drop for Emptied<T> {
-    fn drop(&mut self) {
-        self.0.set(None);
-    }
-}
-
 /// What `encode` writes; large blobs among it are shared instead of copied, where its output asks
 /// [`collect`].
 ///
 /// # Errors
 /// Those of `encode`.
 pub fn body_of<E>(encode: impl FnOnce() -> Result<Vec<u8>, E>) -> Result<Body, E> {
-    let emptied = Emptied(&COLLECTED);
+    let emptied = scopeguard::guard((), |()| COLLECTED.set(None));
     COLLECTED.set(Some(Vec::new()));
     let mut bytes = encode()?;
     let blobs = COLLECTED.take().unwrap_or_default();
@@ -287,7 +273,7 @@ pub fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T {
         return decode(&bytes);
     }
     let bytes = Bytes::from(bytes);
-    let _emptied = Emptied(&READ);
+    let _emptied = scopeguard::guard((), |()| READ.set(None));
     READ.set(Some(bytes.clone()));
     decode(&bytes)
 }

@@ -1,7 +1,5 @@
 //! Commands: the typed requests that tasks take, and what is known of them without their types.
 
-use std::fmt;
-
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
@@ -71,7 +69,8 @@ pub struct CommandInfo {
 type Split = fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>;
 
 /// A type of data, for programs that do not know it and have the postcard bytes of its values.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, derive_more::Debug)]
+#[debug("DataType")]
 pub struct DataType {
     shape: fn() -> Option<Shape>,
     fields: fn() -> usize,
@@ -119,12 +118,6 @@ impl PartialEq for DataType {
 }
 
 impl Eq for DataType {}
-
-impl fmt::Debug for DataType {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("DataType")
-    }
-}
 
 /// Declares typed commands: each request with its documentation, `=>` its reply, code and name. With `all NAME;`
 /// in front, `NAME` is the list of them.

@@ -1,6 +1,6 @@
 //! The data of a message: a value inside a chassis, postcard bytes between chassis.
 
-use std::{any::Any, fmt};
+use std::any::Any;
 
 use serde::{Serialize, de::DeserializeOwned};
 use smallbox::{SmallBox, smallbox};
@@ -108,10 +108,13 @@ pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadErro
 type Inline = [u64; 9];
 
 /// The data of a message: a typed value inside a chassis, bytes from another one.
+#[derive(derive_more::Debug)]
 pub enum Data {
     /// A value of the sender's.
+    #[debug("Typed(..)")]
     Typed(SmallBox<dyn Payload, Inline>),
     /// Postcard bytes.
+    #[debug("Bytes({})", _0.len())]
     Bytes(Vec<u8>),
 }
 
@@ -201,14 +204,5 @@ impl Data {
         let mut bytes = Vec::with_capacity(USUAL);
         self.append_to(&mut bytes)?;
         Ok(bytes)
-    }
-}
-
-impl fmt::Debug for Data {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Typed(_) => f.write_str("Typed(..)"),
-            Self::Bytes(bytes) => write!(f, "Bytes({})", bytes.len()),
-        }
     }
 }

@@ -91,37 +91,6 @@ impl Frame {
 }
 
 /// For the tests of those who carry frames.
-#[doc(hidden)]
-impl Frame {
-    /// Head and data in one piece.
-    pub fn encode(&self) -> Vec<u8> {
-        [&self.head()[..], &self.body.clone().into_vec()].concat()
-    }
-
-    /// Reads what [`Self::encode`] wrote.
-    pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let (head, body) = bytes.split_at(FRAME_FIXED.min(bytes.len()));
-        Self::from_parts(head, body.to_vec().into())
-    }
-
-    /// A request with this data.
-    pub fn of_body(body: Vec<u8>) -> Self {
-        Self {
-            header: Header {
-                to: crate::Tid::new(1, 1, 0),
-                from: crate::Tid::new(2, 1, 0),
-                command: 1,
-                flags: crate::Flags::REPLY_WAIT,
-                size: u32::try_from(body.len()).unwrap_or(u32::MAX),
-            },
-            call: 1,
-            trace: 0,
-            left_ns: NO_DEADLINE,
-            body: body.into(),
-        }
-    }
-}
-
 /// A link that takes no more for the moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Full {
@@ -183,7 +152,7 @@ mod tests {
                     to: Tid::from_bits(to),
                     from: Tid::from_bits(from),
                     command,
-                    flags: Flags::from_bits(flags),
+                    flags: Flags::from_bits_retain(flags),
                     size: body.len() as u32,
                 },
                 call,
@@ -191,12 +160,14 @@ mod tests {
                 left_ns,
                 body: body.into(),
             };
-            prop_assert_eq!(Frame::decode(&frame.encode()).unwrap(), frame);
+            let read = Frame::from_parts(&frame.head(), frame.body.clone());
+            prop_assert_eq!(read.unwrap(), frame);
         }
 
         #[test]
         fn rubbish_is_an_error_and_never_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..100)) {
-            if let Ok(frame) = Frame::decode(&bytes) {
+            let (head, body) = bytes.split_at(FRAME_FIXED.min(bytes.len()));
+            if let Ok(frame) = Frame::from_parts(head, body.to_vec().into()) {
                 prop_assert_eq!(frame.body.len() + FRAME_FIXED, bytes.len());
             }
         }

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use bitflags::bitflags;
 use serde::Serialize;
 
 /// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
@@ -60,52 +61,28 @@ impl fmt::Debug for Tid {
     }
 }
 
-/// Message handling flags.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub struct Flags(u16);
-
-impl Flags {
-    /// Nothing special.
-    pub const NONE: Self = Self(0);
-    /// Handled before messages without this flag that wait at the same task.
-    pub const HIGH_PRIORITY: Self = Self(1);
-    /// The sender waits for a reply.
-    pub const REPLY_WAIT: Self = Self(1 << 1);
-    /// The receiver owns the data; set on every message of this runtime, where data is moved.
-    pub const OWNED: Self = Self(1 << 2);
-    /// This is the reply to a message.
-    pub const REPLY: Self = Self(1 << 3);
-    /// The reply is a fault instead of a value.
-    pub const FAULT: Self = Self(1 << 4);
-    /// A one-way message whose sender waits until the receiver's queue has taken it.
-    pub const ACCEPT_WAIT: Self = Self(1 << 5);
-    /// The sender of a request no longer waits for its answer. Between chassis only.
-    pub const ABANDONED: Self = Self(1 << 6);
-    /// It came by the place where its receiver was before it moved.
-    pub const FORWARDED: Self = Self(1 << 7);
-
-    /// Whether all of `flags` are set.
-    #[must_use]
-    pub const fn contains(self, flags: Self) -> bool {
-        self.0 & flags.0 == flags.0
-    }
-
-    /// These flags and those.
-    #[must_use]
-    pub const fn with(self, flags: Self) -> Self {
-        Self(self.0 | flags.0)
-    }
-
-    /// The bits as they stand in the header.
-    #[must_use]
-    pub const fn bits(self) -> u16 {
-        self.0
-    }
-
-    /// From the bits of the header.
-    #[must_use]
-    pub const fn from_bits(bits: u16) -> Self {
-        Self(bits)
+bitflags! {
+    /// Message handling flags.
+    #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+    pub struct Flags: u16 {
+        /// Nothing special.
+        const NONE = 0;
+        /// Handled before messages without this flag that wait at the same task.
+        const HIGH_PRIORITY = 1;
+        /// The sender waits for a reply.
+        const REPLY_WAIT = 1 << 1;
+        /// The receiver owns the data; set on every message of this runtime, where data is moved.
+        const OWNED = 1 << 2;
+        /// This is the reply to a message.
+        const REPLY = 1 << 3;
+        /// The reply is a fault instead of a value.
+        const FAULT = 1 << 4;
+        /// A one-way message whose sender waits until the receiver's queue has taken it.
+        const ACCEPT_WAIT = 1 << 5;
+        /// The sender of a request no longer waits for its answer. Between chassis only.
+        const ABANDONED = 1 << 6;
+        /// It came by the place where its receiver was before it moved.
+        const FORWARDED = 1 << 7;
     }
 }
 
@@ -148,7 +125,7 @@ impl Header {
             to: Tid::from_bits(all as u32),
             from: Tid::from_bits((all >> 32) as u32),
             command: (all >> 64) as u16,
-            flags: Flags::from_bits((all >> 80) as u16),
+            flags: Flags::from_bits_retain((all >> 80) as u16),
             size: (all >> 96) as u32,
         }
     }
@@ -170,7 +147,7 @@ mod tests {
                 to: Tid::from_bits(to),
                 from: Tid::from_bits(from),
                 command,
-                flags: Flags::from_bits(flags),
+                flags: Flags::from_bits_retain(flags),
                 size,
             };
             prop_assert_eq!(Header::decode(&header.encode()), header);

@@ -4,7 +4,10 @@
 
 use ctos_config::RecordConfig;
 use ctos_core::{
-    chassis::Chassis, context::Context, envelope::Replier, report::RecordReport, system::TaskName,
+    chassis::Chassis,
+    context::{Context, TaskRef},
+    envelope::Replier,
+    report::RecordReport,
 };
 use ctos_message::{CommandInfo, command};
 use std::{collections::BTreeMap, path::Path, sync::Arc};
@@ -21,7 +24,7 @@ command! {
         pub key: u64,
         pub folder: String,
         pub channels: Vec<String>,
-        pub names: Vec<TaskName>,
+        pub names: Vec<TaskRef>,
     } => RecordReport, 0xff71, "begin_record"
 }
 command! {
@@ -113,7 +116,7 @@ impl Guest {
         let recorder = begin(chassis, &config, path, run, runtime, channels);
         let recorder = recorder.map_err(|error| error.to_string())?;
         for task in &request.names {
-            recorder.name(task.tid, &task.name);
+            recorder.name(task.tid(), task.name());
         }
         for task in chassis.tasks() {
             let commands = task.statistics.commands();

@@ -4,7 +4,7 @@
 //! they look like, so that the field's viewers can read them. What happened to a message is there twice: for
 //! people, and as base64 of its postcard bytes for replay.
 
-use std::{borrow::Cow, fmt, io::Write};
+use std::{borrow::Cow, io::Write};
 
 use base64::{Engine, display::Base64Display, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize, Serializer};
@@ -81,7 +81,8 @@ impl Schema {
 }
 
 /// The number of a message or a trace in a record: `CHASSIS.NUMBER`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, derive_more::Display)]
+#[display("{chassis}.{number}")]
 pub struct Number {
     /// The chassis that gave it.
     pub chassis: u8,
@@ -97,12 +98,6 @@ impl Number {
             chassis: (trace >> 56) as u8,
             number: trace & (u64::MAX >> 8),
         }
-    }
-}
-
-impl fmt::Display for Number {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{}", self.chassis, self.number)
     }
 }
 
@@ -164,7 +159,7 @@ pub(crate) fn traffic(
             deadline,
             side,
         } => {
-            let flags = Flags::from_bits(*flags);
+            let flags = Flags::from_bits_retain(*flags);
             line.extend([
                 ("priority", json!(priority(flags))),
                 ("waits", json!(waits(flags))),

@@ -257,7 +257,7 @@ impl Observer for Recorders {
         let header = message.header();
         let key = self.fresh_key(header, message.trace());
         let step = Step::Sent {
-            flags: header.flags.with(wait.flags()).bits(),
+            flags: (header.flags | wait.flags()).bits(),
             deadline: message.deadline().map(Instant::as_nanos),
             side: self.side_of(header.to),
         };

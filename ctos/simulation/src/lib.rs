@@ -24,7 +24,7 @@ mod shrink;
 pub use self::{
     events::EventSink,
     fault::{Fault, FaultKind, Site},
-    network::Breach,
+    network::Tamper,
     profile::Faults,
     run::{Run, Setup, run, run_shared},
     script::write_script,

@@ -15,34 +15,12 @@ use std::{
 use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use ctos_message::{
-    Flags, SYSTEM_COMMANDS,
-    frame::{Frame, Full, Link},
-};
+use ctos_message::frame::{Frame, Full, Link};
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
-/// A rule of the links that a test breaks, to see that it is noticed. Nobody else has a use for it.
+/// What arrives in the place of a frame: a test breaks a rule of the links, to see that it is noticed.
 #[doc(hidden)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Breach {
-    /// Some frames arrive twice.
-    Duplicate,
-    /// Some frames change places with the one before them between the same tasks.
-    Swap,
-    /// Some frames never arrive.
-    Lose,
-    /// Some requests arrive at another task.
-    Misdeliver,
-}
-
-impl Breach {
-    /// Only what tasks send each other is broken: a boot that fails would hide it.
-    pub(crate) fn concerns(self, frame: &Frame) -> bool {
-        let of_the_app = frame.header.command < SYSTEM_COMMANDS;
-        let request = !frame.header.flags.contains(Flags::REPLY);
-        of_the_app && (request || self == Self::Lose)
-    }
-}
+pub type Tamper = Box<dyn FnMut(Frame) -> Vec<Frame> + Send>;
 
 /// Shortest time a frame takes.
 const DELAY_MIN: Duration = Duration::from_micros(50);
@@ -52,8 +30,6 @@ const DELAY_SPREAD_NS: u64 = 100_000;
 const RESEND_NS: std::ops::Range<u64> = 10_000_000..60_000_000;
 /// A frame is lost at most so often in a row.
 const RESENDS: u32 = 20;
-/// A rule is broken, when a test asks for it, at one in so many frames of the app.
-const BREACH_ONE_IN: u32 = 40;
 
 /// What arrives at a chassis.
 pub(crate) enum Arrival {
@@ -96,7 +72,7 @@ struct State {
     directions: BTreeMap<(u8, u8), Direction>,
     next: u64,
     rng: ChaCha8Rng,
-    breaches: Option<(Breach, ChaCha8Rng)>,
+    tamper: Option<Tamper>,
 }
 
 /// All the links of one simulated app.
@@ -113,16 +89,15 @@ impl Network {
         clock: Clock,
         seed: u64,
         peer_timeout: Duration,
-        breach: Option<Breach>,
+        tamper: Option<Tamper>,
     ) -> Self {
-        let seeded = |what: &str| ChaCha8Rng::seed_from_u64(mix(seed, &[what]));
         Self {
             state: Arc::new(Mutex::new(State {
                 flights: BTreeMap::new(),
                 directions: BTreeMap::new(),
                 next: 0,
-                rng: seeded("simulated links"),
-                breaches: breach.map(|breach| (breach, seeded("breaches"))),
+                rng: ChaCha8Rng::seed_from_u64(mix(seed, &["simulated links"])),
+                tamper,
             })),
             clock,
             seed,
@@ -292,36 +267,18 @@ impl Direction {
 }
 
 impl State {
-    fn insert(&mut self, moment: Instant, from: u8, to: u8, mut arrival: Arrival) {
-        let mut breach = None;
-        if let (Arrival::Frame(frame), Some((asked, rng))) = (&mut arrival, &mut self.breaches)
-            && asked.concerns(frame)
-            && rng.random_range(0..BREACH_ONE_IN) == 0
-        {
-            breach = Some(*asked);
-            match asked {
-                Breach::Lose => return,
-                Breach::Misdeliver => {
-                    frame.header.to = ctos_message::Tid::from_bits(frame.header.to.bits() ^ 1);
-                }
-                Breach::Duplicate => {
-                    let arrival = Arrival::Frame(frame.clone());
-                    self.fly(moment, InFlight { from, to, arrival });
-                }
-                Breach::Swap => {}
+    fn insert(&mut self, moment: Instant, from: u8, to: u8, arrival: Arrival) {
+        let arrivals = match (arrival, &mut self.tamper) {
+            (Arrival::Frame(frame), Some(tamper)) => {
+                tamper(frame).into_iter().map(Arrival::Frame).collect()
             }
+            (arrival, _) => vec![arrival],
+        };
+        for arrival in arrivals {
+            let flight = InFlight { from, to, arrival };
+            self.flights.insert((moment, self.next), flight);
+            self.next += 1;
         }
-        let key = self.fly(moment, InFlight { from, to, arrival });
-        if breach == Some(Breach::Swap) {
-            self.swap(key);
-        }
-    }
-
-    fn fly(&mut self, moment: Instant, flight: InFlight) -> (Instant, u64) {
-        let key = (moment, self.next);
-        self.next += 1;
-        self.flights.insert(key, flight);
-        key
     }
 
     /// Makes what is under way in one direction arrive at `until` or later, in its order.
@@ -372,24 +329,6 @@ impl State {
         let direction = self.directions.entry((from, to)).or_default();
         direction.closed = true;
         direction.given_up = true;
-    }
-
-    /// Exchanges a frame with the one before it between the same two tasks.
-    fn swap(&mut self, key: (Instant, u64)) {
-        let ends = |flight: &InFlight| match &flight.arrival {
-            Arrival::Frame(frame) => Some((frame.header.from, frame.header.to)),
-            Arrival::Closed | Arrival::Silence => None,
-        };
-        let Some(one) = self.flights.remove(&key) else {
-            return;
-        };
-        let mut earlier = self.flights.range_mut(..key).rev();
-        let before = earlier.find(|(_, flight)| ends(flight) == ends(&one));
-        let last = match before {
-            Some((_, before)) => std::mem::replace(before, one),
-            None => one,
-        };
-        self.flights.insert(key, last);
     }
 }
 

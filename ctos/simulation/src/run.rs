@@ -30,7 +30,7 @@ use crate::{
     happen::{drift_of, schedule},
     injured,
     machine::Machine,
-    network::{Arrival, Breach, InFlight, Network, below},
+    network::{Arrival, InFlight, Network, Tamper, below},
     processes::{Exits, watch_exit},
     profile::Faults,
 };
@@ -39,6 +39,8 @@ use crate::{
 const STEPS_AT_ONCE: u64 = 10_000_000;
 
 /// How an app is simulated.
+#[derive(derive_more::Debug)]
+#[debug("Setup(faults `{}`)", self.faults.name())]
 pub struct Setup {
     /// The clock that shows the true time: [`Clock::virtual_clock`], kept by who wants to read it.
     pub clock: Clock,
@@ -51,7 +53,7 @@ pub struct Setup {
     /// When that is said once more.
     pub stop_again_after: Option<Duration>,
     #[doc(hidden)]
-    pub breach: Option<Breach>,
+    pub tamper: Option<Tamper>,
 }
 
 impl Default for Setup {
@@ -62,14 +64,8 @@ impl Default for Setup {
             events: None,
             stop_after: None,
             stop_again_after: None,
-            breach: None,
+            tamper: None,
         }
-    }
-}
-
-impl std::fmt::Debug for Setup {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Setup(faults `{}`)", self.faults.name())
     }
 }
 
@@ -160,7 +156,7 @@ impl Simulation {
             let at = script.entry(injury.at).or_default();
             at.push(injury.clone());
         }
-        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.breach);
+        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.tamper);
         let events = EventLog::new(setup.events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
         let disk = Arc::new(Disk::default());

@@ -12,6 +12,7 @@
 )]
 
 mod app;
+mod breach;
 mod checks;
 mod ledger;
 mod run;
@@ -20,10 +21,11 @@ use std::ops::Range;
 
 use ctos::{
     diagnostic::Source,
-    simulation::{Breach, Faults, shrink},
+    simulation::{Faults, shrink},
 };
 
 use app::Policy;
+use breach::Breach;
 use run::{Trial, trial};
 
 /// How many seeds a profile is tried with.

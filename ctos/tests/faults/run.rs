@@ -5,13 +5,14 @@ use std::sync::{Arc, LazyLock, Mutex};
 use ctos::{
     boot::{BootEvent, Observer},
     config::App,
-    simulation::{Breach, EventSink, Faults, Run, Setup, run_shared},
+    simulation::{EventSink, Faults, Run, Setup, run_shared},
     task::Phase,
     time::Clock,
 };
 
 use crate::{
     app::{self, Policy},
+    breach::Breach,
     checks,
     ledger::Ledger,
 };
@@ -101,7 +102,7 @@ fn simulate(
         clock,
         faults,
         events,
-        breach,
+        tamper: breach.map(|breach| breach.tamper(seed)),
         ..Setup::default()
     };
     let run = run_shared(Arc::new(app), Arc::new(registry), setup, &observer);

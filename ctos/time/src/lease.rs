@@ -2,7 +2,6 @@
 //! looks first, so nothing that asks for the time goes on behind it.
 
 use std::{
-    fmt,
     sync::atomic::{AtomicU64, Ordering},
     time::Duration,
 };
@@ -16,6 +15,8 @@ const UNLIMITED: u64 = u64::MAX;
 const REVOKED: u64 = 0;
 
 /// Until when a process may go on.
+#[derive(derive_more::Debug)]
+#[debug("Lease({term:?})")]
 pub struct Lease {
     /// For how long each extension is good.
     term: Duration,
@@ -62,11 +63,5 @@ impl Lease {
             let late = self.term + now.since(Instant::from_nanos(until));
             (self.over)((until != REVOKED).then_some(late));
         }
-    }
-}
-
-impl fmt::Debug for Lease {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Lease({:?})", self.term)
     }
 }

@@ -13,8 +13,8 @@
 
 use std::{cell::RefCell, future::IntoFuture as _, rc::Rc, sync::Arc};
 
+use bench::Bench;
 use ctos::{
-    bench::Bench,
     config::load_texts,
     diagnostic::Source,
     message::{Command, CommandInfo, Message},

@@ -20,8 +20,8 @@ use std::{
     },
 };
 
+use bench::Bench;
 use ctos::{
-    bench::Bench,
     config::load_texts,
     diagnostic::Source,
     message::{Command, CommandInfo, Message},

@@ -1,7 +1,7 @@
 //! CTOS as a contender.
 
+use bench::Bench;
 use ctos::{
-    bench::Bench,
     config::load_texts,
     message::{Command, Message},
     registry::Registry,

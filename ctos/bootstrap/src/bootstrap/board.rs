@@ -13,13 +13,13 @@ use crate::bootstrap::{
 };
 use ctos_config::{ChassisConfig, ChassisSupervision, OnTaskFailure, Start};
 use ctos_core::{
-    context::Context,
+    context::{Context, TaskRef},
     envelope::Replier,
     handled::Handled,
     phase::Phase,
     supervise::Restarts,
     sync::Signal,
-    system::{self, ChassisNews, ChassisWanted, News, ProcessEnded, RestartChassis, TaskName},
+    system::{self, ChassisNews, ChassisWanted, News, ProcessEnded, RestartChassis},
 };
 use ctos_message::Tid;
 use ctos_time::{Instant, seed::mix};
@@ -144,7 +144,7 @@ impl Member {
     }
 
     /// The tasks of this incarnation.
-    pub(super) fn tasks(&self) -> Vec<TaskName> {
+    pub(super) fn tasks(&self) -> Vec<TaskRef> {
         self.report.borrow().tasks.clone()
     }
 
@@ -251,7 +251,7 @@ impl Board {
     }
 
     /// All tasks, in the order in which they were created.
-    pub(super) fn tasks(&self) -> Vec<TaskName> {
+    pub(super) fn tasks(&self) -> Vec<TaskRef> {
         self.members.iter().flat_map(|one| one.tasks()).collect()
     }
 
@@ -294,12 +294,12 @@ impl Board {
     }
 
     /// A task that was at `old` is at another place now.
-    pub(super) fn moved(&self, task: TaskName, old: Tid) {
+    pub(super) fn moved(&self, task: TaskRef, old: Tid) {
         if let Some(member) = self.member(old.chassis()) {
             let tasks = &mut member.report.borrow_mut().tasks;
-            tasks.retain(|one| one.tid != old);
+            tasks.retain(|one| one.tid() != old);
         }
-        if let Some(member) = self.member(task.tid.chassis()) {
+        if let Some(member) = self.member(task.tid().chassis()) {
             member.report.borrow_mut().tasks.push(task);
         }
     }

@@ -1,9 +1,9 @@
 //! How an app ended, or why it could not be brought up.
 
-use std::{panic::AssertUnwindSafe, sync::Arc};
+use std::sync::Arc;
 
 use super::{End, Observer};
-use ctos_core::contain::panic_text;
+use ctos_core::contain;
 
 /// How an app ended, and what became of its processes.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,10 +82,8 @@ pub struct HostError {
 pub fn contained(observer: &Observer) -> Observer {
     let observer = observer.clone();
     Arc::new(move |event| {
-        let shown = AssertUnwindSafe(|| observer(event));
-        if let Err(panic) = std::panic::catch_unwind(shown) {
-            let text = panic_text(panic.as_ref());
-            tracing::error!(panic = %text, "whoever watches the boot panicked");
+        if let Err(panic) = contain::contained(|| observer(event)) {
+            tracing::error!(%panic, "whoever watches the boot panicked");
         }
     })
 }

@@ -1,6 +1,6 @@
 //! How an app and its chassis are, as the bootstrap service tells it.
 
-use ctos_core::system::TaskName;
+use ctos_core::context::TaskRef;
 use ctos_message::command;
 use ctos_time::Instant;
 use serde::{Deserialize, Serialize};
@@ -37,5 +37,5 @@ pub struct MemberReport {
     /// Why the process before this one ended; `None` for the first.
     pub last_end: Option<String>,
     /// The tasks of this incarnation.
-    pub tasks: Vec<TaskName>,
+    pub tasks: Vec<TaskRef>,
 }

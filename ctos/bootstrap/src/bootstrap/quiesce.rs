@@ -13,7 +13,7 @@ use crate::bootstrap::{
 use ctos_core::{
     context::TaskRef,
     phase::{Phase, StopReason},
-    system::{NotQuiet, Quiesce, TaskName},
+    system::{NotQuiet, Quiesce},
 };
 use ctos_message::fault::Fault;
 
@@ -30,7 +30,7 @@ impl Board {
         }
         let (began, step) = (self.cx.now(), StopStep::Quiesce);
         self.event(&BootEvent::StopStep { step });
-        let names = tasks.iter().map(|task| task.name.clone());
+        let names = tasks.iter().map(|task| task.name().to_owned());
         let awaited: RefCell<BTreeSet<String>> = RefCell::new(names.collect());
         let late = RefCell::new(0);
         let not_quiet = |task: &str, reason: String| {
@@ -40,9 +40,9 @@ impl Board {
         };
         let asked = tasks.iter().map(|task| async {
             let quiet = self.is_quiet(task, reason).await;
-            awaited.borrow_mut().remove(&task.name);
+            awaited.borrow_mut().remove(task.name());
             if let Err(why) = quiet {
-                not_quiet(&task.name, why);
+                not_quiet(task.name(), why);
             }
         });
         let all = pin!(join_all(asked));
@@ -72,7 +72,7 @@ impl Board {
         while self.next_end().await != End::Interrupted {}
     }
 
-    fn running_tasks(&self) -> Vec<TaskName> {
+    fn running_tasks(&self) -> Vec<TaskRef> {
         let running = self.members.iter();
         let running = running.filter(|member| member.reached.get() == Some(Phase::Run));
         let tasks = running.flat_map(|member| member.tasks());
@@ -82,11 +82,10 @@ impl Board {
     }
 
     /// Lets one task come to rest.
-    async fn is_quiet(&self, task: &TaskName, reason: &StopReason) -> Result<(), String> {
-        let reference = TaskRef::new(task.name.as_str(), task.tid);
+    async fn is_quiet(&self, task: &TaskRef, reason: &StopReason) -> Result<(), String> {
         let reason = reason.clone();
         let timeout = self.cx.app().stop_timeout;
-        let asked = self.cx.call(&reference, Quiesce { reason });
+        let asked = self.cx.call(task, Quiesce { reason });
         let error = match asked.deadline(timeout).await {
             Ok(()) => return Ok(()),
             // A task that is not there was shut down before.
@@ -96,7 +95,7 @@ impl Board {
         let Fault::Deadline { after } = error.fault else {
             return Err(error.reason());
         };
-        let why = self.cx.call(&reference, NotQuiet {}).deadline(TIMEOUT);
+        let why = self.cx.call(task, NotQuiet {}).deadline(TIMEOUT);
         match why.await {
             Ok(Some(waits)) => Err(format!("not within {:.3} s: {waits}", after.as_secs_f64())),
             Ok(None) => Ok(()),

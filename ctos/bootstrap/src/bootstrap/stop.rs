@@ -8,30 +8,29 @@ use ctos_core::{
     chassis::BOOT_CHASSIS,
     context::TaskRef,
     phase::StopReason,
-    system::{self, Exit, StopTask, TaskName},
+    system::{self, Exit, StopTask},
 };
 use ctos_message::fault::{CallError, Fault};
 
 impl Board {
     /// Stops one task of chassis `index`, unless it has moved away.
-    pub(super) async fn stop_task_of(&self, index: u8, task: &TaskName, reason: &StopReason) {
+    pub(super) async fn stop_task_of(&self, index: u8, task: &TaskRef, reason: &StopReason) {
         if self.place_of(task) == index {
             self.order_stop(task, reason, Some(index)).await;
         }
     }
 
     /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
-    async fn order_stop(&self, task: &TaskName, reason: &StopReason, on: Option<u8>) -> bool {
+    async fn order_stop(&self, task: &TaskRef, reason: &StopReason, on: Option<u8>) -> bool {
         if !self.cx.chassis().is_linked(self.place_of(task)) {
             return false;
         }
-        let reference = TaskRef::new(task.name.as_str(), task.tid);
         let request = StopTask {
             reason: reason.clone(),
             on,
         };
         let timeout = self.cx.app().stop_timeout;
-        let stopped = self.cx.call(&reference, request).deadline(timeout).await;
+        let stopped = self.cx.call(task, request).deadline(timeout).await;
         // A task that is not there was shut down before.
         let there = |error: &CallError| error.fault != Fault::UnknownTask;
         let error = stopped.err().filter(there).map(|error| error.reason());
@@ -39,15 +38,15 @@ impl Board {
     }
 
     /// Tells of a task: whether it has stopped in order.
-    fn stopped(&self, task: &TaskName, error: Option<String>) -> bool {
-        let (task, stopped) = (task.name.clone(), error.is_none());
+    fn stopped(&self, task: &TaskRef, error: Option<String>) -> bool {
+        let (task, stopped) = (task.name().to_owned(), error.is_none());
         self.event(&BootEvent::Stopped { task, error });
         stopped
     }
 
     /// Stops one task, unless its chassis is gone; a further interrupt goes on to the next task at once. Whether it has
     /// stopped in order.
-    pub(super) async fn stop_task_or_skip(&self, task: &TaskName, reason: &StopReason) -> bool {
+    pub(super) async fn stop_task_or_skip(&self, task: &TaskRef, reason: &StopReason) -> bool {
         let interrupted = std::pin::pin!(self.interrupted());
         let stopping = std::pin::pin!(self.order_stop(task, reason, None));
         match select(stopping, interrupted).await {
@@ -68,11 +67,11 @@ impl Board {
     }
 
     /// The chassis that a task is on now: it may have moved.
-    pub(super) fn place_of(&self, task: &TaskName) -> u8 {
-        self.cx.chassis().directory.current(task.tid).chassis()
+    pub(super) fn place_of(&self, task: &TaskRef) -> u8 {
+        self.cx.chassis().directory.current(task.tid()).chassis()
     }
 
-    pub(super) fn stops_first(&self, task: &TaskName) -> bool {
+    pub(super) fn stops_first(&self, task: &TaskRef) -> bool {
         let chassis = self.cx.chassis().name_of(self.place_of(task));
         debug_assert_ne!(chassis, BOOT_CHASSIS);
         let mut configured = self.cx.app().chassis.iter();

@@ -259,8 +259,7 @@ impl Supervisor {
         let timeout = cx.app().phase_timeout;
         let tasks = self.member.tasks();
         let calls = tasks.iter().map(|task| {
-            let reference = TaskRef::new(task.name.as_str(), task.tid);
-            let call = cx.call(&reference, EnterPhase { phase }).deadline(timeout);
+            let call = cx.call(task, EnterPhase { phase }).deadline(timeout);
             async move {
                 match call.await {
                     Ok(()) => None,
@@ -269,7 +268,7 @@ impl Supervisor {
                     Err(error) => {
                         let asked = format!("acknowledge phase {phase}");
                         let why = explained(cx, task, &asked, error).await;
-                        Some((task.name.clone(), why))
+                        Some((task.name().to_owned(), why))
                     }
                 }
             }

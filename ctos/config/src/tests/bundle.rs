@@ -96,10 +96,8 @@ fn a_file_that_would_be_elsewhere_on_another_host_is_refused() {
 #[test]
 fn a_bundle_never_writes_outside_its_folder() {
     let good = Bundle {
-        file: "a.toml".to_owned(),
+        selection: Selection::new("a.toml"),
         files: BTreeMap::from([("a.toml".to_owned(), String::new())]),
-        profiles: Vec::new(),
-        sets: Vec::new(),
         variables: BTreeMap::new(),
     };
     let folder = tempfile::tempdir().unwrap();
@@ -112,7 +110,7 @@ fn a_bundle_never_writes_outside_its_folder() {
         assert!(!inside.exists(), "{path}: nothing was written");
     }
     let mut lost = good.clone();
-    lost.file = "b.toml".to_owned();
+    lost.selection.file = "b.toml".into();
     assert!(matches!(lost.unpack(&inside), Err(BundleError::Missing(_))));
     assert!(good.unpack(&inside).is_ok());
     std::fs::remove_file(inside.join("a.toml")).unwrap();

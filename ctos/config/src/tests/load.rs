@@ -110,7 +110,7 @@ fn files_on_disk_include_each_other_relative_to_themselves() {
     let app = load(&file, &sets, &[]).unwrap();
     assert_eq!((app.tasks[0].queue, app.time), (3, TimeMode::Virtual));
     assert_eq!(app.folder, folder.path());
-    let again = load(&app.file, &app.sets, &[]).unwrap();
+    let again = load(&app.selection.file, &app.selection.sets, &[]).unwrap();
     assert_eq!(again, app, "file and sets make the same app again");
 
     write("cell/queue.toml", "include = [\"../cell/./tasks.toml\"]\n");

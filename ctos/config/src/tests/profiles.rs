@@ -60,14 +60,20 @@ fn a_profile_lies_between_the_file_and_set_and_later_ones_lie_on_top() {
     );
     assert_eq!(numbers(&app(&["fast", "sim"], &[])).0, 3);
     assert_eq!(numbers(&app(&["sim"], &["task.a.queue=7"])).0, 7);
-    assert_eq!(sim.profiles, ["sim"]);
+    assert_eq!(sim.selection.profiles, ["sim"]);
 }
 
 #[test]
 fn the_file_chooses_a_profile_unless_the_command_line_does() {
     let text = APP.replace("seed = 2", "profile = \"fast\"");
-    assert_eq!(chosen(&text, &[], &[]).unwrap().profiles, ["fast"]);
-    assert_eq!(chosen(&text, &["sim"], &[]).unwrap().profiles, ["sim"]);
+    assert_eq!(
+        chosen(&text, &[], &[]).unwrap().selection.profiles,
+        ["fast"]
+    );
+    assert_eq!(
+        chosen(&text, &["sim"], &[]).unwrap().selection.profiles,
+        ["sim"]
+    );
 }
 
 #[test]
@@ -76,7 +82,7 @@ fn what_an_app_says_of_itself_makes_the_same_app_again() {
     for profiles in [&[][..], &["sim"], &["sim", "fast"]] {
         let app = chosen(&text, profiles, &["seed=9"]).unwrap();
         let texts = [("app.toml", text.as_str()), ("base.toml", BASE)];
-        let again = app.selection().load_texts(&texts, &BTreeMap::new(), &[]);
+        let again = app.selection.load_texts(&texts, &BTreeMap::new(), &[]);
         assert_eq!(again.unwrap(), app);
     }
 }

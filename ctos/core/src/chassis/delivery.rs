@@ -64,7 +64,7 @@ impl Chassis {
     ) -> Outcome {
         let to = message.header().to;
         let header = &mut message.envelope.header;
-        header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
+        header.flags |= wait.flags() | Flags::OWNED;
         let slot = if wait == WaitFor::Reply {
             message.envelope.reply.get_or_insert_with(slot);
             None

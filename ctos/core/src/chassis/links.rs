@@ -88,7 +88,7 @@ impl Chassis {
             Ok(body) => body,
             Err(fault) => return Outcome::Failed(fault),
         };
-        header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
+        header.flags |= wait.flags() | Flags::OWNED;
         header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
@@ -156,7 +156,7 @@ impl Chassis {
         let (flags, body) = match answer.and_then(body_of) {
             Ok(body) => (Flags::REPLY, body),
             Err(fault) => (
-                Flags::REPLY.with(Flags::FAULT),
+                Flags::REPLY | Flags::FAULT,
                 // A fault is plain data; should it fail to encode, the empty body is read as one.
                 postcard::to_stdvec(&fault).unwrap_or_default().into(),
             ),
@@ -396,12 +396,19 @@ mod tests {
         processor.add_queue(0, queue.clone());
         chassis.add_task(task.clone());
         let come = |chassis: &Arc<Chassis>, call: u64| {
-            let mut frame = Frame::of_body(Vec::new());
-            frame.header.to = Tid::new(1, 1, 0);
-            frame.header.from = Tid::new(2, 1, 0);
-            frame.header.command = 1;
-            frame.header.flags = Flags::ACCEPT_WAIT;
-            (frame.call, frame.trace) = (call, call);
+            let frame = Frame {
+                header: Header {
+                    to: Tid::new(1, 1, 0),
+                    from: Tid::new(2, 1, 0),
+                    command: 1,
+                    flags: Flags::ACCEPT_WAIT,
+                    size: 0,
+                },
+                call,
+                trace: call,
+                left_ns: NO_DEADLINE,
+                body: Body::default(),
+            };
             chassis.receive(2, frame, Instant::START);
         };
         // The last two are read by the receiver's own thread.

@@ -58,7 +58,7 @@ impl<R> Call<R> {
     pub fn high_priority(mut self) -> Self {
         if let State::Begins(message) = &mut self.ask.state {
             let header = &mut message.envelope.header;
-            header.flags = header.flags.with(Flags::HIGH_PRIORITY);
+            header.flags |= Flags::HIGH_PRIORITY;
         }
         self
     }

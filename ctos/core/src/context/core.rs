@@ -3,7 +3,6 @@
 use std::{
     cell::{Cell, RefCell, RefMut},
     collections::BTreeMap,
-    fmt,
     future::Future,
     path::PathBuf,
     rc::Rc,
@@ -91,7 +90,8 @@ impl Inner {
 }
 
 /// A task's door to the rest of the app. Cheap to clone; stays on its processor.
-#[derive(Clone)]
+#[derive(Clone, derive_more::Debug)]
+#[debug("Context(`{}`, {})", self.name(), self.tid())]
 pub struct Context {
     pub(crate) inner: Rc<Inner>,
     /// The trace that whatever is sent from here belongs to; 0: each message begins its own.
@@ -327,11 +327,5 @@ impl Context {
             incarnation: Cell::new(0),
             turn: Cell::new(Turn::No),
         }))
-    }
-}
-
-impl fmt::Debug for Context {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Context(`{}`, {})", self.name(), self.tid())
     }
 }

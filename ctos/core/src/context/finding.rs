@@ -265,10 +265,7 @@ impl Context {
         let up = self.call(&Self::server(), Monitor { name }).await?;
         if !up {
             let changed = system::TaskChanged {
-                task: system::TaskName {
-                    name: task.name().to_owned(),
-                    tid: task.tid(),
-                },
+                task: task.clone(),
                 change: system::Change::Down {
                     reason: "it was not there when it began to be monitored".to_owned(),
                 },

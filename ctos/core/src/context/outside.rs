@@ -17,16 +17,6 @@ use super::core::{Context, Inner};
 use crate::tap::{Came, Observer, Turn};
 use ctos_time::Instant;
 
-/// Dropped when a turn is over, by a panic too: the one around it goes on.
-struct TurnEnds<'i>(&'i Inner, Turn);
-
-impl Drop for TurnEnds<'_> {
-    fn drop(&mut self) {
-        self.0.note_turn();
-        self.0.turn.set(self.1);
-    }
-}
-
 impl Inner {
     /// Polls part `part` of the task whenever it is woken; in a replay, when it was polled.
     pub(crate) fn in_turns(
@@ -45,7 +35,11 @@ impl Inner {
                 return Poll::Pending;
             }
             let outer = self.turn.replace(Turn::Of(part));
-            let _ends = TurnEnds(&self, outer);
+            // By a panic too: the turn around it goes on.
+            let _ends = scopeguard::guard(outer, |outer| {
+                self.note_turn();
+                self.turn.set(outer);
+            });
             future.as_mut().poll(poll)
         })
     }

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use ctos_message::Tid;
+use serde::{Deserialize, Serialize};
 
 /// A task that was found by name.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskRef {
-    pub(super) name: Arc<str>,
-    pub(super) tid: Tid,
+    pub(crate) name: Arc<str>,
+    pub(crate) tid: Tid,
 }
 
 impl TaskRef {

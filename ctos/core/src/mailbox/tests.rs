@@ -217,7 +217,7 @@ fn whatever_waits_when_the_task_ends_is_answered() {
             caller: bench.caller.clone(),
             key: call.key(),
         };
-        let mut question = message(3, Flags::HIGH_PRIORITY.with(Flags::REPLY_WAIT));
+        let mut question = message(3, Flags::HIGH_PRIORITY | Flags::REPLY_WAIT);
         question.envelope.reply = Some(ReplySlot::call(call));
         bench.send(question);
         bench.task.mailbox.close();

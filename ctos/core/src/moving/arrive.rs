@@ -206,11 +206,11 @@ pub fn deliver(cx: &Context, to: Tid, message: Forwarded, reply: Replier<Transfe
     } else {
         WaitFor::Acceptance
     };
-    let priority = Flags::from_bits(message.flags & Flags::HIGH_PRIORITY.bits());
+    let priority = Flags::from_bits_retain(message.flags) & Flags::HIGH_PRIORITY;
     let left = message.left_ns.map(Duration::from_nanos);
     let data = Data::Bytes(message.body);
     let sent_on = Message::with_data(to, message.from, message.command, data)
-        .flagged(priority.with(Flags::FORWARDED))
+        .flagged(priority | Flags::FORWARDED)
         .in_trace(message.trace)
         .until(left.map(|left| cx.now() + left));
     let mut waiting = chassis.dispatch(sent_on, wait);

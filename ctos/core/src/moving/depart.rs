@@ -2,17 +2,17 @@
 
 use std::{
     future::{IntoFuture, poll_fn},
-    panic::AssertUnwindSafe,
     pin::pin,
     task::Poll,
     time::Duration,
 };
 
 use futures_util::future::{Either, select};
+use scopeguard::ScopeGuard;
 
 use super::{LOOK, PATIENCE, UnderWay, agent_of};
 use crate::{
-    contain::panic_text,
+    contain::contained,
     context::{Context, TaskRef},
     envelope::Message,
     mailbox::queue::TaskQueue,
@@ -85,15 +85,14 @@ fn give_state(runner: &mut Runner, to: system::Place) -> Result<Vec<u8>, String>
         return Err("it can be moved between phase run and its stop only".to_owned());
     }
     let handler = runner.handler.as_mut().ok_or("it is being restarted")?;
-    let given = std::panic::catch_unwind(AssertUnwindSafe(|| handler.hand_over()));
-    match given {
+    match contained(|| handler.hand_over()) {
         Ok(Some(Ok(state))) => Ok(state),
         Ok(Some(Err(error))) => Err(error.to_string()),
         Ok(None) => Err("its handler passes no state on; see `task::Handover`".to_owned()),
         Err(panic) => {
-            let text = panic_text(panic.as_ref());
-            runner.cx.when_broken()(&format!("it panicked while it gave its state: {text}"));
-            Err(format!("it panicked while it gave its state: {text}"))
+            let why = format!("it panicked while it gave its state: {panic}");
+            runner.cx.when_broken()(&why);
+            Err(why)
         }
     }
 }
@@ -127,12 +126,7 @@ async fn prepare(
     if abort.deadline(PATIENCE).await == Ok(true) {
         return Ok((new, copies));
     }
-    let chassis = cx.chassis();
-    let give_up = Settle {
-        place: new,
-        how: Settled::Drop,
-    };
-    chassis.post_system(agent.tid(), give_up);
+    give_up(cx, &agent, new);
     Err(error.reason())
 }
 
@@ -152,11 +146,7 @@ async fn make_ready(
     };
     let new = cx.call(agent, request).deadline(deadline).await;
     let new = new.map_err(|error| error.reason())?;
-    let place = Place {
-        cx,
-        agent,
-        place: Some(new),
-    };
+    let place = scopeguard::guard(new, |place| give_up(cx, agent, place));
     let mut copies = Vec::new();
     for message in accepted {
         if message.is_abandoned() {
@@ -177,31 +167,14 @@ async fn make_ready(
     arrived
         .map_err(|error| error.reason())?
         .map_err(|fault| fault.to_string())?;
-    place.keep();
-    Ok((new, copies))
+    Ok((ScopeGuard::into_inner(place), copies))
 }
 
-/// A place that was made ready; dropped, it is given up.
-struct Place<'a> {
-    cx: &'a Context,
-    agent: &'a TaskRef,
-    place: Option<Tid>,
-}
-
-impl Place<'_> {
-    fn keep(mut self) {
-        self.place = None;
-    }
-}
-
-impl Drop for Place<'_> {
-    fn drop(&mut self) {
-        if let Some(place) = self.place {
-            let how = Settled::Drop;
-            let settle = Settle { place, how };
-            self.cx.chassis().post_system(self.agent.tid(), settle);
-        }
-    }
+/// Gives up a place that was made ready.
+fn give_up(cx: &Context, agent: &TaskRef, place: Tid) {
+    let how = Settled::Drop;
+    let settle = Settle { place, how };
+    cx.chassis().post_system(agent.tid(), settle);
 }
 
 /// How long the sender of a message waits. What was accepted has to arrive.

@@ -1,22 +1,15 @@
 //! The places of an app that a task can move to: as a person writes them, and as the runtime counts them.
 
-use std::fmt;
-
 use crate::{chassis::Chassis, system::Place};
 
 /// The text names no place of the app.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}; there are: {}", .known.join(", "))]
 pub struct NoPlace {
     /// What is wrong.
     pub message: String,
     /// The places there are instead, as they are written.
     pub known: Vec<String>,
-}
-
-impl fmt::Display for NoPlace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}; there are: {}", self.message, self.known.join(", "))
-    }
 }
 
 /// The place `CHASSIS` or `CHASSIS:PROCESSOR` of the app. A chassis alone means its first processor.

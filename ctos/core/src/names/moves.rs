@@ -12,9 +12,7 @@ use super::TidServer;
 use crate::{
     context::{Context, TaskRef},
     moving::{find_place, place_text, redirect_for},
-    system::{
-        self, CommitMove, MoveOut, MoveTask, Place, Rebound, Settle, Settled, TaskMoved, TaskName,
-    },
+    system::{self, CommitMove, MoveOut, MoveTask, Place, Rebound, Settle, Settled, TaskMoved},
 };
 use ctos_message::Tid;
 
@@ -113,10 +111,7 @@ impl TidServer {
         drop(state);
         // Before anybody can send to the new place: whoever stops a chassis stops the tasks it has.
         let moved = TaskMoved {
-            task: TaskName {
-                name: name.clone(),
-                tid: new,
-            },
+            task: TaskRef::new(name.as_str(), new),
             old,
         };
         here.post_system(system::BOOTSTRAP, moved);

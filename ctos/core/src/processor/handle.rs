@@ -65,14 +65,8 @@ pub struct ProcessorHandle {
 }
 
 impl Default for ProcessorHandle {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl ProcessorHandle {
     /// That of a processor that has no thread yet.
-    pub(crate) fn new() -> Self {
+    fn default() -> Self {
         let (inbox, outlet) = crossbeam_channel::unbounded();
         Self {
             inbox,
@@ -84,7 +78,9 @@ impl ProcessorHandle {
             shares_core: AtomicBool::new(false),
         }
     }
+}
 
+impl ProcessorHandle {
     /// Where what is brought comes out; nothing ever does for a second processor of the same handle.
     pub(super) fn take_outlet(&self) -> Receiver<Item> {
         let outlet = lock(&self.outlet).take();

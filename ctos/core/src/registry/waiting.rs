@@ -3,6 +3,14 @@
 //! A task handles one message at a time, and entering a startup phase is one. While it waits there
 //! for another task's answer it answers nobody, so in a circle nobody would ever go on.
 
+use std::collections::BTreeSet;
+
+use petgraph::{
+    algo::astar,
+    graph::{DiGraph, NodeIndex},
+    visit::NodeFiltered,
+};
+
 use crate::registry::Registry;
 use ctos_config::{
     App,
@@ -41,48 +49,26 @@ pub(super) fn check(app: &App, registry: &Registry, findings: &mut Findings) {
     }
 }
 
-/// Every circle once, of numbers below the length of `waits_for`: it begins with its smallest member. Circles that share a member with one
-/// that is found already are left for when that is mended.
+/// Every circle once, of numbers below the length of `waits_for`: it begins with its smallest member.
+/// Circles that share a member with one that is found already are left for when that is mended.
 fn circles(waits_for: &[Vec<usize>]) -> Vec<Vec<usize>> {
-    let mut done = vec![false; waits_for.len()];
+    let tasks = waits_for.iter().enumerate();
+    let waits = tasks.flat_map(|(task, others)| others.iter().map(move |other| (task, *other)));
+    let graph = DiGraph::<(), (), usize>::from_edges(waits);
+    let mut done = BTreeSet::<NodeIndex<usize>>::new();
     let mut found = Vec::new();
-    for start in 0..waits_for.len() {
-        if let Some(circle) = way_back(start, waits_for, &done) {
-            for at in &circle {
-                done[*at] = true;
-            }
-            found.push(circle);
+    for start in graph.node_indices() {
+        if done.contains(&start) {
+            continue;
+        }
+        let left = NodeFiltered::from_fn(&graph, |node| !done.contains(&node));
+        let closes = |last| graph.contains_edge(last, start);
+        if let Some((_, circle)) = astar(&left, start, closes, |_| 1, |_| 0) {
+            done.extend(&circle);
+            found.push(circle.into_iter().map(NodeIndex::index).collect());
         }
     }
     found
-}
-
-/// The shortest way from `start` back to it that avoids what is `done`.
-fn way_back(start: usize, waits_for: &[Vec<usize>], done: &[bool]) -> Option<Vec<usize>> {
-    if done[start] {
-        return None;
-    }
-    let mut came_from: Vec<Option<usize>> = vec![None; waits_for.len()];
-    let mut open = std::collections::VecDeque::from([start]);
-    while let Some(at) = open.pop_front() {
-        for next in waits_for[at].iter().copied() {
-            if next == start {
-                let mut way = vec![at];
-                let mut last = at;
-                while let Some(before) = came_from[last] {
-                    way.push(before);
-                    last = before;
-                }
-                way.reverse();
-                return Some(way);
-            }
-            if came_from[next].is_none() && !done[next] {
-                came_from[next] = Some(at);
-                open.push_back(next);
-            }
-        }
-    }
-    None
 }
 
 #[cfg(test)]

@@ -9,13 +9,13 @@ use futures_util::{
 
 use super::{Next, Runner, build_contained, drop_handler, dynamic::Notice};
 use crate::{
-    contain::panic_text,
-    context::Context,
+    contain::{contained, panic_text},
+    context::{Context, TaskRef},
     envelope::Message,
     handled::Handled,
     phase::{Phase, StopReason},
     supervise::{Ending, Event, State, Verdict},
-    system::{Broke, Change, RestartTask, Shutdown, TaskChanged, TaskName},
+    system::{Broke, Change, RestartTask, Shutdown, TaskChanged},
 };
 
 /// What came of building a handler anew.
@@ -174,8 +174,7 @@ impl Runner {
                 // What was stored last is all that anybody has seen.
                 self.kept = self.cx.load_state().await.ok().flatten();
             } else if ending == Ending::Order || handler.survives_panic() {
-                let given = std::panic::catch_unwind(AssertUnwindSafe(|| handler.hand_over()));
-                match given {
+                match contained(|| handler.hand_over()) {
                     Ok(Some(Ok(state))) => self.kept = Some(state),
                     Ok(Some(Err(error))) => {
                         tracing::warn!(task = %self.cx.name(), error = %error, "no state is kept");
@@ -208,13 +207,12 @@ impl Runner {
         }
         // Whatever is still in its queue is answered before the name can be anybody else's.
         self.cx.chassis().remove_task(self.cx.tid());
-        let changed = self.changed(Change::Ended { reason });
+        let ended = Change::Ended { reason };
         if self.cx.chassis().is_stopping() {
             // Nobody takes the name any more, so nobody need wait until it is free.
-            let chassis = self.cx.chassis();
-            return chassis.post_system(crate::system::TID_SERVER, changed);
+            return self.tell(ended);
         }
-        let told = self.cx.call(&Context::server(), changed);
+        let told = self.cx.call(&Context::server(), self.changed(ended));
         if let Err(error) = told.deadline(self.cx.app().stop_timeout).await {
             tracing::debug!(task = %self.cx.name(), error = %error, "its name is not free");
         }
@@ -222,10 +220,7 @@ impl Runner {
 
     fn changed(&self, change: Change) -> TaskChanged {
         TaskChanged {
-            task: TaskName {
-                name: self.cx.name().to_owned(),
-                tid: self.cx.tid(),
-            },
+            task: TaskRef::new(self.record.name.clone(), self.record.tid),
             change,
         }
     }

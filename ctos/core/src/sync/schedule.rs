@@ -3,7 +3,6 @@
 
 use std::{
     cell::{Cell, RefCell},
-    panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -21,7 +20,7 @@ use super::{
     lead::Leading,
     source,
 };
-use crate::contain::{drop_contained, panic_text};
+use crate::contain::{contained, drop_contained};
 use ctos_time::{Clock, Instant};
 
 /// What is fixed about a schedule before it has functions.
@@ -227,7 +226,7 @@ impl Schedule {
                 break;
             };
             next = place + 1;
-            let ran = catch_unwind(AssertUnwindSafe(|| code.tick(&tick)));
+            let ran = contained(|| code.tick(&tick));
             let ended = self.clock.now();
             let mut left = Some(code);
             let mut broken = None;
@@ -242,7 +241,7 @@ impl Schedule {
                     }
                     Err(panic) => {
                         function.wanted.store(false, Ordering::Release);
-                        let (name, panic) = (&function.view.name, panic_text(panic.as_ref()));
+                        let name = &function.view.name;
                         let text = format!("the synchronous function `{name}` panicked: {panic}");
                         broken = Some((function.on_failure.take(), text));
                     }
@@ -467,9 +466,8 @@ fn report(hooks: impl IntoIterator<Item = FailureHook>, text: &str) {
     let mut told = false;
     for hook in hooks {
         told = true;
-        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| hook(text))) {
-            let panic = panic_text(panic.as_ref());
-            tracing::error!(panic = %panic, "whoever is told of a failed synchronous function panicked");
+        if let Err(panic) = contained(|| hook(text)) {
+            tracing::error!(%panic, "whoever is told of a failed synchronous function panicked");
         }
     }
     if !told {

@@ -7,14 +7,13 @@
 
 use std::{
     io,
-    panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
 };
 
-use crate::contain::panic_text;
+use crate::contain::contained;
 use ctos_time::{Clock, Instant, lock::lock};
 
 /// A device that says when the ticks of a processor are.
@@ -93,14 +92,14 @@ pub(super) fn start(
     std::thread::Builder::new().name(name).spawn(move || {
         prepare();
         while !written.is_over() {
-            match catch_unwind(AssertUnwindSafe(|| source.wait())) {
+            match contained(|| source.wait()) {
                 Ok(Ok(0)) => continue,
                 Ok(Ok(more)) => {
                     let last = &mut lock(&written.seen).last;
                     *last = (last.0 + more, clock.now());
                 }
                 Ok(Err(error)) => written.fail(error.to_string()),
-                Err(panic) => written.fail(format!("it panicked: {}", panic_text(panic.as_ref()))),
+                Err(panic) => written.fail(format!("it panicked: {panic}")),
             }
             wake();
         }

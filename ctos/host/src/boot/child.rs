@@ -1,6 +1,5 @@
 //! The process of one chassis: connects to the others, runs its processors until it is told to end.
 
-use ctos_record as record;
 use std::{
     cell::Cell,
     os::fd::AsFd,
@@ -18,7 +17,6 @@ use ctos_bootstrap::watch;
 use ctos_config::App;
 use ctos_core::{chassis::Chassis, registry::Registry};
 use ctos_link::{handshake::Token, transport::Address};
-use ctos_record;
 use ctos_time::{Clock, Lease};
 
 /// Why a chassis could not start.
@@ -74,7 +72,7 @@ pub fn run_chassis(
     let incarnation = std::env::var(crate::boot::launcher::INCARNATION_VARIABLE).ok();
     let incarnation = incarnation.and_then(|text| text.parse().ok()).unwrap_or(1);
     let who = Identification { token, incarnation };
-    let recording = record::start(std::slice::from_ref(&chassis), watch::COMMANDS)?;
+    let recording = ctos_record::start(std::slice::from_ref(&chassis), watch::COMMANDS)?;
     let code = runtime.block_on(serve(&chassis, boot, who));
     runtime.shutdown_background();
     if let Some(recording) = recording {

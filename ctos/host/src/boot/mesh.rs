@@ -24,7 +24,7 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use tokio::{runtime::Handle, sync::mpsc};
+use tokio::{runtime::Handle, sync::mpsc, task::JoinSet};
 
 use ctos_bootstrap::refusals::Refusals;
 use ctos_config::{App, InjuryConfig, SameHost};
@@ -144,7 +144,7 @@ struct Inner {
 pub(crate) struct Mesh {
     inner: Arc<Inner>,
     events: mpsc::UnboundedReceiver<MeshEvent>,
-    doors: Vec<tokio::task::JoinHandle<()>>,
+    doors: JoinSet<()>,
 }
 
 /// Whether chassis `ours` calls chassis `theirs` (number and incarnation): the one that came later does,
@@ -200,7 +200,7 @@ impl Mesh {
         });
         let doors = listeners
             .into_iter()
-            .map(|listener| tokio::spawn(door::keep(inner.clone(), listener)))
+            .map(|listener| door::keep(inner.clone(), listener))
             .collect();
         Ok(Self {
             inner,
@@ -258,7 +258,7 @@ impl Mesh {
             process: if near {
                 self.inner.process.clone()
             } else {
-                Process::unseen()
+                Process::default()
             },
             listen: vec![boot.clone()],
         };
@@ -268,9 +268,7 @@ impl Mesh {
     /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
     pub(crate) async fn close(&mut self) {
         tracing::debug!(refused = self.refused(), "the mesh closes");
-        for door in self.doors.drain(..) {
-            door.abort();
-        }
+        self.doors.abort_all();
         let sessions: Vec<Arc<Session>> = {
             let mut state = lock(&self.inner.state);
             let peers = state.peers.values_mut();
@@ -299,9 +297,6 @@ impl Mesh {
 impl Drop for Mesh {
     fn drop(&mut self) {
         self.inner.reactor.close();
-        for door in &self.doors {
-            door.abort();
-        }
     }
 }
 

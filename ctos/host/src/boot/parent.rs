@@ -1,6 +1,5 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
-use ctos_record as record;
 use std::{
     collections::{BTreeMap, BTreeSet},
     net::SocketAddr,
@@ -35,7 +34,6 @@ use ctos_link::{
     security::Keys,
     transport::{Address, Listener},
 };
-use ctos_record;
 use ctos_time::{Clock, lock::lock};
 
 /// How chassis are started, and who watches.
@@ -60,7 +58,7 @@ pub fn boot(
         .build()
         .map_err(io("cannot start the runtime"))?;
     let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
-    let recording = record::start(std::slice::from_ref(&chassis), watch::COMMANDS)
+    let recording = ctos_record::start(std::slice::from_ref(&chassis), watch::COMMANDS)
         .map_err(io("cannot record"))?;
     let outcome = runtime.block_on(run(&chassis, setup));
     runtime.shutdown_background();

@@ -25,6 +25,8 @@ use ctos_link::{handshake::Token, transport::Address};
 use ctos_time::lock::lock;
 
 /// A chassis's process.
+#[derive(derive_more::Debug)]
+#[debug("Process(`{}` {})", self.name, self.id.incarnation)]
 pub(super) struct Process {
     pub(super) name: String,
     pub(super) id: ProcessId,
@@ -276,11 +278,5 @@ impl Keeper {
             }
         }
         casualties
-    }
-}
-
-impl std::fmt::Debug for Process {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Process(`{}` {})", self.name, self.id.incarnation)
     }
 }

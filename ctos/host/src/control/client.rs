@@ -1,7 +1,6 @@
 //! The client's end of the control socket: plain blocking calls, for programs that do nothing else.
 
 use std::{
-    fmt,
     io::{self, BufRead, BufReader, Read, Write},
     net::{TcpStream, ToSocketAddrs},
     os::{
@@ -185,6 +184,8 @@ fn own_secret(stream: &TcpStream) -> io::Result<Secret> {
 }
 
 /// A connection to an app.
+#[derive(derive_more::Debug)]
+#[debug("Client({:?})", self.app)]
 pub struct Client {
     app: Socket,
     timeout: Duration,
@@ -195,12 +196,6 @@ pub struct Client {
     begun: Vec<u8>,
     /// What it may mean when the other end hangs up before it has answered anything.
     hung_up: Option<&'static str>,
-}
-
-impl fmt::Debug for Client {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Client({:?})", self.app)
-    }
 }
 
 impl Client {

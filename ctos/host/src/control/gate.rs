@@ -80,8 +80,7 @@ pub(super) async fn serve(
         let secret = secret.clone();
         serving.spawn(async move {
             let met = meet(call, ends, &from, secret.as_ref().as_ref());
-            let met = guest.hear(STRANGER_TIMEOUT, met).await;
-            let (client, reader, mut writer) = match met.unwrap_or_else(|why| Err(why.into())) {
+            let (client, reader, mut writer) = match guest.hear(STRANGER_TIMEOUT, met).await {
                 Ok(met) => met,
                 Err(error) => return service.refuse(&from, &error.to_string()),
             };

@@ -28,7 +28,7 @@ impl Ticker {
         let (news, observer) = (ticker.0.clone(), observer.clone());
         let both: Observer = Arc::new(move |event: &BootEvent| {
             // Progress and log lines are asked for in other ways.
-            if !matches!(event, BootEvent::Log { .. } | BootEvent::Progress { .. }) {
+            if !matches!(event, BootEvent::Log { .. } | BootEvent::Progress(_)) {
                 // Nobody may be listening.
                 let _ = news.send(News::Event(event.clone()));
             }

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::control::{Level, LogLine};
 use ctos_bootstrap::bootstrap::{BootEvent, BootState, ChassisState};
-use ctos_core::{phase::Phase, report::RecordReport};
+use ctos_core::report::RecordReport;
+pub use ctos_core::report::{Activity, TaskReport as TaskView, WaitReport as WaitView};
 use ctos_link::security::Role;
 use ctos_message::fault::Fault;
 
@@ -214,7 +215,8 @@ pub enum Answer {
 }
 
 /// Why something could not be done.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{message}")]
 pub struct ErrorView {
     /// What kind of error.
     pub code: ErrorCode,
@@ -321,83 +323,6 @@ pub struct ChassisView {
     /// Its records, if it is recorded.
     #[serde(default)]
     pub records: Vec<RecordReport>,
-}
-
-/// What a task does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Activity {
-    /// It waits for messages.
-    Idle,
-    /// Its handler is at work.
-    Busy,
-    /// Its handler, or a child, waits for another task.
-    Waits,
-    /// Its chassis is gone, or does not answer.
-    #[default]
-    Gone,
-}
-
-/// A task.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct TaskView {
-    /// Its symbolic name.
-    pub name: String,
-    /// Its chassis.
-    pub chassis: String,
-    /// Its processor.
-    pub processor: String,
-    /// Its handler's registered name.
-    pub handler: String,
-    /// The process it runs in.
-    pub pid: Option<u32>,
-    /// What it does.
-    pub activity: Activity,
-    /// The startup phase it has passed.
-    pub phase: Option<Phase>,
-    /// For how long, s.
-    pub phase_s: f64,
-    /// Messages handled.
-    pub handled: u64,
-    /// Of these, those that ended with an error.
-    pub failed: u64,
-    /// Time spent in the handler, waiting for others included, and in its synchronous functions, s.
-    pub busy_s: f64,
-    /// The longest that one message took, s.
-    pub longest_s: f64,
-    /// How long it has been at the message at hand, s.
-    pub in_handler_s: Option<f64>,
-    /// The command at hand, or the last one.
-    pub command: Option<String>,
-    /// Messages of high priority in its queue.
-    pub urgent: u64,
-    /// Messages of normal priority in its queue.
-    pub queued: u64,
-    /// Senders that wait for space in its queue.
-    pub senders_waiting: u64,
-    /// How many messages of each priority its queue holds.
-    pub capacity: u64,
-    /// How often its handler was built anew.
-    pub restarts: u64,
-    /// What it waits for, longest first.
-    pub waits: Vec<WaitView>,
-    /// What it says that it is at, in words.
-    #[serde(default)]
-    pub at: Option<String>,
-    /// How long that will go on, as far as it is known, s.
-    #[serde(default)]
-    pub left_s: Option<f64>,
-}
-
-/// What a task waits for.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct WaitView {
-    /// The asked task.
-    pub to: String,
-    /// The command.
-    pub command: String,
-    /// For how long, s.
-    pub for_s: f64,
 }
 
 /// Everything about one task or chassis.

@@ -19,11 +19,7 @@ use super::{
     service::{Answered, Service, Writer, tell},
     view,
 };
-use ctos_core::{
-    chassis::Chassis,
-    report::RecordReport,
-    system::{self, TaskName},
-};
+use ctos_core::{chassis::Chassis, context::TaskRef, report::RecordReport, system};
 use ctos_message::{Command, fault::Fault};
 use ctos_record::{BeginRecord, EndRecord, ReadRecord};
 use ctos_time::{Instant, lock::lock};
@@ -141,12 +137,8 @@ impl Recording {
     async fn begin_on(&mut self, members: impl Iterator<Item = u8>) {
         let surveys = view::surveys(&self.chassis).await;
         let tasks = surveys.into_iter().flatten().flat_map(|one| one.tasks);
-        let tasks = tasks.filter(|task| task.tid.processor() > 0);
-        let names: Vec<TaskName> = tasks
-            .map(|task| TaskName {
-                name: task.name,
-                tid: task.tid,
-            })
+        let names: Vec<TaskRef> = tasks
+            .map(|(tid, task)| TaskRef::new(task.name, tid))
             .collect();
         let order = || BeginRecord {
             key: self.key,

@@ -2,7 +2,7 @@
 
 use std::{io, sync::Arc, time::Duration};
 
-use tokio::{sync::Semaphore, task::JoinHandle};
+use tokio::{sync::Semaphore, task::JoinSet};
 
 use crate::control::{
     LogStore,
@@ -24,7 +24,7 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// Serves clients until it is told how the app ended.
 pub(crate) struct Server {
     ticker: Ticker,
-    serving: Vec<JoinHandle<()>>,
+    _serving: JoinSet<()>,
     clients: Arc<Semaphore>,
 }
 
@@ -39,15 +39,17 @@ impl Server {
     ) -> Self {
         let clients = Arc::new(Semaphore::new(CLIENTS));
         let service = Arc::new(Service::new(chassis, logs, &ticker));
-        let serve = |gate, places| {
-            let served = gate::serve(gate, places, service.clone(), clients.clone());
-            tokio::spawn(served)
+        let mut serving = JoinSet::new();
+        let mut serve = |gate, places| {
+            serving.spawn(gate::serve(gate, places, service.clone(), clients.clone()));
         };
-        let mut serving: Vec<_> = gate.into_iter().map(|gate| serve(gate, PLACES)).collect();
+        if let Some(gate) = gate {
+            serve(gate, PLACES);
+        }
         match Self::socket(chassis) {
             Ok(listener) => {
                 let secret = None;
-                serving.push(serve(Gate { listener, secret }, CLIENTS));
+                serve(Gate { listener, secret }, CLIENTS);
             }
             Err(error) => {
                 tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
@@ -55,7 +57,7 @@ impl Server {
         }
         Self {
             ticker,
-            serving,
+            _serving: serving,
             clients,
         }
     }
@@ -86,13 +88,5 @@ impl Server {
         let all_gone = self.clients.acquire_many(count);
         // One that does not read is not waited for.
         let _ = tokio::time::timeout(FAREWELL, all_gone).await;
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        for serving in &self.serving {
-            serving.abort();
-        }
     }
 }

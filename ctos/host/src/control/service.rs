@@ -235,22 +235,12 @@ impl Service {
 pub(super) type Answered = Result<Answer, Failed>;
 
 /// Why a request has no answer.
+#[derive(Debug, thiserror::Error)]
 pub(super) enum Failed {
-    /// The client is gone.
-    Io(io::Error),
-    Refused(ErrorView),
-}
-
-impl From<io::Error> for Failed {
-    fn from(error: io::Error) -> Self {
-        Self::Io(error)
-    }
-}
-
-impl From<ErrorView> for Failed {
-    fn from(error: ErrorView) -> Self {
-        Self::Refused(error)
-    }
+    #[error("the client is gone: {0}")]
+    Io(#[from] io::Error),
+    #[error(transparent)]
+    Refused(#[from] ErrorView),
 }
 
 /// A line that is no request of any version.

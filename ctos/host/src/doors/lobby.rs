@@ -140,14 +140,14 @@ impl Guest {
     /// Does `what` with the caller, unless it is turned out or `timeout` has passed.
     ///
     /// # Errors
-    /// [`Turned`].
-    pub(crate) async fn hear<T>(
+    /// Those of `what`, and [`Turned`].
+    pub(crate) async fn hear<T, E: From<Turned>>(
         self,
         timeout: Duration,
-        what: impl Future<Output = T>,
-    ) -> Result<T, Turned> {
+        what: impl Future<Output = Result<T, E>>,
+    ) -> Result<T, E> {
         let heard = tokio::time::timeout(timeout, self.stay(what)).await;
-        heard.unwrap_or(Err(Turned::Late))
+        heard.unwrap_or(Err(Turned::Late))?
     }
 
     /// As [`Self::hear`], without a timeout.
@@ -214,12 +214,13 @@ mod tests {
             let first = lobby.enter().await.unwrap();
             let second = lobby.enter().await.unwrap();
             let third = lobby.enter().await.unwrap();
+            let heard = Ok::<u8, Turned>;
             let silent = std::future::pending::<()>;
             assert_eq!(first.stay(silent()).await, Err(Turned::Crowded));
             drop(second);
             let fourth = lobby.enter().await.unwrap();
-            assert_eq!(third.hear(FOREVER, async { 3 }).await, Ok(3));
-            assert_eq!(fourth.hear(FOREVER, async { 4 }).await, Ok(4));
+            assert_eq!(third.hear(FOREVER, async { Ok(3) }).await, heard(3));
+            assert_eq!(fourth.hear(FOREVER, async { Ok(4) }).await, heard(4));
         });
     }
 
@@ -247,7 +248,7 @@ mod tests {
     fn who_says_nothing_is_heard_no_longer_than_the_timeout() {
         run(async {
             let guest = Lobby::new(1).enter().await.unwrap();
-            let silent = std::future::pending::<()>();
+            let silent = std::future::pending::<Result<(), Turned>>();
             let heard = guest.hear(Duration::from_millis(1), silent).await;
             assert_eq!(heard, Err(Turned::Late));
         });

@@ -47,17 +47,13 @@ pub enum OpenError {
 }
 
 /// An address that is bound, and not yet served.
+#[derive(derive_more::Debug)]
+#[debug("Pages({})", self.url())]
 pub struct Pages {
     listener: std::net::TcpListener,
     address: SocketAddr,
     keys: Option<Arc<Keys>>,
     names: Vec<String>,
-}
-
-impl std::fmt::Debug for Pages {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Pages({})", self.url())
-    }
 }
 
 impl Pages {

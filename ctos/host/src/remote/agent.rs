@@ -180,6 +180,8 @@ enum RefusedError {
 }
 
 /// The agent of a host.
+#[derive(derive_more::Debug)]
+#[debug("HostAgent({})", self.address)]
 pub struct HostAgent {
     listener: Listener,
     address: SocketAddr,
@@ -194,12 +196,6 @@ pub struct HostAgent {
 
 /// The runs by their secret: where their boots come back to, and what waits for them there.
 type Runs = Mutex<BTreeMap<String, (mpsc::UnboundedSender<Return>, Arc<Outbox<ToBoot>>)>>;
-
-impl std::fmt::Debug for HostAgent {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "HostAgent({})", self.address)
-    }
-}
 
 impl HostAgent {
     /// Listens, so that boots may call from now on, and serves them until SIGINT or SIGTERM; then
@@ -320,9 +316,7 @@ impl HostAgent {
             let from = call.ends().map(|(peer, _)| peer);
             let agent = agent.clone();
             serving.spawn(async move {
-                let heard = guest.hear(HELLO_TIMEOUT, agent.hear(call)).await;
-                let heard = heard.unwrap_or_else(|turned| Err(turned.into()));
-                match heard {
+                match guest.hear(HELLO_TIMEOUT, agent.hear(call)).await {
                     Ok(heard) => agent.admit(heard, from).await,
                     Err(error) => agent.refuse(from, &error.to_string()),
                 }
@@ -432,7 +426,7 @@ impl HostAgent {
             replaced.closed().await;
         }
         let (sender, anew) = mpsc::unbounded_channel();
-        let outbox = Outbox::<ToBoot>::new();
+        let outbox = Outbox::new(ToBoot::may_be_dropped);
         lock(&self.runs).insert(hello.run.0.clone(), (sender, outbox.clone()));
         let connection = Connection::new(stream, outbox.clone(), BUNDLE_LIMIT, silence);
         let about = About {

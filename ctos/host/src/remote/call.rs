@@ -99,7 +99,7 @@ impl Link {
             });
         }
         // What waited for a connection that is gone is said anew, where it still counts.
-        self.outbox = Outbox::new();
+        self.outbox = Outbox::new(|_| false);
         self.pinged = None;
         let connection = Connection::new(stream, self.outbox.clone(), FRAME_LIMIT, self.silence);
         Ok((connection, known))

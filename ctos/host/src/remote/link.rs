@@ -212,7 +212,7 @@ impl Link {
             phase: app.phase_timeout,
             silence: app.links.peer_timeout,
             files,
-            outbox: Outbox::new(),
+            outbox: Outbox::new(|_| false),
             live: BTreeMap::new(),
             compared: None,
             pings: 0,

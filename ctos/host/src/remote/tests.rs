@@ -21,7 +21,7 @@ use super::{
 };
 use crate::boot::launcher::{Briefing, ProcessId};
 use crate::doors::{NO_PAGE, STRANGERS, Secret};
-use ctos_config::{Bundle, load};
+use ctos_config::{Bundle, Selection, load};
 use ctos_core::registry::Registry;
 use ctos_link::{
     handshake::{self, Token},
@@ -180,7 +180,7 @@ impl Boot {
             panic!("{answer:?}");
         };
         assert_eq!(known, expect_known);
-        let outbox = Outbox::new();
+        let outbox = Outbox::new(|_| false);
         let connection = Connection::new(Box::new(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
         Self { connection, outbox }
     }
@@ -224,10 +224,12 @@ impl Boot {
 fn files(handlers: &[HandlerView]) -> AppFiles {
     AppFiles {
         bundle: Bundle {
-            file: "app.toml".to_owned(),
+            selection: Selection {
+                file: "app.toml".into(),
+                profiles: vec!["p".to_owned()],
+                sets: vec!["app.seed=3".to_owned()],
+            },
             files: BTreeMap::from([("app.toml".to_owned(), "[app]\n".to_owned())]),
-            profiles: vec!["p".to_owned()],
-            sets: vec!["app.seed=3".to_owned()],
             variables: BTreeMap::from([
                 ("CTOS_TEST_ARM".to_owned(), Some("left".to_owned())),
                 ("HOME".to_owned(), None),
@@ -284,7 +286,7 @@ fn lines_are_numbered_and_those_that_do_not_fit_are_missing_from_the_count_only(
 
 #[test]
 fn an_outbox_keeps_lines_up_to_its_limit_and_everything_else() {
-    let outbox = Outbox::new();
+    let outbox = Outbox::new(ToBoot::may_be_dropped);
     for number in 0..3 * LINES_WAITING as u64 {
         outbox.say(ToBoot::Line(FIRST, number, String::new()));
         outbox.say(ToBoot::Unpacked);
@@ -344,7 +346,7 @@ fn nothing_of_a_lost_run_is_left_when_the_one_that_replaces_it_begins() {
         };
         let (stream, answer) = say_hello(host.address, &hello).await;
         assert!(matches!(answer, HelloAnswer::Welcome { known: false, .. }));
-        let outbox = Outbox::new();
+        let outbox = Outbox::new(|_| false);
         let connection = Connection::new(Box::new(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
         let mut anew = Boot { connection, outbox };
         anew.outbox.say(ToAgent::App(Box::new(files(&[]))));

@@ -18,9 +18,11 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::{
     io::{AsyncWriteExt, ReadHalf, WriteHalf},
     sync::{Mutex, mpsc},
-    task::JoinHandle,
 };
-use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
+use tokio_util::{
+    codec::{FramedRead, LengthDelimitedCodec},
+    task::AbortOnDropHandle,
+};
 
 use crate::{
     boot::{
@@ -144,21 +146,10 @@ pub(crate) enum ToBoot {
     Over,
 }
 
-/// What may stand in an [`Outbox`].
-pub(crate) trait Said: Serialize + Send + 'static {
-    /// Whether it may be dropped when there are too many.
-    fn may_be_dropped(&self) -> bool;
-}
-
-impl Said for ToBoot {
-    fn may_be_dropped(&self) -> bool {
+impl ToBoot {
+    /// Whether it may be dropped when too much waits.
+    pub(crate) fn may_be_dropped(&self) -> bool {
         matches!(self, Self::Line(..))
-    }
-}
-
-impl Said for ToAgent {
-    fn may_be_dropped(&self) -> bool {
-        false
     }
 }
 
@@ -166,23 +157,27 @@ impl Said for ToAgent {
 pub(crate) struct Outbox<T> {
     sender: mpsc::UnboundedSender<T>,
     waiting: Mutex<mpsc::UnboundedReceiver<T>>,
+    /// Whether one may be dropped when there are too many.
+    may_be_dropped: fn(&T) -> bool,
     /// How many of them may be dropped.
     droppable: AtomicUsize,
 }
 
-impl<T: Said> Outbox<T> {
-    pub(crate) fn new() -> Arc<Self> {
+impl<T> Outbox<T> {
+    /// When too much waits, what `may_be_dropped` tells is dropped.
+    pub(crate) fn new(may_be_dropped: fn(&T) -> bool) -> Arc<Self> {
         let (sender, waiting) = mpsc::unbounded_channel();
         Arc::new(Self {
             sender,
             waiting: Mutex::new(waiting),
+            may_be_dropped,
             droppable: AtomicUsize::new(0),
         })
     }
 
     /// Adds `item`; one that may be dropped only while there is space for it.
     pub(crate) fn say(&self, item: T) {
-        if item.may_be_dropped() {
+        if (self.may_be_dropped)(&item) {
             if self.droppable.load(Ordering::Relaxed) >= LINES_WAITING {
                 return;
             }
@@ -194,7 +189,7 @@ impl<T: Said> Outbox<T> {
 
     async fn next(&self) -> Option<T> {
         let item = self.waiting.lock().await.recv().await?;
-        let dropped = usize::from(item.may_be_dropped());
+        let dropped = usize::from((self.may_be_dropped)(&item));
         self.droppable.fetch_sub(dropped, Ordering::Relaxed);
         Some(item)
     }
@@ -223,13 +218,13 @@ pub(crate) enum WireError {
 /// A connection after the hello.
 pub(crate) struct Connection {
     frames: FramedRead<ReadHalf<Stream>, LengthDelimitedCodec>,
-    writer: JoinHandle<WireError>,
+    writer: AbortOnDropHandle<WireError>,
 }
 
 impl Connection {
     /// Reads frames of at most `limit` bytes from `stream`, and writes what is in `outbox`; a frame
     /// that cannot be written within `silence` ends it.
-    pub(crate) fn new<T: Said>(
+    pub(crate) fn new<T: Serialize + Send + 'static>(
         stream: Stream,
         outbox: Arc<Outbox<T>>,
         limit: usize,
@@ -242,7 +237,7 @@ impl Connection {
             .new_codec();
         Self {
             frames: FramedRead::new(reader, codec),
-            writer: tokio::spawn(write(writer, outbox, silence)),
+            writer: AbortOnDropHandle::new(tokio::spawn(write(writer, outbox, silence))),
         }
     }
 
@@ -269,13 +264,7 @@ impl Connection {
     }
 }
 
-impl Drop for Connection {
-    fn drop(&mut self) {
-        self.writer.abort();
-    }
-}
-
-async fn write<T: Said>(
+async fn write<T: Serialize>(
     mut stream: WriteHalf<Stream>,
     outbox: Arc<Outbox<T>>,
     silence: Duration,

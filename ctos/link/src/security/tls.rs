@@ -19,17 +19,13 @@ pub(super) const SERVER_NAME: &str = "chassis.ctos";
 pub type BlockingStream = StreamOwned<ClientConnection, std::net::TcpStream>;
 
 /// A key, ready to prove who this process is, and the authority by which others prove it.
+#[derive(derive_more::Debug)]
+#[debug("Keys({:?})", self.identity)]
 pub struct Keys {
     identity: Identity,
     acceptor: TlsAcceptor,
     page: TlsAcceptor,
     client: Arc<ClientConfig>,
-}
-
-impl std::fmt::Debug for Keys {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Keys({:?})", self.identity)
-    }
 }
 
 impl Keys {

@@ -247,7 +247,7 @@ impl Core {
             return frame;
         }
         frame.body = (self.limits.full)(under_way).into();
-        frame.header.flags = frame.header.flags.with(Flags::FAULT);
+        frame.header.flags |= Flags::FAULT;
         frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
         frame
     }

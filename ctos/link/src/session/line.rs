@@ -126,10 +126,10 @@ pub(super) fn gives_up(frame: &Frame) -> bool {
 mod tests {
     use proptest::prelude::*;
 
-    use super::*;
+    use super::{super::tests::sample, *};
 
     fn request(call: u64, size: usize) -> Frame {
-        let mut frame = Frame::of_body(vec![0; size]);
+        let mut frame = sample::request(vec![0; size]);
         frame.call = call;
         frame
     }

@@ -279,7 +279,7 @@ fn fill(head: &mut Vec<u8>, wanted: usize, bytes: &mut &[u8]) -> bool {
 mod tests {
     use proptest::prelude::*;
 
-    use super::*;
+    use super::{super::tests::sample, *};
 
     fn bytes_of(kind: Kind, numbers: [u64; 2], rest: &[u8]) -> Vec<u8> {
         let mut bytes = BytesMut::new();
@@ -312,9 +312,9 @@ mod tests {
             notice in proptest::collection::vec(any::<u8>(), 0..300),
             cuts in proptest::collection::vec(1_usize..40, 1..20),
         ) {
-            let frame = Frame::of_body(body);
+            let frame = sample::request(body);
             let stream = [
-                bytes_of(Kind::Frame, numbers, &frame.encode()),
+                bytes_of(Kind::Frame, numbers, &sample::bytes_of(&frame)),
                 bytes_of(Kind::Pulse, numbers, &[]),
                 bytes_of(Kind::Notice, numbers, &notice),
                 bytes_of(Kind::Bye, numbers, &[]),

@@ -1,5 +1,7 @@
 //! Two sessions joined over a real socket: what their receivers are told, and by whom it is written.
 
+pub(super) mod sample;
+
 use super::*;
 use crate::{frame::FRAME_FIXED, message::Flags, reactor::Reactor};
 
@@ -79,7 +81,7 @@ fn frames_of_any_size_go_there_and_the_last_ones_before_goodbye() {
         reaches(&other, State::Up).await;
         let sizes = [0, 1, 100, 70_000, 900_000, 3, 200_000];
         for (index, size) in sizes.into_iter().enumerate() {
-            let mut frame = Frame::of_body(vec![1; size]);
+            let mut frame = sample::request(vec![1; size]);
             frame.call = index as u64;
             // In the lane of answers, so that the small room of these sessions is no matter.
             frame.header.flags = Flags::ABANDONED;

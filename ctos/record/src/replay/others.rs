@@ -109,7 +109,7 @@ impl Others {
     /// an order that the scheduler drew.
     fn output(&self, message: &Message, now: Instant) -> Option<Number> {
         // What cannot be encoded is like nothing in the record.
-        let data = bytes_of(&message.envelope.data).ok();
+        let data = message.envelope.data.to_bytes().ok();
         let header = message.header();
         let mut state = lock(&self.state);
         let State {
@@ -289,7 +289,7 @@ impl Others {
             ) => return,
             Err(fault) => Err(fault.clone()),
         };
-        let got = got.map(|answer| answer.and_then(|data| bytes_of(&data)));
+        let got = got.map(|answer| answer.and_then(|data| Ok(data.to_bytes()?)));
         let mut state = lock(&self.state);
         if got.as_ref() == Some(&wanted) {
             return state.report.same();
@@ -335,15 +335,6 @@ impl Others {
         let command = self.names.command_name(&name, command);
         format!("{verb} `{command}` to `{name}`{urgent} {data}")
     }
-}
-
-fn bytes_of(data: &Data) -> Result<Vec<u8>, Fault> {
-    let mut bytes = Vec::new();
-    let appended = data
-        .append_to(&mut bytes)
-        .map_err(|error| error.to_string());
-    appended.map_err(|text| Fault::BadPayload { text })?;
-    Ok(bytes)
 }
 
 /// Data in words: as JSON where its type is known.

@@ -234,7 +234,7 @@ impl Reader<'_> {
             to: key.task,
             command: key.command,
             trace: key.trace,
-            flags: Flags::from_bits(flags).with(Flags::OWNED),
+            flags: Flags::from_bits_retain(flags) | Flags::OWNED,
             deadline: deadline.map(Instant::from_nanos),
             data,
             segment: self.segment,

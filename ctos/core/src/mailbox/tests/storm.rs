@@ -120,7 +120,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
         message.envelope.reply = Some(ReplySlot::call(ticket));
         if way == Way::Call {
             let header = &mut message.envelope.header;
-            header.flags = header.flags.with(Flags::REPLY_WAIT);
+            header.flags |= Flags::REPLY_WAIT;
         }
         task.mailbox.put(message);
         under_way.push_back((label, way, key));
@@ -139,7 +139,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
 /// What a queue of `capacity` took, and what became of each message; the task dies once it has taken
 /// `dies_after`, or when all is sent.
 fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, Outcomes) {
-    let home = Arc::new(ProcessorHandle::new());
+    let home = Arc::new(ProcessorHandle::default());
     let task = TaskRecord::with_capacity(capacity, home.clone(), 0);
     let taken: Arc<Mutex<Vec<Label>>> = Arc::default();
     let outcomes: Arc<Mutex<Outcomes>> = Arc::default();
@@ -156,7 +156,7 @@ fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, 
     let senders = (0..SENDERS).map(|sender| {
         let (task, outcomes, left) = (task.clone(), outcomes.clone(), left.clone());
         std::thread::spawn(move || {
-            let handle = Arc::new(ProcessorHandle::new());
+            let handle = Arc::new(ProcessorHandle::default());
             let processor = Processor::new(handle.clone(), Clock::real());
             let here = processor.clone();
             let work = async move {

@@ -50,7 +50,7 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
         let mesh = mesh.clone();
         tokio::spawn(async move {
             let heard = guest.hear(STRANGER_TIMEOUT, hear(&mesh, call)).await;
-            let served = match heard.unwrap_or_else(|turned| Err(turned.into())) {
+            let served = match heard {
                 Ok(Some((stream, hello))) => serve(&mesh, stream, hello).await,
                 Ok(None) => Ok(()),
                 Err(error) => Err(error),

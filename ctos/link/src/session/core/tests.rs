@@ -7,7 +7,10 @@ use bytes::BytesMut;
 use proptest::prelude::*;
 
 use super::{
-    super::packet::{PACKET_HEAD, put_head},
+    super::{
+        packet::{PACKET_HEAD, put_head},
+        tests::sample,
+    },
     *,
 };
 use crate::{config::InjuryConfig, frame::FRAME_FIXED, message::FENCE};
@@ -137,14 +140,14 @@ fn a_fence_that_is_posted_comes_after_all_requests_that_were_posted_before_it() 
     let mut posted = Vec::new();
     // Most of them wait for credits of the link when the fence comes.
     for call in 1.. {
-        let mut request = Frame::of_body(vec![0; ROOM / 8]);
+        let mut request = sample::request(vec![0; ROOM / 8]);
         request.call = call;
         if one.post(request).is_err() {
             break;
         }
         posted.push(call);
     }
-    let mut fence = Frame::of_body(vec![0]);
+    let mut fence = sample::request(vec![0]);
     fence.call = u64::MAX;
     fence.header.command = FENCE;
     fence.header.flags = Flags::HIGH_PRIORITY;
@@ -167,9 +170,9 @@ fn frame(number: u64) -> Vec<u8> {
 }
 
 fn frame_after(number: u64, received: u64) -> Vec<u8> {
-    let mut frame = Frame::of_body(vec![1]);
+    let mut frame = sample::request(vec![1]);
     frame.call = number;
-    packet(Kind::Frame, number, received, &frame.encode())
+    packet(Kind::Frame, number, received, &sample::bytes_of(&frame))
 }
 
 fn pulse() -> Vec<u8> {
@@ -205,7 +208,7 @@ fn every_part_of_a_large_frame_is_a_sign_of_life() {
         Kind::Frame,
         1,
         0,
-        &Frame::of_body(vec![0; 100_000]).encode(),
+        &sample::bytes_of(&sample::request(vec![0; 100_000])),
     );
     let pause = end.core.pulse_every();
     for part in bytes.chunks(10_000) {
@@ -233,7 +236,7 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
     let (mut end, _) = End::attached();
     let mut posted = 0;
     let full = loop {
-        match end.post(Frame::of_body(vec![0; 10_000])) {
+        match end.post(sample::request(vec![0; 10_000])) {
             Ok(()) => posted += 10_000,
             Err(full) => break full,
         }
@@ -242,7 +245,7 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
         full.bytes <= ROOM && posted > ROOM - 20_000,
         "{full:?}, {posted} bytes posted"
     );
-    let mut reply = Frame::of_body(vec![0; 10_000]);
+    let mut reply = sample::request(vec![0; 10_000]);
     reply.header.flags = Flags::REPLY;
     for _ in 0..1_000 {
         end.post(reply.clone()).unwrap();
@@ -250,7 +253,7 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
     // Large answers have become small faults.
     let held = end.core.counts().bytes_under_way;
     assert!(held < 3 * ROOM as u64, "{held} bytes");
-    let mut system = Frame::of_body(Vec::new());
+    let mut system = sample::request(Vec::new());
     system.header.command = SYSTEM_COMMANDS;
     end.post(system).unwrap();
 }
@@ -258,22 +261,22 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
 #[test]
 fn a_frame_larger_than_the_room_passes_when_nothing_else_is_under_way() {
     let (mut end, _) = End::attached();
-    end.post(Frame::of_body(vec![0; 2 * ROOM])).unwrap();
+    end.post(sample::request(vec![0; 2 * ROOM])).unwrap();
     let held = end.core.counts().bytes_under_way;
-    end.post(Frame::of_body(vec![0; 10])).unwrap();
+    end.post(sample::request(vec![0; 10])).unwrap();
     assert_eq!(end.core.counts().bytes_under_way, held);
 }
 
 #[test]
 fn a_request_that_waits_for_room_leaves_when_there_is_some_unless_its_sender_gave_up() {
     let (mut end, stream) = End::attached();
-    end.post(Frame::of_body(vec![0; ROOM])).unwrap();
+    end.post(sample::request(vec![0; ROOM])).unwrap();
     for call in [7, 8] {
-        let mut waits = Frame::of_body(vec![0; 100]);
+        let mut waits = sample::request(vec![0; 100]);
         waits.call = call;
         end.post(waits).unwrap();
     }
-    let mut gives_up = Frame::of_body(Vec::new());
+    let mut gives_up = sample::request(Vec::new());
     gives_up.call = 7;
     gives_up.header.flags = Flags::ABANDONED;
     end.post(gives_up).unwrap();
@@ -469,7 +472,7 @@ impl Pair {
         match *step {
             Step::Post(index, size, answer) => {
                 self.next += 1;
-                let mut frame = Frame::of_body(vec![0; size]);
+                let mut frame = sample::request(vec![0; size]);
                 frame.call = self.next;
                 if answer {
                     frame.header.flags = Flags::REPLY;

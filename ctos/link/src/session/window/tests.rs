@@ -4,7 +4,10 @@ use std::io::IoSlice;
 
 use proptest::prelude::*;
 
-use super::{super::packet::*, *};
+use super::{
+    super::{packet::*, tests::sample},
+    *,
+};
 use crate::config::InjuryConfig;
 
 const MANY: usize = 1 << 30;
@@ -62,7 +65,7 @@ impl End {
 
     fn post(&mut self, size: usize) {
         self.posted += 1;
-        let mut frame = Frame::of_body(vec![self.posted as u8; size]);
+        let mut frame = sample::request(vec![self.posted as u8; size]);
         frame.call = self.posted;
         self.outgoing.put_frame(frame, Lane::Data, Instant::START);
     }
@@ -254,7 +257,7 @@ fn play_lanes(frames: &[(usize, bool)], writes: &[usize], breaks: &[bool]) -> Ve
         let next = frames.next();
         let is_over = next.is_none() && pair.ends[0].outgoing.is_empty();
         if let Some((call, (size, urgent))) = next {
-            let mut frame = Frame::of_body(vec![call as u8; *size]);
+            let mut frame = sample::request(vec![call as u8; *size]);
             frame.call = call;
             let lane = if *urgent { Lane::Urgent } else { Lane::Data };
             pair.ends[0].outgoing.put_frame(frame, lane, Instant::START);
@@ -303,7 +306,7 @@ fn an_urgent_frame_and_a_sign_of_life_come_between_the_pieces_of_a_large_one() {
     let mut end = End::new(None);
     end.outgoing.cut_into(100_000);
     let frame = |call: u64, size: usize| {
-        let mut frame = Frame::of_body(vec![call as u8; size]);
+        let mut frame = sample::request(vec![call as u8; size]);
         frame.call = call;
         frame
     };
@@ -347,7 +350,7 @@ fn a_large_body_is_written_from_where_it_is() {
     let body = vec![9; 100_000];
     let place = body.as_ptr();
     end.outgoing
-        .put_frame(Frame::of_body(body), Lane::Data, Instant::START);
+        .put_frame(sample::request(body), Lane::Data, Instant::START);
     let mut seen = false;
     let write = |slices: &[IoSlice<'_>]| {
         seen |= slices

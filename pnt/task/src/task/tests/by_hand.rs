@@ -74,7 +74,7 @@ fn whoever_looks_at_the_task_of_a_net_is_told_that_it_is_paused() {
     async fn at(cx: &Context) -> Option<String> {
         let to = cx.task("n").await.unwrap();
         let look = cx.look_at(&to, &[]).await.unwrap();
-        look.task.at.map(|at| at.text)
+        look.task.at
     }
     let found = run_with("allow_control = true", PUMP, Faults::none(), |cx| {
         Box::pin(async move {

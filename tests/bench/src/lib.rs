@@ -1,19 +1,26 @@
 //! A chassis without a boot, for benchmarks: tasks on processors of this process, and work that runs
-//! among them; and what tests of other crates need of a processor. Not part of the interface.
+//! among them.
 
-use crate::{
+use std::{
+    future::Future,
+    ops::Range,
+    rc::Rc,
+    sync::{Arc, mpsc},
+};
+
+use ctos_config::App;
+use ctos_core::{
     chassis::Chassis,
     context::{Context, TaskRef},
     handled::HandlerError,
+    processor::Processor,
     registry::Registry,
     runner::{TaskSpec, start_task},
     task_record::TaskRecord,
     threads::start_processors,
 };
-use ctos_config::App;
 use ctos_message::Tid;
 use ctos_time::Clock;
-use std::{future::Future, sync::Arc, sync::mpsc};
 use tokio::sync::oneshot;
 
 /// The slot that work runs as; tasks take those below.
@@ -48,10 +55,11 @@ impl Bench {
         first: u16,
         count: u16,
     ) -> Result<Vec<TaskRef>, HandlerError> {
-        let kind = kind.to_owned();
-        self.run(processor, move |cx| async move {
-            start_row(&cx, &kind, first, count)
+        let (kind, chassis) = (kind.to_owned(), self.chassis.clone());
+        self.on(processor, move |here| {
+            start_row(&chassis, here, (processor, &kind), first..first + count)
         })?
+        .recv()?
     }
 
     /// Makes a task known by its name, as the task identification service would.
@@ -80,42 +88,54 @@ impl Bench {
         processor: u8,
         work: impl FnOnce(Context) -> F + Send + 'static,
     ) -> Result<mpsc::Receiver<T>, HandlerError> {
-        let (sender, done) = mpsc::channel();
         let home = self.chassis.clone();
-        let found = home.processors.get(usize::from(processor));
-        let (_, handle) = found.ok_or("no such processor")?;
-        handle.clone().inject(move |here| {
+        let (sender, done) = mpsc::channel();
+        self.on(processor, move |here| {
             let tid = Tid::new(home.index(), processor, WORK);
             let record = TaskRecord::of_runtime("work", tid, Arc::default(), &here.handle);
-            let cx = Context::new(record, home, here.clone(), None);
-            let work = work(cx);
+            let work = work(Context::new(record, home, here.clone(), None));
             let result = async move {
                 let _ = sender.send(work.await);
             };
             here.spawn(result, None);
+        })?;
+        Ok(done)
+    }
+
+    /// Has a processor do `job`; what comes of it comes through the channel.
+    fn on<T: Send + 'static>(
+        &self,
+        processor: u8,
+        job: impl FnOnce(&Rc<Processor>) -> T + Send + 'static,
+    ) -> Result<mpsc::Receiver<T>, HandlerError> {
+        let (sender, done) = mpsc::channel();
+        let found = self.chassis.processors.get(usize::from(processor));
+        let (_, handle) = found.ok_or("no such processor")?;
+        handle.inject(move |here| {
+            let _ = sender.send(job(here));
         });
         Ok(done)
     }
 }
 
-/// Starts `count` tasks of a kind on the processor of `cx`, in slots from `first` on.
+/// Starts tasks of a kind on a processor, of this number, in these slots.
 fn start_row(
-    cx: &Context,
-    kind: &str,
-    first: u16,
-    count: u16,
+    chassis: &Arc<Chassis>,
+    processor: &Rc<Processor>,
+    (number, kind): (u8, &str),
+    slots: Range<u16>,
 ) -> Result<Vec<TaskRef>, HandlerError> {
-    let (processor, registry) = (cx.processor(), cx.registry());
+    let registry = chassis.registry();
     let registered = registry.kind(kind).ok_or("no such kind of handler")?;
     let recipe = registered.recipe();
-    let mut tasks = Vec::with_capacity(usize::from(count));
-    for slot in first..first + count {
-        let tid = Tid::new(cx.tid().chassis(), cx.tid().processor(), slot);
+    let started = slots.map(|slot| {
+        let tid = Tid::new(chassis.index(), number, slot);
         let spec = TaskSpec::new(kind, tid, None, recipe.clone(), &processor.handle);
-        tasks.push(TaskRef::new(spec.record.name.clone(), tid));
-        start_task(cx.chassis(), processor, spec)?;
-    }
-    Ok(tasks)
+        let task = TaskRef::new(spec.record.name.clone(), tid);
+        start_task(chassis, processor, spec)?;
+        Ok(task)
+    });
+    started.collect()
 }
 
 impl Drop for Bench {
