@@ -14,7 +14,7 @@
 
 use std::{error::Error, f64::consts::TAU, path::Path};
 
-use mcs::arm::{ArmModel, Joints};
+use mcs::model::{Placement, built_in, file::Inertias, inverse::ClosedForm};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use sim::{camera::Renderer, cell::Cell, scene::SceneState};
 use vss::calibrate::{LensModel, design};
@@ -41,8 +41,11 @@ const LEANS: [f64; 5] = [0.0, 25.0, 50.0, 75.0, 100.0];
 const SEEN_MIN: f64 = 0.999;
 const BORDER_PX: f64 = 12.0;
 
+type Joints = [f64; 6];
+
 struct Layout {
-    arm: ArmModel,
+    /// The arm with the lamp as its tool.
+    arm: ClosedForm,
     cell: Cell,
     renderers: Vec<Renderer>,
 }
@@ -92,9 +95,9 @@ impl Layout {
     }
 
     fn joints(&self, pose: &Isometry3<f64>, near: &Joints) -> Option<Joints> {
-        let tool = Translation3::from(self.cell.lamp.offset.coords);
-        let solutions = self.arm.inverse(&(pose * tool.inverse()), near).ok()?;
-        Some(solutions.nearest(&self.arm, near, None).ok()?.joints)
+        let solutions = self.arm.inverse(&Placement::from(pose), near).ok()?;
+        let nearest = solutions.nearest_within(self.arm.limits(), near, None);
+        Some(nearest.ok()?.joints)
     }
 
     fn seen(&mut self, joints: &Joints) -> bool {
@@ -115,7 +118,7 @@ impl Layout {
 
     /// Seconds at full joint speeds.
     fn cost(&self, joints: &Joints, near: &Joints) -> f64 {
-        let per_joint = joints.iter().zip(near).zip(&self.arm.limits);
+        let per_joint = joints.iter().zip(near).zip(self.arm.limits());
         per_joint.fold(0.0, |longest, ((to, from), limit)| {
             f64::max(longest, (to - from).abs() / limit.velocity)
         })
@@ -129,8 +132,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         .iter()
         .map(|camera| Renderer::new(&cell, camera, 0))
         .collect();
+    let lamp = cell.lamp.offset;
+    let arm = built_in::model("puma560", Inertias::Identified).ok_or("no such arm")??;
+    let arm = arm.with_tool(&Placement::shifted(lamp.x, lamp.y, lamp.z));
     let mut layout = Layout {
-        arm: ArmModel::puma560(),
+        arm: ClosedForm::of(&arm, arm.tip()).ok_or("the arm has no closed form")?,
         renderers,
         cell,
     };

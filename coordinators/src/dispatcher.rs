@@ -14,7 +14,6 @@ use ctos::{
     task::{Context, HandlerError},
 };
 use futures_util::future::join_all;
-use mcs::Manipulator;
 use pnt::{
     check::FunctionNames,
     library::{Acted, Action, Library},
@@ -141,8 +140,8 @@ fn check_positions(task: &TaskConfig, app: &App, args: &DispatcherArgs, findings
         Ok(positions) => positions,
         Err(found) => return findings.extend(found),
     };
-    if let Some(Manipulator { arm, tool }) = Manipulator::of(app) {
-        positions::check_reach(&positions, &source, &arm, &tool, findings);
+    if let Some(arm) = mcs::manipulator(app) {
+        positions::check_reach(&positions, &source, arm, findings);
     }
     positions::check_spread(&positions, &source, findings);
 }

@@ -11,10 +11,10 @@ use ctos::{
     task::{Context, HandlerError},
 };
 use mcs::{
-    arm::Elbow,
     client::{
         Manipulator, MotionError, Move, Outcome as Motion, PathKind, Plan, PlanReport, Target,
     },
+    model::inverse::Elbow,
     state::State,
 };
 use pnt::{

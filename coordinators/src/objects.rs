@@ -1,7 +1,7 @@
 //! The data objects that the coordinators exchange through the DOM, by name and type.
 
 use mcs::{
-    arm::Joints,
+    Joints,
     client::{PathKind, Target},
 };
 use serde::{Deserialize, Serialize};
@@ -67,7 +67,7 @@ pub struct GivenPath {
 /// [`PATH`]: a motion that the client interface has accepted for planning.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PathSpec {
-    /// Joint positions at the end, rad.
+    /// Joint positions at the end, rad or m.
     pub target: Target,
     /// Which way.
     pub kind: PathKind,
@@ -95,7 +95,7 @@ pub struct Spots {
 pub struct ReachedPosition {
     /// The destination's stamp.
     pub stamp: Stamp,
-    /// Joint positions as read back, rad.
+    /// Joint positions as read back, rad or m.
     pub joints: Joints,
     /// Origin of the tool frame (the lamp) in the base frame, m.
     pub lamp: [f64; 3],
@@ -117,9 +117,9 @@ pub struct Problem {
 pub struct MotionLog {
     /// Motions completed.
     pub moves: u32,
-    /// Largest distance of any joint from its setpoint, rad.
+    /// Largest distance of a joint that turns from its setpoint, rad.
     pub max_tracking_error_rad: f64,
-    /// Largest distance of any joint from its target after settling, rad.
+    /// Largest distance of a joint that turns from its target after settling, rad.
     pub max_final_error_rad: f64,
 }
 

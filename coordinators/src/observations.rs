@@ -113,7 +113,7 @@ mod tests {
     fn lamp() -> ReachedPosition {
         ReachedPosition {
             stamp: Stamp::default(),
-            joints: [0.0; 6],
+            joints: mcs::Joints::zeros(6),
             lamp: [0.1, 0.2, 0.3],
         }
     }

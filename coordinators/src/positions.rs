@@ -4,10 +4,10 @@
 //! tool frame (the lamp) in the base frame, m, and its orientation `Rz(yaw) Ry(pitch) Rx(roll)`,
 //! degrees. Lines that begin with `#` are comments.
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings, Source};
-use mcs::arm::{ArmModel, IkError};
+use mcs::{Joints, model::Model, trajectory::Solver};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -177,17 +177,15 @@ fn pose(source: &Source, row: &FileRow<'_>) -> Result<Isometry3<f64>, Findings> 
     }
 }
 
-/// Checks that each pose is within the arm's reach and joint limits with `tool` (`frame_6_T_tool`) in
-/// its hand.
-pub fn check_reach(
-    positions: &[Position],
-    source: &Source,
-    arm: &ArmModel,
-    tool: &Isometry3<f64>,
-    findings: &mut Findings,
-) {
+/// Checks that each pose is within the arm's reach and joint limits with its tool, which is the tip of its model.
+pub fn check_reach(positions: &[Position], source: &Source, arm: Model, findings: &mut Findings) {
+    // The servo's own check says that an arm has too many joints.
+    let Ok(mut solver) = Solver::new(Arc::new(arm)) else {
+        return;
+    };
+    let near = Joints::zeros(solver.model().dof());
     for position in positions {
-        if let Err(reason) = reach(arm, tool, &position.pose) {
+        if let Err(reason) = solver.nearest(&position.pose, &near, None) {
             findings.push(
                 Finding::error(
                     "coordinators::positions::unreachable",
@@ -225,16 +223,6 @@ pub fn check_spread(positions: &[Position], source: &Source, findings: &mut Find
             .help("spread them over several heights"),
         );
     }
-}
-
-fn reach(
-    arm: &ArmModel,
-    tool: &Isometry3<f64>,
-    base_t_tool: &Isometry3<f64>,
-) -> Result<(), IkError> {
-    let near = [0.0; 6];
-    let solutions = arm.inverse(&(base_t_tool * tool.inverse()), &near)?;
-    solutions.nearest(arm, &near, None).map(|_| ())
 }
 
 /// How positions fail to fill space, if they do.

@@ -8,7 +8,8 @@ use ctos::call::{CallError, Fault};
 use ctos::task::{Context, NameError, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::arm::{Elbow, Joints};
+use crate::joints::Joints;
+use crate::model::inverse::Elbow;
 use crate::servo::MotionPhase;
 use crate::state::State;
 pub use crate::trajectory::PathKind;
@@ -16,7 +17,7 @@ pub use crate::trajectory::PathKind;
 /// Where to move.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Target {
-    /// Joint positions, rad.
+    /// Joint positions, rad or m.
     Joints(Joints),
     /// `base_t_tool`: a homogeneous 4 by 4 matrix, row by row, lengths in m.
     Pose([f64; 16]),
@@ -171,18 +172,22 @@ const CHANGE: Duration = Duration::from_secs(40);
 pub struct MoveReport {
     /// From the first setpoint until the arm had settled, s.
     pub duration_s: f64,
-    /// Largest distance of any joint from its setpoint on the way, rad.
+    /// Largest distance of a joint that turns from its setpoint on the way, rad.
     pub max_tracking_error_rad: f64,
-    /// Largest distance of any joint from its target, settled, rad.
+    /// The same of joints that slide, m.
+    pub max_tracking_error_m: f64,
+    /// Largest distance of a joint that turns from its target, settled, rad.
     pub final_error_rad: f64,
-    /// Joint positions as read back at the end, rad.
+    /// The same of joints that slide, m.
+    pub final_error_m: f64,
+    /// Joint positions as read back at the end, rad or m.
     pub joints: Joints,
 }
 
 /// A motion that would be accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PlanReport {
-    /// Joint positions at the end, rad.
+    /// Joint positions at the end, rad or m.
     pub joints: Joints,
     /// Duration of the motion without settling, s.
     pub duration_s: f64,
@@ -191,7 +196,7 @@ pub struct PlanReport {
 /// Where the manipulator is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Position {
-    /// Joint positions as read back, rad.
+    /// Joint positions as read back, rad or m.
     pub joints: Joints,
     /// `base_t_tool` by forward kinematics of these joints: 4 by 4, row by row, lengths in m.
     pub base_t_tool: [f64; 16],
@@ -227,7 +232,7 @@ pub struct ControlReport {
     pub bandwidth_hz: f64,
     /// Damping ratio of the position loop.
     pub damping: f64,
-    /// A joint this far from its setpoint is an emergency, rad.
+    /// A joint that turns and is this far from its setpoint is an emergency, rad.
     pub following_error_rad: f64,
 }
 
@@ -257,7 +262,7 @@ ctos::command! {
         pub speed: f64,
         /// Fraction of full acceleration, above 0 up to 1; as the speed when it is left out.
         pub acceleration: Option<f64>,
-        /// Elbow posture at a pose, or the one nearest to the present joints.
+        /// Elbow posture at a pose, of an arm with a closed form, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
     } => Result<MoveReport, MotionError>, 0x0302, "move"
 }
@@ -273,7 +278,7 @@ ctos::command! {
         pub speed: f64,
         /// Fraction of full acceleration, above 0 up to 1; as the speed when it is left out.
         pub acceleration: Option<f64>,
-        /// Elbow posture at a pose, or the one nearest to the present joints.
+        /// Elbow posture at a pose, of an arm with a closed form, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
     } => Result<PlanReport, MotionError>, 0x0303, "plan"
 }

@@ -1,15 +1,17 @@
 //! The motion control layer: control laws, which turn a setpoint and readings into joint torques.
 //!
-//! A law of one's own is one file with one type that implements [`ControlLaw`]. Laws know the arm's
-//! model and nothing of tasks, planning or hardware.
+//! A law of one's own is one file with one type that implements [`ControlLaw`], and one name in a [`LawRegistry`].
+//! Laws know the arm's model and nothing of tasks, planning or hardware.
 
 pub mod computed_torque;
 pub mod pid;
+mod registry;
 
 use std::time::Duration;
 
 pub use computed_torque::ComputedTorque;
-pub use pid::{JointGains, PidGravity};
+pub use pid::PidGravity;
+pub use registry::{LawRegistry, LawSettings};
 
 use crate::{driver::SlotReading, trajectory::Setpoint};
 
@@ -25,7 +27,7 @@ pub trait ControlLaw: Send {
         let _ = (bandwidth, damping);
     }
 
-    /// Computes one torque per slot into `out` (N m, N for a linear axis) from the setpoint and the
+    /// Computes one torque per slot into `out` (N m, or N for a joint that slides) from the setpoint and the
     /// readings of the same instant. The servo limits the torques afterwards; a law that
     /// integrates should know the limits itself. `period` is the servo period.
     fn torques(

@@ -15,9 +15,9 @@ pub use registry::{DriverKind, DriverRegistry};
 /// What one slot reported at the last [`ChannelDriver::read`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SlotReading {
-    /// Joint position, rad (m for a linear axis).
+    /// Joint position, rad, or m of one that slides.
     pub position: f64,
-    /// Joint velocity, rad/s (m/s).
+    /// Joint velocity, rad/s, or m/s.
     pub velocity: f64,
 }
 
@@ -60,7 +60,7 @@ pub trait ChannelDriver: Send {
     /// A driver fault; the servo then stops the arm.
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError>;
 
-    /// Applies one torque per slot, N m (N for a linear axis), held until the next write. The
+    /// Applies one torque per slot, N m (N for a joint that slides), held until the next write. The
     /// stand-in advances its world by `period` here.
     ///
     /// # Errors

@@ -4,16 +4,16 @@
 //! (slots over channel drivers), [`control`] the laws that turn setpoints into torques, [`trajectory`]
 //! the planning of segments, [`servo`] the synchronous function that runs all three at the servo
 //! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`model`] is any
-//! arm as data with its kinematics and dynamics, [`arm`] the six-joint arm that servo, laws and
-//! planner still know; the tasks put everything behind event handlers, registered by [`register`].
+//! arm as data with its kinematics and dynamics, [`joints`] a vector of as many numbers as it has
+//! joints; the tasks put everything behind event handlers, registered by [`register`].
 //!
 //! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
-//! registers it in a [`driver::DriverRegistry`].
+//! registers it in a [`driver::DriverRegistry`]. A control law of one's own goes into a [`control::LawRegistry`].
 
-pub mod arm;
 pub mod client;
 pub mod control;
 pub mod driver;
+pub mod joints;
 pub mod model;
 pub mod services;
 pub mod servo;
@@ -21,4 +21,5 @@ pub mod state;
 mod tasks;
 pub mod trajectory;
 
-pub use tasks::{args::Manipulator, register};
+pub use joints::{Joints, MAX_SLOTS};
+pub use tasks::{args::manipulator, register};

@@ -17,6 +17,7 @@ mod features;
 pub mod file;
 pub mod inverse;
 mod kinematics;
+pub mod origin;
 mod placement;
 pub mod urdf;
 

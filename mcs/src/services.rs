@@ -14,7 +14,6 @@ mod pino;
 
 use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
-use crate::arm::Joints;
 use crate::client::MotionError;
 use local::SharedArm;
 use mvpos::MvPos;
@@ -37,7 +36,7 @@ sorma::prototypes! {
         TOO_LARGE = 124, Error, "the numbers are too large to compute with",
             "check the units: rad, rad/s, rad/s^2";
         NO_POSITION = 125, Error, "no position of this name, or none of a flavor's own",
-            "`dict CTRL -add position.NAME 'q1 .. q6'` names one, rad; -to gives a flavor its own";
+            "`dict CTRL -add position.NAME 'q1 .. qn'` names one, rad or m; -to gives a flavor its own";
         MOTION = 126, Error, "the motion cannot be made", "the text says what is in the way, and where";
         MODEL = 127, Error, "the description of an arm is wrong, or odd",
             "mend it at file:line:column, which the text begins with";
@@ -97,10 +96,9 @@ pub fn classes() -> Vec<ClassInfo> {
     ]
 }
 
-/// The joint vector that begins at `start` in `floats`, which the table has counted; missing numbers
-/// would be 0.
-fn joints(floats: &[f64], start: usize) -> Joints {
-    std::array::from_fn(|index| floats.get(start + index).copied().unwrap_or_default())
+/// The first six of `floats`, which the table has counted; missing numbers would be 0.
+fn six(floats: &[f64]) -> [f64; 6] {
+    std::array::from_fn(|index| floats.get(index).copied().unwrap_or_default())
 }
 
 /// What keeps the app's arm from doing what was asked, as a report.

@@ -16,25 +16,26 @@ use std::time::Duration;
 
 use crossbeam_queue::ArrayQueue;
 
-use crate::arm::{ArmModel, DOF, Joints};
 use crate::control::ControlLaw;
 use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
-use crate::trajectory::Setpoint;
+use crate::joints::{Distances, Joints, TooManyJoints};
+use crate::model::Model;
+use crate::trajectory::{Setpoint, Solver};
 use motion::{Motion, Progress};
 pub use port::{Fault, MotionPhase, MotionStatus, Rejection, ServoCommand, ServoPort, ServoStatus};
 
 /// Orders that may wait in the queue at once.
 const COMMANDS: usize = 32;
-/// How far (rad) a segment may start from the setpoint that is held.
+/// How far (rad or m) a segment may start from the setpoint that is held.
 const START_TOLERANCE: f64 = 1e-6;
 
 /// When a motion counts as settled.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settling {
-    /// Every joint's error is at most this, rad,
+    /// Every joint's error is at most this, rad of one that turns and m of one that slides,
     pub error: f64,
-    /// and its speed at most this, rad/s,
+    /// and its speed at most this, rad/s or m/s,
     pub speed: f64,
     /// for this many ticks on end.
     pub ticks: u32,
@@ -60,10 +61,10 @@ pub struct ServoConfig {
     pub period: Duration,
     /// The planner gives a setpoint every so many periods (at least 1).
     pub setpoint_every: u32,
-    /// A joint this far from its setpoint (rad) is an emergency.
-    pub following_error: f64,
-    /// A joint further from its setpoint than this (rad)
-    pub following_window: f64,
+    /// A joint this far from its setpoint is an emergency.
+    pub following_error: Distances,
+    /// A joint further from its setpoint than this
+    pub following_window: Distances,
     /// for this long does not follow: something is in its way, or it is not driven. As the following
     /// error window and time-out of CiA 402 (objects 6065h and 6066h).
     pub following_timeout: Duration,
@@ -76,8 +77,14 @@ impl Default for ServoConfig {
         Self {
             period: Duration::from_micros(4500),
             setpoint_every: 4,
-            following_error: 0.1,
-            following_window: 0.03,
+            following_error: Distances {
+                turning: 0.1,
+                sliding: 0.05,
+            },
+            following_window: Distances {
+                turning: 0.03,
+                sliding: 0.015,
+            },
             following_timeout: Duration::from_millis(100),
             settling: Settling::default(),
         }
@@ -88,11 +95,18 @@ impl Default for ServoConfig {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ServoError {
     /// The driver's slots do not fit the arm.
-    #[error("the channel driver has {found} slots, the arm needs {DOF}; choose another driver")]
+    #[error(
+        "the channel driver has {found} slots, the arm has {needed} joints; choose another driver or model"
+    )]
     Slots {
         /// Slots of the driver.
         found: usize,
+        /// Joints of the arm.
+        needed: usize,
     },
+    /// The arm has more joints than a manipulator may have.
+    #[error(transparent)]
+    Joints(#[from] TooManyJoints),
     /// A number of the configuration that cannot be.
     #[error("servo `{what}` is {value}; it must be above zero")]
     NotPositive {
@@ -106,15 +120,15 @@ pub enum ServoError {
 /// Whoever drops the servo leaves an arm without a controller: its power goes off first.
 impl Drop for Servo {
     fn drop(&mut self) {
-        let period = self.config.period;
+        let (still, period) = (self.still(), self.config.period);
         // Nobody is left to be told of a failure.
-        let _ = self.driver.write(&[0.0; DOF], Power::Off, period);
+        let _ = self.driver.write(&still, Power::Off, period);
     }
 }
 
 /// The synchronous part of MCS for one manipulator.
 pub struct Servo {
-    model: Arc<ArmModel>,
+    solver: Solver,
     driver: Box<dyn ChannelDriver>,
     law: Box<dyn ControlLaw>,
     config: ServoConfig,
@@ -122,7 +136,7 @@ pub struct Servo {
     driver_errors: Arc<ArrayQueue<DriverError>>,
     output: triple_buffer::Input<ServoStatus>,
     status: ServoStatus,
-    readings: [SlotReading; DOF],
+    readings: Vec<SlotReading>,
     setpoint: Setpoint,
     motion: Option<Motion>,
     /// Power state to take once the arm is at rest.
@@ -130,7 +144,7 @@ pub struct Servo {
     /// Brakes were ordered open: seed setpoint and law from the next reading.
     releasing: bool,
     /// Ticks for which each joint has been outside its following window.
-    astray: [u32; DOF],
+    astray: Vec<u32>,
     /// Ticks that a joint may be.
     patience: u32,
 }
@@ -141,21 +155,35 @@ impl Servo {
     /// # Errors
     /// [`ServoError`] when the driver does not fit the arm or a number is not positive.
     pub fn new(
-        model: Arc<ArmModel>,
+        model: Arc<Model>,
         driver: Box<dyn ChannelDriver>,
         law: Box<dyn ControlLaw>,
         config: ServoConfig,
     ) -> Result<(Self, ServoPort), ServoError> {
-        if driver.slots() != DOF {
-            return Err(ServoError::Slots {
-                found: driver.slots(),
-            });
+        let (found, needed) = (driver.slots(), model.dof());
+        if found != needed {
+            return Err(ServoError::Slots { found, needed });
         }
+        let solver = Solver::new(model)?;
         let positive = [
             ("period", config.period.as_secs_f64()),
             ("setpoint_every", f64::from(config.setpoint_every)),
-            ("following_error", config.following_error),
-            ("following_window", config.following_window),
+            (
+                "following_error of joints that turn",
+                config.following_error.turning,
+            ),
+            (
+                "following_error of joints that slide",
+                config.following_error.sliding,
+            ),
+            (
+                "following_window of joints that turn",
+                config.following_window.turning,
+            ),
+            (
+                "following_window of joints that slide",
+                config.following_window.sliding,
+            ),
             ("settling.error", config.settling.error),
             ("settling.speed", config.settling.speed),
         ];
@@ -166,23 +194,31 @@ impl Servo {
         }
         let commands = Arc::new(ArrayQueue::new(COMMANDS));
         let driver_errors = Arc::new(ArrayQueue::new(1));
-        let (output, reader) = triple_buffer::triple_buffer(&ServoStatus::default());
+        let still = Joints::zeros(needed);
+        let status = ServoStatus {
+            position: still,
+            velocity: still,
+            setpoint: still,
+            torque: still,
+            ..ServoStatus::default()
+        };
+        let (output, reader) = triple_buffer::triple_buffer(&status);
         let port = ServoPort::new(Arc::clone(&commands), Arc::clone(&driver_errors), reader);
         let servo = Self {
-            model,
+            solver,
             driver,
             law,
             config,
             commands,
             driver_errors,
             output,
-            status: ServoStatus::default(),
-            readings: [SlotReading::default(); DOF],
-            setpoint: Setpoint::default(),
+            status,
+            readings: vec![SlotReading::default(); needed],
+            setpoint: Setpoint::at_rest(still),
             motion: None,
             after_rest: None,
             releasing: false,
-            astray: [0; DOF],
+            astray: vec![0; needed],
             // A count of ticks beyond that of 32 bits would be a year.
             patience: (config.following_timeout.as_secs_f64() / config.period.as_secs_f64()) as u32,
         };
@@ -260,7 +296,7 @@ impl Servo {
     }
 
     fn begin(&mut self, id: u64, segment: crate::trajectory::Segment) {
-        let rejection = match segment.at(0.0, &self.setpoint.position) {
+        let rejection = match segment.at(&mut self.solver, 0.0, &self.setpoint.position) {
             _ if self.status.power != Power::Released || self.after_rest.is_some() => {
                 Some(Rejection::NotReleased)
             }
@@ -284,8 +320,16 @@ impl Servo {
         self.motion = Some(Motion::new(segment, &self.config));
     }
 
-    /// Largest distance of any joint from the held setpoint, rad.
+    /// Zeros for all joints.
+    fn still(&self) -> Joints {
+        Joints::zeros(self.readings.len())
+    }
+
+    /// Largest distance of any joint from the held setpoint, rad or m; of another arm's vector infinite.
     fn distance(&self, position: &Joints) -> f64 {
+        if position.len() != self.setpoint.position.len() {
+            return f64::INFINITY;
+        }
         let pairs = position.iter().zip(&self.setpoint.position);
         pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
     }
@@ -293,7 +337,7 @@ impl Servo {
     /// Brakes along the path; standing still already, there is nothing to do.
     fn brake(&mut self) {
         if let Some(motion) = &mut self.motion {
-            motion.stop(&self.setpoint);
+            motion.stop(&mut self.solver, &self.setpoint);
         }
     }
 
@@ -334,7 +378,7 @@ impl Servo {
             }
             return;
         };
-        let progress = motion.advance(&self.setpoint, &self.readings);
+        let progress = motion.advance(&mut self.solver, &self.setpoint, &self.readings);
         match progress {
             Ok((setpoint, progress)) => {
                 self.setpoint = setpoint;
@@ -347,8 +391,10 @@ impl Servo {
                     }
                     Progress::NotSettled => {
                         let settling = &self.config.settling;
+                        let (kind, error) = motion.error().largest();
                         let fault = Fault::NotSettled {
-                            error: motion.error(),
+                            kind,
+                            error,
                             limit: settling.error,
                             after: f64::from(settling.patience) * self.config.period.as_secs_f64(),
                         };
@@ -362,28 +408,32 @@ impl Servo {
 
     fn watch(&mut self) {
         if self.status.power != Power::Released {
-            self.astray = [0; DOF];
+            self.astray.fill(0);
             return;
         }
-        for index in 0..DOF {
+        for (index, joint) in self.solver.model().joints().iter().enumerate() {
+            let kind = joint.kind;
             let error = (self.setpoint.position[index] - self.status.position[index]).abs();
-            let astray = match error > self.config.following_window {
+            let window = self.config.following_window.of(kind);
+            let limit = self.config.following_error.of(kind);
+            let astray = match error > window {
                 true => self.astray[index].saturating_add(1),
                 false => 0,
             };
             self.astray[index] = astray;
             let joint = index + 1;
-            let fault = if error > self.config.following_error {
-                let limit = self.config.following_error;
+            let fault = if error > limit {
                 Fault::FollowingError {
                     joint,
+                    kind,
                     error,
                     limit,
                 }
             } else if astray > self.patience {
                 Fault::NotFollowing {
                     joint,
-                    window: self.config.following_window,
+                    kind,
+                    window,
                     after: f64::from(astray) * self.config.period.as_secs_f64(),
                 }
             } else {
@@ -394,7 +444,7 @@ impl Servo {
     }
 
     fn control(&mut self) -> Joints {
-        let mut torques = [0.0; DOF];
+        let mut torques = self.still();
         if self.status.power != Power::Released {
             return torques;
         }
@@ -406,10 +456,10 @@ impl Servo {
         );
         if torques.iter().any(|torque| !torque.is_finite()) {
             self.fail(Fault::ControlLaw);
-            return [0.0; DOF];
+            return self.still();
         }
-        for (torque, limit) in torques.iter_mut().zip(&self.model.limits) {
-            *torque = torque.clamp(-limit.torque, limit.torque);
+        for (torque, joint) in torques.iter_mut().zip(self.solver.model().joints()) {
+            *torque = torque.clamp(-joint.limits.torque, joint.limits.torque);
         }
         torques
     }

@@ -24,6 +24,7 @@ use ctos::task::{Context, HandlerError};
 use nalgebra::Isometry3;
 
 use crate::client::{MotionError, Outcome};
+use crate::control::LawRegistry;
 use crate::driver::{DriverRegistry, Power};
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::Planner;
@@ -37,9 +38,9 @@ pub const PLANNER: &str = "mcs.planner";
 /// Registered name of the client interface's event handler.
 pub const CLIENT: &str = "mcs.client";
 
-/// Registers the event handlers of MCS, which find their channel drivers in `drivers`.
-pub fn register(registry: &mut Registry, drivers: DriverRegistry) {
-    servo::register(registry, Arc::new(drivers));
+/// Registers the event handlers of MCS, which find their channel drivers in `drivers` and their control laws in `laws`.
+pub fn register(registry: &mut Registry, drivers: DriverRegistry, laws: LawRegistry) {
+    servo::register(registry, Arc::new(drivers), Arc::new(laws));
     state::register(registry);
     planner::register(registry);
     client::register(registry);
@@ -49,7 +50,7 @@ pub fn register(registry: &mut Registry, drivers: DriverRegistry) {
 pub struct Link {
     /// The way to the servo and back.
     pub port: ServoPort,
-    /// The planner for this manipulator, with its limits and tool.
+    /// The planner for this manipulator, with its limits and tool. Who plans takes a copy, which has scratch of its own.
     pub planner: Planner,
     /// Rates of the servo.
     pub config: ServoConfig,

@@ -1,41 +1,46 @@
 //! The motion planning layer's mathematics: profiles of speed over time, and segments to follow.
 //!
 //! A [`Segment`] is planned and checked once, before anything moves; evaluating it allocates nothing.
-//! Knows the arm, but no servo, task or hardware.
+//! Knows the arm, but no servo, task or hardware. Positions are in rad of joints that turn and in m of
+//! joints that slide; speeds and accelerations are per s and s^2.
 
 pub mod interpolate;
 pub mod plan;
 pub mod profile;
 pub mod route;
 pub mod segment;
+pub mod solver;
 
 pub use interpolate::Interpolator;
 pub use plan::{CartesianLimits, PlanError, Planner};
 pub use profile::{Profile, ProfilePoint};
 pub use route::{Goal, Pace, PathKind, Route};
 pub use segment::{Path, Segment};
+pub use solver::Solver;
 
-use crate::arm::{DOF, Joints};
+use crate::joints::Joints;
 
 /// What the motion planning layer asks of the control layer at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Setpoint {
-    /// Joint positions, rad.
+    /// Joint positions, rad or m.
     pub position: Joints,
-    /// Joint velocities, rad/s.
+    /// Joint velocities, rad/s or m/s.
     pub velocity: Joints,
-    /// Joint accelerations, rad/s^2.
+    /// Joint accelerations, rad/s^2 or m/s^2. Those that a control law gets are the mean of the period to come, for which
+    /// its torques are held.
     pub acceleration: Joints,
 }
 
 impl Setpoint {
-    /// Standing still at `position` (rad).
+    /// Standing still at `position` (rad or m).
     #[must_use]
-    pub const fn at_rest(position: Joints) -> Self {
+    pub fn at_rest(position: Joints) -> Self {
+        let still = Joints::zeros(position.len());
         Self {
             position,
-            velocity: [0.0; DOF],
-            acceleration: [0.0; DOF],
+            velocity: still,
+            acceleration: still,
         }
     }
 }

@@ -5,28 +5,45 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mcs::arm::{ArmModel, DOF, DynamicsOptions, Joints};
-use mcs::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
+use mcs::Joints;
+use mcs::control::{ComputedTorque, ControlLaw, PidGravity};
 use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use mcs::model::inverse::{Preferences, Search};
-use mcs::model::{built_in, file::Inertias};
+use mcs::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
-use mcs::trajectory::{CartesianLimits, Planner};
-use nalgebra::{Isometry3, Translation3};
+use mcs::trajectory::{CartesianLimits, Planner, Solver};
+use nalgebra::Translation3;
 
-const START: Joints = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
-const GOAL: Joints = [-0.2, 1.0, -2.7, 0.0, 0.5, 0.4];
+const START: [f64; 6] = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
+const GOAL: [f64; 6] = [-0.2, 1.0, -2.7, 0.0, 0.5, 0.4];
+const ARMS: [&str; 3] = ["puma560", "testbed9", "testbed18"];
+
+fn model(name: &str) -> Model {
+    built_in::model(name, Inertias::Engine).unwrap().unwrap()
+}
+
+/// Joint positions of an arm, or of arms on carts.
+fn joints(name: &str, cart: [f64; 3], arm: [f64; 6]) -> Joints {
+    let on_cart = [&cart[..], &arm].concat();
+    let all = match name {
+        "puma560" => arm.to_vec(),
+        "testbed9" => on_cart,
+        _ => on_cart.repeat(2),
+    };
+    Joints::try_from(&all[..]).unwrap()
+}
 
 /// Forward dynamics in one step per period: near enough to be controlled.
 struct Arm {
-    model: ArmModel,
+    model: Model,
+    data: Data,
     q: Joints,
     qd: Joints,
 }
 
 impl ChannelDriver for Arm {
     fn slots(&self) -> usize {
-        DOF
+        self.q.len()
     }
 
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
@@ -44,15 +61,13 @@ impl ChannelDriver for Arm {
         period: Duration,
     ) -> Result<(), DriverError> {
         if power != Power::Released {
-            self.qd = [0.0; DOF];
+            self.qd.fill(0.0);
             return Ok(());
         }
-        let torques: Joints = std::array::from_fn(|index| torques[index]);
         let options = DynamicsOptions::WITH_ROTORS;
-        let qdd = self
-            .model
-            .forward_dynamics(&self.q, &self.qd, &torques, options);
-        for (index, qdd) in qdd.unwrap_or_default().into_iter().enumerate() {
+        let (model, data) = (&self.model, &mut self.data);
+        let qdd = model.forward_dynamics(data, &self.q, &self.qd, torques, options);
+        for (index, qdd) in qdd.unwrap().iter().enumerate() {
             self.qd[index] += period.as_secs_f64() * qdd;
             self.q[index] += period.as_secs_f64() * self.qd[index];
         }
@@ -60,21 +75,16 @@ impl ChannelDriver for Arm {
     }
 }
 
-fn rig(law: Box<dyn ControlLaw>) -> (Servo, ServoPort, Planner) {
-    let model = Arc::new(ArmModel::puma560());
+fn rig(name: &str, law: Box<dyn ControlLaw>) -> (Servo, ServoPort, Planner) {
     let arm = Arm {
-        model: ArmModel::puma560(),
-        q: START,
-        qd: [0.0; DOF],
+        model: model(name),
+        data: model(name).data(),
+        q: joints(name, [0.0, 0.1, 0.0], START),
+        qd: Joints::zeros(model(name).dof()),
     };
-    let config = ServoConfig::default();
+    let (model, config) = (Arc::new(model(name)), ServoConfig::default());
     let (servo, port) = Servo::new(Arc::clone(&model), Box::new(arm), law, config).unwrap();
-    let planner = Planner::new(
-        model,
-        Isometry3::identity(),
-        CartesianLimits::default(),
-        0.018,
-    );
+    let planner = Planner::new(model, CartesianLimits::default(), 0.018).unwrap();
     (servo, port, planner)
 }
 
@@ -93,62 +103,69 @@ fn allocations(servo: &mut Servo, port: &ServoPort, stop_after: Option<u32>) -> 
     count
 }
 
-fn laws() -> [Box<dyn ControlLaw>; 2] {
-    let model = Arc::new(ArmModel::puma560());
-    let gains = JointGains::by_bandwidth(&model, 6.0, 1.0);
+fn laws(name: &str) -> [Box<dyn ControlLaw>; 2] {
+    let model = Arc::new(model(name));
     let options = DynamicsOptions::WITH_ROTORS;
     [
-        Box::new(PidGravity::new(Arc::clone(&model), gains)),
+        Box::new(PidGravity::new(Arc::clone(&model), 6.0, 1.0)),
         Box::new(ComputedTorque::new(model, 6.0, 1.0, options)),
     ]
 }
 
 #[test]
-fn no_tick_allocates_in_any_state() {
-    for law in laws() {
-        let (mut servo, port, planner) = rig(law);
+fn no_tick_of_any_arm_allocates_in_any_state() {
+    for (name, law) in ARMS
+        .into_iter()
+        .flat_map(|name| laws(name).map(|law| (name, law)))
+    {
+        let (mut servo, port, mut planner) = rig(name, law);
         let mut count = 0;
         for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
             port.order(command).unwrap();
             count += allocation_counter::measure(|| servo.tick(0)).count_total;
         }
-        let segment = planner.joint(&port.status().setpoint, &GOAL, 0.5).unwrap();
+        let tune = ServoCommand::Tune {
+            bandwidth: 7.0,
+            damping: 1.0,
+        };
+        port.order(tune).unwrap();
+        count += allocation_counter::measure(|| servo.tick(0)).count_total;
+        let goal = joints(name, [0.2, 0.0, 0.1], GOAL);
+        let segment = planner.joint(&port.status().setpoint, &goal, 0.5).unwrap();
         port.order(ServoCommand::Move { id: 1, segment }).unwrap();
         count += allocations(&mut servo, &port, None);
-        assert_eq!(port.status().motion.phase, MotionPhase::Done);
+        assert_eq!(port.status().motion.phase, MotionPhase::Done, "{name}");
         let start = port.status().setpoint;
         let goal = Translation3::new(0.02, 0.1, -0.05) * planner.tool_pose(&start);
         let segment = planner.line(&start, &goal, 0.5).unwrap();
         port.order(ServoCommand::Move { id: 2, segment }).unwrap();
         count += allocations(&mut servo, &port, Some(50));
-        assert_eq!(port.status().motion.phase, MotionPhase::Stopped);
+        assert_eq!(port.status().motion.phase, MotionPhase::Stopped, "{name}");
         port.emergency_stop();
         count += allocation_counter::measure(|| servo.tick(0)).count_total;
         assert!(port.status().fault.is_some());
-        assert_eq!(count, 0);
+        assert_eq!(count, 0, "{name}");
     }
 }
 
 #[test]
-fn kinematics_and_dynamics_do_not_allocate() {
-    let model = ArmModel::puma560();
-    let pose = model.forward(&START);
-    let info = allocation_counter::measure(|| {
-        let solutions = model.inverse(&pose, &START);
-        std::hint::black_box(&solutions);
-        std::hint::black_box(model.forward(&START));
-        std::hint::black_box(model.gravity_torques(&START));
-        let options = DynamicsOptions::FULL;
-        std::hint::black_box(model.inverse_dynamics(&START, &GOAL, &GOAL, options));
-    });
-    assert_eq!(info.count_total, 0);
+fn the_kinematics_of_a_tip_do_not_allocate() {
+    for name in ARMS {
+        let mut solver = Solver::new(Arc::new(model(name))).unwrap();
+        let near = joints(name, [0.0, 0.1, 0.0], START);
+        let branch = solver.branch_of(&near);
+        let info = allocation_counter::measure(|| {
+            let pose = Translation3::new(0.01, 0.0, 0.0) * solver.pose(&near);
+            std::hint::black_box(solver.nearest(&pose, &near, None)).unwrap();
+            std::hint::black_box(solver.follow(&pose, branch, &near)).unwrap();
+        });
+        assert_eq!(info.count_total, 0, "{name}");
+    }
 }
 
 #[test]
 fn the_general_model_does_not_allocate_per_evaluation() {
-    let model = built_in::model("testbed18", Inertias::Identified)
-        .unwrap()
-        .unwrap();
+    let model = model("testbed18");
     let (tip, mut data) = (model.tip(), model.data());
     let (q, qd) = ([0.2; 18], [0.1; 18]);
     let goal = model.placement(&mut data, &q, tip);

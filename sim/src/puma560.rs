@@ -1,10 +1,12 @@
-//! The PUMA 560 of `mcs::arm`, seen as the physics needs it: one joint with its link, all values at the
+//! The PUMA 560 of `mcs::model`, seen as the physics needs it: one joint with its link, all values at the
 //! joint side of the gear.
 //!
-//! The numbers and their sources are in [`ArmModel::puma560`]: the simulated arm and the model that
+//! The numbers and their sources are in `configs/models/puma560.toml`: the simulated arm and the model that
 //! the controller compensates with are the same, as long as nobody changes one of them on purpose.
 
-use mcs::arm::ArmModel;
+use std::sync::LazyLock;
+
+use mcs::model::{Joint, Model, built_in, file::Inertias};
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Number of joints.
@@ -58,19 +60,37 @@ impl Link {
 /// The six links, base first. Base frame: world, z up, the floor under the shoulder at z = 0.
 #[must_use]
 pub fn links() -> [Link; JOINTS] {
-    let model = ArmModel::puma560();
+    static LINKS: LazyLock<[Link; JOINTS]> = LazyLock::new(read);
+    *LINKS
+}
+
+fn read() -> [Link; JOINTS] {
+    // The tests of `mcs` hold that its file is a model of six joints.
+    let model = built_in::model("puma560", Inertias::Engine).and_then(Result::ok);
     std::array::from_fn(|index| {
-        let (row, body) = (model.dh[index], model.links[index]);
-        let (motor, limits) = (model.motors[index], model.limits[index]);
+        let link = |model: &Model| {
+            let frame = model.at(model.frame(&format!("link{}", index + 1))?);
+            Some((frame.placement, model.joints().get(index)?.clone()))
+        };
+        let Some((frame, joint)) = model.as_ref().and_then(link) else {
+            unreachable!("the built-in PUMA 560 has six joints with their links");
+        };
+        let Joint {
+            body,
+            motor,
+            limits,
+            ..
+        } = joint;
+        let body = body.seen_from(&frame.inverse());
         let gear = motor.gear_ratio.abs();
         let friction = motor.friction;
         Link {
-            d: row.d,
-            a: row.a,
-            alpha: row.alpha,
+            d: frame.origin.z,
+            a: frame.origin.x,
+            alpha: frame.rotation[(2, 1)].atan2(frame.rotation[(2, 2)]),
             limits: [limits.lower, limits.upper],
             mass: body.mass,
-            centre: body.centre_of_mass.into(),
+            centre: body.centre.into(),
             inertia: body.inertia,
             rotor_inertia: motor.reflected_inertia(),
             viscous: friction.viscous * gear * gear,

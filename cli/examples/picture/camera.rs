@@ -3,8 +3,7 @@
 use std::{error::Error, path::Path, time::Duration};
 
 use base64::Engine as _;
-use mcs::arm::ArmModel;
-use nalgebra::Translation3;
+use mcs::model::{Placement, built_in, file::Inertias, inverse::ClosedForm};
 use png::{ColorType, Compression, Encoder, Filter};
 use sim::{camera::Renderer, cell::Cell};
 use vss::{
@@ -38,12 +37,14 @@ impl View {
         let cell = Cell::read(&configs.join("cell.toml"))?;
         let positions = coordinators::positions::read(&configs.join("positions.csv"))?;
         let mut renderer = Renderer::new(&cell, cell.camera(camera).map_err(|f| f.to_string())?, 1);
-        let (arm, mut near) = (ArmModel::puma560(), cell.start);
-        let tool = Translation3::from(cell.lamp.offset.coords);
+        let (lamp, mut near) = (cell.lamp.offset, cell.start);
+        let arm = built_in::model("puma560", Inertias::Identified).ok_or("no such arm")??;
+        let arm = arm.with_tool(&Placement::shifted(lamp.x, lamp.y, lamp.z));
+        let arm = ClosedForm::of(&arm, arm.tip()).ok_or("the arm has no closed form")?;
         let (mut spots, mut kept) = (Vec::new(), None);
         for (number, goal) in (1..).zip(&positions) {
-            let solutions = arm.inverse(&(goal.pose * tool.inverse()), &near)?;
-            near = solutions.nearest(&arm, &near, None)?.joints;
+            let solutions = arm.inverse(&Placement::from(&goal.pose), &near)?;
+            near = solutions.nearest_within(arm.limits(), &near, None)?.joints;
             let frame = Frame {
                 width: renderer.truth().width,
                 height: renderer.truth().height,

@@ -6,6 +6,11 @@ use super::*;
 
 const HEADER: &str = "x,y,z,roll,pitch,yaw\n";
 
+fn puma560() -> Model {
+    let arm = mcs::model::built_in::model("puma560", mcs::model::file::Inertias::Engine);
+    arm.unwrap().unwrap()
+}
+
 fn source(text: &str) -> Source {
     Source::new("positions.csv", text)
 }
@@ -146,19 +151,12 @@ fn positions_at_one_point_on_one_line_or_in_one_plane_are_told() {
 
 #[test]
 fn a_pose_out_of_reach_is_told_at_its_line_with_the_reason() {
-    let arm = ArmModel::puma560();
     // 0.5 m before the shoulder and at its height is well within reach of a 0.86 m arm; 3 m is not.
     let text = format!("{HEADER}0.5,0.1,0.7,0,90,0\n3,0,0.7,0,90,0\n1e300,0,0,0,0,0\n");
     let source = source(&text);
     let positions = parse(&source).unwrap();
     let mut found = Findings::new();
-    check_reach(
-        &positions,
-        &source,
-        &arm,
-        &Isometry3::identity(),
-        &mut found,
-    );
+    check_reach(&positions, &source, puma560(), &mut found);
     let found = shown(found);
     assert_eq!(found.len(), 2, "{found:?}");
     assert!(
@@ -180,7 +178,7 @@ proptest! {
                 Ok(positions) => {
                     let mut findings = Findings::new();
                     check_spread(&positions, &source, &mut findings);
-                    check_reach(&positions, &source, &ArmModel::puma560(), &Isometry3::identity(), &mut findings);
+                    check_reach(&positions, &source, puma560(), &mut findings);
                 }
                 Err(findings) => prop_assert!(findings.iter().all(|finding| finding.place.is_some())),
             }

@@ -7,6 +7,7 @@ use ctos::{
     task::{Context, EventHandler, Handled},
 };
 use mcs::{
+    Joints,
     client::{
         Acquire, Cancel, MotionError, Move, MoveReport, Outcome as Motion, Plan, PlanReport,
         Position, ReadPosition, Release, Status, StatusReport, Target,
@@ -177,7 +178,7 @@ impl EventHandler for Mcs {
                         Target::Joints(joints) => joints,
                         Target::Pose(pose) => {
                             world.planned.push(pose);
-                            [world.planned.len() as f64, 0.0, 0.0, 0.0, 0.0, 0.0]
+                            [world.planned.len() as f64, 0.0, 0.0, 0.0, 0.0, 0.0].into()
                         }
                     };
                     Ok(Ok(PlanReport {
@@ -198,13 +199,15 @@ impl EventHandler for Mcs {
                         }
                         world.pose = match request.target {
                             Target::Pose(pose) => pose,
-                            Target::Joints([number, ..]) => world.planned[number as usize - 1],
+                            Target::Joints(joints) => world.planned[joints[0] as usize - 1],
                         };
                         Ok(Ok(MoveReport {
                             duration_s: 1.2,
                             max_tracking_error_rad: 0.01,
+                            max_tracking_error_m: 0.0,
                             final_error_rad: 0.001,
-                            joints: [0.0; 6],
+                            final_error_m: 0.0,
+                            joints: Joints::zeros(6),
                         }))
                     })
             }
@@ -213,7 +216,7 @@ impl EventHandler for Mcs {
                 self.0
                     .play::<ReadPosition>(cx, message, 0.2, none, meet, |world, _| {
                         Ok(Position {
-                            joints: [0.0; 6],
+                            joints: Joints::zeros(6),
                             base_t_tool: world.pose,
                             at_rest: true,
                         })

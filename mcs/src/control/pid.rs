@@ -5,78 +5,76 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::ControlLaw;
-use crate::arm::{ArmModel, DOF, DynamicsOptions, Joints};
 use crate::driver::SlotReading;
+use crate::model::{Data, DynamicsOptions, Model};
 use crate::trajectory::Setpoint;
 
 /// Share of a joint's torque limit that its integral part may take.
 const INTEGRAL_SHARE: f64 = 0.3;
-
-/// Gains of one joint.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JointGains {
-    /// N m per rad of position error.
-    pub proportional: f64,
-    /// N m per rad s of integrated position error.
-    pub integral: f64,
-    /// N m per rad/s of velocity error.
-    pub derivative: f64,
-    /// N m per rad/s^2 of setpoint acceleration: the inertia that the law takes the joint to have.
-    /// Zero gives the plain PID of the report.
-    pub feedforward: f64,
+/// PID per joint around model-based gravity compensation, with torque limits and anti-windup.
+///
+/// Every gain is a share of the inertia that the joint has in the present pose, rotor included, so that each joint alone
+/// has the same natural frequency and damping ratio in any pose; a setpoint's acceleration gets the torque that this
+/// inertia needs. What joints do to one another is left to the loop.
+#[derive(Debug, Clone)]
+pub struct PidGravity {
+    model: Arc<Model>,
+    data: Data,
+    gains: Gains,
+    /// Torque of the integral part, N m or N.
+    integral: Vec<f64>,
+    measured: Vec<f64>,
+    /// Inertia of each joint in the present pose, kg m^2 or kg.
+    inertia: Vec<f64>,
 }
 
-impl JointGains {
-    /// Gains that give each joint alone a natural frequency of `bandwidth` Hz with damping ratio
-    /// `damping`, for its inertia with the arm stretched out level, where it is largest for joints 1
-    /// and 2. The integral acts five times slower than the position loop.
-    #[must_use]
-    pub fn by_bandwidth(model: &ArmModel, bandwidth: f64, damping: f64) -> [Self; DOF] {
-        let straight = -model.dh[3].d.atan2(model.dh[2].a);
-        let stretched = [0.0, 0.0, straight, 0.0, 0.0, 0.0];
-        let inertia = model.mass_matrix(&stretched, DynamicsOptions::WITH_ROTORS);
+/// Gains as shares of the inertia.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Gains {
+    /// Of the position error, 1/s^2.
+    proportional: f64,
+    /// Of its integral, 1/s^3.
+    integral: f64,
+    /// Of the velocity error, 1/s.
+    derivative: f64,
+}
+
+impl Gains {
+    /// Those that give a joint alone a natural frequency of `bandwidth` Hz with damping ratio `damping`. The integral acts
+    /// five times slower than the position loop.
+    fn by_bandwidth(bandwidth: f64, damping: f64) -> Self {
         let natural = TAU * bandwidth;
-        std::array::from_fn(|index| {
-            let inertia = inertia[(index, index)];
-            let proportional = inertia * natural * natural;
-            Self {
-                proportional,
-                integral: proportional * natural / 5.0,
-                derivative: 2.0 * damping * natural * inertia,
-                feedforward: inertia,
-            }
-        })
+        Self {
+            proportional: natural * natural,
+            integral: natural * natural * natural / 5.0,
+            derivative: 2.0 * damping * natural,
+        }
     }
 }
 
-/// PID per joint around model-based gravity compensation, with torque limits and anti-windup.
-#[derive(Debug, Clone)]
-pub struct PidGravity {
-    model: Arc<ArmModel>,
-    gains: [JointGains; DOF],
-    /// Torque of the integral part, N m.
-    integral: Joints,
-}
-
 impl PidGravity {
-    /// The law for `model` with `gains`.
+    /// The law that gives each joint alone a natural frequency of `bandwidth` Hz with damping ratio `damping`.
     #[must_use]
-    pub fn new(model: Arc<ArmModel>, gains: [JointGains; DOF]) -> Self {
+    pub fn new(model: Arc<Model>, bandwidth: f64, damping: f64) -> Self {
+        let n = model.dof();
         Self {
+            data: model.data(),
+            gains: Gains::by_bandwidth(bandwidth, damping),
+            integral: vec![0.0; n],
+            measured: vec![0.0; n],
+            inertia: vec![0.0; n],
             model,
-            gains,
-            integral: [0.0; DOF],
         }
     }
 }
 
 impl ControlLaw for PidGravity {
     fn reset(&mut self, _readings: &[SlotReading]) {
-        self.integral = [0.0; DOF];
+        self.integral.fill(0.0);
     }
 
     fn tune(&mut self, bandwidth: f64, damping: f64) {
-        self.gains = JointGains::by_bandwidth(&self.model, bandwidth, damping);
+        self.gains = Gains::by_bandwidth(bandwidth, damping);
     }
 
     fn torques(
@@ -86,26 +84,30 @@ impl ControlLaw for PidGravity {
         period: Duration,
         out: &mut [f64],
     ) {
-        let mut measured = [0.0; DOF];
-        for (measured, reading) in measured.iter_mut().zip(readings) {
+        for (measured, reading) in self.measured.iter_mut().zip(readings) {
             *measured = reading.position;
         }
-        let gravity = self.model.gravity_torques(&measured);
-        for (index, (out, reading)) in out.iter_mut().zip(readings).enumerate().take(DOF) {
-            let gains = &self.gains[index];
-            let limit = self.model.limits[index].torque;
+        let (data, gains) = (&mut self.data, self.gains);
+        let with_rotors = DynamicsOptions::WITH_ROTORS;
+        let mass = self.model.mass_matrix(data, &self.measured, with_rotors);
+        for (index, inertia) in self.inertia.iter_mut().enumerate() {
+            *inertia = mass[(index, index)];
+        }
+        let gravity = self.model.gravity_torques(data, &self.measured);
+        let joints = self.model.joints().iter().enumerate();
+        for ((index, joint), (out, reading)) in joints.zip(out.iter_mut().zip(readings)) {
+            let (inertia, limit) = (self.inertia[index], joint.limits.torque);
             let error = setpoint.position[index] - reading.position;
             let speed_error = setpoint.velocity[index] - reading.velocity;
-            let wanted = gravity[index]
+            let share = setpoint.acceleration[index]
                 + gains.proportional * error
-                + gains.derivative * speed_error
-                + gains.feedforward * setpoint.acceleration[index]
-                + self.integral[index];
+                + gains.derivative * speed_error;
+            let wanted = gravity[index] + inertia * share + self.integral[index];
             // Anti-windup: at the torque limit the integral only moves if it leads back from it.
             let saturated = wanted.abs() > limit && wanted * error > 0.0;
             if !saturated {
                 let bound = INTEGRAL_SHARE * limit;
-                let step = gains.integral * error * period.as_secs_f64();
+                let step = inertia * gains.integral * error * period.as_secs_f64();
                 self.integral[index] = (self.integral[index] + step).clamp(-bound, bound);
             }
             *out = wanted.clamp(-limit, limit);
@@ -116,41 +118,66 @@ impl ControlLaw for PidGravity {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::joints::Joints;
+    use crate::model::{built_in, file::Inertias};
 
     const PERIOD: Duration = Duration::from_micros(4500);
 
-    fn readings(q: &Joints) -> [SlotReading; DOF] {
-        q.map(|position| SlotReading {
-            position,
+    fn model(name: &str) -> Arc<Model> {
+        Arc::new(built_in::model(name, Inertias::Engine).unwrap().unwrap())
+    }
+
+    fn readings(q: &[f64]) -> Vec<SlotReading> {
+        let reading = |position: &f64| SlotReading {
+            position: *position,
             velocity: 0.0,
-        })
+        };
+        q.iter().map(reading).collect()
     }
 
     #[test]
     fn without_error_the_torque_is_gravitys() {
-        let model = Arc::new(ArmModel::puma560());
-        let gains = JointGains::by_bandwidth(&model, 6.0, 1.0);
-        let mut law = PidGravity::new(Arc::clone(&model), gains);
-        let q = [0.1, 0.5, -2.0, 0.3, 0.4, 0.5];
-        let mut out = [0.0; DOF];
+        let model = model("puma560");
+        let mut law = PidGravity::new(Arc::clone(&model), 6.0, 1.0);
+        let q = Joints::from([0.1, 0.5, -2.0, 0.3, 0.4, 0.5]);
+        let mut out = [0.0; 6];
         law.torques(&Setpoint::at_rest(q), &readings(&q), PERIOD, &mut out);
-        assert_eq!(out, model.gravity_torques(&q));
+        assert_eq!(out, model.gravity_torques(&mut model.data(), &q));
     }
 
     #[test]
     fn torque_and_integral_stay_bounded_under_an_error_that_never_ends() {
-        let model = Arc::new(ArmModel::puma560());
-        let gains = JointGains::by_bandwidth(&model, 6.0, 1.0);
-        let mut law = PidGravity::new(Arc::clone(&model), gains);
-        let q = [0.0, 0.5, -2.0, 0.0, 0.0, 0.0];
-        let target = [0.5, 0.5, -2.0, 0.0, 0.0, 0.0];
-        let mut out = [0.0; DOF];
+        let model = model("puma560");
+        let limit = model.joints()[0].limits.torque;
+        let mut law = PidGravity::new(Arc::clone(&model), 6.0, 1.0);
+        let q = Joints::from([0.0, 0.5, -2.0, 0.0, 0.0, 0.0]);
+        let target = Joints::from([0.5, 0.5, -2.0, 0.0, 0.0, 0.0]);
+        let mut out = [0.0; 6];
         for _ in 0..10_000 {
             law.torques(&Setpoint::at_rest(target), &readings(&q), PERIOD, &mut out);
-            assert!(out[0].abs() <= model.limits[0].torque);
+            assert!(out[0].abs() <= limit);
         }
         // Back at the target at once: what was gathered is at most the share allowed.
         law.torques(&Setpoint::at_rest(q), &readings(&q), PERIOD, &mut out);
-        assert!(out[0].abs() <= INTEGRAL_SHARE * model.limits[0].torque + 1e-9);
+        assert!(out[0].abs() <= INTEGRAL_SHARE * limit + 1e-9);
+    }
+
+    #[test]
+    fn an_error_is_met_with_the_inertia_of_the_present_pose() {
+        // Two poses in which joint 1 carries the arm stretched out, and upright.
+        let model = model("puma560");
+        let (mut data, straight) = (model.data(), -(0.4318_f64).atan2(0.0203));
+        for second in [0.0, 1.5] {
+            let q = Joints::from([0.0, second, straight, 0.0, 0.0, 0.0]);
+            let mut target = q;
+            target[0] += 1e-4;
+            let options = DynamicsOptions::WITH_ROTORS;
+            let inertia = model.mass_matrix(&mut data, &q, options)[(0, 0)];
+            let mut law = PidGravity::new(Arc::clone(&model), 6.0, 1.0);
+            let mut out = [0.0; 6];
+            law.torques(&Setpoint::at_rest(target), &readings(&q), PERIOD, &mut out);
+            let expected = inertia * (TAU * 6.0).powi(2) * 1e-4;
+            assert!((out[0] - expected).abs() < 1e-9, "{} {expected}", out[0]);
+        }
     }
 }

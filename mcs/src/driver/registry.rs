@@ -12,11 +12,13 @@ use super::ChannelDriver;
 type Build =
     Arc<dyn Fn(&Context, &Node) -> Result<Box<dyn ChannelDriver>, HandlerError> + Send + Sync>;
 type Check = Arc<dyn Fn(&TaskConfig, &App, &Node, &mut Findings) + Send + Sync>;
+type Slots = Arc<dyn Fn(&App, &Node) -> Option<usize> + Send + Sync>;
 
 /// A kind of channel driver.
 pub struct DriverKind {
     build: Build,
     check: Option<Check>,
+    slots: Option<Slots>,
 }
 
 impl DriverKind {
@@ -27,6 +29,20 @@ impl DriverKind {
         check: impl Fn(&TaskConfig, &App, &Node, &mut Findings) + Send + Sync + 'static,
     ) {
         self.check = Some(Arc::new(check));
+    }
+
+    /// Tells, before anything starts, how many slots the driver will have with the node `driver_args` (an empty table when
+    /// there is none): it is then found where they do not fit the arm. `None` where that cannot be told.
+    pub fn slots(
+        &mut self,
+        slots: impl Fn(&App, &Node) -> Option<usize> + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.slots = Some(Arc::new(slots));
+        self
+    }
+
+    pub(crate) fn count_slots(&self, app: &App, args: &Node) -> Option<usize> {
+        self.slots.as_ref().and_then(|slots| slots(app, args))
     }
 
     pub(crate) fn run_check(
@@ -76,6 +92,7 @@ impl DriverRegistry {
         let kind = DriverKind {
             build: Arc::new(build),
             check: None,
+            slots: None,
         };
         match self.kinds.entry(name.to_owned()) {
             std::collections::btree_map::Entry::Vacant(entry) => entry.insert(kind),

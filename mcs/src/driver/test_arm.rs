@@ -5,11 +5,18 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::{ChannelDriver, DriverError, Power, SlotReading};
-use crate::arm::{ArmModel, DOF, DynamicsOptions, Joints};
+use crate::joints::Joints;
+use crate::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 
-/// Where it stands at first, rad.
-pub(crate) const START: Joints = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
+/// Where a PUMA stands at first, rad.
+pub(crate) const START: [f64; 6] = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
 const SUBSTEPS: u32 = 3;
+const FRICTIONLESS: DynamicsOptions = DynamicsOptions::WITH_ROTORS;
+
+/// A built-in arm with the inertias of the engine, as a servo has it.
+pub(crate) fn built_in_arm(name: &str) -> Model {
+    built_in::model(name, Inertias::Engine).unwrap().unwrap()
+}
 
 /// Faults to be had from the arm: 1 read error, 2 write error, 3 not a number, 4 joint 1 held fast.
 #[derive(Default)]
@@ -17,7 +24,7 @@ pub(crate) struct Knobs {
     pub(crate) fault: AtomicU8,
     pub(crate) writes_under_power: AtomicU64,
     pub(crate) last_write: Mutex<Option<(Power, Joints)>>,
-    /// Largest joint speed at the moment when the brakes closed, rad/s.
+    /// Largest joint speed at the moment when the brakes closed, rad/s or m/s.
     pub(crate) speed_at_power_off: Mutex<Option<f64>>,
     /// How often the task that moves it was begun.
     pub(crate) lives: AtomicU64,
@@ -27,21 +34,65 @@ pub(crate) struct Knobs {
 
 /// The stand-in.
 pub(crate) struct TestArm {
-    model: ArmModel,
+    model: Model,
+    data: Data,
     friction: bool,
-    q: Joints,
-    qd: Joints,
+    start: Vec<f64>,
+    q: Vec<f64>,
+    qd: Vec<f64>,
     knobs: Arc<Knobs>,
 }
 
 impl TestArm {
-    pub(crate) fn new(model: ArmModel, friction: bool, knobs: &Arc<Knobs>) -> Self {
+    pub(crate) fn new(model: Model, start: &[f64], friction: bool, knobs: &Arc<Knobs>) -> Self {
+        assert_eq!(model.dof(), start.len());
         Self {
-            model,
+            data: model.data(),
             friction,
-            q: START,
-            qd: [0.0; DOF],
+            start: start.to_vec(),
+            q: start.to_vec(),
+            qd: vec![0.0; model.dof()],
+            model,
             knobs: Arc::clone(knobs),
+        }
+    }
+
+    /// Speeds and accelerations at a state.
+    fn slope(&mut self, q: &[f64], qd: &[f64], torques: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let found = self
+            .model
+            .forward_dynamics(&mut self.data, q, qd, torques, FRICTIONLESS);
+        (qd.to_vec(), found.unwrap().to_vec())
+    }
+
+    /// One step of the classical method of Runge and Kutta, without friction.
+    fn step(&mut self, torques: &[f64], h: f64) {
+        let on = |from: &[f64], slope: &[f64], h: f64| -> Vec<f64> {
+            from.iter().zip(slope).map(|(x, s)| x + h * s).collect()
+        };
+        let (q, qd) = (self.q.clone(), self.qd.clone());
+        let (v1, a1) = self.slope(&q, &qd, torques);
+        let half = h / 2.0;
+        let (v2, a2) = self.slope(&on(&q, &v1, half), &on(&qd, &a1, half), torques);
+        let (v3, a3) = self.slope(&on(&q, &v2, half), &on(&qd, &a2, half), torques);
+        let (v4, a4) = self.slope(&on(&q, &v3, h), &on(&qd, &a3, h), torques);
+        for index in 0..q.len() {
+            let sum =
+                |s: [&Vec<f64>; 4]| s[0][index] + 2.0 * (s[1][index] + s[2][index]) + s[3][index];
+            self.q[index] += h / 6.0 * sum([&v1, &v2, &v3, &v4]);
+            self.qd[index] += h / 6.0 * sum([&a1, &a2, &a3, &a4]);
+        }
+    }
+
+    /// Dry friction slows down and holds; it never turns a motion round.
+    fn rub(&mut self, h: f64) {
+        let inertia = self
+            .model
+            .mass_matrix(&mut self.data, &self.q, FRICTIONLESS);
+        for (index, joint) in self.model.joints().iter().enumerate() {
+            let torque = joint.motor.friction_torque(self.qd[index]).abs();
+            let slowed = self.qd[index].abs() - h * torque / inertia[(index, index)];
+            self.qd[index] = slowed.max(0.0).copysign(self.qd[index]);
         }
     }
 }
@@ -55,7 +106,7 @@ fn fault() -> DriverError {
 
 impl ChannelDriver for TestArm {
     fn slots(&self) -> usize {
-        DOF
+        self.q.len()
     }
 
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
@@ -77,15 +128,15 @@ impl ChannelDriver for TestArm {
         power: Power,
         period: Duration,
     ) -> Result<(), DriverError> {
-        let torques: Joints = torques.try_into().unwrap();
-        *self.knobs.last_write.lock().unwrap() = Some((power, torques));
+        let written = Joints::try_from(torques).unwrap();
+        *self.knobs.last_write.lock().unwrap() = Some((power, written));
         if power != Power::Released {
             let speed = self.qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));
             if speed > 0.0 {
                 *self.knobs.speed_at_power_off.lock().unwrap() = Some(speed);
             }
             assert!(torques.iter().all(|torque| *torque == 0.0));
-            self.qd = [0.0; DOF];
+            self.qd.fill(0.0);
             return Ok(());
         }
         self.knobs
@@ -93,26 +144,13 @@ impl ChannelDriver for TestArm {
             .fetch_add(1, Ordering::Relaxed);
         let h = period.as_secs_f64() / f64::from(SUBSTEPS);
         for _ in 0..SUBSTEPS {
-            let frictionless = DynamicsOptions::WITH_ROTORS;
-            let qdd = self
-                .model
-                .forward_dynamics(&self.q, &self.qd, &torques, frictionless)
-                .unwrap();
-            let inertia = self.model.mass_matrix(&self.q, frictionless);
-            for index in 0..DOF {
-                self.qd[index] += h * qdd[index];
-                if self.friction {
-                    // Dry friction slows down and holds; it never turns a motion round.
-                    let motor = &self.model.motors[index];
-                    let torque = motor.friction_torque(self.qd[index]).abs();
-                    let slowed = self.qd[index].abs() - h * torque / inertia[(index, index)];
-                    self.qd[index] = slowed.max(0.0).copysign(self.qd[index]);
-                }
-                self.q[index] += h * self.qd[index];
+            self.step(torques, h);
+            if self.friction {
+                self.rub(h);
             }
             if self.knobs.fault.load(Ordering::Relaxed) == 4 {
                 self.qd[0] = 0.0;
-                self.q[0] = START[0];
+                self.q[0] = self.start[0];
             }
         }
         match self.knobs.fault.load(Ordering::Relaxed) {

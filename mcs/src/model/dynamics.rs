@@ -4,10 +4,10 @@
 //! inertia is, once. Mass matrix and forward dynamics go about one common point, the mean of the joints' origins, so
 //! that an arm far from the base frame loses no digits.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
 
 use super::data::{ArticulatedInertia, Data, RigidInertia, Spatial};
-use super::features::{Joint, JointKind, Model};
+use super::features::{FrameId, Joint, JointKind, Model};
 use super::kinematics::number;
 
 /// Rows and columns of the upper half of a symmetric tensor.
@@ -62,6 +62,35 @@ impl Joint {
     fn below(&self) -> usize {
         self.parent.map_or(0, |parent| parent + 1)
     }
+
+    /// The outward pass for the joint at `index`: how its frame turns, and the acceleration of its origin, from what
+    /// carries it and from its own speed and acceleration.
+    #[inline]
+    fn outward(&self, data: &mut Data, index: usize, speed: f64, rate: f64) {
+        let (below, here) = (self.below(), index + 1);
+        let placement = &data.placements[here];
+        let way = placement.origin - data.placements[below].origin;
+        let axis = placement.rotation.column(2).into_owned();
+        let speed = axis * speed;
+        let mut turning = data.velocities[below].turn;
+        let Spatial {
+            turn: mut turning_rate,
+            shift: mut acceleration,
+        } = data.accelerations[below];
+        acceleration += turning_rate.cross(&way) + turning.cross(&turning.cross(&way));
+        match self.kind {
+            JointKind::Revolute => {
+                turning_rate += axis * rate + turning.cross(&speed);
+                turning += speed;
+            }
+            JointKind::Prismatic => acceleration += axis * rate + turning.cross(&speed) * 2.0,
+        }
+        data.velocities[here].turn = turning;
+        data.accelerations[here] = Spatial {
+            turn: turning_rate,
+            shift: acceleration,
+        };
+    }
 }
 
 impl Model {
@@ -76,38 +105,21 @@ impl Model {
         options: DynamicsOptions,
     ) -> &'d [f64] {
         self.forward(data, q);
-        // Accelerations are those of the joints' origins.
         data.velocities[0] = Spatial::zero();
         data.accelerations[0] = Spatial {
             turn: Vector3::zeros(),
             shift: -self.gravity,
         };
         for (index, joint) in self.joints.iter().enumerate() {
-            let (below, here) = (joint.below(), index + 1);
-            let placement = &data.placements[here];
-            let way = placement.origin - data.placements[below].origin;
-            let axis = placement.rotation.column(2).into_owned();
-            let (speed, rate) = (axis * number(qd, index), number(qdd, index));
-            let mut turning = data.velocities[below].turn;
+            let here = index + 1;
+            joint.outward(data, index, number(qd, index), number(qdd, index));
+            let turning = data.velocities[here].turn;
             let Spatial {
-                turn: mut turning_rate,
-                shift: mut acceleration,
-            } = data.accelerations[below];
-            acceleration += turning_rate.cross(&way) + turning.cross(&turning.cross(&way));
-            match joint.kind {
-                JointKind::Revolute => {
-                    turning_rate += axis * rate + turning.cross(&speed);
-                    turning += speed;
-                }
-                JointKind::Prismatic => acceleration += axis * rate + turning.cross(&speed) * 2.0,
-            }
-            data.velocities[here].turn = turning;
-            data.accelerations[here] = Spatial {
                 turn: turning_rate,
                 shift: acceleration,
-            };
+            } = data.accelerations[here];
             let body = &joint.body;
-            let turn = &placement.rotation;
+            let turn = &data.placements[here].rotation;
             let centre = turn * body.centre;
             let force = (acceleration
                 + turning_rate.cross(&centre)
@@ -127,6 +139,30 @@ impl Model {
             }
             torque
         })
+    }
+
+    /// Velocity-product acceleration of a frame's origin, the term `dJ/dt qd`: its linear (m/s^2) and angular (rad/s^2)
+    /// acceleration in the base frame with all joint accelerations zero, at positions `q` and speeds `qd`. Leaves the
+    /// last Jacobian as it is.
+    pub fn bias_acceleration(
+        &self,
+        data: &mut Data,
+        q: &[f64],
+        qd: &[f64],
+        frame: FrameId,
+    ) -> Vector6<f64> {
+        self.forward(data, q);
+        data.velocities[0] = Spatial::zero();
+        data.accelerations[0] = Spatial::zero();
+        for (index, joint) in self.joints.iter().enumerate() {
+            joint.outward(data, index, number(qd, index), 0.0);
+        }
+        let carrier = self.at(frame).carrier.map_or(0, |joint| joint + 1);
+        let way = data.placement(self, frame).origin - data.placements[carrier].origin;
+        let turning = data.velocities[carrier].turn;
+        let Spatial { turn, shift } = data.accelerations[carrier];
+        let shift = shift + turn.cross(&way) + turning.cross(&turning.cross(&way));
+        Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
     }
 
     /// Torques (N m, or N) that hold the arm at rest at `q` against gravity.

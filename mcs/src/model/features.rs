@@ -8,12 +8,23 @@ use super::placement::Placement;
 pub const MAX_JOINTS: usize = 64;
 
 /// How a joint moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum JointKind {
     /// Turns about the z axis of its frame, rad.
     Revolute,
     /// Slides along the z axis of its frame, m.
     Prismatic,
+}
+
+impl JointKind {
+    /// The unit of its position.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Revolute => "rad",
+            Self::Prismatic => "m",
+        }
+    }
 }
 
 /// Viscous and Coulomb friction of one joint, at the motor shaft as it was measured.
@@ -263,6 +274,39 @@ impl Model {
     #[must_use]
     pub fn with_gravity(mut self, gravity: Vector3<f64>) -> Self {
         self.gravity = gravity;
+        self
+    }
+
+    /// The same model with other joints: `change` is given each one in turn, with its index. What carries it stays. Whoever
+    /// changes a limit, a body or a motor answers for the numbers.
+    #[must_use]
+    pub fn with_joints(mut self, mut change: impl FnMut(usize, &mut Joint)) -> Self {
+        for (index, joint) in self.joints.iter_mut().enumerate() {
+            let parent = joint.parent;
+            change(index, joint);
+            joint.parent = parent;
+        }
+        self
+    }
+
+    /// The same model with another of its frames as the tip.
+    #[must_use]
+    pub fn with_tip(mut self, tip: FrameId) -> Self {
+        self.tip = tip.0.min(self.frames.len() - 1);
+        self
+    }
+
+    /// The same model with a tool on its tip, at `tip_t_tool`: its frame, called `tool`, becomes the tip.
+    #[must_use]
+    pub fn with_tool(mut self, tip_t_tool: &Placement) -> Self {
+        let on = self.at(self.tip());
+        let tool = Frame {
+            name: "tool".to_owned(),
+            carrier: on.carrier,
+            placement: on.placement.then(tip_t_tool),
+        };
+        self.tip = self.frames.len();
+        self.frames.push(tool);
         self
     }
 

@@ -21,7 +21,8 @@ use super::placement::Placement;
 const DEEPEST: usize = 8;
 
 /// Which of the bodies of a file make the model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Inertias {
     /// As they were identified, or assumed.
     #[default]

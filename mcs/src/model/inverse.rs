@@ -8,7 +8,6 @@ mod search;
 
 pub use closed::ClosedForm;
 pub use error::IkError;
-pub(crate) use puma::limit_error;
 pub use puma::{Branch, Elbow, IkSolution, IkSolutions, Puma, Shoulder, Singular, Wrist};
 pub use search::{Preferences, Search};
 

@@ -163,6 +163,21 @@ proptest! {
     }
 
     #[test]
+    fn bias_acceleration_is_the_jacobians_rate_times_the_joint_speeds((which, numbers) in states()) {
+        let model = &all()[which];
+        let n = model.dof();
+        let (q, qd) = (&numbers[..n], &numbers[n..2 * n]);
+        let (mut data, tip) = (model.data(), model.tip());
+        let mut twist = |step: f64| {
+            let moved: Vec<f64> = q.iter().zip(qd).map(|(q, qd)| q + step * qd).collect();
+            model.jacobian(&mut data, &moved, tip) * DVector::from_column_slice(qd)
+        };
+        let rate = (twist(1e-6) - twist(-1e-6)) / 2e-6;
+        let found = model.bias_acceleration(&mut data, q, qd, tip);
+        prop_assert!((found - &rate).norm() < 1e-6 * (1.0 + rate.norm()), "{} {}", found, rate);
+    }
+
+    #[test]
     fn the_mass_matrix_is_symmetric_positive_definite_and_gives_the_kinetic_energy((which, numbers) in states()) {
         let model = &all()[which];
         let n = model.dof();

@@ -1,14 +1,10 @@
 //! Which arm an object of class `kin` or `dyn` is about: one that is built in, one from a file, or a way through a URDF.
 
-use std::{fs, path::Path};
-
+use ctos::diagnostic::{Finding, Findings};
 use sorma::{OptionTable, Report};
 
 use super::code;
-use crate::model::{FrameId, Model, Placement, built_in, file, file::Inertias, urdf};
-
-/// Longer files than this are no descriptions of arms.
-const MOST_BYTES: u64 = 64 << 20;
+use crate::model::{FrameId, Model, Placement, file::Inertias, origin::Origin};
 
 /// The options that say which arm.
 #[derive(Debug, Clone, PartialEq)]
@@ -79,8 +75,15 @@ pub(super) fn pedestal(arm: &str) -> Option<f64> {
     }
 }
 
-fn wrong(text: impl std::fmt::Display) -> Report {
-    Report::error(code::MODEL, text.to_string())
+/// What is wrong as one report: with its place before it, where it has one.
+fn wrong(findings: Findings) -> Report {
+    let told = |finding: &Finding| match (&finding.place, &finding.help) {
+        (Some(_), _) => finding.to_string(),
+        (None, Some(help)) => format!("{} ({help})", finding.message),
+        (None, None) => finding.message.clone(),
+    };
+    let lines: Vec<String> = findings.into_sorted().iter().map(told).collect();
+    Report::error(code::MODEL, lines.join("\n"))
 }
 
 fn named(text: &str) -> Option<&str> {
@@ -88,67 +91,32 @@ fn named(text: &str) -> Option<&str> {
 }
 
 impl Which {
+    fn origin(&self) -> Origin {
+        match (self.urdf.as_str(), self.model.as_str()) {
+            ("", "") => Origin::BuiltIn(self.arm.clone()),
+            ("", model) => Origin::Toml(model.into()),
+            (urdf, _) => Origin::Urdf(urdf.into()),
+        }
+    }
+
     /// Makes the model. A built-in one on a pedestal stands on one of the height asked for, m.
     pub fn load(&self, inertias: Inertias, height: Option<f64>) -> Result<Loaded, Report> {
-        if !self.urdf.is_empty() {
-            let path = readable(&self.urdf)?;
-            let found = urdf::read(path, named(&self.base), named(&self.tip)).map_err(wrong)?;
-            let warnings = found.warnings.iter();
-            return Ok(Loaded {
-                tip: found.model.tip(),
-                warnings: warnings
-                    .map(|warning| Report::warning(code::MODEL, warning.to_string()))
-                    .collect(),
-                model: found.model,
-            });
-        }
-        let mut model = if self.model.is_empty() {
-            let model = built_in::model(&self.arm, inertias);
-            model.ok_or_else(|| wrong(format!("there is no arm `{}`", self.arm)))?
-        } else {
-            file::read(readable(&self.model)?, inertias)
-        }
-        .map_err(wrong)?;
-        if let (Some(own), Some(height), true) =
-            (pedestal(&self.arm), height, self.model.is_empty())
-        {
-            model = model.moved(&Placement::shifted(0.0, 0.0, height - own));
-        }
-        let tip = match named(&self.tip) {
-            None => model.tip(),
-            Some(name) => model.frame(name).ok_or_else(|| {
-                let known: Vec<&str> = model
-                    .frames()
-                    .iter()
-                    .map(|frame| frame.name.as_str())
-                    .collect();
-                wrong(format!(
-                    "`{}` has no frame `{name}` for -tip; it has {}",
-                    model.name(),
-                    known.join(", ")
-                ))
-            })?,
+        let origin = self.origin();
+        let found = origin.load(named(&self.base), named(&self.tip), inertias);
+        let found = found.map_err(wrong)?;
+        let warnings = found.warnings.iter();
+        let warnings = warnings.map(|warning| Report::warning(code::MODEL, warning.to_string()));
+        let mut loaded = Loaded {
+            tip: found.model.tip(),
+            warnings: warnings.collect(),
+            model: found.model,
         };
-        Ok(Loaded {
-            model,
-            tip,
-            warnings: Vec::new(),
-        })
+        if let (Some(own), Some(height), Origin::BuiltIn(_)) =
+            (pedestal(&self.arm), height, &origin)
+        {
+            let higher = Placement::shifted(0.0, 0.0, height - own);
+            loaded.model = loaded.model.moved(&higher);
+        }
+        Ok(loaded)
     }
-}
-
-/// The path, when it leads to a file of sensible length: what is no file might never end.
-fn readable(name: &str) -> Result<&Path, Report> {
-    let path = Path::new(name);
-    let about =
-        fs::metadata(path).map_err(|error| wrong(format!("cannot read `{name}`: {error}")))?;
-    if !about.is_file() {
-        return Err(wrong(format!("cannot read `{name}`: it is no file")));
-    }
-    if about.len() > MOST_BYTES {
-        return Err(wrong(format!(
-            "cannot read `{name}`: it is longer than {MOST_BYTES} bytes"
-        )));
-    }
-    Ok(path)
 }

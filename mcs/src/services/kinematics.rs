@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::arm::{NamesArm, Which, described, pedestal};
-use super::{code, ended, joints};
+use super::{code, ended, six};
 use crate::model::inverse::{ClosedForm, IkError, IkSolution, Preferences, Search};
 use crate::model::{Data, FrameId, Limits, Model, Placement, built_in, file::Inertias};
 
@@ -276,7 +276,7 @@ impl Kinematics {
         let start = io.floats.split_off(16);
         let solution = match &self.closed {
             Some(closed) => {
-                let near = joints(&start, 0);
+                let near = six(&start);
                 let found = closed
                     .inverse(&goal, &near)
                     .map_err(|error| unreachable(&error))?;
@@ -309,7 +309,7 @@ impl Kinematics {
             ));
         };
         let goal = Placement::from(&pose(io)?);
-        let near = joints(&self.options.near, 0);
+        let near = six(&self.options.near);
         let found = closed
             .inverse(&goal, &near)
             .map_err(|error| unreachable(&error))?;

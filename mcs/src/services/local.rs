@@ -4,13 +4,17 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nalgebra::Isometry3;
+use sorma::Report;
 
-use crate::arm::{ArmModel, Joints};
+use super::arm::Which;
+use super::code;
 use crate::client::Target;
+use crate::joints::Joints;
+use crate::model::file::Inertias;
 use crate::trajectory::{CartesianLimits, Goal, PlanError, Planner, Route};
 
 /// Where it begins, rad: the elbow bent, with room on all sides.
-const START: Joints = [
+const START: [f64; 6] = [
     0.0,
     std::f64::consts::FRAC_PI_4,
     -std::f64::consts::PI,
@@ -37,40 +41,43 @@ pub(super) struct LocalArm {
 
 /// The arm that all objects of a process share.
 #[derive(Debug, Clone)]
-pub(super) struct SharedArm(Arc<Mutex<LocalArm>>);
+pub(super) struct SharedArm(Result<Arc<Mutex<LocalArm>>, Report>);
 
 impl SharedArm {
     pub(super) fn new() -> Self {
-        let model = Arc::new(ArmModel::puma560());
-        let planner = Planner::new(
-            model,
-            Isometry3::identity(),
-            CartesianLimits::default(),
-            CHECK_PERIOD_S,
-        );
-        Self(Arc::new(Mutex::new(LocalArm {
-            planner,
-            joints: START,
-            time_s: 0.0,
-            control: CONTROL,
-            motions: 0,
-        })))
+        Self(LocalArm::new().map(|arm| Arc::new(Mutex::new(arm))))
     }
 
-    pub(super) fn lock(&self) -> MutexGuard<'_, LocalArm> {
+    /// # Errors
+    /// Why there is no arm.
+    pub(super) fn lock(&self) -> Result<MutexGuard<'_, LocalArm>, Report> {
+        let arm = self.0.as_ref().map_err(Report::clone)?;
         // It is changed in whole steps, so one who panicked has left it whole.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        Ok(arm.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 impl LocalArm {
-    /// `base_t_6`, row by row.
-    pub(super) fn pose(&self) -> Isometry3<f64> {
+    fn new() -> Result<Self, Report> {
+        let model = Which::default().load(Inertias::Identified, None)?.model;
+        let planner = Planner::new(Arc::new(model), CartesianLimits::default(), CHECK_PERIOD_S);
+        let no_arm = |error| Report::error(code::MODEL, format!("{error}"));
+        Ok(Self {
+            planner: planner.map_err(no_arm)?,
+            joints: START.into(),
+            time_s: 0.0,
+            control: CONTROL,
+            motions: 0,
+        })
+    }
+
+    /// `base_t_6`.
+    pub(super) fn pose(&mut self) -> Isometry3<f64> {
         self.planner.tool_pose(&self.joints)
     }
 
     /// Where a motion would end, and how long it would take, s.
-    pub(super) fn plan(&self, route: &Route) -> Result<(Joints, f64), PlanError> {
+    pub(super) fn plan(&mut self, route: &Route) -> Result<(Joints, f64), PlanError> {
         let (segment, end) = self.planner.segment(&self.joints, route)?;
         Ok((end, segment.duration()))
     }

@@ -11,9 +11,10 @@ use sorma::{
 
 use super::kinematics;
 use super::local::{SharedArm, rows, target};
-use super::{code, ended, in_the_way, joints};
-use crate::arm::{Elbow, Joints};
+use super::{code, ended, in_the_way, six};
 use crate::client::{Acquire, Move, PathKind, Plan, Position, ReadPosition, Release, Status};
+use crate::joints::Joints;
+use crate::model::inverse::Elbow;
 use crate::state::State;
 use crate::trajectory::{Goal, Pace, Route};
 
@@ -29,7 +30,8 @@ const FORMS: &[Form] = &[
         takes: "joint positions q1 to q6, rad",
         gives: "7 floats: joint positions at the end, rad, and how long it took, s",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
-        help: "moves the joints there",
+        help: "moves the joints there; an arm of n joints takes n positions in the order of its model, rad or m, and answers n + 1 \
+               floats to all that moves it",
     },
     Form {
         text: "by",
@@ -93,7 +95,7 @@ const FORMS: &[Form] = &[
         takes: "",
         gives: "7 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
-        help: "moves to a position that the dictionary names: `position.NAME q1 .. q6`, rad",
+        help: "moves to a position that the dictionary names: `position.NAME q1 .. qn`, rad or m",
     },
     Form {
         text: "",
@@ -104,6 +106,19 @@ const FORMS: &[Form] = &[
         help: "moves to the flavor's own position, -to",
     },
 ];
+
+/// The same of an arm with so many joints.
+fn forms(n: usize) -> Vec<Form> {
+    let counted = |form: &Form| match form.text {
+        "joints" | "by" if n != form.floats => Form {
+            floats: n,
+            takes: "one number for each joint in the model's order, rad or m",
+            ..*form
+        },
+        _ => *form,
+    };
+    FORMS.iter().map(counted).collect()
+}
 
 #[derive(Debug, Clone)]
 pub(super) struct Options {
@@ -177,7 +192,7 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             &["Q1", "Q2", "Q3", "Q4", "Q5", "Q6"],
             -10.0..=10.0,
             "rad",
-            "the position of a flavor, to which EXEC without a text moves",
+            "the position of a flavor, of an arm with six joints, to which EXEC without a text moves",
             |options| &mut options.to,
         )
         .flag(
@@ -229,7 +244,7 @@ impl MvPos {
     /// `base_t_reference`.
     fn reference(&self) -> Isometry3<f64> {
         match self.options.reference.len() {
-            6 => place(&joints(&self.options.reference, 0)),
+            6 => place(&six(&self.options.reference)),
             _ => Isometry3::identity(),
         }
     }
@@ -243,8 +258,8 @@ impl MvPos {
     }
 
     async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
-        let form = TABLE.form(io)?;
-        match form.text {
+        let text = self.form(cx, io).await?;
+        match text {
             "where" => {
                 let (joints, pose) = self.position(cx).await?;
                 answer(io, &joints, &pose);
@@ -259,24 +274,38 @@ impl MvPos {
                 Ok(())
             }
             _ => {
-                let goal = self.goal(form.text, cx, io).await?;
+                let goal = self.goal(text, cx, io).await?;
                 let (joints, duration_s) = match cx.is_in_app() {
                     true => self.ask(cx, &goal).await?,
                     false => self.move_here(&goal)?,
                 };
                 io.floats.clear();
-                io.floats.extend(joints);
+                io.floats.extend_from_slice(&joints);
                 io.floats.push(duration_s);
                 Ok(())
             }
         }
     }
 
+    /// Which form the request has. Joint positions are counted by the arm that it is for.
+    async fn form(&self, cx: &Waiting<'_>, io: &Transport) -> Result<&'static str, Report> {
+        let counted = ["joints", "by"].contains(&io.text.trim()) && !io.floats.is_empty();
+        if !counted {
+            return TABLE.form(io).map(|form| form.text);
+        }
+        let (joints, _) = self.position(cx).await?;
+        sorma::options::form(&forms(joints.len()), io).map(|form| form.text)
+    }
+
     /// Where the request wants it to go.
     async fn goal(&self, form: &str, cx: &Waiting<'_>, io: &mut Transport) -> Result<Goal, Report> {
-        let given = joints(&io.floats, 0);
+        let given = six(&io.floats);
+        let positions = |floats: &[f64]| {
+            let found = Joints::try_from(floats);
+            found.map_err(|error| Report::error(code::MOTION, error.to_string()))
+        };
         Ok(match form {
-            "joints" => Goal::Joints(given),
+            "joints" => Goal::Joints(positions(&io.floats)?),
             "pose" => Goal::Pose(self.reference() * kinematics::pose(io)?),
             "place" => Goal::Pose(self.reference() * place(&given)),
             "relative" => {
@@ -286,7 +315,9 @@ impl MvPos {
             }
             "by" => {
                 let (now, _) = self.position(cx).await?;
-                Goal::Joints(std::array::from_fn(|index| now[index] + given[index]))
+                let by = positions(&io.floats)?;
+                let pairs = |index: usize| now[index] + by.get(index).copied().unwrap_or_default();
+                Goal::Joints(Joints::from_fn(now.len(), pairs))
             }
             "shift" => {
                 let (_, now) = self.position(cx).await?;
@@ -296,7 +327,7 @@ impl MvPos {
                     by.rotation * now.rotation,
                 ))
             }
-            "" if self.options.to.len() == given.len() => Goal::Joints(joints(&self.options.to, 0)),
+            "" if !self.options.to.is_empty() => Goal::Joints(positions(&self.options.to)?),
             "" => {
                 let text = format!(
                     "`{}` has no position of its own; set -to, or say where: EXEC joints FMSG 6 ..",
@@ -304,14 +335,17 @@ impl MvPos {
                 );
                 return Err(Report::error(code::NO_POSITION, text));
             }
-            _ => Goal::Joints(named(cx.here(), io)?),
+            _ => {
+                let (now, _) = self.position(cx).await?;
+                Goal::Joints(named(cx.here(), io, now.len())?)
+            }
         })
     }
 
     /// Where the arm is: its joints and its tool.
     async fn position(&self, cx: &Waiting<'_>) -> Result<(Joints, Isometry3<f64>), Report> {
         if !cx.is_in_app() {
-            let arm = self.arm.lock();
+            let mut arm = self.arm.lock()?;
             return Ok((arm.joints, arm.pose()));
         }
         let client = &self.options.client;
@@ -326,7 +360,7 @@ impl MvPos {
 
     /// Moves the arm of this process.
     fn move_here(&self, goal: &Goal) -> Result<(Joints, f64), Report> {
-        let mut arm = self.arm.lock();
+        let mut arm = self.arm.lock()?;
         let planned = arm.plan(&Route {
             goal: *goal,
             path: self.path(),
@@ -386,7 +420,7 @@ impl MvPos {
 }
 
 /// x y z and roll pitch yaw as a pose.
-fn place(numbers: &Joints) -> Isometry3<f64> {
+fn place(numbers: &[f64; 6]) -> Isometry3<f64> {
     let [x, y, z, roll, pitch, yaw] = *numbers;
     Isometry3::from_parts(
         Translation3::from(Vector3::new(x, y, z)),
@@ -394,10 +428,10 @@ fn place(numbers: &Joints) -> Isometry3<f64> {
     )
 }
 
-/// Joint positions that the dictionary has under the name in the request.
-fn named(cx: &Context<'_>, io: &mut Transport) -> Result<Joints, Report> {
+/// The positions of `count` joints that the dictionary has under the name in the request.
+fn named(cx: &Context<'_>, io: &mut Transport, count: usize) -> Result<Joints, Report> {
     let name = io.text.clone();
-    if let Some(form) = FORMS.iter().find(|form| form.text == name) {
+    if let Some(form) = forms(count).iter().find(|form| form.text == name) {
         let text = format!(
             "EXEC {name} takes {} floats ({}): write FMSG {} and the numbers",
             form.floats, form.takes, form.floats
@@ -412,7 +446,7 @@ fn named(cx: &Context<'_>, io: &mut Transport) -> Result<Joints, Report> {
     let found = found.map_err(|_| {
         let why = said.reports.first().map_or("", |report| report.text.as_str());
         wrong(format!(
-            "there is no position `{name}`: {why}; a position is an entry `position.{name} q1 .. q6` of the dictionary, rad"
+            "there is no position `{name}`: {why}; a position is an entry `position.{name} q1 .. qn` of the dictionary, rad or m"
         ))
     })?;
     let numbers: Option<Vec<f64>> = found
@@ -420,19 +454,20 @@ fn named(cx: &Context<'_>, io: &mut Transport) -> Result<Joints, Report> {
         .split_whitespace()
         .map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
         .collect();
-    match numbers.as_deref() {
-        Some(&[a, b, c, d, e, f]) => Ok([a, b, c, d, e, f]),
-        _ => Err(wrong(format!(
-            "the dictionary's entry `position.{name}` must be 6 joint positions, rad, not `{}`",
+    let positions = numbers.filter(|numbers| numbers.len() == count);
+    let positions = positions.and_then(|numbers| Joints::try_from(numbers.as_slice()).ok());
+    positions.ok_or_else(|| {
+        wrong(format!(
+            "the dictionary's entry `position.{name}` must be {count} joint positions, rad or m, not `{}`",
             found.text
-        ))),
-    }
+        ))
+    })
 }
 
 /// Joint positions and a pose.
 pub(super) fn answer(io: &mut Transport, joints: &Joints, pose: &Isometry3<f64>) {
     io.floats.clear();
-    io.floats.extend(joints);
+    io.floats.extend_from_slice(joints);
     io.floats.extend(rows(pose));
 }
 

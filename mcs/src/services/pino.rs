@@ -21,8 +21,8 @@ const FORMS: &[Form] = &[
         text: "state",
         floats: 0,
         takes: "",
-        gives: "text: state, holder, motion, fault; 22 floats: joint positions, rad, and base_T_tool, row by row, m; \
-                2 ints: servo ticks, ticks missed",
+        gives: "text: state, holder, motion, fault; 22 floats: joint positions, rad, and base_T_tool, row by row, m; of an arm \
+                of n joints n + 16 floats; 2 ints: servo ticks, ticks missed",
         results: "q1 q2 q3 q4 q5 q6: rad; base_T_tool 4x4: m; ints ticks missed",
         help: "tells how the arm is",
     },
@@ -159,7 +159,7 @@ impl Pino {
                 if let Some(fault) = status.fault {
                     io.text.push_str(&format!(", fault: {fault}"));
                 }
-                io.floats.extend(position.joints);
+                io.floats.extend_from_slice(&position.joints);
                 io.floats.extend(position.base_t_tool);
                 let whole = |count: u64| i64::try_from(count).unwrap_or(i64::MAX);
                 io.ints = vec![whole(status.ticks), whole(status.missed)];
@@ -168,8 +168,8 @@ impl Pino {
         Ok(())
     }
 
-    fn here(&self, form: &str, io: &mut Transport) {
-        let mut arm = self.arm.lock();
+    fn here(&self, form: &str, io: &mut Transport) -> Outcome {
+        let mut arm = self.arm.lock()?;
         match form {
             "control" | "set" => {
                 if form == "set" {
@@ -186,9 +186,11 @@ impl Pino {
                     "an arm of this process, kinematic only: {} motions, {:.3} s of them",
                     arm.motions, arm.time_s
                 );
-                answer(io, &arm.joints, &arm.pose());
+                let (joints, pose) = (arm.joints, arm.pose());
+                answer(io, &joints, &pose);
             }
         }
+        Ok(())
     }
 }
 
@@ -219,10 +221,7 @@ impl ServiceObject for Pino {
             }
             let outcome = match cx.is_in_app() {
                 true => self.in_app(form, cx, io).await,
-                false => {
-                    self.here(form, io);
-                    Ok(())
-                }
+                false => self.here(form, io),
             };
             if outcome.is_err() {
                 return ended(io, outcome);

@@ -4,7 +4,7 @@
 mod arms;
 
 use super::*;
-use crate::arm::ArmModel;
+use crate::model::{Model, built_in, file::Inertias};
 use ctos::diagnostic::Source;
 use nalgebra::{DMatrix, Matrix3, Matrix4};
 use proptest::prelude::*;
@@ -261,11 +261,17 @@ fn options_change_one_flavor_and_are_told() {
     }
 }
 
+fn puma560() -> Model {
+    built_in::model("puma560", Inertias::Identified)
+        .unwrap()
+        .unwrap()
+}
+
 fn joints_within(share: f64) -> impl Strategy<Value = [f64; 6]> {
-    let limits = ArmModel::puma560().limits;
+    let model = puma560();
     prop::array::uniform6(-1.0..1.0_f64).prop_map(move |parts| {
         std::array::from_fn(|index| {
-            let limit = &limits[index];
+            let limit = &model.joints()[index].limits;
             let middle = 0.5 * (limit.lower + limit.upper);
             middle + share * parts[index] * 0.5 * (limit.upper - limit.lower)
         })
@@ -335,10 +341,10 @@ proptest! {
         let solutions: Vec<&[f64]> = reply.floats.chunks(6).collect();
         let far = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         prop_assert!(solutions.iter().any(|found| far(found, &q) < 1e-6), "{:?} not in {:?}", q, solutions);
-        let model = ArmModel::puma560();
+        let model = puma560();
         for (index, found) in solutions.iter().enumerate() {
             near(&floats(&sorm, "kin.puma560 EXEC TMSG fkine", found), &pose, 1e-8);
-            prop_assert_eq!(model.joint_outside(&joints(found, 0)), None);
+            prop_assert_eq!(model.joint_outside(found), None);
             for other in &solutions[..index] {
                 prop_assert!(far(found, other) > 1e-9, "one solution twice");
             }

@@ -2,10 +2,11 @@
 
 use super::port::{MotionPhase, MotionStatus};
 use super::{ServoConfig, Settling};
-use crate::arm::DOF;
 use crate::driver::SlotReading;
+use crate::joints::Distances;
+use crate::model::Model;
 use crate::trajectory::segment::SegmentError;
-use crate::trajectory::{Interpolator, Segment, Setpoint};
+use crate::trajectory::{Interpolator, Segment, Setpoint, Solver};
 
 /// What a tick made of the motion.
 pub(super) enum Progress {
@@ -32,8 +33,8 @@ pub(super) struct Motion {
     settled_for: u32,
     settling_for: u32,
     elapsed: u64,
-    max_error: f64,
-    error: f64,
+    max_error: Distances,
+    error: Distances,
     resting: bool,
 }
 
@@ -53,8 +54,8 @@ impl Motion {
             settled_for: 0,
             settling_for: 0,
             elapsed: 0,
-            max_error: 0.0,
-            error: 0.0,
+            max_error: Distances::default(),
+            error: Distances::default(),
             resting: false,
         }
     }
@@ -66,7 +67,7 @@ impl Motion {
     }
 
     /// From now on brakes along the path, from the setpoint that holds now.
-    pub(super) fn stop(&mut self, now: &Setpoint) {
+    pub(super) fn stop(&mut self, solver: &mut Solver, now: &Setpoint) {
         if self.stopping || self.resting {
             self.stopping = true;
             return;
@@ -77,7 +78,7 @@ impl Motion {
         self.ticks = 0;
         // The first interval starts at the setpoint in force, which between two planned setpoints
         // may be a hair off the path: no step, whenever the stop comes.
-        let first = self.segment.at(self.interval, &now.position);
+        let first = self.segment.at(solver, self.interval, &now.position);
         self.between = first
             .ok()
             .map(|first| Interpolator::new(*now, first, self.interval));
@@ -86,16 +87,17 @@ impl Motion {
     /// The setpoint of this tick, given the one before and the readings of this tick.
     pub(super) fn advance(
         &mut self,
+        solver: &mut Solver,
         before: &Setpoint,
-        readings: &[SlotReading; DOF],
+        readings: &[SlotReading],
     ) -> Result<(Setpoint, Progress), SegmentError> {
         self.elapsed += 1;
         let setpoint = if self.resting {
             *before
         } else {
-            self.next(before)?
+            self.next(solver, before)?
         };
-        self.measure(&setpoint, readings);
+        self.measure(solver.model(), &setpoint, readings);
         if !self.resting {
             return Ok((setpoint, Progress::Going));
         }
@@ -103,7 +105,8 @@ impl Motion {
         let slow = readings
             .iter()
             .all(|reading| reading.velocity.abs() <= self.settling.speed);
-        if slow && self.error <= self.settling.error {
+        let (_, error) = self.error.largest();
+        if slow && error <= self.settling.error {
             self.settled_for += 1;
         } else {
             self.settled_for = 0;
@@ -122,21 +125,21 @@ impl Motion {
         Ok((setpoint, progress))
     }
 
-    fn next(&mut self, before: &Setpoint) -> Result<Setpoint, SegmentError> {
+    fn next(&mut self, solver: &mut Solver, before: &Setpoint) -> Result<Setpoint, SegmentError> {
         let between = match self.between {
             Some(between) => {
                 self.ticks += 1;
                 between
             }
             None => {
-                let from = self.segment.at(0.0, &before.position)?;
-                let between = self.interval_from(from, 0)?;
+                let from = self.segment.at(solver, 0.0, &before.position)?;
+                let between = self.interval_from(solver, from, 0)?;
                 self.between = Some(between);
                 between
             }
         };
         if self.ticks < self.every {
-            return Ok(between.at(f64::from(self.ticks) * self.period));
+            return Ok(self.held(&between));
         }
         self.ticks = 0;
         self.intervals += 1;
@@ -145,26 +148,43 @@ impl Motion {
             self.resting = true;
             return Ok(Setpoint::at_rest(reached.position));
         }
-        self.between = Some(self.interval_from(reached, self.intervals)?);
-        Ok(reached)
+        let between = self.interval_from(solver, reached, self.intervals)?;
+        self.between = Some(between);
+        Ok(self.held(&between))
     }
 
-    fn interval_from(&self, from: Setpoint, intervals: u64) -> Result<Interpolator, SegmentError> {
+    /// The setpoint of this tick. Torques are held until the next one, so its acceleration is the mean until then: that of
+    /// the middle, where it changes evenly.
+    fn held(&self, between: &Interpolator) -> Setpoint {
+        let now = f64::from(self.ticks) * self.period;
+        Setpoint {
+            acceleration: between.at(now + 0.5 * self.period).acceleration,
+            ..between.at(now)
+        }
+    }
+
+    fn interval_from(
+        &self,
+        solver: &mut Solver,
+        from: Setpoint,
+        intervals: u64,
+    ) -> Result<Interpolator, SegmentError> {
         let end = (intervals + 1) as f64 * self.interval;
-        let to = self.segment.at(end, &from.position)?;
+        let to = self.segment.at(solver, end, &from.position)?;
         Ok(Interpolator::new(from, to, self.interval))
     }
 
-    fn measure(&mut self, setpoint: &Setpoint, readings: &[SlotReading; DOF]) {
+    fn measure(&mut self, model: &Model, setpoint: &Setpoint, readings: &[SlotReading]) {
         let pairs = setpoint.position.iter().zip(readings);
-        self.error = pairs.fold(0.0, |most, (wanted, reading)| {
-            most.max((wanted - reading.position).abs())
+        let joints = pairs.zip(model.joints());
+        self.error = joints.fold(Distances::default(), |most, ((wanted, reading), joint)| {
+            most.with(joint.kind, (wanted - reading.position).abs())
         });
-        self.max_error = self.max_error.max(self.error);
+        self.max_error = self.max_error.or(self.error);
     }
 
-    /// Largest distance of any joint from its setpoint at the last tick, rad.
-    pub(super) fn error(&self) -> f64 {
+    /// Largest distances of joints from their setpoints at the last tick.
+    pub(super) fn error(&self) -> Distances {
         self.error
     }
 

@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crossbeam_queue::ArrayQueue;
 use serde::{Deserialize, Serialize};
 
-use crate::arm::Joints;
 use crate::driver::{DriverError, Power};
+use crate::joints::{Distances, Joints};
+use crate::model::JointKind;
 use crate::trajectory::Segment;
 
 /// An order to the servo. Orders that the present state does not allow change nothing; the status
@@ -68,35 +69,46 @@ pub enum Fault {
         slot: usize,
     },
     /// A joint was too far from its setpoint.
-    #[error("joint {joint} was {error:.4} rad from its setpoint, the limit is {limit:.4} rad")]
+    #[error(
+        "joint {joint} was {error:.4} {unit} from its setpoint, the limit is {limit:.4} {unit}",
+        unit = .kind.unit()
+    )]
     FollowingError {
         /// Joint number, from 1.
         joint: usize,
-        /// Distance, rad.
+        /// Whether it turns or slides.
+        kind: JointKind,
+        /// Distance, rad or m.
         error: f64,
-        /// Limit, rad.
+        /// Limit, rad or m.
         limit: f64,
     },
     /// A joint was away from its setpoint for too long: the arm does not follow.
     #[error(
-        "joint {joint} has been more than {window:.4} rad from its setpoint for {after:.3} s; is something in the way of the arm?"
+        "joint {joint} has been more than {window:.4} {unit} from its setpoint for {after:.3} s; is something in the way of the arm?",
+        unit = .kind.unit()
     )]
     NotFollowing {
         /// Joint number, from 1.
         joint: usize,
-        /// The distance that is allowed for any length of time, rad.
+        /// Whether it turns or slides.
+        kind: JointKind,
+        /// The distance that is allowed for any length of time, rad or m.
         window: f64,
         /// How long it was exceeded, s.
         after: f64,
     },
     /// The setpoint rests at the end of a motion and the arm does not.
     #[error(
-        "the arm did not settle within {after:.3} s: a joint is {error:.5} rad from its target, the limit is {limit:.5} rad"
+        "the arm did not settle within {after:.3} s: a joint is {error:.5} {unit} from its target, the limit is {limit:.5} {unit}",
+        unit = .kind.unit()
     )]
     NotSettled {
-        /// Largest distance of a joint from its target, rad.
+        /// Whether that joint turns or slides.
+        kind: JointKind,
+        /// Largest distance of a joint from its target, rad or m.
         error: f64,
-        /// Limit, rad.
+        /// Limit, rad or m.
         limit: f64,
         /// How long it was waited for, s.
         after: f64,
@@ -166,10 +178,10 @@ pub struct MotionStatus {
     pub phase: MotionPhase,
     /// Ticks since it began.
     pub elapsed_ticks: u64,
-    /// Largest distance of any joint from its setpoint since it began, rad.
-    pub max_tracking_error: f64,
-    /// Largest distance of any joint from its setpoint now; once over, the final error. rad.
-    pub error: f64,
+    /// Largest distances of joints from their setpoints since it began.
+    pub max_tracking_error: Distances,
+    /// Largest distances of joints from their setpoints now; once over, the final errors.
+    pub error: Distances,
 }
 
 /// What the servo shows after each tick.
@@ -185,13 +197,13 @@ pub struct ServoStatus {
     pub fault: Option<Fault>,
     /// A protective stop holds: no segment is taken.
     pub stopped: bool,
-    /// Joint positions as read back, rad.
+    /// Joint positions as read back, rad or m.
     pub position: Joints,
-    /// Joint velocities as read back, rad/s.
+    /// Joint velocities as read back, rad/s or m/s.
     pub velocity: Joints,
-    /// Joint setpoints, rad.
+    /// Joint setpoints, rad or m.
     pub setpoint: Joints,
-    /// Torques written, N m.
+    /// Torques written, N m, or forces, N.
     pub torque: Joints,
     /// Nothing moves and nothing is going to.
     pub at_rest: bool,

@@ -8,22 +8,14 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::arm::{ArmModel, JointLimits, Joints};
+use crate::joints::{Distances, TooManyJoints};
+use crate::model::file::Inertias;
+use crate::model::origin::Origin;
+use crate::model::{Limits, Model, Placement};
 use crate::servo::{ServoConfig, Settling};
 use crate::trajectory::CartesianLimits;
 
 use super::SERVO;
-
-/// Which control law.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Law {
-    /// PID with gravity compensation.
-    #[default]
-    Pid,
-    /// Computed torque.
-    ComputedTorque,
-}
 
 /// Arguments of `mcs.servo`.
 #[derive(Debug, Clone, Deserialize)]
@@ -34,44 +26,63 @@ pub struct ServoArgs {
     /// The driver's own arguments, read by the driver.
     #[serde(default, rename = "driver_args")]
     pub _driver_args: Option<IgnoredAny>,
+    /// The arm: a model that is built in, or a file in TOML or URDF, relative to the configuration's folder.
+    #[serde(default = "model")]
+    pub model: String,
+    /// Of a URDF, the link whose frame is the base frame; its root where none is named.
+    pub base: Option<String>,
+    /// The link or frame that carries the tool: of a URDF its only leaf, of another model its own tip, where none is named.
+    pub tip: Option<String>,
+    /// Which bodies the control law counts with. A simulated arm has those of the engine.
+    #[serde(default = "inertias")]
+    pub inertias: Inertias,
     /// Servo period, ms.
     #[serde(default = "period_ms")]
     pub period_ms: f64,
     /// The planner gives a setpoint every so many periods.
     #[serde(default = "setpoint_every")]
     pub setpoint_every: u32,
-    /// The control law.
-    #[serde(default)]
-    pub law: Law,
+    /// Registered name of the control law.
+    #[serde(default = "law")]
+    pub law: String,
+    /// The law's own arguments, read by the law.
+    #[serde(default, rename = "law_args")]
+    pub _law_args: Option<IgnoredAny>,
     /// Natural frequency of the position loop, Hz.
     #[serde(default = "bandwidth_hz")]
     pub bandwidth_hz: f64,
     /// Damping ratio of the position loop.
     #[serde(default = "damping")]
     pub damping: f64,
-    /// A joint this far from its setpoint (rad) is an emergency.
+    /// A joint that turns and is this far from its setpoint (rad) is an emergency.
     #[serde(default = "following_error_rad")]
     pub following_error_rad: f64,
-    /// A joint further from its setpoint than this (rad)
+    /// The same of a joint that slides, m.
+    #[serde(default = "following_error_m")]
+    pub following_error_m: f64,
+    /// A joint that turns and is further from its setpoint than this (rad)
     #[serde(default = "following_window_rad")]
     pub following_window_rad: f64,
+    /// or one that slides, than this (m),
+    #[serde(default = "following_window_m")]
+    pub following_window_m: f64,
     /// for this long (s) does not follow, which is a fault.
     #[serde(default = "following_timeout_s")]
     pub following_timeout_s: f64,
     /// When a motion counts as settled.
     #[serde(default)]
     pub settling: Settling,
-    /// Joint speed limits, rad/s; at most the arm's own.
-    pub velocity: Option<Joints>,
-    /// Joint acceleration limits, rad/s^2; at most the arm's own.
-    pub acceleration: Option<Joints>,
+    /// Joint speed limits, one for each joint, rad/s or m/s; at most the arm's own.
+    pub velocity: Option<Vec<f64>>,
+    /// Joint acceleration limits, one for each joint, rad/s^2 or m/s^2; at most the arm's own.
+    pub acceleration: Option<Vec<f64>>,
     /// Tool speeds on straight lines.
     #[serde(default)]
     pub cartesian: CartesianLimits,
-    /// Origin of the tool in frame 6, m.
+    /// Origin of the tool in the frame of the tip, m.
     #[serde(default)]
     pub tool_xyz: [f64; 3],
-    /// Orientation of the tool in frame 6: roll, pitch and yaw about x, y and z, rad.
+    /// Orientation of the tool in the frame of the tip: roll, pitch and yaw about x, y and z, rad.
     #[serde(default)]
     pub tool_rpy: [f64; 3],
 }
@@ -79,6 +90,18 @@ pub struct ServoArgs {
 /// Above a twentieth of the servo rate the sampled loop comes near its limit of stability.
 pub(super) fn most_bandwidth_hz(period: Duration) -> f64 {
     0.05 / period.as_secs_f64()
+}
+
+fn model() -> String {
+    "puma560".to_owned()
+}
+
+fn inertias() -> Inertias {
+    Inertias::Engine
+}
+
+fn law() -> String {
+    "pid".to_owned()
 }
 
 fn period_ms() -> f64 {
@@ -101,8 +124,16 @@ fn following_error_rad() -> f64 {
     0.1
 }
 
+fn following_error_m() -> f64 {
+    0.05
+}
+
 fn following_window_rad() -> f64 {
     0.03
+}
+
+fn following_window_m() -> f64 {
+    0.015
 }
 
 fn following_timeout_s() -> f64 {
@@ -110,14 +141,88 @@ fn following_timeout_s() -> f64 {
 }
 
 impl ServoArgs {
-    /// Reads the arguments and checks every number, all findings at once.
-    pub fn read(task: &TaskConfig, findings: &mut Findings) -> Option<Self> {
+    /// Reads the arguments, checks every number and makes the arm; all findings at once.
+    pub fn read(task: &TaskConfig, app: &App, findings: &mut Findings) -> Option<(Self, Model)> {
         let args: Self = findings.keep(task.args.parse())?;
-        args.check(task, findings).then_some(args)
+        let model = args.check(task, app, findings)?;
+        Some((args, model))
     }
 
-    /// Checks every number; whether all are sound.
-    pub(super) fn check(&self, task: &TaskConfig, findings: &mut Findings) -> bool {
+    /// Checks every number; the arm with the limits and the tool given, when all are sound.
+    pub(super) fn check(
+        &self,
+        task: &TaskConfig,
+        app: &App,
+        findings: &mut Findings,
+    ) -> Option<Model> {
+        let sound = self.check_numbers(task, findings);
+        let model = self.load(task, app, findings)?;
+        let velocity = (&self.velocity, "velocity");
+        let fast = check_limits(task, &model, velocity, |limit| limit.velocity, findings);
+        let acceleration = (&self.acceleration, "acceleration");
+        let hard = check_limits(
+            task,
+            &model,
+            acceleration,
+            |limit| limit.acceleration,
+            findings,
+        );
+        if !(sound && fast && hard) {
+            return None;
+        }
+        let limited = model.with_joints(|index, joint| {
+            let given = |values: &Option<Vec<f64>>| values.as_ref()?.get(index).copied();
+            let limits = &mut joint.limits;
+            limits.velocity = given(&self.velocity).unwrap_or(limits.velocity);
+            limits.acceleration = given(&self.acceleration).unwrap_or(limits.acceleration);
+        });
+        Some(limited.with_tool(&Placement::from(&self.tool())))
+    }
+
+    /// The arm as it is described.
+    fn load(&self, task: &TaskConfig, app: &App, findings: &mut Findings) -> Option<Model> {
+        let at = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        let place = at("model");
+        let mut origin = Origin::named(&self.model);
+        if let Origin::Toml(path) | Origin::Urdf(path) = &mut origin {
+            if let Err(finding) = app.read(&*path) {
+                findings.push(finding.at(place));
+                return None;
+            }
+            *path = app.file_at(&*path);
+        }
+        let (base, tip) = (self.base.as_deref(), self.tip.as_deref());
+        if base.is_some() && !matches!(origin, Origin::Urdf(_)) {
+            let text = format!("`base` is of a URDF, and `{}` is none", self.model);
+            let finding = Finding::error("mcs::servo::base", text).at(at("base"));
+            findings.push(finding.help("leave it out"));
+            return None;
+        }
+        let loaded = match origin.load(base, tip, self.inertias) {
+            Ok(loaded) => loaded,
+            Err(wrong) => {
+                for finding in wrong.into_sorted() {
+                    // What has no place in a file is wrong in the arguments.
+                    let placed = finding.place.is_some();
+                    findings.push(match placed {
+                        true => finding,
+                        false => finding.at(place.clone()),
+                    });
+                }
+                return None;
+            }
+        };
+        if let Err(error) = TooManyJoints::check(loaded.model.dof()) {
+            findings.push(Finding::error("mcs::servo::joints", error.to_string()).at(place));
+            return None;
+        }
+        for warning in loaded.warnings {
+            findings.push(warning);
+        }
+        Some(loaded.model)
+    }
+
+    fn check_numbers(&self, task: &TaskConfig, findings: &mut Findings) -> bool {
         let mut sound = true;
         let mut within = |key: &str, value: f64, low: f64, high: f64| {
             if !(low..=high).contains(&value) {
@@ -133,7 +238,9 @@ impl ServoArgs {
         within("setpoint_every", f64::from(self.setpoint_every), 1.0, 100.0);
         within("damping", self.damping, 0.1, 5.0);
         within("following_error_rad", self.following_error_rad, 1e-4, 3.2);
+        within("following_error_m", self.following_error_m, 1e-4, 3.2);
         within("following_window_rad", self.following_window_rad, 1e-4, 3.2);
+        within("following_window_m", self.following_window_m, 1e-4, 3.2);
         within("following_timeout_s", self.following_timeout_s, 0.0, 10.0);
         let top = most_bandwidth_hz(Duration::from_secs_f64(
             self.period_ms.clamp(0.1, 1e3) / 1e3,
@@ -168,33 +275,7 @@ impl ServoArgs {
         for value in self.tool_rpy {
             within("tool_rpy", value, -7.0, 7.0);
         }
-        let arm = ArmModel::puma560();
-        let mut limited = |key: &str, values: &Option<Joints>, most: fn(&JointLimits) -> f64| {
-            let values = values.iter().flatten();
-            for (value, limit) in values.zip(&arm.limits) {
-                within(key, *value, 1e-3, most(limit));
-            }
-        };
-        limited("velocity", &self.velocity, |limit| limit.velocity);
-        limited("acceleration", &self.acceleration, |limit| {
-            limit.acceleration
-        });
         sound
-    }
-
-    /// The arm with the limits given.
-    #[must_use]
-    pub fn model(&self) -> ArmModel {
-        let mut model = ArmModel::puma560();
-        for (index, limit) in model.limits.iter_mut().enumerate() {
-            if let Some(velocity) = &self.velocity {
-                limit.velocity = velocity[index];
-            }
-            if let Some(acceleration) = &self.acceleration {
-                limit.acceleration = acceleration[index];
-            }
-        }
-        model
     }
 
     /// Rates and limits of the servo.
@@ -203,16 +284,21 @@ impl ServoArgs {
         ServoConfig {
             period: Duration::from_secs_f64(self.period_ms / 1000.0),
             setpoint_every: self.setpoint_every,
-            following_error: self.following_error_rad,
-            following_window: self.following_window_rad,
+            following_error: Distances {
+                turning: self.following_error_rad,
+                sliding: self.following_error_m,
+            },
+            following_window: Distances {
+                turning: self.following_window_rad,
+                sliding: self.following_window_m,
+            },
             following_timeout: Duration::from_secs_f64(self.following_timeout_s),
             settling: self.settling,
         }
     }
 
-    /// `frame6_t_tool`.
-    #[must_use]
-    pub fn tool(&self) -> Isometry3<f64> {
+    /// `tip_t_tool`.
+    fn tool(&self) -> Isometry3<f64> {
         let [x, y, z] = self.tool_xyz;
         let [roll, pitch, yaw] = self.tool_rpy;
         Isometry3::from_parts(
@@ -222,27 +308,57 @@ impl ServoArgs {
     }
 }
 
-/// What an app says of its manipulator, for those that check goals before anything runs.
-#[derive(Debug, Clone)]
-pub struct Manipulator {
-    /// The arm with the limits given.
-    pub arm: ArmModel,
-    /// `frame6_t_tool`.
-    pub tool: Isometry3<f64>,
+/// Checks that every joint has a limit of its own or a given one, the given ones being no higher; whether that is so.
+fn check_limits(
+    task: &TaskConfig,
+    model: &Model,
+    (given, key): (&Option<Vec<f64>>, &str),
+    own: fn(&Limits) -> f64,
+    findings: &mut Findings,
+) -> bool {
+    let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+    let mut refuse = |code: &'static str, text: String, help: String| {
+        findings.push(Finding::error(code, text).at(place.clone()).help(help));
+        false
+    };
+    let needed = model.dof();
+    if let Some(values) = given
+        && values.len() != needed
+    {
+        let text = format!("`{key}` has {} numbers", values.len());
+        let name = model.name();
+        let help = format!("give one for each of the {needed} joints of `{name}`");
+        return refuse("mcs::servo::count", text, help);
+    }
+    let mut sound = true;
+    for (index, joint) in model.joints().iter().enumerate() {
+        let most = own(&joint.limits);
+        match given.as_ref().and_then(|values| values.get(index)) {
+            Some(value) if !(1e-3..=most).contains(value) || value.is_infinite() => {
+                let text = format!("`{key}` is {value} for joint {}", index + 1);
+                let help = format!("give a value from 0.001 to {most}");
+                sound = refuse("mcs::out_of_range", text, help);
+            }
+            None if most <= 0.0 || most.is_infinite() => {
+                let text = format!("joint `{}` has no largest {key}", joint.name);
+                let help = format!(
+                    "write `{key}` with one number for each joint, or limit it in its model"
+                );
+                sound = refuse("mcs::servo::limit", text, help);
+            }
+            _ => {}
+        }
+    }
+    sound
 }
 
-impl Manipulator {
-    /// The manipulator of the first servo task of `app`. None also when that task's arguments are
-    /// wrong, which its own check reports.
-    #[must_use]
-    pub fn of(app: &App) -> Option<Self> {
-        let servo = app.tasks.iter().find(|task| task.handler == SERVO)?;
-        let args = ServoArgs::read(servo, &mut Findings::new())?;
-        Some(Self {
-            arm: args.model(),
-            tool: args.tool(),
-        })
-    }
+/// The manipulator of the first servo task of `app`, its tool the tip, for those that check goals before anything runs.
+/// None also when that task's arguments are wrong, which its own check reports.
+#[must_use]
+pub fn manipulator(app: &App) -> Option<Model> {
+    let servo = app.tasks.iter().find(|task| task.handler == SERVO)?;
+    let (_, model) = ServoArgs::read(servo, app, &mut Findings::new())?;
+    Some(model)
 }
 
 /// Arguments of `mcs.state` and `mcs.planner`.

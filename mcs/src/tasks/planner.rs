@@ -15,11 +15,11 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use super::args::PartArgs;
 use super::{Link, PLANNER, SERVO, check_reference};
-use crate::arm::Joints;
 use crate::client::{MotionError, Move, MoveReport, Outcome, Plan, PlanReport, Target};
 use crate::driver::Power;
+use crate::joints::Joints;
 use crate::servo::{MotionPhase, Rejection, ServoCommand, ServoStatus};
-use crate::trajectory::{Goal, Pace, PlanError, Route, Segment};
+use crate::trajectory::{Goal, Pace, PlanError, Planner, Route, Segment};
 
 /// How far the rotation of a target pose may be from a rotation, per entry.
 const ROTATION_ROUNDING: f64 = 1e-6;
@@ -31,6 +31,7 @@ pub(super) fn register(registry: &mut Registry) {
             Ok(PlannerTask {
                 servo: args.servo,
                 link: None,
+                planner: None,
                 running: Rc::default(),
                 asked_from: 0,
                 ending: None,
@@ -47,6 +48,7 @@ type Running = Rc<RefCell<Option<Replier<Move>>>>;
 struct PlannerTask {
     servo: String,
     link: Option<Arc<Link>>,
+    planner: Option<Planner>,
     running: Running,
     /// The number of the chassis from which the latest move was asked for.
     asked_from: u8,
@@ -62,7 +64,8 @@ impl PlannerTask {
     }
 
     /// The segment for a request from where the arm is held (or stands), and where it ends.
-    fn plan(&self, link: &Link, request: &Plan) -> Result<(Segment, Joints), MotionError> {
+    fn plan(&mut self, link: &Link, request: &Plan) -> Result<(Segment, Joints), MotionError> {
+        let planner = self.planner.get_or_insert_with(|| link.planner.clone());
         let status = link.port.status();
         let start = status.setpoint;
         let goal = match &request.target {
@@ -75,7 +78,7 @@ impl PlannerTask {
             pace: Pace::new(request.speed, request.acceleration),
             elbow: request.elbow,
         };
-        link.planner.segment(&start, &route).map_err(unplanned)
+        planner.segment(&start, &route).map_err(unplanned)
     }
 
     /// Gives the servo the segment for a move, or says what is in the way of it.
@@ -189,9 +192,11 @@ fn stop_holds() -> MotionError {
 /// A request that makes no sense is refused; what the arm cannot do may be possible elsewhere.
 fn unplanned(error: PlanError) -> MotionError {
     let outcome = match error {
-        PlanError::Speed { .. } | PlanError::Acceleration { .. } | PlanError::NotFinite { .. } => {
-            Outcome::Refused
-        }
+        PlanError::Speed { .. }
+        | PlanError::Acceleration { .. }
+        | PlanError::NotFinite { .. }
+        | PlanError::Count { .. }
+        | PlanError::NoLimit { .. } => Outcome::Refused,
         PlanError::Target(_)
         | PlanError::Line { .. }
         | PlanError::JointSpeed { .. }
@@ -266,8 +271,10 @@ fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, Mot
     match motion.phase {
         MotionPhase::Done => Ok(MoveReport {
             duration_s: motion.elapsed_ticks as f64 * link.config.period.as_secs_f64(),
-            max_tracking_error_rad: motion.max_tracking_error,
-            final_error_rad: motion.error,
+            max_tracking_error_rad: motion.max_tracking_error.turning,
+            max_tracking_error_m: motion.max_tracking_error.sliding,
+            final_error_rad: motion.error.turning,
+            final_error_m: motion.error.sliding,
             joints: status.position,
         }),
         _ if status.stopped => Err(MotionError::new(

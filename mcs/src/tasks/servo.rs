@@ -4,19 +4,19 @@
 use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
-use ctos::diagnostic::{Finding, Findings};
+use ctos::diagnostic::{Finding, Findings, Place};
 use ctos::message::{Command, CommandInfo, Message, Replier};
 use ctos::registry::Registry;
 use ctos::sync::{CyclicHandle, Tick};
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
 use serde::{Deserialize, Serialize};
 
-use super::args::{self, Law, ServoArgs};
+use super::args::{self, ServoArgs};
 use super::{Link, SERVO, rows};
-use crate::arm::{DynamicsOptions, Joints};
 use crate::client::{ControlReport, ReadControl, SetControl};
-use crate::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
+use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::DriverRegistry;
+use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
 use crate::trajectory::Planner;
 
@@ -70,34 +70,88 @@ const COMMANDS: [CommandInfo; 5] = [
     SetControl::INFO,
 ];
 
-pub(super) fn register(registry: &mut Registry, drivers: Arc<DriverRegistry>) {
-    let known = Arc::clone(&drivers);
+pub(super) fn register(
+    registry: &mut Registry,
+    drivers: Arc<DriverRegistry>,
+    laws: Arc<LawRegistry>,
+) {
+    let (known, known_laws) = (Arc::clone(&drivers), Arc::clone(&laws));
     registry
-        .handler(SERVO, &COMMANDS, move |cx| ServoTask::new(cx, &drivers))
+        .handler(SERVO, &COMMANDS, move |cx| {
+            ServoTask::new(cx, &drivers, &laws)
+        })
         .checked_args::<ServoArgs>(move |args, task, app, findings| {
-            check(args, (task, app), &known, findings);
+            check(args, (task, app), (&known, &known_laws), findings);
         });
 }
 
-fn driver_args(task: &TaskConfig) -> Node {
-    task.args
-        .get("driver_args")
-        .cloned()
-        .unwrap_or_else(Node::table)
+/// The arguments that a driver or a law has of its own.
+fn own_args(task: &TaskConfig, key: &str) -> Node {
+    task.args.get(key).cloned().unwrap_or_else(Node::table)
+}
+
+fn place(task: &TaskConfig, key: &str) -> Place {
+    task.args.locate(key).unwrap_or_else(|| task.place.clone())
 }
 
 fn check(
     args: &ServoArgs,
     (task, app): (&TaskConfig, &App),
-    drivers: &DriverRegistry,
+    (drivers, laws): (&DriverRegistry, &LawRegistry),
     findings: &mut Findings,
 ) {
-    if !args.check(task, findings) {
-        return;
+    let model = args.check(task, app, findings).map(Arc::new);
+    if let Some(model) = &model
+        && let Err(finding) = law(args, task, model, laws)
+    {
+        findings.push(finding);
     }
-    match drivers.kind(&args.driver) {
-        Some(kind) => kind.run_check(task, app, &driver_args(task), findings),
-        None => findings.push(unknown_driver(task, &args.driver, drivers)),
+    let Some(kind) = drivers.kind(&args.driver) else {
+        return findings.push(unknown_driver(task, &args.driver, drivers));
+    };
+    let driver_args = own_args(task, "driver_args");
+    kind.run_check(task, app, &driver_args, findings);
+    if let (Some(model), Some(slots)) = (model, kind.count_slots(app, &driver_args))
+        && slots != model.dof()
+    {
+        let text = format!(
+            "task `{}`: the channel driver `{}` has {slots} slots, and the arm `{}` has {} joints",
+            task.name,
+            args.driver,
+            model.name(),
+            model.dof()
+        );
+        let finding = Finding::error("mcs::servo::slots", text).at(place(task, "driver"));
+        findings.push(finding.help("name another driver, or another `model`"));
+    }
+}
+
+/// The control law that the arguments name.
+fn law(
+    args: &ServoArgs,
+    task: &TaskConfig,
+    model: &Arc<Model>,
+    laws: &LawRegistry,
+) -> Result<Box<dyn ControlLaw>, Finding> {
+    let settings = LawSettings {
+        model,
+        bandwidth_hz: args.bandwidth_hz,
+        damping: args.damping,
+        args: &own_args(task, "law_args"),
+    };
+    match laws.build(&args.law, &settings) {
+        Some(law) => law.map_err(|error| {
+            let text = format!("control law `{}`: {error}", args.law);
+            Finding::error("mcs::servo::law", text).at(place(task, "law_args"))
+        }),
+        None => {
+            let text = format!(
+                "task `{}` names the control law `{}`, which nobody registered",
+                task.name, args.law
+            );
+            let finding = Finding::error("mcs::servo::unknown_law", text).at(place(task, "law"));
+            Err(finding.suggest(&args.law, laws.names()))
+        }
     }
 }
 
@@ -106,17 +160,15 @@ fn unknown_driver(task: &TaskConfig, name: &str, drivers: &DriverRegistry) -> Fi
         "task `{}` names the channel driver `{name}`, which nobody registered",
         task.name
     );
-    let place = task
-        .args
-        .locate("driver")
-        .unwrap_or_else(|| task.place.clone());
     Finding::error("mcs::unknown_driver", text)
-        .at(place)
+        .at(place(task, "driver"))
         .suggest(name, drivers.names())
 }
 
 struct ServoTask {
     link: Arc<Link>,
+    /// Knows where the tool is.
+    planner: Planner,
     /// Waits here for the first phase.
     servo: Option<Servo>,
     cyclic: Option<CyclicHandle>,
@@ -124,45 +176,37 @@ struct ServoTask {
 }
 
 impl ServoTask {
-    fn new(cx: &Context, drivers: &DriverRegistry) -> Result<Self, HandlerError> {
+    fn new(
+        cx: &Context,
+        drivers: &DriverRegistry,
+        laws: &LawRegistry,
+    ) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         let mut findings = Findings::new();
-        let args = ServoArgs::read(task, &mut findings).ok_or_else(|| findings.to_string())?;
+        let read = ServoArgs::read(task, cx.app(), &mut findings);
+        let (args, model) = read.ok_or_else(|| findings.to_string())?;
+        let model = Arc::new(model);
         let kind = drivers.kind(&args.driver);
         let kind = kind.ok_or_else(|| unknown_driver(task, &args.driver, drivers))?;
-        let driver = kind.build(cx, &driver_args(task))?;
-        let model = Arc::new(args.model());
+        let driver = kind.build(cx, &own_args(task, "driver_args"))?;
         let config = args.config();
-        let law: Box<dyn ControlLaw> = match args.law {
-            Law::Pid => {
-                let gains = JointGains::by_bandwidth(&model, args.bandwidth_hz, args.damping);
-                Box::new(PidGravity::new(Arc::clone(&model), gains))
-            }
-            Law::ComputedTorque => Box::new(ComputedTorque::new(
-                Arc::clone(&model),
-                args.bandwidth_hz,
-                args.damping,
-                DynamicsOptions::WITH_ROTORS,
-            )),
-        };
+        let law = law(&args, task, &model, laws)?;
         let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
         let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
-        let planner = Planner::new(model, args.tool(), args.cartesian, setpoint_period);
+        let planner = Planner::new(model, args.cartesian, setpoint_period)?;
         let link = Arc::new(Link {
             port,
-            planner,
+            planner: planner.clone(),
             config,
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));
         Ok(Self {
             link,
+            planner,
             servo: Some(servo),
             cyclic: None,
             control: ControlReport {
-                law: match args.law {
-                    Law::Pid => "pid".to_owned(),
-                    Law::ComputedTorque => "computed_torque".to_owned(),
-                },
+                law: args.law,
                 bandwidth_hz: args.bandwidth_hz,
                 damping: args.damping,
                 following_error_rad: args.following_error_rad,
@@ -170,13 +214,12 @@ impl ServoTask {
         })
     }
 
-    fn report(&self) -> ServoReport {
+    fn report(&mut self) -> ServoReport {
         let status = self.link.port.status();
-        let position: Joints = status.position;
         ServoReport {
             status,
             fault: self.link.fault(),
-            base_t_tool: rows(&self.link.planner.tool_pose(&position)),
+            base_t_tool: rows(&self.planner.tool_pose(&status.position)),
         }
     }
 

@@ -11,12 +11,15 @@ use ctos::task::{EventHandler, Handled, Phase, TaskRef};
 use futures_util::future::LocalBoxFuture;
 
 use super::*;
-use crate::arm::{ArmModel, Joints};
 use crate::client::*;
-use crate::driver::test_arm::{Knobs, START, TestArm};
+use crate::control::{ControlLaw, LawRegistry};
+use crate::driver::SlotReading;
+use crate::driver::test_arm::{Knobs, START, TestArm, built_in_arm};
+use crate::joints::Joints;
 use crate::state::State;
+use crate::trajectory::Setpoint;
 
-const GOAL: Joints = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1];
+const GOAL: [f64; 6] = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1];
 
 const APP: &str = r#"
 app.until = "user"
@@ -88,14 +91,52 @@ ctos::command! {
     struct Try => String, 0x0001, "try"
 }
 
+/// A law of one's own: carries a share of the weight and does nothing else.
+struct Limp(f64, Arc<crate::model::Model>);
+
+impl ControlLaw for Limp {
+    fn reset(&mut self, _: &[SlotReading]) {}
+
+    fn torques(&mut self, _: &Setpoint, readings: &[SlotReading], _: Duration, out: &mut [f64]) {
+        let q: Vec<f64> = readings.iter().map(|reading| reading.position).collect();
+        let mut data = self.1.data();
+        let weight = self.1.gravity_torques(&mut data, &q);
+        for (out, weight) in out.iter_mut().zip(weight) {
+            *out = self.0 * weight;
+        }
+    }
+}
+
 fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
     let mut registry = Registry::new();
     let mut drivers = DriverRegistry::new();
     let for_arm = Arc::clone(knobs);
-    drivers.driver("test.arm", move |_, _| {
-        Ok(Box::new(TestArm::new(ArmModel::puma560(), false, &for_arm)))
+    let arm = drivers.driver("test.arm", move |_, _| {
+        let arm = built_in_arm("puma560");
+        Ok(Box::new(TestArm::new(arm, &START, false, &for_arm)))
     });
-    register(&mut registry, drivers);
+    arm.slots(|_, _| Some(6));
+    let for_arm = Arc::clone(knobs);
+    let on_cart = drivers.driver("test.arm_on_cart", move |_, _| {
+        let (arm, start) = (built_in_arm("testbed9"), [&[0.0; 3][..], &START].concat());
+        Ok(Box::new(TestArm::new(arm, &start, false, &for_arm)))
+    });
+    on_cart.slots(|_, _| Some(9));
+    let mut laws = LawRegistry::new();
+    laws.law("test.limp", |settings| {
+        #[derive(serde::Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Args {
+            share: f64,
+        }
+        let Args { share } = settings.args.parse()?;
+        if share > 1.0 {
+            return Err("no more than all of the weight can be carried".into());
+        }
+        let model = Arc::clone(settings.model);
+        Ok(Box::new(Limp(share, model)))
+    });
+    register(&mut registry, drivers, laws);
     let mut dictionary = sorma::Dictionary::new();
     let shipped = ctos::diagnostic::Source::new("mcs", crate::services::DICTIONARY);
     dictionary.load(&shipped).unwrap();
@@ -194,7 +235,7 @@ fn a_user_acquires_moves_reads_back_and_releases() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
             assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
-            let report = done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let report = done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             assert!(report.max_tracking_error_rad < 4e-3, "{report:?}");
             assert!(report.final_error_rad < 5e-4, "{report:?}");
             let position = asked(&cx, &mcs, ReadPosition {}).await?;
@@ -202,7 +243,7 @@ fn a_user_acquires_moves_reads_back_and_releases() {
                 assert!((read - goal).abs() < 5e-4);
             }
             // Back, and on to a pose along a straight line.
-            done(&cx, &mcs, to(Target::Joints(START))).await?;
+            done(&cx, &mcs, to(Target::Joints(START.into()))).await?;
             let mut pose = asked(&cx, &mcs, ReadPosition {}).await?.base_t_tool;
             pose[7] += 0.2;
             let line = Move {
@@ -228,7 +269,7 @@ fn the_same_seed_gives_the_same_bits() {
         text_of(|cx, mcs, _| {
             Box::pin(async move {
                 done(&cx, &mcs, Acquire {}).await?;
-                let report = done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                let report = done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
                 Ok(format!("{report:?}"))
             })
         })
@@ -241,9 +282,9 @@ fn bad_targets_are_refused_before_anything_moves_and_say_why() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
             done(&cx, &mcs, Acquire {}).await?;
-            let mut beyond = START;
+            let mut beyond = Joints::from(START);
             beyond[4] = 2.0;
-            let mut nan = START;
+            let mut nan = Joints::from(START);
             nan[0] = f64::NAN;
             let far = [
                 1., 0., 0., 3., 0., 1., 0., 0., 0., 0., 1., 0.5, 0., 0., 0., 1.,
@@ -261,7 +302,7 @@ fn bad_targets_are_refused_before_anything_moves_and_say_why() {
             }
             let fast = Move {
                 speed: 1.5,
-                ..to(Target::Joints(GOAL))
+                ..to(Target::Joints(GOAL.into()))
             };
             lines.push(refusal(&cx, &mcs, fast).await?);
             let plan = Plan {
@@ -298,7 +339,7 @@ fn bad_targets_are_refused_before_anything_moves_and_say_why() {
 fn only_the_holder_moves_and_only_after_acquiring() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
-            let cold = refusal(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let cold = refusal(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             done(&cx, &mcs, Acquire {}).await?;
             let other = cx.task("other").await?;
             let held = asked(&cx, &other, Try {}).await?;
@@ -319,16 +360,16 @@ fn after_an_emergency_stop_reset_and_a_new_reservation_are_needed() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
             done(&cx, &mcs, Acquire {}).await?;
-            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             asked(&cx, &mcs, EmergencyStop {}).await?;
             cx.sleep(Duration::from_millis(20)).await;
             let status = asked(&cx, &mcs, Status {}).await?;
             assert_eq!(status.state, State::Estopped);
             let first = refusal(&cx, &mcs, Acquire {}).await?;
             assert_eq!(done(&cx, &mcs, Reset {}).await?, State::Cold);
-            let second = refusal(&cx, &mcs, to(Target::Joints(START))).await?;
+            let second = refusal(&cx, &mcs, to(Target::Joints(START.into()))).await?;
             done(&cx, &mcs, Acquire {}).await?;
-            done(&cx, &mcs, to(Target::Joints(START))).await?;
+            done(&cx, &mcs, to(Target::Joints(START.into()))).await?;
             Ok(format!("{first}\n{second}"))
         })
     });
@@ -346,7 +387,7 @@ fn a_driver_fault_in_mid_motion_is_told_to_the_mover_in_the_drivers_words() {
                 own.sleep(Duration::from_millis(300)).await;
                 knobs.fault.store(2, Ordering::Relaxed);
             });
-            let told = refusal(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let told = refusal(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             let status = asked(&cx, &mcs, Status {}).await?;
             assert_eq!(status.state, State::Estopped);
             assert!(
@@ -368,7 +409,9 @@ fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
             done(&cx, &mcs, Acquire {}).await?;
             let own = cx.clone();
             cx.spawn(async move {
-                let told = refusal(&own, &mcs, to(Target::Joints(GOAL))).await.ok();
+                let told = refusal(&own, &mcs, to(Target::Joints(GOAL.into())))
+                    .await
+                    .ok();
                 *knobs.told.lock().unwrap() = told;
             });
             cx.sleep(Duration::from_millis(300)).await;
@@ -379,7 +422,7 @@ fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
     assert!(matches!(outcome.end, End::Finished(_)));
     assert_eq!(
         *knobs.last_write.lock().unwrap(),
-        Some((Power::Off, [0.0; 6]))
+        Some((Power::Off, Joints::zeros(6)))
     );
     let told = knobs.told.lock().unwrap().clone();
     assert_eq!(
@@ -416,7 +459,27 @@ fn wrong_arguments_are_found_before_anything_starts() {
             "task.servo.args.velocity=[9.0,1,1,1,1,1]",
             "`velocity` is 9",
         ),
+        (
+            "task.servo.args.velocity=[1,1,1]",
+            "give one for each of the 6 joints of `puma560`",
+        ),
         ("task.servo.args.perod_ms=4.5", "did you mean `period_ms`?"),
+        (
+            "task.servo.args.model=puma56",
+            "there is no model `puma56` (did you mean `puma560`?)",
+        ),
+        (
+            "task.servo.args.model=arms/none.urdf",
+            "arms/none.urdf`: No such file",
+        ),
+        (
+            "task.servo.args.model=testbed9",
+            "the channel driver `test.arm` has 6 slots, and the arm `testbed9` has 9 joints",
+        ),
+        ("task.servo.args.tip=hand", "`puma560` has no frame `hand`"),
+        ("task.servo.args.base=floor", "`base` is of a URDF"),
+        ("task.servo.args.law=pdi", "did you mean `pid`?"),
+        ("task.servo.args.law_args.stiff=1", "control law `pid`: "),
         ("task.state.args.servo=servos", "did you mean `servo`?"),
         ("task.planner.on=ws", "must be on one chassis"),
         (
@@ -429,6 +492,103 @@ fn wrong_arguments_are_found_before_anything_starts() {
         assert!(found.contains(expected), "{set}: {found}");
         assert!(found.contains(':'), "{found}");
     }
+}
+
+/// The arm on a cart in place of the arm.
+const ON_CART: [&str; 2] = [
+    "task.servo.args.driver=test.arm_on_cart",
+    "task.servo.args.model=testbed9",
+];
+
+#[test]
+fn nine_joints_move_as_six_do_by_joints_by_line_and_by_text() {
+    let script: Script = |cx, mcs, _| {
+        Box::pin(async move {
+            let goal = Joints::try_from(&[&[0.4, -0.3, 0.1][..], &GOAL].concat()[..])?;
+            done(&cx, &mcs, Acquire {}).await?;
+            let report = done(&cx, &mcs, to(Target::Joints(goal))).await?;
+            assert!(report.max_tracking_error_rad < 4e-3, "{report:?}");
+            assert!(report.max_tracking_error_m < 1e-3, "{report:?}");
+            let mut pose = asked(&cx, &mcs, ReadPosition {}).await?.base_t_tool;
+            pose[3] += 0.5;
+            let line = Move {
+                path: PathKind::StraightLine,
+                ..to(Target::Pose(pose))
+            };
+            done(&cx, &mcs, line).await?;
+            let there = asked(&cx, &mcs, ReadPosition {}).await?;
+            for (found, wanted) in there.base_t_tool.iter().zip(&pose) {
+                assert!((found - wanted).abs() < 1e-3, "{there:?}");
+            }
+            let six = refusal(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+            assert_eq!(six, "the arm has 9 joints, and the target has 6 positions");
+            let elbow = Move {
+                elbow: Some(crate::model::inverse::Elbow::Above),
+                ..to(Target::Pose(pose))
+            };
+            let elbow = error_of(&cx, &mcs, elbow).await?;
+            assert_eq!(elbow.outcome, Outcome::Unreachable, "{elbow}");
+            done(&cx, &mcs, Release {}).await?;
+            let moved = told(&cx, "mvpos EXEC by FMSG 9 -0.2 0 0 0 0 0 0 0 0.1").await?;
+            assert!(moved.is_ok(), "{:?}", moved.reports);
+            assert_eq!(moved.floats.len(), 10);
+            assert_eq!(told(&cx, "pino EXEC state").await?.floats.len(), 9 + 16);
+            let wrong = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 0 0").await?;
+            let text = &wrong.reports[0].text;
+            assert!(
+                text.contains("takes 9 floats") && text.contains("not 6"),
+                "{text}"
+            );
+            told(
+                &cx,
+                "dict CTRL -add position.rest '0 0 0 0.1 0.8 -2.6 0.2 0.7 0.1'",
+            )
+            .await?;
+            let rest = told(&cx, "mvpos EXEC rest").await?;
+            assert!(rest.is_ok(), "{:?}", rest.reports);
+            Ok(String::new())
+        })
+    };
+    let outcome = run(script, &Arc::default(), &ON_CART);
+    assert!(
+        matches!(&outcome.end, End::Finished(result) if result.ok),
+        "{:?}",
+        outcome.end
+    );
+}
+
+#[test]
+fn a_law_of_ones_own_is_found_by_its_name_with_its_arguments() {
+    let limp = |share: &str| {
+        let share = format!("task.servo.args.law_args.share={share}");
+        findings_of(&["task.servo.args.law=test.limp", &share])
+    };
+    assert_eq!(limp("0.9"), "");
+    let found = limp("1.5");
+    assert!(
+        found.contains("control law `test.limp`: no more than all of the weight can be carried"),
+        "{found}"
+    );
+    let script: Script = |cx, mcs, _| {
+        Box::pin(async move {
+            assert_eq!(asked(&cx, &mcs, ReadControl {}).await?.law, "test.limp");
+            done(&cx, &mcs, Acquire {}).await?;
+            // It does not move at all.
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+            assert_eq!(told.outcome, Outcome::Fault, "{told}");
+            Ok(String::new())
+        })
+    };
+    let own = [
+        "task.servo.args.law=test.limp",
+        "task.servo.args.law_args.share=1",
+    ];
+    let outcome = run(script, &Arc::default(), &own);
+    assert!(
+        matches!(&outcome.end, End::Finished(result) if result.ok),
+        "{:?}",
+        outcome.end
+    );
 }
 
 /// What an object of the app answers to a line of text.
@@ -514,10 +674,10 @@ fn control_parameters_are_read_and_set_and_a_softer_loop_follows_worse() {
                 ("pid", &[8.0, 1.0][..])
             );
             done(&cx, &mcs, Acquire {}).await?;
-            let stiff = done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let stiff = done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             let set = told(&cx, "pino EXEC set FMSG 2 4 1").await?;
             assert_eq!(set.floats[0], 4.0, "{:?}", set.reports);
-            let soft = done(&cx, &mcs, to(Target::Joints([0.0; 6]))).await?;
+            let soft = done(&cx, &mcs, to(Target::Joints(Joints::zeros(6)))).await?;
             assert!(soft.max_tracking_error_rad > 2.0 * stiff.max_tracking_error_rad);
             let refused = told(&cx, "pino EXEC set FMSG 2 400 1").await?;
             assert_eq!(refused.code, sorma::report::code::REFUSED);

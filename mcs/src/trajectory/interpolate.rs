@@ -6,7 +6,6 @@
 //! exact wherever the acceleration is constant.
 
 use super::Setpoint;
-use crate::arm::DOF;
 
 /// A cubic between two setpoints.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,7 +40,7 @@ impl Interpolator {
         let h = self.interval;
         let x = t / h;
         let mut setpoint = self.from;
-        for index in 0..DOF {
+        for index in 0..self.from.position.len() {
             let (p0, v0) = (self.from.position[index], self.from.velocity[index]);
             let (p1, v1) = (self.to.position[index], self.to.velocity[index]);
             let way = p1 - p0;
@@ -67,9 +66,9 @@ mod tests {
         ) {
             let h = 0.018;
             let at = |t: f64| Setpoint {
-                position: [p + t * (v + 0.5 * a * t); 6],
-                velocity: [v + a * t; 6],
-                acceleration: [a; 6],
+                position: [p + t * (v + 0.5 * a * t); 6].into(),
+                velocity: [v + a * t; 6].into(),
+                acceleration: [a; 6].into(),
             };
             let found = Interpolator::new(at(0.0), at(h), h).at(share * h);
             let expected = at(share * h);

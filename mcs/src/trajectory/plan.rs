@@ -8,8 +8,10 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Vector3};
 
 use super::segment::{Line, SegmentError};
-use super::{Pace, Path, Profile, ProfilePoint, Segment, Setpoint};
-use crate::arm::{ArmModel, DOF, Elbow, IkError, Joints, inverse};
+use super::{Pace, Path, Profile, ProfilePoint, Segment, Setpoint, Solver};
+use crate::joints::{Joints, TooManyJoints};
+use crate::model::inverse::{Elbow, IkError};
+use crate::model::{JointKind, Model};
 
 #[cfg(test)]
 mod tests;
@@ -36,7 +38,7 @@ pub struct CartesianLimits {
 }
 
 impl Default for CartesianLimits {
-    /// Speeds that the PUMA's joints can follow over most of its work volume.
+    /// Speeds that a PUMA's joints can follow over most of its work volume.
     fn default() -> Self {
         Self {
             linear_speed: 0.5,
@@ -70,6 +72,22 @@ pub enum PlanError {
         /// Joint number, from 1.
         joint: usize,
     },
+    /// So many joint positions are not those of the arm.
+    #[error("the arm has {needed} joints, and the target has {given} positions")]
+    Count {
+        /// Joints of the arm.
+        needed: usize,
+        /// Positions given.
+        given: usize,
+    },
+    /// Without limits of speed and acceleration there is no fraction of them.
+    #[error(
+        "joint {joint} has no largest speed or acceleration above zero in its model; give the servo `velocity` and `acceleration`"
+    )]
+    NoLimit {
+        /// Joint number, from 1.
+        joint: usize,
+    },
     /// The target itself is out of reach or beyond a joint's limits.
     #[error("{0}; choose another target")]
     Target(IkError),
@@ -83,112 +101,117 @@ pub enum PlanError {
         /// What is wrong there.
         reason: SegmentError,
     },
-    /// A joint would have to turn too fast to follow the line.
+    /// A joint would have to move too fast to follow the line.
     #[error(
-        "joint {joint} would have to turn at {value:.3} rad/s at {percent:.0} % of the straight line, its limit is {limit:.3} rad/s; slow down or move joint-interpolated"
+        "joint {joint} would have to move at {value:.3} {unit}/s at {percent:.0} % of the straight line, its limit is {limit:.3} {unit}/s; slow down or move joint-interpolated",
+        unit = .kind.unit()
     )]
     JointSpeed {
         /// Joint number, from 1.
         joint: usize,
-        /// Speed needed, rad/s.
+        /// Whether it turns or slides.
+        kind: JointKind,
+        /// Speed needed, rad/s or m/s.
         value: f64,
-        /// Limit, rad/s.
+        /// Limit, rad/s or m/s.
         limit: f64,
         /// Where on the line, percent of its length.
         percent: f64,
     },
     /// A joint would have to accelerate (or brake in a protective stop) too hard to stay on the line.
     #[error(
-        "joint {joint} would have to accelerate at {value:.3} rad/s^2 at {percent:.0} % of the straight line, its limit is {limit:.3} rad/s^2; slow down or move joint-interpolated"
+        "joint {joint} would have to accelerate at {value:.3} {unit}/s^2 at {percent:.0} % of the straight line, its limit is {limit:.3} {unit}/s^2; slow down or move joint-interpolated",
+        unit = .kind.unit()
     )]
     JointAcceleration {
         /// Joint number, from 1.
         joint: usize,
-        /// Acceleration needed, rad/s^2.
+        /// Whether it turns or slides.
+        kind: JointKind,
+        /// Acceleration needed, rad/s^2 or m/s^2.
         value: f64,
-        /// Limit, rad/s^2.
+        /// Limit, rad/s^2 or m/s^2.
         limit: f64,
         /// Where on the line, percent of its length.
         percent: f64,
     },
 }
 
-/// Plans segments for one manipulator.
+/// Plans segments for one manipulator, whose tool is the tip of its model.
 #[derive(Debug, Clone)]
 pub struct Planner {
-    model: Arc<ArmModel>,
-    tool: Isometry3<f64>,
+    pub(super) solver: Solver,
     cartesian: CartesianLimits,
     check_period: f64,
 }
 
 impl Planner {
-    /// A planner for `model` with a tool at `frame6_t_tool`; lines are checked every `check_period`
-    /// seconds of their motion (the setpoint period is the right one).
-    #[must_use]
+    /// A planner for `model`; lines of its tip are checked every `check_period` seconds of their motion (the setpoint
+    /// period is the right one).
+    ///
+    /// # Errors
+    /// [`TooManyJoints`].
     pub fn new(
-        model: Arc<ArmModel>,
-        tool: Isometry3<f64>,
+        model: Arc<Model>,
         cartesian: CartesianLimits,
         check_period: f64,
-    ) -> Self {
-        Self {
-            model,
-            tool,
+    ) -> Result<Self, TooManyJoints> {
+        Ok(Self {
+            solver: Solver::new(model)?,
             cartesian,
             check_period,
-        }
+        })
     }
 
     /// The arm planned for.
     #[must_use]
-    pub fn model(&self) -> &Arc<ArmModel> {
-        &self.model
+    pub fn model(&self) -> &Arc<Model> {
+        self.solver.model()
     }
 
-    /// `base_t_tool` at joint positions `q` (rad).
-    #[must_use]
-    pub fn tool_pose(&self, q: &Joints) -> Isometry3<f64> {
-        self.model.forward(q) * self.tool
+    /// `base_t_tool` at joint positions `q` (rad or m).
+    pub fn tool_pose(&mut self, q: &[f64]) -> Isometry3<f64> {
+        self.solver.pose(q)
     }
 
-    /// Joint positions (rad) that put the tool at `base_t_tool`, nearest to `near`.
+    /// Joint positions (rad or m) that put the tool at `base_t_tool`, near `near`: see [`Solver::nearest`].
     ///
     /// # Errors
     /// [`PlanError::Target`] with the reason.
     pub fn joints_for(
-        &self,
+        &mut self,
         base_t_tool: &Isometry3<f64>,
         near: &Joints,
         elbow: Option<Elbow>,
     ) -> Result<Joints, PlanError> {
-        let base_t_6 = base_t_tool * self.tool.inverse();
-        let found = self
-            .model
-            .inverse(&base_t_6, near)
-            .map_err(PlanError::Target)?;
-        let best = found
-            .nearest(&self.model, near, elbow)
-            .map_err(PlanError::Target)?;
-        Ok(best.joints)
+        let found = self.solver.nearest(base_t_tool, near, elbow);
+        found.map_err(PlanError::Target)
     }
 
     /// A joint target itself, checked against the limits.
     ///
     /// # Errors
-    /// [`PlanError::NotFinite`] or [`PlanError::Target`].
-    pub fn check_joints(&self, q: &Joints) -> Result<(), PlanError> {
+    /// [`PlanError::Count`], [`PlanError::NotFinite`] or [`PlanError::Target`].
+    pub fn check_joints(&self, q: &[f64]) -> Result<(), PlanError> {
+        let model = self.model();
+        let (needed, given) = (model.dof(), q.len());
+        if needed != given {
+            return Err(PlanError::Count { needed, given });
+        }
         if let Some(index) = q.iter().position(|value| !value.is_finite()) {
             return Err(PlanError::NotFinite { joint: index + 1 });
         }
-        match self.model.joint_outside(q) {
-            None => Ok(()),
-            Some(index) => Err(PlanError::Target(inverse::limit_error(
-                &self.model,
-                q,
-                index,
-            ))),
-        }
+        let Some(index) = model.joint_outside(q) else {
+            return Ok(());
+        };
+        let joint = &model.joints()[index];
+        Err(PlanError::Target(IkError::JointLimit {
+            joint: index + 1,
+            kind: joint.kind,
+            value: q[index],
+            lower: joint.limits.lower,
+            upper: joint.limits.upper,
+        }))
     }
 
     /// A joint-interpolated motion: all joints start, cruise and stop together, the slowest of
@@ -206,15 +229,20 @@ impl Planner {
         self.check_joints(end)?;
         let mut velocity = f64::INFINITY;
         let mut acceleration = f64::INFINITY;
-        for ((from, to), limit) in start.iter().zip(end).zip(&self.model.limits) {
-            let way = (to - from).abs();
+        let ways = start.iter().zip(end).map(|(from, to)| (to - from).abs());
+        for (index, (way, joint)) in ways.zip(self.model().joints()).enumerate() {
             if way > 0.0 {
-                velocity = velocity.min(limit.velocity / way);
-                acceleration = acceleration.min(limit.acceleration / way);
+                let limits = &joint.limits;
+                let usable = |limit: f64| limit > 0.0 && limit.is_finite();
+                if !usable(limits.velocity) || !usable(limits.acceleration) {
+                    return Err(PlanError::NoLimit { joint: index + 1 });
+                }
+                velocity = velocity.min(limits.velocity / way);
+                acceleration = acceleration.min(limits.acceleration / way);
             }
         }
         if velocity.is_infinite() {
-            return Ok(Segment::hold(Arc::clone(&self.model), *end));
+            return Ok(Segment::hold(*end));
         }
         let profile =
             Profile::trapezoid(1.0, velocity * pace.speed, acceleration * pace.acceleration);
@@ -222,21 +250,17 @@ impl Planner {
             start: *start,
             end: *end,
         };
-        Ok(Segment::new(
-            Arc::clone(&self.model),
-            path,
-            profile,
-            acceleration,
-        ))
+        Ok(Segment::new(path, profile, acceleration))
     }
 
-    /// A straight line of the tool to `base_t_tool`, turning about one axis on the way, in the
-    /// posture of `start`, at `pace` (fractions of the Cartesian limits).
+    /// A straight line of the tool to `base_t_tool`, turning about one axis. An arm with a closed form keeps its posture;
+    /// another moves its joints as little as it can. The line is followed in thought, point by point, before it is
+    /// accepted.
     ///
     /// # Errors
-    /// Everything that would stop it on the way, with joint, value and limit.
+    /// The first thing that is wrong on it.
     pub fn line(
-        &self,
+        &mut self,
         start: &Joints,
         base_t_tool: &Isometry3<f64>,
         pace: impl Into<Pace>,
@@ -246,48 +270,42 @@ impl Planner {
         let travel = base_t_tool.translation.vector - start_pose.translation.vector;
         let turn = base_t_tool.rotation * start_pose.rotation.inverse();
         let (axis, angle) = turn.axis_angle().unwrap_or((Vector3::z_axis(), 0.0));
-        let tool_inverse = self.tool.inverse();
-        let branch = self.model.branch_of(start);
-        let base_t_6 = base_t_tool * tool_inverse;
+        let branch = self.solver.branch_of(start);
         // The end first: a target out of reach is a clearer refusal than a line that leaves the reach.
-        let reachable = self.model.inverse_branch(&base_t_6, branch, start);
-        let end_joints = reachable.map_err(PlanError::Target)?;
+        let end_joints = match branch {
+            Some(_) => self.solver.follow(base_t_tool, branch, start),
+            None => self.solver.nearest(base_t_tool, start, None),
+        }
+        .map_err(PlanError::Target)?;
         let limits = &self.cartesian;
         let scale = |linear: f64, angular: f64| (linear / travel.norm()).min(angular / angle);
         let velocity = scale(limits.linear_speed, limits.angular_speed);
         let acceleration = scale(limits.linear_acceleration, limits.angular_acceleration);
         if travel.norm() < NO_WAY && angle < NO_WAY {
-            return Ok(Segment::hold(Arc::clone(&self.model), *start));
+            return Ok(Segment::hold(*start));
         }
-        let line = Line {
+        let mut line = Line {
             start: start_pose,
             travel,
             axis,
             angle,
-            tool: self.tool,
-            tool_inverse,
             branch,
             end_joints,
         };
         let braking = acceleration * pace.acceleration;
         let profile = Profile::trapezoid(1.0, velocity * pace.speed, braking);
-        self.check_line(&line, &profile, start, braking)?;
-        Ok(Segment::new(
-            Arc::clone(&self.model),
-            Path::Line(line),
-            profile,
-            braking,
-        ))
+        line.end_joints = self.check_line(&line, &profile, start, braking)?;
+        Ok(Segment::new(Path::Line(line), profile, braking))
     }
 
-    /// Follows the line in thought, as planned and as braked from every point of it.
+    /// Follows the line in thought, as planned and as braked from every point of it, to the joint positions at its end.
     fn check_line(
-        &self,
+        &mut self,
         line: &Line,
         profile: &Profile,
         start: &Joints,
         braking: f64,
-    ) -> Result<(), PlanError> {
+    ) -> Result<Joints, PlanError> {
         let duration = profile.duration();
         let checks = (duration / self.check_period)
             .ceil()
@@ -298,8 +316,8 @@ impl Planner {
         while count <= checks {
             let along = profile.at(count * step);
             let percent = 100.0 * along.position;
-            let evaluate = |along: ProfilePoint| {
-                let found = line.evaluate(&self.model, along, &near);
+            let mut evaluate = |along: ProfilePoint| {
+                let found = line.evaluate(&mut self.solver, along, &near);
                 found.map_err(|reason| PlanError::Line { percent, reason })
             };
             let planned = evaluate(along)?;
@@ -313,16 +331,17 @@ impl Planner {
             near = planned.position;
             count += 1.0;
         }
-        Ok(())
+        Ok(near)
     }
 
     fn check_setpoint(&self, setpoint: &Setpoint, percent: f64) -> Result<(), PlanError> {
-        for index in 0..DOF {
-            let limit = &self.model.limits[index];
+        for (index, joint) in self.model().joints().iter().enumerate() {
+            let (kind, limit) = (joint.kind, &joint.limits);
             let value = setpoint.velocity[index].abs();
             if value > limit.velocity {
                 return Err(PlanError::JointSpeed {
                     joint: index + 1,
+                    kind,
                     value,
                     limit: limit.velocity,
                     percent,
@@ -332,6 +351,7 @@ impl Planner {
             if value > limit.acceleration {
                 return Err(PlanError::JointAcceleration {
                     joint: index + 1,
+                    kind,
                     value,
                     limit: limit.acceleration,
                     percent,
@@ -345,17 +365,18 @@ impl Planner {
     /// between shows here and not in the speeds at the checks.
     fn check_step(
         &self,
-        from: &Joints,
-        to: &Joints,
+        from: &[f64],
+        to: &[f64],
         step: f64,
         percent: f64,
     ) -> Result<(), PlanError> {
-        for index in 0..DOF {
-            let limit = self.model.limits[index].velocity;
+        for (index, joint) in self.model().joints().iter().enumerate() {
+            let limit = joint.limits.velocity;
             let way = (to[index] - from[index]).abs();
             if way > limit * step + 1e-6 {
                 return Err(PlanError::JointSpeed {
                     joint: index + 1,
+                    kind: joint.kind,
                     value: way / step,
                     limit,
                     percent,

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::SLOWEST;
 use super::{Path, PlanError, Planner, Segment};
-use crate::arm::{Elbow, Joints};
+use crate::joints::Joints;
+use crate::model::inverse::Elbow;
 
 /// Which way to take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -65,7 +66,7 @@ impl Pace {
 /// Where to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Goal {
-    /// Joint positions, rad.
+    /// Joint positions, rad or m.
     Joints(Joints),
     /// `base_t_tool`.
     Pose(Isometry3<f64>),
@@ -80,16 +81,21 @@ pub struct Route {
     pub path: PathKind,
     /// How fast.
     pub pace: Pace,
-    /// Elbow posture at a pose that is reached in joints; the one nearest to the start when it is left out.
+    /// Elbow posture at a pose that is reached in joints, of an arm with a closed form; the one nearest to the start when
+    /// it is left out.
     pub elbow: Option<Elbow>,
 }
 
 impl Planner {
-    /// The checked segment from joint positions `start` (rad), and the joint positions at its end.
+    /// The checked segment from joint positions `start` (rad or m), and the joint positions at its end.
     ///
     /// # Errors
     /// Everything that would stop it, before anything moves.
-    pub fn segment(&self, start: &Joints, route: &Route) -> Result<(Segment, Joints), PlanError> {
+    pub fn segment(
+        &mut self,
+        start: &Joints,
+        route: &Route,
+    ) -> Result<(Segment, Joints), PlanError> {
         let pace = route.pace;
         let segment = match (route.path, &route.goal) {
             (PathKind::Joint, Goal::Joints(joints)) => self.joint(start, joints, pace)?,
@@ -99,7 +105,8 @@ impl Planner {
             }
             (PathKind::StraightLine, Goal::Joints(joints)) => {
                 self.check_joints(joints)?;
-                self.line(start, &self.tool_pose(joints), pace)?
+                let pose = self.tool_pose(joints);
+                self.line(start, &pose, pace)?
             }
             (PathKind::StraightLine, Goal::Pose(pose)) => self.line(start, pose, pace)?,
         };
@@ -108,7 +115,7 @@ impl Planner {
             Path::Line(line) => line.end_joints,
             Path::Joint { end, .. } => *end,
         };
-        let end = segment.end(&near);
+        let end = segment.end(&mut self.solver, &near);
         let end = end.map_err(|reason| PlanError::Line {
             percent: 100.0,
             reason,

@@ -1,20 +1,19 @@
 //! Path segments: where each joint is at every time of one motion. Plain values, no allocation.
 
-use std::sync::Arc;
-
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3, Vector6};
 
-use super::{Profile, ProfilePoint, Setpoint};
-use crate::arm::{ArmModel, Branch, DOF, IkError, Joints};
+use super::{Profile, ProfilePoint, Setpoint, Solver};
+use crate::joints::Joints;
+use crate::model::inverse::{Branch, IkError};
 
 /// The shape of a segment, over a path parameter from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Path {
     /// All joints in proportion.
     Joint {
-        /// Joint positions at the start, rad.
+        /// Joint positions at the start, rad or m.
         start: Joints,
-        /// Joint positions at the end, rad.
+        /// Joint positions at the end, rad or m.
         end: Joints,
     },
     /// The tool along a straight line while it turns about one fixed axis.
@@ -32,13 +31,9 @@ pub struct Line {
     pub axis: Unit<Vector3<f64>>,
     /// Angle of the turn, rad.
     pub angle: f64,
-    /// `frame6_t_tool`.
-    pub tool: Isometry3<f64>,
-    /// Its inverse, kept because every evaluation needs it.
-    pub tool_inverse: Isometry3<f64>,
-    /// The posture kept all along.
-    pub branch: Branch,
-    /// Joint positions at the end, rad, as solved when the line was planned.
+    /// The posture kept all along, of an arm with a closed form.
+    pub branch: Option<Branch>,
+    /// Joint positions at the end, rad or m, as solved when the line was planned.
     pub end_joints: Joints,
 }
 
@@ -55,17 +50,14 @@ impl Line {
 
     pub(super) fn evaluate(
         &self,
-        model: &ArmModel,
+        solver: &mut Solver,
         along: ProfilePoint,
-        near: &Joints,
+        near: &[f64],
     ) -> Result<Setpoint, SegmentError> {
-        let base_t_6 = self.pose(along.position) * self.tool_inverse;
-        let position = model.inverse_branch(&base_t_6, self.branch, near)?;
+        let position = solver.follow(&self.pose(along.position), self.branch, near)?;
         if along.speed == 0.0 && along.acceleration == 0.0 {
             return Ok(Setpoint::at_rest(position));
         }
-        let point = self.tool.translation.vector;
-        let jacobian = model.jacobian(&position, &point).lu();
         let spin = self.axis.into_inner() * self.angle;
         let direction = Vector6::new(
             self.travel.x,
@@ -75,14 +67,12 @@ impl Line {
             spin.y,
             spin.z,
         );
-        let solve = |of: Vector6<f64>| jacobian.solve(&of).ok_or(SegmentError::Singular);
-        let velocity: Joints = solve(direction * along.speed)?.into();
-        let bias = model.bias_acceleration(&position, &velocity, &point);
-        let acceleration: Joints = solve(direction * along.acceleration - bias)?.into();
-        let all = velocity.iter().chain(&acceleration);
-        if !all.clone().all(|value| value.is_finite()) {
-            return Err(SegmentError::Singular);
-        }
+        let rates = solver.rates(
+            &position,
+            &(direction * along.speed),
+            &(direction * along.acceleration),
+        );
+        let (velocity, acceleration) = rates.ok_or(SegmentError::Singular)?;
         Ok(Setpoint {
             position,
             velocity,
@@ -103,9 +93,8 @@ pub enum SegmentError {
 }
 
 /// One motion from rest to rest, with its timing.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 pub struct Segment {
-    model: Arc<ArmModel>,
     path: Path,
     profile: Profile,
     /// The hardest braking allowed along this path, 1/s^2.
@@ -113,23 +102,22 @@ pub struct Segment {
 }
 
 impl Segment {
-    pub(super) fn new(model: Arc<ArmModel>, path: Path, profile: Profile, braking: f64) -> Self {
+    pub(super) fn new(path: Path, profile: Profile, braking: f64) -> Self {
         Self {
-            model,
             path,
             profile,
             braking,
         }
     }
 
-    /// Staying at `position` (rad) for no time.
+    /// Staying at `position` (rad or m) for no time.
     #[must_use]
-    pub fn hold(model: Arc<ArmModel>, position: Joints) -> Self {
+    pub fn hold(position: Joints) -> Self {
         let path = Path::Joint {
             start: position,
             end: position,
         };
-        Self::new(model, path, Profile::trapezoid(0.0, 1.0, 1.0), 1.0)
+        Self::new(path, Profile::trapezoid(0.0, 1.0, 1.0), 1.0)
     }
 
     /// Time from start to rest, s.
@@ -150,26 +138,26 @@ impl Segment {
         &self.profile
     }
 
-    /// The setpoint at `t` seconds after the start; `near` are the joint positions (rad) of the
-    /// setpoint before, by which whole turns are chosen.
+    /// The setpoint at `t` seconds after the start; `near` are the joint positions (rad or m) of the
+    /// setpoint before, by which whole turns are chosen and from which a search begins.
     ///
     /// # Errors
     /// [`SegmentError`] for a line through a pose that cannot be followed.
-    pub fn at(&self, t: f64, near: &Joints) -> Result<Setpoint, SegmentError> {
+    pub fn at(&self, solver: &mut Solver, t: f64, near: &[f64]) -> Result<Setpoint, SegmentError> {
         let along = self.profile.at(t);
         match &self.path {
             Path::Joint { start, end } => Ok(joint_setpoint(start, end, along)),
-            Path::Line(line) => line.evaluate(&self.model, along, near),
+            Path::Line(line) => line.evaluate(solver, along, near),
         }
     }
 
-    /// Joint positions where the segment comes to rest, rad; for a braking segment `near` are the joint
+    /// Joint positions where the segment comes to rest, rad or m; for a braking segment `near` are the joint
     /// positions to be near to.
     ///
     /// # Errors
     /// [`SegmentError`] as [`Self::at`].
-    pub fn end(&self, near: &Joints) -> Result<Joints, SegmentError> {
-        Ok(self.at(self.duration(), near)?.position)
+    pub fn end(&self, solver: &mut Solver, near: &[f64]) -> Result<Joints, SegmentError> {
+        Ok(self.at(solver, self.duration(), near)?.position)
     }
 
     /// The same path, braked to rest from where it is at `t` seconds: a protective stop keeps to the
@@ -187,14 +175,14 @@ impl Segment {
         };
         Self {
             profile: Profile::braking(now.position, now.speed, braking),
-            ..self.clone()
+            ..*self
         }
     }
 }
 
 fn joint_setpoint(start: &Joints, end: &Joints, along: ProfilePoint) -> Setpoint {
     let mut setpoint = Setpoint::at_rest(*end);
-    for index in 0..DOF {
+    for index in 0..end.len().min(start.len()) {
         let travel = end[index] - start[index];
         // From the nearer end, so that both ends are exact.
         setpoint.position[index] = if along.position < 0.5 {

@@ -160,6 +160,10 @@ def answers(name, options, chain, rng, states, rotor):
             copy = model.copy()
             tip = copy.addFrame(frame, False)
             yield name, said, "jacobian", [q], pin.computeFrameJacobian(copy, copy.createData(), q, tip, pin.LOCAL_WORLD_ALIGNED)
+            moving = copy.createData()
+            pin.forwardKinematics(copy, moving, q, qd, np.zeros(n))
+            bias = pin.getFrameClassicalAcceleration(copy, moving, tip, pin.LOCAL_WORLD_ALIGNED)
+            yield name, said, "bias", [q, qd], bias.vector
         yield name, options, "gravity", [q], pin.computeGeneralizedGravity(model, data, q)
         yield name, options, "rne", [q, qd, qdd], pin.rnea(model, data, q, qd, qdd)
         mass = pin.crba(model, data, q)

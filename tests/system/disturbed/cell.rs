@@ -390,7 +390,7 @@ fn registry(seen: &Arc<Mutex<Seen>>, camera_lost_s: Option<f64>) -> Registry {
         });
         Ok(source)
     });
-    mcs::register(&mut registry, drivers);
+    mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     let hand = registry.handler("test.hand", &[], |cx| Ok(Hand(cx.args()?)));

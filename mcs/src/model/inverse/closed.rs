@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::error::IkError;
-use super::puma::{IkSolutions, Puma};
+use super::puma::{Branch, IkSolutions, Puma, joint_outside, limit_error};
 use crate::model::features::{FrameId, JointKind, Limits, Model};
 use crate::model::placement::Placement;
 
@@ -178,29 +178,66 @@ impl ClosedForm {
         base_t_tip: &Placement,
         near: &[f64; DOF],
     ) -> Result<IkSolutions, IkError> {
-        let base_t_6: Isometry3<f64> = self
-            .base
-            .inverse()
-            .then(base_t_tip)
-            .then(&self.tip.inverse())
-            .isometry();
-        let near = std::array::from_fn(|index| self.signs[index] * near[index] + self.zeros[index]);
+        let (base_t_6, near) = (self.in_table(base_t_tip), self.angles(near));
         let mut found = self.puma.inverse(&base_t_6, &near, &self.table)?;
         for solution in &mut found.all {
-            let own = |index: usize| {
-                let q = self.signs[index] * (solution.joints[index] - self.zeros[index]);
-                let limits = &self.limits[index];
-                // On a limit of the table it is on the model's, but for rounding.
-                let clamped = q.clamp(limits.lower, limits.upper);
-                if (q - clamped).abs() < EXACT {
-                    clamped
-                } else {
-                    q
-                }
-            };
-            solution.joints = std::array::from_fn(own);
+            solution.joints = self.positions(&solution.joints);
         }
         Ok(found)
+    }
+
+    /// The joint positions (rad) of one posture, whole turns chosen near `near` (rad): for following a path without changing
+    /// posture.
+    ///
+    /// # Errors
+    /// As [`Self::inverse`], and [`IkError::JointLimit`] for the first joint beyond its limits.
+    pub fn inverse_branch(
+        &self,
+        base_t_tip: &Placement,
+        branch: Branch,
+        near: &[f64; DOF],
+    ) -> Result<[f64; DOF], IkError> {
+        let (base_t_6, near) = (self.in_table(base_t_tip), self.angles(near));
+        let found = self
+            .puma
+            .inverse_branch(&base_t_6, branch, &near, &self.table)?;
+        let joints = self.positions(&found);
+        match joint_outside(&self.limits, &joints) {
+            None => Ok(joints),
+            Some(index) => Err(limit_error(&self.limits, &joints, index)),
+        }
+    }
+
+    /// The posture that joint positions `q` (rad) are in.
+    #[must_use]
+    pub fn branch_of(&self, q: &[f64; DOF]) -> Branch {
+        self.puma.branch_of(&self.angles(q))
+    }
+
+    /// `base_t_6` of the table.
+    fn in_table(&self, base_t_tip: &Placement) -> Isometry3<f64> {
+        let base_t_6 = self.base.inverse().then(base_t_tip);
+        base_t_6.then(&self.tip.inverse()).isometry()
+    }
+
+    /// The table's angles of the model's positions.
+    fn angles(&self, q: &[f64; DOF]) -> [f64; DOF] {
+        std::array::from_fn(|index| self.signs[index] * q[index] + self.zeros[index])
+    }
+
+    /// The model's positions of the table's angles.
+    fn positions(&self, angles: &[f64; DOF]) -> [f64; DOF] {
+        std::array::from_fn(|index| {
+            let q = self.signs[index] * (angles[index] - self.zeros[index]);
+            let limits = &self.limits[index];
+            // On a limit of the table it is on the model's, but for rounding.
+            let clamped = q.clamp(limits.lower, limits.upper);
+            if (q - clamped).abs() < EXACT {
+                clamped
+            } else {
+                q
+            }
+        })
     }
 
     /// The sine and cosine of the fifth angle, which is 0 or half a turn where the axes of joints 4 and 6 are one.

@@ -1,5 +1,7 @@
 //! Why a pose has no joint positions.
 
+use crate::model::features::JointKind;
+
 /// Why a pose has no usable joint positions.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum IkError {
@@ -31,18 +33,24 @@ pub enum IkError {
     /// No allowed posture keeps every joint within its limits; the named joint is the one that the
     /// best of them breaks.
     #[error(
-        "joint {joint} would have to be at {value:.4} rad, its limits are {lower:.4} to {upper:.4} rad"
+        "joint {joint} would have to be at {value:.4} {unit}, its limits are {lower:.4} to {upper:.4} {unit}",
+        unit = .kind.unit()
     )]
     JointLimit {
         /// Joint number, from 1.
         joint: usize,
-        /// The position needed, rad.
+        /// Whether it turns or slides.
+        kind: JointKind,
+        /// The position needed, rad or m.
         value: f64,
-        /// Lower limit, rad.
+        /// Lower limit, rad or m.
         lower: f64,
-        /// Upper limit, rad.
+        /// Upper limit, rad or m.
         upper: f64,
     },
+    /// An elbow posture was asked of an arm that has none.
+    #[error("the arm has no elbow postures: its inverse kinematics have no closed form")]
+    NoElbow,
     /// The goal is farther away than all links together are long.
     #[error(
         "out of reach: the goal is {distance:.4} m from the first joint, and the links between them are {farthest:.4} m long in all"

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::error::IkError;
-use crate::model::features::Limits;
+use crate::model::features::{JointKind, Limits};
 
 /// How many joints such an arm has.
 const DOF: usize = 6;
@@ -171,10 +171,11 @@ fn beyond(value: f64, limit: &Limits) -> f64 {
 }
 
 /// The error that names joint `index` of `joints`.
-pub(crate) fn limit_error(limits: &[Limits; DOF], joints: &Joints, index: usize) -> IkError {
+pub(super) fn limit_error(limits: &[Limits; DOF], joints: &Joints, index: usize) -> IkError {
     let index = index.min(DOF - 1);
     IkError::JointLimit {
         joint: index + 1,
+        kind: JointKind::Revolute,
         value: joints[index],
         lower: limits[index].lower,
         upper: limits[index].upper,
@@ -209,14 +210,14 @@ pub struct Puma {
 }
 
 /// The first joint outside its limits, by index from 0.
-fn joint_outside(limits: &[Limits; DOF], q: &Joints) -> Option<usize> {
+pub(super) fn joint_outside(limits: &[Limits; DOF], q: &Joints) -> Option<usize> {
     let mut all = q.iter().zip(limits);
     all.position(|(value, limit)| !(limit.lower..=limit.upper).contains(value))
 }
 
 impl Puma {
     /// Length of the forearm from elbow to wrist centre (m) and its angle to the DH x axis (rad).
-    pub(crate) fn elbow_to_wrist(&self) -> (f64, f64) {
+    fn elbow_to_wrist(&self) -> (f64, f64) {
         let (a3, d4) = (self.elbow, self.forearm);
         (a3.hypot(d4), d4.atan2(a3))
     }
@@ -327,10 +328,10 @@ impl Puma {
         Ok(IkSolutions { all, singular })
     }
 
-    /// The joint positions of one posture, for following a path without changing posture.
+    /// The joint positions of one posture, for following a path without changing posture. They may be beyond limits.
     ///
     /// # Errors
-    /// As [`Self::inverse`], and [`IkError::JointLimit`] for the first joint beyond its limits.
+    /// As [`Self::inverse`].
     pub fn inverse_branch(
         &self,
         base_t_6: &Isometry3<f64>,
@@ -343,11 +344,7 @@ impl Puma {
         let arm = self.arm_joints(&reach, branch.shoulder, branch.elbow);
         let wrist_rotation = Self::base_r_3(&arm).tr_mul(&rotation);
         let (wrist, _) = wrist_joints(&wrist_rotation, branch.wrist, near[3]);
-        let joints = turned(&arm, &wrist, near, limits);
-        match joint_outside(limits, &joints) {
-            None => Ok(joints),
-            Some(index) => Err(limit_error(limits, &joints, index)),
-        }
+        Ok(turned(&arm, &wrist, near, limits))
     }
 
     /// The posture that joint positions `q` (rad) are in.

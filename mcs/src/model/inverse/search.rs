@@ -5,7 +5,7 @@
 //! along the gradient of its preferences (A. Liegeois, IEEE Trans. SMC 7(12), 1977). A search that sticks begins anew
 //! elsewhere, always at the same places.
 
-use nalgebra::{Matrix6, Rotation3, UnitQuaternion, Vector6};
+use nalgebra::{Cholesky, Matrix6, Rotation3, U6, UnitQuaternion, Vector6};
 
 use super::error::IkError;
 use crate::model::data::Data;
@@ -20,6 +20,10 @@ const GOOD: f64 = 1e-9;
 const STEPS: usize = 250;
 /// The first of them follow the preferences, too.
 const PREFERRING: usize = 40;
+/// Steps of following a path, from one of its poses to the next.
+const FOLLOWING: usize = 30;
+/// A joint on its limit is held when it would go beyond by more than this, rad or m: less is rounding.
+const OUTWARD: f64 = 1e-9;
 /// Starts of a search, the given one among them.
 const STARTS: usize = 60;
 /// The longest step of a joint, rad or m.
@@ -111,14 +115,12 @@ impl Search {
         if !goal.is_finite() || start.iter().any(|position| !position.is_finite()) {
             return Err(IkError::NotFinite);
         }
-        for (index, q) in self.q.iter_mut().enumerate() {
-            *q = start.get(index).copied().unwrap_or_default();
-        }
+        self.set(start);
         self.within_reach(model, goal)?;
         let mut nearest = Vector6::repeat(f64::INFINITY);
         for attempt in 0..STARTS {
             self.begin(start, attempt);
-            let off = self.descend(model, goal, start);
+            let off = self.descend(model, goal, start, (STEPS, PREFERRING));
             if off.norm() <= GOOD {
                 return Ok(&self.q);
             }
@@ -134,6 +136,71 @@ impl Search {
             distance: nearest.fixed_rows::<3>(0).norm(),
             angle: nearest.fixed_rows::<3>(3).norm(),
         })
+    }
+
+    /// Joint positions that put the frame at `goal`, next to `start`: for following a path. Nothing else is tried, and
+    /// preferences do not count: of all ways the one that moves the joints least, 1 rad as much as 1 m.
+    ///
+    /// # Errors
+    /// [`IkError::NotFinite`], or [`IkError::NotFound`] with how near it came.
+    pub fn follow(
+        &mut self,
+        model: &Model,
+        goal: &Placement,
+        start: &[f64],
+    ) -> Result<&[f64], IkError> {
+        if !goal.is_finite() || start.iter().any(|position| !position.is_finite()) {
+            return Err(IkError::NotFinite);
+        }
+        self.set(start);
+        self.begin(start, 0);
+        let off = self.descend(model, goal, start, (FOLLOWING, 0));
+        if off.norm() <= GOOD {
+            return Ok(&self.q);
+        }
+        Err(IkError::NotFound {
+            starts: 1,
+            distance: off.fixed_rows::<3>(0).norm(),
+            angle: off.fixed_rows::<3>(3).norm(),
+        })
+    }
+
+    /// Joint speeds and accelerations at positions `q` that move the frame with `velocity` (m/s, then rad/s) and
+    /// `acceleration` (m/s^2, rad/s^2), both in the base frame: the smallest ones. A joint on a limit that they would push
+    /// stays. They go to `speeds` and `rates`; joints that do not carry the frame get zero.
+    ///
+    /// # Errors
+    /// `None` at a singular pose.
+    pub fn rates(
+        &mut self,
+        model: &Model,
+        q: &[f64],
+        (velocity, acceleration): (&Vector6<f64>, &Vector6<f64>),
+        (speeds, rates): (&mut [f64], &mut [f64]),
+    ) -> Option<()> {
+        self.set(q);
+        self.wish.fill(0.0);
+        model.jacobian(&mut self.data, q, self.frame);
+        let solved = self.direction(velocity, 0.0)?;
+        speeds.fill(0.0);
+        rates.fill(0.0);
+        for &index in &self.chain {
+            *speeds.get_mut(index)? = self.next[index];
+        }
+        let bias = model.bias_acceleration(&mut self.data, q, speeds, self.frame);
+        let pull = solved.solve(&(acceleration - bias));
+        for &index in self.chain.iter().filter(|index| self.free[**index]) {
+            let column = self.data.jacobian.fixed_view::<6, 1>(0, index);
+            *rates.get_mut(index)? = column.dot(&pull);
+        }
+        let all = speeds.iter().chain(rates.iter());
+        all.clone().all(|number| number.is_finite()).then_some(())
+    }
+
+    fn set(&mut self, positions: &[f64]) {
+        for (index, q) in self.q.iter_mut().enumerate() {
+            *q = positions.get(index).copied().unwrap_or_default();
+        }
     }
 
     /// Nothing is farther away than all links and slides together are long.
@@ -186,14 +253,21 @@ impl Search {
         }
     }
 
-    /// Goes to the goal from where the joints are, and says how far off the end is.
-    fn descend(&mut self, model: &Model, goal: &Placement, start: &[f64]) -> Vector6<f64> {
+    /// Goes to the goal from where the joints are, in at most so many steps, the first of which follow the preferences,
+    /// too; and says how far off the end is.
+    fn descend(
+        &mut self,
+        model: &Model,
+        goal: &Placement,
+        start: &[f64],
+        (steps, preferring): (usize, usize),
+    ) -> Vector6<f64> {
         let mut off = Vector6::repeat(f64::INFINITY);
-        for step in 0..STEPS {
+        for step in 0..steps {
             model.forward(&mut self.data, &self.q);
             let there = self.data.placement(model, self.frame);
             off = error(goal, &there);
-            let prefers = step < PREFERRING && self.chain.len() > 6;
+            let prefers = step < preferring && self.chain.len() > 6;
             if off.norm() <= REACHED && !prefers {
                 break;
             }
@@ -255,12 +329,35 @@ impl Search {
         square.determinant().max(0.0).sqrt()
     }
 
-    /// One damped step, with the joints that it would take beyond their limits left on them. Whether anything moved.
+    /// One damped step. Whether anything moved.
     fn step(&mut self, off: &Vector6<f64>) -> bool {
+        let damping = 0.5 * off.norm_squared() * 1e-2 + LEAST_DAMPING;
+        if self.direction(off, damping).is_none() {
+            return false;
+        }
+        let size = |most: f64, &index: &usize| most.max(self.next[index].abs());
+        let longest = self.chain.iter().fold(0.0_f64, size);
+        let scale = if longest > LONGEST {
+            LONGEST / longest
+        } else {
+            1.0
+        };
+        let mut moved = false;
+        for &index in &self.chain {
+            let limits = &self.limits[index];
+            let q = (self.q[index] + scale * self.next[index]).clamp(limits.lower, limits.upper);
+            moved |= q != self.q[index];
+            self.q[index] = q;
+        }
+        moved
+    }
+
+    /// Sets `next` to the changes of the joints that move the frame by `off`, for the last Jacobian, with the joints that
+    /// they would take beyond their limits left on them. What solved for them, unless the pose is singular.
+    fn direction(&mut self, off: &Vector6<f64>, damping: f64) -> Option<Cholesky<f64, U6>> {
         for &index in &self.chain {
             self.free[index] = true;
         }
-        let damping = 0.5 * off.norm_squared() * 1e-2 + LEAST_DAMPING;
         // Each round holds at least one joint more.
         for _ in 0..=self.chain.len() {
             let mut square = Matrix6::from_diagonal_element(damping);
@@ -270,49 +367,28 @@ impl Search {
                 square += column * column.transpose();
                 wished += column * self.wish[index];
             }
-            let Some(solved) = square.cholesky() else {
-                return false;
-            };
+            let solved = square.cholesky()?;
             // What the wishes do to the pose is taken back.
             let pull = solved.solve(&(off - wished));
-            let mut longest = 0.0_f64;
+            let mut held = false;
             for &index in &self.chain {
                 self.next[index] = 0.0;
                 if self.free[index] {
                     let column = self.data.jacobian.fixed_view::<6, 1>(0, index);
                     self.next[index] = column.dot(&pull) + self.wish[index];
-                    longest = longest.max(self.next[index].abs());
                 }
-            }
-            let scale = if longest > LONGEST {
-                LONGEST / longest
-            } else {
-                1.0
-            };
-            let mut held = false;
-            for &index in &self.chain {
                 let limits = &self.limits[index];
                 let (q, by) = (self.q[index], self.next[index]);
-                let outward = (q <= limits.lower && by < 0.0) || (q >= limits.upper && by > 0.0);
-                if self.free[index] && outward {
+                if (q <= limits.lower && by < -OUTWARD) || (q >= limits.upper && by > OUTWARD) {
                     self.free[index] = false;
                     held = true;
                 }
             }
-            if held {
-                continue;
+            if !held {
+                return Some(solved);
             }
-            let mut moved = false;
-            for &index in &self.chain {
-                let limits = &self.limits[index];
-                let q =
-                    (self.q[index] + scale * self.next[index]).clamp(limits.lower, limits.upper);
-                moved |= q != self.q[index];
-                self.q[index] = q;
-            }
-            return moved;
         }
-        false
+        None
     }
 }
 

@@ -4,7 +4,7 @@ use super::*;
 use crate::model::{
     JointKind, JointSpec, Limits, Model, ModelBuilder, Placement, built_in, file::Inertias,
 };
-use nalgebra::Vector3;
+use nalgebra::{DVector, Vector3, Vector6};
 use proptest::prelude::*;
 
 fn model(name: &str) -> Model {
@@ -153,6 +153,149 @@ fn freedom_is_used_to_keep_joints_off_their_limits() {
     );
 }
 
+/// The PUMA 560's closed form for its wrist centre.
+fn puma560() -> (Model, ClosedForm) {
+    let model = model("puma560");
+    let closed = ClosedForm::of(&model, model.tip()).unwrap();
+    (model, closed)
+}
+
+fn pose(model: &Model, q: &[f64]) -> Placement {
+    model.placement(&mut model.data(), q, model.tip())
+}
+
+#[test]
+fn each_reason_is_named() {
+    let (_, closed) = puma560();
+    let near = [0.0; 6];
+    let reason = |x: f64, y: f64, z: f64| closed.inverse(&Placement::shifted(x, y, z), &near);
+    let far = reason(2.0, 0.0, 0.5).unwrap_err();
+    assert!(matches!(far, IkError::OutOfReach { .. }), "{far}");
+    let inside = reason(0.1, 0.05, 1.0).unwrap_err();
+    assert!(matches!(inside, IkError::InsideShoulder { .. }), "{inside}");
+    assert_eq!(reason(f64::NAN, 0.0, 0.0), Err(IkError::NotFinite));
+}
+
+#[test]
+fn a_pose_that_only_broken_limits_reach_names_joint_value_and_limits() {
+    let q = [0.3, 0.4, -2.5, 0.2, 0.6, 0.1];
+    let goal = pose(&model("puma560"), &q);
+    let narrow = model("puma560").with_joints(|index, joint| {
+        if index == 0 {
+            (joint.limits.lower, joint.limits.upper) = (-3.1, -3.0);
+        }
+    });
+    let closed = ClosedForm::of(&narrow, narrow.tip()).unwrap();
+    let found = closed.inverse(&goal, &q).unwrap();
+    let nearest = found.nearest_within(closed.limits(), &q, None);
+    let followed = closed.inverse_branch(&goal, closed.branch_of(&q), &q);
+    for error in [nearest.unwrap_err(), followed.unwrap_err()] {
+        assert!(
+            matches!(error, IkError::JointLimit { joint: 1, .. }),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn the_wrist_singularity_keeps_joint_four_and_still_reaches_the_pose() {
+    let (model, closed) = puma560();
+    let q = [0.3, 0.4, -2.5, 0.7, 0.0, 0.1];
+    let goal = pose(&model, &q);
+    let found = closed.inverse(&goal, &q).unwrap();
+    assert!(found.singular.wrist);
+    let best = found.nearest_within(closed.limits(), &q, None).unwrap();
+    for (found, given) in best.joints.iter().zip(&q) {
+        assert!((found - given).abs() < 1e-8);
+    }
+    assert!((pose(&model, &best.joints).rotation - goal.rotation).norm() < 1e-8);
+}
+
+#[test]
+fn the_straight_arm_and_the_shoulder_alignment_are_flagged() {
+    let (model, closed) = puma560();
+    let straight = -(0.4318_f64).atan2(0.0203);
+    let goal = pose(&model, &[0.0, 0.5, straight, 0.0, 0.3, 0.0]);
+    assert!(closed.inverse(&goal, &[0.0; 6]).unwrap().singular.elbow);
+    let aligned = Placement::shifted(0.0, -0.15005, 1.2);
+    assert!(
+        closed
+            .inverse(&aligned, &[0.0; 6])
+            .unwrap()
+            .singular
+            .shoulder
+    );
+}
+
+#[test]
+fn joint_six_uses_its_more_than_one_turn_to_stay_near() {
+    let (model, closed) = puma560();
+    let q = [0.3, 0.4, -2.5, 0.2, 0.6, 4.0];
+    let found = closed.inverse(&pose(&model, &q), &q).unwrap();
+    let best = found.nearest_within(closed.limits(), &q, None).unwrap();
+    assert!((best.joints[5] - 4.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_tool_is_the_tip_and_the_closed_form_counts_with_it() {
+    let tool = Placement::from_radians([0.01, -0.02, 0.1], [0.3, -0.2, 0.1]);
+    let (bare, held) = (model("puma560"), model("puma560").with_tool(&tool));
+    let q = [0.3, 0.4, -2.5, 0.2, 0.6, 0.1];
+    let goal = pose(&held, &q);
+    let expected = pose(&bare, &q).then(&tool);
+    assert!((goal.origin - expected.origin).norm() < 1e-12);
+    assert!((goal.rotation - expected.rotation).norm() < 1e-12);
+    let closed = ClosedForm::of(&held, held.tip()).unwrap();
+    let found = closed
+        .inverse_branch(&goal, closed.branch_of(&q), &q)
+        .unwrap();
+    for (found, given) in found.iter().zip(&q) {
+        assert!((found - given).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn following_finds_the_pose_beside_and_not_one_elsewhere() {
+    let model = model("testbed9");
+    let mut search = Search::new(&model, model.tip(), true, Preferences::default());
+    let start = within(&model, &[0.5, 0.4, 0.6, 0.5, 0.4, 0.3, 0.6, 0.7, 0.5]);
+    let mut goal = pose(&model, &start);
+    assert_eq!(search.follow(&model, &goal, &start).unwrap(), start);
+    goal.origin.x += 0.01;
+    let found = search.follow(&model, &goal, &start).unwrap().to_vec();
+    assert!((pose(&model, &found).origin - goal.origin).norm() < 1e-9);
+    assert!(
+        found.iter().zip(&start).all(|(a, b)| (a - b).abs() < 0.02),
+        "{found:?}"
+    );
+    goal.origin.x += 9.0;
+    let lost = search.follow(&model, &goal, &start);
+    assert!(matches!(lost, Err(IkError::NotFound { starts: 1, .. })));
+}
+
+#[test]
+fn a_joint_on_its_limit_stays_there_while_the_others_move_the_tip() {
+    let model = model("testbed9");
+    let mut search = Search::new(&model, model.tip(), true, Preferences::default());
+    let mut q = within(&model, &[0.5, 0.4, 0.6, 0.5, 0.4, 0.3, 0.6, 0.7, 0.5]);
+    q[0] = model.joints()[0].limits.upper;
+    let velocity = Vector6::new(0.2, 0.1, 0.0, 0.0, 0.1, 0.0);
+    let change = Vector6::new(0.0, 0.3, 0.1, 0.2, 0.0, 0.0);
+    let (mut speeds, mut rates) = ([0.0; 9], [0.0; 9]);
+    let wanted = (&velocity, &change);
+    search
+        .rates(&model, &q, wanted, (&mut speeds, &mut rates))
+        .unwrap();
+    assert_eq!((speeds[0], rates[0]), (0.0, 0.0));
+    let mut data = model.data();
+    let jacobian = model.jacobian(&mut data, &q, model.tip()).clone();
+    let bias = model.bias_acceleration(&mut data, &q, &speeds, model.tip());
+    let moved = &jacobian * DVector::from_column_slice(&speeds);
+    let changed = &jacobian * DVector::from_column_slice(&rates);
+    assert!((moved - velocity).norm() < 1e-9);
+    assert!((changed + bias - change).norm() < 1e-9);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
@@ -188,6 +331,41 @@ proptest! {
             let there = model.placement(&mut data, &solution.joints, flange);
             prop_assert!((there.origin - goal.origin).norm() < 1e-8);
             prop_assert!((there.rotation - goal.rotation).norm() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn one_of_the_postures_is_where_the_pose_came_from_and_following_keeps_it(
+        shares in prop::collection::vec(0.0..=1.0_f64, 6),
+    ) {
+        let (model, closed) = puma560();
+        let q: [f64; 6] = within(&model, &shares).try_into().unwrap();
+        let forearm = 0.4318_f64.hypot(0.0203);
+        let bend = q[2] + 0.4318_f64.atan2(0.0203);
+        let outward = 0.4318 * q[1].cos() + forearm * (q[1] + bend).cos();
+        prop_assume!(outward.abs() > 1e-3 && bend.sin().abs() > 1e-3 && q[4].sin().abs() > 1e-3);
+        let goal = pose(&model, &q);
+        let found = closed.inverse(&goal, &q).unwrap();
+        for solution in &found.all {
+            prop_assert_eq!(closed.branch_of(&solution.joints), solution.branch);
+        }
+        let best = found.nearest_within(closed.limits(), &q, None).unwrap();
+        for (found, given) in best.joints.iter().zip(&q) {
+            prop_assert!((found - given).abs() < 1e-9);
+        }
+        let followed = closed.inverse_branch(&goal, closed.branch_of(&q), &q).unwrap();
+        prop_assert_eq!(followed, best.joints);
+    }
+
+    #[test]
+    fn any_pose_gives_finite_joints_or_a_reason(
+        p in prop::array::uniform3(-1.5..1.5_f64), r in prop::array::uniform3(-4.0..4.0_f64),
+    ) {
+        let (_, closed) = puma560();
+        if let Ok(found) = closed.inverse(&Placement::from_radians(p, r), &[0.0; 6]) {
+            for solution in &found.all {
+                prop_assert!(solution.joints.iter().all(|value| value.is_finite()));
+            }
         }
     }
 }

@@ -16,7 +16,7 @@ async fn disturbed<T, C: Command<Reply = T>>(
         cx.sleep(Duration::from_millis(300)).await;
         asked(cx, mcs, request).await
     };
-    let moving = error_of(cx, mcs, to(Target::Joints(GOAL)));
+    let moving = error_of(cx, mcs, to(Target::Joints(GOAL.into())));
     let (disturbed, moved) = futures_util::future::join(disturb, moving).await;
     disturbed?;
     moved
@@ -36,7 +36,7 @@ fn a_protective_stop_holds_through_release_and_acquisition_until_somebody_resume
             // At once, later, and for whoever comes next.
             for _ in 0..3 {
                 assert!(asked(&cx, &mcs, Status {}).await?.stopped);
-                let again = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                let again = error_of(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
                 assert_eq!(again.outcome, Outcome::Stopped);
                 assert!(again.reason.contains("resume"), "{again}");
                 done(&cx, &mcs, Release {}).await?;
@@ -49,7 +49,7 @@ fn a_protective_stop_holds_through_release_and_acquisition_until_somebody_resume
             }
             asked(&cx, &mcs, Resume {}).await?;
             assert!(!asked(&cx, &mcs, Status {}).await?.stopped);
-            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             Ok(String::new())
         })
     });
@@ -61,13 +61,13 @@ fn a_stop_of_an_arm_that_stands_holds_too_and_a_reset_ends_it() {
         Box::pin(async move {
             asked(&cx, &mcs, Stop {}).await?;
             done(&cx, &mcs, Acquire {}).await?;
-            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             assert_eq!(told.outcome, Outcome::Stopped);
             asked(&cx, &mcs, EmergencyStop {}).await?;
             cx.sleep(Duration::from_millis(20)).await;
             done(&cx, &mcs, Reset {}).await?;
             done(&cx, &mcs, Acquire {}).await?;
-            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             Ok(String::new())
         })
     });
@@ -82,7 +82,7 @@ fn a_cancelled_motion_ends_at_rest_and_the_next_may_begin_at_once() {
             assert_eq!(told.outcome, Outcome::Stopped);
             assert!(told.reason.contains("cancelled"), "{told}");
             assert!(asked(&cx, &mcs, ReadPosition {}).await?.at_rest);
-            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             Ok(String::new())
         })
     });
@@ -95,7 +95,7 @@ fn an_emergency_stop_and_a_release_in_mid_motion_are_told_for_what_they_are() {
             done(&cx, &mcs, Acquire {}).await?;
             let told = disturbed(&cx, &mcs, EmergencyStop {}).await?;
             assert_eq!(told.outcome, Outcome::Estopped);
-            let again = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let again = error_of(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             assert_eq!(again.outcome, Outcome::Estopped);
             assert_eq!(
                 error_of(&cx, &mcs, Acquire {}).await?.outcome,
@@ -120,7 +120,7 @@ fn who_holds_the_manipulator_may_acquire_it_again_and_release_what_is_free() {
             assert_eq!(done(&cx, &mcs, Release {}).await?, State::Cold);
             assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
             assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
-            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Motion);
             Ok(String::new())
         })
@@ -168,7 +168,7 @@ fn the_loss_of_a_chassis_that_the_motion_does_not_need_does_not_stop_the_arm() {
         Box::pin(async move {
             done(&cx, &mcs, Acquire {}).await?;
             // Some 1.5 s of motion each.
-            for goal in [GOAL, START, GOAL] {
+            for goal in [GOAL, START, GOAL].map(Joints::from) {
                 done(&cx, &mcs, to(Target::Joints(goal))).await?;
             }
             Ok(String::new())
@@ -197,8 +197,8 @@ fn when_the_chassis_of_its_holder_is_lost_the_arm_rests_and_it_moves_again_for_t
                     assert_eq!(power, Power::Off);
                 }
                 done(&cx, &mcs, Acquire {}).await?;
-                done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
-                done(&cx, &mcs, to(Target::Joints(START))).await?;
+                done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+                done(&cx, &mcs, to(Target::Joints(START.into()))).await?;
                 Ok(format!("life {lives}"))
             })
         };
@@ -216,7 +216,7 @@ fn when_the_chassis_of_the_client_interface_is_lost_the_motion_ends_and_the_next
     let script: Script = |cx, mcs, knobs| {
         Box::pin(async move {
             done(&cx, &mcs, Acquire {}).await?;
-            let gone = cx.call(&mcs, to(Target::Joints(GOAL))).await;
+            let gone = cx.call(&mcs, to(Target::Joints(GOAL.into()))).await;
             assert!(gone.is_err_and(|error| error.is_gone()));
             // Braking takes less than half a second.
             cx.sleep(Duration::from_millis(500)).await;
@@ -225,7 +225,7 @@ fn when_the_chassis_of_the_client_interface_is_lost_the_motion_ends_and_the_next
             let mcs = cx.task("mcs").await?;
             let stands = asked(&cx, &mcs, ReadPosition {}).await?;
             assert!(stands.at_rest && (stands.joints[0] - GOAL[0]).abs() > 0.01);
-            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             Ok(String::new())
         })
     };
@@ -244,13 +244,13 @@ fn an_arm_that_something_holds_fast_is_a_fault_and_does_not_push_on() {
         Box::pin(async move {
             done(&cx, &mcs, Acquire {}).await?;
             knobs.fault.store(4, Ordering::Relaxed);
-            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
             assert_eq!(told.outcome, Outcome::Fault, "{told}");
             assert!(told.reason.contains("joint 1"), "{told}");
             let status = asked(&cx, &mcs, Status {}).await?;
             assert_eq!(status.state, State::Estopped);
             let (power, torques) = knobs.last_write.lock().unwrap().unwrap();
-            assert_eq!((power, torques), (Power::Off, [0.0; 6]));
+            assert_eq!((power, torques), (Power::Off, Joints::zeros(6)));
             Ok(String::new())
         })
     };

@@ -1,0 +1,107 @@
+//! Control laws by the name that the configuration uses for them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ctos::config::Node;
+use ctos::task::HandlerError;
+
+use super::{ComputedTorque, ControlLaw, PidGravity};
+use crate::model::{DynamicsOptions, Model};
+
+type Build =
+    Arc<dyn Fn(&LawSettings<'_>) -> Result<Box<dyn ControlLaw>, HandlerError> + Send + Sync>;
+
+/// What a law is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct LawSettings<'a> {
+    /// The arm.
+    pub model: &'a Arc<Model>,
+    /// Natural frequency of the position loop, Hz.
+    pub bandwidth_hz: f64,
+    /// Damping ratio of the position loop.
+    pub damping: f64,
+    /// The law's own arguments: `law_args` of the servo task, or an empty table.
+    pub args: &'a Node,
+}
+
+/// The control laws that a program offers; given to [`crate::register`].
+#[derive(Clone)]
+pub struct LawRegistry {
+    laws: BTreeMap<String, Build>,
+}
+
+impl Default for LawRegistry {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl LawRegistry {
+    /// The laws that come with this crate: `pid`, which compensates gravity, and `computed_torque`.
+    #[must_use]
+    pub fn new() -> Self {
+        let mut registry = Self {
+            laws: BTreeMap::new(),
+        };
+        registry.law("pid", |settings| {
+            no_arguments(settings)?;
+            let LawSettings {
+                model,
+                bandwidth_hz,
+                damping,
+                ..
+            } = *settings;
+            let law = PidGravity::new(Arc::clone(model), bandwidth_hz, damping);
+            Ok(Box::new(law))
+        });
+        registry.law("computed_torque", |settings| {
+            no_arguments(settings)?;
+            Ok(Box::new(ComputedTorque::new(
+                Arc::clone(settings.model),
+                settings.bandwidth_hz,
+                settings.damping,
+                DynamicsOptions::WITH_ROTORS,
+            )))
+        });
+        registry
+    }
+
+    /// Registers a law under `name`, in place of one that has it already. It is built when the app is checked, and
+    /// again on the servo task's processor; what it refuses is a finding.
+    pub fn law(
+        &mut self,
+        name: &str,
+        build: impl Fn(&LawSettings<'_>) -> Result<Box<dyn ControlLaw>, HandlerError>
+        + Send
+        + Sync
+        + 'static,
+    ) {
+        self.laws.insert(name.to_owned(), Arc::new(build));
+    }
+
+    /// Makes the law called `name`; `None` when none is.
+    ///
+    /// # Errors
+    /// What the law does not like about its settings.
+    pub fn build(
+        &self,
+        name: &str,
+        settings: &LawSettings<'_>,
+    ) -> Option<Result<Box<dyn ControlLaw>, HandlerError>> {
+        self.laws.get(name).map(|build| build(settings))
+    }
+
+    /// All names, in order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.laws.keys().map(String::as_str)
+    }
+}
+
+fn no_arguments(settings: &LawSettings<'_>) -> Result<(), HandlerError> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct None {}
+    let None {} = settings.args.parse()?;
+    Ok(())
+}

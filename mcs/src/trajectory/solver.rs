@@ -1,0 +1,120 @@
+//! Where the tip of an arm is, and which joint positions put it where: in closed form where the arm has one, else by
+//! search. Owns the scratch that this needs, so whoever computes has one of its own; no evaluation allocates.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Vector6};
+
+use crate::joints::{Joints, TooManyJoints};
+use crate::model::inverse::{Branch, ClosedForm, Elbow, IkError, Preferences, Search};
+use crate::model::{Data, Model, Placement};
+
+/// Kinematics of one model's tip.
+#[derive(Debug, Clone)]
+pub struct Solver {
+    model: Arc<Model>,
+    data: Data,
+    closed: Option<ClosedForm>,
+    search: Search,
+}
+
+/// Six positions for the closed form; what is missing counts as NaN.
+fn six(q: &[f64]) -> [f64; 6] {
+    std::array::from_fn(|index| q.get(index).copied().unwrap_or(f64::NAN))
+}
+
+impl Solver {
+    /// A solver for the tip of `model`.
+    ///
+    /// # Errors
+    /// [`TooManyJoints`].
+    pub fn new(model: Arc<Model>) -> Result<Self, TooManyJoints> {
+        TooManyJoints::check(model.dof())?;
+        let tip = model.tip();
+        Ok(Self {
+            data: model.data(),
+            closed: ClosedForm::of(&model, tip),
+            search: Search::new(&model, tip, true, Preferences::default()),
+            model,
+        })
+    }
+
+    /// The arm.
+    #[must_use]
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// `base_t_tip` at joint positions `q` (rad or m).
+    pub fn pose(&mut self, q: &[f64]) -> Isometry3<f64> {
+        let tip = self.model.tip();
+        self.model.placement(&mut self.data, q, tip).isometry()
+    }
+
+    /// Joint positions (rad or m) that put the tip at `base_t_tip`. Of an arm with a closed form the posture that takes
+    /// the shortest time from `near`, perhaps among those with one elbow posture; of another the one that a search from
+    /// `near` finds. Joints that do not carry the tip stay at `near`.
+    ///
+    /// # Errors
+    /// [`IkError`]; an elbow posture of an arm without a closed form is [`IkError::NoElbow`].
+    pub fn nearest(
+        &mut self,
+        base_t_tip: &Isometry3<f64>,
+        near: &[f64],
+        elbow: Option<Elbow>,
+    ) -> Result<Joints, IkError> {
+        let goal = Placement::from(base_t_tip);
+        if let Some(closed) = &self.closed {
+            let near = six(near);
+            let found = closed.inverse(&goal, &near)?;
+            let best = found.nearest_within(closed.limits(), &near, elbow)?;
+            return Ok(best.joints.into());
+        }
+        if elbow.is_some() {
+            return Err(IkError::NoElbow);
+        }
+        let found = self.search.solve(&self.model, &goal, near)?;
+        Ok(Joints::from_fn(found.len(), |index| found[index]))
+    }
+
+    /// The posture that joint positions `q` (rad) are in, of an arm with a closed form.
+    #[must_use]
+    pub fn branch_of(&self, q: &[f64]) -> Option<Branch> {
+        self.closed.as_ref().map(|closed| closed.branch_of(&six(q)))
+    }
+
+    /// Joint positions (rad or m) that put the tip at `base_t_tip`, next to `near`: for following a path. An arm with a
+    /// closed form stays in the posture `branch`.
+    ///
+    /// # Errors
+    /// [`IkError`].
+    pub fn follow(
+        &mut self,
+        base_t_tip: &Isometry3<f64>,
+        branch: Option<Branch>,
+        near: &[f64],
+    ) -> Result<Joints, IkError> {
+        let goal = Placement::from(base_t_tip);
+        if let (Some(closed), Some(branch)) = (&self.closed, branch) {
+            return Ok(closed.inverse_branch(&goal, branch, &six(near))?.into());
+        }
+        let found = self.search.follow(&self.model, &goal, near)?;
+        Ok(Joints::from_fn(found.len(), |index| found[index]))
+    }
+
+    /// Joint speeds and accelerations at positions `q` that move the tip with `velocity` (m/s, then rad/s) and
+    /// `acceleration` (m/s^2, rad/s^2), in the base frame: the smallest ones. `None` at a singular pose.
+    pub fn rates(
+        &mut self,
+        q: &[f64],
+        velocity: &Vector6<f64>,
+        acceleration: &Vector6<f64>,
+    ) -> Option<(Joints, Joints)> {
+        let mut speeds = Joints::zeros(self.model.dof());
+        let mut rates = speeds;
+        let wanted = (velocity, acceleration);
+        self.search
+            .rates(&self.model, q, wanted, (&mut speeds, &mut rates))?;
+        Some((speeds, rates))
+    }
+}
