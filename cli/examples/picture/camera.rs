@@ -38,8 +38,10 @@ impl View {
         let cell = Cell::read(&configs.join("cell.toml"))?;
         let positions = coordinators::positions::read(&configs.join("positions.csv"))?;
         let mut renderer = Renderer::new(&cell, cell.camera(camera).map_err(|f| f.to_string())?, 1);
-        let (arm, mut near) = (ArmModel::puma560(), cell.start);
-        let tool = Translation3::from(cell.lamp.offset.coords);
+        let first = cell.arms.first().zip(cell.lamps.first());
+        let (first, lamp) = first.ok_or("the cell has no arm or no lamp")?;
+        let (arm, mut near) = (ArmModel::puma560(), first.start.as_slice().try_into()?);
+        let tool = Translation3::from(lamp.offset.coords);
         let (mut spots, mut kept) = (Vec::new(), None);
         for (number, goal) in (1..).zip(&positions) {
             let solutions = arm.inverse(&(goal.pose * tool.inverse()), &near)?;
@@ -47,7 +49,7 @@ impl View {
             let frame = Frame {
                 width: renderer.truth().width,
                 height: renderer.truth().height,
-                pixels: renderer.render(&cell.scene(&near), number).into(),
+                pixels: renderer.render(&cell.scene(&[&near]), number).into(),
                 stamp: Duration::ZERO,
                 number,
             };
