@@ -16,7 +16,7 @@ use std::{error::Error, f64::consts::TAU, path::Path};
 
 use mcs::model::{Placement, built_in, file::Inertias, inverse::ClosedForm};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use sim::{camera::Renderer, cell::Cell, scene::SceneState};
+use sim::{camera::Renderer, cell::Cell};
 use vss::calibrate::{LensModel, design};
 
 /// Standard deviation of a spot that the cell's noise gives, px per coordinate.
@@ -101,13 +101,13 @@ impl Layout {
     }
 
     fn seen(&mut self, joints: &Joints) -> bool {
-        let scene = SceneState::at(joints, &self.cell.lamp.offset, true);
+        let scene = self.cell.scene(&[joints]);
         self.renderers.iter_mut().all(|renderer| {
             let (width, height) = (
                 renderer.truth().width as f64,
                 renderer.truth().height as f64,
             );
-            renderer.lamp_view(&scene).is_some_and(|view| {
+            renderer.lamp_view(&scene, 0).is_some_and(|view| {
                 let inside = |value: f64, size: f64| value > BORDER_PX && value < size - BORDER_PX;
                 view.visible > SEEN_MIN
                     && inside(view.centre.0, width)
@@ -125,6 +125,12 @@ impl Layout {
     }
 }
 
+/// Where the cell's first arm starts.
+fn start(cell: &Cell) -> Result<Joints, Box<dyn Error>> {
+    let arm = cell.arms.first().ok_or("the cell has no arm")?;
+    Ok(arm.start.as_slice().try_into()?)
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let cell = Cell::read(Path::new("configs/cell.toml"))?;
     let renderers = cell
@@ -132,7 +138,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .iter()
         .map(|camera| Renderer::new(&cell, camera, 0))
         .collect();
-    let lamp = cell.lamp.offset;
+    let lamp = cell.lamps.first().ok_or("the cell has no lamp")?.offset;
     let arm = built_in::model("puma560", Inertias::Identified).ok_or("no such arm")??;
     let arm = arm.with_tool(&Placement::shifted(lamp.x, lamp.y, lamp.z));
     let mut layout = Layout {
@@ -140,7 +146,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         renderers,
         cell,
     };
-    let mut near = layout.cell.start;
+    let mut near = start(&layout.cell)?;
     let mut placed = Vec::new();
     for (column, direction) in DIRECTIONS.into_iter().enumerate() {
         // Up one column, down the next one.
@@ -189,7 +195,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn judge(layout: &Layout, placed: &[Placed]) -> Result<(), Box<dyn Error>> {
-    let mut from = layout.cell.start;
+    let mut from = start(&layout.cell)?;
     let mut seconds = 0.0;
     for found in placed {
         seconds += layout.cost(&found.joints, &from);

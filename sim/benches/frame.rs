@@ -16,7 +16,7 @@ fn cell() -> Option<Cell> {
 #[divan::bench]
 fn render(bencher: Bencher) {
     let Some(cell) = cell() else { return };
-    let scene = cell.scene(&cell.start);
+    let scene = cell.start();
     let mut renderer = Renderer::new(&cell, &cell.cameras[0], 1);
     let mut number = 0;
     bencher.bench_local(|| {
@@ -28,7 +28,7 @@ fn render(bencher: Bencher) {
 #[divan::bench]
 fn light(bencher: Bencher) {
     let Some(cell) = cell() else { return };
-    let scene = cell.scene(&cell.start);
+    let scene = cell.start();
     let mut renderer = Renderer::new(&cell, &cell.cameras[0], 1);
     bencher.bench_local(|| renderer.light(&scene)[0]);
 }

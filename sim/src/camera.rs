@@ -10,32 +10,50 @@ mod raster;
 pub mod truth;
 
 pub use lamp::LampView;
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 pub use noise::Noise;
 
 use self::{lamp::Spot, raster::Seen, truth::CameraTruth};
 use crate::{
     cell::{CameraSpec, Cell},
-    scene::SceneState,
-    shapes::{self, ArmShape},
+    scene::{SceneLamp, SceneState},
+    shapes::Shape,
 };
+
+impl CameraSpec {
+    /// The camera as it truly is in `scene`.
+    #[must_use]
+    pub fn at(&self, scene: &SceneState) -> CameraTruth {
+        let mut truth = self.truth.clone();
+        if let Some((body, camera_t_body)) = &self.mount
+            && let Some(body) = scene.bodies.get(*body)
+        {
+            truth.camera_t_world = camera_t_body * body.pose.inverse();
+        }
+        truth
+    }
+}
 
 /// One camera of the cell, ready to take pictures.
 ///
-/// What never moves (floor, furniture, pedestal) is drawn once; a picture then costs the moving
-/// links, each within the part of the picture it can be in, the lamp and the noise.
+/// What never moves (floor, furniture, pedestals) is drawn once, unless something carries the camera; a picture then
+/// costs the bodies that move, each within the part of the picture it can be in, the lamps and the noise.
 #[derive(Debug, Clone)]
 pub struct Renderer {
+    spec: CameraSpec,
     camera: CameraTruth,
+    floor_grey: f64,
     rays: Vec<Vector3<f64>>,
+    /// What never moves, each with the pose of its frame in the world.
+    still_shapes: Vec<(Shape, Isometry3<f64>)>,
     still_light: Vec<f32>,
     still_depth: Vec<f32>,
     still: Vec<Seen>,
-    arm: Vec<ArmShape>,
+    /// Which bodies of a scene move.
+    moving_bodies: Vec<usize>,
     moving: Vec<Seen>,
     light: Vec<f32>,
     depth: Vec<f32>,
-    spot: Spot,
     noise: Noise,
 }
 
@@ -44,38 +62,40 @@ impl Renderer {
     #[must_use]
     pub fn new(cell: &Cell, camera: &CameraSpec, seed: u64) -> Self {
         let truth = camera.truth.clone();
-        let (still_arm, arm): (Vec<_>, Vec<_>) = shapes::arm(&cell.lamp.offset, cell.lamp.radius)
-            .into_iter()
-            .partition(|part| part.link == 0);
-        let pose = truth.camera_t_world;
-        let still: Vec<Seen> = still_arm
+        let start = cell.start();
+        let (mut still_shapes, mut moving_bodies) = (Vec::new(), Vec::new());
+        for (index, (spec, body)) in cell.bodies.iter().zip(&start.bodies).enumerate() {
+            if spec.still {
+                still_shapes.extend(body.shapes.iter().map(|shape| (*shape, body.pose)));
+            } else {
+                moving_bodies.push(index);
+            }
+        }
+        let room = cell
+            .room
             .iter()
-            .map(|part| &part.shape)
-            .chain(&cell.room)
-            .map(|shape| Seen::new(shape, &pose, &pose))
-            .collect();
+            .map(|shape| (*shape, Isometry3::identity()));
+        still_shapes.extend(room);
         let mut renderer = Self {
             rays: rays(&truth),
+            floor_grey: cell.floor_grey,
+            still_shapes,
             still_light: Vec::new(),
             still_depth: Vec::new(),
-            still,
-            moving: Vec::with_capacity(arm.len()),
-            arm,
+            still: Vec::new(),
+            moving_bodies,
+            moving: Vec::new(),
             light: Vec::new(),
             depth: Vec::new(),
-            spot: Spot {
-                brightness: cell.lamp.brightness,
-                radius: cell.lamp.radius,
-                blur: camera.blur,
-            },
             noise: Noise::new(seed, &truth.name, camera.read_noise, camera.shot_noise),
             camera: truth,
+            spec: camera.clone(),
         };
-        renderer.draw_still(cell.floor_grey);
+        renderer.draw_still();
         renderer
     }
 
-    /// The camera as it truly is.
+    /// The camera as it truly was at the last picture.
     #[must_use]
     pub fn truth(&self) -> &CameraTruth {
         &self.camera
@@ -100,11 +120,20 @@ impl Renderer {
         &self.light
     }
 
-    /// How this camera sees the lamp, lit or not; `None` when its centre is outside the picture.
-    pub fn lamp_view(&mut self, scene: &SceneState) -> Option<LampView> {
+    /// How this camera sees a lamp (by index), lit or not; `None` when its centre is outside the picture.
+    pub fn lamp_view(&mut self, scene: &SceneState, lamp: usize) -> Option<LampView> {
         self.place(scene);
+        let lamp = scene.lamps.get(lamp)?;
         let solids = self.still.iter().chain(&self.moving);
-        self.spot.view(&self.camera, &scene.lamp, solids)
+        self.spot(lamp).view(&self.camera, &lamp.centre, solids)
+    }
+
+    fn spot(&self, lamp: &SceneLamp) -> Spot {
+        Spot {
+            brightness: lamp.brightness,
+            radius: lamp.radius,
+            blur: self.spec.blur,
+        }
     }
 
     fn draw(&mut self, scene: &SceneState) {
@@ -120,30 +149,42 @@ impl Renderer {
                 &mut self.depth,
             );
         }
-        if scene.lamp_on {
+        for lamp in scene.lamps.iter().filter(|lamp| lamp.on) {
+            let spot = self.spot(lamp);
             let solids = self.still.iter().chain(&self.moving);
-            self.spot
-                .add(&mut self.light, &self.camera, &scene.lamp, solids);
+            spot.add(&mut self.light, &self.camera, &lamp.centre, solids);
         }
     }
 
-    /// Puts the moving links before the camera.
+    /// Puts the camera where it is, and what moves before it.
     fn place(&mut self, scene: &SceneState) {
+        if self.spec.mount.is_some() {
+            self.camera = self.spec.at(scene);
+            self.draw_still();
+        }
         let pose = self.camera.camera_t_world;
         self.moving.clear();
-        for part in &self.arm {
-            if let Some(link) = scene.links.get(part.link) {
-                self.moving
-                    .push(Seen::new(&part.shape, &(pose * link), &pose));
-            }
+        for body in self
+            .moving_bodies
+            .iter()
+            .filter_map(|index| scene.bodies.get(*index))
+        {
+            let seen = |shape| Seen::new(shape, &(pose * body.pose), &pose);
+            self.moving.extend(body.shapes.iter().map(seen));
         }
     }
 
-    fn draw_still(&mut self, floor_grey: f64) {
+    fn draw_still(&mut self) {
         let pose = self.camera.camera_t_world;
+        let shapes = self.still_shapes.iter();
+        self.still.clear();
+        self.still
+            .extend(shapes.map(|(shape, at)| Seen::new(shape, &(pose * at), &pose)));
+        self.still_light.clear();
+        self.still_depth.clear();
         for ray in &self.rays {
-            let (depth, grey) =
-                raster::floor(&pose, ray, floor_grey).unwrap_or((f64::INFINITY, floor_grey / 2.0));
+            let floor = raster::floor(&pose, ray, self.floor_grey);
+            let (depth, grey) = floor.unwrap_or((f64::INFINITY, self.floor_grey / 2.0));
             self.still_light.push(grey as f32);
             self.still_depth.push(depth as f32);
         }

@@ -1,44 +1,113 @@
-//! The cell file: where the arm starts, its lamp, the cameras, what stands in the room.
+//! The cell file: the arms and what is false about their models, lamps, cameras, objects, what stands in the room.
 //!
 //! Every mistake in the file is a finding with its place. Units are in the reference below and in
-//! `configs/cell.toml`: m, px, grey levels; joint angles in degrees, as in the arm's data sheets.
+//! `configs/cell.toml`: m, kg, px, grey levels; angles in degrees, as in the arms' data sheets.
 
-use std::{ops::Range, path::Path};
+mod overlap;
+mod text;
+
+use std::path::Path;
 
 use ctos::diagnostic::{Finding, Findings, Source};
-use nalgebra::{Isometry3, Point3, Vector3};
-use serde::Deserialize;
-use toml::Spanned;
+use mcs::model::{FrameId, Model};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
-use crate::{
-    camera::truth::{CameraTruth, Distortion},
-    puma560::{self, JOINTS},
-    scene::SceneState,
-    shapes::{self, Shape, Solid},
-    world::WorldSetup,
-};
+use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape};
+
+/// How the file of a model is read that the cell names, relative to the cell's file.
+pub type ReadModel<'a> = &'a dyn Fn(&str) -> Result<Source, Finding>;
 
 /// A checked cell.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cell {
-    /// Joint angles at the start, rad.
-    pub start: [f64; JOINTS],
-    /// Whether the joints have the friction of the real arm.
-    pub friction: bool,
-    /// The lamp on the wrist.
-    pub lamp: LampSpec,
+    /// The arms, in the file's order, as are all lists here.
+    pub arms: Vec<ArmSpec>,
+    /// The lamps.
+    pub lamps: Vec<LampSpec>,
     /// Grey of the floor when lit from straight above.
     pub floor_grey: f64,
     /// What stands in the room, world frame.
     pub room: Vec<Shape>,
-    /// The cameras, in the file's order.
+    /// What can be moved.
+    pub objects: Vec<ObjectSpec>,
+    /// The cameras.
     pub cameras: Vec<CameraSpec>,
+    /// What can be seen and may move: links of the arms, then objects.
+    pub bodies: Vec<BodySpec>,
 }
 
-/// The lamp on the wrist.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// An arm as it is in truth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ArmSpec {
+    /// Its name.
+    pub name: String,
+    /// Its joints and bodies, on its base in the world.
+    pub model: Model,
+    /// Pose of its base frame, `world_T_base`, m.
+    pub base: Isometry3<f64>,
+    /// Joint positions at the start, rad or m.
+    pub start: Vec<f64>,
+    /// Whether the joints have the friction of the model's motors.
+    pub friction: bool,
+    /// Where the frame of its tip stands in that of the model, m.
+    pub tip_offset: Vector3<f64>,
+    /// Its outer form, each part in the frame that carries it.
+    pub shapes: Vec<(FrameId, Shape)>,
+}
+
+impl ArmSpec {
+    /// Where a frame is in truth that the model puts at `pose` in the world.
+    #[must_use]
+    pub fn truly(&self, frame: FrameId, pose: Isometry3<f64>) -> Isometry3<f64> {
+        if self.model.frames().first() == Some(self.model.at(frame)) {
+            self.base
+        } else if frame == self.model.tip() {
+            pose * Translation3::from(self.tip_offset)
+        } else {
+            pose
+        }
+    }
+}
+
+/// A frame of an arm that carries something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mount {
+    /// The arm, by index in [`Cell::arms`].
+    pub arm: usize,
+    /// Which of its frames.
+    pub frame: FrameId,
+}
+
+/// Whose pose a body has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// That of an arm's frame.
+    Link(Mount),
+    /// That of an object, by index in [`Cell::objects`].
+    Object(usize),
+}
+
+/// A body that can be seen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodySpec {
+    /// `ARM.FRAME`, or the object's name.
+    pub name: String,
+    /// Whose pose it has.
+    pub origin: Origin,
+    /// Whether it never moves.
+    pub still: bool,
+    /// Its form, in its frame.
+    pub shapes: Vec<Shape>,
+}
+
+/// A lamp.
+#[derive(Debug, Clone, PartialEq)]
 pub struct LampSpec {
-    /// Its centre in frame 6, m.
+    /// Its name.
+    pub name: String,
+    /// What carries it; `None` in the room.
+    pub mount: Option<Mount>,
+    /// Its centre in the frame that carries it, m.
     pub offset: Point3<f64>,
     /// Its radius, m.
     pub radius: f64,
@@ -48,11 +117,28 @@ pub struct LampSpec {
     pub on: bool,
 }
 
+/// A rigid body that moves as forces want.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObjectSpec {
+    /// Its name.
+    pub name: String,
+    /// Form and grey, in its own frame, whose origin is its centre of mass.
+    pub shape: Shape,
+    /// Mass, kg, spread evenly.
+    pub mass: f64,
+    /// Coefficient of friction against what has the same.
+    pub friction: f64,
+    /// Its pose at the start, `world_T_object`, m.
+    pub start: Isometry3<f64>,
+}
+
 /// A camera with its sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSpec {
-    /// Its exact geometry.
+    /// Its exact geometry; of one that is carried, with everything at the start.
     pub truth: CameraTruth,
+    /// The body that carries it, by index in [`Cell::bodies`], and that body's frame in the camera's, `camera_T_body`.
+    pub mount: Option<(usize, Isometry3<f64>)>,
     /// Standard deviation of a pixel's value in the dark, grey levels.
     pub read_noise: f64,
     /// Variance that grows with the light, grey levels; 0 for none.
@@ -62,31 +148,30 @@ pub struct CameraSpec {
 }
 
 impl Cell {
-    /// Reads and checks a cell file.
+    /// Reads and checks a cell file. Files of models are taken relative to it.
     ///
     /// # Errors
     /// Everything that is wrong in it, each with its place.
     pub fn read(path: &Path) -> Result<Self, Findings> {
-        Self::parse(&Source::read(path)?)
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let model = |name: &str| Source::read(&folder.join(name));
+        Self::parse_with(&Source::read(path)?, &model)
     }
 
-    /// Checks the text of a cell file.
+    /// Checks the text of a cell file whose models are all built in.
     ///
     /// # Errors
     /// Everything that is wrong in it, each with its place.
     pub fn parse(source: &Source) -> Result<Self, Findings> {
-        let text: CellText =
-            toml::from_str(source.text()).map_err(|error| syntax(source, &error))?;
-        let mut check = Check {
-            source,
-            findings: Findings::new(),
-        };
-        let cell = text.check(&mut check);
-        if check.findings.has_errors() {
-            Err(check.findings)
-        } else {
-            Ok(cell)
-        }
+        Self::parse_with(source, &|name| Source::read(Path::new(name)))
+    }
+
+    /// Checks the text of a cell file; `model` reads the files of models that it names.
+    ///
+    /// # Errors
+    /// Everything that is wrong in it, each with its place.
+    pub fn parse_with(source: &Source, model: ReadModel<'_>) -> Result<Self, Findings> {
+        text::parse(source, model)
     }
 
     /// The camera called `name`.
@@ -107,372 +192,50 @@ impl Cell {
             })
     }
 
-    /// What the physics needs of the cell.
+    /// The index of the arm called `name`; the only one, when none is named.
+    ///
+    /// # Errors
+    /// A finding without place that lists the arms there are.
+    pub fn arm(&self, name: Option<&str>) -> Result<usize, Finding> {
+        let unknown = |message: String| Finding::error("sim::cell::unknown_arm", message);
+        let names = || self.arms.iter().map(|arm| arm.name.as_str());
+        match name {
+            Some(name) => names().position(|known| known == name).ok_or_else(|| {
+                unknown(format!("the cell has no arm `{name}`")).suggest(name, names())
+            }),
+            None if self.arms.len() == 1 => Ok(0),
+            None => Err(unknown(format!(
+                "the cell has {} arms, and none is named",
+                self.arms.len()
+            ))
+            .help("say which one: `arm = \"NAME\"`")),
+        }
+    }
+
+    /// The scene with the arms at rest at `joints` (rad or m, for each arm), objects and lamps as at the start.
     #[must_use]
-    pub fn world(&self) -> WorldSetup {
-        WorldSetup {
-            start: self.start,
-            friction: self.friction,
-            arm: shapes::arm(&self.lamp.offset, self.lamp.radius),
-            room: self.room.clone(),
-        }
-    }
-
-    /// The scene with the arm at rest at `joints`, rad, and the lamp as at the start.
-    #[must_use]
-    pub fn scene(&self, joints: &[f64; JOINTS]) -> SceneState {
-        SceneState::at(joints, &self.lamp.offset, self.lamp.on)
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CellText {
-    arm: ArmText,
-    lamp: LampText,
-    #[serde(default)]
-    room: RoomText,
-    #[serde(default)]
-    camera: Vec<CameraText>,
-    #[serde(default)]
-    furniture: Vec<FurnitureText>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ArmText {
-    start_deg: Spanned<[f64; JOINTS]>,
-    #[serde(default)]
-    friction: bool,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LampText {
-    offset: Spanned<[f64; 3]>,
-    radius: Spanned<f64>,
-    brightness: Spanned<f64>,
-    #[serde(default = "yes")]
-    on: bool,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct RoomText {
-    floor_grey: Option<Spanned<f64>>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FurnitureText {
-    centre: Spanned<[f64; 3]>,
-    size: Spanned<[f64; 3]>,
-    grey: Spanned<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CameraText {
-    name: Spanned<String>,
-    width: Spanned<u32>,
-    height: Spanned<u32>,
-    fx: Spanned<f64>,
-    fy: Spanned<f64>,
-    cx: Spanned<f64>,
-    cy: Spanned<f64>,
-    k1: Spanned<f64>,
-    k2: Spanned<f64>,
-    p1: Spanned<f64>,
-    p2: Spanned<f64>,
-    k3: Spanned<f64>,
-    position: Spanned<[f64; 3]>,
-    look_at: Spanned<[f64; 3]>,
-    up: Spanned<[f64; 3]>,
-    blur: Spanned<f64>,
-    read_noise: Spanned<f64>,
-    shot_noise: Spanned<f64>,
-}
-
-const fn yes() -> bool {
-    true
-}
-
-/// Grey of a floor that the file says nothing of.
-const FLOOR_GREY: f64 = 24.0;
-
-/// Largest picture side, px: a picture stays within a few megabytes.
-const LARGEST_SIDE: u32 = 4096;
-
-struct Check<'a> {
-    source: &'a Source,
-    findings: Findings,
-}
-
-impl Check<'_> {
-    fn refuse(&mut self, span: Range<usize>, message: String, help: &str) {
-        self.findings.push(
-            Finding::error("sim::cell::bad_value", message)
-                .at(self.source.at(span))
-                .help(help),
-        );
-    }
-
-    /// A number within `low..=high`; said of `what`, in `unit`.
-    fn number(
-        &mut self,
-        value: &Spanned<f64>,
-        what: &str,
-        unit: &str,
-        [low, high]: [f64; 2],
-    ) -> f64 {
-        let number = *value.get_ref();
-        if !(low..=high).contains(&number) {
-            self.refuse(
-                value.span(),
-                format!("{what} is {number} {unit}"),
-                &format!("give a number from {low} to {high} {unit}"),
-            );
-        }
-        number
-    }
-
-    /// Three coordinates within `reach` of the origin, m.
-    fn point(&mut self, value: &Spanned<[f64; 3]>, what: &str, reach: f64) -> Vector3<f64> {
-        let point = Vector3::from(*value.get_ref());
-        if !point.iter().all(|x| (-reach..=reach).contains(x)) {
-            self.refuse(
-                value.span(),
-                format!("{what} is {:?}", value.get_ref()),
-                &format!("give three numbers from {} to {reach} m", -reach),
-            );
-        }
-        point
-    }
-}
-
-impl CellText {
-    fn check(&self, check: &mut Check<'_>) -> Cell {
-        let floor_grey = self.room.floor_grey.as_ref().map_or(FLOOR_GREY, |grey| {
-            check.number(grey, "the floor's grey", "grey levels", GREY)
-        });
-        let lamp = self.lamp.check(check);
-        if floor_grey + lamp.brightness > 255.0 {
-            check.findings.push(
-                Finding::warning(
-                    "sim::cell::saturates",
-                    format!(
-                        "a lamp of {} on a floor of {floor_grey} grey levels saturates the sensor",
-                        lamp.brightness
-                    ),
-                )
-                .at(check.source.at(self.lamp.brightness.span()))
-                .help("keep their sum below 255, or centres of spots will be worse"),
-            );
-        }
-        Cell {
-            start: self.arm.start(check),
-            friction: self.arm.friction,
-            lamp,
-            floor_grey,
-            room: self
-                .furniture
-                .iter()
-                .map(|item| item.check(check))
-                .collect(),
-            cameras: self.cameras(check),
-        }
-    }
-
-    fn cameras(&self, check: &mut Check<'_>) -> Vec<CameraSpec> {
-        let mut names: Vec<&str> = Vec::new();
-        for camera in &self.camera {
-            let name = camera.name.get_ref().as_str();
-            if name.is_empty() || names.contains(&name) {
-                check.refuse(
-                    camera.name.span(),
-                    format!("a camera cannot be called `{name}`: the name is empty or taken"),
-                    "give every camera its own name",
-                );
-            }
-            names.push(name);
-        }
-        self.camera
-            .iter()
-            .map(|camera| camera.check(check))
-            .collect()
-    }
-}
-
-const GREY: [f64; 2] = [0.0, 255.0];
-
-impl ArmText {
-    fn start(&self, check: &mut Check<'_>) -> [f64; JOINTS] {
-        let links = puma560::links();
-        for (index, (angle, link)) in self.start_deg.get_ref().iter().zip(&links).enumerate() {
-            let [low, high] = link.limits.map(f64::to_degrees);
-            // The limits come from degrees by way of radians: a start at the limit is in.
-            if !(low - 1e-9..=high + 1e-9).contains(angle) {
-                check.refuse(
-                    self.start_deg.span(),
-                    format!("joint {} cannot start at {angle} degrees", index + 1),
-                    &format!("its limits are {low:.0} to {high:.0} degrees"),
-                );
-            }
-        }
-        let mut start = self.start_deg.get_ref().map(f64::to_radians);
-        for (angle, link) in start.iter_mut().zip(&links) {
-            *angle = angle.max(link.limits[0]).min(link.limits[1]);
-        }
-        start
-    }
-}
-
-impl LampText {
-    fn check(&self, check: &mut Check<'_>) -> LampSpec {
-        LampSpec {
-            offset: check.point(&self.offset, "the lamp's offset", 0.5).into(),
-            radius: check.number(&self.radius, "the lamp's radius", "m", [1e-3, 0.1]),
-            brightness: check.number(
-                &self.brightness,
-                "the lamp's brightness",
-                "grey levels",
-                GREY,
-            ),
-            on: self.on,
-        }
-    }
-}
-
-impl FurnitureText {
-    fn check(&self, check: &mut Check<'_>) -> Shape {
-        let centre = check.point(&self.centre, "the centre of a piece of furniture", 10.0);
-        let size = check.point(&self.size, "the size of a piece of furniture", 10.0);
-        if size.min() < 1e-3 {
-            check.refuse(
-                self.size.span(),
-                "a piece of furniture is thinner than 1 mm".to_owned(),
-                "give its full edge lengths along x, y and z, m",
-            );
-        }
-        Shape {
-            solid: Solid::Block {
-                centre: centre.into(),
-                half: size / 2.0,
-            },
-            grey: check.number(
-                &self.grey,
-                "the grey of a piece of furniture",
-                "grey levels",
-                GREY,
-            ),
-        }
-    }
-}
-
-impl CameraText {
-    fn check(&self, check: &mut Check<'_>) -> CameraSpec {
-        let before = check.findings.iter().count();
-        let [width, height] =
-            [(&self.width, "width"), (&self.height, "height")].map(|(side, what)| {
-                if !(16..=LARGEST_SIDE).contains(side.get_ref()) {
-                    check.refuse(
-                        side.span(),
-                        format!("the picture's {what} is {} px", side.get_ref()),
-                        &format!("give a whole number from 16 to {LARGEST_SIDE}"),
-                    );
+    pub fn scene(&self, joints: &[&[f64]]) -> SceneState {
+        SceneState::of(self, |origin| match origin {
+            Origin::Link(Mount { arm, frame }) => match (self.arms.get(*arm), joints.get(*arm)) {
+                (Some(arm), Some(joints)) => {
+                    let mut data = arm.model.data();
+                    let pose = arm.model.placement(&mut data, joints, *frame);
+                    arm.truly(*frame, pose.isometry())
                 }
-                *side.get_ref()
-            });
-        let size = f64::from(width.max(height));
-        let mut focal = |value, what| check.number(value, what, "px", [0.1 * size, 100.0 * size]);
-        let focal = [focal(&self.fx, "fx"), focal(&self.fy, "fy")];
-        let principal = [
-            check.number(&self.cx, "cx", "px", [0.0, f64::from(width)]),
-            check.number(&self.cy, "cy", "px", [0.0, f64::from(height)]),
-        ];
-        let mut term = |value, what| check.number(value, what, "", [-10.0, 10.0]);
-        let distortion = Distortion {
-            k1: term(&self.k1, "k1"),
-            k2: term(&self.k2, "k2"),
-            p1: term(&self.p1, "p1"),
-            p2: term(&self.p2, "p2"),
-            k3: term(&self.k3, "k3"),
-        };
-        let camera_t_world = self.pose(check);
-        let spec = CameraSpec {
-            truth: CameraTruth {
-                name: self.name.get_ref().clone(),
-                width: width as usize,
-                height: height as usize,
-                focal,
-                principal,
-                distortion,
-                camera_t_world,
-                valid_radius: distortion.monotonic_radius(),
+                _ => Isometry3::identity(),
             },
-            read_noise: check.number(
-                &self.read_noise,
-                "the read noise",
-                "grey levels",
-                [0.0, 64.0],
-            ),
-            shot_noise: check.number(
-                &self.shot_noise,
-                "the shot noise",
-                "grey levels",
-                [0.0, 64.0],
-            ),
-            blur: check.number(&self.blur, "the blur", "px", [0.3, 10.0]),
-        };
-        // The lens can only be judged when the numbers it is made of are sound.
-        if check.findings.iter().count() == before && !spec.truth.covers_picture() {
-            let radius = spec.truth.valid_radius;
-            check.refuse(
-                self.k1.span(),
-                format!(
-                    "the distortion of camera `{}` turns back inside the picture (it grows only up \
-                     to {radius:.2} focal lengths from the axis)",
-                    spec.truth.name
-                ),
-                "make k1, k2, k3 weaker or the focal length longer",
-            );
-        }
-        spec
-    }
-
-    fn pose(&self, check: &mut Check<'_>) -> Isometry3<f64> {
-        let position = check.point(&self.position, "the camera's position", 100.0);
-        let look_at = check.point(&self.look_at, "the point looked at", 100.0);
-        let up = check.point(&self.up, "the upward direction", 100.0);
-        CameraTruth::pose(&position.into(), &look_at.into(), &up).unwrap_or_else(|| {
-            check.refuse(
-                self.look_at.span(),
-                format!(
-                    "camera `{}` has no definite direction of view",
-                    self.name.get_ref()
-                ),
-                "`look_at` must differ from `position`, and `up` must not point along the view",
-            );
-            Isometry3::identity()
+            Origin::Object(index) => self
+                .objects
+                .get(*index)
+                .map_or_else(Isometry3::identity, |object| object.start),
         })
     }
-}
 
-/// A finding for a text that is no TOML or does not have the form of a cell.
-fn syntax(source: &Source, error: &toml::de::Error) -> Finding {
-    let message = error.message();
-    let mut finding = Finding::error("sim::cell::form", message.trim().to_owned())
-        .help("see `configs/cell.toml` for every key");
-    // Serde says "unknown field `x`, expected one of `a`, `b`": the quoted words are the names.
-    let mut words = message.split('`').skip(1).step_by(2);
-    if message.starts_with("unknown field")
-        && let Some(given) = words.next()
-    {
-        finding = finding.suggest(given, words);
-    }
-    match error.span() {
-        Some(span) => finding.at(source.at(span)),
-        None => finding.at(source.at_line(1)),
+    /// The scene with everything as at the start.
+    #[must_use]
+    pub fn start(&self) -> SceneState {
+        let joints: Vec<&[f64]> = self.arms.iter().map(|arm| arm.start.as_slice()).collect();
+        self.scene(&joints)
     }
 }
 

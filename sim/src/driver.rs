@@ -1,96 +1,137 @@
-//! The simulated arm as six slots behind the channel driver of the testbed interface.
+//! Joints of a simulated arm as slots behind the channel driver of the testbed interface.
 
-use std::{f64::consts::TAU, time::Duration};
+use std::{f64::consts::TAU, sync::Arc, time::Duration};
 
-use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use mcs::{
+    driver::{ChannelDriver, DriverError, Power, SlotReading},
+    model::JointKind,
+};
 
 use crate::{
     cell::Cell,
-    puma560::JOINTS,
-    scene::{self, SceneReader, SceneState, SceneWriter},
-    world::{World, WorldError},
+    port::{Claim, Port, Taken},
 };
 
 /// Encoder counts per turn of a joint: a resolution of 9.6e-5 rad. The choice is ours; no figure for
 /// the original encoders could be found.
 pub const COUNTS_PER_TURN: f64 = 65_536.0;
 
-/// Channel driver of the simulated PUMA 560.
+/// Encoder counts per m of a joint that slides. The choice is ours, too.
+pub const COUNTS_PER_METRE: f64 = 1e5;
+
+/// A world whose state has been the same for so long stands still.
+const STANDSTILL: Duration = Duration::from_millis(100);
+
+/// Channel driver of some joints of an arm in a world that a task of the same chassis owns.
 ///
-/// Positions are read back with the encoder's resolution; velocities are those of an ideal tachometer.
-/// [`write`](ChannelDriver::write) advances the world by the period. Nothing here allocates, locks or
-/// waits, except that the physics engine allocates small matrices in each of its steps.
+/// Positions are read back with the encoder's resolution; velocities are those of an ideal tachometer. Both are those of
+/// the world's latest tick, and torques count from its next one on. Nothing here allocates, locks or waits.
 #[derive(Debug)]
 pub struct SimArm {
-    name: String,
-    world: World,
-    lamp_offset: nalgebra::Point3<f64>,
-    lamp_on: bool,
-    scene: SceneWriter,
+    driver: String,
+    world: String,
+    port: Arc<Port>,
+    claim: Arc<Claim>,
+    /// Encoder counts per rad or m of each slot.
+    counts: Vec<f64>,
+    /// Tick, positions and speeds of all joints of the arm.
+    state: Vec<f64>,
+    tick: f64,
+    period: Duration,
+    /// How long it has been the same tick.
+    waited: Duration,
 }
 
 impl SimArm {
-    /// The arm of `cell`, called `name` in errors, and where its scene can be read.
+    /// The joints (by index from 0) of an arm of `cell`, driven by the task `driver`, in the world of the task `world`.
     ///
     /// # Errors
-    /// When the physics cannot be built.
-    pub fn new(name: impl Into<String>, cell: &Cell) -> Result<(Self, SceneReader), WorldError> {
-        let world = World::new(&cell.world())?;
-        let first = cell.scene(&cell.start);
-        let (writer, reader) = scene::channel(first);
-        let arm = Self {
-            name: name.into(),
-            world,
-            lamp_offset: cell.lamp.offset,
-            lamp_on: cell.lamp.on,
-            scene: writer,
+    /// Another task drives one of the joints.
+    pub fn new(
+        driver: impl Into<String>,
+        (world, port, cell): (&str, &Arc<Port>, &Cell),
+        arm: usize,
+        joints: &[usize],
+    ) -> Result<Self, Taken> {
+        let driver = driver.into();
+        let kinds = cell.arms.get(arm).map_or(&[][..], |arm| arm.model.joints());
+        let counts = |joint: &usize| match kinds.get(*joint).map(|joint| joint.kind) {
+            Some(JointKind::Prismatic) => COUNTS_PER_METRE,
+            _ => COUNTS_PER_TURN / TAU,
         };
-        Ok((arm, reader))
+        Ok(Self {
+            world: world.to_owned(),
+            port: Arc::clone(port),
+            claim: port.claim(&driver, arm, joints)?,
+            driver,
+            counts: joints.iter().map(counts).collect(),
+            state: vec![0.0; port.state_length(arm)],
+            tick: 0.0,
+            period: Duration::ZERO,
+            waited: Duration::ZERO,
+        })
+    }
+
+    /// The world's tick to which the last reading belongs.
+    #[must_use]
+    pub fn tick(&self) -> u64 {
+        // Ticks are whole numbers, and none is lost below 2^53.
+        self.tick as u64
     }
 
     fn fault(&self, reason: impl ToString) -> DriverError {
         DriverError::Fault {
-            driver: self.name.clone(),
+            driver: self.driver.clone(),
             reason: reason.to_string(),
         }
     }
 
     fn count(&self, what: &str, given: usize) -> DriverError {
-        self.fault(format!("was given {given} {what} for {JOINTS} slots"))
+        self.fault(format!(
+            "was given {given} {what} for {} slots",
+            self.slots()
+        ))
     }
 
-    fn publish(&mut self) {
-        let links = self.world.link_poses();
-        let [.., wrist] = &links;
-        let lamp = wrist * self.lamp_offset;
-        self.scene.write(SceneState {
-            stamp: self.world.elapsed(),
-            links,
-            lamp,
-            lamp_on: self.lamp_on,
-        });
+    /// Whether the world goes on. Before its first tick it need not.
+    fn watch(&mut self) -> Result<(), DriverError> {
+        let before = std::mem::replace(&mut self.tick, self.state.first().copied().unwrap_or(0.0));
+        if self.tick != before || self.tick == 0.0 {
+            self.waited = Duration::ZERO;
+        } else {
+            self.waited += self.period;
+        }
+        if self.tick < before {
+            return Err(self.fault(format!("world `{}` began again", self.world)));
+        }
+        if self.waited > STANDSTILL {
+            let why = self
+                .port
+                .failure()
+                .unwrap_or_else(|| "is its task running?".to_owned());
+            return Err(self.fault(format!("world `{}` stands still: {why}", self.world)));
+        }
+        Ok(())
     }
-}
-
-/// The nearest angle that the encoder can show, rad.
-fn encoder(angle: f64) -> f64 {
-    (angle / TAU * COUNTS_PER_TURN).round() / COUNTS_PER_TURN * TAU
 }
 
 impl ChannelDriver for SimArm {
     fn slots(&self) -> usize {
-        JOINTS
+        self.claim.joints.len()
     }
 
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
-        if readings.len() != JOINTS {
+        if readings.len() != self.slots() {
             return Err(self.count("readings", readings.len()));
         }
-        let state = self.world.positions().iter().zip(self.world.velocities());
-        for (reading, (position, velocity)) in readings.iter_mut().zip(state) {
+        self.port.read(self.claim.arm, &mut self.state);
+        self.watch()?;
+        let (positions, speeds) = self.state[1..].split_at(self.state.len() / 2);
+        let slots = self.claim.joints.iter().zip(&self.counts);
+        for (reading, (joint, counts)) in readings.iter_mut().zip(slots) {
             *reading = SlotReading {
-                position: encoder(*position),
-                velocity: *velocity,
+                position: (positions[*joint] * counts).round() / counts,
+                velocity: speeds[*joint],
             };
         }
         Ok(())
@@ -102,91 +143,28 @@ impl ChannelDriver for SimArm {
         power: Power,
         period: Duration,
     ) -> Result<(), DriverError> {
-        let torques: &[f64; JOINTS] = torques
-            .try_into()
-            .map_err(|_| self.count("torques", torques.len()))?;
-        match power {
-            Power::Released => self.world.drive(torques, period),
-            Power::Off | Power::Braked => self.world.brake(period),
+        if torques.len() != self.slots() {
+            return Err(self.count("torques", torques.len()));
         }
-        .map_err(|error| self.fault(error))?;
-        self.publish();
+        let bad = torques.iter().position(|torque| !torque.is_finite());
+        if let Some(slot) = bad {
+            let torque = torques[slot];
+            return Err(self.fault(format!(
+                "the torque of slot {} is {torque}, not a finite number",
+                slot + 1
+            )));
+        }
+        self.period = period;
+        self.claim.order(torques, power, period);
         Ok(())
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use ctos::diagnostic::Source;
-
-    use super::*;
-
-    const PERIOD: Duration = Duration::from_micros(4500);
-
-    fn arm() -> (SimArm, SceneReader, Cell) {
-        let text = include_str!("../../configs/cell.toml");
-        let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
-        let (arm, reader) = SimArm::new("puma", &cell).unwrap();
-        (arm, reader, cell)
-    }
-
-    #[test]
-    fn positions_are_read_back_to_the_nearest_encoder_count() {
-        let (mut arm, _, cell) = arm();
-        let mut readings = [SlotReading::default(); 6];
-        arm.read(&mut readings).unwrap();
-        for (reading, start) in readings.iter().zip(cell.start) {
-            assert!((reading.position - start).abs() <= 0.5 * TAU / COUNTS_PER_TURN);
-            let counts = reading.position / TAU * COUNTS_PER_TURN;
-            assert!((counts - counts.round()).abs() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn only_released_brakes_let_torques_move_the_arm() {
-        let (mut arm, reader, _) = arm();
-        let start = *arm.world.positions();
-        for power in [Power::Off, Power::Braked] {
-            for _ in 0..20 {
-                arm.write(&[90.0, 0.0, 0.0, 0.0, 0.0, 0.0], power, PERIOD)
-                    .unwrap();
-            }
-            assert_eq!(*arm.world.positions(), start);
-        }
-        let before = reader.latest();
-        for _ in 0..20 {
-            arm.write(&[90.0, 0.0, 0.0, 0.0, 0.0, 0.0], Power::Released, PERIOD)
-                .unwrap();
-        }
-        assert!(arm.world.positions()[0] > start[0] + 0.01);
-        let after = reader.latest();
-        assert!((after.lamp - before.lamp).norm() > 1e-3);
-        assert_eq!(after.stamp, 60 * PERIOD);
-    }
-
-    #[test]
-    fn the_scene_shows_the_lamp_where_the_kinematics_put_it() {
-        let (mut arm, reader, cell) = arm();
-        for _ in 0..30 {
-            arm.write(&[20.0, 0.0, 5.0, 1.0, 1.0, 1.0], Power::Released, PERIOD)
-                .unwrap();
-        }
-        let expected = cell.scene(arm.world.positions());
-        assert!((reader.latest().lamp - expected.lamp).norm() < 1e-6);
-    }
-
-    #[test]
-    fn a_torque_that_is_no_number_or_a_wrong_count_is_a_fault_that_names_the_driver() {
-        let (mut arm, ..) = arm();
-        let error = arm
-            .write(&[f64::NAN; 6], Power::Released, PERIOD)
-            .unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "channel driver `puma`: the torque of joint 1 is NaN, not a finite number"
-        );
-        let error = arm.write(&[0.0; 5], Power::Released, PERIOD).unwrap_err();
-        assert!(error.to_string().contains("5 torques for 6 slots"));
-        assert!(arm.read(&mut []).is_err());
+impl Drop for SimArm {
+    fn drop(&mut self) {
+        self.port.release(&self.claim);
     }
 }
+
+#[cfg(test)]
+mod tests;

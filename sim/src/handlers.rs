@@ -1,88 +1,53 @@
-//! The simulator inside an app: the world's task, the channel driver and the frame source by name.
+//! The simulator inside an app: the world's task, the channel driver and the frame source by name, and what a
+//! configuration can get wrong about them.
 //!
-//! The channel driver `sim.puma560` creates the world on its chassis; the task `sim.world` of the same
-//! chassis shows it to others by message, so a camera may render on any chassis.
+//! Drivers and their world share a chassis, for they exchange values through its memory. Cameras ask by message, and may
+//! render on any chassis.
 
-use std::sync::Arc;
+use std::path::Path;
 
 use ctos::{
     Context,
-    config::{App, Node},
-    diagnostic::{Finding, Findings, Source},
-    message::{Command, Message},
+    config::{App, Node, TaskConfig},
+    diagnostic::{Finding, Findings},
     registry::Registry,
-    task::{EventHandler, Handled, HandlerError},
+    task::HandlerError,
 };
-use futures_util::future::LocalBoxFuture;
 use mcs::driver::{ChannelDriver, DriverRegistry};
-use rand::Rng;
 use serde::Deserialize;
-use vss::{
-    command::{NamedCamera, TrueCameras},
-    frame::{Frame, FrameError},
-    source::{FrameSource, FrameSources},
-};
+use vss::source::{FrameSource, FrameSources};
 
 use crate::{
-    camera::Renderer,
     cell::Cell,
     driver::SimArm,
-    scene::{SceneReader, SceneState},
+    port::Port,
+    source::{CameraArgs, SimCamera, world_task},
+    world_task::{self, PERIODS_MS, WORLD, WorldArgs},
 };
 
 /// Name of the channel driver.
-pub const ARM: &str = "sim.puma560";
+pub const ARM: &str = "sim.arm";
 
 /// Name of the frame source.
 pub const CAMERA: &str = "sim.camera";
 
-/// Name of the world's event handler.
-pub const WORLD: &str = "sim.world";
-
-/// What the world of a chassis is shared under.
-const SHARED: &str = "sim.world";
-
-ctos::command! {
-    /// Asks what there is to see.
-    #[derive(Debug, Clone, PartialEq)]
-    pub struct GetScene => SceneState, 0x0501, "get_scene"
-}
-ctos::command! {
-    /// Switches the wrist lamp.
-    #[derive(Debug, Clone, PartialEq)]
-    pub struct SetLamp {
-        /// Whether it shall shine.
-        pub on: bool,
-    } => (), 0x0502, "set_lamp"
-}
-/// Arguments that name a cell file.
+/// Arguments of the channel driver.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ArmArgs {
-    /// Path of the cell file, relative to the configuration's folder.
-    cell: String,
-}
-
-/// Arguments of a camera.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CameraArgs {
-    /// Path of the cell file, relative to the configuration's folder.
-    cell: String,
-    /// The task that shows the world.
+    /// The task that owns the world.
     #[serde(default = "world_task")]
     world: String,
+    /// The arm; the only one, when none is named.
+    arm: Option<String>,
+    /// Names of joints of its model, in the order of the slots; all of them, when none is named.
+    joints: Option<Vec<String>>,
 }
 
-fn world_task() -> String {
-    "world".to_owned()
-}
-
-/// What the world's task needs of the world: shared on the chassis by the channel driver.
-#[derive(Debug)]
-struct SharedWorld {
-    scene: SceneReader,
-    cameras: Vec<NamedCamera>,
+/// The joints of a driver: an arm of a cell, and joints of it by index.
+struct Joints {
+    arm: usize,
+    joints: Vec<usize>,
 }
 
 /// Registers everything that the simulator offers: the event handler [`WORLD`], the channel driver
@@ -91,7 +56,7 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
     register_world(registry);
     drivers
         .driver(ARM, open_arm)
-        .check(|_, app, args, findings| check_arm(&|path| app.read(path), args, findings));
+        .check(|task, app, args, findings| check_arm(task, app, args, findings));
     sources.source(CAMERA, |cx, name, args| {
         let source: Box<dyn FrameSource> = Box::new(SimCamera::new(cx, name, args)?);
         Ok(source)
@@ -103,11 +68,202 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
 }
 
 fn register_world(registry: &mut Registry) {
-    registry.handler(
-        WORLD,
-        &[GetScene::INFO, SetLamp::INFO, TrueCameras::INFO],
-        |_| Ok(WorldTask),
-    );
+    world_task::register(registry).checked_args::<WorldArgs>(check_world);
+}
+
+/// The joints that `args` mean, in the world's cell.
+fn joints(args: &ArmArgs, cell: &Cell) -> Result<Joints, Finding> {
+    let arm = cell.arm(args.arm.as_deref())?;
+    let all = cell.arms.get(arm).map_or(&[][..], |arm| arm.model.joints());
+    let Some(names) = &args.joints else {
+        let joints = (0..all.len()).collect();
+        return Ok(Joints { arm, joints });
+    };
+    let refuse = |message: String| Finding::error("sim::arm::joints", message);
+    let mut joints = Vec::new();
+    for name in names {
+        let Some(joint) = all.iter().position(|joint| joint.name == *name) else {
+            let known = all.iter().map(|joint| joint.name.as_str());
+            return Err(refuse(format!("the arm has no joint `{name}`")).suggest(name, known));
+        };
+        if joints.contains(&joint) {
+            return Err(
+                refuse(format!("joint `{name}` is named twice")).help("a joint has one slot")
+            );
+        }
+        joints.push(joint);
+    }
+    if joints.is_empty() {
+        return Err(refuse("no joint is named".to_owned())
+            .help("leave `joints` out to drive all joints of the arm"));
+    }
+    Ok(Joints { arm, joints })
+}
+
+/// The task called `world`, if it owns a world on the chassis of `task`.
+fn world_of<'a>(world: &str, task: &TaskConfig, app: &'a App) -> Result<&'a TaskConfig, Finding> {
+    let found = app.task(world).filter(|found| found.handler == WORLD);
+    let Some(found) = found else {
+        let worlds = app.tasks.iter().filter(|task| task.handler == WORLD);
+        return Err(Finding::error(
+            "sim::arm::no_world",
+            format!("the driver of `{}` needs world `{world}`, which is no task with handler `{WORLD}`", task.name),
+        )
+        .help(format!(
+            "add `[task.{world}]` with handler `{WORLD}` on chassis `{}`, or say `world = \"NAME\"` in `driver_args`",
+            task.chassis
+        ))
+        .suggest(world, worlds.map(|task| task.name.as_str())));
+    };
+    if found.chassis != task.chassis {
+        return Err(Finding::error(
+            "sim::arm::other_chassis",
+            format!(
+                "`{}` is on chassis `{}` and its world `{world}` on chassis `{}`",
+                task.name, task.chassis, found.chassis
+            ),
+        )
+        .help("a driver reaches its world through the memory of their chassis: put both on the same one, on any processors"));
+    }
+    Ok(found)
+}
+
+/// Opens joints of an arm, as the driver's arguments say.
+///
+/// # Errors
+/// Bad arguments, no such world on this chassis, a bad cell file, or joints that another task drives.
+pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, HandlerError> {
+    let args: ArmArgs = args.parse()?;
+    let task = cx
+        .config()
+        .ok_or("a channel driver needs a task of the configuration")?;
+    let world = world_of(&args.world, task, cx.app())?;
+    let WorldArgs { cell, .. } = world.args.parse()?;
+    let cell = Cell::read(&cx.app().file_at(&cell))?;
+    let Joints { arm, joints } = joints(&args, &cell)?;
+    let port = Port::of(cx, &world.name, &cell);
+    let driver = SimArm::new(cx.name(), (&world.name, &port, &cell), arm, &joints)?;
+    Ok(Box::new(driver))
+}
+
+/// Checks the arguments of [`open_arm`], and that no task before this one drives the same joints.
+fn check_arm(task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings) {
+    let Some(parsed) = findings.keep(args.parse::<ArmArgs>()) else {
+        return;
+    };
+    let at = |finding: Finding, key: &str| {
+        let place = args.locate(key).or_else(|| args.place().cloned());
+        match finding.place {
+            Some(_) => finding,
+            None => finding.at(place.unwrap_or_else(|| task.place.clone())),
+        }
+    };
+    let world = match world_of(&parsed.world, task, app) {
+        Ok(world) => world,
+        Err(finding) => return findings.push(at(finding, "world")),
+    };
+    // What is wrong with the cell is said of the world.
+    let Some(cell) = cell_of(world, app) else {
+        return;
+    };
+    let own = match joints(&parsed, &cell) {
+        Ok(own) => own,
+        Err(finding) => {
+            let key = if finding.code == "sim::arm::joints" {
+                "joints"
+            } else {
+                "arm"
+            };
+            return findings.push(at(finding, key));
+        }
+    };
+    let before = app.tasks.iter().take_while(|other| other.name != task.name);
+    for (other, theirs) in before.filter_map(|other| Some((other, driven(other, world, &cell)?))) {
+        let shared = own
+            .joints
+            .iter()
+            .find(|joint| theirs.joints.contains(joint));
+        let (true, Some(joint)) = (theirs.arm == own.arm, shared) else {
+            continue;
+        };
+        let (arm, joint) = cell.arms.get(own.arm).map_or(("", ""), |arm| {
+            let joint = arm.model.joints().get(*joint);
+            (
+                arm.name.as_str(),
+                joint.map_or("", |joint| joint.name.as_str()),
+            )
+        });
+        let finding = Finding::error(
+            "sim::arm::taken",
+            format!("joint `{joint}` of arm `{arm}` is driven by task `{}` already", other.name),
+        )
+        .help("name the joints of each with `joints = [...]` so that no two share one, or another `arm`");
+        findings.push(at(finding, "joints"));
+    }
+}
+
+/// The joints that another task of the app drives in `world`, if it does and says so soundly.
+fn driven(task: &TaskConfig, world: &TaskConfig, cell: &Cell) -> Option<Joints> {
+    let driver = task.args.get("driver").and_then(Node::as_str)?;
+    let args = task
+        .args
+        .get("driver_args")
+        .cloned()
+        .unwrap_or_else(Node::table);
+    let args: ArmArgs = (driver == ARM).then(|| args.parse().ok()).flatten()?;
+    (args.world == world.name)
+        .then(|| joints(&args, cell).ok())
+        .flatten()
+}
+
+/// The cell of a world, if it is sound.
+fn cell_of(world: &TaskConfig, app: &App) -> Option<Cell> {
+    let args: WorldArgs = world.args.parse().ok()?;
+    read_cell(&args.cell, app).ok()
+}
+
+fn read_cell(cell: &str, app: &App) -> Result<Cell, Findings> {
+    let folder = Path::new(cell).parent().unwrap_or(Path::new(""));
+    let model = |name: &str| app.read(folder.join(name));
+    Cell::parse_with(&app.read(cell)?, &model)
+}
+
+fn check_world(args: &WorldArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let [least, most] = PERIODS_MS;
+    if !(least..=most).contains(&args.period_ms) {
+        let place = task.args.locate("period_ms");
+        findings.push(
+            Finding::error(
+                "sim::world::period",
+                format!(
+                    "the period of world `{}` is {} ms",
+                    task.name, args.period_ms
+                ),
+            )
+            .at(place.unwrap_or_else(|| task.place.clone()))
+            .help(format!("give a number from {least} to {most} ms")),
+        );
+    }
+    check_cell(&args.cell, app, &task.args, findings);
+    let mut before = app.tasks.iter().take_while(|other| other.name != task.name);
+    let twin = before.find(|other| {
+        let cell = other.args.get("cell").and_then(Node::as_str);
+        other.handler == WORLD && cell == Some(&args.cell)
+    });
+    if let Some(twin) = twin {
+        let place = task.args.locate("cell");
+        findings.push(
+            Finding::error(
+                "sim::world::twin",
+                format!("`{}` owns the arms of `{}` already", twin.name, args.cell),
+            )
+            .at(place.unwrap_or_else(|| task.place.clone()))
+            .help(format!(
+                "a cell has one world: let drivers and cameras name `{}`",
+                twin.name
+            )),
+        );
+    }
 }
 
 /// Checks every task that is a camera of this simulator, and that the task it asks is there.
@@ -118,7 +274,7 @@ fn check_cameras(app: &App, findings: &mut Findings) {
             continue;
         };
         let args = task.args.get("args").cloned().unwrap_or_else(Node::table);
-        check_camera(&|path| app.read(path), camera, &args, findings);
+        check_camera(camera, app, &args, findings);
         let Ok(CameraArgs { world, .. }) = args.parse() else {
             continue;
         };
@@ -130,59 +286,25 @@ fn check_cameras(app: &App, findings: &mut Findings) {
                 ),
             )
             .help(format!(
-                "add `[task.{world}]` with handler `{WORLD}` on the chassis of the servo, or say \
-                 `world = \"NAME\"` in the camera's arguments"
+                "add `[task.{world}]` with handler `{WORLD}`, or say `world = \"NAME\"` in the camera's arguments"
             ));
             findings.push(finding.at(task.place.clone()));
         }
     }
 }
 
-/// Creates the arm and its world; the driver's arguments name the cell file.
-///
-/// # Errors
-/// Bad arguments, a bad cell file, or a world already on this chassis.
-pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, HandlerError> {
-    let ArmArgs { cell } = args.parse()?;
-    let cell = Cell::read(&cx.app().file_at(&cell))?;
-    let (arm, scene) = SimArm::new(ARM, &cell)?;
-    let cameras = cell
-        .cameras
-        .into_iter()
-        .map(|camera| camera.truth.named())
-        .collect();
-    cx.share(SHARED, Arc::new(SharedWorld { scene, cameras }));
-    Ok(Box::new(arm))
-}
-
-/// How a check reads a file that the configuration names.
-type ReadFile<'a> = &'a dyn Fn(&str) -> Result<Source, Finding>;
-
-/// Checks the arguments of [`open_arm`] and the cell file they name.
-fn check_arm(read: ReadFile<'_>, args: &Node, findings: &mut Findings) {
-    if let Some(ArmArgs { cell }) = findings.keep(args.parse()) {
-        check_cell(read, &cell, args, findings);
-    }
-}
-
 /// Checks the arguments of a camera called `camera`, its cell file, and that the cell has it.
-fn check_camera(read: ReadFile<'_>, camera: &str, args: &Node, findings: &mut Findings) {
+fn check_camera(camera: &str, app: &App, args: &Node, findings: &mut Findings) {
     if let Some(CameraArgs { cell, .. }) = findings.keep(args.parse())
-        && let Some(cell) = check_cell(read, &cell, args, findings)
+        && let Some(cell) = check_cell(&cell, app, args, findings)
         && let Err(finding) = cell.camera(camera)
     {
         findings.push(placed(finding, args));
     }
 }
 
-fn check_cell(
-    read: ReadFile<'_>,
-    cell: &str,
-    args: &Node,
-    findings: &mut Findings,
-) -> Option<Cell> {
-    let parsed = read(cell).map_err(Findings::from);
-    match parsed.and_then(|source| Cell::parse(&source)) {
+fn check_cell(cell: &str, app: &App, args: &Node, findings: &mut Findings) -> Option<Cell> {
+    match read_cell(cell, app) {
         Ok(cell) => Some(cell),
         Err(found) => {
             // A file that cannot be read has no place of its own: the key that names it has.
@@ -201,115 +323,6 @@ fn placed(finding: Finding, args: &Node) -> Finding {
     ) {
         (None, Some(place)) => finding.at(place),
         _ => finding,
-    }
-}
-
-/// The event handler `sim.world`.
-#[derive(Debug)]
-struct WorldTask;
-
-impl WorldTask {
-    /// The world is looked up for each message: the servo that creates it may start later than this
-    /// task, and may be started again.
-    fn world(cx: &Context) -> Result<Arc<SharedWorld>, HandlerError> {
-        cx.shared(SHARED).ok_or_else(|| {
-            HandlerError::new(format!(
-                "there is no world on chassis `{}`: put task `{}` on the chassis whose servo has the \
-                 channel driver `{ARM}`",
-                cx.chassis().name(),
-                cx.name(),
-            ))
-        })
-    }
-}
-
-impl EventHandler for WorldTask {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        match message.command() {
-            GetScene::CODE => {
-                let (GetScene {}, reply) = message.open::<GetScene>()?;
-                reply.ok(Self::world(cx)?.scene.latest())
-            }
-            SetLamp::CODE => {
-                let (SetLamp { on }, reply) = message.open::<SetLamp>()?;
-                Self::world(cx)?.scene.set_lamp(on);
-                reply.ok(())
-            }
-            TrueCameras::CODE => {
-                let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;
-                reply.ok(Self::world(cx)?.cameras.clone())
-            }
-            _ => cx.default_processing(message),
-        }
-    }
-}
-
-/// A camera of the cell as a source of frames: asks the world's task for the scene, then renders
-/// here.
-#[derive(Debug)]
-pub struct SimCamera {
-    name: String,
-    world: String,
-    renderer: Renderer,
-    taken: u64,
-}
-
-impl SimCamera {
-    /// The camera called `name` of the cell that `args` name.
-    ///
-    /// # Errors
-    /// Bad arguments, a bad cell file or a camera that it does not have.
-    pub fn new(cx: &Context, name: &str, args: &Node) -> Result<Self, HandlerError> {
-        let CameraArgs { cell, world } = args.parse()?;
-        let cell = Cell::read(&cx.app().file_at(&cell))?;
-        let camera = cell.camera(name)?;
-        let seed = cx.rng("image noise").next_u64();
-        Ok(Self {
-            name: name.to_owned(),
-            world,
-            renderer: Renderer::new(&cell, camera, seed),
-            taken: 0,
-        })
-    }
-
-    /// Takes a picture of the world as it is now.
-    ///
-    /// # Errors
-    /// When the world's task does not answer.
-    pub async fn take(&mut self, cx: &Context) -> Result<Frame, FrameError> {
-        let fault = |reason: String| FrameError::Fault {
-            camera: self.name.clone(),
-            reason,
-        };
-        let world = cx
-            .task(&self.world)
-            .await
-            .map_err(|error| fault(error.to_string()))?;
-        let scene = cx
-            .call(&world, GetScene {})
-            .await
-            .map_err(|error| fault(error.to_string()))?;
-        let number = self.taken;
-        self.taken += 1;
-        let (width, height) = {
-            let truth = self.renderer.truth();
-            (truth.width, truth.height)
-        };
-        let mut pixels = vec![0; width * height];
-        self.renderer.render_into(&scene, number, &mut pixels);
-        Ok(Frame {
-            width,
-            height,
-            pixels: pixels.into(),
-            stamp: cx.now().since_start(),
-            number,
-        })
-    }
-}
-
-impl FrameSource for SimCamera {
-    fn snap<'a>(&'a mut self, cx: &'a Context) -> LocalBoxFuture<'a, Result<Frame, FrameError>> {
-        Box::pin(self.take(cx))
     }
 }
 

@@ -1,16 +1,22 @@
-//! Rapier stand-in for the testbed: PUMA 560, wrist lamp, ceiling cameras.
+//! The simulated testbed: arms, lamps, cameras and objects of one cell, by Rapier and the arms' own dynamics.
 //!
-//! [`world`] moves the arm, [`driver`] shows it to the control layer as slots, [`cell`] reads the
-//! file that describes arm, lamp, cameras and room, [`camera`] takes the pictures. The control and
+//! [`cell`] reads the file that describes it, [`world`] moves it, [`world_task`] owns it in an app. [`driver`] shows
+//! joints to the control layer as slots, and [`camera`] takes the pictures. The control and
 //! vision layers know none of these: they see a channel driver and a frame source.
 
+mod arm;
 pub mod camera;
 pub mod cell;
 pub mod driver;
+mod engine;
 pub mod handlers;
-pub mod puma560;
+mod latest;
+pub mod port;
 pub mod scene;
 pub mod shapes;
+pub mod simulation;
+pub mod source;
 pub mod world;
+pub mod world_task;
 
 pub use handlers::register;

@@ -1,12 +1,12 @@
-//! The outer form of the arm and of the room: one list, used both by the physics (as colliders) and
-//! by the cameras (as pictures).
+//! The outer form of arms, objects and the room: one list, used both by the physics (as colliders) and by the cameras
+//! (as pictures).
 
+use mcs::model::{FrameId, Model, built_in};
 use nalgebra::{Point3, Vector3};
-
-use crate::puma560::JOINTS;
+use serde::{Deserialize, Serialize};
 
 /// A solid in the frame it is attached to, m.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Solid {
     /// All points within `radius` of the segment from `a` to `b`; a ball when they are equal.
     Capsule {
@@ -24,10 +24,17 @@ pub enum Solid {
         /// Half its edge lengths.
         half: Vector3<f64>,
     },
+    /// A cylinder about the frame's z axis with its centre at the origin.
+    Cylinder {
+        /// Half its height, m.
+        half: f64,
+        /// Radius, m.
+        radius: f64,
+    },
 }
 
 /// A solid with the grey it reflects.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Shape {
     /// Its form.
     pub solid: Solid,
@@ -35,68 +42,115 @@ pub struct Shape {
     pub grey: f64,
 }
 
-/// A shape of the arm and the link whose frame it is given in (0 is the base, which never moves).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ArmShape {
-    /// Link number, 0 to 6.
-    pub link: usize,
-    /// The shape in the link's frame.
-    pub shape: Shape,
-}
-
-/// The outer form of a PUMA 560 with a lamp at `lamp` (m, frame 6) of `lamp_radius` on a thin rod.
+/// The parts of a PUMA by the last word of the frame that carries them: ends of the axis, radius, grey.
 ///
 /// The dimensions are ours, after the link lengths and offsets of the arm: the upper arm passes
 /// beside the shoulder axis, the forearm comes back by part of that offset.
-/// The parts near the lamp are painted like the floor: an edge behind the lamp's spot pulls at its
+/// The parts near the wrist are painted like the floor: an edge behind a lamp's spot pulls at its
 /// measured centre (by up to 0.1 px even so).
+const PUMA: [(&str, [f64; 3], [f64; 3], f64, f64); 9] = [
+    ("base", [0.0, 0.0, 0.05], [0.0, 0.0, 0.56], 0.09, 38.0),
+    ("link1", [0.0, 0.0, -0.06], [0.0, 0.0, 0.13], 0.085, 44.0),
+    (
+        "link2",
+        [-0.56, 0.0, 0.235],
+        [-0.4318, 0.0, 0.235],
+        0.075,
+        38.0,
+    ),
+    (
+        "link2",
+        [-0.4318, 0.0, 0.235],
+        [0.0, 0.0, 0.235],
+        0.062,
+        42.0,
+    ),
+    ("link2", [0.0, 0.0, 0.20], [0.0, 0.0, 0.15], 0.058, 38.0),
+    (
+        "link3",
+        [-0.0203, 0.0, -0.04],
+        [-0.0203, 0.0, 0.20],
+        0.055,
+        28.0,
+    ),
+    (
+        "link3",
+        [-0.0203, 0.0, 0.20],
+        [-0.0203, 0.0, 0.37],
+        0.045,
+        24.0,
+    ),
+    ("link4", [0.0, -0.03, 0.0], [0.0, 0.03, 0.0], 0.042, 24.0),
+    ("link6", [0.0, 0.0, 0.0], [0.0, 0.0, 0.04], 0.028, 24.0),
+];
+
+/// The flange of a PUMA in frame 6, m.
+const FLANGE: Point3<f64> = Point3::new(0.0, 0.0, 0.05625);
+
+/// Radius and grey of the rod that carries a lamp.
+const ROD_RADIUS: f64 = 0.004;
+const ROD_GREY: f64 = 24.0;
+
+/// The outer form of a model that is built in: its PUMAs. Nothing is known of other models, nor of the carts.
 #[must_use]
-pub fn arm(lamp: &Point3<f64>, lamp_radius: f64) -> Vec<ArmShape> {
-    let mut shapes = vec![
-        capsule(0, [0.0, 0.0, 0.05], [0.0, 0.0, 0.56], 0.09, 38.0),
-        capsule(1, [0.0, 0.0, -0.06], [0.0, 0.0, 0.13], 0.085, 44.0),
-        capsule(2, [-0.56, 0.0, 0.235], [-0.4318, 0.0, 0.235], 0.075, 38.0),
-        capsule(2, [-0.4318, 0.0, 0.235], [0.0, 0.0, 0.235], 0.062, 42.0),
-        capsule(2, [0.0, 0.0, 0.20], [0.0, 0.0, 0.15], 0.058, 38.0),
-        capsule(3, [-0.0203, 0.0, -0.04], [-0.0203, 0.0, 0.20], 0.055, 28.0),
-        capsule(3, [-0.0203, 0.0, 0.20], [-0.0203, 0.0, 0.37], 0.045, 24.0),
-        capsule(4, [0.0, -0.03, 0.0], [0.0, 0.03, 0.0], 0.042, 24.0),
-        capsule(6, [0.0, 0.0, 0.0], [0.0, 0.0, 0.04], 0.028, 24.0),
-    ];
-    // The rod ends where the lamp begins; from the side it hides nothing of it.
-    let flange = Point3::new(0.0, 0.0, 0.05625);
-    let rod = lamp - flange;
-    let length = rod.norm() - lamp_radius - ROD_RADIUS;
-    if length > 0.0 {
-        let end = flange + rod.normalize() * length;
-        shapes.push(ArmShape {
-            link: JOINTS,
-            shape: Shape {
-                solid: Solid::Capsule {
-                    a: flange,
-                    b: end,
-                    radius: ROD_RADIUS,
-                },
-                grey: 24.0,
-            },
-        });
+pub fn outline(model: &Model) -> Vec<(FrameId, Shape)> {
+    if !built_in::NAMES.contains(&model.name()) {
+        return Vec::new();
     }
-    shapes
+    let mut all = Vec::new();
+    for frame in model.frames() {
+        let word = last_word(&frame.name);
+        let parts = PUMA.iter().filter(|(part, ..)| *part == word);
+        for (_, a, b, radius, grey) in parts {
+            let solid = Solid::Capsule {
+                a: (*a).into(),
+                b: (*b).into(),
+                radius: *radius,
+            };
+            let shape = Shape { solid, grey: *grey };
+            all.extend(model.frame(&frame.name).map(|id| (id, shape)));
+        }
+    }
+    all
 }
 
-/// Radius of the rod that carries the lamp, m.
-const ROD_RADIUS: f64 = 0.004;
-
-fn capsule(link: usize, a: [f64; 3], b: [f64; 3], radius: f64, grey: f64) -> ArmShape {
-    ArmShape {
-        link,
-        shape: Shape {
-            solid: Solid::Capsule {
-                a: a.into(),
-                b: b.into(),
-                radius,
-            },
-            grey,
+/// The rod from the flange of a PUMA to a lamp at `lamp` (m, frame 6); `None` on another frame, or when there is no room.
+#[must_use]
+pub fn rod(frame: &str, lamp: &Point3<f64>, lamp_radius: f64) -> Option<Shape> {
+    // The rod ends where the lamp begins; from the side it hides nothing of it.
+    let rod = lamp - FLANGE;
+    let length = rod.norm() - lamp_radius - ROD_RADIUS;
+    (last_word(frame) == "link6" && length > 0.0).then(|| Shape {
+        solid: Solid::Capsule {
+            a: FLANGE,
+            b: FLANGE + rod.normalize() * length,
+            radius: ROD_RADIUS,
         },
+        grey: ROD_GREY,
+    })
+}
+
+/// `link1` of `left_arm.link1`.
+fn last_word(name: &str) -> &str {
+    name.rsplit('.').next().unwrap_or(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use mcs::model::file::Inertias;
+
+    use super::*;
+
+    #[test]
+    fn every_puma_of_a_built_in_model_has_its_outline_and_a_cart_has_none() {
+        for (name, parts) in [
+            ("puma560", 9),
+            ("transporter", 0),
+            ("testbed9", 9),
+            ("testbed18", 18),
+        ] {
+            let model = built_in::model(name, Inertias::Engine).unwrap().unwrap();
+            assert_eq!(outline(&model).len(), parts, "{name}");
+        }
     }
 }

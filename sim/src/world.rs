@@ -1,155 +1,152 @@
-//! The physics: one PUMA 560 as a Rapier multibody on a fixed root, driven by joint torques.
+//! The physics of the whole cell: arms, objects and the room.
 //!
-//! Base frame = world frame, z up, m, rad, s, N m. This module knows neither slots nor cameras.
+//! Arms are integrated by their own dynamics (`arm`), all else by Rapier. Rapier's multibodies, which were tried for arms as
+//! well, end a driven swing of 2 s 1.3 mrad off (here 1e-10 rad), and cost 6 times as much for 6 joints, 10 times for 2 x 9.
 //!
-//! What the engine does not do by itself, and is done here: every joint gets its rotor inertia
-//! (without it the mass matrix is too badly conditioned to integrate) and loses Rapier's default
-//! damping; joint torques are applied as a pair of body torques, +tau on the child and -tau on the
-//! parent; the inertia tensors go in as full matrices; bodies never sleep.
+//! A link that has a form stands in the engine as a free body of its own, which begins each step where the link is, and as
+//! fast. It weighs no more than the arm resists there, so that nothing is stopped too hard. What the step does to its motion,
+//! the arm feels as an impulse at its joints. World frame: z up, m, rad, s, N m.
 
 use std::time::Duration;
 
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::{
-    dynamics::{
-        GenericJointBuilder, JointAxesMask, JointAxis, MassProperties, Multibody,
-        MultibodyJointHandle, RigidBodyBuilder, RigidBodyHandle,
+    dynamics::{MassProperties, RigidBody, RigidBodyBuilder, RigidBodyHandle},
+    geometry::{
+        Collider, ColliderBuilder, ColliderHandle, Group, InteractionGroups, InteractionTestMode,
     },
-    geometry::{ColliderBuilder, Group, InteractionGroups, InteractionTestMode},
-    math::{Matrix, Pose, Rotation, Vector},
+    math::Vector,
     pipeline::PhysicsWorld,
 };
 
 use crate::{
-    puma560::{self, JOINTS, Link},
-    shapes::{ArmShape, Shape, Solid},
+    arm::{Arm, Lost, Touch},
+    cell::{Cell, Mount, Origin},
+    engine::{self, isometry, ours, pose, vector},
+    scene::SceneState,
+    shapes::Shape,
 };
 
 /// Free fall, m/s^2.
 pub const GRAVITY: f64 = 9.81;
 
-/// The longest time step given to the engine, s; a servo period is divided into equal steps.
+/// The longest time step, s; a period of the world is divided into equal steps.
 const MAX_STEP: f64 = 1.5e-3;
 
-/// Substeps of the engine per step; each rebuilds the mass matrix, and the error is first order in
-/// their length. Largest joint error against an exact integration, 2 s of driven swing in 1.5 ms
-/// steps: 10.7, 2.7, 1.35, 0.68 mrad with 1, 4, 8, 16.
-const SUBSTEPS: usize = 8;
+/// Substeps of the engine per step.
+const SUBSTEPS: usize = 4;
 
-/// Braking torque as a multiple of the largest drive torque of the joint.
-const BRAKE_FACTOR: f64 = 1.5;
+/// Natural frequency with which the engine takes solids out of each other, Hz. A link gives way while it is pressed on
+/// something: by 1 mm or so under some ten N.
+const CONTACT_HZ: f64 = 120.0;
 
-/// Below this joint speed, rad/s, the brakes grip for good.
-const GRIP_SPEED: f64 = 1e-2;
+/// Part of what the arm resists with that its link weighs in the engine: half, for a blow off the centre of a link meets
+/// the resistance to turning besides.
+const SHARE: f64 = 0.5;
+
+/// No link weighs more in the engine, kg and kg m^2.
+const HEAVIEST: f64 = 1000.0;
 
 /// Why the world cannot be built or cannot go on.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum WorldError {
-    /// A joint angle at the start is not a number within the joint's limits.
-    #[error("joint {joint} cannot start at {angle} rad: its limits are {low:.4} to {high:.4} rad")]
-    Start {
-        /// Joint number from 1.
-        joint: usize,
-        /// The angle asked for, rad.
-        angle: f64,
-        /// Lowest angle, rad.
-        low: f64,
-        /// Highest angle, rad.
-        high: f64,
-    },
     /// A torque is not a finite number.
     #[error("the torque of joint {joint} is {torque}, not a finite number")]
     Torque {
         /// Joint number from 1.
         joint: usize,
-        /// The torque, N m.
+        /// The torque, N m or N.
         torque: f64,
     },
-    /// The engine refused or lost a part of the arm, or its state is no longer finite.
-    #[error("the physics engine {0}")]
-    Engine(&'static str),
+    /// The state of an arm is no longer finite.
+    #[error("arm `{arm}` is lost: its state is not finite")]
+    Arm {
+        /// Its name in the cell.
+        arm: String,
+    },
+    /// The state of an object is no longer finite.
+    #[error("object `{object}` is lost: its state is not finite")]
+    Object {
+        /// Its name in the cell.
+        object: String,
+    },
 }
 
-/// What the arm's world is built from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct WorldSetup {
-    /// Joint angles at the start, rad.
-    pub start: [f64; JOINTS],
-    /// Whether the joints have the Coulomb and viscous friction of the real arm.
-    pub friction: bool,
-    /// The arm's outer form.
-    pub arm: Vec<ArmShape>,
-    /// What stands in the room, in the world frame.
-    pub room: Vec<Shape>,
+/// A link in the engine.
+struct Link {
+    mount: Mount,
+    body: RigidBodyHandle,
+    colliders: Vec<ColliderHandle>,
+    /// Its centre of mass there, in the link's frame.
+    centre: Point3<f64>,
+    /// Mass and inertia that it has now, kg and kg m^2.
+    weight: [f64; 2],
+    /// How the step began: where the centre was, and how fast it and the link.
+    began: (Point3<f64>, [Vector3<f64>; 2]),
 }
 
-/// One PUMA 560 in its room.
+/// Everything that moves, and what it moves among.
 pub struct World {
+    cell: Cell,
+    arms: Vec<Arm>,
     physics: PhysicsWorld,
-    bodies: [RigidBodyHandle; JOINTS + 1],
-    arm: MultibodyJointHandle,
-    links: [Link; JOINTS],
-    friction: bool,
-    /// The brakes are on, whether or not the arm stands.
-    braking: bool,
-    /// The brakes have brought the arm to rest and hold it.
-    braked: bool,
+    links: Vec<Link>,
+    objects: Vec<RigidBodyHandle>,
     elapsed: Duration,
-    positions: [f64; JOINTS],
-    velocities: [f64; JOINTS],
 }
 
 impl std::fmt::Debug for World {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("World")
             .field("elapsed", &self.elapsed)
-            .field("positions", &self.positions)
-            .field("velocities", &self.velocities)
-            .field("braked", &self.braked)
+            .field("arms", &self.arms)
             .finish_non_exhaustive()
     }
 }
 
 impl World {
-    /// Builds the world with the arm at rest, brakes on.
-    ///
-    /// # Errors
-    /// A start angle outside its joint's limits, or an engine that refuses the arm.
-    pub fn new(setup: &WorldSetup) -> Result<Self, WorldError> {
-        let links = puma560::links();
-        check_start(&links, &setup.start)?;
+    /// Builds the world with the arms at rest, brakes on.
+    #[must_use]
+    pub fn new(cell: &Cell) -> Self {
         let mut physics = PhysicsWorld::new();
         physics.gravity = Vector::new(0.0, 0.0, -GRAVITY);
-        physics.integration_parameters.num_solver_iterations = SUBSTEPS;
-        add_room(&mut physics, &setup.room);
-        let (bodies, arm) = add_arm(&mut physics, &links, &setup.arm)?;
+        let parameters = &mut physics.integration_parameters;
+        parameters.num_solver_iterations = SUBSTEPS;
+        parameters.contact_softness.natural_frequency = CONTACT_HZ;
+        parameters.static_contact_softness.natural_frequency = CONTACT_HZ;
+        let arms = cell
+            .arms
+            .iter()
+            .map(|arm| Arm::new(arm.model.clone(), &arm.start, arm.friction))
+            .collect();
         let mut world = Self {
+            cell: cell.clone(),
+            arms,
             physics,
-            bodies,
-            arm,
-            links,
-            friction: setup.friction,
-            braking: true,
-            braked: false,
+            links: Vec::new(),
+            objects: Vec::new(),
             elapsed: Duration::ZERO,
-            positions: setup.start,
-            velocities: [0.0; JOINTS],
         };
-        world.settle(&setup.start)?;
-        world.grip()?;
-        Ok(world)
+        world.fill();
+        world
     }
 
-    /// Joint angles, rad.
+    /// The arms, in the cell's order.
     #[must_use]
-    pub fn positions(&self) -> &[f64; JOINTS] {
-        &self.positions
+    pub fn arms(&self) -> usize {
+        self.arms.len()
     }
 
-    /// Joint speeds, rad/s.
+    /// Joint positions of an arm, rad or m; nothing of one that is not there.
     #[must_use]
-    pub fn velocities(&self) -> &[f64; JOINTS] {
-        &self.velocities
+    pub fn positions(&self, arm: usize) -> &[f64] {
+        self.arms.get(arm).map_or(&[], Arm::positions)
+    }
+
+    /// Joint speeds of an arm, rad/s or m/s.
+    #[must_use]
+    pub fn velocities(&self, arm: usize) -> &[f64] {
+        self.arms.get(arm).map_or(&[], Arm::velocities)
     }
 
     /// Simulated time since the beginning.
@@ -158,325 +155,312 @@ impl World {
         self.elapsed
     }
 
-    /// Poses of the base and the six link frames as the engine has them, `world_T_link`.
-    #[must_use]
-    pub fn link_poses(&self) -> [Isometry3<f64>; JOINTS + 1] {
-        self.bodies.map(|handle| {
-            self.physics
-                .bodies
-                .get(handle)
-                .map_or_else(Isometry3::identity, |body| isometry(body.position()))
-        })
-    }
-
-    /// Advances by `period` with the brakes off and constant joint torques, N m. The drives
-    /// saturate at their largest torques.
+    /// What a joint (by index from 0) does from now on: its drive gives `torque` (N m or N) within what it can, or, when
+    /// there is none, its brake brings it to rest and holds it.
     ///
     /// # Errors
-    /// A torque that is not finite (nothing moves then), or an engine state that is not.
-    pub fn drive(&mut self, torques: &[f64; JOINTS], period: Duration) -> Result<(), WorldError> {
-        for (index, torque) in torques.iter().enumerate() {
-            if !torque.is_finite() {
-                return Err(WorldError::Torque {
-                    joint: index + 1,
-                    torque: *torque,
-                });
-            }
+    /// A torque that is not finite; the joint goes on as before.
+    pub fn command(
+        &mut self,
+        arm: usize,
+        joint: usize,
+        torque: Option<f64>,
+    ) -> Result<(), WorldError> {
+        if let Some(torque) = torque.filter(|torque| !torque.is_finite()) {
+            let joint = joint + 1;
+            return Err(WorldError::Torque { joint, torque });
         }
-        if self.braking {
-            self.set_friction(self.friction)?;
-            self.braking = false;
-            self.braked = false;
+        if let Some(arm) = self.arms.get_mut(arm) {
+            arm.command(joint, torque);
         }
-        self.advance(torques, period)
+        Ok(())
     }
 
-    /// Advances by `period` with the brakes on and the drives off: a turning joint is slowed down
-    /// by its brake; once all are slow they are held where they are, without creep.
+    /// Goes on by `period`.
     ///
     /// # Errors
-    /// As for [`drive`](Self::drive).
-    pub fn brake(&mut self, period: Duration) -> Result<(), WorldError> {
-        if !self.braking {
-            self.set_brakes()?;
-            self.braking = true;
-        }
-        if !self.braked && self.velocities.iter().all(|v| v.abs() < GRIP_SPEED) {
-            self.grip()?;
-        }
-        self.advance(&[0.0; JOINTS], period)
-    }
-
-    fn advance(&mut self, torques: &[f64; JOINTS], period: Duration) -> Result<(), WorldError> {
-        let seconds = period.as_secs_f64();
+    /// A state that is no longer finite.
+    pub fn advance(&mut self, period: Duration) -> Result<(), WorldError> {
         self.elapsed += period;
-        // Nothing but the arm moves in this world, so a gripped arm is a world that stands still.
-        if self.braked || seconds <= 0.0 {
+        // Held arms among still things are a world that stands still.
+        let still = self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
+        let seconds = period.as_secs_f64();
+        if still || seconds <= 0.0 {
             return Ok(());
         }
         // The small allowance keeps 4.5 ms at three steps of 1.5 ms whatever the rounding.
         let steps = (seconds / MAX_STEP - 1e-6).ceil().max(1.0);
-        self.physics.integration_parameters.dt = seconds / steps;
         for _ in 0..steps as u64 {
-            self.apply(torques)?;
-            self.physics.step();
-        }
-        self.read_back()
-    }
-
-    /// Sets the torques on the bodies: they persist in the engine, so they are set anew each step,
-    /// about the axes as they stand now.
-    fn apply(&mut self, torques: &[f64; JOINTS]) -> Result<(), WorldError> {
-        let mut total = [Vector::ZERO; JOINTS + 1];
-        for (index, (torque, link)) in torques.iter().zip(&self.links).enumerate() {
-            let bias = if self.friction {
-                (link.coulomb[1] - link.coulomb[0]) / 2.0
-            } else {
-                0.0
-            };
-            let torque = torque.clamp(-link.max_torque, link.max_torque) + bias;
-            let parent = self
-                .physics
-                .bodies
-                .get(self.bodies[index])
-                .ok_or(WorldError::Engine("lost a link"))?;
-            let axis = parent.position().rotation * Vector::Z;
-            total[index] -= axis * torque;
-            total[index + 1] += axis * torque;
-        }
-        for (handle, torque) in self.bodies.iter().zip(total) {
-            if let Some(body) = self.physics.bodies.get_mut(*handle) {
-                body.reset_torques(false);
-                body.add_torque(torque, true);
-            }
+            self.step(seconds / steps)?;
         }
         Ok(())
     }
 
-    fn read_back(&mut self) -> Result<(), WorldError> {
-        let multibody = arm(&self.physics, self.arm)?;
-        let mut positions = [0.0; JOINTS];
-        let mut velocities = [0.0; JOINTS];
-        let joints = multibody.links().skip(1);
-        for ((link, q), qd) in joints.zip(&mut positions).zip(&mut velocities) {
-            *q = link.joint().coords()[HINGE];
-            *qd = multibody.joint_velocity(link)[0];
-        }
-        if !positions
-            .iter()
-            .chain(&velocities)
-            .all(|x: &f64| x.is_finite())
-        {
-            return Err(WorldError::Engine("lost the arm: its state is not finite"));
-        }
-        self.positions = positions;
-        self.velocities = velocities;
-        Ok(())
-    }
-
-    /// Puts the arm at `joints` and writes what the engine would otherwise choose per joint. The
-    /// root must have lost its free joint before (first forward kinematics), else the vectors are
-    /// indexed six places off.
-    fn settle(&mut self, joints: &[f64; JOINTS]) -> Result<(), WorldError> {
-        let PhysicsWorld {
-            multibody_joints,
-            bodies,
-            ..
-        } = &mut self.physics;
-        let (multibody, _) = multibody_joints
-            .get_mut(self.arm)
-            .ok_or(WorldError::Engine("lost the arm"))?;
-        multibody.forward_kinematics(bodies, true);
-        if multibody.ndofs() != JOINTS {
-            return Err(WorldError::Engine("gave the arm a wrong number of joints"));
-        }
-        for (index, link) in self.links.iter().enumerate() {
-            multibody.armature_mut()[index] = link.rotor_inertia;
-        }
-        multibody.apply_displacements(joints);
-        multibody.forward_kinematics(bodies, true);
-        multibody.update_rigid_bodies(bodies, true);
-        self.set_brakes()?;
-        self.read_back()
-    }
-
-    fn set_friction(&mut self, on: bool) -> Result<(), WorldError> {
-        self.set_losses(|link| {
-            if on {
-                // The engine's dry friction is symmetric; the difference is a torque (`apply`).
-                (
-                    f64::midpoint(link.coulomb[0], link.coulomb[1]),
-                    link.viscous,
-                )
-            } else {
-                (0.0, 0.0)
-            }
+    /// What there is to see; stamp and tick are its caller's.
+    #[must_use]
+    pub fn scene(&mut self) -> SceneState {
+        let (arms, physics, objects) = (&mut self.arms, &self.physics, &self.objects);
+        let cell = &self.cell;
+        SceneState::of(cell, |origin| match origin {
+            Origin::Link(mount) => link_pose(cell, arms, *mount),
+            Origin::Object(index) => objects
+                .get(*index)
+                .and_then(|handle| physics.bodies.get(*handle))
+                .map_or_else(Isometry3::identity, |body| isometry(body.position())),
         })
     }
 
-    fn set_brakes(&mut self) -> Result<(), WorldError> {
-        self.set_losses(|link| (BRAKE_FACTOR * link.max_torque, 0.0))
-    }
-
-    fn set_losses(&mut self, losses: impl Fn(&Link) -> (f64, f64)) -> Result<(), WorldError> {
-        let multibody = arm_mut(&mut self.physics, self.arm)?;
-        for (index, link) in self.links.iter().enumerate() {
-            let (dry, viscous) = losses(link);
-            multibody.frictions_mut()[index] = dry;
-            multibody.damping_mut()[index] = viscous;
+    fn step(&mut self, h: f64) -> Result<(), WorldError> {
+        self.each_arm(|arm| arm.predict(h))?;
+        self.place_links();
+        self.physics.integration_parameters.dt = h;
+        self.physics.step();
+        for (index, arm) in self.arms.iter_mut().enumerate() {
+            let zero = vec![0.0; arm.model().dof()];
+            let mut touch = Touch {
+                impulse: zero.clone(),
+                shift: zero,
+                by_still: true,
+                work: 0.0,
+            };
+            let mut touched = false;
+            for link in self.links.iter().filter(|link| link.mount.arm == index) {
+                let by = link.touched_by(&self.physics);
+                let (Some(by_still), Some(body)) = (by, self.physics.bodies.get(link.body)) else {
+                    continue;
+                };
+                touched = true;
+                touch.by_still &= by_still;
+                link.gained(body, h, arm, &mut touch);
+            }
+            if touched && arm.push(h, &mut touch).is_err() {
+                return Err(self.lost(index));
+            }
         }
-        Ok(())
+        self.each_arm(Arm::accept)?;
+        let mut objects = self.objects.iter().zip(&self.cell.objects);
+        let lost = objects.find(|(handle, _)| {
+            let body = self.physics.bodies.get(**handle);
+            !body.is_some_and(|body| body.translation().is_finite() && body.linvel().is_finite())
+        });
+        match lost {
+            Some((_, spec)) => Err(WorldError::Object {
+                object: spec.name.clone(),
+            }),
+            None => Ok(()),
+        }
     }
 
-    /// The brakes grip: every joint stops where it is.
-    fn grip(&mut self) -> Result<(), WorldError> {
-        let multibody = arm_mut(&mut self.physics, self.arm)?;
-        multibody.generalized_velocity_mut().fill(0.0);
-        self.velocities = [0.0; JOINTS];
-        self.braked = true;
-        Ok(())
+    fn each_arm(
+        &mut self,
+        mut what: impl FnMut(&mut Arm) -> Result<(), Lost>,
+    ) -> Result<(), WorldError> {
+        let lost = self.arms.iter_mut().position(|arm| what(arm).is_err());
+        lost.map_or(Ok(()), |index| Err(self.lost(index)))
     }
-}
 
-/// The free coordinate of a hinge in the engine's layout: three linear ones, then about x.
-const HINGE: usize = 3;
+    fn lost(&self, arm: usize) -> WorldError {
+        let arm = self.cell.arms.get(arm);
+        WorldError::Arm {
+            arm: arm.map_or_else(String::new, |arm| arm.name.clone()),
+        }
+    }
 
-fn arm(physics: &PhysicsWorld, handle: MultibodyJointHandle) -> Result<&Multibody, WorldError> {
-    let (multibody, _) = physics
-        .multibody_joints
-        .get(handle)
-        .ok_or(WorldError::Engine("lost the arm"))?;
-    Ok(multibody)
-}
-
-fn arm_mut(
-    physics: &mut PhysicsWorld,
-    handle: MultibodyJointHandle,
-) -> Result<&mut Multibody, WorldError> {
-    let (multibody, _) = physics
-        .multibody_joints
-        .get_mut(handle)
-        .ok_or(WorldError::Engine("lost the arm"))?;
-    Ok(multibody)
-}
-
-fn check_start(links: &[Link; JOINTS], start: &[f64; JOINTS]) -> Result<(), WorldError> {
-    for (index, (angle, link)) in start.iter().zip(links).enumerate() {
-        let [low, high] = link.limits;
-        if !(low..=high).contains(angle) {
-            return Err(WorldError::Start {
-                joint: index + 1,
-                angle: *angle,
-                low,
-                high,
+    /// Puts every link where it is at the beginning of a step, as fast as it is at its end if nothing touches it.
+    fn place_links(&mut self) {
+        for link in &mut self.links {
+            let mount = link.mount;
+            let pose = link_pose(&self.cell, &mut self.arms, mount);
+            let (Some(arm), Some(body)) = (
+                self.arms.get_mut(mount.arm),
+                self.physics.bodies.get_mut(link.body),
+            ) else {
+                continue;
+            };
+            let centre = pose * link.centre;
+            let [linear, angular] = arm.velocity(mount.frame, &centre);
+            link.began = (centre, [linear, angular]);
+            body.set_position(engine::pose(&pose), true);
+            body.set_linvel(vector(&linear), true);
+            body.set_angvel(vector(&angular), true);
+            // Nothing moves an arm that its brakes hold.
+            body.set_dominance_group(i8::from(arm.is_held()));
+            let near = link.colliders.iter().any(|collider| {
+                let mut pairs = self.physics.narrow_phase.contact_pairs_with(*collider);
+                pairs.next().is_some()
             });
+            if near && let Some(resistance) = arm.resistance(mount.frame, &centre) {
+                link.weigh(resistance, body);
+            }
         }
     }
-    Ok(())
-}
 
-/// The arm touches the room, never itself.
-fn groups(of: Group, touches: Group) -> InteractionGroups {
-    InteractionGroups::new(of, touches, InteractionTestMode::And)
-}
+    /// Puts the room, the links and the objects into the engine.
+    fn fill(&mut self) {
+        let cell = self.cell.clone();
+        self.insert_still(&engine::FLOOR, &Isometry3::identity(), ROOM);
+        for Shape { solid, .. } in &cell.room {
+            self.insert_still(solid, &Isometry3::identity(), ROOM);
+        }
+        for body in &cell.bodies {
+            match body.origin {
+                Origin::Link(mount) => {
+                    let pose = link_pose(&cell, &mut self.arms, mount);
+                    let groups = of_arm(mount.arm);
+                    if body.still {
+                        for Shape { solid, .. } in &body.shapes {
+                            self.insert_still(solid, &pose, groups);
+                        }
+                    } else if !body.shapes.is_empty() {
+                        self.insert_link(mount, &pose, &body.shapes, groups);
+                    }
+                }
+                Origin::Object(index) => {
+                    let Some(object) = cell.objects.get(index) else {
+                        continue;
+                    };
+                    let body = RigidBodyBuilder::dynamic().pose(pose(&object.start));
+                    let handle = self.physics.insert_body(body);
+                    let collider = collider(&object.shape.solid, ROOM);
+                    let collider = collider.mass(object.mass).friction(object.friction);
+                    self.physics.insert_collider(collider, Some(handle));
+                    self.objects.push(handle);
+                }
+            }
+        }
+    }
 
-const ARM: Group = Group::GROUP_1;
-const ROOM: Group = Group::GROUP_2;
+    fn insert_still(
+        &mut self,
+        solid: &crate::shapes::Solid,
+        at: &Isometry3<f64>,
+        groups: InteractionGroups,
+    ) {
+        let (shape, within) = engine::shape(solid);
+        let collider = ColliderBuilder::new(shape)
+            .position(pose(&(at * within)))
+            .collision_groups(groups);
+        self.physics.insert_collider(collider, None);
+    }
 
-fn add_room(physics: &mut PhysicsWorld, room: &[Shape]) {
-    let floor = ColliderBuilder::cuboid(5.0, 5.0, 0.5)
-        .translation(Vector::new(0.0, 0.0, -0.5))
-        .collision_groups(groups(ROOM, ARM));
-    physics.insert_collider(floor, None);
-    for shape in room {
-        physics.insert_collider(collider(&shape.solid, groups(ROOM, ARM)), None);
+    fn insert_link(
+        &mut self,
+        mount: Mount,
+        at: &Isometry3<f64>,
+        shapes: &[Shape],
+        groups: InteractionGroups,
+    ) {
+        let body = RigidBodyBuilder::dynamic()
+            .pose(pose(at))
+            .gravity_scale(0.0)
+            .can_sleep(false);
+        let body = self.physics.insert_body(body);
+        let mut colliders = Vec::new();
+        let mut middle = Vector3::zeros();
+        for Shape { solid, .. } in shapes {
+            let (shape, within) = engine::shape(solid);
+            middle += (within * Point3::from(ours(shape.compute_local_aabb().center()))).coords;
+            let collider = collider(solid, groups).density(0.0);
+            colliders.push(self.physics.insert_collider(collider, Some(body)));
+        }
+        let centre = Point3::from(middle / shapes.len() as f64);
+        let mut link = Link {
+            mount,
+            body,
+            colliders,
+            centre,
+            weight: [1.0; 2],
+            began: (centre, [Vector3::zeros(); 2]),
+        };
+        if let (Some(arm), Some(body)) = (
+            self.arms.get_mut(mount.arm),
+            self.physics.bodies.get_mut(body),
+        ) && let Some(resistance) = arm.resistance(mount.frame, &(at * centre))
+        {
+            link.weigh(resistance, body);
+        }
+        self.links.push(link);
     }
 }
 
-fn add_arm(
-    physics: &mut PhysicsWorld,
-    links: &[Link; JOINTS],
-    shapes: &[ArmShape],
-) -> Result<([RigidBodyHandle; JOINTS + 1], MultibodyJointHandle), WorldError> {
-    let root = physics.insert_body(RigidBodyBuilder::fixed());
-    let mut bodies = [root; JOINTS + 1];
-    let mut last = None;
-    let mut parent = root;
-    for (index, link) in links.iter().enumerate() {
-        let body = physics.insert_body(
-            RigidBodyBuilder::dynamic()
-                .additional_mass_properties(mass(link))
-                .can_sleep(false),
+impl Link {
+    /// Whether something touches it, and nothing that moves does.
+    fn touched_by(&self, physics: &PhysicsWorld) -> Option<bool> {
+        let mut still = None;
+        for own in &self.colliders {
+            for pair in physics.narrow_phase.contact_pairs_with(*own) {
+                if pair.has_any_active_contact() {
+                    let other = if pair.collider1 == *own {
+                        pair.collider2
+                    } else {
+                        pair.collider1
+                    };
+                    let parent = physics.colliders.get(other).and_then(Collider::parent);
+                    let body = parent.and_then(|body| physics.bodies.get(body));
+                    // A held arm has the upper hand.
+                    let moves = body.is_some_and(|body| body.dominance_group() == 0);
+                    still = Some(still.unwrap_or(true) && !moves);
+                }
+            }
+        }
+        still
+    }
+
+    /// Adds what the step gave the link, and how far it moved it beyond its speed.
+    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) {
+        let (began, [linear, angular]) = &self.began;
+        let [mass, inertia] = self.weight;
+        let faster = ours(body.linvel()) - linear;
+        let turned = ours(body.angvel()) - angular;
+        let moved = isometry(body.position()) * self.centre - began - linear * h;
+        let frame = self.mount.frame;
+        let impulse = [faster * mass, turned * inertia];
+        touch.work += impulse[0].dot(&faster) + impulse[1].dot(&turned);
+        arm.at_joints(frame, began, impulse, &mut touch.impulse);
+        arm.at_joints(
+            frame,
+            began,
+            [moved * mass, Vector3::zeros()],
+            &mut touch.shift,
         );
-        let joint = GenericJointBuilder::new(JointAxesMask::LOCKED_REVOLUTE_AXES)
-            .local_frame1(hinge())
-            .local_frame2(pose(&link.fixed_part().inverse()) * hinge())
-            .contacts_enabled(false)
-            .limits(JointAxis::AngX, link.limits)
-            .build();
-        last = physics.multibody_joints.insert(parent, body, joint, true);
-        bodies[index + 1] = body;
-        parent = body;
     }
-    for part in shapes.iter().filter(|part| part.link > 0) {
-        let handle = bodies.get(part.link).ok_or(WorldError::Engine(
-            "was given a shape of a link that does not exist",
-        ))?;
-        let collider = collider(&part.shape.solid, groups(ARM, ROOM)).density(0.0);
-        physics.insert_collider(collider, Some(*handle));
+
+    /// Gives it the weight with which the arm resists at its centre.
+    fn weigh(&mut self, resistance: [f64; 2], body: &mut RigidBody) {
+        self.weight = resistance.map(|resistance| (SHARE * resistance).min(HEAVIEST));
+        let [mass, inertia] = self.weight;
+        let properties = MassProperties::new(
+            vector(&self.centre.coords),
+            mass,
+            Vector::new(inertia, inertia, inertia),
+        );
+        body.set_additional_mass_properties(properties, true);
     }
-    let arm = last.ok_or(WorldError::Engine("refused a joint of the arm"))?;
-    Ok((bodies, arm))
 }
 
-/// Rapier turns a hinge about its x axis, the convention here is z: this rotation takes x to z.
-fn hinge() -> Pose {
-    Pose::from_rotation(Rotation::from_axis_angle(
-        Vector::Y,
-        -std::f64::consts::FRAC_PI_2,
-    ))
-}
-
-fn mass(link: &Link) -> MassProperties {
-    let [x, y, z] = link.inertia.data.0.map(Vector::from);
-    MassProperties::with_inertia_matrix(
-        vector(&link.centre.coords),
-        link.mass,
-        Matrix::from_cols(x, y, z),
-    )
-}
-
-fn collider(solid: &Solid, groups: InteractionGroups) -> ColliderBuilder {
-    match solid {
-        Solid::Capsule { a, b, radius } => {
-            ColliderBuilder::capsule_from_endpoints(vector(&a.coords), vector(&b.coords), *radius)
-        }
-        Solid::Block { centre, half } => {
-            ColliderBuilder::cuboid(half.x, half.y, half.z).translation(vector(&centre.coords))
-        }
+/// Where a frame of an arm stands in the world.
+fn link_pose(cell: &Cell, arms: &mut [Arm], mount: Mount) -> Isometry3<f64> {
+    match (cell.arms.get(mount.arm), arms.get_mut(mount.arm)) {
+        (Some(spec), Some(arm)) => spec.truly(mount.frame, arm.pose(mount.frame)),
+        _ => Isometry3::identity(),
     }
-    .collision_groups(groups)
 }
 
-fn vector(v: &Vector3<f64>) -> Vector {
-    Vector::new(v.x, v.y, v.z)
+fn collider(solid: &crate::shapes::Solid, groups: InteractionGroups) -> ColliderBuilder {
+    let (shape, within) = engine::shape(solid);
+    ColliderBuilder::new(shape)
+        .position(pose(&within))
+        .collision_groups(groups)
 }
 
-fn pose(isometry: &Isometry3<f64>) -> Pose {
-    let q = isometry.rotation.quaternion();
-    Pose::from_parts(
-        vector(&isometry.translation.vector),
-        Rotation::from_xyzw(q.i, q.j, q.k, q.w),
-    )
-}
+/// The room and the objects touch everything.
+const ROOM: InteractionGroups =
+    InteractionGroups::new(Group::GROUP_32, Group::ALL, InteractionTestMode::And);
 
-fn isometry(pose: &Pose) -> Isometry3<f64> {
-    let r = pose.rotation;
-    let t = pose.translation;
-    Isometry3::from_parts(
-        Translation3::from(Point3::new(t.x, t.y, t.z)),
-        UnitQuaternion::new_normalize(Quaternion::new(r.w, r.x, r.y, r.z)),
-    )
+/// An arm touches everything but itself; of very many arms, some do not touch each other.
+fn of_arm(arm: usize) -> InteractionGroups {
+    let own = Group::from_bits_truncate(1 << (arm % 31));
+    InteractionGroups::new(own, Group::ALL.difference(own), InteractionTestMode::And)
 }
 
 #[cfg(test)]

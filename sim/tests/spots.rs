@@ -28,8 +28,8 @@ fn found_spots_scatter_by_about_0_15_px_around_the_true_projection() {
     for camera in &cell.cameras {
         let mut renderer = Renderer::new(&cell, camera, 3);
         for pose in POSES {
-            let scene = cell.scene(&pose.map(f64::to_radians));
-            let view = renderer.lamp_view(&scene);
+            let scene = cell.scene(&[&pose.map(f64::to_radians)]);
+            let view = renderer.lamp_view(&scene, 0);
             let Some(view) = view.filter(|view| view.visible == 1.0) else {
                 continue;
             };

@@ -197,13 +197,8 @@ fn an_unknown_command_or_task_in_a_send_of_a_net_is_refused() {
 #[test]
 fn an_unknown_driver_frame_source_or_vision_service_is_refused() {
     refused_edit(
-        (APP, "\"sim.puma560\"", "\"sim.puma650\""),
-        found(
-            APP,
-            "driver = ",
-            "`sim.puma650`",
-            "did you mean `sim.puma560`?",
-        ),
+        (APP, "\"sim.arm\"", "\"sim.amr\""),
+        found(APP, "driver = ", "`sim.amr`", "did you mean `sim.arm`?"),
     );
     refused_edit(
         (
@@ -287,8 +282,8 @@ fn a_task_that_stands_twice_is_refused() {
     let scratch = Scratch::new();
     scratch.edit(
         APP,
-        "[task.world]\nhandler = \"sim.world\"\non = \"cage_motion/main\"",
-        "[task.world]\nhandler = \"sim.world\"\non = \"cage_motion/main\"\n\n[task.world]\n",
+        "[task.world]\nhandler = \"sim.world\"\non = \"cage_motion/servo\"",
+        "[task.world]\nhandler = \"sim.world\"\non = \"cage_motion/servo\"\n\n[task.world]\n",
     );
     let text = scratch.read(APP);
     let second = text.rfind("[task.world]").unwrap();
@@ -512,11 +507,7 @@ fn a_missing_file_is_refused_where_it_is_named() {
         ),
     );
     refused_edit(
-        (
-            APP,
-            "driver_args.cell = \"cell.toml\"",
-            "driver_args.cell = \"cel.toml\"",
-        ),
+        (APP, "{ cell = \"cell.toml\"", "{ cell = \"cel.toml\""),
         found(
             APP,
             "cell = \"cel.toml\"",

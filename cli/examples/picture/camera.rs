@@ -37,7 +37,9 @@ impl View {
         let cell = Cell::read(&configs.join("cell.toml"))?;
         let positions = coordinators::positions::read(&configs.join("positions.csv"))?;
         let mut renderer = Renderer::new(&cell, cell.camera(camera).map_err(|f| f.to_string())?, 1);
-        let (lamp, mut near) = (cell.lamp.offset, cell.start);
+        let first = cell.arms.first().zip(cell.lamps.first());
+        let (first, lamp) = first.ok_or("the cell has no arm or no lamp")?;
+        let (lamp, mut near) = (lamp.offset, first.start.as_slice().try_into()?);
         let arm = built_in::model("puma560", Inertias::Identified).ok_or("no such arm")??;
         let arm = arm.with_tool(&Placement::shifted(lamp.x, lamp.y, lamp.z));
         let arm = ClosedForm::of(&arm, arm.tip()).ok_or("the arm has no closed form")?;
@@ -48,7 +50,7 @@ impl View {
             let frame = Frame {
                 width: renderer.truth().width,
                 height: renderer.truth().height,
-                pixels: renderer.render(&cell.scene(&near), number).into(),
+                pixels: renderer.render(&cell.scene(&[&near]), number).into(),
                 stamp: Duration::ZERO,
                 number,
             };

@@ -45,9 +45,9 @@ fn a_key_that_no_handler_reads_is_found_for_every_handler_there_is() {
 fn a_key_that_no_driver_and_no_frame_source_reads_is_found() {
     let registry = registry();
     let cell = "cell = \"cell.toml\"";
-    let servo = format!("driver = \"sim.puma560\"\n[task.t.args.driver_args]\n{cell}\n{KEY} = 1");
+    let servo = format!("driver = \"sim.arm\"\n[task.t.args.driver_args]\n{KEY} = 1");
     let findings = found(&registry, "mcs.servo", &servo);
-    assert!(is_found(&findings, 4), "{findings}");
+    assert!(is_found(&findings, 3), "{findings}");
     let camera =
         format!("camera = \"c\"\nsource = \"sim.camera\"\n[task.t.args.args]\n{cell}\n{KEY} = 1");
     let findings = found(&registry, "vss.vm_snap", &camera);

@@ -333,6 +333,15 @@ impl Model {
         self
     }
 
+    /// The same model with the bodies and motors that `change` makes of them: what an arm is in truth.
+    #[must_use]
+    pub fn falsified(mut self, mut change: impl FnMut(&mut Body, &mut Motor)) -> Self {
+        for joint in &mut self.joints {
+            change(&mut joint.body, &mut joint.motor);
+        }
+        self
+    }
+
     /// The joints between the base and a frame, nearest to the base first.
     #[must_use]
     pub fn chain(&self, frame: FrameId) -> Vec<usize> {

@@ -36,6 +36,14 @@ enum Form {
         eye: Vector3<f64>,
         half: Vector3<f64>,
     },
+    Cylinder {
+        /// Camera to cylinder axes.
+        turn: Matrix3<f64>,
+        /// The camera's centre in the cylinder's frame.
+        eye: Vector3<f64>,
+        half: f64,
+        radius: f64,
+    },
 }
 
 /// Columns and rows `[first, end)` of a picture.
@@ -66,6 +74,15 @@ impl Seen {
                     half,
                 }
             }
+            Solid::Cylinder { half, radius } => {
+                let back = camera_t_frame.inverse();
+                Form::Cylinder {
+                    turn: back.rotation.to_rotation_matrix().into_inner(),
+                    eye: back.translation.vector,
+                    half,
+                    radius,
+                }
+            }
         };
         Self {
             form,
@@ -79,6 +96,12 @@ impl Seen {
         match &self.form {
             Form::Capsule { a, b, radius } => hit_capsule(a, b, *radius, ray),
             Form::Block { turn, eye, half } => hit_block(eye, half, &(turn * ray)),
+            Form::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => hit_cylinder(eye, *half, *radius, &(turn * ray)),
         }
     }
 
@@ -103,6 +126,21 @@ impl Seen {
                 normal[face] = local[face].signum();
                 turn.transpose() * normal
             }
+            Form::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => {
+                let local = eye + turn * point;
+                let side = local.xy() / *radius;
+                let normal = if local.z.abs() / half > side.norm() {
+                    Vector3::z() * local.z.signum()
+                } else {
+                    Vector3::new(side.x, side.y, 0.0).normalize()
+                };
+                turn.transpose() * normal
+            }
         };
         lambert(self.grey, normal.dot(&self.light))
     }
@@ -114,8 +152,22 @@ impl Seen {
             columns: [0, camera.width],
             rows: [0, camera.height],
         };
-        let Form::Capsule { a, b, radius } = &self.form else {
-            return Some(whole);
+        // Ends and radius of a capsule that holds the solid.
+        let (a, b, radius) = match &self.form {
+            Form::Capsule { a, b, radius } => (*a, *b, *radius),
+            Form::Block { turn, eye, half } => {
+                let centre = -turn.tr_mul(eye);
+                (centre, centre, half.norm())
+            }
+            Form::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => {
+                let (centre, axis) = (-turn.tr_mul(eye), turn.row(2).transpose() * *half);
+                (centre - axis, centre + axis, *radius)
+            }
         };
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
@@ -126,7 +178,7 @@ impl Seen {
                 if corner >> bit & 1 == 0 {
                     -radius
                 } else {
-                    *radius
+                    radius
                 }
             };
             let end = if corner >> 3 == 0 { a } else { b };
@@ -251,18 +303,44 @@ fn hit_block(eye: &Vector3<f64>, half: &Vector3<f64>, ray: &Vector3<f64>) -> Opt
     let mut enter = 0.0_f64;
     let mut leave = f64::INFINITY;
     for axis in 0..3 {
-        if ray[axis].abs() < 1e-15 {
-            if eye[axis].abs() > half[axis] {
-                return None;
-            }
-            continue;
-        }
-        let one = (-half[axis] - eye[axis]) / ray[axis];
-        let other = (half[axis] - eye[axis]) / ray[axis];
-        enter = enter.max(one.min(other));
-        leave = leave.min(one.max(other));
+        let [first, last] = slab(eye[axis], ray[axis], half[axis])?;
+        enter = enter.max(first);
+        leave = leave.min(last);
     }
     (enter <= leave && enter > 0.0).then_some(enter)
+}
+
+fn hit_cylinder(eye: &Vector3<f64>, half: f64, radius: f64, ray: &Vector3<f64>) -> Option<f64> {
+    // Between its two planes, and within the circle: the later of both entries, before the earlier exit.
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for span in [slab(eye.z, ray.z, half), circle(eye, ray, radius)] {
+        let [first, last] = span?;
+        enter = enter.max(first);
+        leave = leave.min(last);
+    }
+    (enter <= leave && enter > 0.0).then_some(enter)
+}
+
+/// Where a ray is between the planes at plus and minus `half`, by one coordinate.
+fn slab(eye: f64, ray: f64, half: f64) -> Option<[f64; 2]> {
+    if ray.abs() < 1e-15 {
+        return (eye.abs() <= half).then_some([0.0, f64::INFINITY]);
+    }
+    let (one, other) = ((-half - eye) / ray, (half - eye) / ray);
+    Some([one.min(other), one.max(other)])
+}
+
+/// Where a ray is within `radius` of the z axis.
+fn circle(eye: &Vector3<f64>, ray: &Vector3<f64>, radius: f64) -> Option<[f64; 2]> {
+    let a = ray.xy().norm_squared();
+    let b = ray.xy().dot(&eye.xy());
+    let c = eye.xy().norm_squared() - radius * radius;
+    if a < 1e-15 {
+        return (c <= 0.0).then_some([0.0, f64::INFINITY]);
+    }
+    let root = (b * b - a * c).sqrt();
+    // No root: the ray passes by.
+    (!root.is_nan()).then(|| [(-b - root) / a, (-b + root) / a])
 }
 
 #[cfg(test)]
@@ -325,6 +403,22 @@ mod tests {
                 for i in 0..4000 {
                     let point = eye + ray * (f64::from(i) * 1e-3);
                     prop_assert!(point.component_div(&half).amax() > 1.0 - 1e-9);
+                }
+            }
+        }
+
+        #[test]
+        fn a_cylinder_is_hit_on_its_surface(target in near(), half in 0.05..0.3_f64) {
+            let radius = half * 0.7;
+            let eye = Vector3::new(0.1, 0.2, -2.0);
+            let ray = target.normalize();
+            let depth = |point: Vector3<f64>| (point.xy().norm() / radius).max(point.z.abs() / half);
+            if let Some(t) = hit_cylinder(&eye, half, radius, &ray) {
+                prop_assert!((depth(eye + ray * t) - 1.0).abs() < 1e-9);
+            } else {
+                for i in 0..4000 {
+                    let point = eye + ray * (f64::from(i) * 1e-3);
+                    prop_assert!(depth(point) > 1.0 - 1e-9);
                 }
             }
         }

@@ -15,20 +15,21 @@ fn renderer(cell: &Cell, camera: usize) -> Renderer {
 
 /// The scene with the lamp at `place` and the arm at rest at its start.
 fn lamp_at(cell: &Cell, place: Point3<f64>) -> SceneState {
-    SceneState {
-        lamp: place,
-        ..cell.scene(&cell.start)
-    }
+    let mut scene = cell.start();
+    scene.lamps[0].centre = place;
+    scene
+}
+
+fn dark(scene: &SceneState) -> SceneState {
+    let mut dark = scene.clone();
+    dark.lamps[0].on = false;
+    dark
 }
 
 /// The lamp's own light: the picture with it less the picture without.
 fn spot(renderer: &mut Renderer, scene: &SceneState) -> Vec<f64> {
     let lit = renderer.light(scene).to_vec();
-    let dark = SceneState {
-        lamp_on: false,
-        ..*scene
-    };
-    let dark = renderer.light(&dark);
+    let dark = renderer.light(&dark(scene));
     lit.iter()
         .zip(dark)
         .map(|(a, b)| f64::from(*a) - f64::from(*b))
@@ -68,9 +69,9 @@ proptest! {
         let cell = cell();
         let mut renderer = renderer(&cell, camera);
         let scene = lamp_at(&cell, Point3::new(x, y, z));
-        let view = renderer.lamp_view(&scene);
+        let view = renderer.lamp_view(&scene, 0);
         prop_assume!(view.is_some_and(|view| view.visible == 1.0));
-        let (u, v) = renderer.truth().project(&scene.lamp).unwrap();
+        let (u, v) = renderer.truth().project(&scene.lamps[0].centre).unwrap();
         prop_assume!(u > 15.0 && v > 15.0 && u < 484.0 && v < 484.0);
         let ((su, sv), ..) = moments(&spot(&mut renderer, &scene), 500);
         prop_assert!((su - u).hypot(sv - v) < 0.02, "{su} {sv} against {u} {v}");
@@ -90,7 +91,7 @@ fn spots_are_as_wide_and_as_bright_as_centroids_of_0_15_px_need() {
             [-0.2, 0.6, 0.9],
         ] {
             let scene = lamp_at(&cell, place.into());
-            assert_eq!(renderer.lamp_view(&scene).unwrap().visible, 1.0);
+            assert_eq!(renderer.lamp_view(&scene, 0).unwrap().visible, 1.0);
             let (_, sd, peak) = moments(&spot(&mut renderer, &scene), 500);
             for sd in [sd.0, sd.1] {
                 assert!((1.4..2.6).contains(&sd), "{place:?}: sd {sd} px");
@@ -129,43 +130,57 @@ fn every_place_of_the_work_volume_is_inside_both_pictures() {
 fn the_arm_hides_a_lamp_below_it() {
     let cell = cell();
     let mut renderer = renderer(&cell, 0);
-    let mut scene = cell.scene(&cell.start);
+    let mut scene = cell.start();
     // Straight behind the elbow housing, seen from the camera.
     let eye = renderer.truth().position();
-    let elbow = scene.links[2] * Point3::new(-0.2, 0.0, 0.235);
-    scene.lamp = elbow + (elbow - eye).normalize() * 0.2;
-    assert_eq!(renderer.lamp_view(&scene).unwrap().visible, 0.0);
+    let elbow = scene.body("puma.link2").unwrap().pose * Point3::new(-0.2, 0.0, 0.235);
+    scene.lamps[0].centre = elbow + (elbow - eye).normalize() * 0.2;
+    assert_eq!(renderer.lamp_view(&scene, 0).unwrap().visible, 0.0);
     assert!(spot(&mut renderer, &scene).iter().all(|x| x.abs() < 1e-3));
-    scene.lamp = elbow - (elbow - eye).normalize() * 0.2;
-    assert_eq!(renderer.lamp_view(&scene).unwrap().visible, 1.0);
+    scene.lamps[0].centre = elbow - (elbow - eye).normalize() * 0.2;
+    assert_eq!(renderer.lamp_view(&scene, 0).unwrap().visible, 1.0);
 }
 
 #[test]
 fn a_lamp_that_is_off_or_outside_leaves_no_light() {
     let cell = cell();
     let mut renderer = renderer(&cell, 0);
-    let off = SceneState {
-        lamp_on: false,
-        ..cell.scene(&cell.start)
-    };
-    let dark = renderer.light(&off).to_vec();
+    let off = dark(&cell.start());
+    let unlit = renderer.light(&off).to_vec();
     let outside = lamp_at(&cell, Point3::new(30.0, 0.0, 0.5));
-    assert_eq!(renderer.lamp_view(&outside), None);
-    assert_eq!(renderer.light(&outside), dark);
+    assert_eq!(renderer.lamp_view(&outside, 0), None);
+    assert_eq!(renderer.light(&outside), unlit);
     let behind = lamp_at(&cell, Point3::new(0.0, 0.0, 4.0));
-    assert_eq!(renderer.light(&behind), dark);
-    assert!(dark.iter().all(|grey| (0.0..90.0).contains(grey)));
+    assert_eq!(renderer.light(&behind), unlit);
+    assert!(unlit.iter().all(|grey| (0.0..90.0).contains(grey)));
 }
 
 #[test]
 fn a_picture_shows_at_every_pixel_the_nearest_solid_of_the_scene() {
-    let cell = cell();
+    let objects = "
+        [[object]]
+        name = 'can'
+        shape = 'cylinder'
+        radius = 0.06
+        height = 0.2
+        mass = 0.5
+        grey = 120
+        position = [0.6, 0.4, 0.9]
+        rpy = [30.0, 40.0, 0.0]
+        [[object]]
+        name = 'cube'
+        shape = 'box'
+        size = [0.1, 0.2, 0.3]
+        mass = 0.5
+        grey = 200
+        position = [-0.6, 0.4, 0.5]
+        rpy = [0.0, 0.0, 20.0]
+    ";
+    let text = include_str!("../../../configs/cell.toml").to_owned() + objects;
+    let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
     let mut renderer = renderer(&cell, 1);
     let joints = [0.7, 0.4, -0.9, 0.3, 0.6, 0.1];
-    let scene = SceneState {
-        lamp_on: false,
-        ..cell.scene(&joints)
-    };
+    let scene = dark(&cell.scene(&[&joints]));
     let picture = renderer.light(&scene).to_vec();
     // The slow way: every solid for every (sampled) pixel, no windows, no depth buffer.
     let solids: Vec<_> = renderer.still.iter().chain(&renderer.moving).collect();
@@ -188,7 +203,7 @@ fn a_picture_shows_at_every_pixel_the_nearest_solid_of_the_scene() {
 #[test]
 fn the_same_seed_and_number_give_the_same_picture() {
     let cell = cell();
-    let scene = cell.scene(&cell.start);
+    let scene = cell.start();
     let first = renderer(&cell, 0).render(&scene, 5);
     let mut again = renderer(&cell, 0);
     let other = again.render(&scene, 4);

@@ -17,8 +17,12 @@ fn findings(text: &str) -> Vec<String> {
 
 /// Line and column of the first occurrence of `what` in the shipped file.
 fn place(what: &str) -> String {
-    let source = Source::new("cell.toml", TEXT);
-    let (line, column) = source.line_column(TEXT.find(what).unwrap());
+    place_in(TEXT, what)
+}
+
+fn place_in(text: &str, what: &str) -> String {
+    let source = Source::new("cell.toml", text);
+    let (line, column) = source.line_column(text.find(what).unwrap());
     format!("cell.toml:{line}:{column}")
 }
 
@@ -30,7 +34,7 @@ fn the_shipped_cell_is_sound() {
     for camera in &cell.cameras {
         assert!(camera.truth.position().z > 2.8);
     }
-    crate::world::World::new(&cell.world()).unwrap();
+    assert_eq!(crate::world::World::new(&cell).arms(), 1);
 }
 
 #[test]
@@ -95,6 +99,132 @@ fn a_file_that_is_not_there_is_a_finding() {
     assert!(error.to_string().contains("no/such/cell.toml"));
 }
 
+#[test]
+fn an_unknown_model_arm_or_link_is_found_at_its_name_with_the_nearest() {
+    for (from, to, meant) in [
+        ("model = \"puma560\"", "model = \"puma650\"", "puma560"),
+        ("arm = \"puma\"", "arm = \"pume\"", "puma"),
+        ("link = \"link6\"", "link = \"lnik6\"", "link6"),
+    ] {
+        let text = TEXT.replacen(from, to, 1);
+        let found = findings(&text);
+        let [one] = &found[..] else {
+            panic!("{found:#?}");
+        };
+        let value = to.split_once("= ").unwrap().1;
+        assert!(one.starts_with(&place_in(&text, value)), "{one}");
+        assert!(one.contains(&format!("did you mean `{meant}`?")), "{one}");
+    }
+}
+
+#[test]
+fn a_start_with_a_wrong_number_of_joints_says_how_many_there_are() {
+    let found = findings(&TEXT.replace("start = [0.0, 45.0, ", "start = [45.0, "));
+    assert_eq!(found.len(), 1, "{found:#?}");
+    assert!(
+        found[0].contains("5 joints start, and model `puma560` has 6"),
+        "{}",
+        found[0]
+    );
+}
+
+#[test]
+fn two_arms_of_one_name_are_refused() {
+    let arm = "[[arm]]\nname = \"puma\"\nmodel = \"puma560\"\nstart = [0, 0, 0, 0, 0, 0]\n";
+    let text = format!("{arm}{arm}");
+    let found = findings(&text);
+    assert!(found[0].starts_with("cell.toml:6:8: "), "{found:#?}");
+    assert!(
+        found[0].contains("an arm cannot be called `puma`"),
+        "{found:#?}"
+    );
+}
+
+const BALL: &str = "[[object]]\nname = \"ball\"\nshape = \"sphere\"\nradius = 0.1\nmass = 1.0\ngrey = 90\nposition = ";
+
+#[test]
+fn an_object_that_starts_in_something_is_refused_and_both_are_named() {
+    let other = BALL.replace("ball", "other");
+    for (more, what) in [
+        (format!("{BALL}[0.0, 0.0, 0.3]\n"), "in `puma.base`"),
+        (
+            format!("{BALL}[0.1, 1.5, 0.36]\n"),
+            "in a piece of furniture",
+        ),
+        (format!("{BALL}[1.0, 0.0, 0.09]\n"), "in the floor"),
+        (
+            format!("{other}[1.0, 0.0, 0.1]\n{BALL}[1.1, 0.1, 0.1]\n"),
+            "in `other`",
+        ),
+    ] {
+        let text = format!("{TEXT}\n{more}");
+        let found = findings(&text);
+        let [one] = &found[..] else {
+            panic!("{what}: {found:#?}");
+        };
+        assert!(
+            one.contains("object `ball` starts") && one.contains(what),
+            "{one}"
+        );
+        let at = more.rsplit("position = ").next().unwrap().trim();
+        assert!(one.starts_with(&place_in(&text, at)), "{one}");
+    }
+    // One on the other, on the floor.
+    let stack = format!("{TEXT}\n{other}[1.0, 0.0, 0.1]\n{BALL}[1.0, 0.0, 0.3]\n");
+    assert_eq!(findings(&stack), [""; 0]);
+}
+
+#[test]
+fn an_object_needs_what_its_form_is_made_of() {
+    let text = |form: &str| format!("{}[1.0, 0.0, 1.0]\n", BALL.replace("sphere", form));
+    assert!(findings(&text("cylinder"))[0].contains("has no height"));
+    assert!(findings(&text("box"))[0].contains("has no size"));
+    assert!(findings(&text("cube"))[0].contains("unknown variant"));
+}
+
+#[test]
+fn a_camera_on_a_wrist_looks_from_where_the_wrist_is() {
+    let camera = TEXT[TEXT.find("[[camera]]").unwrap()..]
+        .replacen(
+            "name = \"ceiling_west\"",
+            "name = \"wrist\"\narm = \"puma\"\nlink = \"link6\"",
+            1,
+        )
+        .replacen(
+            "position = [-0.52, 0.06, 2.91]",
+            "position = [0.05, 0.0, 0.0]",
+            1,
+        )
+        .replacen(
+            "look_at = [0.05, -0.02, 0.8]",
+            "look_at = [0.05, 0.0, 1.0]",
+            1,
+        );
+    let text = format!("{}{camera}", &TEXT[..TEXT.find("[[camera]]").unwrap()]);
+    let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
+    let joints = [0.3, 0.5, -1.2, 0.2, 0.7, 0.1];
+    let scene = cell.scene(&[&joints]);
+    let wrist = scene.body("puma.link6").unwrap().pose;
+    let seen = cell.camera("wrist").unwrap().at(&scene);
+    assert!((seen.position() - wrist * Point3::new(0.05, 0.0, 0.0)).norm() < 1e-9);
+    let ahead = seen.camera_t_world * (wrist * Point3::new(0.05, 0.0, 1.0));
+    assert!((ahead - Point3::new(0.0, 0.0, 1.0)).norm() < 1e-9);
+}
+
+#[test]
+fn a_false_tip_moves_what_the_tip_carries() {
+    let text = TEXT.replacen(
+        "friction = false",
+        "friction = false\ntip_offset = [0.0, 0.0, 0.01]",
+        1,
+    );
+    let [truth, model] = [text.as_str(), TEXT].map(|text| {
+        let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
+        cell.start().lamps[0].centre
+    });
+    assert!(((truth - model).norm() - 0.01).abs() < 1e-12);
+}
+
 proptest! {
     #[test]
     fn arbitrary_text_never_panics(text in ".{0,200}") {
@@ -103,11 +233,13 @@ proptest! {
 
     #[test]
     fn arbitrary_numbers_never_panic(values in prop::collection::vec(
-        prop_oneof![any::<f64>(), -10.0..10.0_f64, Just(0.0)], 30,
+        prop_oneof![any::<f64>(), -10.0..10.0_f64, Just(0.0)], 40,
     )) {
         let mut values = values.into_iter();
+        let more = format!("{BALL}[1.0, 0.0, 1.0]\n");
         let text: String = TEXT
             .lines()
+            .chain(more.lines())
             .map(|line| match line.split_once(" = ") {
                 Some((key, value)) if value.parse::<f64>().is_ok() => {
                     format!("{key} = {:?}\n", values.next().unwrap_or(1.0)).replace("NaN", "nan")

@@ -1,17 +1,30 @@
-use std::{cell::RefCell, path::Path, sync::Mutex, time::Duration};
+mod two_arms;
+
+use std::{
+    cell::RefCell,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
 
 use ctos::{
     boot::{self, End, Launcher},
     config::load_texts,
+    message::Message,
     sync::{Cyclic, CyclicHandle, Tick},
     system::AppResult,
-    task::Phase,
+    task::{EventHandler, Handled, Phase},
 };
-use mcs::driver::Power;
+use mcs::driver::{Power, SlotReading};
+use vss::{
+    command::{NamedCamera, TrueCameras},
+    frame::Frame,
+};
 
 use super::*;
+use crate::world_task::{GetScene, SetLamp, SwitchLamp};
 
 const CELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../configs/cell.toml");
+const PERIOD: Duration = Duration::from_micros(4500);
 
 /// Turns joint 1 for ever, as a servo would.
 struct Servo {
@@ -23,11 +36,9 @@ struct Turn(Box<dyn ChannelDriver>);
 
 impl Cyclic for Turn {
     fn tick(&mut self, _: &Tick) {
-        let period = Duration::from_micros(4500);
-        let power = Power::Released;
-        self.0
-            .write(&[40.0, 30.0, 5.0, 0.0, 0.0, 0.0], power, period)
-            .unwrap();
+        self.0.read(&mut [SlotReading::default(); 6]).unwrap();
+        let torques = [40.0, 30.0, 5.0, 0.0, 0.0, 0.0];
+        self.0.write(&torques, Power::Released, PERIOD).unwrap();
     }
 }
 
@@ -40,7 +51,7 @@ impl EventHandler for Servo {
         if phase == Phase::Run
             && let Some(driver) = self.driver.take()
         {
-            self.cycle = Some(cx.cyclic(Duration::from_micros(4500), Turn(driver)));
+            self.cycle = Some(cx.cyclic(PERIOD, Turn(driver)));
         }
         Ok(())
     }
@@ -50,9 +61,12 @@ impl EventHandler for Servo {
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Seen {
     frames: Vec<Frame>,
+    /// Stamp and tick of the scene just after each frame.
+    scenes: Vec<(Duration, u64)>,
     lamps: Vec<bool>,
     truths: Vec<NamedCamera>,
     lamp_moved: f64,
+    no_such_lamp: String,
 }
 
 struct Eye {
@@ -78,14 +92,23 @@ impl EventHandler for Eye {
             let first = child.call(&world, GetScene {}).await.unwrap();
             let mut all = Seen::default();
             for on in [true, false] {
-                child.call(&world, SetLamp { on }).await.unwrap();
+                if on {
+                    child.call(&world, SetLamp { on }).await.unwrap();
+                } else {
+                    let lamp = "wrist".to_owned();
+                    child.call(&world, SwitchLamp { lamp, on }).await.unwrap();
+                }
                 all.frames.push(camera.take(&child).await.unwrap());
                 let scene = child.call(&world, GetScene {}).await.unwrap();
-                all.lamps.push(scene.lamp_on);
+                all.scenes.push((scene.stamp, scene.tick));
+                all.lamps.push(scene.lamps[0].on);
                 child.sleep(Duration::from_millis(100)).await;
             }
+            let lamp = "wirst".to_owned();
+            let refused = child.call(&world, SwitchLamp { lamp, on: true }).await;
+            all.no_such_lamp = refused.unwrap_err().to_string();
             let last = child.call(&world, GetScene {}).await.unwrap();
-            all.lamp_moved = (last.lamp - first.lamp).norm();
+            all.lamp_moved = (last.lamps[0].centre - first.lamps[0].centre).norm();
             all.truths = child.call(&world, TrueCameras {}).await.unwrap();
             *seen.lock().unwrap() = all;
             child.finish(AppResult {
@@ -95,6 +118,13 @@ impl EventHandler for Eye {
             });
         });
         Ok(())
+    }
+}
+
+fn launcher() -> Launcher {
+    Launcher {
+        program: "none".into(),
+        arguments: Vec::new(),
     }
 }
 
@@ -113,10 +143,10 @@ fn run(camera: &str, seed: u64) -> (End, Seen) {
         [task.servo]
         handler = "test.servo"
         on = "motion"
-        args = {{ cell = '{CELL}' }}
         [task.world]
         handler = "sim.world"
         on = "motion"
+        args = {{ cell = '{CELL}' }}
         [task.eye]
         handler = "test.eye"
         on = "vision"
@@ -145,12 +175,8 @@ fn run(camera: &str, seed: u64) -> (End, Seen) {
     });
     eye.args::<CameraArgs>();
     assert!(!registry.check(&app).has_errors());
-    let launcher = Launcher {
-        program: "none".into(),
-        arguments: Vec::new(),
-    };
     let observer: boot::Observer = Arc::new(|_: &boot::BootEvent| {});
-    let outcome = boot::boot(app, registry, &launcher, &observer).unwrap();
+    let outcome = boot::boot(app, registry, &launcher(), &observer).unwrap();
     let seen = seen.lock().unwrap().clone();
     (outcome.end, seen)
 }
@@ -174,6 +200,23 @@ fn a_camera_on_another_chassis_sees_the_lamp_of_the_moving_arm() {
         .map(|truth| truth.name.as_str())
         .collect();
     assert_eq!(names, ["ceiling_west", "ceiling_east"]);
+    assert!(
+        seen.no_such_lamp.contains("no lamp `wirst`"),
+        "{}",
+        seen.no_such_lamp
+    );
+}
+
+#[test]
+fn a_frame_has_the_stamp_of_its_scene() {
+    let (_, seen) = run("ceiling_west", 1);
+    for (frame, (stamp, tick)) in seen.frames.iter().zip(&seen.scenes) {
+        // The scene was asked for once more at once: at most one tick of the world later.
+        let later = stamp.checked_sub(frame.stamp);
+        let soon = later.is_some_and(|later| later <= Duration::from_micros(1500));
+        assert!(soon, "{tick} {later:?}");
+    }
+    assert!(seen.scenes[1].1 > 60, "{:?}", seen.scenes);
 }
 
 #[test]
@@ -196,59 +239,153 @@ fn an_unknown_camera_fails_the_boot_by_name() {
     );
 }
 
-#[test]
-fn arguments_are_checked_with_their_cell_file_before_anything_starts() {
-    let args = Node::table().with("cell", "no/such.toml");
-    let mut findings = Findings::new();
-    let configs = |path: &str| Source::read(&Path::new("configs").join(path));
-    check_arm(&configs, &args, &mut findings);
-    assert!(findings.to_string().contains("configs/no/such.toml"));
-    let args = Node::table().with("cell", CELL).with("wrld", "x");
-    let read = |path: &str| Source::read(Path::new(path));
-    let mut findings = Findings::new();
-    check_camera(&read, "ceiling_west", &args, &mut findings);
-    assert!(findings.to_string().contains("wrld"), "{findings}");
-    let args = Node::table().with("cell", CELL);
-    let mut findings = Findings::new();
-    check_camera(&read, "ceiling_south", &args, &mut findings);
-    assert!(
-        findings.to_string().contains("no camera `ceiling_south`"),
-        "{findings}"
+/// What is found in an app with a world, a camera and servos; `more` goes to its end.
+fn found(world: &str, more: &str) -> String {
+    let text = format!(
+        "[chassis.one]\n[chassis.two]\n[task.world]\nhandler = \"sim.world\"\non = \"one\"\nargs = {{ {world} }}\n{more}[task.filler]\nhandler = \"test.filler\"\non = \"two\"\n"
     );
+    let app = load_texts(&[("app.toml", text.as_str())], &[], &[]).unwrap();
+    let mut registry = Registry::new();
+    register_world(&mut registry);
+    let servo = registry.handler("test.servo", &[], |_| -> Result<Servo, _> {
+        Err(HandlerError::new("never run"))
+    });
+    servo.checked_args::<ServoArgs>(|_, task, app, findings| {
+        let args = task
+            .args
+            .get("driver_args")
+            .cloned()
+            .unwrap_or_else(Node::table);
+        check_arm(task, app, &args, findings);
+    });
+    registry.app_check("sim::cameras", |app, _, findings| {
+        check_cameras(app, findings)
+    });
+    let vision = registry.handler("vss.vm_snap", &[], |_| -> Result<Servo, _> {
+        Err(HandlerError::new("never run"))
+    });
+    vision.keys(&["camera", "source", "args"]);
+    registry.handler("test.filler", &[], |_| -> Result<Servo, _> {
+        Err(HandlerError::new("never run"))
+    });
+    registry.check(&app).to_string()
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ServoArgs {
+    #[serde(rename = "driver")]
+    _driver: String,
+    #[serde(rename = "driver_args")]
+    _driver_args: Option<serde::de::IgnoredAny>,
+}
+
+fn servo(name: &str, chassis: &str, args: &str) -> String {
+    format!(
+        "[task.{name}]\nhandler = \"test.servo\"\non = \"{chassis}\"\n[task.{name}.args]\ndriver = \"sim.arm\"\ndriver_args = {{ {args} }}\n"
+    )
+}
+
+fn sound() -> String {
+    format!("cell = '{CELL}'")
+}
+
+#[track_caller]
+fn says(found: &str, words: &[&str]) {
+    for word in words {
+        assert!(found.contains(word), "no `{word}` in: {found}");
+    }
+}
+
+#[test]
+fn a_world_is_checked_with_its_cell_before_anything_starts() {
+    assert_eq!(found(&sound(), ""), "");
+    says(
+        &found("cell = 'no/such.toml'", ""),
+        &["no/such.toml", "app.toml:6:"],
+    );
+    says(
+        &found(&format!("{}, period_ms = 0.0", sound()), ""),
+        &["period of world `world` is 0 ms", "app.toml:6:"],
+    );
+    says(
+        &found(&format!("{}, perod_ms = 1.5", sound()), ""),
+        &["perod_ms"],
+    );
+    let twin = format!(
+        "[task.other]\nhandler = \"sim.world\"\non = \"two\"\nargs = {{ {} }}\n",
+        sound()
+    );
+    says(
+        &found(&sound(), &twin),
+        &["`world` owns the arms", "app.toml:10:"],
+    );
+}
+
+#[test]
+fn a_driver_without_its_world_arm_or_joints_is_found_before_anything_starts() {
+    let check = |chassis: &str, args: &str| found(&sound(), &servo("servo", chassis, args));
+    assert_eq!(check("one", ""), "");
+    assert_eq!(
+        check(
+            "one",
+            "world = 'world', arm = 'puma', joints = ['joint1', 'joint6']"
+        ),
+        ""
+    );
+    says(
+        &check("two", ""),
+        &["on chassis `two`", "on chassis `one`", "app.toml:12:"],
+    );
+    says(
+        &check("one", "world = 'wrld'"),
+        &["`wrld`", "did you mean `world`?", "app.toml:12:"],
+    );
+    says(
+        &check("one", "arm = 'pume'"),
+        &["no arm `pume`", "did you mean `puma`?", "app.toml:12:"],
+    );
+    says(
+        &check("one", "joints = ['joint7']"),
+        &["no joint `joint7`", "app.toml:12:"],
+    );
+    says(
+        &check("one", "joints = ['joint1', 'joint1']"),
+        &["named twice"],
+    );
+    says(&check("one", "joint = ['joint1']"), &["joint"]);
+}
+
+#[test]
+fn two_drivers_of_one_joint_are_found_before_anything_starts() {
+    let pair = |one: &str, other: &str| {
+        found(
+            &sound(),
+            &(servo("left", "one", one) + &servo("right", "one", other)),
+        )
+    };
+    let wrist = "joints = ['joint4', 'joint5', 'joint6']";
+    assert_eq!(pair("joints = ['joint1', 'joint2', 'joint3']", wrist), "");
+    let words = [
+        "joint `joint4` of arm `puma` is driven by task `left` already",
+        "app.toml:18:",
+    ];
+    says(&pair("", wrist), &words[1..]);
+    says(&pair(wrist, "joints = ['joint1', 'joint4']"), &words);
 }
 
 #[test]
 fn a_camera_whose_world_or_name_is_not_in_the_app_is_found_before_anything_starts() {
     let check = |camera: &str, world: &str| {
-        let text = format!(
-            r#"
-            [app]
-            name = "look"
-            [chassis.one]
-            [task.world]
-            handler = "sim.world"
-            on = "one"
-            [task.vm]
-            handler = "vss.vm_snap"
-            on = "one"
-            [task.vm.args]
-            camera = "{camera}"
-            source = "sim.camera"
-            args = {{ cell = '{CELL}', world = "{world}" }}
-            "#
+        let task = format!(
+            "[task.vm]\nhandler = \"vss.vm_snap\"\non = \"two\"\n[task.vm.args]\ncamera = \"{camera}\"\nsource = \"sim.camera\"\nargs = {{ cell = '{CELL}', world = \"{world}\" }}\n"
         );
-        let app = load_texts(&[("app.toml", text.as_str())], &[], &[]).unwrap();
-        let mut findings = Findings::new();
-        check_cameras(&app, &mut findings);
-        findings.to_string()
+        found(&sound(), &task)
     };
     assert_eq!(check("ceiling_west", "world"), "");
-    let found = check("ceiling_west", "vm");
-    assert!(
-        found.contains("asks `vm`") && found.starts_with("app.toml:"),
-        "{found}"
+    says(&check("ceiling_west", "vm"), &["asks `vm`", "app.toml:7:"]);
+    says(
+        &check("ceiling_north", "world"),
+        &["no camera `ceiling_north`", "app.toml:13:"],
     );
-    let found = check("ceiling_north", "world");
-    assert!(found.contains("no camera `ceiling_north`"), "{found}");
-    assert!(found.starts_with("app.toml:14:"), "{found}");
 }

@@ -297,7 +297,7 @@ impl ChannelDriver for Watched {
 /// A camera that gives no more pictures from a moment on.
 struct Failing {
     name: String,
-    camera: sim::handlers::SimCamera,
+    camera: sim::source::SimCamera,
     from: Instant,
 }
 
@@ -385,7 +385,7 @@ fn registry(seen: &Arc<Mutex<Seen>>, camera_lost_s: Option<f64>) -> Registry {
     sources.source("test.failing", move |cx, name, args: &Node| {
         let source: Box<dyn FrameSource> = Box::new(Failing {
             name: name.to_owned(),
-            camera: sim::handlers::SimCamera::new(cx, name, args)?,
+            camera: sim::source::SimCamera::new(cx, name, args)?,
             from: Instant::START + from,
         });
         Ok(source)

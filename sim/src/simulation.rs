@@ -1,0 +1,166 @@
+//! The world with its port: one tick takes what the drivers said last, goes on, and shows where the arms are.
+//!
+//! Knows no task. Ticks of a driver and of its world that fall on the same moment may come in either order: in the loop of
+//! both, a torque counts from the state that it was computed from, as long as the order stays the same.
+
+use std::{sync::Arc, time::Duration};
+
+use crate::{
+    cell::Cell,
+    port::{Claim, Port},
+    scene::SceneState,
+    world::{World, WorldError},
+};
+
+/// A driver that has said nothing for so many of its periods is silent, and its joints brake.
+const SILENCE: f64 = 3.0;
+
+/// A driver, as the world sees it.
+#[derive(Debug)]
+struct Driver {
+    claim: Arc<Claim>,
+    /// How often it has spoken.
+    count: u64,
+    /// For how long it has not, s of the world's time.
+    silent: f64,
+    brakes: bool,
+    scratch: Vec<f64>,
+}
+
+/// A world that goes on by itself.
+#[derive(Debug)]
+pub struct Simulation {
+    world: World,
+    port: Arc<Port>,
+    changes: u64,
+    drivers: Vec<Driver>,
+    lamps: Vec<bool>,
+    tick: u64,
+    stamp: Duration,
+}
+
+impl Simulation {
+    /// The world of `cell` at its start, shown at `port`.
+    #[must_use]
+    pub fn new(cell: &Cell, port: Arc<Port>) -> Self {
+        let simulation = Self {
+            world: World::new(cell),
+            port,
+            changes: 0,
+            drivers: Vec::new(),
+            lamps: cell.lamps.iter().map(|lamp| lamp.on).collect(),
+            tick: 0,
+            stamp: Duration::ZERO,
+        };
+        simulation.port.set_failure(None);
+        simulation.show();
+        simulation
+    }
+
+    /// What there is to see since the last tick. Lamps count at once, also while the world stands still.
+    #[must_use]
+    pub fn scene(&mut self) -> SceneState {
+        let mut scene = self.world.scene();
+        for (lamp, on) in scene.lamps.iter_mut().zip(&self.lamps) {
+            lamp.on = *on;
+        }
+        SceneState {
+            stamp: self.stamp,
+            tick: self.tick,
+            ..scene
+        }
+    }
+
+    /// Switches the lamp called `name`; every lamp when there is no name. False when there is none to switch.
+    pub fn switch(&mut self, name: Option<&str>, on: bool, cell: &Cell) -> bool {
+        let mut any = false;
+        for (lamp, spec) in self.lamps.iter_mut().zip(&cell.lamps) {
+            if name.is_none_or(|name| name == spec.name) {
+                *lamp = on;
+                any = true;
+            }
+        }
+        any
+    }
+
+    /// Goes on by `period`, however late it is: nothing leaps after the clock. It is `now` by the app's clock.
+    ///
+    /// # Errors
+    /// The world cannot go on; its drivers are told, too.
+    pub fn tick(&mut self, period: Duration, now: Duration) -> Result<(), WorldError> {
+        let gone_on = self
+            .listen(period)
+            .and_then(|()| self.world.advance(period));
+        if let Err(error) = gone_on {
+            self.port.set_failure(Some(error.to_string()));
+            return Err(error);
+        }
+        self.tick += 1;
+        self.stamp = now;
+        self.show();
+        Ok(())
+    }
+
+    /// Takes what the drivers said last.
+    fn listen(&mut self, period: Duration) -> Result<(), WorldError> {
+        if let Some(claims) = self.port.changed_claims(&mut self.changes) {
+            self.attach(claims)?;
+        }
+        for driver in &mut self.drivers {
+            let claim = &driver.claim;
+            let (count, released, own_period) = claim.look(&mut driver.scratch);
+            if count == driver.count {
+                driver.silent += period.as_secs_f64();
+            } else {
+                (driver.count, driver.silent) = (count, 0.0);
+            }
+            let silent = driver.silent > SILENCE * own_period;
+            if silent && released && !driver.brakes {
+                tracing::warn!(driver = %claim.driver, "silent for three periods: its joints brake");
+            }
+            driver.brakes = silent;
+            let torques = driver.scratch.iter().skip(2);
+            for (joint, torque) in claim.joints.iter().zip(torques) {
+                let torque = (released && !silent).then_some(*torque);
+                self.world.command(claim.arm, *joint, torque)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Joints that nobody drives any more brake; whoever drove before still does, and is as silent as it was.
+    fn attach(&mut self, claims: Vec<Arc<Claim>>) -> Result<(), WorldError> {
+        for arm in 0..self.world.arms() {
+            for joint in 0..self.port.joints(arm) {
+                self.world.command(arm, joint, None)?;
+            }
+        }
+        let mut before = std::mem::take(&mut self.drivers);
+        for claim in claims {
+            let known = before
+                .iter()
+                .position(|driver| Arc::ptr_eq(&driver.claim, &claim));
+            self.drivers.push(match known {
+                Some(known) => before.swap_remove(known),
+                None => Driver {
+                    scratch: vec![0.0; claim.joints.len() + 2],
+                    claim,
+                    count: 0,
+                    silent: 0.0,
+                    brakes: false,
+                },
+            });
+        }
+        Ok(())
+    }
+
+    fn show(&self) {
+        for arm in 0..self.world.arms() {
+            let (positions, velocities) = (self.world.positions(arm), self.world.velocities(arm));
+            self.port.show(arm, self.tick, positions, velocities);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

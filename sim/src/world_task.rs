@@ -1,0 +1,161 @@
+//! The task that owns the world: goes on by itself, and shows what there is to see by message.
+
+use std::{cell::RefCell, rc::Rc, time::Duration};
+
+use ctos::{
+    Context,
+    message::{Command, Message},
+    registry::Registry,
+    sync::{CyclicHandle, Tick},
+    task::{EventHandler, Handled, HandlerError, Phase},
+};
+use serde::Deserialize;
+use vss::command::{NamedCamera, TrueCameras};
+
+use crate::{cell::Cell, port::Port, scene::SceneState, simulation::Simulation};
+
+/// Name of the world's event handler.
+pub const WORLD: &str = "sim.world";
+
+ctos::command! {
+    /// Asks what there is to see.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct GetScene => SceneState, 0x0501, "get_scene"
+}
+ctos::command! {
+    /// Switches every lamp of the world.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetLamp {
+        /// Whether they shall shine.
+        pub on: bool,
+    } => (), 0x0502, "set_lamp"
+}
+ctos::command! {
+    /// Switches one lamp.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SwitchLamp {
+        /// Its name in the cell.
+        pub lamp: String,
+        /// Whether it shall shine.
+        pub on: bool,
+    } => (), 0x0503, "switch_lamp"
+}
+
+/// Arguments of the world's task.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorldArgs {
+    /// Path of the cell file, relative to the configuration's folder.
+    pub cell: String,
+    /// Period of the world, ms. A servo's period should be a multiple of it.
+    #[serde(default = "period_ms")]
+    pub period_ms: f64,
+}
+
+fn period_ms() -> f64 {
+    1.5
+}
+
+/// Periods that a world may have, ms.
+pub const PERIODS_MS: [f64; 2] = [0.1, 20.0];
+
+/// Registers the event handler; its arguments are checked with the rest of the app.
+pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
+    let commands = [
+        GetScene::INFO,
+        SetLamp::INFO,
+        SwitchLamp::INFO,
+        TrueCameras::INFO,
+    ];
+    registry.handler(WORLD, &commands, WorldTask::new)
+}
+
+/// The event handler `sim.world`.
+struct WorldTask {
+    cell: Cell,
+    period: Duration,
+    /// Shared with the synchronous function, which runs on the same thread and never within a message.
+    simulation: Rc<RefCell<Simulation>>,
+    cyclic: Option<CyclicHandle>,
+}
+
+impl WorldTask {
+    fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let task = cx.config().ok_or("a world needs a configuration")?;
+        let args: WorldArgs = task.args.parse()?;
+        let cell = Cell::read(&cx.app().file_at(&args.cell))?;
+        let port = Port::of(cx, cx.name(), &cell);
+        Ok(Self {
+            period: Duration::from_secs_f64(
+                args.period_ms.clamp(PERIODS_MS[0], PERIODS_MS[1]) / 1e3,
+            ),
+            simulation: Rc::new(RefCell::new(Simulation::new(&cell, port))),
+            cell,
+            cyclic: None,
+        })
+    }
+
+    /// The synchronous function. A world that cannot go on stands still, and the app is told.
+    fn ticker(&self, cx: &Context) -> impl FnMut(&Tick) + 'static {
+        let (cx, period) = (cx.clone(), self.period);
+        let simulation = Rc::clone(&self.simulation);
+        let mut failed = false;
+        move |tick: &Tick| {
+            if failed {
+                return;
+            }
+            let now = tick.now.since_start();
+            let ticked = simulation.borrow_mut().tick(period, now);
+            if let Err(error) = ticked {
+                failed = true;
+                cx.fail(&error.to_string());
+            }
+        }
+    }
+
+    /// The cameras as they truly are, those that are carried where they are now.
+    fn cameras(&self) -> Vec<NamedCamera> {
+        let scene = self.simulation.borrow_mut().scene();
+        let cameras = self.cell.cameras.iter();
+        cameras.map(|camera| camera.at(&scene).named()).collect()
+    }
+}
+
+impl EventHandler for WorldTask {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        // What drivers said came through memory that no recorder sees.
+        cx.reads_unrecorded("the world");
+        match message.command() {
+            GetScene::CODE => {
+                let (GetScene {}, reply) = message.open::<GetScene>()?;
+                reply.ok(self.simulation.borrow_mut().scene())
+            }
+            SetLamp::CODE => {
+                let (SetLamp { on }, reply) = message.open::<SetLamp>()?;
+                self.simulation.borrow_mut().switch(None, on, &self.cell);
+                reply.ok(())
+            }
+            SwitchLamp::CODE => {
+                let (SwitchLamp { lamp, on }, reply) = message.open::<SwitchLamp>()?;
+                let mut simulation = self.simulation.borrow_mut();
+                if simulation.switch(Some(&lamp), on, &self.cell) {
+                    reply.ok(())
+                } else {
+                    reply.fail(format!("the cell has no lamp `{lamp}`"))
+                }
+            }
+            TrueCameras::CODE => {
+                let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;
+                reply.ok(self.cameras())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Create {
+            self.cyclic = Some(cx.cyclic(self.period, self.ticker(cx)));
+        }
+        Ok(())
+    }
+}
