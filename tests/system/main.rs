@@ -40,4 +40,5 @@ mod runaways;
 mod startup;
 mod stepped_clock;
 mod structure;
+mod testbed;
 mod traces;
