@@ -181,8 +181,8 @@ fn a_record_made_under_faults_is_replayed_but_for_tasks_whose_chassis_was_restar
                 same += replayed.same.len();
                 runs += 1;
                 for (task, why) in replayed.refused {
-                    let known = is_refused(&task)
-                        || why.contains("was moved, or its chassis restarted");
+                    let known =
+                        is_refused(&task) || why.contains("was moved, or its chassis restarted");
                     assert!(known, "{faults} {seed}: {why}");
                 }
             }

@@ -231,6 +231,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("ctos new", "cli/tests/program/offline.rs"),
     (
+        "scott testbed",
+        "two manipulators that move: tests/system/testbed.rs",
+    ),
+    (
         "ctos check apps/*.toml",
         "files of the reader's: cli/tests/program/offline.rs",
     ),
