@@ -1,6 +1,6 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
-//! `kin` and `dyn` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
+//! `kin`, `dyn` and `traj` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
 //! app one that the process holds for itself. Their texts and numbers are a fixed interface
 //! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
 //! under joint 1 and frame 6 as the DH table has it.
@@ -11,6 +11,7 @@ mod kinematics;
 mod local;
 mod mvpos;
 mod pino;
+mod traj;
 
 use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
@@ -72,6 +73,7 @@ pub fn register(sorm: &Sorm) {
     let dynamics = Class::new("dyn", VERSION, |_, _| {
         Ok(Box::new(dynamics::Dynamics::new()?))
     });
+    let traj = Class::new("traj", VERSION, |_, _| Ok(Box::new(traj::Traj::default())));
     let arm = SharedArm::new();
     let own = arm.clone();
     let mvpos = Class::new("mvpos", VERSION, move |_, _| Ok(Box::new(MvPos::new(&own))));
@@ -79,7 +81,7 @@ pub fn register(sorm: &Sorm) {
     // A flavor of one's own has options of one's own.
     let mvpos = mvpos.waits().any_flavor();
     let pino = pino.waits().any_flavor();
-    let all = [kin, dynamics, mvpos, pino];
+    let all = [kin, dynamics, mvpos, pino, traj];
     for (class, info) in all.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
@@ -93,6 +95,7 @@ pub fn classes() -> Vec<ClassInfo> {
         dynamics::TABLE.class("dyn", VERSION),
         mvpos::TABLE.class("mvpos", VERSION),
         pino::TABLE.class("pino", VERSION),
+        traj::TABLE.class("traj", VERSION),
     ]
 }
 

@@ -10,6 +10,7 @@ pub mod profile;
 pub mod route;
 pub mod segment;
 pub mod solver;
+pub mod timing;
 
 pub use interpolate::Interpolator;
 pub use plan::{CartesianLimits, PlanError, Planner};

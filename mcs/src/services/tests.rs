@@ -254,7 +254,7 @@ fn options_change_one_flavor_and_are_told() {
         "{dump}"
     );
     for class in classes() {
-        let help = ask(&sorm, &format!("{}.puma560 CTRL -help", class.name)).text;
+        let help = ask(&sorm, &format!("{} CTRL -help", class.name)).text;
         for form in &class.forms {
             assert!(help.contains(&format!("EXEC {}", form.text)), "{help}");
         }
@@ -553,4 +553,74 @@ fn a_motion_that_cannot_be_made_moves_nothing_and_says_what_is_in_the_way() {
         assert!(refused(wrong).0 < 100, "{wrong}");
     }
     assert_eq!(done(&sorm, "mvpos EXEC where"), before);
+}
+
+#[test]
+fn times_of_trapezoids_and_of_stops_are_the_closed_forms() {
+    let sorm = manager();
+    // Joint 1 cruises, joint 2 does not come to it, joint 3 stays: 1/1 + 1/2, 2 sqrt(0.5/2), 0.
+    let given = [
+        3.0, 0.0, 1.0, 0.5, 1.0, 0.5, 0.5, 1.0, 5.0, 1.0, 2.0, 2.0, 2.0, 0.0, 0.0, 0.0,
+    ];
+    let found = floats(&sorm, "traj EXEC TMSG rest", &given);
+    near(&found, &[1.5, 1.5, 1.0, 0.0], 1e-9);
+    // The same from state to state with all speeds zero.
+    let mut state = vec![3.0];
+    for row in [
+        [0.0, 1.0, 0.5],
+        [0.0; 3],
+        [0.0; 3],
+        [1.0, 0.5, 0.5],
+        [0.0; 3],
+        [0.0; 3],
+    ] {
+        state.extend(row);
+    }
+    state.extend(&given[7..]);
+    near(&floats(&sorm, "traj EXEC TMSG state", &state), &found, 1e-9);
+    // v / a and v^2 / 2a; and 2 sqrt(v / j) with v sqrt(v / j) where the acceleration is never constant.
+    let stop = [2.0, 2.0, -1.0, 0.0, 0.0, 4.0, 10.0, 0.0, 4.0];
+    let found = floats(&sorm, "traj EXEC TMSG stop", &stop);
+    near(&found, &[0.5, 1.0, 0.5, -0.5], 1e-9);
+    let jerky = floats(
+        &sorm,
+        "traj EXEC TMSG rest",
+        &[1.0, 0.0, 1.0, 9.0, 9.0, 32.0],
+    );
+    near(&jerky, &[1.0, 1.0], 1e-9);
+}
+
+#[test]
+fn a_request_for_times_with_the_wrong_count_or_limit_says_what_is_right() {
+    let sorm = manager();
+    for (line, expected) in [
+        (
+            "traj EXEC TMSG rest",
+            "EXEC rest takes the number of joints first",
+        ),
+        (
+            "traj EXEC TMSG rest FMSG 1 1.5",
+            "EXEC rest: the number of joints is 1 to 64, not 1.5",
+        ),
+        (
+            "traj EXEC TMSG stop FMSG 4 2 1 1 1",
+            "EXEC stop of 2 joints takes 9 floats, not 4",
+        ),
+        (
+            "traj EXEC TMSG rest FMSG 6 1 0 1 1 0 0",
+            "EXEC rest: the largest acceleration of joint 1 is 0; it must be above zero",
+        ),
+        (
+            "traj EXEC TMSG state FMSG 10 1 0 0 0 1 2 0 1 1 1",
+            "EXEC state: joint 1: the speed at the end, 2, is beyond its limit of 1",
+        ),
+        (
+            "traj EXEC TMSG rest FMSG 6 1 0 1e200 1 1 1",
+            "EXEC rest: joint 1: its numbers must be finite and at most 1e6, its limits at least 1e-6",
+        ),
+    ] {
+        let reply = ask(&sorm, line);
+        assert!(!reply.is_ok(), "{line}");
+        assert_eq!(reply.reports.last().unwrap().text, expected, "{line}");
+    }
 }

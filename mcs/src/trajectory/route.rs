@@ -65,6 +65,10 @@ impl Pace {
 
 /// Where to.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a goal is copied as it is; one is made for a motion"
+)]
 pub enum Goal {
     /// Joint positions, rad or m.
     Joints(Joints),

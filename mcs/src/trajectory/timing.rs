@@ -1,0 +1,216 @@
+//! Least times of joints from state to state and to rest, under limits of speed, acceleration and jerk, and the time in
+//! which all of them arrive together. Computed by rsruckig, the algorithm of L. Berscheid and T. Kroeger (Robotics:
+//! Science and Systems 2021); a joint without a limit of jerk gets a trapezoid of speed.
+//!
+//! Positions are in rad or m, all else per s, s^2 and s^3.
+
+use rsruckig::prelude::{
+    ControlInterface, InputParameter, Ruckig, RuckigError, RuckigResult, Synchronization,
+    ThrowErrorHandler, Trajectory,
+};
+
+/// Larger numbers than this, and smaller limits than its inverse, are no joint's.
+const LARGEST: f64 = 1e6;
+
+/// Position and its derivatives at one end of a motion.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct JointState {
+    /// rad, or m.
+    pub position: f64,
+    /// rad/s, or m/s.
+    pub velocity: f64,
+    /// rad/s^2, or m/s^2. Without a limit of jerk it does not matter.
+    pub acceleration: f64,
+}
+
+/// The largest speed, acceleration and jerk of a joint; a jerk of 0 stands for no limit of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointBounds {
+    /// rad/s, or m/s.
+    pub velocity: f64,
+    /// rad/s^2, or m/s^2.
+    pub acceleration: f64,
+    /// rad/s^3, or m/s^3; 0 for none.
+    pub jerk: f64,
+}
+
+/// How long a motion takes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Times {
+    /// In which all joints arrive together, s.
+    pub together: f64,
+    /// The least time of each joint alone, s.
+    pub least: Vec<f64>,
+}
+
+/// Why there is no time.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum TimingError {
+    /// A limit that nothing can be moved under.
+    #[error("the largest {what} of joint {joint} is {value}; it must be above zero")]
+    Bound {
+        /// Joint number, from 1.
+        joint: usize,
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// The state to be reached cannot be reached without passing a limit.
+    #[error("joint {joint}: the {what} at the end, {value}, is beyond its limit of {limit}")]
+    End {
+        /// Joint number, from 1.
+        joint: usize,
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// The limit.
+        limit: f64,
+    },
+    /// A number with which nothing can be computed.
+    #[error("joint {joint}: its numbers must be finite and at most {LARGEST:e}, its limits at least {:e}", 1.0 / LARGEST)]
+    TooLarge {
+        /// Joint number, from 1.
+        joint: usize,
+    },
+    /// The computation found nothing.
+    #[error("no motion was found under these limits: {0}")]
+    NotFound(String),
+}
+
+impl From<RuckigError> for TimingError {
+    fn from(error: RuckigError) -> Self {
+        Self::NotFound(error.to_string())
+    }
+}
+
+/// Joints with their states at both ends, and their limits.
+pub type Motion = (JointState, JointState, JointBounds);
+
+/// How long joints take from state to state.
+///
+/// # Errors
+/// [`TimingError`].
+pub fn between(joints: &[Motion]) -> Result<Times, TimingError> {
+    let trajectory = computed(joints, ControlInterface::Position)?;
+    Ok(Times {
+        together: trajectory.duration,
+        least: trajectory.independent_min_durations.to_vec(),
+    })
+}
+
+/// How long each joint takes to come to rest, s, and how far it goes meanwhile (rad or m, with its sign).
+///
+/// # Errors
+/// [`TimingError`].
+pub fn stops(joints: &[(JointState, JointBounds)]) -> Result<Vec<(f64, f64)>, TimingError> {
+    let to_rest: Vec<Motion> = joints
+        .iter()
+        .map(|(now, bounds)| (*now, JointState::default(), *bounds))
+        .collect();
+    let trajectory = computed(&to_rest, ControlInterface::Velocity)?;
+    let mut there = InputParameter::<0>::new(Some(joints.len())).current_position;
+    let mut position = Some(&mut there);
+    let end = trajectory.duration;
+    trajectory.at_time(
+        end,
+        &mut position,
+        &mut None,
+        &mut None,
+        &mut None,
+        &mut None,
+    );
+    let ways = there
+        .iter()
+        .zip(joints)
+        .map(|(at, (from, _))| at - from.position);
+    let times = trajectory.independent_min_durations.iter().copied();
+    Ok(times.zip(ways).collect())
+}
+
+fn computed(joints: &[Motion], of: ControlInterface) -> Result<Trajectory<0>, TimingError> {
+    let count = joints.len();
+    let mut input = InputParameter::<0>::new(Some(count));
+    input.synchronization = match of {
+        ControlInterface::Position => Synchronization::Time,
+        _ => Synchronization::None,
+    };
+    input.control_interface = of;
+    for (index, (start, end, bounds)) in joints.iter().enumerate() {
+        check(index + 1, (start, end), bounds, of)?;
+        input.current_position[index] = start.position;
+        input.current_velocity[index] = start.velocity;
+        input.current_acceleration[index] = start.acceleration;
+        input.target_position[index] = end.position;
+        input.target_velocity[index] = end.velocity;
+        input.target_acceleration[index] = end.acceleration;
+        input.max_velocity[index] = bounds.velocity;
+        input.max_acceleration[index] = bounds.acceleration;
+        input.max_jerk[index] = bounds.jerk;
+        if bounds.jerk == 0.0 {
+            input.max_jerk[index] = f64::INFINITY;
+            input.current_acceleration[index] = 0.0;
+            input.target_acceleration[index] = 0.0;
+        }
+    }
+    let mut trajectory = Trajectory::<0>::new(Some(count));
+    let mut ruckig = Ruckig::<0, ThrowErrorHandler>::new(Some(count), 1.0);
+    match ruckig.calculate(&input, &mut trajectory)? {
+        RuckigResult::Working | RuckigResult::Finished => Ok(trajectory),
+        other => Err(TimingError::NotFound(format!("{other:?}"))),
+    }
+}
+
+fn check(
+    joint: usize,
+    (start, end): (&JointState, &JointState),
+    bounds: &JointBounds,
+    of: ControlInterface,
+) -> Result<(), TimingError> {
+    let mut limits = vec![("acceleration", bounds.acceleration)];
+    if of == ControlInterface::Position {
+        limits.push(("speed", bounds.velocity));
+    }
+    for (what, value) in limits {
+        if value.is_nan() || value <= 0.0 {
+            return Err(TimingError::Bound { joint, what, value });
+        }
+    }
+    if bounds.jerk.is_nan() || bounds.jerk < 0.0 {
+        let (what, value) = ("jerk", bounds.jerk);
+        return Err(TimingError::Bound { joint, what, value });
+    }
+    let states = [start, end].map(|state| [state.position, state.velocity, state.acceleration]);
+    let sensible = |value: &f64| value.abs() <= LARGEST;
+    let mut used = vec![bounds.acceleration];
+    if of == ControlInterface::Position {
+        used.push(bounds.velocity);
+    }
+    if bounds.jerk > 0.0 {
+        used.push(bounds.jerk);
+    }
+    let large = !states.iter().flatten().chain(&used).all(sensible);
+    if large || used.iter().any(|limit| *limit < 1.0 / LARGEST) {
+        return Err(TimingError::TooLarge { joint });
+    }
+    let beyond = |what, value: f64, limit: f64| match value.abs() <= limit {
+        true => Ok(()),
+        false => Err(TimingError::End {
+            joint,
+            what,
+            value,
+            limit,
+        }),
+    };
+    if of == ControlInterface::Position {
+        beyond("speed", end.velocity, bounds.velocity)?;
+        if bounds.jerk > 0.0 {
+            beyond("acceleration", end.acceleration, bounds.acceleration)?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;
