@@ -61,7 +61,7 @@ pub trait ChannelDriver: Send {
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError>;
 
     /// Applies one torque per slot, N m (N for a joint that slides), held until the next write. The
-    /// stand-in advances its world by `period` here.
+    /// next one is due in `period`: a driver may brake its joints when it does not come.
     ///
     /// # Errors
     /// A driver fault; the servo then stops the arm.

@@ -127,11 +127,13 @@ impl ChannelDriver for SimArm {
         self.port.read(self.claim.arm, &mut self.state);
         self.watch()?;
         let (positions, speeds) = self.state[1..].split_at(self.state.len() / 2);
+        // A joint that the arm does not have reads as no number, which is a fault of its slot.
+        let number = |values: &[f64], joint: usize| values.get(joint).copied().unwrap_or(f64::NAN);
         let slots = self.claim.joints.iter().zip(&self.counts);
         for (reading, (joint, counts)) in readings.iter_mut().zip(slots) {
             *reading = SlotReading {
-                position: (positions[*joint] * counts).round() / counts,
-                velocity: speeds[*joint],
+                position: (number(positions, *joint) * counts).round() / counts,
+                velocity: number(speeds, *joint),
             };
         }
         Ok(())

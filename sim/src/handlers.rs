@@ -54,9 +54,7 @@ struct Joints {
 /// [`ARM`] and the frame source [`CAMERA`].
 pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: &mut FrameSources) {
     register_world(registry);
-    drivers
-        .driver(ARM, open_arm)
-        .check(|task, app, args, findings| check_arm(task, app, args, findings));
+    drivers.driver(ARM, open_arm).check(check_arm);
     sources.source(CAMERA, |cx, name, args| {
         let source: Box<dyn FrameSource> = Box::new(SimCamera::new(cx, name, args)?);
         Ok(source)

@@ -8,6 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering, fence};
 /// With so many slots a writer that was interrupted leaves its readers the values before.
 const SLOTS: u64 = 4;
 
+/// The count of a slot that is being written: no write has it.
+const BUSY: u64 = u64::MAX;
+
 /// The latest values, each time as many.
 #[derive(Debug)]
 pub struct Latest {
@@ -18,7 +21,7 @@ pub struct Latest {
 
 #[derive(Debug)]
 struct Slot {
-    /// Which write it holds; 0 while it is being written.
+    /// Which write it holds, or [`BUSY`].
     count: AtomicU64,
     values: Box<[AtomicU64]>,
 }
@@ -42,7 +45,7 @@ impl Latest {
     pub fn write(&self, values: impl IntoIterator<Item = f64>) {
         let count = self.newest.load(Ordering::Relaxed) + 1;
         let slot = self.slot(count);
-        slot.count.store(0, Ordering::Relaxed);
+        slot.count.store(BUSY, Ordering::Relaxed);
         // Whoever sees a value of this write sees that the slot is being written.
         fence(Ordering::Release);
         for (place, value) in slot.values.iter().zip(values) {

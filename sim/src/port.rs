@@ -102,8 +102,8 @@ impl Port {
             (claim.arm == arm).then(|| shared.next().copied()).flatten()
         };
         let others = claims.iter().filter(|claim| claim.driver != driver);
-        let taken = others.filter_map(|claim| Some((shares(claim)?, claim)));
-        if let Some((joint, claim)) = taken.into_iter().next() {
+        let mut taken = others.filter_map(|claim| Some((shares(claim)?, claim)));
+        if let Some((joint, claim)) = taken.next() {
             return Err(Taken {
                 arm: self
                     .arms

@@ -42,13 +42,16 @@ pub struct Shape {
     pub grey: f64,
 }
 
-/// The parts of a PUMA by the last word of the frame that carries them: ends of the axis, radius, grey.
+/// A capsule of a PUMA: the last word of the frame that carries it, the ends of its axis, radius, grey.
+type Part = (&'static str, [f64; 3], [f64; 3], f64, f64);
+
+/// The parts of a PUMA.
 ///
 /// The dimensions are ours, after the link lengths and offsets of the arm: the upper arm passes
 /// beside the shoulder axis, the forearm comes back by part of that offset.
 /// The parts near the wrist are painted like the floor: an edge behind a lamp's spot pulls at its
 /// measured centre (by up to 0.1 px even so).
-const PUMA: [(&str, [f64; 3], [f64; 3], f64, f64); 9] = [
+const PUMA: [Part; 9] = [
     ("base", [0.0, 0.0, 0.05], [0.0, 0.0, 0.56], 0.09, 38.0),
     ("link1", [0.0, 0.0, -0.06], [0.0, 0.0, 0.13], 0.085, 44.0),
     (

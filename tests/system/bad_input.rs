@@ -142,8 +142,8 @@ fn an_unknown_chassis_and_an_unknown_processor_are_refused() {
     refused_edit(
         (
             APP,
-            "on = \"cage_motion/servo\"",
-            "on = \"cage_moton/servo\"",
+            "\"mcs.servo\"\non = \"cage_motion/servo\"",
+            "\"mcs.servo\"\non = \"cage_moton/servo\"",
         ),
         found(
             APP,
@@ -155,8 +155,8 @@ fn an_unknown_chassis_and_an_unknown_processor_are_refused() {
     refused_edit(
         (
             APP,
-            "on = \"cage_motion/servo\"",
-            "on = \"cage_motion/srvo\"",
+            "\"mcs.servo\"\non = \"cage_motion/servo\"",
+            "\"mcs.servo\"\non = \"cage_motion/srvo\"",
         ),
         found(
             APP,
@@ -320,7 +320,7 @@ fn an_unknown_key_is_refused() {
         ),
     );
     refused_edit(
-        (APP, "period_ms = 4.5", "perod_ms = 4.5"),
+        (APP, "period_ms = 4.5\n", "perod_ms = 4.5\n"),
         found(APP, "perod_ms", "`perod_ms`", "did you mean `period_ms`?"),
     );
     refused_edit(
@@ -342,8 +342,8 @@ fn an_unknown_key_is_refused() {
 fn a_value_of_the_wrong_type_is_refused_at_the_value() {
     for (from, to, at, message) in [
         (
-            "period_ms = 4.5",
-            "period_ms = \"fast\"",
+            "period_ms = 4.5\n",
+            "period_ms = \"fast\"\n",
             "\"fast\"",
             "expected a number",
         ),

@@ -211,3 +211,34 @@ fn the_same_seed_and_number_give_the_same_picture() {
     assert_ne!(first, other);
     assert_ne!(first, renderer(&cell, 1).render(&scene, 5));
 }
+
+#[test]
+fn a_camera_on_a_link_sees_what_a_fixed_one_sees_from_there() {
+    let text = include_str!("../../../configs/cell.toml").replace(
+        "name = \"ceiling_west\"",
+        "name = \"wrist\"\narm = \"puma\"\nlink = \"link4\"",
+    );
+    let text = text
+        .replace(
+            "position = [-0.52, 0.06, 2.91]",
+            "position = [0.0, 0.1, 0.0]",
+        )
+        .replace("look_at = [0.05, -0.02, 0.8]", "look_at = [0.0, 1.0, 0.2]")
+        .replace("up = [0.0, 1.0, 0.0]", "up = [0.0, 0.0, 1.0]");
+    let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
+    let carried = cell.camera("wrist").unwrap();
+    let mut renderer = Renderer::new(&cell, carried, 1);
+    let mut before = Vec::new();
+    for joints in [
+        [0.7, 0.4, -0.9, 0.3, 0.6, 0.1],
+        [-1.5, 1.0, -1.6, 0.1, 0.2, 0.0],
+    ] {
+        let scene = cell.scene(&[&joints]);
+        let mut fixed = carried.clone();
+        (fixed.truth, fixed.mount) = (carried.at(&scene), None);
+        let seen = renderer.light(&scene).to_vec();
+        assert_eq!(seen, Renderer::new(&cell, &fixed, 1).light(&scene));
+        assert_ne!(seen, before);
+        before = seen;
+    }
+}

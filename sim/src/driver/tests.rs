@@ -126,3 +126,23 @@ fn a_world_that_stands_still_or_begins_again_is_a_fault() {
     tick(&mut again);
     step(&mut arm, &mut readings).unwrap();
 }
+
+#[test]
+fn a_world_that_is_lost_tells_its_drivers_why() {
+    let text = "[[arm]]\nname = 'cart'\nmodel = 'transporter'\nstart = [0.0, 0.0, 0.0]\n";
+    let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
+    let port = Arc::new(Port::new(&cell));
+    let mut simulation = Simulation::new(&cell, Arc::clone(&port));
+    let mut arm = SimArm::new("servo", ("world", &port, &cell), 0, &[0, 1, 2]).unwrap();
+    tick(&mut simulation);
+    arm.write(&[f64::MAX, 0.0, 0.0], Power::Released, PERIOD)
+        .unwrap();
+    simulation.tick(PERIOD, Duration::ZERO).unwrap_err();
+    let mut readings = [SlotReading::default(); 3];
+    let error = (0..100).find_map(|_| {
+        arm.write(&[0.0; 3], Power::Off, PERIOD).unwrap();
+        arm.read(&mut readings).err()
+    });
+    let error = error.unwrap().to_string();
+    assert!(error.contains("arm `cart` is lost"), "{error}");
+}

@@ -389,3 +389,38 @@ fn a_camera_whose_world_or_name_is_not_in_the_app_is_found_before_anything_start
         &["no camera `ceiling_north`", "app.toml:13:"],
     );
 }
+
+#[test]
+fn the_joints_of_one_arm_are_parted_among_drivers_as_the_configuration_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let cell = folder.path().join("cell.toml");
+    let start = [0.0; 18];
+    let text = format!("[[arm]]\nname = 'testbed'\nmodel = 'testbed18'\nstart = {start:?}\n");
+    std::fs::write(&cell, text).unwrap();
+    let world = format!("cell = '{}'", cell.display());
+    let of = |part: &str, joints: &[&str]| -> Vec<String> {
+        joints
+            .iter()
+            .map(|joint| format!("'{part}.{joint}'"))
+            .collect()
+    };
+    let cart = |side: &str| of(&format!("{side}_cart"), &["track", "rotate", "tilt"]);
+    let puma = |side: &str| {
+        let joints = ["joint1", "joint2", "joint3", "joint4", "joint5", "joint6"];
+        of(&format!("{side}_arm"), &joints)
+    };
+    let part = |name: &str, joints: Vec<String>| {
+        servo(name, "one", &format!("joints = [{}]", joints.join(", ")))
+    };
+    let three_times_six = part("left", puma("left"))
+        + &part("right", puma("right"))
+        + &part("carts", [cart("left"), cart("right")].concat());
+    let two_times_nine = part("left", [cart("left"), puma("left")].concat())
+        + &part("right", [cart("right"), puma("right")].concat());
+    for parted in [&three_times_six, &two_times_nine, &servo("all", "one", "")] {
+        assert_eq!(found(&world, parted), "");
+    }
+    let both = two_times_nine + &part("carts", cart("left"));
+    let words = ["joint `left_cart.track` of arm `testbed` is driven by task `left` already"];
+    says(&found(&world, &both), &words);
+}

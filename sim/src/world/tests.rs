@@ -258,3 +258,17 @@ fn a_heavier_arm_than_its_model_sinks_under_the_torques_that_hold_the_model() {
     assert!(sunk("").abs() < 1e-8);
     assert!(sunk("mass_factor = 1.1") < -1e-3);
 }
+
+#[test]
+fn an_arm_that_is_lost_is_named_and_says_so_at_once() {
+    // The track's drive has no limit.
+    let text = "[[arm]]\nname = 'cart'\nmodel = 'transporter'\nstart = [0.0, 0.0, 0.0]\n";
+    let mut world = World::new(&cell(text));
+    world.command(0, 0, Some(f64::MAX)).unwrap();
+    let error = world.advance(PERIOD).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "arm `cart` is lost: its state is not finite"
+    );
+    assert_eq!(world.positions(0), [0.0; 3]);
+}
