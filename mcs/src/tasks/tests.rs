@@ -494,6 +494,30 @@ fn wrong_arguments_are_found_before_anything_starts() {
     }
 }
 
+#[test]
+fn a_urdf_is_an_arm_once_it_is_said_how_hard_its_joints_may_accelerate() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/known_answers");
+    let model = format!("task.servo.args.model={folder}/six_axes.urdf");
+    let arm = [
+        &model[..],
+        "task.servo.args.base=foot",
+        "task.servo.args.tip=wrist_3",
+    ];
+    let found = findings_of(&arm);
+    // One joint of it is continuous and has no limits at all.
+    let lacks = |what: &str| found.contains(&format!("has no largest {what}"));
+    assert!(lacks("acceleration") && lacks("velocity"), "{found}");
+    assert!(
+        found.contains("joint `turn_1` has no largest velocity"),
+        "{found}"
+    );
+    let limits = [
+        "task.servo.args.velocity=[1,1,1,1,1,1]",
+        "task.servo.args.acceleration=[9,9,9,9,9,9]",
+    ];
+    assert_eq!(findings_of(&[&arm[..], &limits].concat()), "");
+}
+
 /// The arm on a cart in place of the arm.
 const ON_CART: [&str; 2] = [
     "task.servo.args.driver=test.arm_on_cart",
