@@ -15,7 +15,7 @@ use ctos_core::{
     context::{Context, TaskRef},
     envelope::Replier,
     handled::{Handled, HandlerError},
-    look::TaskLook,
+    last_messages::TaskLook,
     moving::{self, Arrivals},
     phase::StopReason,
     report::{ChassisReport, RecordReport},

@@ -3,7 +3,7 @@
 
 use crate::refusals::Refusals;
 use ctos_core::{
-    chassis::Chassis, look::TaskLook, sync::CyclicStatistics, task_record::TaskRecord,
+    chassis::Chassis, last_messages::TaskLook, sync::CyclicStatistics, task_record::TaskRecord,
 };
 use ctos_message::Tid;
 use ctos_record::Recorders;

@@ -7,11 +7,10 @@ mod messages;
 mod outside;
 mod quiet;
 mod services;
-pub(crate) mod task_ref;
 
 pub use self::{
     asking::Call,
     core::{Context, DEFAULT_DEADLINE, Elapsed, SHARED},
     finding::{Find, NameError},
-    task_ref::TaskRef,
 };
+pub use crate::task_ref::TaskRef;

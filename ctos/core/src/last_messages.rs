@@ -10,7 +10,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use crate::report::Ending;
+use crate::report::{Ending, TaskReport};
 use ctos_message::Tid;
 use ctos_time::{Instant, lock::lock};
 
@@ -32,6 +32,18 @@ pub struct LastMessage {
     pub began: Instant,
     /// How long the handler took and how it ended; `None` while it has not.
     pub ended: Option<(Duration, Ending)>,
+}
+
+/// A task that somebody looks at.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TaskLook {
+    /// How it is.
+    pub task: TaskReport,
+    /// When what it says that it is at will be over, if it is known.
+    pub until: Option<Instant>,
+    /// The messages that it handled last, oldest first; the one at hand too. Those of before anybody looked at
+    /// it are not known.
+    pub last: Vec<LastMessage>,
 }
 
 /// The last messages of one task, once somebody has looked at it.

@@ -80,6 +80,7 @@ pub mod system;
 pub mod tap;
 #[doc(hidden)]
 pub mod task_record;
+mod task_ref;
 #[doc(hidden)]
 pub mod threads;
 mod timers;
@@ -109,7 +110,7 @@ pub mod call {
 /// A task, seen without disturbing it.
 pub mod recent {
     pub use crate::{
-        look::{LastMessage, TaskLook},
+        last_messages::{LastMessage, TaskLook},
         report::Ending,
     };
 }

@@ -2,32 +2,14 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
-
 use crate::{
     context::{Context, TaskRef},
     handled::HandlerError,
-    report::TaskReport,
+    last_messages::{LastMessage, TaskLook},
     system::{self, LookAt, NamesOf},
 };
-use ctos_time::Instant;
-
-pub use crate::{last_messages::LastMessage, report::Ending};
-
 /// How long whoever is asked may take.
 const DEADLINE: Duration = Duration::from_secs(2);
-
-/// A task that somebody looks at.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TaskLook {
-    /// How it is.
-    pub task: TaskReport,
-    /// When what it says that it is at will be over, if it is known.
-    pub until: Option<Instant>,
-    /// The messages that it handled last, oldest first; the one at hand too. Those of before anybody looked at
-    /// it are not known.
-    pub last: Vec<LastMessage>,
-}
 
 impl Context {
     /// Looks at a task without disturbing it: one that is busy, or stuck, is seen as well as one that is idle.

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    context::TaskRef,
-    look::TaskLook,
+    last_messages::TaskLook,
     phase::{Phase, StopReason},
     report::{ChassisReport, TaskCounters},
+    task_ref::TaskRef,
 };
 use ctos_message::{Command, Tid, command};
 

@@ -13,10 +13,7 @@ use std::{
 
 use serde::de::DeserializeOwned;
 
-use super::{
-    core::{Context, Inner},
-    task_ref::TaskRef,
-};
+use super::core::{Context, Inner};
 use crate::{
     chassis::{delivery::Outcome, pending::Outbound},
     circle,
@@ -24,6 +21,7 @@ use crate::{
     exchange::Looked,
     reply::{CallKey, ReplySlot},
     tap::{Sent, WaitFor},
+    task_ref::TaskRef,
     wait::Wait,
 };
 use ctos_message::{

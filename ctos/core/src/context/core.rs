@@ -14,7 +14,7 @@ use futures_util::future::{Either, select};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::de::DeserializeOwned;
 
-use super::{quiet::Quiet, task_ref::TaskRef};
+use super::quiet::Quiet;
 use crate::{
     chassis::Chassis,
     kept::Kept,
@@ -23,6 +23,7 @@ use crate::{
     system::Broke,
     tap::Turn,
     task_record::TaskRecord,
+    task_ref::TaskRef,
 };
 use ctos_config::{TaskConfig, diagnostic::Finding};
 use ctos_message::{CommandInfo, Tid};

@@ -8,8 +8,11 @@ use std::{
 
 use futures_util::future::{Either, LocalBoxFuture};
 
-use super::{core::Context, task_ref::TaskRef};
-use crate::system::{self, AwaitTid, FindTid, Missing, Monitor, NamesOf};
+use super::core::Context;
+use crate::{
+    system::{self, AwaitTid, FindTid, Missing, Monitor, NamesOf},
+    task_ref::TaskRef,
+};
 use ctos_message::{
     Tid,
     fault::{CallError, Fault},

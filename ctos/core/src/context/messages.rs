@@ -5,13 +5,13 @@ use std::time::Duration;
 use super::{
     asking::{Ask, Call},
     core::Context,
-    task_ref::TaskRef,
 };
 use crate::{
     envelope::{Envelope, Message},
     handled::Handled,
     system::{CommandDescription, Introspect, NotQuiet, Ping, Shutdown, Statistics},
     tap::WaitFor,
+    task_ref::TaskRef,
 };
 use ctos_message::{
     Command, CommandInfo, Data,
