@@ -42,7 +42,7 @@ use ctos_time::{Clock, Instant};
 pub(crate) const GREETING: [u8; 8] = *b"ctosagt\0";
 
 /// The version of what follows; both ends must have the same.
-pub(crate) const PROTOCOL: u32 = 3;
+pub(crate) const PROTOCOL: u32 = 4;
 
 /// How much the files of an app may come to, bytes.
 pub(crate) const BUNDLE_LIMIT: usize = 64 << 20;
