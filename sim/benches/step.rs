@@ -44,6 +44,6 @@ fn servo_period(bencher: Bencher, (cell, power): (usize, Power)) {
                 .collect();
             let _ = arm.write(&torques, power, PERIOD);
         }
-        simulation.tick(PERIOD, Duration::ZERO)
+        simulation.tick(PERIOD, 0, Duration::ZERO)
     });
 }

@@ -15,6 +15,9 @@ use crate::{
 /// A driver that has said nothing for so many of its periods is silent, and its joints brake.
 const SILENCE: f64 = 3.0;
 
+/// No tick makes up for more: drivers have given a world up that stood still for longer.
+const LONGEST: Duration = Duration::from_millis(100);
+
 /// A driver, as the world sees it.
 #[derive(Debug)]
 struct Driver {
@@ -83,14 +86,17 @@ impl Simulation {
         any
     }
 
-    /// Goes on by `period`, however late it is: nothing leaps after the clock. It is `now` by the app's clock.
+    /// Goes on by `period`, and makes up for the ticks that were `missed` before it as far as a driver has spoken
+    /// meanwhile: a world that stood still together with its drivers goes on with them. It is `now` by the app's clock.
     ///
     /// # Errors
     /// The world cannot go on; its drivers are told, too.
-    pub fn tick(&mut self, period: Duration, now: Duration) -> Result<(), WorldError> {
-        let gone_on = self
-            .listen(period)
-            .and_then(|()| self.world.advance(period));
+    pub fn tick(&mut self, period: Duration, missed: u64, now: Duration) -> Result<(), WorldError> {
+        let gone_on = self.listen(period).and_then(|heard| {
+            let missed = period * u32::try_from(missed).unwrap_or(u32::MAX);
+            let made_up = missed.min(heard.saturating_sub(period)).min(LONGEST);
+            self.world.advance(period + made_up)
+        });
         if let Err(error) = gone_on {
             self.port.set_failure(Some(error.to_string()));
             return Err(error);
@@ -101,14 +107,16 @@ impl Simulation {
         Ok(())
     }
 
-    /// Takes what the drivers said last.
-    fn listen(&mut self, period: Duration) -> Result<(), WorldError> {
+    /// Takes what the drivers said last; for how long one of them has spoken since the tick before.
+    fn listen(&mut self, period: Duration) -> Result<Duration, WorldError> {
         if let Some(claims) = self.port.changed_claims(&mut self.changes) {
             self.attach(claims)?;
         }
+        let mut heard: f64 = 0.0;
         for driver in &mut self.drivers {
             let claim = &driver.claim;
             let (count, released, own_period) = claim.look(&mut driver.scratch);
+            heard = heard.max(count.saturating_sub(driver.count) as f64 * own_period);
             if count == driver.count {
                 driver.silent += period.as_secs_f64();
             } else {
@@ -125,7 +133,8 @@ impl Simulation {
                 self.world.command(claim.arm, *joint, torque)?;
             }
         }
-        Ok(())
+        // A driver that was here before its world has spoken for long: no tick was missed then.
+        Ok(Duration::try_from_secs_f64(heard).unwrap_or(Duration::ZERO))
     }
 
     /// Joints that nobody drives any more brake; whoever drove before still does, and is as silent as it was.

@@ -105,7 +105,7 @@ impl WorldTask {
                 return;
             }
             let now = tick.now.since_start();
-            let ticked = simulation.borrow_mut().tick(period, now);
+            let ticked = simulation.borrow_mut().tick(period, tick.missed, now);
             if let Err(error) = ticked {
                 failed = true;
                 cx.fail(&error.to_string());

@@ -19,7 +19,7 @@ fn rig(cell: &Cell) -> (SimArm, Simulation) {
 }
 
 fn tick(simulation: &mut Simulation) {
-    simulation.tick(PERIOD, Duration::ZERO).unwrap();
+    simulation.tick(PERIOD, 0, Duration::ZERO).unwrap();
 }
 
 fn read(arm: &mut SimArm) -> [f64; 6] {
@@ -137,7 +137,7 @@ fn a_world_that_is_lost_tells_its_drivers_why() {
     tick(&mut simulation);
     arm.write(&[f64::MAX, 0.0, 0.0], Power::Released, PERIOD)
         .unwrap();
-    simulation.tick(PERIOD, Duration::ZERO).unwrap_err();
+    simulation.tick(PERIOD, 0, Duration::ZERO).unwrap_err();
     let mut readings = [SlotReading::default(); 3];
     let error = (0..100).find_map(|_| {
         arm.write(&[0.0; 3], Power::Off, PERIOD).unwrap();

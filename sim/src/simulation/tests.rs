@@ -46,7 +46,7 @@ impl Rig {
     }
 
     fn step(&mut self) {
-        self.simulation.tick(STEP, Duration::ZERO).unwrap();
+        self.simulation.tick(STEP, 0, Duration::ZERO).unwrap();
     }
 }
 
@@ -149,7 +149,7 @@ fn the_order_of_driver_and_world_within_a_moment_changes_nothing_in_their_loop()
         for moment in 0..50 {
             // At the very first moment the world has nothing to do yet.
             if world_first && moment > 0 {
-                rig.simulation.tick(PERIOD, Duration::ZERO).unwrap();
+                rig.simulation.tick(PERIOD, 0, Duration::ZERO).unwrap();
             }
             arm.read(&mut readings).unwrap();
             let torques: Vec<f64> = readings
@@ -159,10 +159,29 @@ fn the_order_of_driver_and_world_within_a_moment_changes_nothing_in_their_loop()
             arm.write(&torques, Power::Released, PERIOD).unwrap();
             seen.push(readings);
             if !world_first {
-                rig.simulation.tick(PERIOD, Duration::ZERO).unwrap();
+                rig.simulation.tick(PERIOD, 0, Duration::ZERO).unwrap();
             }
         }
         seen
     };
     assert_eq!(run(true), run(false));
+}
+
+#[test]
+fn a_late_world_makes_up_for_what_its_drivers_lived_through_and_no_more() {
+    let mut rig = Rig::new();
+    let mut arm = rig.driver("servo", 0, &[0]).unwrap();
+    let mut gone_on = |rig: &mut Rig, spoken: u32, missed: u64| {
+        (0..spoken).for_each(|_| turn(&mut arm));
+        let before = rig.simulation.world.elapsed();
+        rig.simulation.tick(STEP, missed, Duration::ZERO).unwrap();
+        rig.simulation.world.elapsed() - before
+    };
+    assert_eq!(gone_on(&mut rig, 1, 0), STEP);
+    // The world alone was late: by less, and by more, than its driver spoke for.
+    assert_eq!(gone_on(&mut rig, 3, 8), 9 * STEP);
+    assert_eq!(gone_on(&mut rig, 3, 20), 9 * STEP);
+    // Both were.
+    assert_eq!(gone_on(&mut rig, 1, 100), 3 * STEP);
+    assert_eq!(gone_on(&mut rig, 0, 100), STEP);
 }
