@@ -54,7 +54,8 @@ struct Joints {
 /// [`ARM`] and the frame source [`CAMERA`].
 pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: &mut FrameSources) {
     register_world(registry);
-    drivers.driver(ARM, open_arm).check(check_arm);
+    let arm = drivers.driver(ARM, open_arm);
+    arm.slots(count_slots).check(check_arm);
     sources.source(CAMERA, |cx, name, args| {
         let source: Box<dyn FrameSource> = Box::new(SimCamera::new(cx, name, args)?);
         Ok(source)
@@ -142,6 +143,15 @@ pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, Han
     let port = Port::of(cx, &world.name, &cell);
     let driver = SimArm::new(cx.name(), (&world.name, &port, &cell), arm, &joints)?;
     Ok(Box::new(driver))
+}
+
+/// How many slots the driver will have, if its arguments and the world's are sound.
+fn count_slots(app: &App, args: &Node) -> Option<usize> {
+    let args: ArmArgs = args.parse().ok()?;
+    let world = app.task(&args.world);
+    let world = world.filter(|world| world.handler == WORLD)?;
+    let own = joints(&args, &cell_of(world, app)?).ok()?;
+    Some(own.joints.len())
 }
 
 /// Checks the arguments of [`open_arm`], and that no task before this one drives the same joints.

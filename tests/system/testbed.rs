@@ -80,3 +80,11 @@ fn an_emergency_stop_of_one_manipulator_leaves_the_other_one_alone() {
         "{stopped:?} {later:?}"
     );
 }
+
+#[test]
+fn a_model_with_other_joints_than_its_driver_has_slots_is_found_before_anything_starts() {
+    let scratch = Scratch::new();
+    let other = "task.servo_left.args.model=\"puma560\"";
+    let checked = scratch.ctos(&["check", "configs/testbed.toml", "--set", other]);
+    checked.must_exit(3).must_say("9 slots").must_say("1 error");
+}
