@@ -1,7 +1,7 @@
 //! The physics of the whole cell: arms, objects and the room.
 //!
-//! Arms are integrated by their own dynamics (`arm`), all else by Rapier. Rapier's multibodies, which were tried for arms as
-//! well, end a driven swing of 2 s 1.3 mrad off (here 1e-10 rad), and cost 6 times as much for 6 joints, 10 times for 2 x 9.
+//! Arms are integrated by their own dynamics (`arm`), all else by Rapier. A driven swing of 2 s ends 1.3 mrad off with
+//! Rapier's multibodies, and 1e-10 rad off here. They took 6 times as long for 6 joints, and 10 times for 2 x 9.
 //!
 //! A link that has a form stands in the engine as a free body of its own, which begins each step where the link is, and as
 //! fast. It weighs no more than the arm resists there, so that nothing is stopped too hard. What the step does to its motion,

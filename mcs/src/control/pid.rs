@@ -11,11 +11,12 @@ use crate::trajectory::Setpoint;
 
 /// Share of a joint's torque limit that its integral part may take.
 const INTEGRAL_SHARE: f64 = 0.3;
+
 /// PID per joint around model-based gravity compensation, with torque limits and anti-windup.
 ///
-/// Every gain is a share of the inertia that the joint has in the present pose, rotor included, so that each joint alone
-/// has the same natural frequency and damping ratio in any pose; a setpoint's acceleration gets the torque that this
-/// inertia needs. What joints do to one another is left to the loop.
+/// Every gain is a share of the inertia that the joint has in the present pose, rotor included. So each joint alone has
+/// the same natural frequency and damping ratio in any pose. A setpoint's acceleration gets the torque that this inertia
+/// needs. What joints do to one another is left to the loop.
 #[derive(Debug, Clone)]
 pub struct PidGravity {
     model: Arc<Model>,
