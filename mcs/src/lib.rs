@@ -13,13 +13,11 @@
 pub mod client;
 pub mod control;
 pub mod driver;
-pub mod joints;
-pub mod model;
 pub mod services;
 pub mod servo;
 pub mod state;
 mod tasks;
-pub mod trajectory;
 
-pub use joints::{Joints, MAX_SLOTS};
+pub use mcs_model::{self as model, Joints, MAX_SLOTS, joints};
+pub use mcs_trajectory as trajectory;
 pub use tasks::{args::manipulator, register};

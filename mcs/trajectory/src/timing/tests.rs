@@ -1,7 +1,7 @@
 //! Times against closed forms, and against the profiles integrated step by step.
 
 use super::*;
-use crate::trajectory::Profile;
+use crate::Profile;
 use proptest::prelude::*;
 
 fn bounds() -> impl Strategy<Value = JointBounds> {

@@ -5,8 +5,8 @@
 
 use std::path::{Path, PathBuf};
 
-use ctos::{
-    config::Node,
+use ctos_config::{
+    Node,
     diagnostic::{Finding, Findings, Source},
 };
 use nalgebra::{Matrix3, Vector3};

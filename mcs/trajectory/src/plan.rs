@@ -9,9 +9,9 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::segment::{Line, SegmentError};
 use super::{Pace, Path, Profile, ProfilePoint, Segment, Setpoint, Solver};
-use crate::joints::{Joints, TooManyJoints};
-use crate::model::inverse::{Elbow, IkError};
-use crate::model::{JointKind, Model};
+use mcs_model::inverse::{Elbow, IkError};
+use mcs_model::{JointKind, Model};
+use mcs_model::{Joints, TooManyJoints};
 
 #[cfg(test)]
 mod tests;

@@ -4,14 +4,14 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::ops::Range;
 
-use ctos::diagnostic::{Finding, Source};
+use ctos_config::diagnostic::{Finding, Source};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
 use super::xml;
-use crate::model::builder::{check_body, check_limits};
-use crate::model::features::{Body, Friction, JointKind, Limits, Motor};
-use crate::model::placement::Placement;
+use crate::builder::{check_body, check_limits};
+use crate::features::{Body, Friction, JointKind, Limits, Motor};
+use crate::placement::Placement;
 
 /// Axes shorter than this have no direction.
 const NO_AXIS: f64 = 1e-9;

@@ -3,8 +3,8 @@
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3, Vector6};
 
 use super::{Profile, ProfilePoint, Setpoint, Solver};
-use crate::joints::Joints;
-use crate::model::inverse::{Branch, IkError};
+use mcs_model::Joints;
+use mcs_model::inverse::{Branch, IkError};
 
 /// The shape of a segment, over a path parameter from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]

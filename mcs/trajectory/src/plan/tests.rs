@@ -1,7 +1,7 @@
 //! The planner on random and on awkward targets.
 
 use super::*;
-use crate::model::{Placement, built_in, file::Inertias};
+use mcs_model::{Placement, built_in, file::Inertias};
 use nalgebra::Translation3;
 use proptest::prelude::*;
 

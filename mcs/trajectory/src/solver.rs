@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector6};
 
-use crate::joints::{Joints, TooManyJoints};
-use crate::model::inverse::{Branch, ClosedForm, Elbow, IkError, Preferences, Search};
-use crate::model::{Data, Model, Placement};
+use mcs_model::inverse::{Branch, ClosedForm, Elbow, IkError, Preferences, Search};
+use mcs_model::{Data, Model, Placement};
+use mcs_model::{Joints, TooManyJoints};
 
 /// Kinematics of one model's tip.
 #[derive(Debug, Clone)]

@@ -1,6 +1,6 @@
 //! Why a pose has no joint positions.
 
-use crate::model::features::JointKind;
+use crate::features::JointKind;
 
 /// Why a pose has no usable joint positions.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]

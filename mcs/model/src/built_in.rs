@@ -1,6 +1,6 @@
 //! The models that come with the program: the files of `configs/models`, as they were when it was built.
 
-use ctos::diagnostic::{Findings, Source};
+use ctos_config::diagnostic::{Findings, Source};
 
 use super::features::Model;
 use super::file::{self, Inertias};

@@ -4,8 +4,8 @@ use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::error::IkError;
 use super::puma::{Branch, IkSolutions, Puma, joint_outside, limit_error};
-use crate::model::features::{FrameId, JointKind, Limits, Model};
-use crate::model::placement::Placement;
+use crate::features::{FrameId, JointKind, Limits, Model};
+use crate::placement::Placement;
 
 const DOF: usize = 6;
 

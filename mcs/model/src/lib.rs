@@ -6,7 +6,7 @@
 //! the algorithms are those of R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008.
 //!
 //! Units are m, rad, kg, s, N and N m. A value of a joint that turns is in rad, of one that slides in m, and the force
-//! at it in N m or N. Vectors have one number for each moving joint, in the model's order, parents before
+//! at it in N m or N. Vectors ([`Joints`]) have one number for each moving joint, in the model's order, parents before
 //! children. A joint turns about, or slides along, the z axis of its own frame. Knows no servo, no task and no hardware.
 
 mod builder;
@@ -16,6 +16,7 @@ mod dynamics;
 mod features;
 pub mod file;
 pub mod inverse;
+pub mod joints;
 mod kinematics;
 pub mod origin;
 mod placement;
@@ -27,6 +28,7 @@ pub use dynamics::{DynamicsOptions, NotPositiveDefinite};
 pub use features::{
     Body, Frame, FrameId, Friction, Joint, JointKind, Limits, MAX_JOINTS, Model, Motor,
 };
+pub use joints::{Joints, MAX_SLOTS, TooManyJoints};
 pub use placement::Placement;
 
 #[cfg(test)]

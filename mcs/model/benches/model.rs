@@ -10,7 +10,7 @@
 use std::hint::black_box;
 
 use divan::Bencher;
-use mcs::model::{
+use mcs_model::{
     Data, DynamicsOptions, Model, Placement, built_in,
     file::Inertias,
     inverse::{ClosedForm, Preferences, Search},

@@ -19,7 +19,7 @@ pub use route::{Goal, Pace, PathKind, Route};
 pub use segment::{Path, Segment};
 pub use solver::Solver;
 
-use crate::joints::Joints;
+use mcs_model::Joints;
 
 /// What the motion planning layer asks of the control layer at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

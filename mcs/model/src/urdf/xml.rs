@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use ctos::diagnostic::{Finding, Source};
+use ctos_config::diagnostic::{Finding, Source};
 use roxmltree::{Document, Node};
 
 /// The most attributes of one element: finding two of the same name takes the square of their number.

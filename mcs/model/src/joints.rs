@@ -6,7 +6,7 @@ use std::ops::{Deref, DerefMut};
 use serde::{Deserialize, Serialize};
 use tinyvec::ArrayVec;
 
-use crate::model::JointKind;
+use crate::JointKind;
 
 /// No manipulator has more joints than this.
 pub const MAX_SLOTS: usize = 32;
@@ -28,7 +28,7 @@ pub struct TooManyJoints {
 impl TooManyJoints {
     /// # Errors
     /// When `found` joints are too many.
-    pub(crate) fn check(found: usize) -> Result<(), Self> {
+    pub fn check(found: usize) -> Result<(), Self> {
         if found > MAX_SLOTS {
             return Err(Self { found });
         }

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::error::IkError;
-use crate::model::features::{JointKind, Limits};
+use crate::features::{JointKind, Limits};
 
 /// How many joints such an arm has.
 const DOF: usize = 6;

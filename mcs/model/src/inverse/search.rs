@@ -8,9 +8,9 @@
 use nalgebra::{Cholesky, Matrix6, Rotation3, U6, UnitQuaternion, Vector6};
 
 use super::error::IkError;
-use crate::model::data::Data;
-use crate::model::features::{FrameId, JointKind, Limits, Model};
-use crate::model::placement::Placement;
+use crate::data::Data;
+use crate::features::{FrameId, JointKind, Limits, Model};
+use crate::placement::Placement;
 
 /// A pose is reached when it is off by no more than this, m and rad together.
 const REACHED: f64 = 1e-11;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ctos::diagnostic::{Finding, Findings};
+use ctos_config::diagnostic::{Finding, Findings};
 
 use super::built_in;
 use super::features::Model;

@@ -9,7 +9,7 @@ mod xml;
 
 use std::path::Path;
 
-use ctos::diagnostic::{Finding, Source};
+use ctos_config::diagnostic::{Finding, Source};
 
 use super::builder::{JointSpec, ModelBuilder};
 use super::features::{FrameId, JointKind, Model};

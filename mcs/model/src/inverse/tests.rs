@@ -1,7 +1,7 @@
 //! The closed form where zero positions and frames are anybody's, and the search where there is none.
 
 use super::*;
-use crate::model::{
+use crate::{
     JointKind, JointSpec, Limits, Model, ModelBuilder, Placement, built_in, file::Inertias,
 };
 use nalgebra::{DVector, Vector3, Vector6};

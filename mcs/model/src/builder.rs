@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use ctos::diagnostic::Finding;
+use ctos_config::diagnostic::Finding;
 use nalgebra::{Matrix3, Vector3};
 
 use super::features::{Body, Frame, FrameId, Joint, JointKind, Limits, MAX_JOINTS, Model, Motor};

@@ -1,7 +1,7 @@
 //! What holds for every arm, whatever its joints: known answers of others are in `tests/known_answers.rs`.
 
 use super::*;
-use crate::model::file::Inertias;
+use crate::file::Inertias;
 use nalgebra::{DVector, Vector3};
 use proptest::prelude::*;
 
@@ -12,7 +12,7 @@ fn all() -> Vec<Model> {
             .unwrap()
     });
     let file = include_str!("../../tests/known_answers/two_arms.urdf");
-    let source = ctos::diagnostic::Source::new("two_arms.urdf", file);
+    let source = ctos_config::diagnostic::Source::new("two_arms.urdf", file);
     let way = urdf::parse(&source, Some("left_hand"), Some("right_hand")).unwrap();
     built_in.chain([way.model]).collect()
 }

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::SLOWEST;
 use super::{Path, PlanError, Planner, Segment};
-use crate::joints::Joints;
-use crate::model::inverse::Elbow;
+use mcs_model::Joints;
+use mcs_model::inverse::Elbow;
 
 /// Which way to take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
