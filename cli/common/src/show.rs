@@ -19,6 +19,11 @@ use ctos::{
 };
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
 
+use crate::table;
+
+/// How wide a finding may be where no terminal says.
+const WIDE: usize = 200;
+
 /// So many findings are shown unless all are asked for.
 pub const FINDINGS_SHOWN: usize = 20;
 
@@ -157,7 +162,10 @@ pub fn findings_up_to(findings: Findings, most: usize) {
     } else {
         GraphicalTheme::unicode_nocolor()
     };
-    let handler = GraphicalReportHandler::new_themed(theme).with_links(false);
+    let width = table::terminal(io::stderr()).unwrap_or(WIDE);
+    let handler = GraphicalReportHandler::new_themed(theme)
+        .with_links(false)
+        .with_width(width);
     let sorted = findings.into_sorted();
     for finding in sorted.iter().take(most) {
         if says_json() {

@@ -1,9 +1,13 @@
 //! Columns of text, as wide as they need to be and no wider than the terminal.
 
-use std::io::IsTerminal;
+use std::{
+    io::{self, IsTerminal},
+    os::fd::AsFd,
+};
 
 use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
 use terminal_size::{Width, terminal_size_of};
+use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
 /// How wide a table may be where nobody says.
 const WIDE: usize = 160;
@@ -50,11 +54,39 @@ pub const fn rare(title: &'static str) -> Column {
 
 /// How wide the terminal is.
 pub fn width() -> usize {
-    let stdout = std::io::stdout();
-    if !stdout.is_terminal() {
-        return WIDE;
-    }
-    terminal_size_of(stdout).map_or(80, |(Width(columns), _)| usize::from(columns))
+    terminal(io::stdout()).unwrap_or(WIDE)
+}
+
+/// How wide the terminal at a stream is, if there is one.
+pub fn terminal(stream: impl IsTerminal + AsFd) -> Option<usize> {
+    stream
+        .is_terminal()
+        .then(|| terminal_size_of(stream).map_or(80, |(Width(columns), _)| usize::from(columns)))
+}
+
+/// A text as a terminal shows it: its long lines [`wrapped`]. Whoever reads anything else gets it as it is.
+pub fn for_terminal(text: &str) -> String {
+    terminal(io::stdout()).map_or_else(|| text.to_owned(), |width| wrapped(text, width))
+}
+
+/// `text` with its lines that are longer than `width` broken between words, which a terminal would break anywhere. What
+/// follows of such a line stands below its second column, which begins after two blanks, or is indented.
+pub fn wrapped(text: &str, width: usize) -> String {
+    let lines = text.lines().map(|line| {
+        let start = line.len() - line.trim_start().len();
+        let second = line.trim_start().split_once("  ");
+        let second = second.map(|(_, second)| line.len() - second.trim_start().len());
+        let column = second.filter(|column| *column <= width / 2);
+        let indent = " ".repeat(column.unwrap_or(start + 2).min(width / 2));
+        let options = Options::new(width)
+            .subsequent_indent(&indent)
+            .break_words(false)
+            .word_separator(WordSeparator::AsciiSpace)
+            .word_splitter(WordSplitter::NoHyphenation)
+            .wrap_algorithm(WrapAlgorithm::FirstFit);
+        textwrap::fill(line, options)
+    });
+    lines.collect::<Vec<_>>().join("\n")
 }
 
 /// The rows below their titles, no line wider than `width`: what does not fit is cut and ends in `…`.
@@ -112,6 +144,23 @@ pub fn fitted(text: &str, width: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_long_line_is_broken_between_words_and_goes_on_below_its_second_column() {
+        let long = "of_a_word_that_is_longer_than_a_line_of_the_terminal";
+        let text = format!(
+            "  set NAME = WORDS    a variable, used as $NAME\nshort\ntakes joint positions, {long} q6"
+        );
+        let below = " ".repeat("  set NAME = WORDS    ".len());
+        let shown = format!(
+            "  set NAME = WORDS    a variable, used as\n{below}$NAME\nshort\ntakes joint positions,\n  {long}\n  q6"
+        );
+        assert_eq!(wrapped(&text, 44), shown);
+        assert_eq!(wrapped(&text, 200), text);
+        // A second column has to leave room.
+        let narrow = wrapped("  set NAME = WORDS    a variable", 20);
+        assert_eq!(narrow, "  set NAME = WORDS\n    a variable");
+    }
 
     #[test]
     fn a_table_is_as_wide_as_it_needs_to_be_and_no_wider_than_it_may() {

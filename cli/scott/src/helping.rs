@@ -14,12 +14,14 @@ use sorma::{
 /// What `help` says before the statements.
 pub(crate) const FIRST: &str = "\
 Ask an object by its name, and a method:
-  kin.puma560 EXEC fkine 0 0 0 0 0 0     has it do its job; numbers stand as they are
-  kin.puma560 CTRL -limits off           changes an option; CTRL -dump tells all of them
-  kin.puma560 DBX -statistics            tells about the object itself
+  kin.puma560 EXEC fkine 0 0 0 0 0 0   has it do its job with these numbers
+  kin.puma560 CTRL -limits off         changes an option; -dump tells them all
+  kin.puma560 DBX -statistics          tells about the object itself
 What there is:
-  list                                   all objects and classes; list ARM only those with ARM in their names
-  kin.puma560                            what an object can do; also: help kin.puma560, kin.puma560 ?
+  list                                 all objects and classes
+  list ARM                             those with ARM in their names
+  kin.puma560                          what an object can do;
+                                       also: help kin.puma560, kin.puma560 ?
 Answers are rounded to six digits; $FMSG has all of them, and so has scott -c.
 ";
 
@@ -343,6 +345,31 @@ mod tests {
         let unknown = about("kim", &CLASSES).unwrap_err();
         assert!(unknown.contains("did you mean `kin`?"), "{unknown}");
         assert!(about(&"x".repeat(1000), &CLASSES).unwrap_err().len() < 300);
+    }
+
+    #[test]
+    fn every_help_fits_a_terminal_of_80_columns_with_its_words_whole() {
+        let first = format!("{FIRST}{}", crate::STATEMENTS);
+        // The first help is written for it.
+        assert!(first.lines().all(|line| line.len() <= 80), "{first}");
+        let about = CLASSES
+            .iter()
+            .map(|class| about(&class.name, &CLASSES).unwrap());
+        let known: Vec<String> = CLASSES.iter().map(|class| class.name.clone()).collect();
+        let listed = listed("", &known, &CLASSES);
+        let listed = listed.iter().map(Listed::text);
+        let unknown = super::about("nobody", &CLASSES).unwrap_err();
+        for text in about.chain(listed).chain([first, unknown]) {
+            let shown = cli_common::table::wrapped(&text, 80);
+            assert!(
+                shown.lines().all(|line| line.chars().count() <= 80),
+                "{shown}"
+            );
+            assert!(
+                shown.split_whitespace().eq(text.split_whitespace()),
+                "{shown}"
+            );
+        }
     }
 
     #[test]

@@ -119,19 +119,26 @@ pub struct Cli {
     pub color: Colour,
 }
 
-pub(crate) const STATEMENTS: &str = "Statements, one a line (a line that ends with \\ goes on in the next, # begins a comment):
+pub(crate) const STATEMENTS: &str =
+    "Statements, one a line (\\ at its end: the next one belongs to it; # a comment):
   NAME EXEC|CTRL|DBX TEXT   a request
-  help [NAME]               how one asks, or what an object can do; also ? and NAME ?
-  list [TEXT]               the objects and classes that there are, or those with TEXT in their names
-  set NAME = WORDS          a variable, used as $NAME; $RET $TMSG $FMSG $IMSG are the last reply's
-  expect RET 0              what the last reply must be: RET, TMSG, FMSG n .. [within TOLERANCE], IMSG, TDBX;
-                            a reply with an error is a failure unless an expect RET meets it
-  time REQUEST              how long it takes, reading and writing its text included
+  help [NAME]               how one asks, or what an object can do;
+                            also ? and NAME ?
+  list [TEXT]               objects and classes, or those with TEXT in a name
+  set NAME = WORDS          a variable, used as $NAME; the last reply's are
+                            $RET, $TMSG, $FMSG and $IMSG
+  expect RET 0              what the last reply must be: RET, TMSG,
+                            FMSG n .. [within TOLERANCE], IMSG, TDBX; an error
+                            is a failure unless an expect RET meets it
+  time REQUEST              how long it takes, reading and writing its text too
   repeat 1000 REQUEST       least, median and longest time
-  trace REQUEST             every call that it leads to, on every daemon, with its reply and how long it took
-  watch PATTERN[@DAEMON]    the requests that the objects of a running app meet, with their replies, until Ctrl-C;
-                            --kind EXEC|CTRL|DBX, --slower 50ms, --from PATTERN, --failed, --count N pick out some
-                            at the source; with & at the end it goes on above the prompt";
+  trace REQUEST             every call that it leads to, on every daemon, with
+                            its reply and how long it took
+  watch PATTERN[@DAEMON]    the requests that the objects of a running app meet,
+                            with their replies, until Ctrl-C;
+                            --kind EXEC|CTRL|DBX, --slower 50ms, --from PATTERN,
+                            --failed, --count N pick out some at the source;
+                            with & at the end it goes on above the prompt";
 
 /// Runs the command line of this process.
 #[must_use]

@@ -20,7 +20,7 @@ use super::{
     script::{self, Expectation, Statement, Variables},
     watch::{self, Wanted},
 };
-use cli_common::{exit, show};
+use cli_common::{exit, show, table};
 
 /// Runs statements.
 pub struct Session {
@@ -252,7 +252,7 @@ impl Session {
         };
         self.tell(&match self.json {
             true => json!({ "help": text }).to_string(),
-            false => text,
+            false => table::for_terminal(&text),
         })
     }
 
@@ -267,7 +267,8 @@ impl Session {
         match (lines.as_slice(), self.json) {
             ([], true) => Flow::On,
             ([], false) => self.tell(&format!("nothing has `{part}` in its name")),
-            (lines, _) => self.tell(&lines.join("\n")),
+            (lines, true) => self.tell(&lines.join("\n")),
+            (lines, false) => self.tell(&table::for_terminal(&lines.join("\n"))),
         }
     }
 
@@ -290,7 +291,7 @@ impl Session {
     fn fail(&mut self, place: &dyn fmt::Display, why: &str, code: u8) -> Flow {
         // At the prompt it is known where that was.
         match self.for_people {
-            true => show::say(&format!("error: {why}")),
+            true => show::say(&table::for_terminal(&format!("error: {why}"))),
             false => show::say(&format!("{place}: {why}")),
         }
         if self.failed == exit::OK {
@@ -447,7 +448,7 @@ impl Session {
         } else {
             let text = if self.for_people {
                 let layout = helping::layout(request, self.backend.classes());
-                replies::for_people(&reply, &layout)
+                table::for_terminal(&replies::for_people(&reply, &layout))
             } else {
                 text.to_owned()
             };
