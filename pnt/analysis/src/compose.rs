@@ -207,7 +207,7 @@ impl System {
             })
             .collect();
         if marked.is_empty() {
-            "no tokens at all".to_owned()
+            "empty".to_owned()
         } else {
             marked.join(", ")
         }

@@ -166,10 +166,14 @@ impl Asked {
 
     fn text(&self) -> String {
         let marked = |tokens: &BTreeMap<String, u32>| {
-            let named = tokens
-                .iter()
-                .map(|(place, tokens)| format!("{place}*{tokens}"));
-            named.collect::<Vec<_>>().join(", ")
+            let named = tokens.iter().map(|(place, tokens)| match tokens {
+                1 => place.clone(),
+                _ => format!("{place}*{tokens}"),
+            });
+            match tokens.is_empty() {
+                true => "empty".to_owned(),
+                false => named.collect::<Vec<_>>().join(", "),
+            }
         };
         let answer = match self.answer {
             Some(true) => "yes",
@@ -178,17 +182,17 @@ impl Asked {
         };
         let mut text = format!("  {} \"{}\": {answer}", self.asks, self.question);
         if let (Some(sequence), Some(marking)) = (&self.sequence, &self.marking) {
-            let _ = write!(
-                text,
-                ": after {} the marking is {}",
-                sequence.join(", "),
-                marked(marking)
-            );
+            let after = match sequence.is_empty() {
+                true => "from the start".to_owned(),
+                false => format!("after {}", sequence.join(", ")),
+            };
+            let _ = write!(text, ": {after}, the marking is {}", marked(marking));
         }
         if let Some(invariant) = &self.invariant {
-            let sum = invariant
-                .iter()
-                .map(|(place, weight)| format!("{weight}*{place}"));
+            let sum = invariant.iter().map(|(place, weight)| match weight {
+                1 => place.clone(),
+                _ => format!("{weight}*{place}"),
+            });
             let sum = sum.collect::<Vec<_>>().join(" + ");
             let _ = write!(text, ": no firing changes {sum}");
         }
@@ -321,19 +325,20 @@ impl Answer {
             )
         };
         let mut text = format!(
-            "{}: {judged}\n  {} places, {} transitions, {} arcs\n  {} markings{all}, {} edges, {} dead\n",
+            "{}: {judged}\n  {}, {}, {}\n  {}{all}, {}, {} dead\n",
             self.nets.join(", "),
-            self.places,
-            self.transitions,
-            self.arcs,
-            self.markings,
-            self.edges,
+            counted(self.places, "place"),
+            counted(self.transitions, "transition"),
+            counted(self.arcs, "arc"),
+            counted(self.markings, "marking"),
+            counted(self.edges, "edge"),
             self.deadlocks,
         );
         let _ = writeln!(
             text,
-            "  at most {} tokens in a place, {} in a marking{all}",
-            self.max_tokens_in_place, self.max_tokens_in_marking
+            "  at most {} in a place, {} in a marking{all}",
+            counted(self.max_tokens_in_place, "token"),
+            self.max_tokens_in_marking
         );
         let _ = write!(
             text,
@@ -397,4 +402,11 @@ fn arcs(net: &Net) -> usize {
                 + t.fail.as_ref().map_or(0, of)
         })
         .sum()
+}
+
+/// So many of a thing.
+fn counted(count: impl ToString, thing: &str) -> String {
+    let count = count.to_string();
+    let many = if count == "1" { "" } else { "s" };
+    format!("{count} {thing}{many}")
 }

@@ -62,7 +62,7 @@ impl<'a> Judge<'a> {
     /// A shortest way to a marking that was found, and that in words.
     fn way_to(&self, code: &'static str, marking: &[u32]) -> (Counterexample, String) {
         let sequence = self.looked.explored.path(marking).unwrap_or_default();
-        let words = self.words().steps(&sequence);
+        let words = self.words().after(&sequence);
         let counterexample = Counterexample {
             code,
             sequence,
@@ -85,9 +85,9 @@ impl<'a> Judge<'a> {
         let finding = Finding::error(
             CODE,
             format!(
-                "`{}` can collect tokens without bound: after {}, each round of {} adds to it",
+                "`{}` can collect tokens without bound: {}, each round of {} adds to it",
                 place.name,
-                self.words().steps(&growth.lead),
+                self.words().after(&growth.lead),
                 self.words().steps(&growth.cycle)
             ),
         )
@@ -117,7 +117,7 @@ impl<'a> Judge<'a> {
                 round: Vec::new(),
                 marking: marking.clone(),
             };
-            return vec![self.dead_finding(counterexample, &self.words().steps(sequence), &others)];
+            return vec![self.dead_finding(counterexample, &self.words().after(sequence), &others)];
         }
         let symbolic = self.looked.verdict.engine == Engine::Symbolic;
         if symbolic && self.looked.verdict.deadlocks > 0 {
@@ -157,18 +157,20 @@ impl<'a> Judge<'a> {
 
     fn dead_finding(&self, counterexample: Counterexample, way: &str, others: &str) -> Found {
         let marking = &counterexample.marking;
-        let help = match self.words().asks_functions() {
-            true => {
-                "give this marking a way on; a single `when` may stay false for ever, so pair it with its negation"
-            }
-            false => {
-                "give this marking a way on: a transition that can fire there, or fewer ways into it"
-            }
+        let (none, help) = match self.words().asks_functions() {
+            true => (
+                "no transition is sure to fire",
+                "give this marking a way on; a single `when` may stay false for ever, so pair it with its negation",
+            ),
+            false => (
+                "no transition can fire",
+                "give this marking a way on: a transition that can fire there, or fewer ways into it",
+            ),
         };
         let finding = Finding::error(
             DEADLOCK,
             format!(
-                "{}: after {way} the marking is {}, and no transition is sure to fire{others}",
+                "{}: {way}, the marking is {}; {none}{others}",
                 match (self.end, self.rule) {
                     (Some(_), _) => "the nets can stop before the end of what is on the tape",
                     (None, Rule::Rest) => "the nets can stop short of rest",
@@ -206,7 +208,7 @@ impl<'a> Judge<'a> {
         let finding = Finding::error(
             CODE,
             format!(
-                "rest can get out of reach: after {way} the marking is {}, and no way leads back to the initial marking",
+                "rest can get out of reach: {way}, the marking is {}; no way leads back to the initial marking",
                 self.system.marking_name(marking)
             ),
         )
@@ -224,7 +226,7 @@ impl<'a> Judge<'a> {
         let finding = Finding::error(
             CODE,
             format!(
-                "what is on the tape can get impossible to finish: after {way} the marking is {}, and no way leads to its end with every command answered",
+                "what is on the tape can get impossible to finish: {way}, the marking is {}; no way leads to its end with every command answered",
                 self.system.marking_name(marking)
             ),
         )
@@ -276,7 +278,7 @@ impl<'a> Judge<'a> {
             Finding::error(
                 CODE,
                 format!(
-                    "tokens of `{}.{}` can find no room in `{}`, which refuses them, and their net stops: after {way}",
+                    "tokens of `{}.{}` can find no room in `{}`, which refuses them, and their net stops: {way}",
                     sender.name(),
                     transition.name,
                     place.name,
@@ -296,7 +298,7 @@ impl<'a> Judge<'a> {
         let finding = Finding::error(
             CODE,
             format!(
-                "transition `{}` can write `{symbol}` when no command waits for it: after {way}",
+                "transition `{}` can write `{symbol}` when no command waits for it: {way}",
                 transition.name,
             ),
         )

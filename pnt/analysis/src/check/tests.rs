@@ -124,9 +124,24 @@ transition again
     let (_, findings) = check_all(&[text]);
     let message = the(&findings, "pnt::check::deadlock", "n.net:2:21");
     assert!(
-        message.contains("after n.first_a, n.first_b the marking is n.a1, n.b1"),
+        message.contains(
+            "after n.first_a, n.first_b, the marking is n.a1, n.b1; no transition can fire"
+        ),
         "{message}"
     );
+}
+
+#[test]
+fn a_net_that_is_dead_from_the_start_or_ends_empty_is_told_so() {
+    let dead = "there is a deadlock: from the start, the marking is empty; no transition can fire";
+    let ends = "the nets can stop short of rest: after n.eat, the marking is empty; no transition can fire";
+    for (tokens, told) in [(0, dead), (1, ends)] {
+        let text = format!("net n\nplace p = {tokens}\ntransition eat\n  in p\n");
+        let options = Options::new(Rule::Alone, Limits::default());
+        let proof = prove(&[net("n.net", &text)], &options, &mut |_| {}).unwrap();
+        let findings = proof.findings.into_sorted();
+        assert_eq!(the(&findings, "pnt::check::deadlock", "n.net:2:7"), told);
+    }
 }
 
 #[test]
@@ -145,7 +160,11 @@ fn a_place_that_grows_is_found_with_the_round_that_feeds_it() {
 fn a_lone_enabling_function_is_no_way_out_but_a_pair_is() {
     let text = "net n\nplace a = 1, b\ntransition go\n  in a\n  out b\ntransition again\n  in b\n  when more\n  out a\n";
     let (_, findings) = check_all(&[text]);
-    the(&findings, "pnt::check::deadlock", "n.net:2:14");
+    let message = the(&findings, "pnt::check::deadlock", "n.net:2:14");
+    assert!(
+        message.ends_with("after n.go, the marking is n.b; no transition is sure to fire"),
+        "{message}"
+    );
     let pair = format!("{text}transition done\n  in b\n  when not more\n  out a\n");
     let (report, findings) = check_all(&[&pair]);
     assert!(findings.is_empty() && report.proved, "{findings:#?}");
@@ -157,7 +176,7 @@ fn a_loop_without_a_way_back_is_found() {
     let (_, findings) = check_all(&[text]);
     let message = the(&findings, "pnt::check::no_return", "n.net:2:14");
     assert!(
-        message.contains("after n.leave the marking is n.b"),
+        message.contains("after n.leave, the marking is n.b; no way leads back"),
         "{message}"
     );
 }

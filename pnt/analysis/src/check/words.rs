@@ -19,11 +19,16 @@ pub(super) struct Words<'a> {
 }
 
 impl Words<'_> {
+    /// When a sequence has been fired.
+    pub(super) fn after(&self, path: &[TransitionNumber]) -> String {
+        match path {
+            [] => "from the start".to_owned(),
+            path => format!("after {}", self.steps(path)),
+        }
+    }
+
     /// A whole sequence, so that it can be played.
     pub(super) fn steps(&self, path: &[TransitionNumber]) -> String {
-        if path.is_empty() {
-            return "nothing".to_owned();
-        }
         let names: Vec<&str> = path
             .iter()
             .filter_map(|number| self.model.transitions.get(*number as usize))

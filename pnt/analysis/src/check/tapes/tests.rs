@@ -94,7 +94,7 @@ fn a_deadlock_under_a_language_is_one_that_the_executor_comes_to() {
     let toggle = net(TOGGLE);
     let proof = proved(std::slice::from_ref(&toggle), "a b");
     let finding = proof.findings.iter().next().unwrap();
-    let way = "after command a to toggle, toggle.over, command b to toggle the marking is toggle.q, b on the tape of toggle";
+    let way = "after command a to toggle, toggle.over, command b to toggle, the marking is toggle.q, b on the tape of toggle";
     assert!(finding.message.contains(way), "{finding}");
     let mut execution = Execution::new(Arc::clone(&toggle));
     execution.put_symbol("a", Vec::new()).unwrap();
