@@ -1,8 +1,9 @@
-//! What the programs `ctos` and `scott` share: what a person sees, exit codes, tables, how a running app is reached, and
-//! how a page is served. Knows no command, no net and no service object.
+//! What the programs `ctos` and `scott` share: what a person sees, exit codes, tables, how a running app is reached,
+//! how a page is served, and the names of forms of nets. Knows no command, no net and no service object.
 
 pub mod client;
 pub mod exit;
+pub mod form;
 pub mod page;
 pub mod remote;
 pub mod show;

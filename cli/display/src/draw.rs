@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ctos::diagnostic::Findings;
 use pnt::{
     format,
@@ -10,28 +10,16 @@ use pnt::{
     stream::{NetView, PinView, Side, State},
 };
 
-use cli_common::{exit, show};
+use cli_common::{exit, form::Form, show};
 
 use crate::{figure::Figure, record::Recorded};
-
-/// A form of drawing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
-pub enum Form {
-    /// Scalable vector graphics, for papers and pages
-    #[default]
-    Svg,
-    /// The language of Graphviz
-    Dot,
-    /// The language of Mermaid
-    Mermaid,
-}
 
 /// Draw a net, or a moment of a recorded one
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos net draw configs/nets/dispatcher.net > dispatcher.svg
   ctos net draw run.ws1.mcap --net dispatcher --at 12.5 > fork.svg
-  ctos net draw model.pnml --as dot | dot -Tpdf > model.pdf")]
+  ctos net draw model.pnml --to dot | dot -Tpdf > model.pdf")]
 pub struct DrawArgs {
     /// A net in any form, or a record (MCAP) of an app that ran nets
     pub file: PathBuf,
@@ -41,9 +29,9 @@ pub struct DrawArgs {
     /// The moment of a record, s since the start of the app; its end when left out
     #[arg(long, value_name = "SECONDS", value_parser = moment)]
     pub at: Option<u64>,
-    /// The form
-    #[arg(long = "as", value_enum, value_name = "FORM", default_value_t)]
-    pub form: Form,
+    /// The form; what is no drawing is written as by `ctos net convert`
+    #[arg(long, alias = "as", value_enum, value_name = "FORM", default_value_t)]
+    pub to: Form,
     /// Draw the places and transitions of coordination structures too
     #[arg(long)]
     pub full: bool,
@@ -69,9 +57,12 @@ pub(crate) fn moment(text: &str) -> Result<u64, String> {
     }
 }
 
-/// Runs the command.
+/// Runs the command; `write` writes the net of a file in a form that is no drawing.
 #[must_use]
-pub fn run(args: &DrawArgs) -> u8 {
+pub fn run(args: &DrawArgs, write: impl FnOnce(&Path, Form) -> u8) -> u8 {
+    if !args.json && !args.to.is_drawing() {
+        return write(&args.file, args.to);
+    }
     let record = args
         .file
         .extension()
@@ -93,23 +84,39 @@ pub fn run(args: &DrawArgs) -> u8 {
     } else {
         Detail::Written
     };
-    let drawing = Drawing::new(&view, detail);
-    let figure = Figure {
-        view: &view,
-        drawing: &drawing,
-        state: &state,
-    };
-    let text = match args.form {
-        _ if args.json => {
-            serde_json::json!({ "net": view.name, "drawing": drawing, "state": state }).to_string()
-        }
-        Form::Svg => figure.svg(),
-        Form::Dot => figure.dot(),
-        Form::Mermaid => figure.mermaid(),
+    let text = if args.json {
+        let drawing = Drawing::new(&view, detail);
+        serde_json::json!({ "net": view.name, "drawing": drawing, "state": state }).to_string()
+    } else {
+        figure(&view, &state, detail, args.to)
     };
     // A reader that went away has what it wanted.
-    let _ = show::data(text.trim_end());
+    let _ = show::data(&text);
     exit::OK
+}
+
+/// A drawing of the net of a file, at its initial marking.
+///
+/// # Errors
+/// What is wrong with the file.
+pub fn drawing(path: &Path, form: Form) -> Result<String, Findings> {
+    let (view, state) = written(path)?;
+    Ok(figure(&view, &state, Detail::Written, form))
+}
+
+fn figure(view: &NetView, state: &State, detail: Detail, form: Form) -> String {
+    let drawing = &Drawing::new(view, detail);
+    let figure = Figure {
+        view,
+        drawing,
+        state,
+    };
+    let text = match form {
+        Form::Dot => figure.dot(),
+        Form::Mermaid => figure.mermaid(),
+        _ => figure.svg(),
+    };
+    text.trim_end().to_owned()
 }
 
 /// A net at its initial marking.

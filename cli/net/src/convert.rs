@@ -7,25 +7,14 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ctos::diagnostic::Findings;
 use pnt::{
     format::{self, Format, NetFile},
     pnml, tina,
 };
 
-use cli_common::{exit, show};
-
-/// A form in which a net is written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Form {
-    /// Net text
-    Text,
-    /// PNML (ISO/IEC 15909-2)
-    Pnml,
-    /// The text of TINA
-    Tina,
-}
+use cli_common::{exit, form::Form, show};
 
 /// Write a net in another form
 #[derive(Debug, Args)]
@@ -40,7 +29,8 @@ pub struct ConvertArgs {
     /// The file to write, or `-` for standard output
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
-    /// The form, if OUT ends neither in `.net` (net text) nor in `.pnml` or `.xml` (PNML)
+    /// The form, if the name of OUT does not say it: .net is net text; .pnml and .xml are PNML; .svg, .dot and .mmd
+    /// are drawings
     #[arg(long, value_enum, value_name = "FORM")]
     pub to: Option<Form>,
     /// Print a JSON object about what was written
@@ -52,26 +42,29 @@ pub struct ConvertArgs {
 }
 
 impl ConvertArgs {
-    fn form(&self) -> Option<Form> {
-        let by_name = || match self.output.extension()?.to_str()? {
-            "net" => Some(Form::Text),
-            "pnml" | "xml" => Some(Form::Pnml),
-            _ => None,
-        };
-        self.to.or_else(by_name)
+    /// Writes a net to standard output in a form.
+    #[must_use]
+    pub fn to_output(input: &Path, form: Form) -> Self {
+        Self {
+            input: input.to_owned(),
+            output: PathBuf::from("-"),
+            to: Some(form),
+            json: false,
+            quiet: false,
+        }
     }
 }
 
-/// Runs the command.
+/// Runs the command; `draw` draws the net of a file.
 #[must_use]
-pub fn run(args: &ConvertArgs) -> u8 {
-    let Some(form) = args.form() else {
+pub fn run(args: &ConvertArgs, draw: impl Fn(&Path, Form) -> Result<String, Findings>) -> u8 {
+    let Some(form) = args.to.or_else(|| Form::of_file(&args.output)) else {
         show::say(
-            "error: the name of OUT does not say which form to write; add `--to text`, `--to pnml` or `--to tina`",
+            "error: the name of OUT does not say which form to write; add `--to FORM`, for example `--to text` or `--to pnml`",
         );
         return exit::USAGE;
     };
-    let (file, text) = match converted(&args.input, form) {
+    let (file, text) = match converted(&args.input, form, draw) {
         Ok(converted) => converted,
         Err(findings) => {
             show::findings(findings);
@@ -113,7 +106,11 @@ pub fn run(args: &ConvertArgs) -> u8 {
 }
 
 /// The file and its net in another form.
-fn converted(input: &Path, form: Form) -> Result<(NetFile, String), Findings> {
+fn converted(
+    input: &Path,
+    form: Form,
+    draw: impl Fn(&Path, Form) -> Result<String, Findings>,
+) -> Result<(NetFile, String), Findings> {
     let file = format::read(input)?;
     // What is written must be a net by itself.
     file.compile()?;
@@ -121,13 +118,14 @@ fn converted(input: &Path, form: Form) -> Result<(NetFile, String), Findings> {
         Form::Text => file.draft.to_string(),
         Form::Pnml => pnml::write(&file)?,
         Form::Tina => tina::write(&file.draft)?,
+        Form::Svg | Form::Dot | Form::Mermaid => draw(input, form)? + "\n",
     };
     Ok((file, text))
 }
 
 /// What the file has and the form has no words for.
 fn lost(file: &NetFile, form: Form) -> Option<String> {
-    if form == Form::Pnml || file.format != Format::Pnml {
+    if form == Form::Pnml || form.is_drawing() || file.format != Format::Pnml {
         return None;
     }
     let drawn = file.positions.places.len() + file.positions.transitions.len();

@@ -23,7 +23,7 @@ pub enum NetCommand {
     /// Write a net in another form
     ///
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
-    /// everything; what another form has no words for is told.
+    /// everything; what another form has no words for is told. The other forms are drawings, as by `ctos net draw`.
     Convert(convert::ConvertArgs),
     /// Fire an enabled transition of a running net by hand
     ///
@@ -81,7 +81,7 @@ pub enum NetCommand {
 pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry, program::app),
-        NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Convert(args) => convert::run(args, draw::drawing),
         NetCommand::Fire(args) => control::fire(args),
         NetCommand::Put(args) => control::put(args),
         NetCommand::Take(args) => control::take(args),
@@ -94,7 +94,10 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Replace(args) => control::replace(args),
         NetCommand::Tape(args) => control::tape(args),
         NetCommand::Marking(args) => control::marking(args),
-        NetCommand::Draw(args) => draw::run(args),
+        NetCommand::Draw(args) => draw::run(args, |file, form| {
+            let args = convert::ConvertArgs::to_output(file, form);
+            convert::run(&args, draw::drawing)
+        }),
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry, program::app),
         NetCommand::Perf(args) => perf::run(args),

@@ -115,6 +115,37 @@ fn a_net_goes_to_pnml_and_back_and_is_checked_in_either_form() {
 }
 
 #[test]
+fn drawing_and_converting_call_every_form_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "net n\nplace a = 1, b\ntransition t\n  in a\n  out b\n";
+    fs::write(folder.path().join("n.net"), text).unwrap();
+    let net = |arguments: &[&str]| {
+        let ended = ctos(folder.path(), &[&["net"], arguments].concat());
+        assert_eq!(ended.code, 0, "{arguments:?}: {}", ended.stderr);
+        ended.stdout
+    };
+    for (form, begins) in [
+        ("text", "net n\nplace "),
+        ("pnml", "<?xml "),
+        ("tina", "net n\npl "),
+        ("svg", "<svg "),
+        ("dot", "digraph "),
+        ("mermaid", "flowchart "),
+    ] {
+        let converted = net(&["convert", "n.net", "-", "--to", form]);
+        assert!(converted.starts_with(begins), "{form}: {converted}");
+        assert_eq!(net(&["draw", "n.net", "--to", form]), converted);
+    }
+    // As it was called before, and as the name of a file says.
+    let dot = net(&["draw", "n.net", "--as", "dot"]);
+    net(&["convert", "n.net", "n.dot"]);
+    assert_eq!(
+        fs::read_to_string(folder.path().join("n.dot")).unwrap(),
+        dot
+    );
+}
+
+#[test]
 fn a_file_that_is_wrong_leaves_what_was_there_and_says_where_it_is_wrong() {
     let folder = tempfile::tempdir().unwrap();
     let wrong = "<pnml><net id=\"n\" type=\"x/ptnet\">\n<transition id=\"t\"/>\n<arc id=\"a\" source=\"p\" target=\"t\"/></net></pnml>";

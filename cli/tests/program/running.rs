@@ -131,8 +131,8 @@ const FILES: &[(&str, Then)] = &[
     ("ctos net check cell.pnml --seconds 30 --deadlocks 10", Ends),
     ("ctos net convert model.pnml - --to tina", Ends),
     ("ctos net convert model.pnml model.net", Ends),
-    ("ctos net draw model.pnml --as dot", Ends),
-    ("ctos net draw model.pnml --as mermaid", Ends),
+    ("ctos net draw model.pnml --to dot", Ends),
+    ("ctos net draw model.pnml --to mermaid", Ends),
     ("ctos check app.toml", Ends),
     ("ctos net perf queue.net", Ends),
 ];
