@@ -56,11 +56,12 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
     register_world(registry);
     let arm = drivers.driver(ARM, open_arm);
     arm.slots(count_slots).check(check_arm);
-    sources.source(CAMERA, |cx, name, args| {
+    let camera = sources.source(CAMERA, |cx, name, args| {
         let source: Box<dyn FrameSource> = Box::new(SimCamera::new(cx, name, args)?);
         Ok(source)
     });
-    // A frame source's own check does not know the configuration's folder, where cell files are.
+    // A frame source's own check does not know the configuration's folder, where cell files are; the app's check does.
+    camera.check(|_, _, _| {});
     registry.app_check("sim::cameras", |app, _, findings| {
         check_cameras(app, findings)
     });

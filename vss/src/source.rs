@@ -6,6 +6,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use ctos::{
     config::Node,
     diagnostic::{Finding, Findings},
+    registry::unread_args,
     task::{Context, HandlerError},
 };
 use futures_util::future::LocalBoxFuture;
@@ -26,11 +27,19 @@ type Check = Box<dyn Fn(&str, &Node, &mut Findings) + Send + Sync>;
 pub struct SourceKind {
     build: Build,
     check: Option<Check>,
+    keys: Vec<&'static str>,
 }
 
 impl SourceKind {
+    /// Declares the keys of a camera's arguments that a source without a [`check`](Self::check) reads. Any other key is found
+    /// before anything starts.
+    pub fn keys(&mut self, keys: &[&'static str]) -> &mut Self {
+        self.keys.extend(keys);
+        self
+    }
+
     /// Adds a check of a camera's arguments that runs before anything starts. It gets the camera's name and the
-    /// arguments.
+    /// arguments, and finds the keys that the source does not know, too.
     pub fn check(
         &mut self,
         check: impl Fn(&str, &Node, &mut Findings) + Send + Sync + 'static,
@@ -67,6 +76,7 @@ impl FrameSources {
         let kind = SourceKind {
             build: Arc::new(build),
             check: None,
+            keys: Vec::new(),
         };
         match self.kinds.entry(name.to_owned()) {
             std::collections::btree_map::Entry::Occupied(mut there) => {
@@ -97,7 +107,16 @@ impl FrameSources {
             Some(SourceKind {
                 check: Some(check), ..
             }) => check(camera, args, findings),
-            Some(_) => {}
+            Some(kind) => unread_args(
+                args,
+                &kind.keys,
+                args.place().or(source.place()),
+                |key| {
+                    format!("camera `{camera}` gives `args.{key}`, and its frame source `{name}`")
+                },
+                "the source reads where it is registered: `sources.source(..).keys(..)`, or `check`",
+                findings,
+            ),
             None => {
                 let finding = self.unknown(name);
                 findings.push(match source.place() {

@@ -89,7 +89,7 @@ impl FrameSource for TestCamera {
 
 fn sources() -> FrameSources {
     let mut sources = FrameSources::new();
-    sources.source("test.camera", |_, camera, args| {
+    let camera = sources.source("test.camera", |_, camera, args| {
         let at = |key: &str| args.get(key).and_then(ctos::config::Node::as_f64);
         Ok(Box::new(TestCamera {
             name: camera.to_owned(),
@@ -98,6 +98,7 @@ fn sources() -> FrameSources {
             busy: Arc::default(),
         }) as Box<dyn FrameSource>)
     });
+    camera.keys(&["u", "v"]);
     sources
 }
 
@@ -493,6 +494,13 @@ fn arguments_that_no_handler_takes_are_found_before_anything_starts() {
         source,
         [
             "app.toml:17:10: error: no frame source is called `test.camrea` (did you mean `test.camera`?)"
+        ]
+    );
+    let key = found("u = 41.3, v", "uu = 41.3, v");
+    assert_eq!(
+        key,
+        [
+            "app.toml:18:10: error: camera `left` gives `args.uu`, and its frame source `test.camera` does not read it (did you mean `u`?)"
         ]
     );
     let options = found(

@@ -23,7 +23,7 @@ use crate::{
 };
 use ctos_config::{
     App, Entry, Node, TaskConfig,
-    diagnostic::{Finding, Findings},
+    diagnostic::{Finding, Findings, Place},
 };
 use ctos_message::{Command, CommandInfo};
 use ctos_time::Clock;
@@ -161,35 +161,50 @@ impl HandlerKind {
 
     /// Checks a task of this kind. Whatever its own checks look at, a key that the kind has not declared is found.
     fn check_task(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
-        let args = task.args.without(&self.keys);
         match &self.args {
-            Some(read) => read(&args, task, app, findings),
-            None => args
-                .entries()
-                .iter()
-                .for_each(|entry| findings.push(self.unread(task, entry))),
+            Some(read) => read(&task.args.without(&self.keys), task, app, findings),
+            None => unread_args(
+                &task.args,
+                &self.keys,
+                Some(&task.place),
+                |key| {
+                    let (task, handler) = (&task.name, &self.name);
+                    format!("task `{task}` gives `args.{key}`, and its event handler `{handler}`")
+                },
+                "the handler reads where it is registered: `registry.handler(..).args::<ItsArgs>()`",
+                findings,
+            ),
         }
         for check in &self.checks {
             check(task, app, findings);
         }
     }
+}
 
-    /// A key of a task whose kind has declared no type of arguments.
-    fn unread(&self, task: &TaskConfig, entry: &Entry) -> Finding {
-        let declares = match self.keys.is_empty() {
-            true => "declares no arguments",
-            false => "does not read it",
-        };
-        let text = format!(
-            "task `{}` gives `args.{}`, and its event handler `{}` {declares}",
-            task.name, entry.key, self.name
-        );
-        let place = entry.key_place.as_ref().unwrap_or(&task.place);
-        let finding = Finding::error("ctos::handler::unread_args", text).at(place.clone());
-        let finding = finding.label("nobody reads this key").help(
-            "leave it out; or declare what the handler reads where it is registered: `registry.handler(..).args::<ItsArgs>()`",
-        );
-        finding.suggest(&entry.key, self.keys.iter().copied())
+/// Finds the keys of `args`, which stand at `at`, besides the declared `keys`: nobody reads them. `told` says who gives a
+/// key to whom, and `declare` what can be declared and how.
+pub fn unread_args(
+    args: &Node,
+    keys: &[&'static str],
+    at: Option<&Place>,
+    told: impl Fn(&str) -> String,
+    declare: &str,
+    findings: &mut Findings,
+) {
+    let declares = match keys {
+        [] => "declares no arguments",
+        _ => "does not read it",
+    };
+    for Entry { key, key_place, .. } in args.without(keys).entries() {
+        let text = format!("{} {declares}", told(key));
+        let finding = Finding::error("ctos::handler::unread_args", text)
+            .label("nobody reads this key")
+            .help(format!("leave it out; or declare what {declare}"))
+            .suggest(key, keys.iter().copied());
+        findings.push(match key_place.as_ref().or(at) {
+            Some(place) => finding.at(place.clone()),
+            None => finding,
+        });
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
 use ctos::diagnostic::Findings;
+use ctos::registry::unread_args;
 use ctos::task::{Context, HandlerError};
 
 use super::ChannelDriver;
@@ -18,12 +19,21 @@ type Slots = Arc<dyn Fn(&App, &Node) -> Option<usize> + Send + Sync>;
 pub struct DriverKind {
     build: Build,
     check: Option<Check>,
+    keys: Vec<&'static str>,
     slots: Option<Slots>,
 }
 
 impl DriverKind {
+    /// Declares the keys of `driver_args` that a driver without a [`check`](Self::check) reads. Any other key is found before
+    /// anything starts.
+    pub fn keys(&mut self, keys: &[&'static str]) -> &mut Self {
+        self.keys.extend(keys);
+        self
+    }
+
     /// Adds a check of the driver's arguments that runs before anything starts; it is given the servo
-    /// task, the app and the node `driver_args` (an empty table when there is none).
+    /// task, the app and the node `driver_args` (an empty table when there is none). It finds the keys that the driver does
+    /// not know, too.
     pub fn check(
         &mut self,
         check: impl Fn(&TaskConfig, &App, &Node, &mut Findings) + Send + Sync + 'static,
@@ -53,8 +63,22 @@ impl DriverKind {
         findings: &mut Findings,
     ) {
         if let Some(check) = &self.check {
-            check(task, app, args, findings);
+            return check(task, app, args, findings);
         }
+        let driver = task.args.get("driver").and_then(Node::as_str);
+        let (name, driver) = (&task.name, driver.unwrap_or_default());
+        unread_args(
+            args,
+            &self.keys,
+            Some(&task.place),
+            |key| {
+                format!(
+                    "task `{name}` gives `args.driver_args.{key}`, and its channel driver `{driver}`"
+                )
+            },
+            "the driver reads where it is registered: `drivers.driver(..).keys(..)`, or `check`",
+            findings,
+        );
     }
 
     pub(crate) fn build(
@@ -92,6 +116,7 @@ impl DriverRegistry {
         let kind = DriverKind {
             build: Arc::new(build),
             check: None,
+            keys: Vec::new(),
             slots: None,
         };
         match self.kinds.entry(name.to_owned()) {

@@ -115,7 +115,7 @@ fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
         let arm = built_in_arm("puma560");
         Ok(Box::new(TestArm::new(arm, &START, false, &for_arm)))
     });
-    arm.slots(|_, _| Some(6));
+    arm.slots(|_, _| Some(6)).keys(&["speed"]);
     let for_arm = Arc::clone(knobs);
     let on_cart = drivers.driver("test.arm_on_cart", move |_, _| {
         let (arm, start) = (built_in_arm("testbed9"), [&[0.0; 3][..], &START].concat());
@@ -452,6 +452,14 @@ fn wrong_arguments_are_found_before_anything_starts() {
         (
             "task.servo.args.driver=test.amr",
             "did you mean `test.arm`?",
+        ),
+        (
+            "task.servo.args.driver_args.speeed=3",
+            "gives `args.driver_args.speeed`, and its channel driver `test.arm` does not read it",
+        ),
+        (
+            "task.servo.args.driver_args.speeed=3",
+            "did you mean `speed`?",
         ),
         ("task.servo.args.period_ms=0", "`period_ms` is 0"),
         ("task.servo.args.bandwidth_hz=40", "`bandwidth_hz` is 40"),

@@ -374,15 +374,16 @@ fn registry(seen: &Arc<Mutex<Seen>>, camera_lost_s: Option<f64>) -> Registry {
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
     let seen = seen.clone();
-    drivers.driver("test.watched", move |cx, args| {
+    let watched = drivers.driver("test.watched", move |cx, args| {
         Ok(Box::new(Watched {
             arm: sim::handlers::open_arm(cx, args)?,
             clock: cx.chassis().clock().clone(),
             seen: seen.clone(),
         }))
     });
+    watched.keys(&["world", "arm"]);
     let from = camera_lost_s.map_or(Duration::MAX, Duration::from_secs_f64);
-    sources.source("test.failing", move |cx, name, args: &Node| {
+    let failing = sources.source("test.failing", move |cx, name, args: &Node| {
         let source: Box<dyn FrameSource> = Box::new(Failing {
             name: name.to_owned(),
             camera: sim::source::SimCamera::new(cx, name, args)?,
@@ -390,6 +391,7 @@ fn registry(seen: &Arc<Mutex<Seen>>, camera_lost_s: Option<f64>) -> Registry {
         });
         Ok(source)
     });
+    failing.keys(&["cell"]);
     mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
