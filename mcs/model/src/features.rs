@@ -25,6 +25,15 @@ impl JointKind {
             Self::Prismatic => "m",
         }
     }
+
+    /// The unit of what drives it, a torque or a force.
+    #[must_use]
+    pub fn effort_unit(self) -> &'static str {
+        match self {
+            Self::Revolute => "N m",
+            Self::Prismatic => "N",
+        }
+    }
 }
 
 /// Viscous and Coulomb friction of one joint, at the motor shaft as it was measured.
