@@ -70,8 +70,8 @@ pub mod config {
         App, Bundle, BundleError, ChassisConfig, ChassisRestart, ChassisSupervision, Cut, DEFAULTS,
         Entry, Expander, GeneratedTask, HostConfig, InjuryConfig, LinkConfig, Node, OnTaskFailure,
         Origin, ProcessorConfig, RecordConfig, SameHost, SecurityConfig, Selection, SharedConfig,
-        ShownValue, Start, TaskConfig, TimeMode, Value, ZenohConfig, ZenohEndpoint,
-        ZenohEndpointError, ZenohMode, has_zenoh, load, load_texts, schema,
+        Start, TaskConfig, TimeMode, Value, ZenohConfig, ZenohEndpoint, ZenohEndpointError,
+        ZenohMode, has_zenoh, load, load_texts, schema,
     };
 }
 

@@ -136,9 +136,18 @@ fn a_running_app_is_looked_at_and_stopped_from_outside() {
 
     let stopped = ctos(&scratch, &["stop", "cell"]);
     assert_eq!(stopped.code, Some(0), "{}", stopped.told);
-    stopped.must_say_before("stop     the app was interrupted", "stopped  cell");
-    run.wait_for("stop     the app was interrupted");
-    run.end().must_exit(130);
+    // Nobody has pressed Ctrl-C: those who stop, boot and run are told of the operator.
+    stopped.must_say_before(
+        "stop     the operator stopped the app",
+        "stopped  cell: the operator stopped the app",
+    );
+    stopped.must_not_say("interrupted");
+    run.wait_for("stop     the operator stopped the app");
+    run.end()
+        .must_exit(130)
+        .must_say("stops because the operator stopped the app")
+        .must_say("error: stopped by the operator")
+        .must_not_say("interrupted");
     assert!(
         std::fs::read_dir(&folder).unwrap().next().is_none(),
         "a socket is left"

@@ -18,7 +18,7 @@ pub const TIMED_OUT: u8 = 6;
 pub const LIMIT: u8 = 7;
 /// The key that was shown, or its role, does not permit it.
 pub const NOT_ALLOWED: u8 = 8;
-/// Interrupted by Ctrl-C (128 + SIGINT).
+/// Interrupted by Ctrl-C (128 + SIGINT), or stopped by an operator.
 pub const INTERRUPTED: u8 = 130;
 /// Ended by SIGTERM (128 + SIGTERM).
 pub const TERMINATED: u8 = 143;
@@ -46,7 +46,10 @@ pub const CODES: [(u8, &str); 11] = [
         "stopped by a breakpoint or a limit that was asked for",
     ),
     (NOT_ALLOWED, "the key, or its role, does not permit it"),
-    (INTERRUPTED, "interrupted by Ctrl-C"),
+    (
+        INTERRUPTED,
+        "interrupted by Ctrl-C, or stopped by `ctos stop`",
+    ),
     (TERMINATED, "ended by SIGTERM"),
 ];
 

@@ -10,14 +10,16 @@ use clap::Args;
 use ctos::{
     control::{
         LogLine, Socket,
-        client::{self, Client, ClientError, Pass},
         protocol::{Activity, Answer, AppView, ErrorCode, Request, TaskView},
     },
     doors::Secret,
     security::Keys,
 };
 
-use crate::{exit, show};
+use crate::{
+    client::{self, Client, ClientError, Pass},
+    exit, show,
+};
 
 /// How long an app may take to answer. It asks its chassis itself, and waits for those half a second.
 const LIMIT: Duration = Duration::from_secs(5);

@@ -5,10 +5,11 @@ use std::{os::unix::process::parent_id, process, thread, time::Duration};
 
 use ctos::control::{
     LogLine, Socket,
-    client::{self, Client, ClientError},
     protocol::{Answer, LogRequest, Request},
 };
 use tokio::sync::oneshot;
+
+use cli_common::client::{self, Client, ClientError};
 
 use super::wire::TaskLine;
 

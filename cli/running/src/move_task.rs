@@ -1,12 +1,10 @@
 //! `ctos move`.
 
 use clap::Args;
-use ctos::control::{
-    client::ClientError,
-    protocol::{Answer, MoveView, Request},
-};
+use ctos::control::protocol::{Answer, MoveView, Request};
 
 use cli_common::{
+    client::ClientError,
     exit,
     remote::{self, RemoteArgs},
     show,

@@ -1,12 +1,10 @@
 //! `ctos ps`.
 
 use clap::Args;
-use ctos::control::{
-    client::{self, ClientError},
-    protocol::AppView,
-};
+use ctos::control::protocol::AppView;
 
 use cli_common::{
+    client::{self, ClientError},
     exit,
     remote::{self, RemoteArgs, view},
     show,

@@ -11,7 +11,6 @@ use ctos::{
     config::{App, RecordConfig},
     control::{
         Socket,
-        client::{Client, ClientError},
         protocol::{Answer, RecordRequest, RecordView, Request},
     },
 };
@@ -21,6 +20,7 @@ use tokio::{
 };
 
 use cli_common::{
+    client::{Client, ClientError},
     exit,
     remote::{self, AtArgs},
     show,

@@ -1,12 +1,10 @@
 //! `ctos restart`.
 
 use clap::Args;
-use ctos::control::{
-    client::ClientError,
-    protocol::{Answer, Request},
-};
+use ctos::control::protocol::{Answer, Request};
 
 use cli_common::{
+    client::ClientError,
     exit,
     remote::{self, RemoteArgs},
     show,

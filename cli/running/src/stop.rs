@@ -3,12 +3,10 @@
 use std::time::Duration;
 
 use clap::Args;
-use ctos::control::{
-    client::Within,
-    protocol::{Answer, Request},
-};
+use ctos::control::protocol::{Answer, Request};
 
 use cli_common::{
+    client::Within,
     exit,
     remote::{self, AtArgs},
     show,

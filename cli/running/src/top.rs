@@ -6,9 +6,9 @@ mod screen;
 use std::{io::IsTerminal, time::Duration};
 
 use clap::{Args, ValueEnum};
-use ctos::control::client::{Client, ClientError};
 
 use cli_common::{
+    client::{Client, ClientError},
     exit,
     remote::{self, RemoteArgs},
     show, table,

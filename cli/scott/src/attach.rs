@@ -10,15 +10,15 @@ use std::{
 };
 
 use ctos::{
-    control::{
-        client::{Client, ClientError, Within},
-        protocol::{Answer, AppView, ErrorCode, Request, SayRequest},
-    },
+    control::protocol::{Answer, AppView, ErrorCode, Request, SayRequest},
     time::Clock,
 };
 use sorma::{ClassInfo, Location, ObjectName, Reply, Report, daemon, report::code, words};
 
-use cli_common::remote::{self, AtArgs, RemoteArgs, connect_to};
+use cli_common::{
+    client::{Client, ClientError, Within},
+    remote::{self, AtArgs, RemoteArgs, connect_to},
+};
 
 /// How often it is looked whether the user has given up waiting.
 const LOOK: Duration = Duration::from_millis(100);

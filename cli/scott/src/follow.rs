@@ -13,12 +13,14 @@ use std::{
 
 use ctos::control::{
     Level, LogLine,
-    client::{Client, ClientError},
     protocol::{Answer, LogRequest, Request},
 };
 
 use super::attach::Where;
-use cli_common::remote::{connect_to, log_text};
+use cli_common::{
+    client::{Client, ClientError},
+    remote::{connect_to, log_text},
+};
 
 /// How often it is looked whether an app that is gone is back.
 const LOOK: Duration = Duration::from_millis(500);

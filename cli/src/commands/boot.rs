@@ -365,6 +365,7 @@ fn report(outcome: &Outcome, json: bool) -> u8 {
         }
         End::Finished(result) => (exit::FAILED, result.text.clone()),
         End::Interrupted => (exit::INTERRUPTED, "interrupted".to_owned()),
+        End::Stopped => (exit::INTERRUPTED, "stopped by the operator".to_owned()),
         End::ChassisDown { chassis } => {
             let mut casualties = outcome.casualties.iter();
             let how = casualties.find(|(name, _)| name == chassis);

@@ -1,11 +1,16 @@
 //! `ctos config`: what counts in the end, every key with its default, and the schema.
 
+mod shown;
+#[cfg(test)]
+mod tests;
+
 use clap::{Args, Subcommand};
-use ctos::config::{DEFAULTS, Origin, ShownValue};
+use ctos::config::{DEFAULTS, Origin};
 
 use cli_common::{exit, show};
 
 use crate::{commands::args::AppArgs, program};
+use shown::Shown;
 
 /// Show what a configuration comes to, every key there is, or the schema for editors
 #[derive(Debug, Args)]
@@ -67,17 +72,18 @@ fn merged(args: &ShowArgs) -> Result<String, u8> {
         exit::CONFIG
     })?;
     if !args.json {
-        return Ok(app.to_toml());
+        return Ok(shown::toml(&app));
     }
-    let lines = app.values().iter().map(value_json).collect::<Vec<_>>();
+    let values = shown::values(&app);
+    let lines = values.iter().map(value_json).collect::<Vec<_>>();
     Ok(lines.join("\n"))
 }
 
 /// A value as one line of JSON.
-fn value_json(shown: &ShownValue) -> String {
+fn value_json(shown: &Shown<'_>) -> String {
     let mut object = serde_json::json!({
         "key": shown.path,
-        "value": serde_json::Value::from(&shown.value),
+        "value": serde_json::Value::from(shown.value),
     });
     let (origin, profile, place) = match &shown.origin {
         Origin::Default => ("default", None, None),

@@ -374,6 +374,7 @@ impl Lab<'_> {
             End::Interrupted if self.args.limit.is_some() => return None,
             End::Finished(result) => result.text.clone(),
             End::Interrupted => "interrupted".to_owned(),
+            End::Stopped => "stopped by the operator".to_owned(),
             End::ChassisDown { chassis } => {
                 let mut casualties = outcome.casualties.iter();
                 let how = casualties.find(|(name, _)| name == chassis);
@@ -498,6 +499,7 @@ fn kind_of(end: &End) -> (&'static str, String) {
     match end {
         End::Finished(_) => ("finished", String::new()),
         End::Interrupted => ("interrupted", String::new()),
+        End::Stopped => ("stopped", String::new()),
         End::ChassisDown { chassis } => ("chassis down", chassis.clone()),
         End::GivenUp { chassis, .. } => ("given up", chassis.clone()),
         End::TaskFailed { task, .. } => ("task failed", task.clone()),

@@ -225,8 +225,10 @@ pub type Observer = Arc<dyn Fn(&BootEvent) + Send + Sync>;
 pub enum End {
     /// The task named by `until` finished.
     Finished(AppResult),
-    /// The person asked for it.
+    /// The person asked for it by Ctrl-C, or somebody by SIGTERM.
     Interrupted,
+    /// An operator asked for it.
+    Stopped,
     /// A chassis is gone.
     ChassisDown {
         /// Its name.
@@ -270,6 +272,7 @@ impl End {
         match self {
             Self::Finished(_) => StopReason::Finished,
             Self::Interrupted => StopReason::Interrupted,
+            Self::Stopped => StopReason::Stopped,
             Self::ChassisDown { chassis } => StopReason::ChassisDown {
                 chassis: chassis.clone(),
             },
@@ -382,8 +385,12 @@ impl Bootstrap {
     }
 
     #[command]
-    fn interrupt(&self, _: Interrupt) {
-        self.0.end(End::Interrupted);
+    fn interrupt(&self, Interrupt { by_operator }: Interrupt) {
+        self.0.end(if by_operator {
+            End::Stopped
+        } else {
+            End::Interrupted
+        });
     }
 
     #[command]

@@ -32,7 +32,6 @@ mod reading;
 mod schema;
 mod selection;
 mod settings;
-mod shown;
 #[cfg(test)]
 mod tests;
 mod trail;
@@ -53,7 +52,6 @@ pub use selection::Selection;
 /// When the process of a chassis is started again: a failure is any end but one by itself with exit code 0.
 pub use settings::When as ChassisRestart;
 pub use settings::{BOOT_CHASSIS, Lead, Overrun, Policy, Scope, When};
-pub use shown::ShownValue;
 pub use trail::Origin;
 pub use zenoh::{ZenohConfig, ZenohEndpoint, ZenohEndpointError, ZenohMode, has_zenoh};
 

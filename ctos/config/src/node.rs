@@ -475,6 +475,29 @@ fn split_path(path: &str) -> Vec<String> {
     parts
 }
 
+/// The value as JSON; NaN and infinite numbers become text, for JSON has none.
+impl From<&Node> for serde_json::Value {
+    fn from(node: &Node) -> Self {
+        match node.value() {
+            Value::String(text) | Value::Datetime(text) => text.as_str().into(),
+            Value::Integer(number) => match (i64::try_from(*number), u64::try_from(*number)) {
+                (Ok(number), _) => number.into(),
+                (_, Ok(number)) => number.into(),
+                _ => number.to_string().into(),
+            },
+            Value::Float(number) => serde_json::Number::from_f64(*number)
+                .map_or_else(|| format!("{number}").into(), Self::Number),
+            Value::Bool(value) => (*value).into(),
+            Value::Array(elements) => elements.iter().map(Self::from).collect(),
+            Value::Table(entries) => {
+                let each = entries.iter();
+                let each = each.map(|entry| (entry.key.clone(), Self::from(&entry.value)));
+                Self::Object(each.collect())
+            }
+        }
+    }
+}
+
 impl From<Value> for Node {
     fn from(value: Value) -> Self {
         Self { value, place: None }

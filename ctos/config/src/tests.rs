@@ -7,7 +7,6 @@ mod node;
 mod processors;
 mod profiles;
 mod refused;
-mod shown;
 mod variables;
 mod zenoh;
 

@@ -106,11 +106,6 @@ impl<'a> Variables<'a> {
     }
 }
 
-/// A text written so that [`expanded`] gives it back.
-pub(super) fn escaped(text: &str) -> String {
-    text.replace("${", "$${")
-}
-
 /// The name and the default of `NAME` or `NAME:-default`.
 fn reference(inside: &str) -> Option<(&str, Option<&str>)> {
     let (name, default) = match inside.split_once(":-") {

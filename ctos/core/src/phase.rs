@@ -36,9 +36,12 @@ pub enum StopReason {
     /// The app has its result.
     #[display("the app has finished")]
     Finished,
-    /// The person asked for it.
+    /// The person at its terminal asked for it by Ctrl-C, or somebody by SIGTERM.
     #[display("the app was interrupted")]
     Interrupted,
+    /// An operator asked for it: `ctos stop`.
+    #[display("the operator stopped the app")]
+    Stopped,
     /// This task alone was told to end; the app goes on.
     #[display("the task was told to shut down")]
     Shutdown,

@@ -130,8 +130,8 @@ command! {
     /// Tells that a task is at a breakpoint at which the app shall end.
     pub struct AtBreakpoint { pub task: String, pub reason: String } => (), 0xff3f, "at_breakpoint";
 
-    /// Tells that the person wants the app to stop.
-    pub struct Interrupt => (), 0xff33, "interrupt";
+    /// Tells that the person wants the app to stop: an operator, or whoever interrupts the process that boots.
+    pub struct Interrupt { pub by_operator: bool } => (), 0xff33, "interrupt";
 
     /// Tells that every chassis is connected.
     pub struct AllLinked => (), 0xff34, "all_linked";

@@ -1,10 +1,9 @@
 //! The control plane: how a person, or a program, looks at a running app and tells it what to do.
 //!
 //! The process that boots an app serves a Unix socket in a folder that belongs to its user alone
-//! ([`folder`]). [`client::Client`] speaks to it in lines of JSON ([`protocol`]); looking at an app
-//! sends its tasks nothing, so a task that is stuck is seen as well as any other.
+//! ([`folder`]). Clients speak to it in lines of JSON ([`protocol`]); looking at an app sends its tasks
+//! nothing, so a task that is stuck is seen as well as any other.
 
-pub mod client;
 pub mod protocol;
 
 mod gate;
@@ -19,7 +18,7 @@ mod service;
 mod view;
 
 pub use logs::{Level, LogLine};
-pub use place::{Socket, folder, prepared_folder};
+pub use place::{Socket, folder, prepared_folder, sockets};
 
 pub(crate) use gate::Gate;
 pub(crate) use logs::LogStore;

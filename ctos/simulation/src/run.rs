@@ -367,7 +367,7 @@ impl Simulation {
         }
         if self.stops.first().is_some_and(|at| *at <= moment) {
             self.stops.pop_first();
-            self.tell_boot(system::Interrupt {});
+            self.tell_boot(system::Interrupt { by_operator: false });
         }
         while let Some(flight) = self.network.arrive(moment) {
             self.land(flight, moment);

@@ -302,7 +302,7 @@ impl Check<'_> {
             End::TaskFailed { task, .. } if task == "server4" => !self.book.running,
             End::TaskFailed { task, .. } => task == "shaky",
             End::ChassisDown { .. } | End::GivenUp { .. } => lost,
-            End::Interrupted | End::Stuck | End::Breakpoint { .. } => false,
+            End::Interrupted | End::Stopped | End::Stuck | End::Breakpoint { .. } => false,
         };
         if !reasonable && !broken {
             wrong.push(format!("it ended with {:?}", self.run.outcome.end));

@@ -8,10 +8,7 @@ use std::{
 };
 
 use ctos::{
-    control::{
-        client::{Client, ClientError},
-        protocol::{Answer, Request},
-    },
+    control::protocol::{Answer, Request},
     registry::Registry,
 };
 use pnt::{
@@ -20,7 +17,10 @@ use pnt::{
     task::{COMMANDS, Marking},
 };
 
-use cli_common::remote::RemoteArgs;
+use cli_common::{
+    client::{Client, ClientError},
+    remote::RemoteArgs,
+};
 
 /// How long a net waits for something to happen, and how much longer its answer may take.
 const PATIENCE_MS: u32 = 1_000;

@@ -2,7 +2,6 @@
 
 use std::{io, time::Duration};
 
-use ctos::control::client::{Client, ClientError};
 use ratatui::{
     Frame,
     crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers},
@@ -13,6 +12,7 @@ use ratatui::{
 };
 
 use cli_common::{
+    client::{Client, ClientError},
     remote, show,
     table::{self, fitted},
 };

@@ -53,10 +53,10 @@ impl Board {
             pending::<()>().await;
         });
         let interrupted = pin!(self.interrupted());
-        if let Either::Right(_) = select(select(all, told), interrupted).await {
+        if let Either::Right((why, _)) = select(select(all, told), interrupted).await {
             let skipped = std::mem::take(&mut *awaited.borrow_mut());
             for task in skipped {
-                not_quiet(&task, "skipped at a second interrupt".to_owned());
+                not_quiet(&task, why.to_owned());
             }
         }
         let late = *late.borrow();
@@ -67,9 +67,15 @@ impl Board {
         });
     }
 
-    /// Ends when the person asks once more.
-    pub(super) async fn interrupted(&self) {
-        while self.next_end().await != End::Interrupted {}
+    /// Ends when the person asks once more; what is said of a task that is not waited for any longer.
+    pub(super) async fn interrupted(&self) -> &'static str {
+        loop {
+            match self.next_end().await {
+                End::Interrupted => return "skipped at a second interrupt",
+                End::Stopped => return "skipped at a second order to stop",
+                _ => {}
+            }
+        }
     }
 
     fn running_tasks(&self) -> Vec<TaskRef> {

@@ -51,9 +51,7 @@ impl Board {
         let stopping = std::pin::pin!(self.order_stop(task, reason, None));
         match select(stopping, interrupted).await {
             Either::Left((stopped, _)) => stopped,
-            Either::Right(((), _)) => {
-                self.stopped(task, Some("skipped at a second interrupt".to_owned()))
-            }
+            Either::Right((why, _)) => self.stopped(task, Some(why.to_owned())),
         }
     }
 

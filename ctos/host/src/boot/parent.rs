@@ -194,7 +194,7 @@ async fn run_processes(
     loop {
         tokio::select! {
             _ = &mut exited => break,
-            () = interrupts.next() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            () = interrupts.next() => chassis.post_system(system::BOOTSTRAP, system::Interrupt { by_operator: false }),
             started = keeper.serve() => mesh.expect(started.chassis, started.incarnation),
             // What a chassis that is gone means is decided by the tasks, which have been told.
             event = mesh.next() => newcomers.welcome(chassis, &event),

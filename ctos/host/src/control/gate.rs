@@ -5,7 +5,6 @@
 
 use std::{net::SocketAddr, sync::Arc};
 
-use serde::{Deserialize, Serialize};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     net::UnixStream,
@@ -14,11 +13,11 @@ use tokio::{
 };
 
 use super::{
-    protocol::ErrorCode,
+    protocol::{ErrorCode, Shown},
     service::{Client, Reader, Service, Writer, busy, error, tell},
 };
 use crate::{
-    doors::{Lobby, PortSecret, STRANGER_TIMEOUT, STRANGERS, Secret, Turned},
+    doors::{Lobby, PortSecret, STRANGER_TIMEOUT, STRANGERS, Turned},
     remote::is_same_user,
 };
 use ctos_link::{
@@ -31,12 +30,6 @@ pub(super) const PLACES: usize = 32;
 
 /// The longest line with a secret, bytes.
 const SECRET_LIMIT: u64 = 512;
-
-/// The first line of a caller of a port without keys.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Shown {
-    pub(super) token: Secret,
-}
 
 /// Why a caller is not served.
 #[derive(Debug, thiserror::Error)]
@@ -150,7 +143,7 @@ mod tests {
     use super::*;
     use crate::{
         control::{LogStore, Ticker},
-        doors::NO_PAGE,
+        doors::{NO_PAGE, Secret},
     };
     use ctos_bootstrap::bootstrap::Observer;
     use ctos_config::load_texts;

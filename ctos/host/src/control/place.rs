@@ -56,7 +56,7 @@ pub(crate) fn socket(folder: &Path, name: &str, pid: u32) -> Socket {
 }
 
 /// The sockets in `folder`, by name. Those whose process has ended are removed.
-pub(crate) fn sockets(folder: &Path) -> Vec<Socket> {
+pub fn sockets(folder: &Path) -> Vec<Socket> {
     // Without a folder there is no app.
     let Ok(entries) = fs::read_dir(folder) else {
         return Vec::new();

@@ -6,7 +6,10 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use crate::control::{Level, LogLine};
+use crate::{
+    control::{Level, LogLine},
+    doors::Secret,
+};
 use ctos_bootstrap::bootstrap::{BootEvent, BootState, ChassisState};
 use ctos_core::report::RecordReport;
 pub use ctos_core::report::{Activity, TaskReport as TaskView, WaitReport as WaitView};
@@ -20,9 +23,17 @@ pub const VERSION: u32 = 1;
 pub const REQUEST_LIMIT: usize = 1 << 20;
 
 /// What is said of a longer one.
-pub(crate) fn too_long(length: Option<usize>) -> String {
+#[must_use]
+pub fn too_long(length: Option<usize>) -> String {
     let has = length.map_or_else(String::new, |length| format!(", and this one has {length}"));
     format!("a request to an app is one line of at most {REQUEST_LIMIT} bytes{has}")
+}
+
+/// The first line of a caller of a port without keys.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Shown {
+    /// The secret of the port.
+    pub token: Secret,
 }
 
 /// A line that a client writes.
@@ -228,7 +239,8 @@ pub struct ErrorView {
 }
 
 impl ErrorView {
-    pub(crate) fn new(code: ErrorCode, message: impl Into<String>) -> Self {
+    /// An error without other names.
+    pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
         Self {
             code,
             message: message.into(),

@@ -217,7 +217,11 @@ impl Service {
 
     pub(super) async fn stop(&self, now: bool, writer: &mut Writer) -> Answered {
         let mut news = self.ticker.subscribe();
-        self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
+        let order = || {
+            let order = Interrupt { by_operator: true };
+            self.chassis.post_system(system::BOOTSTRAP, order);
+        };
+        order();
         loop {
             match news.recv().await {
                 Ok(News::Event(what)) => {
@@ -228,7 +232,7 @@ impl Service {
                         } | BootEvent::Stopped { .. }
                     );
                     if now && begins {
-                        self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
+                        order();
                     }
                     tell(writer, &Answer::Event { what }).await?;
                 }

@@ -8,9 +8,9 @@
     reason = "a benchmark ends where something is wrong, and prints"
 )]
 
+use cli_common::client::{self, Client};
 use ctos::boot::{Launcher, Observer, boot, run_chassis};
 use ctos::config::{App, load_texts};
-use ctos::control::client::{self, Client};
 use ctos::control::protocol::{Answer, Request, SayRequest};
 use ctos::registry::Registry;
 use ctos::time::Clock;

@@ -1,7 +1,43 @@
 //! The merged configuration as a file.
 
-use super::*;
-use crate::node::Entry;
+use std::collections::BTreeMap;
+
+use ctos::{
+    config::{App, Entry, Expander, GeneratedTask, Node, Origin, Selection, Value, load_texts},
+    diagnostic::Findings,
+};
+use proptest::prelude::*;
+
+use super::shown::{toml, toml_of, values};
+
+const CELL: &str = r#"[app]
+until = "operator"
+
+[chassis.ws1]
+
+[chassis.cage_motion]
+stop_first = true
+processors.servo = { realtime = true, priority = 80, cpu = 1 }
+processors.main = {}
+
+[task.operator]
+handler = "cell.operator"
+on = "ws1"
+
+[task.mcs]
+handler = "mcs.client"
+on = "cage_motion/main"
+queue = 16
+restart = "always"
+call_deadline_s = 2.5
+
+[task.mcs.args]
+speed = 0.5
+"#;
+
+fn load_one(text: &str) -> Result<App, Findings> {
+    load_texts(&[("app.toml", text)], &[], &[])
+}
 
 fn sim() -> App {
     let text = format!(
@@ -26,7 +62,7 @@ fn comment(text: &str, header: &str, start: &str) -> String {
 
 #[test]
 fn each_value_is_shown_with_where_it_comes_from() {
-    let text = sim().to_toml();
+    let text = toml(&sim());
     assert_eq!(
         text.lines().next(),
         Some("# app.toml --profile sim --set seed=7")
@@ -57,33 +93,64 @@ fn each_value_is_shown_with_where_it_comes_from() {
     }
 }
 
+struct Services;
+
+impl Expander for Services {
+    fn expand(&self, table: &Node, _: &mut Findings) -> Vec<GeneratedTask> {
+        let named = table.get("services").map_or(&[][..], Node::elements).iter();
+        let task = |element: &Node| {
+            let name = element.as_str()?;
+            Some(GeneratedTask {
+                name: name.to_owned(),
+                handler: format!("vss.{name}"),
+                on: "ws1".to_owned(),
+                args: Node::table(),
+                place: element.place()?.clone(),
+            })
+        };
+        named.filter_map(task).collect()
+    }
+}
+
 #[test]
 fn tasks_that_a_table_makes_are_told_as_comments() {
     let text = format!("{CELL}[vss]\nservices = [\"spot\"]\n");
     let app = load_texts(&[("app.toml", &text)], &[], &[("vss", &Services)]).unwrap();
-    let shown = app.to_toml();
+    let shown = toml(&app);
     assert!(
         shown.ends_with("\n# Made from these tables:\n# task spot: vss.spot on ws1/main\n"),
         "{shown}"
     );
-    assert!(!sim().to_toml().contains("# Made from"));
+    assert!(!toml(&sim()).contains("# Made from"));
 }
 
 #[test]
 fn what_is_shown_makes_the_same_app_by_itself() {
     let app = sim();
-    let text = app.to_toml();
+    let text = toml(&app);
     let again = load_texts(&[("shown.toml", &text)], &[], &[]).unwrap();
     assert!(again.warnings.is_empty(), "{}", again.warnings);
-    assert_eq!(summary(&again), summary(&app));
-    let args = |app: &App| serde_json::Value::from(&app.task("operator").unwrap().args);
-    assert_eq!(args(&again), args(&app));
-    let values = |app: &App| {
-        let each = app.values().into_iter();
-        let each = each.map(|shown| (shown.path, serde_json::Value::from(&shown.value)));
+    let tasks = |app: &App| {
+        let each = app.tasks.iter().map(|task| {
+            let args = serde_json::Value::from(&task.args);
+            let place = (task.chassis.clone(), task.processor.clone());
+            (
+                task.name.clone(),
+                task.handler.clone(),
+                place,
+                task.queue,
+                args,
+            )
+        });
         each.collect::<Vec<_>>()
     };
-    let (mut one, mut other) = (values(&again), values(&app));
+    assert_eq!(tasks(&again), tasks(&app));
+    let all = |app: &App| {
+        let each = values(app).into_iter();
+        let each = each.map(|shown| (shown.path, serde_json::Value::from(shown.value)));
+        each.collect::<Vec<_>>()
+    };
+    let (mut one, mut other) = (all(&again), all(&app));
     one.sort_by(|one, other| one.0.cmp(&other.0));
     other.sort_by(|one, other| one.0.cmp(&other.0));
     assert_eq!(one, other);
@@ -91,12 +158,13 @@ fn what_is_shown_makes_the_same_app_by_itself() {
 
 #[test]
 fn the_list_of_values_has_every_value_once_with_its_path() {
-    let values = sim().values();
+    let app = sim();
+    let values = values(&app);
     let of = |path: &str| {
         let mut found = values.iter().filter(|shown| shown.path == path);
         let value = found.next().unwrap_or_else(|| panic!("no {path}"));
         assert!(found.next().is_none(), "{path} twice");
-        (serde_json::Value::from(&value.value), value.origin.clone())
+        (serde_json::Value::from(value.value), value.origin.clone())
     };
     assert_eq!(of("task.mcs.queue").0, 3);
     assert_eq!(of("task.operator.queue"), (64.into(), Origin::Default));
@@ -149,11 +217,10 @@ proptest! {
     #[test]
     fn any_arguments_are_shown_so_that_they_read_back_the_same(args in prop::collection::vec((".{0,6}", value()), 0..4)) {
         let args = args.into_iter().fold(Node::table(), |table, (key, value)| table.with(key, value));
-        let mut app = load_one("[chassis.w]\n[task.a]\nhandler = \"h\"\non = \"w\"\n").unwrap();
+        let app = load_one("[chassis.w]\n[task.a]\nhandler = \"h\"\non = \"w\"\n").unwrap();
         let task = Node::table().with("handler", "h").with("on", "w").with("args", args.clone());
-        let root = app.root.clone();
-        app.root = root.with("task", Node::table().with("a", task));
-        let text = app.to_toml();
+        let root = app.root().clone().with("task", Node::table().with("a", task));
+        let text = toml_of(&app, &root);
         let again = load_one(&text).map_err(|findings| TestCaseError::fail(format!("{findings}\n{text}")))?;
         prop_assert_eq!(bare(&again.tasks[0].args), bare(&args), "{}", text);
     }

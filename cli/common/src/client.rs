@@ -17,17 +17,19 @@ use rustix::{
     net::sockopt::{Timeout, set_socket_timeout},
 };
 
-use crate::{
+use ctos::{
+    Command,
     control::{
-        Socket,
-        gate::Shown,
-        place,
-        protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
+        Socket, folder,
+        protocol::{
+            Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, Shown, VERSION, too_long,
+        },
+        sockets,
     },
     doors::{Secret, SecretError},
+    message::Data,
+    security::{KeyError, Keys, Role},
 };
-use ctos_link::security::{KeyError, Keys, Role};
-use ctos_message::{Command, Data};
 
 /// Why an app could not be asked, or said no.
 #[derive(Debug, thiserror::Error)]
@@ -129,7 +131,7 @@ impl ClientError {
 /// The apps of this user that run.
 #[must_use]
 pub fn apps() -> Vec<Socket> {
-    place::sockets(&place::folder())
+    sockets(&folder())
 }
 
 /// The app called `name`, which may be its process id or `NAME-PID` too; without a name the only one.
@@ -504,7 +506,7 @@ mod tests {
         mpsc::{Receiver, Sender, channel},
     };
 
-    use ctos_link::security::make_key;
+    use ctos::security::make_key;
     use tokio::io::AsyncWriteExt;
 
     use rustix::{
