@@ -1,7 +1,11 @@
 //! A servo and the simulated world in two threads, over real sockets. The servo ticks when an answer has come, so that no
 //! test depends on how fast the machine is.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot be set up fails"
+)]
 
 use std::{
     path::Path,
