@@ -17,6 +17,7 @@ pub fn registry() -> Registry {
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
+    mcs_remote::register(&mut drivers);
     mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);

@@ -22,4 +22,7 @@ mod tasks;
 
 pub use mcs_model::{self as model, Joints, MAX_SLOTS, joints};
 pub use mcs_trajectory as trajectory;
-pub use tasks::{args::manipulator, register};
+pub use tasks::{
+    args::{arm, manipulator},
+    register,
+};

@@ -1,10 +1,11 @@
-//! Models from URDF, the robot description of ROS (wiki.ros.org/urdf/XML): the joints between two links.
+//! Models from URDF, the robot description of ROS (wiki.ros.org/urdf/XML): the joints between two links; and back.
 //!
 //! Read with `roxmltree`, which keeps the place of every element; `urdf-rs` loses them, and every mistake here is a
 //! finding with its place. Shapes and meshes are no part of motion and are not read. Nothing recurses and nothing takes
 //! the square of the file's size.
 
 mod description;
+mod write;
 mod xml;
 
 use std::path::Path;
@@ -14,6 +15,7 @@ use ctos_config::diagnostic::{Finding, Source};
 use super::builder::{JointSpec, ModelBuilder};
 use super::features::{FrameId, JointKind, Model};
 use description::{Description, JointText, Motion};
+pub use write::write;
 
 /// A model from URDF, with what is odd about it.
 #[derive(Debug, Clone)]

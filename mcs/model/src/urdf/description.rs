@@ -112,6 +112,10 @@ impl<'a> Description<'a> {
         for node in robot.children().filter(|child| child.has_tag_name("joint")) {
             description.read_joint(node, &mut joints)?;
         }
+        let drives = robot.children();
+        for node in drives.filter(|child| child.has_tag_name("transmission")) {
+            description.read_transmission(node, &joints)?;
+        }
         description.root = description.only_root()?;
         description.all_hang_on_the_root()?;
         Ok(description)
@@ -230,11 +234,11 @@ impl<'a> Description<'a> {
     fn read_joint(
         &mut self,
         node: Node<'a, 'a>,
-        joints: &mut HashMap<&'a str, ()>,
+        joints: &mut HashMap<&'a str, usize>,
     ) -> Result<(), Finding> {
         let source = self.source;
         let (name, range) = xml::attribute(source, node, "name")?;
-        if joints.insert(name, ()).is_some() {
+        if joints.insert(name, self.joints.len()).is_some() {
             return Err(self.finding(
                 format!("duplicate name: there is a joint `{name}` already"),
                 &range,
@@ -344,6 +348,53 @@ impl<'a> Description<'a> {
         let checked = check_limits(&limits, joint);
         checked.map_err(|error| self.place(Finding::from(&error), &xml::opening(limit)))?;
         Ok(limits)
+    }
+
+    /// The rotor of a joint, which URDF has no word for: `rotorInertia`, kg m^2 at the motor, in the actuator of a
+    /// transmission with one joint. Without it a transmission says nothing about motion.
+    fn read_transmission(
+        &mut self,
+        node: Node<'a, 'a>,
+        joints: &HashMap<&'a str, usize>,
+    ) -> Result<(), Finding> {
+        let source = self.source;
+        let ends = (xml::child(node, "joint"), xml::child(node, "actuator"));
+        let (Some(driven), Some(actuator)) = ends else {
+            return Ok(());
+        };
+        let Some((inertia, range)) = xml::number_within(source, actuator, "rotorInertia")? else {
+            return Ok(());
+        };
+        if inertia < 0.0 {
+            return Err(self.finding(format!("negative inertia: a rotor of {inertia}"), &range));
+        }
+        let gear = xml::number_within(source, actuator, "mechanicalReduction")?;
+        if let Some((0.0, range)) = gear {
+            return Err(self.finding("no gear: the reduction is 0".to_owned(), &range));
+        }
+        let gear = gear.map_or(1.0, |(gear, _)| gear);
+        let (name, range) = xml::attribute(source, driven, "name")?;
+        let joint = joints
+            .get(name)
+            .and_then(|joint| self.joints.get_mut(*joint));
+        let Some(joint) = joint else {
+            let text = format!("unknown joint: a transmission drives `{name}`");
+            return Err(self
+                .finding(text, &range)
+                .suggest(name, joints.keys().copied()));
+        };
+        // Friction stays what it is at the joint.
+        let friction = joint.motor.friction;
+        joint.motor = Motor {
+            rotor_inertia: inertia,
+            gear_ratio: gear,
+            friction: Friction {
+                viscous: friction.viscous / (gear * gear),
+                coulomb_forward: friction.coulomb_forward / gear.abs(),
+                coulomb_backward: friction.coulomb_backward / gear.abs(),
+            },
+        };
+        Ok(())
     }
 
     /// URDF knows of no rotor; its friction is at the joint.
