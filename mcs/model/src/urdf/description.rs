@@ -12,6 +12,7 @@ use super::xml;
 use crate::builder::{check_body, check_limits};
 use crate::features::{Body, Friction, JointKind, Limits, Motor};
 use crate::placement::Placement;
+use crate::shapes::Solid;
 
 /// Axes shorter than this have no direction.
 const NO_AXIS: f64 = 1e-9;
@@ -33,6 +34,10 @@ pub(super) enum Motion {
 pub(super) struct LinkText<'a> {
     pub name: &'a str,
     pub body: Option<Body>,
+    /// Its form for collisions, each part with its place in the file.
+    pub shapes: Vec<(Solid, Range<usize>)>,
+    /// Where a mesh of that form stands, which is not read.
+    pub mesh: Option<Range<usize>>,
     /// The joint that carries it, by index.
     pub carrier: Option<usize>,
     pub range: Range<usize>,
@@ -181,9 +186,21 @@ impl<'a> Description<'a> {
             Some(inertial) => Some(self.body(name, inertial)?),
             None => None,
         };
+        let (mut shapes, mut mesh) = (Vec::new(), None);
+        for collision in node
+            .children()
+            .filter(|child| child.has_tag_name("collision"))
+        {
+            match self.solid(name, collision)? {
+                Some(solid) => shapes.push((solid, xml::opening(collision))),
+                None => mesh = mesh.or(Some(xml::opening(collision))),
+            }
+        }
         self.links.push(LinkText {
             name,
             body,
+            shapes,
+            mesh,
             carrier: None,
             range,
         });
@@ -220,6 +237,47 @@ impl<'a> Description<'a> {
             self.place(Finding::from(&error), &xml::opening(at))
         })?;
         Ok(body)
+    }
+
+    /// The form of a `<collision>`; none of a mesh.
+    fn solid(&self, link: &str, collision: Node<'_, '_>) -> Result<Option<Solid>, Finding> {
+        let source = self.source;
+        let at = self.origin(collision)?;
+        let form = xml::child(collision, "geometry")
+            .and_then(|geometry| geometry.children().find(Node::is_element));
+        let Some(form) = form else {
+            let text = format!("missing geometry: a <collision> of link `{link}` has no form");
+            return Err(xml::finding(source, text, xml::opening(collision)));
+        };
+        let one = |name: &str| {
+            xml::attribute(source, form, name)?;
+            xml::numbers(source, form, name, [0.0]).map(|[number]| number)
+        };
+        Ok(Some(match form.tag_name().name() {
+            "box" => {
+                xml::attribute(source, form, "size")?;
+                let edges = xml::numbers(source, form, "size", [0.0; 3])?;
+                let half = Vector3::from(edges) * 0.5;
+                Solid::Block { at, half }
+            }
+            "cylinder" => Solid::around_cylinder(&at, one("radius")?, one("length")?),
+            "capsule" => {
+                let end = |z: f64| at.point(&Vector3::new(0.0, 0.0, z));
+                let half = 0.5 * one("length")?;
+                Solid::Capsule {
+                    a: end(-half),
+                    b: end(half),
+                    radius: one("radius")?,
+                }
+            }
+            "sphere" => Solid::sphere(at.origin, one("radius")?),
+            "mesh" => return Ok(None),
+            other => {
+                let text = format!("unknown geometry: <{other}> of link `{link}`");
+                return Err(xml::finding(source, text, xml::opening(form))
+                    .help("URDF has box, cylinder, capsule, sphere and mesh"));
+            }
+        }))
     }
 
     fn origin(&self, node: Node<'_, '_>) -> Result<Placement, Finding> {

@@ -1,6 +1,7 @@
 //! URDF that is wrong: each mistake has its name and its place, however large the file.
 
 use super::*;
+use crate::Solid;
 use crate::features::Limits;
 use crate::file::Inertias;
 use crate::placement::Placement;
@@ -130,6 +131,24 @@ fn every_mistake_has_a_name_and_a_place() {
             "3:43",
         ),
         (
+            robot("<collision/>", LIMIT),
+            "missing geometry: a <collision> of link `b`",
+            "3:16",
+        ),
+        (
+            robot("<collision><geometry><cone/></geometry></collision>", LIMIT),
+            "unknown geometry: <cone> of link `b`",
+            "3:37",
+        ),
+        (
+            robot(
+                "<collision><geometry><sphere radius=\"0\"/></geometry></collision>",
+                LIMIT,
+            ),
+            "no solid: the radius of a solid of `b` is 0 m",
+            "3:16",
+        ),
+        (
             robot("", LIMIT).replace("child link=\"b\"", "child link=\"x\""),
             "unknown link: the child `x`",
             "4:64",
@@ -202,6 +221,46 @@ fn a_base_or_tip_that_is_no_link_is_named_with_what_was_probably_meant() {
         assert!(error.message.starts_with("unknown link: the "), "{error}");
         assert_eq!(error.help.as_deref(), Some("did you mean `b`?"));
     }
+}
+
+#[test]
+fn forms_for_collisions_are_read_and_a_mesh_is_told_of() {
+    let collision = |form: &str| {
+        format!(
+            "<collision><origin xyz=\"0 0 0.1\" rpy=\"0 1.5707963267948966 0\"/><geometry>{form}</geometry></collision>"
+        )
+    };
+    let forms = [
+        "<box size=\"0.1 0.2 0.3\"/>",
+        "<sphere radius=\"0.05\"/>",
+        "<cylinder radius=\"0.1\" length=\"0.6\"/>",
+        "<cylinder radius=\"0.3\" length=\"0.1\"/>",
+        "<mesh filename=\"package://r/b.stl\"/>",
+    ];
+    let all = forms.map(collision).concat();
+    let about_z = format!("{LIMIT}<axis xyz=\"0 0 1\"/>");
+    let read = read(&robot(&all, &about_z)).unwrap();
+    let [first, second, third, fourth] = read.model.shapes() else {
+        panic!("{:?}", read.model.shapes());
+    };
+    assert!(matches!(first.solid, Solid::Block { half, .. } if (half.x - 0.05).abs() < 1e-12));
+    assert_eq!(
+        second.solid,
+        Solid::sphere(nalgebra::Vector3::new(0.0, 0.0, 0.1), 0.05)
+    );
+    // Lies along x of its link.
+    assert!(
+        matches!(third.solid, Solid::Capsule { a, b, radius } if radius == 0.1
+            && (b - a - nalgebra::Vector3::new(0.6, 0.0, 0.0)).norm() < 1e-12),
+        "{third:?}"
+    );
+    assert!(matches!(fourth.solid, Solid::Block { half, .. } if (half.z - 0.05).abs() < 1e-12));
+    let told: Vec<String> = read.warnings.iter().map(ToString::to_string).collect();
+    assert!(
+        told.iter()
+            .any(|text| text.contains("the meshes of b for collisions are not read")),
+        "{told:?}"
+    );
 }
 
 /// A chain of links with joints of this type.
