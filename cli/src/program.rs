@@ -6,7 +6,7 @@ use ctos::{
     diagnostic::Findings,
     registry::Registry,
 };
-use mcs::driver::DriverRegistry;
+use mcs::{driver::DriverRegistry, partition::McsExpander};
 use sorma::{daemon, ipc::Host};
 use vss::{catalog::VssExpander, source::FrameSources};
 
@@ -17,6 +17,7 @@ pub fn registry() -> Registry {
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
+    mcs_remote::register(&mut drivers);
     mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
@@ -33,7 +34,7 @@ pub fn registry() -> Registry {
 }
 
 /// The top-level tables of a configuration that this program turns into tasks.
-pub const EXPANDERS: [(&str, &dyn Expander); 1] = [("vss", &VssExpander)];
+pub const EXPANDERS: [(&str, &dyn Expander); 2] = [("mcs", &McsExpander), ("vss", &VssExpander)];
 
 /// The JSON schema of a configuration for this program.
 #[must_use]

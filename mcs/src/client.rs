@@ -30,7 +30,7 @@ pub enum Outcome {
     Unreachable,
     /// A protective stop, which holds until somebody resumes, or the end of the app.
     Stopped,
-    /// An emergency stop: drive power is off until a reset and a new reservation.
+    /// An emergency stop, or a controlled one: drive power is off until a reset and a new reservation.
     Estopped,
     /// A guard ended the motion.
     Guard,
@@ -288,7 +288,8 @@ ctos::command! {
     pub struct ReadPosition => Position, 0x0304, "read_position"
 }
 ctos::command! {
-    /// Protective stop: brakes along the path to rest, then holds until somebody resumes. Anybody may ask.
+    /// Protective stop: brakes along the path to rest, then holds with power on (category 2 of IEC 60204-1) until somebody
+    /// resumes. Anybody may ask.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Stop => (), 0x0305, "stop_motion"
 }
@@ -303,9 +304,15 @@ ctos::command! {
     pub struct Status => StatusReport, 0x0307, "status"
 }
 ctos::command! {
-    /// Takes drive power away now. Anybody may ask.
+    /// Takes drive power away now (category 0 of IEC 60204-1). Anybody may ask.
     #[derive(Debug, Clone, PartialEq)]
     pub struct EmergencyStop => (), 0x0308, "emergency_stop"
+}
+ctos::command! {
+    /// Comes to rest along the path, then takes drive power away (category 1 of IEC 60204-1), and answers when that is so.
+    /// Anybody may ask. As after an emergency stop, the manipulator must be reset and acquired anew.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ControlledStop => (), 0x030e, "controlled_stop"
 }
 ctos::command! {
     /// Leaves the estopped state, and ends a protective stop; the manipulator must then be acquired anew.
@@ -337,4 +344,14 @@ ctos::command! {
     /// Ends a protective stop. What it ended must be asked for again. Anybody may ask.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Resume => (), 0x030d, "resume"
+}
+ctos::command! {
+    /// Writes what every servo tick leaves to a snapshot buffer of the app from now on, or to none: positions, velocities,
+    /// setpoints and torques of all joints, rad or m, N m or N, as the buffer's description says. Until the servo's task is built
+    /// anew. Anybody may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct RecordStates {
+        /// The buffer's name.
+        pub buffer: Option<String>,
+    } => (), 0x030f, "record_states"
 }

@@ -7,10 +7,12 @@
 mod registry;
 #[cfg(test)]
 pub(crate) mod test_arm;
+mod testbed;
 
 use std::time::Duration;
 
 pub use registry::{DriverKind, DriverRegistry};
+pub use testbed::{NamedDriver, TESTBED};
 
 /// What one slot reported at the last [`ChannelDriver::read`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

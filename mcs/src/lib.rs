@@ -5,7 +5,8 @@
 //! the planning of segments, [`servo`] the synchronous function that runs all three at the servo
 //! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`model`] is any
 //! arm as data with its kinematics and dynamics, [`joints`] a vector of as many numbers as it has
-//! joints; the tasks put everything behind event handlers, registered by [`register`].
+//! joints; the tasks put everything behind event handlers, registered by [`register`], and [`partition`] makes them out of a
+//! list of manipulators.
 //!
 //! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
 //! registers it in a [`driver::DriverRegistry`]. A control law of one's own goes into a [`control::LawRegistry`].
@@ -13,6 +14,7 @@
 pub mod client;
 pub mod control;
 pub mod driver;
+pub mod partition;
 pub mod services;
 pub mod servo;
 pub mod state;
@@ -20,4 +22,7 @@ mod tasks;
 
 pub use mcs_model::{self as model, Joints, MAX_SLOTS, joints};
 pub use mcs_trajectory as trajectory;
-pub use tasks::{args::manipulator, register};
+pub use tasks::{
+    args::{arm, manipulator},
+    register,
+};

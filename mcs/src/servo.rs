@@ -126,6 +126,14 @@ impl Drop for Servo {
     }
 }
 
+/// What becomes of the power once the arm is at rest.
+#[derive(Debug, Clone, Copy)]
+enum AfterRest {
+    Take(Power),
+    /// It goes off and stays off until a reset.
+    Latch(Fault),
+}
+
 /// The synchronous part of MCS for one manipulator.
 pub struct Servo {
     solver: Solver,
@@ -139,8 +147,8 @@ pub struct Servo {
     readings: Vec<SlotReading>,
     setpoint: Setpoint,
     motion: Option<Motion>,
-    /// Power state to take once the arm is at rest.
-    after_rest: Option<Power>,
+    /// What becomes of the power once the arm is at rest.
+    after_rest: Option<AfterRest>,
     /// Brakes were ordered open: seed setpoint and law from the next reading.
     releasing: bool,
     /// Ticks for which each joint has been outside its following window.
@@ -259,12 +267,10 @@ impl Servo {
                 self.releasing = true;
             }
             ServoCommand::EngageBrakes if power == Power::Released => {
-                self.brake();
-                self.after_rest = Some(Power::Braked);
+                self.rest_then(AfterRest::Take(Power::Braked));
             }
             ServoCommand::PowerOff if power == Power::Released => {
-                self.brake();
-                self.after_rest = Some(Power::Off);
+                self.rest_then(AfterRest::Take(Power::Off));
             }
             ServoCommand::PowerOff => {
                 self.releasing = false;
@@ -277,6 +283,10 @@ impl Servo {
             }
             ServoCommand::Cancel => self.brake(),
             ServoCommand::Resume => self.status.stopped = false,
+            ServoCommand::ControlledStop if power == Power::Released => {
+                self.rest_then(AfterRest::Latch(Fault::ControlledStop));
+            }
+            ServoCommand::ControlledStop => self.fail(Fault::ControlledStop),
             ServoCommand::EmergencyStop => self.fail(Fault::EmergencyStop),
             // While it follows a segment a leap of the torques would show in the path.
             ServoCommand::Tune { bandwidth, damping } if self.motion.is_none() => {
@@ -341,6 +351,14 @@ impl Servo {
         }
     }
 
+    /// Brakes along the path; what comes after it may not take back that the power will be latched off.
+    fn rest_then(&mut self, then: AfterRest) {
+        self.brake();
+        if !matches!(self.after_rest, Some(AfterRest::Latch(_))) {
+            self.after_rest = Some(then);
+        }
+    }
+
     fn read(&mut self) {
         if let Err(error) = self.driver.read(&mut self.readings) {
             self.driver_failed(error);
@@ -372,10 +390,19 @@ impl Servo {
     }
 
     fn advance(&mut self) {
+        self.advance_motion();
+        if self.motion.is_some() {
+            return;
+        }
+        match self.after_rest.take() {
+            Some(AfterRest::Take(power)) => self.status.power = power,
+            Some(AfterRest::Latch(fault)) => self.fail(fault),
+            None => {}
+        }
+    }
+
+    fn advance_motion(&mut self) {
         let Some(motion) = &mut self.motion else {
-            if let Some(power) = self.after_rest.take() {
-                self.status.power = power;
-            }
             return;
         };
         let progress = motion.advance(&mut self.solver, &self.setpoint, &self.readings);

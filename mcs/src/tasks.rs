@@ -7,6 +7,7 @@
 pub mod args;
 pub mod client;
 pub mod planner;
+mod records;
 pub mod servo;
 pub mod state;
 
@@ -38,9 +39,10 @@ pub const PLANNER: &str = "mcs.planner";
 /// Registered name of the client interface's event handler.
 pub const CLIENT: &str = "mcs.client";
 
-/// Registers the event handlers of MCS, which find their channel drivers in `drivers` and their control laws in `laws`.
+/// Registers the event handlers of MCS, which find their channel drivers in `drivers`, alone or several as one
+/// ([`TESTBED`](crate::driver::TESTBED)), and their control laws in `laws`.
 pub fn register(registry: &mut Registry, drivers: DriverRegistry, laws: LawRegistry) {
-    servo::register(registry, Arc::new(drivers), Arc::new(laws));
+    servo::register(registry, Arc::new(drivers.with_testbed()), Arc::new(laws));
     state::register(registry);
     planner::register(registry);
     client::register(registry);
@@ -149,7 +151,7 @@ impl Link {
     /// The fault as what keeps the manipulator from moving.
     fn failed(&self) -> Option<MotionError> {
         let outcome = match self.port.status().fault? {
-            Fault::EmergencyStop => Outcome::Estopped,
+            Fault::EmergencyStop | Fault::ControlledStop => Outcome::Estopped,
             _ => Outcome::Fault,
         };
         let fault = self.fault().unwrap_or_default();

@@ -12,12 +12,12 @@ use crate::{
     port::{Claim, Port, Taken},
 };
 
-/// Encoder counts per turn of a joint: a resolution of 9.6e-5 rad. The choice is ours; no figure for
-/// the original encoders could be found.
-pub const COUNTS_PER_TURN: f64 = 65_536.0;
+/// Encoder counts per turn of a joint: 17 bits, a resolution of 4.8e-5 rad, as servo drives have today. The choice is ours; no
+/// figure for the original encoders could be found.
+pub const COUNTS_PER_TURN: f64 = 131_072.0;
 
 /// Encoder counts per m of a joint that slides. The choice is ours, too.
-pub const COUNTS_PER_METRE: f64 = 1e5;
+pub const COUNTS_PER_METRE: f64 = 2e5;
 
 /// A world whose state has been the same for so long stands still.
 const STANDSTILL: Duration = Duration::from_millis(100);

@@ -13,7 +13,7 @@ use ctos::{
     registry::Registry,
     task::HandlerError,
 };
-use mcs::driver::{ChannelDriver, DriverRegistry};
+use mcs::driver::{ChannelDriver, DriverRegistry, NamedDriver};
 use serde::Deserialize;
 use vss::source::{FrameSource, FrameSources};
 
@@ -186,8 +186,16 @@ fn check_arm(task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings)
             return findings.push(at(finding, key));
         }
     };
-    let before = app.tasks.iter().take_while(|other| other.name != task.name);
-    for (other, theirs) in before.filter_map(|other| Some((other, driven(other, world, &cell)?))) {
+    let drivers = app.tasks.iter().flat_map(|other| {
+        let drivers = NamedDriver::all_of(&other.args).into_iter();
+        drivers.map(move |driver| (other, driver))
+    });
+    let before = drivers.take_while(|(other, driver)| {
+        other.name != task.name || driver.args.place() != args.place()
+    });
+    for (other, theirs) in
+        before.filter_map(|(other, driver)| Some((other, driven(&driver, world, &cell)?)))
+    {
         let shared = own
             .joints
             .iter()
@@ -211,15 +219,11 @@ fn check_arm(task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings)
     }
 }
 
-/// The joints that another task of the app drives in `world`, if it does and says so soundly.
-fn driven(task: &TaskConfig, world: &TaskConfig, cell: &Cell) -> Option<Joints> {
-    let driver = task.args.get("driver").and_then(Node::as_str)?;
-    let args = task
-        .args
-        .get("driver_args")
-        .cloned()
-        .unwrap_or_else(Node::table);
-    let args: ArmArgs = (driver == ARM).then(|| args.parse().ok()).flatten()?;
+/// The joints that a driver has in `world`, if it does and says so soundly.
+fn driven(driver: &NamedDriver, world: &TaskConfig, cell: &Cell) -> Option<Joints> {
+    let args: ArmArgs = (driver.name == ARM)
+        .then(|| driver.args.parse().ok())
+        .flatten()?;
     (args.world == world.name)
         .then(|| joints(&args, cell).ok())
         .flatten()

@@ -2,7 +2,8 @@
 //!
 //! [`cell`] reads the file that describes it, [`world`] moves it, [`world_task`] owns it in an app. [`driver`] shows
 //! joints to the control layer as slots, and [`camera`] takes the pictures. The control and
-//! vision layers know none of these: they see a channel driver and a frame source.
+//! vision layers know none of these: they see a channel driver and a frame source. [`served`] is an arm for a control
+//! layer in another process.
 
 mod arm;
 pub mod camera;
@@ -13,6 +14,7 @@ pub mod handlers;
 mod latest;
 pub mod port;
 pub mod scene;
+pub mod served;
 pub mod shapes;
 pub mod simulation;
 pub mod source;

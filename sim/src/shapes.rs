@@ -140,9 +140,27 @@ fn last_word(name: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
-    use mcs::model::file::Inertias;
+    use mcs::model::{self, file::Inertias};
 
     use super::*;
+
+    #[test]
+    fn a_puma_that_is_seen_and_touched_has_the_form_that_collisions_are_looked_for_with() {
+        let model = built_in::model("puma560", Inertias::Engine)
+            .unwrap()
+            .unwrap();
+        let seen = outline(&model);
+        assert_eq!(seen.len(), model.shapes().len());
+        for ((frame, seen), shape) in seen.iter().zip(model.shapes()) {
+            let Solid::Capsule { a, b, radius } = seen.solid else {
+                panic!("{seen:?}");
+            };
+            // The frame of each of its links is that of its joint.
+            let (a, b) = (a.coords, b.coords);
+            let solid = model::Solid::Capsule { a, b, radius };
+            assert_eq!((*frame, solid), (shape.frame, shape.solid));
+        }
+    }
 
     #[test]
     fn every_puma_of_a_built_in_model_has_its_outline_and_a_cart_has_none() {

@@ -35,6 +35,7 @@ mod manners;
 mod moving;
 mod nets;
 mod recording;
+mod remote;
 mod restarts;
 mod runaways;
 mod startup;

@@ -1,9 +1,13 @@
-//! The testbed: two manipulators of nine joints in one simulated world, each with a servo of its own.
+//! The testbed: eighteen joints in one simulated world, and their partition into manipulators by configuration.
 
 use crate::harness::{CTOS, Run, SCOTT, Scratch};
 
-fn up(scratch: &Scratch) -> Run<'_> {
-    let mut run = scratch.start(CTOS, &["boot", "configs/testbed.toml"], &[]);
+const THREE_TIMES_SIX: &str = "configs/testbed.toml";
+const TWO_TIMES_NINE: &str = "configs/testbed-2x9.toml";
+const ONE_TIMES_EIGHTEEN: &str = "configs/testbed-1x18.toml";
+
+fn up<'a>(scratch: &'a Scratch, partition: &str) -> Run<'a> {
+    let mut run = scratch.start(CTOS, &["boot", partition], &[]);
     run.wait_for("phase 3");
     run
 }
@@ -19,25 +23,24 @@ fn asked(scratch: &Scratch, line: &str) -> Vec<f64> {
 }
 
 /// A request to move `arm` on by so much, m and rad.
-fn by(arm: &str, joints: [f64; 9]) -> String {
-    let joints = joints.map(|joint| joint.to_string()).join(" ");
-    format!("mvpos.{arm} EXEC by FMSG 9 {joints}")
+fn by(arm: &str, joints: &[f64]) -> String {
+    let numbers: Vec<String> = joints.iter().map(f64::to_string).collect();
+    let (count, numbers) = (joints.len(), numbers.join(" "));
+    format!("mvpos.{arm} EXEC by FMSG {count} {numbers}")
 }
 
-#[test]
-fn two_manipulators_of_nine_joints_move_at_once_in_one_world() {
-    let scratch = Scratch::new();
-    let _run = up(&scratch);
-    let start = |arm: &str| asked(&scratch, &format!("mvpos.{arm} EXEC where"))[..9].to_vec();
-    let ways = [
-        ("left", [0.3, 0.0, 0.1, 0.5, 0.0, 0.0, 0.0, 0.0, 0.2]),
-        ("right", [-0.2, 0.4, 0.0, 0.0, 0.3, 0.0, 0.0, 0.3, 0.0]),
-    ];
-    let starts = ways.map(|(arm, _)| start(arm));
-    let under_way = ways.map(|(arm, way)| {
-        let line = by(arm, way);
-        scratch.start(SCOTT, &["testbed", "--json", "-c", &line], &[])
-    });
+/// Moves all manipulators at once, each by its way, and holds that every joint arrives.
+#[track_caller]
+fn all_move(scratch: &Scratch, ways: &[(&str, &[f64])]) {
+    let start = |arm: &str| asked(scratch, &format!("pino.{arm} EXEC state"));
+    let starts: Vec<Vec<f64>> = ways.iter().map(|(arm, _)| start(arm)).collect();
+    let under_way: Vec<Run<'_>> = ways
+        .iter()
+        .map(|(arm, way)| {
+            let line = by(arm, way);
+            scratch.start(SCOTT, &["testbed", "--json", "-c", &line], &[])
+        })
+        .collect();
     for (run, ((arm, way), start)) in under_way.into_iter().zip(ways.iter().zip(&starts)) {
         let ended = run.end();
         ended.must_exit_leaving(0);
@@ -52,12 +55,62 @@ fn two_manipulators_of_nine_joints_move_at_once_in_one_world() {
 }
 
 #[test]
+fn three_programs_of_six_joints_move_at_once_in_one_world() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch, THREE_TIMES_SIX);
+    let ways: [(&str, &[f64]); 3] = [
+        ("left", &[0.5, 0.0, 0.0, 0.0, 0.0, 0.2]),
+        ("right", &[0.0, 0.3, 0.0, 0.0, 0.3, 0.0]),
+        ("carts", &[0.3, 0.0, 0.05, -0.2, 0.4, 0.0]),
+    ];
+    all_move(&scratch, &ways);
+}
+
+#[test]
+fn two_manipulators_of_nine_joints_move_at_once_in_one_world() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch, TWO_TIMES_NINE);
+    let ways: [(&str, &[f64]); 2] = [
+        ("left", &[0.3, 0.0, 0.1, 0.5, 0.0, 0.0, 0.0, 0.0, 0.2]),
+        ("right", &[-0.2, 0.4, 0.0, 0.0, 0.3, 0.0, 0.0, 0.3, 0.0]),
+    ];
+    all_move(&scratch, &ways);
+}
+
+#[test]
+fn one_manipulator_of_eighteen_joints_moves_both_arms() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch, ONE_TIMES_EIGHTEEN);
+    let way = [
+        0.3, 0.0, 0.1, 0.5, 0.0, 0.0, 0.0, 0.0, 0.2, -0.2, 0.4, 0.0, 0.0, 0.3, 0.0, 0.0, 0.3, 0.0,
+    ];
+    all_move(&scratch, &[("both", &way)]);
+}
+
+#[test]
+fn two_programs_that_want_one_joint_are_refused_by_name_before_anything_starts() {
+    let scratch = Scratch::new();
+    let text = scratch.read(TWO_TIMES_NINE);
+    let text = text.replace(
+        "{ arm = \"right\" }",
+        "{ arm = \"left\", joints = [\"cart.tilt\"] }",
+    );
+    scratch.write("configs/greedy.toml", text);
+    let checked = scratch.ctos(&["check", "configs/greedy.toml"]);
+    let wanted = "joint `cart.tilt` of arm `left` is driven by task `servo_left` already";
+    checked
+        .must_exit(3)
+        .must_say(wanted)
+        .must_say("greedy.toml:");
+}
+
+#[test]
 fn an_emergency_stop_of_one_manipulator_leaves_the_other_one_alone() {
     let scratch = Scratch::new();
-    let _run = up(&scratch);
+    let _run = up(&scratch, TWO_TIMES_NINE);
     let position = |arm: &str| asked(&scratch, &format!("pino.{arm} EXEC state"))[..9].to_vec();
     asked(&scratch, "mvpos.left CTRL -speed 0.05");
-    let far = by("left", [1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let far = by("left", &[1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let moving = scratch.start(SCOTT, &["testbed", "-c", &far], &[]);
     while position("left")[0] < 0.01 {}
     asked(&scratch, "pino.left EXEC estop");
@@ -66,7 +119,7 @@ fn an_emergency_stop_of_one_manipulator_leaves_the_other_one_alone() {
     assert!(stopped[0] < 1.0, "{stopped:?}");
     let way = [0.1, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0];
     let before = position("right");
-    let after = asked(&scratch, &by("right", way));
+    let after = asked(&scratch, &by("right", &way));
     assert!((after[0] - before[0] - 0.1).abs() < 4e-4, "{after:?}");
     // No motion without a reset, and what stood still has stood still meanwhile.
     let refused = scratch.scott(&["testbed", "-c", &far]);
@@ -82,9 +135,67 @@ fn an_emergency_stop_of_one_manipulator_leaves_the_other_one_alone() {
 }
 
 #[test]
+fn what_every_tick_leaves_is_in_a_snapshot_buffer_on_request() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch, TWO_TIMES_NINE);
+    asked(&scratch, "pino.left CTRL -records left_arm");
+    asked(&scratch, "pino.left EXEC records");
+    let way = [0.1, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let end = asked(&scratch, &by("left", &way));
+    // Positions, velocities, setpoints and torques of nine joints; number, stamp and age in IMSG.
+    let record = scratch.scott(&["testbed", "--json", "-c", "shmem_r.left_arm EXEC"]);
+    record.must_exit_leaving(0);
+    let record = record.json();
+    let floats = record["floats"].as_array().unwrap();
+    assert_eq!(floats.len(), 4 * 9, "{record}");
+    for (joint, end) in end[..9].iter().enumerate() {
+        let found = floats[joint].as_f64().unwrap();
+        assert!(
+            (found - end).abs() < 4e-4,
+            "joint {joint}: {found}, not {end}"
+        );
+    }
+    let count = record["ints"][0].as_i64().unwrap();
+    assert!(
+        count > 100,
+        "a record for every tick of the motion, not {count}"
+    );
+    // Without a name it ends, and the buffer is gone with its writer.
+    asked(&scratch, "pino.left CTRL -records \"\"");
+    asked(&scratch, "pino.left EXEC records");
+    let gone = scratch.scott(&["testbed", "-c", "shmem_r.left_arm EXEC status"]);
+    gone.must_not_say("alive");
+    // It can begin again.
+    asked(&scratch, "pino.left CTRL -records left_arm");
+    asked(&scratch, "pino.left EXEC records");
+    assert_eq!(asked(&scratch, "shmem_r.left_arm EXEC").len(), 4 * 9);
+}
+
+#[test]
 fn a_model_with_other_joints_than_its_driver_has_slots_is_found_before_anything_starts() {
     let scratch = Scratch::new();
-    let other = "task.servo_left.args.model=\"puma560\"";
-    let checked = scratch.ctos(&["check", "configs/testbed.toml", "--set", other]);
-    checked.must_exit(3).must_say("9 slots").must_say("1 error");
+    let left = |model: &str| {
+        format!("model = \"{model}\", driver = \"sim.arm\", driver_args = {{ arm = \"left\" }}")
+    };
+    let model = |model: &str| format!("model = \"{model}\"");
+    for (partition, fits, misfits, slots) in [
+        (
+            THREE_TIMES_SIX,
+            model("models/carts.toml"),
+            model("testbed9"),
+            "6 slots",
+        ),
+        (TWO_TIMES_NINE, left("testbed9"), left("puma560"), "9 slots"),
+        (
+            ONE_TIMES_EIGHTEEN,
+            model("testbed18"),
+            model("testbed9"),
+            "18 slots",
+        ),
+    ] {
+        scratch.edit(partition, &fits, &misfits);
+        let checked = scratch.ctos(&["check", partition]);
+        checked.must_exit(3).must_say(slots).must_say("1 error");
+        scratch.edit(partition, &misfits, &fits);
+    }
 }

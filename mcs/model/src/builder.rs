@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::features::{Body, Frame, FrameId, Joint, JointKind, Limits, MAX_JOINTS, Model, Motor};
 use super::placement::Placement;
+use super::shapes::{Shape, Solid, SolidFault};
 
 /// Acceleration of free fall, m/s^2, unless something else is said.
 const GRAVITY: f64 = 9.81;
@@ -56,6 +57,16 @@ pub enum ModelError {
         name: String,
         /// Its eigenvalues, kg m^2.
         principal: [f64; 3],
+    },
+    /// A solid of no size.
+    #[error("no solid: the {what} of a solid of `{name}` is {size} m; it must be above 0")]
+    Solid {
+        /// Whose.
+        name: String,
+        /// Which size.
+        what: &'static str,
+        /// The size, m.
+        size: f64,
     },
     /// An axis of no length.
     #[error("no axis: the axis of joint `{joint}` has no direction")]
@@ -153,6 +164,7 @@ impl ModelBuilder {
                 name: name.into(),
                 joints: Vec::new(),
                 frames: vec![frame],
+                shapes: Vec::new(),
                 tip: 0,
                 gravity: Vector3::new(0.0, 0.0, -GRAVITY),
             },
@@ -283,6 +295,38 @@ impl ModelBuilder {
         Ok(())
     }
 
+    /// Adds a solid to the outer form of a link, given in the link's frame.
+    ///
+    /// # Errors
+    /// [`ModelError::Solid`], [`ModelError::NotFinite`].
+    pub fn shape(&mut self, frame: FrameId, solid: &Solid) -> Result<(), ModelError> {
+        let on = self.model.at(frame);
+        let name = || on.name.clone();
+        match solid.fault() {
+            None => {}
+            Some(SolidFault::NotFinite) => {
+                return Err(ModelError::NotFinite {
+                    what: "a solid",
+                    name: name(),
+                });
+            }
+            Some(SolidFault::Size(what, size)) => {
+                return Err(ModelError::Solid {
+                    name: name(),
+                    what,
+                    size,
+                });
+            }
+        }
+        let shape = Shape {
+            frame,
+            carrier: on.carrier,
+            solid: solid.seen_from(&on.placement),
+        };
+        self.model.shapes.push(shape);
+        Ok(())
+    }
+
     /// Sets another model on a frame, its base frame at `placement`; its names get `prefix` and a dot before them.
     ///
     /// # Errors
@@ -298,7 +342,7 @@ impl ModelBuilder {
         finite(placement, "the place", prefix)?;
         let on = self.model.at(parent);
         let (carrier, base) = (on.carrier, on.placement.then(placement));
-        let first = self.model.joints.len();
+        let (first, first_frame) = (self.model.joints.len(), self.model.frames.len());
         for joint in &part.joints {
             let name = prefixed(&joint.name);
             if self.model.joints.len() == MAX_JOINTS {
@@ -337,6 +381,18 @@ impl ModelBuilder {
                 }
             }
             self.put(frame)?;
+        }
+        for shape in &part.shapes {
+            let own = shape.carrier.map(|on| on + first);
+            let solid = match own {
+                Some(_) => shape.solid,
+                None => shape.solid.seen_from(&base),
+            };
+            self.model.shapes.push(Shape {
+                frame: FrameId(shape.frame.0 + first_frame),
+                carrier: own.or(carrier),
+                solid,
+            });
         }
         Ok(())
     }

@@ -71,12 +71,17 @@ impl Data {
     #[must_use]
     pub fn placement(&self, model: &Model, frame: FrameId) -> Placement {
         let frame = model.at(frame);
-        let carrier = frame.carrier.map_or(0, |joint| joint + 1);
-        match self.placements.get(carrier) {
-            Some(carrier) => carrier.then(&frame.placement),
-            // Data of another, smaller model.
-            None => frame.placement,
-        }
+        self.carrier(frame.carrier).then(&frame.placement)
+    }
+
+    /// Where the frame of a joint stands in the base frame, after a computation that took joint positions; the base
+    /// frame itself for `None`.
+    #[must_use]
+    pub fn carrier(&self, joint: Option<usize>) -> Placement {
+        let place = joint.map_or(0, |joint| joint + 1);
+        // Of another, smaller model it has no joint of that number.
+        let found = self.placements.get(place);
+        found.copied().unwrap_or_else(Placement::identity)
     }
 }
 

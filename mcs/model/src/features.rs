@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::placement::Placement;
+use super::shapes::Shape;
 
 /// No model has more moving joints than this.
 pub const MAX_JOINTS: usize = 64;
@@ -23,6 +24,15 @@ impl JointKind {
         match self {
             Self::Revolute => "rad",
             Self::Prismatic => "m",
+        }
+    }
+
+    /// The unit of what drives it, a torque or a force.
+    #[must_use]
+    pub fn effort_unit(self) -> &'static str {
+        match self {
+            Self::Revolute => "N m",
+            Self::Prismatic => "N",
         }
     }
 }
@@ -215,6 +225,7 @@ pub struct Model {
     pub(super) name: String,
     pub(super) joints: Vec<Joint>,
     pub(super) frames: Vec<Frame>,
+    pub(super) shapes: Vec<Shape>,
     pub(super) tip: usize,
     pub(super) gravity: Vector3<f64>,
 }
@@ -242,6 +253,12 @@ impl Model {
     #[must_use]
     pub fn frames(&self) -> &[Frame] {
         &self.frames
+    }
+
+    /// Its outer form: solids on its links, in no order that matters. None where nothing is said of it.
+    #[must_use]
+    pub fn shapes(&self) -> &[Shape] {
+        &self.shapes
     }
 
     /// The frame of that name.
@@ -329,6 +346,10 @@ impl Model {
             .filter(|frame| frame.carrier.is_none());
         for frame in fixed {
             frame.placement = placement.then(&frame.placement);
+        }
+        let on_ground = self.shapes.iter_mut();
+        for shape in on_ground.filter(|shape| shape.carrier.is_none()) {
+            shape.solid = shape.solid.seen_from(placement);
         }
         self
     }

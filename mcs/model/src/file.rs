@@ -16,6 +16,7 @@ use super::builder::{JointSpec, ModelBuilder, ModelError};
 use super::built_in;
 use super::features::{Body, FrameId, Friction, JointKind, Limits, Model, Motor};
 use super::placement::Placement;
+use super::shapes::Solid;
 
 /// Parts of parts of parts ... of no more layers than this.
 const DEEPEST: usize = 8;
@@ -69,6 +70,8 @@ struct FileText {
     #[serde(default)]
     at: AtText,
     #[serde(default)]
+    shapes: Vec<ShapeText>,
+    #[serde(default)]
     part: Vec<PartText>,
     #[serde(default)]
     joint: Vec<JointText>,
@@ -80,9 +83,10 @@ fn base() -> String {
     "base".to_owned()
 }
 
-#[derive(Deserialize, Default)]
+/// A place: `xyz` in m, `rpy` about the fixed x, y and z in degrees.
+#[derive(Debug, Clone, Deserialize, Default)]
 #[serde(deny_unknown_fields, default)]
-struct AtText {
+pub struct AtText {
     xyz: [f64; 3],
     rpy: [f64; 3],
 }
@@ -106,6 +110,8 @@ struct FrameText {
     at: AtText,
     body: Option<BodyText>,
     engine_body: Option<BodyText>,
+    #[serde(default)]
+    shapes: Vec<ShapeText>,
 }
 
 #[derive(Deserialize)]
@@ -122,6 +128,8 @@ struct JointText {
     motor: Option<MotorText>,
     body: Option<BodyText>,
     engine_body: Option<BodyText>,
+    #[serde(default)]
+    shapes: Vec<ShapeText>,
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -171,8 +179,59 @@ struct BodyText {
     inertia: Vec<f64>,
 }
 
+/// A solid: the ends of a capsule's axis, a sphere's centre, or the edges of a box; which it is says the key.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShapeText {
+    capsule: Option<[[f64; 3]; 2]>,
+    sphere: Option<[f64; 3]>,
+    r#box: Option<[f64; 3]>,
+    radius: Option<f64>,
+    #[serde(default)]
+    at: AtText,
+}
+
+impl ShapeText {
+    /// The solid in its frame, m.
+    ///
+    /// # Errors
+    /// What does not make one.
+    pub fn solid(&self) -> Result<Solid, &'static str> {
+        let solid = self.form()?;
+        match solid.fault() {
+            None => Ok(solid),
+            Some(_) => Err("the sizes of a solid are finite and above 0 m"),
+        }
+    }
+
+    /// What it says; sizes are not checked.
+    fn form(&self) -> Result<Solid, &'static str> {
+        let at = self.at.placement();
+        let round = "a capsule and a sphere have a `radius`";
+        match (self.capsule, self.sphere, self.r#box, self.radius) {
+            (Some([a, b]), None, None, Some(radius)) => Ok(Solid::Capsule {
+                a: at.point(&a.into()),
+                b: at.point(&b.into()),
+                radius,
+            }),
+            (None, Some(centre), None, Some(radius)) => {
+                Ok(Solid::sphere(at.point(&centre.into()), radius))
+            }
+            (None, None, Some(edges), None) => Ok(Solid::Block {
+                at,
+                half: Vector3::from(edges) * 0.5,
+            }),
+            (Some(_), None, None, None) | (None, Some(_), None, None) => Err(round),
+            (None, None, Some(_), Some(_)) => Err("a box has no `radius`"),
+            _ => Err("a solid is either a `capsule`, a `sphere` or a `box`"),
+        }
+    }
+}
+
 impl AtText {
-    fn placement(&self) -> Placement {
+    /// The place.
+    #[must_use]
+    pub fn placement(&self) -> Placement {
         Placement::from_degrees(self.xyz, self.rpy)
     }
 }
@@ -238,6 +297,7 @@ impl Reading {
         let text: FileText = node.parse()?;
         let mut builder = ModelBuilder::new(&text.name, &text.base);
         let mut last = builder.base();
+        solids(&mut builder, last, &text.shapes, &node)?;
         let entries = in_order(&text, &node);
         for (at, entry) in entries {
             last = match entry {
@@ -254,6 +314,7 @@ impl Reading {
                         frame.engine_body.as_ref(),
                         at,
                     )?;
+                    solids(&mut builder, id, &frame.shapes, at)?;
                     id
                 }
             };
@@ -353,6 +414,7 @@ impl Reading {
             text.engine_body.as_ref(),
             at,
         )?;
+        solids(builder, id, &text.shapes, at)?;
         Ok(id)
     }
 
@@ -390,6 +452,25 @@ impl Reading {
             .body(frame, &body)
             .map_err(|error| refused(&error, at))
     }
+}
+
+/// Adds the solids of a link, each refused at its own place.
+fn solids(
+    builder: &mut ModelBuilder,
+    frame: FrameId,
+    texts: &[ShapeText],
+    at: &Node,
+) -> Result<(), Finding> {
+    let nodes = at
+        .entry("shapes")
+        .map_or(&[][..], |entry| entry.value.elements());
+    for (index, text) in texts.iter().enumerate() {
+        let at = nodes.get(index).unwrap_or(at);
+        let solid = text.form().map_err(|what| tree(what.to_owned(), at))?;
+        let made = builder.shape(frame, &solid);
+        made.map_err(|error| refused(&error, at))?;
+    }
+    Ok(())
 }
 
 /// The entries of all kinds, in the order of the file, each with its node.

@@ -20,6 +20,7 @@ pub mod joints;
 mod kinematics;
 pub mod origin;
 mod placement;
+mod shapes;
 pub mod urdf;
 
 pub use builder::{JointSpec, ModelBuilder, ModelError};
@@ -30,6 +31,7 @@ pub use features::{
 };
 pub use joints::{Joints, MAX_SLOTS, TooManyJoints};
 pub use placement::Placement;
+pub use shapes::{Shape, Solid};
 
 #[cfg(test)]
 mod tests;

@@ -1,10 +1,12 @@
-//! Models from URDF, the robot description of ROS (wiki.ros.org/urdf/XML): the joints between two links.
+//! Models from URDF, the robot description of ROS (wiki.ros.org/urdf/XML): the joints between two links; and back.
 //!
 //! Read with `roxmltree`, which keeps the place of every element; `urdf-rs` loses them, and every mistake here is a
-//! finding with its place. Shapes and meshes are no part of motion and are not read. Nothing recurses and nothing takes
-//! the square of the file's size.
+//! finding with its place. Of the forms for collisions the boxes, spheres and capsules are read as they are; a cylinder is
+//! read as a capsule around it, or as a box where it is wider than high. A mesh is not read: a warning says so. Nothing
+//! recurses and nothing takes the square of the file's size.
 
 mod description;
+mod write;
 mod xml;
 
 use std::path::Path;
@@ -14,6 +16,7 @@ use ctos_config::diagnostic::{Finding, Source};
 use super::builder::{JointSpec, ModelBuilder};
 use super::features::{FrameId, JointKind, Model};
 use description::{Description, JointText, Motion};
+pub use write::write;
 
 /// A model from URDF, with what is odd about it.
 #[derive(Debug, Clone)]
@@ -53,12 +56,15 @@ pub fn parse(source: &Source, base: Option<&str>, tip: Option<&str>) -> Result<F
         builder: ModelBuilder::new(description.name, description.links[base].name),
         description: &description,
         warnings: Vec::new(),
+        meshes: Vec::new(),
     };
     let mut at = making.builder.base();
+    making.shapes(at, base)?;
     for step in way(&description, base, tip) {
         at = making.step(at, step)?;
     }
     making.builder.tip(at);
+    making.tell_of_meshes();
     Ok(FromUrdf {
         model: making.builder.build(),
         warnings: making.warnings,
@@ -95,13 +101,16 @@ struct Making<'d> {
     builder: ModelBuilder,
     description: &'d Description<'d>,
     warnings: Vec<Finding>,
+    /// The links whose form has a mesh, and where it stands.
+    meshes: Vec<(&'d str, &'d std::ops::Range<usize>)>,
 }
 
 impl Making<'_> {
     /// Adds a joint of the way and the link that it leads to.
     fn step(&mut self, at: FrameId, step: Step) -> Result<FrameId, Finding> {
         let joint = &self.description.joints[step.joint];
-        let link = &self.description.links[if step.up { joint.parent } else { joint.child }];
+        let index = if step.up { joint.parent } else { joint.child };
+        let link = &self.description.links[index];
         let made = match joint.motion {
             Motion::Fixed => {
                 let placement = if step.up {
@@ -145,7 +154,33 @@ impl Making<'_> {
             }
             None => {}
         }
+        self.shapes(frame, index)?;
         Ok(frame)
+    }
+
+    /// Adds the form of a link.
+    fn shapes(&mut self, frame: FrameId, link: usize) -> Result<(), Finding> {
+        let link = &self.description.links[link];
+        for (solid, range) in &link.shapes {
+            let made = self.builder.shape(frame, solid);
+            made.map_err(|error| self.description.place(Finding::from(&error), range))?;
+        }
+        if let Some(range) = &link.mesh {
+            self.meshes.push((link.name, range));
+        }
+        Ok(())
+    }
+
+    fn tell_of_meshes(&mut self) {
+        let Some((_, range)) = self.meshes.first().copied() else {
+            return;
+        };
+        let names: Vec<&str> = self.meshes.iter().map(|(name, _)| *name).collect();
+        let text = format!(
+            "the meshes of {} for collisions are not read: nothing watches them",
+            names.join(", ")
+        );
+        self.warn(text, range);
     }
 
     fn warn(&mut self, text: String, range: &std::ops::Range<usize>) {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
-use ctos::diagnostic::Findings;
+use ctos::diagnostic::{Finding, Findings};
 use ctos::registry::unread_args;
 use ctos::task::{Context, HandlerError};
 
@@ -16,6 +16,7 @@ type Check = Arc<dyn Fn(&TaskConfig, &App, &Node, &mut Findings) + Send + Sync>;
 type Slots = Arc<dyn Fn(&App, &Node) -> Option<usize> + Send + Sync>;
 
 /// A kind of channel driver.
+#[derive(Clone)]
 pub struct DriverKind {
     build: Build,
     check: Option<Check>,
@@ -91,7 +92,7 @@ impl DriverKind {
 }
 
 /// The channel drivers that a program offers; given to [`crate::register`].
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct DriverRegistry {
     kinds: BTreeMap<String, DriverKind>,
 }
@@ -133,6 +134,25 @@ impl DriverRegistry {
     #[must_use]
     pub fn kind(&self, name: &str) -> Option<&DriverKind> {
         self.kinds.get(name)
+    }
+
+    /// The driver called `name`, which `task` names.
+    ///
+    /// # Errors
+    /// A finding without a place, when nobody registered it.
+    pub(crate) fn find(&self, name: &str, task: &str) -> Result<&DriverKind, Finding> {
+        self.kind(name).ok_or_else(|| {
+            let text =
+                format!("task `{task}` names the channel driver `{name}`, which nobody registered");
+            Finding::error("mcs::unknown_driver", text).suggest(name, self.names())
+        })
+    }
+
+    /// These drivers, and [`TESTBED`](super::TESTBED) made of any of them.
+    #[must_use]
+    pub(crate) fn with_testbed(mut self) -> Self {
+        super::testbed::register(&mut self);
+        self
     }
 
     /// All names, in order.

@@ -7,7 +7,7 @@ use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transpor
 
 use super::arm::{NamesArm, Which, described};
 use super::{code, ended};
-use crate::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
+use crate::model::{Data, DynamicsOptions, Model, built_in, file::Inertias, urdf};
 
 const FORMS: &[Form] = &[
     Form {
@@ -43,6 +43,14 @@ const FORMS: &[Form] = &[
         results: "a1 a2 a3 a4 a5 a6: rad/s^2",
         help: "forward dynamics: joint accelerations under the torques; of n joints 3 n floats",
     },
+    Form {
+        text: "urdf",
+        floats: 0,
+        takes: "",
+        gives: "text: the arm as a URDF, with its rotors and friction",
+        results: "",
+        help: "the description of the arm for programs of others; physics engines take it with -inertias engine",
+    },
 ];
 
 /// The same of an arm with so many joints that is not the PUMA of the table.
@@ -58,6 +66,7 @@ fn forms(n: usize) -> Vec<Form> {
             3 * n,
             "all positions in the model's order, rad or m, then all speeds, then all torques",
         ),
+        (0, ""),
     ];
     FORMS
         .iter()
@@ -187,6 +196,10 @@ impl Dynamics {
 impl ServiceObject for Dynamics {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let outcome = sorma::options::form(&self.forms, io).map(|form| form.text);
+        if outcome == Ok("urdf") {
+            io.text = urdf::write(&self.model);
+            return Ok(());
+        }
         let outcome = outcome.and_then(|what| self.compute(what, &mut io.floats));
         ended(io, outcome)
     }

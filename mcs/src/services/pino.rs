@@ -10,7 +10,8 @@ use super::ended;
 use super::local::SharedArm;
 use super::mvpos::answer;
 use crate::client::{
-    EmergencyStop, ReadControl, ReadPosition, Reset, Resume, SetControl, Status, Stop,
+    ControlledStop, EmergencyStop, ReadControl, ReadPosition, RecordStates, Reset, Resume,
+    SetControl, Status, Stop,
 };
 
 /// Everything here is answered at once, but for coming to rest.
@@ -51,12 +52,20 @@ const FORMS: &[Form] = &[
         help: "sets the control parameters; the arm must not be on its way",
     },
     Form {
+        text: "records",
+        floats: 0,
+        takes: "",
+        gives: "text: the buffer, or that none is written",
+        results: "",
+        help: "writes what every servo tick leaves to the snapshot buffer that -records names, or ends it where none is named",
+    },
+    Form {
         text: "stop",
         floats: 0,
         takes: "",
         gives: "nothing",
         results: "",
-        help: "protective stop: brakes along the path to rest, then holds until EXEC resume",
+        help: "protective stop, of category 2: brakes along the path to rest, then holds with power on until EXEC resume",
     },
     Form {
         text: "resume",
@@ -67,12 +76,20 @@ const FORMS: &[Form] = &[
         help: "ends a protective stop; what it ended must be asked for again",
     },
     Form {
+        text: "stop1",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        results: "",
+        help: "controlled stop, of category 1: brakes along the path to rest, then takes drive power away",
+    },
+    Form {
         text: "estop",
         floats: 0,
         takes: "",
         gives: "nothing",
         results: "",
-        help: "emergency stop: takes drive power away now",
+        help: "emergency stop, of category 0: takes drive power away now",
     },
     Form {
         text: "reset",
@@ -87,12 +104,14 @@ const FORMS: &[Form] = &[
 #[derive(Debug, Clone)]
 pub(super) struct Options {
     client: String,
+    records: String,
 }
 
 impl Default for Options {
     fn default() -> Self {
         Self {
             client: "mcs".to_owned(),
+            records: String::new(),
         }
     }
 }
@@ -105,6 +124,12 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "TASK",
             "the app's task with the client interface of MCS",
             |options: &mut Options| &mut options.client,
+        )
+        .word(
+            "records",
+            "BUFFER",
+            "the snapshot buffer for state records, which EXEC records begins",
+            |options: &mut Options| &mut options.records,
         )
 });
 
@@ -139,6 +164,15 @@ impl Pino {
                 control_answer(io, &control.law, control.numbers());
             }
             "stop" => cx.call_task(client, Stop {}, SOON).await?,
+            "records" => {
+                let buffer = Some(self.options.records.clone()).filter(|name| !name.is_empty());
+                io.text = match &buffer {
+                    Some(name) => format!("every tick writes to buffer `{name}`"),
+                    None => "no buffer is written".to_owned(),
+                };
+                cx.call_task(client, RecordStates { buffer }, SOON).await?;
+            }
+            "stop1" => cx.call_task(client, ControlledStop {}, SOON).await?,
             "estop" => cx.call_task(client, EmergencyStop {}, SOON).await?,
             "resume" => cx.call_task(client, Resume {}, SOON).await?,
             "reset" => {
@@ -180,7 +214,10 @@ impl Pino {
                 control_answer(io, "none: it goes as planned", [bandwidth, damping, 0.0]);
             }
             // It never is on its way, and has no power to be taken away.
-            "stop" | "resume" | "estop" | "reset" => {}
+            "stop" | "stop1" | "resume" | "estop" | "reset" => {}
+            "records" => {
+                "an arm of this process has no servo, and so no records".clone_into(&mut io.text)
+            }
             _ => {
                 io.text = format!(
                     "an arm of this process, kinematic only: {} motions, {:.3} s of them",

@@ -40,6 +40,9 @@ pub enum ServoCommand {
     Cancel,
     /// Ends a protective stop.
     Resume,
+    /// Brake along the path within limits to rest, then drive power off (category 1), latched until [`Self::Reset`]. An
+    /// arm with its brakes on has its power off in the next tick.
+    ControlledStop,
     /// Drive power off in the next tick (category 0), latched until [`Self::Reset`].
     EmergencyStop,
     /// Other parameters for the control law: the position loop's natural frequency, Hz, and damping ratio.
@@ -59,6 +62,9 @@ pub enum Fault {
     /// Somebody asked for it.
     #[error("emergency stop was asked for")]
     EmergencyStop,
+    /// Somebody asked for a controlled stop, and the arm was at rest before its power went off.
+    #[error("a controlled stop was asked for")]
+    ControlledStop,
     /// The channel driver reported an error; [`ServoPort::driver_error`] has its words.
     #[error("the channel driver failed")]
     Driver,

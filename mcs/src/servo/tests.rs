@@ -342,6 +342,43 @@ fn power_off_in_a_motion_stops_first_then_brakes_then_cuts_the_power() {
 }
 
 #[test]
+fn a_controlled_stop_keeps_the_power_until_the_arm_rests_and_then_latches_it_off() {
+    for ticks in [1, 30, 57, 90, 130] {
+        let (mut rig, _) = stop_within_limits(ticks, ServoCommand::ControlledStop);
+        let status = rig.port.status();
+        assert_eq!(status.power, Power::Off);
+        assert_eq!(status.fault, Some(Fault::ControlledStop));
+        assert!(status.velocity.iter().all(|speed| speed.abs() < 5e-3));
+        let error = status.motion.error.turning;
+        assert!(error < 5e-4, "power went off {error} rad from the setpoint");
+        rig.order(ServoCommand::PowerOn);
+        assert_eq!(rig.port.status().power, Power::Off);
+        rig.order(ServoCommand::Reset);
+        rig.release();
+    }
+}
+
+#[test]
+fn a_controlled_stop_that_cannot_brake_ends_as_an_emergency() {
+    let mut rig = Rig::pid();
+    rig.release();
+    let segment = rig.plan(1.0);
+    rig.start(segment);
+    for _ in 0..60 {
+        rig.servo.tick(0);
+    }
+    rig.order(ServoCommand::ControlledStop);
+    assert_eq!(rig.port.status().power, Power::Released);
+    rig.knobs.fault.store(1, Ordering::Relaxed);
+    rig.servo.tick(0);
+    let status = rig.port.status();
+    assert_eq!(
+        (status.power, status.fault),
+        (Power::Off, Some(Fault::Driver))
+    );
+}
+
+#[test]
 fn a_driver_fault_cuts_power_in_the_same_tick_and_stays_until_reset() {
     for (knob, expected) in [
         (1, Fault::Driver),

@@ -361,6 +361,21 @@ pub fn manipulator(app: &App) -> Option<Model> {
     Some(model)
 }
 
+/// The arm of a servo task as it is described, for its channel driver: a limit of its own counts, also where the task sets
+/// a lower one. None when the task's arguments are wrong, which its own check reports.
+#[must_use]
+pub fn arm(task: &TaskConfig, app: &App) -> Option<Model> {
+    let args: ServoArgs = task.args.parse().ok()?;
+    let model = args.load(task, app, &mut Findings::new())?;
+    Some(model.with_joints(|index, joint| {
+        let velocity = &mut joint.limits.velocity;
+        let given = args.velocity.as_ref().and_then(|all| all.get(index));
+        if let (true, Some(given)) = (velocity.is_infinite(), given) {
+            *velocity = *given;
+        }
+    }))
+}
+
 /// Arguments of `mcs.state` and `mcs.planner`.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]

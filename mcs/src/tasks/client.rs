@@ -15,8 +15,8 @@ use super::servo::{ReadServo, ResumeServo, StopKind, StopServo};
 use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
-    Acquire, Cancel, EmergencyStop, MotionError, Move, Plan, Position, ReadControl, ReadPosition,
-    Release, Reset, Resume, SetControl, Status, StatusReport, Stop,
+    Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Plan, Position, ReadControl,
+    ReadPosition, RecordStates, Release, Reset, Resume, SetControl, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -33,9 +33,11 @@ pub(super) fn register(registry: &mut Registry) {
         Stop::INFO,
         Release::INFO,
         Status::INFO,
+        ControlledStop::INFO,
         EmergencyStop::INFO,
         Reset::INFO,
         ReadControl::INFO,
+        RecordStates::INFO,
         SetControl::INFO,
         Cancel::INFO,
         Resume::INFO,
@@ -203,9 +205,19 @@ impl EventHandler for ClientTask {
                 self.halt(cx, StopKind::Emergency).await?;
                 reply.ok(())
             }
+            ControlledStop::CODE => {
+                let (ControlledStop {}, reply) = message.open::<ControlledStop>()?;
+                self.halt(cx, StopKind::Controlled).await?;
+                reply.ok(())
+            }
             ReadControl::CODE => {
                 let (request, reply) = message.open::<ReadControl>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            RecordStates::CODE => {
+                let (request, reply) = message.open::<RecordStates>()?;
+                Self::told(cx, &self.parts()?.servo, request).await?;
+                reply.ok(())
             }
             SetControl::CODE => {
                 let (request, reply) = message.open::<SetControl>()?;

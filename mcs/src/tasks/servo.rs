@@ -12,8 +12,9 @@ use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason
 use serde::{Deserialize, Serialize};
 
 use super::args::{self, ServoArgs};
+use super::records::{Recorder, Records, records};
 use super::{Link, SERVO, rows};
-use crate::client::{ControlReport, ReadControl, SetControl};
+use crate::client::{ControlReport, ReadControl, RecordStates, SetControl};
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::DriverRegistry;
 use crate::model::Model;
@@ -38,6 +39,8 @@ pub enum StopKind {
     Protective,
     /// Brake along the path to rest.
     Cancel,
+    /// Brake along the path to rest, then drive power off.
+    Controlled,
     /// Drive power off now.
     Emergency,
 }
@@ -62,12 +65,13 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 5] = [
+const COMMANDS: [CommandInfo; 6] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
     ReadControl::INFO,
     SetControl::INFO,
+    RecordStates::INFO,
 ];
 
 pub(super) fn register(
@@ -106,8 +110,9 @@ fn check(
     {
         findings.push(finding);
     }
-    let Some(kind) = drivers.kind(&args.driver) else {
-        return findings.push(unknown_driver(task, &args.driver, drivers));
+    let kind = match drivers.find(&args.driver, &task.name) {
+        Ok(kind) => kind,
+        Err(finding) => return findings.push(finding.at(place(task, "driver"))),
     };
     let driver_args = own_args(task, "driver_args");
     kind.run_check(task, app, &driver_args, findings);
@@ -155,22 +160,13 @@ fn law(
     }
 }
 
-fn unknown_driver(task: &TaskConfig, name: &str, drivers: &DriverRegistry) -> Finding {
-    let text = format!(
-        "task `{}` names the channel driver `{name}`, which nobody registered",
-        task.name
-    );
-    Finding::error("mcs::unknown_driver", text)
-        .at(place(task, "driver"))
-        .suggest(name, drivers.names())
-}
-
 struct ServoTask {
     link: Arc<Link>,
     /// Knows where the tool is.
     planner: Planner,
-    /// Waits here for the first phase.
-    servo: Option<Servo>,
+    /// Wait here for the first phase.
+    ticking: Option<(Servo, Recorder)>,
+    records: Records,
     cyclic: Option<CyclicHandle>,
     control: ControlReport,
 }
@@ -186,8 +182,7 @@ impl ServoTask {
         let read = ServoArgs::read(task, cx.app(), &mut findings);
         let (args, model) = read.ok_or_else(|| findings.to_string())?;
         let model = Arc::new(model);
-        let kind = drivers.kind(&args.driver);
-        let kind = kind.ok_or_else(|| unknown_driver(task, &args.driver, drivers))?;
+        let kind = drivers.find(&args.driver, &task.name)?;
         let driver = kind.build(cx, &own_args(task, "driver_args"))?;
         let config = args.config();
         let law = law(&args, task, &model, laws)?;
@@ -200,10 +195,12 @@ impl ServoTask {
             config,
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));
+        let (records, recorder) = records(planner.model().dof());
         Ok(Self {
             link,
             planner,
-            servo: Some(servo),
+            ticking: Some((servo, recorder)),
+            records,
             cyclic: None,
             control: ControlReport {
                 law: args.law,
@@ -268,6 +265,22 @@ impl ServoTask {
         Ok(self.control.clone())
     }
 
+    /// Writes state records to another buffer, or to none, and frees the one before.
+    async fn record(&mut self, cx: &Context, request: &RecordStates) -> Handled {
+        let buffer = (cx.app().name.as_str(), request.buffer.as_deref());
+        let model = self.planner.model();
+        self.records.write_to(buffer, model, cx.chassis().clock())?;
+        // The tick under way may still write to the one before; the next one does not.
+        let before = self.link.port.status().ticks;
+        let obeyed = move |status: &ServoStatus| status.ticks > before + 1;
+        let patience = self.link.rest_patience();
+        self.link
+            .wait(cx, "write records", patience, obeyed)
+            .await?;
+        self.records.free();
+        Ok(())
+    }
+
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
     async fn shut_down(&self, cx: &Context) -> Handled {
         if self.cyclic.is_some() {
@@ -290,18 +303,26 @@ impl EventHandler for ServoTask {
                 match kind {
                     StopKind::Protective => port.order(ServoCommand::Stop)?,
                     StopKind::Cancel => port.order(ServoCommand::Cancel)?,
+                    StopKind::Controlled => port.order(ServoCommand::ControlledStop)?,
                     StopKind::Emergency => port.emergency_stop(),
                 }
                 self.confirm(cx, reply, move |status| match kind {
                     StopKind::Protective => status.stopped || status.fault.is_some(),
                     StopKind::Cancel => status.motion.phase != MotionPhase::Moving,
-                    StopKind::Emergency => status.fault.is_some(),
+                    StopKind::Controlled | StopKind::Emergency => status.fault.is_some(),
                 })
             }
             ResumeServo::CODE => {
                 let (ResumeServo {}, reply) = message.open::<ResumeServo>()?;
                 self.link.port.order(ServoCommand::Resume)?;
                 self.confirm(cx, reply, |status| !status.stopped)
+            }
+            RecordStates::CODE => {
+                let (request, reply) = message.open::<RecordStates>()?;
+                match self.record(cx, &request).await {
+                    Ok(()) => reply.ok(()),
+                    Err(error) => reply.fail(error),
+                }
             }
             ReadControl::CODE => {
                 let (ReadControl {}, reply) = message.open::<ReadControl>()?;
@@ -320,9 +341,12 @@ impl EventHandler for ServoTask {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Create
-            && let Some(mut servo) = self.servo.take()
+            && let Some((mut servo, mut recorder)) = self.ticking.take()
         {
-            let tick = move |tick: &Tick| servo.tick(tick.missed);
+            let tick = move |tick: &Tick| {
+                servo.tick(tick.missed);
+                recorder.write(servo.status());
+            };
             self.cyclic = Some(cx.cyclic(self.link.config.period, tick));
         }
         if phase == Phase::Connect {

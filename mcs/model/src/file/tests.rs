@@ -59,6 +59,28 @@ fn every_mistake_has_its_place() {
             "not a finite number: ",
         ),
         (
+            format!(
+                "{joint}shapes = [{{ sphere = [0, 0, 0], radius = 1 }}, {{ box = [1, 1, 0] }}]"
+            ),
+            "5:47",
+            "no solid: the edge of a solid of `a` is 0 m",
+        ),
+        (
+            format!("{joint}shapes = [{{ capsule = [[0, 0, 0], [0, 0, 1]] }}]"),
+            "5:11",
+            "a capsule and a sphere have a `radius`",
+        ),
+        (
+            format!("{joint}shapes = [{{ sphere = [0, 0, 0], box = [1, 1, 1], radius = 1 }}]"),
+            "5:11",
+            "a solid is either",
+        ),
+        (
+            "name = \"arm\"\nshapes = [{ sphere = [0, 0, nan], radius = 1 }]".to_owned(),
+            "2:11",
+            "not a finite number: a solid of `base`",
+        ),
+        (
             format!("{joint}parent = \"b\""),
             "5:10",
             "there is no frame `b`",
@@ -130,4 +152,38 @@ fn joints_given_by_dh_rows_and_by_places_and_axes_are_the_same_arm() {
         one.origin,
         other.origin
     );
+}
+
+#[test]
+fn the_outer_form_of_a_part_goes_with_it_wherever_it_is_put() {
+    let model = |name| {
+        let text = built_in::source(name).unwrap();
+        parse(&text, Inertias::Identified).unwrap()
+    };
+    let (alone, both) = (model("puma560"), model("testbed18"));
+    assert_eq!(alone.shapes().len(), 9);
+    assert_eq!(both.shapes().len(), 2 * (9 + 3));
+    let q = [0.3, -0.4, 0.2, 0.5, 0.8, -1.2, 0.4, 0.9, -0.6];
+    let mut data = both.data();
+    both.forward(&mut data, &q.repeat(2));
+    let mut own = alone.data();
+    alone.forward(&mut own, &q[3..]);
+    for (cart, arm) in [("left_cart", "left_arm"), ("right_cart", "right_arm")] {
+        let mount = both.frame(&format!("{cart}.mount")).unwrap();
+        let mount = data.placement(&both, mount);
+        for shape in alone.shapes() {
+            let name = &alone.at(shape.frame).name;
+            let seen = shape.solid.seen_from(&own.carrier(shape.carrier));
+            let expected = seen.seen_from(&mount).ball();
+            let found = both.shapes().iter().any(|part| {
+                let ball = part.solid.seen_from(&data.carrier(part.carrier)).ball();
+                both.at(part.frame).name == format!("{arm}.{name}")
+                    && (ball.0 - expected.0).norm() < 1e-12
+            });
+            assert!(found, "{arm}.{name}");
+        }
+    }
+    let moved = alone.clone().moved(&Placement::shifted(0.0, 0.0, 0.5));
+    let base = |model: &Model| model.shapes()[0].solid.ball().0.z;
+    assert!((base(&moved) - base(&alone) - 0.5).abs() < 1e-12);
 }

@@ -12,6 +12,7 @@ use super::xml;
 use crate::builder::{check_body, check_limits};
 use crate::features::{Body, Friction, JointKind, Limits, Motor};
 use crate::placement::Placement;
+use crate::shapes::Solid;
 
 /// Axes shorter than this have no direction.
 const NO_AXIS: f64 = 1e-9;
@@ -33,6 +34,10 @@ pub(super) enum Motion {
 pub(super) struct LinkText<'a> {
     pub name: &'a str,
     pub body: Option<Body>,
+    /// Its form for collisions, each part with its place in the file.
+    pub shapes: Vec<(Solid, Range<usize>)>,
+    /// Where a mesh of that form stands, which is not read.
+    pub mesh: Option<Range<usize>>,
     /// The joint that carries it, by index.
     pub carrier: Option<usize>,
     pub range: Range<usize>,
@@ -112,6 +117,10 @@ impl<'a> Description<'a> {
         for node in robot.children().filter(|child| child.has_tag_name("joint")) {
             description.read_joint(node, &mut joints)?;
         }
+        let drives = robot.children();
+        for node in drives.filter(|child| child.has_tag_name("transmission")) {
+            description.read_transmission(node, &joints)?;
+        }
         description.root = description.only_root()?;
         description.all_hang_on_the_root()?;
         Ok(description)
@@ -177,9 +186,21 @@ impl<'a> Description<'a> {
             Some(inertial) => Some(self.body(name, inertial)?),
             None => None,
         };
+        let (mut shapes, mut mesh) = (Vec::new(), None);
+        for collision in node
+            .children()
+            .filter(|child| child.has_tag_name("collision"))
+        {
+            match self.solid(name, collision)? {
+                Some(solid) => shapes.push((solid, xml::opening(collision))),
+                None => mesh = mesh.or(Some(xml::opening(collision))),
+            }
+        }
         self.links.push(LinkText {
             name,
             body,
+            shapes,
+            mesh,
             carrier: None,
             range,
         });
@@ -218,6 +239,47 @@ impl<'a> Description<'a> {
         Ok(body)
     }
 
+    /// The form of a `<collision>`; none of a mesh.
+    fn solid(&self, link: &str, collision: Node<'_, '_>) -> Result<Option<Solid>, Finding> {
+        let source = self.source;
+        let at = self.origin(collision)?;
+        let form = xml::child(collision, "geometry")
+            .and_then(|geometry| geometry.children().find(Node::is_element));
+        let Some(form) = form else {
+            let text = format!("missing geometry: a <collision> of link `{link}` has no form");
+            return Err(xml::finding(source, text, xml::opening(collision)));
+        };
+        let one = |name: &str| {
+            xml::attribute(source, form, name)?;
+            xml::numbers(source, form, name, [0.0]).map(|[number]| number)
+        };
+        Ok(Some(match form.tag_name().name() {
+            "box" => {
+                xml::attribute(source, form, "size")?;
+                let edges = xml::numbers(source, form, "size", [0.0; 3])?;
+                let half = Vector3::from(edges) * 0.5;
+                Solid::Block { at, half }
+            }
+            "cylinder" => Solid::around_cylinder(&at, one("radius")?, one("length")?),
+            "capsule" => {
+                let end = |z: f64| at.point(&Vector3::new(0.0, 0.0, z));
+                let half = 0.5 * one("length")?;
+                Solid::Capsule {
+                    a: end(-half),
+                    b: end(half),
+                    radius: one("radius")?,
+                }
+            }
+            "sphere" => Solid::sphere(at.origin, one("radius")?),
+            "mesh" => return Ok(None),
+            other => {
+                let text = format!("unknown geometry: <{other}> of link `{link}`");
+                return Err(xml::finding(source, text, xml::opening(form))
+                    .help("URDF has box, cylinder, capsule, sphere and mesh"));
+            }
+        }))
+    }
+
     fn origin(&self, node: Node<'_, '_>) -> Result<Placement, Finding> {
         let Some(origin) = xml::child(node, "origin") else {
             return Ok(Placement::identity());
@@ -230,11 +292,11 @@ impl<'a> Description<'a> {
     fn read_joint(
         &mut self,
         node: Node<'a, 'a>,
-        joints: &mut HashMap<&'a str, ()>,
+        joints: &mut HashMap<&'a str, usize>,
     ) -> Result<(), Finding> {
         let source = self.source;
         let (name, range) = xml::attribute(source, node, "name")?;
-        if joints.insert(name, ()).is_some() {
+        if joints.insert(name, self.joints.len()).is_some() {
             return Err(self.finding(
                 format!("duplicate name: there is a joint `{name}` already"),
                 &range,
@@ -344,6 +406,53 @@ impl<'a> Description<'a> {
         let checked = check_limits(&limits, joint);
         checked.map_err(|error| self.place(Finding::from(&error), &xml::opening(limit)))?;
         Ok(limits)
+    }
+
+    /// The rotor of a joint, which URDF has no word for: `rotorInertia`, kg m^2 at the motor, in the actuator of a
+    /// transmission with one joint. Without it a transmission says nothing about motion.
+    fn read_transmission(
+        &mut self,
+        node: Node<'a, 'a>,
+        joints: &HashMap<&'a str, usize>,
+    ) -> Result<(), Finding> {
+        let source = self.source;
+        let ends = (xml::child(node, "joint"), xml::child(node, "actuator"));
+        let (Some(driven), Some(actuator)) = ends else {
+            return Ok(());
+        };
+        let Some((inertia, range)) = xml::number_within(source, actuator, "rotorInertia")? else {
+            return Ok(());
+        };
+        if inertia < 0.0 {
+            return Err(self.finding(format!("negative inertia: a rotor of {inertia}"), &range));
+        }
+        let gear = xml::number_within(source, actuator, "mechanicalReduction")?;
+        if let Some((0.0, range)) = gear {
+            return Err(self.finding("no gear: the reduction is 0".to_owned(), &range));
+        }
+        let gear = gear.map_or(1.0, |(gear, _)| gear);
+        let (name, range) = xml::attribute(source, driven, "name")?;
+        let joint = joints
+            .get(name)
+            .and_then(|joint| self.joints.get_mut(*joint));
+        let Some(joint) = joint else {
+            let text = format!("unknown joint: a transmission drives `{name}`");
+            return Err(self
+                .finding(text, &range)
+                .suggest(name, joints.keys().copied()));
+        };
+        // Friction stays what it is at the joint.
+        let friction = joint.motor.friction;
+        joint.motor = Motor {
+            rotor_inertia: inertia,
+            gear_ratio: gear,
+            friction: Friction {
+                viscous: friction.viscous / (gear * gear),
+                coulomb_forward: friction.coulomb_forward / gear.abs(),
+                coulomb_backward: friction.coulomb_backward / gear.abs(),
+            },
+        };
+        Ok(())
     }
 
     /// URDF knows of no rotor; its friction is at the joint.

@@ -1,6 +1,11 @@
 //! URDF that is wrong: each mistake has its name and its place, however large the file.
 
 use super::*;
+use crate::Solid;
+use crate::features::Limits;
+use crate::file::Inertias;
+use crate::placement::Placement;
+use crate::{DynamicsOptions, built_in};
 
 fn read(text: &str) -> Result<FromUrdf, Finding> {
     parse(&Source::new("arm.urdf", text), None, None)
@@ -126,6 +131,24 @@ fn every_mistake_has_a_name_and_a_place() {
             "3:43",
         ),
         (
+            robot("<collision/>", LIMIT),
+            "missing geometry: a <collision> of link `b`",
+            "3:16",
+        ),
+        (
+            robot("<collision><geometry><cone/></geometry></collision>", LIMIT),
+            "unknown geometry: <cone> of link `b`",
+            "3:37",
+        ),
+        (
+            robot(
+                "<collision><geometry><sphere radius=\"0\"/></geometry></collision>",
+                LIMIT,
+            ),
+            "no solid: the radius of a solid of `b` is 0 m",
+            "3:16",
+        ),
+        (
             robot("", LIMIT).replace("child link=\"b\"", "child link=\"x\""),
             "unknown link: the child `x`",
             "4:64",
@@ -200,6 +223,46 @@ fn a_base_or_tip_that_is_no_link_is_named_with_what_was_probably_meant() {
     }
 }
 
+#[test]
+fn forms_for_collisions_are_read_and_a_mesh_is_told_of() {
+    let collision = |form: &str| {
+        format!(
+            "<collision><origin xyz=\"0 0 0.1\" rpy=\"0 1.5707963267948966 0\"/><geometry>{form}</geometry></collision>"
+        )
+    };
+    let forms = [
+        "<box size=\"0.1 0.2 0.3\"/>",
+        "<sphere radius=\"0.05\"/>",
+        "<cylinder radius=\"0.1\" length=\"0.6\"/>",
+        "<cylinder radius=\"0.3\" length=\"0.1\"/>",
+        "<mesh filename=\"package://r/b.stl\"/>",
+    ];
+    let all = forms.map(collision).concat();
+    let about_z = format!("{LIMIT}<axis xyz=\"0 0 1\"/>");
+    let read = read(&robot(&all, &about_z)).unwrap();
+    let [first, second, third, fourth] = read.model.shapes() else {
+        panic!("{:?}", read.model.shapes());
+    };
+    assert!(matches!(first.solid, Solid::Block { half, .. } if (half.x - 0.05).abs() < 1e-12));
+    assert_eq!(
+        second.solid,
+        Solid::sphere(nalgebra::Vector3::new(0.0, 0.0, 0.1), 0.05)
+    );
+    // Lies along x of its link.
+    assert!(
+        matches!(third.solid, Solid::Capsule { a, b, radius } if radius == 0.1
+            && (b - a - nalgebra::Vector3::new(0.6, 0.0, 0.0)).norm() < 1e-12),
+        "{third:?}"
+    );
+    assert!(matches!(fourth.solid, Solid::Block { half, .. } if (half.z - 0.05).abs() < 1e-12));
+    let told: Vec<String> = read.warnings.iter().map(ToString::to_string).collect();
+    assert!(
+        told.iter()
+            .any(|text| text.contains("the meshes of b for collisions are not read")),
+        "{told:?}"
+    );
+}
+
 /// A chain of links with joints of this type.
 fn chain(links: usize, kind: &str) -> String {
     let mut text = "<robot name=\"long\">\n<link name=\"l0\"/>\n".to_owned();
@@ -265,7 +328,155 @@ fn a_way_up_the_tree_is_the_way_down_backwards() {
     );
 }
 
+/// A model as it is read back from what is written of it.
+fn written(model: &Model, tip: Option<&str>) -> Model {
+    let text = write(model);
+    let source = Source::new("written.urdf", text.as_str());
+    let found = parse(&source, None, tip);
+    found
+        .unwrap_or_else(|finding| panic!("{finding}\n{text}"))
+        .model
+}
+
+#[test]
+fn a_model_that_is_written_and_read_again_moves_as_before() {
+    let q = [0.3, -0.5, 0.7, -1.2, 0.1, -0.4, 0.9, 0.2, -0.8];
+    for name in ["puma560", "puma600", "transporter", "testbed9"] {
+        for inertias in [Inertias::Identified, Inertias::Engine] {
+            let model = built_in::model(name, inertias).unwrap().unwrap();
+            let again = written(&model, Some(&model.at(model.tip()).name));
+            let (mut data, mut others) = (model.data(), again.data());
+            assert_eq!((again.name(), again.dof()), (name, model.dof()));
+            let (q, qd, qdd) = (&q[..model.dof()], &q[9 - model.dof()..], &q[..model.dof()]);
+            let here = model.placement(&mut data, q, model.tip());
+            let there = again.placement(&mut others, q, again.tip());
+            assert!((here.origin - there.origin).amax() < 1e-12, "{name}");
+            assert!((here.rotation - there.rotation).amax() < 1e-12, "{name}");
+            // Without friction: the mean of both directions is written.
+            let options = DynamicsOptions::WITH_ROTORS;
+            let torques = model
+                .inverse_dynamics(&mut data, q, qd, qdd, options)
+                .to_vec();
+            let found = again.inverse_dynamics(&mut others, q, qd, qdd, options);
+            for (torque, found) in torques.iter().zip(found) {
+                assert!((torque - found).abs() < 1e-10, "{name}: {torque} {found}");
+            }
+            for (one, other) in model.joints().iter().zip(again.joints()) {
+                let limits = |joint: &crate::Joint| {
+                    let Limits {
+                        lower,
+                        upper,
+                        velocity,
+                        torque,
+                        ..
+                    } = joint.limits;
+                    (
+                        joint.name.clone(),
+                        joint.kind,
+                        [lower, upper, velocity, torque],
+                    )
+                };
+                assert_eq!(limits(one), limits(other));
+                let rub = |joint: &crate::Joint| {
+                    joint.motor.friction_torque(1.0) - joint.motor.friction_torque(-1.0)
+                };
+                assert!(
+                    (rub(one) - rub(other)).abs() <= 1e-12 * rub(one).abs(),
+                    "{name}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tree_that_is_written_has_all_its_arms() {
+    let model = built_in::model("testbed18", Inertias::Engine)
+        .unwrap()
+        .unwrap();
+    for tip in ["left_arm.link6", "right_arm.link6"] {
+        let frame = model.frame(tip).unwrap_or_else(|| {
+            panic!(
+                "{:?}",
+                model.frames().iter().map(|f| &f.name).collect::<Vec<_>>()
+            )
+        });
+        let arm = written(&model, Some(tip));
+        let q: Vec<f64> = (0..18).map(|index| 0.1 * f64::from(index) - 0.7).collect();
+        let own: Vec<f64> = model.chain(frame).iter().map(|joint| q[*joint]).collect();
+        let here = model.placement(&mut model.data(), &q, frame);
+        let there = arm.placement(&mut arm.data(), &own, arm.tip());
+        assert_eq!(arm.dof(), 9);
+        assert!((here.origin - there.origin).amax() < 1e-12, "{tip}");
+        assert!((here.rotation - there.rotation).amax() < 1e-12, "{tip}");
+    }
+}
+
+#[test]
+fn a_rotor_that_cannot_be_is_refused_at_its_place() {
+    let model = built_in::model("puma560", Inertias::Engine)
+        .unwrap()
+        .unwrap();
+    let text = write(&model);
+    for (from, to, why) in [
+        (
+            "<rotorInertia>0.0002<",
+            "<rotorInertia>-1<",
+            "negative inertia: ",
+        ),
+        (
+            "<rotorInertia>0.0002<",
+            "<rotorInertia>heavy<",
+            "not a finite number: ",
+        ),
+        (
+            "<mechanicalReduction>-62.6111<",
+            "<mechanicalReduction>0<",
+            "no gear: ",
+        ),
+        (
+            "    <joint name=\"joint1\"/>",
+            "    <joint name=\"join1\"/>",
+            "unknown joint: ",
+        ),
+    ] {
+        let changed = text.replacen(from, to, 1);
+        assert_ne!(changed, text, "{from}");
+        let finding = parse(&Source::new("arm.urdf", changed), None, None).unwrap_err();
+        assert!(finding.message.starts_with(why), "{finding}");
+        assert!(finding.place.is_some(), "{finding}");
+    }
+}
+
+#[test]
+fn a_name_with_letters_that_xml_keeps_for_itself_comes_back_as_it_was() {
+    let mut builder = ModelBuilder::new("a <b> & \"c\"", "base");
+    let base = builder.base();
+    let spec = JointSpec::new("j<1>", JointKind::Prismatic, base);
+    builder.joint(spec, "l&1").unwrap();
+    let again = written(&builder.build(), None);
+    assert_eq!(
+        (again.name(), again.joints()[0].name.as_str()),
+        ("a <b> & \"c\"", "j<1>")
+    );
+}
+
 proptest::proptest! {
+    #[test]
+    fn any_turn_is_written_so_that_it_is_read_again(roll in -3.2..3.2_f64, pitch in -3.2..3.2_f64, yaw in -3.2..3.2_f64, upright in -4..5_i32) {
+        // Also near the poles of roll, pitch and yaw, and on them.
+        let quarter = f64::from(upright) * std::f64::consts::FRAC_PI_2;
+        for pitch in [pitch, quarter, quarter + 1e-9 * pitch, quarter + 1e-5 * pitch] {
+            let placement = Placement::from_radians([0.1, 0.2, 0.3], [roll, pitch, yaw]);
+            let mut builder = ModelBuilder::new("turned", "base");
+            let base = builder.base();
+            builder.frame("frame", base, &placement).unwrap();
+            let again = written(&builder.build(), None);
+            let found = again.placement(&mut again.data(), &[], again.tip());
+            proptest::prop_assert!((found.rotation - placement.rotation).amax() < 1e-14, "{pitch}");
+        }
+    }
+
     #[test]
     fn a_file_cut_or_changed_anywhere_is_read_or_refused(at in 0..7000_usize, byte in 0..128_u8, cut in proptest::prelude::any::<bool>()) {
         let mut text = include_str!("../../../tests/known_answers/two_arms.urdf").to_owned();

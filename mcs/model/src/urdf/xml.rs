@@ -64,6 +64,25 @@ pub(super) fn child<'a, 'i>(node: Node<'a, 'i>, name: &str) -> Option<Node<'a, '
     node.children().find(|child| child.has_tag_name(name))
 }
 
+/// The number that a child element of that name holds, and where it stands.
+pub(super) fn number_within(
+    source: &Source,
+    node: Node<'_, '_>,
+    name: &str,
+) -> Result<Option<(f64, Range<usize>)>, Finding> {
+    let Some(element) = child(node, name) else {
+        return Ok(None);
+    };
+    let text = element.text().unwrap_or_default().trim();
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(Some((number, opening(element)))),
+        _ => {
+            let text = format!("not a finite number: <{name}> holds `{text}`");
+            Err(finding(source, text, opening(element)))
+        }
+    }
+}
+
 /// The text of an attribute and where it stands.
 pub(super) fn attribute<'a>(
     source: &Source,

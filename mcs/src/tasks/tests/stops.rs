@@ -5,6 +5,7 @@ use ctos::simulation::{self, Fault, FaultKind, Faults, Setup};
 use ctos::time::Instant;
 
 use super::*;
+use crate::servo::MotionPhase;
 
 /// Moves to the goal and asks for something else in the midst of it; what the mover was told.
 async fn disturbed<T, C: Command<Reply = T>>(
@@ -65,6 +66,36 @@ fn a_stop_of_an_arm_that_stands_holds_too_and_a_reset_ends_it() {
             assert_eq!(told.outcome, Outcome::Stopped);
             asked(&cx, &mcs, EmergencyStop {}).await?;
             cx.sleep(Duration::from_millis(20)).await;
+            done(&cx, &mcs, Reset {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn a_controlled_stop_comes_to_rest_before_power_goes_off_and_is_told_for_what_it_is() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, ControlledStop {}).await?;
+            assert_eq!(told.outcome, Outcome::Estopped);
+            assert!(told.reason.contains("controlled stop"), "{told}");
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!(
+                (status.state, status.motion),
+                (State::Estopped, MotionPhase::Stopped)
+            );
+            assert_eq!(status.holder, None);
+            let again = error_of(&cx, &mcs, Acquire {}).await?;
+            assert_eq!(again.outcome, Outcome::Estopped);
+            // Of an arm that stands, and of one without power.
+            for _ in 0..2 {
+                done(&cx, &mcs, Reset {}).await?;
+                asked(&cx, &mcs, ControlledStop {}).await?;
+                assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Estopped);
+            }
             done(&cx, &mcs, Reset {}).await?;
             done(&cx, &mcs, Acquire {}).await?;
             done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
