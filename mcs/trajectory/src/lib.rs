@@ -5,6 +5,7 @@
 //! joints that slide; speeds and accelerations are per s and s^2.
 
 pub mod interpolate;
+pub mod passage;
 pub mod plan;
 pub mod profile;
 pub mod route;
@@ -13,6 +14,7 @@ pub mod solver;
 pub mod timing;
 
 pub use interpolate::Interpolator;
+pub use passage::Passage;
 pub use plan::{CartesianLimits, PlanError, Planner};
 pub use profile::{Profile, ProfilePoint};
 pub use route::{Goal, Pace, PathKind, Route};
