@@ -59,7 +59,7 @@ impl Default for Settling {
 pub struct ServoConfig {
     /// Servo period; 4.5 ms on the CIRSSE testbed.
     pub period: Duration,
-    /// The planner gives a setpoint every so many periods (at least 1).
+    /// A pose on a line is solved every so many periods (at least 1), and interpolated between.
     pub setpoint_every: u32,
     /// A joint this far from its setpoint is an emergency.
     pub following_error: Distances,
@@ -347,7 +347,7 @@ impl Servo {
     /// Brakes along the path; standing still already, there is nothing to do.
     fn brake(&mut self) {
         if let Some(motion) = &mut self.motion {
-            motion.stop(&mut self.solver, &self.setpoint);
+            motion.stop();
         }
     }
 

@@ -178,7 +178,7 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         .choice(
             "path",
             &["joint", "line"],
-            "whether all joints turn in proportion, or the tool goes along a straight line",
+            "whether every joint takes a course of its own, all in the time of the slowest, or the tool goes along a straight line",
             |options| &mut options.path,
         )
         .choice(

@@ -624,3 +624,86 @@ fn a_request_for_times_with_the_wrong_count_or_limit_says_what_is_right() {
         assert_eq!(reply.reports.last().unwrap().text, expected, "{line}");
     }
 }
+
+#[test]
+fn a_path_through_way_points_takes_less_than_stops_at_them_and_no_more_than_the_straight_line() {
+    let sorm = manager();
+    let path = |points: &[[f64; 2]], jerk: f64| {
+        let rows = [[1.0, 2.0], [2.0, 4.0], [jerk, jerk]];
+        let numbers: Vec<f64> = points.iter().chain(&rows).flatten().copied().collect();
+        let line = format!("traj EXEC TMSG path IMSG 1 {}", points.len() - 2);
+        let found = floats(&sorm, &line, &numbers);
+        assert_eq!(found.len(), 1);
+        found[0]
+    };
+    for jerk in [0.0, 20.0] {
+        let (a, b) = ([0.0, 0.0], [2.0, 1.0]);
+        let rest = [2.0, 0.0, 0.0, 2.0, 1.0, 1.0, 2.0, 2.0, 4.0, jerk, jerk];
+        let straight = floats(&sorm, "traj EXEC TMSG rest", &rest)[0];
+        near(&[path(&[a, b], jerk)], &[straight], 1e-9);
+        // Joint 1 sets the time of the line and of its parts, in proportion to which joint 2 can go.
+        let through = path(&[a, [0.5, 0.25], [1.4, 0.7], b], jerk);
+        near(&[through], &[straight], 1e-6);
+        let corner = [2.0, 3.0];
+        let stops = path(&[a, corner], jerk) + path(&[corner, b], jerk);
+        let through = path(&[a, corner, b], jerk);
+        assert!(through < stops, "{through} {stops}");
+    }
+}
+
+#[test]
+fn a_path_that_makes_no_sense_is_refused_by_name() {
+    let sorm = manager();
+    for (line, expected) in [
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 1 0",
+            "EXEC path takes the number of way points: write IMSG 1 and it, not IMSG 0",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 1 0 IMSG 2 0 0",
+            "EXEC path takes the number of way points: write IMSG 1 and it, not IMSG 2",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 1 0 IMSG 1 -1",
+            "EXEC path goes through 0 to 100 way points, not -1",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 1 0 IMSG 1 9223372036854775807",
+            "EXEC path goes through 0 to 100 way points, not 9223372036854775807",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 1 0 IMSG 1 1",
+            "EXEC path with 1 way points takes 6 floats for each of 1 to 64 joints, not 5 in all",
+        ),
+        (
+            "traj EXEC TMSG path IMSG 1 0",
+            "EXEC path with 0 way points takes 5 floats for each of 1 to 64 joints, not 0 in all",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 0 0 IMSG 1 0",
+            "EXEC path: the largest acceleration of joint 1 is 0; it must be above zero",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 5 0 1 1 1 -1 IMSG 1 0",
+            "EXEC path: the largest jerk of joint 1 is -1; it must be above zero",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 6 0 1 1 1 1 0 IMSG 1 1",
+            "EXEC path: point 2 of the path is where point 1 is, the start being point 0; leave one of them out",
+        ),
+        (
+            "traj EXEC TMSG path FMSG 6 0 nan 1 1 1 0 IMSG 1 1",
+            "EXEC path takes finite floats (with IMSG 1 m, the number of way points: m + 2 points, n numbers each, then n each \
+             of: vmax, amax, jmax), and float 2 of 6 is NaN",
+        ),
+        (
+            "traj EXEC TMSG rest FMSG 6 1 0 1 1 1 0 IMSG 1 1",
+            "EXEC rest takes no whole numbers (IMSG), not 1",
+        ),
+    ] {
+        let reply = ask(&sorm, line);
+        assert!(!reply.is_ok(), "{line}");
+        assert_eq!(reply.reports.last().unwrap().text, expected, "{line}");
+        assert!(reply.floats.is_empty() && reply.ints.is_empty());
+    }
+}

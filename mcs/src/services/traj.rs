@@ -6,6 +6,8 @@ use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transpor
 
 use super::{code, ended};
 use crate::model::MAX_JOINTS;
+use crate::trajectory::Passage;
+use crate::trajectory::passage::MOST_WAY_POINTS;
 use crate::trajectory::timing::{self, JointBounds, JointState, Motion, TimingError};
 
 const FORMS: &[Form] = &[
@@ -33,6 +35,14 @@ const FORMS: &[Form] = &[
         results: "",
         help: "to rest, each joint by itself",
     },
+    Form {
+        text: "path",
+        floats: Form::ANY,
+        takes: "with IMSG 1 m, the number of way points: m + 2 points, n numbers each, then n each of: vmax, amax, jmax",
+        gives: "1 float: the time from the first point to the last, s",
+        results: "",
+        help: "from rest through m way points to rest, all joints together at each of them, without a stop where that is quicker",
+    },
 ];
 
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -49,9 +59,17 @@ pub(super) struct Traj(Options);
 
 impl ServiceObject for Traj {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        // No other form takes whole numbers.
+        let ints = match io.text.trim() {
+            "path" => std::mem::take(&mut io.ints),
+            _ => Vec::new(),
+        };
         let outcome = TABLE.form(io).map(|form| form.text);
         let outcome = outcome.and_then(|what| {
-            io.floats = answer(what, &io.floats)?;
+            io.floats = match what {
+                "path" => path(&ints, &io.floats)?,
+                _ => answer(what, &io.floats)?,
+            };
             Ok(())
         });
         ended(io, outcome)
@@ -111,8 +129,51 @@ impl<'f> Rows<'f> {
     }
 }
 
+fn untimed(what: &str, error: &TimingError) -> Report {
+    Report::error(code::MOTION, format!("EXEC {what}: {error}"))
+}
+
+/// The time through way points, whose number stands apart.
+fn path(ints: &[i64], floats: &[f64]) -> Result<Vec<f64>, Report> {
+    let wrong =
+        |text: String| Report::error(sorma::report::code::VALUE, format!("EXEC path {text}"));
+    let [given] = ints else {
+        let count = ints.len();
+        return Err(wrong(format!(
+            "takes the number of way points: write IMSG 1 and it, not IMSG {count}"
+        )));
+    };
+    let way_points = usize::try_from(*given).ok();
+    let Some(way_points) = way_points.filter(|count| *count <= MOST_WAY_POINTS) else {
+        return Err(wrong(format!(
+            "goes through 0 to {MOST_WAY_POINTS} way points, not {given}"
+        )));
+    };
+    // m + 2 points and three rows of limits.
+    let rows = way_points + 5;
+    let joints = floats.len() / rows;
+    if joints * rows != floats.len() || !(1..=MAX_JOINTS).contains(&joints) {
+        return Err(wrong(format!(
+            "with {way_points} way points takes {rows} floats for each of 1 to {MAX_JOINTS} joints, not {} in all",
+            floats.len()
+        )));
+    }
+    let (points, limits) = floats.split_at((way_points + 2) * joints);
+    let rows = Rows {
+        n: joints,
+        numbers: limits,
+    };
+    let bounds = rows.joints(|at| JointBounds {
+        velocity: at(0),
+        acceleration: at(1),
+        jerk: at(2),
+    });
+    let passage = Passage::through(points, &bounds).map_err(|error| untimed("path", &error))?;
+    finite(vec![passage.duration()])
+}
+
 fn answer(what: &str, floats: &[f64]) -> Result<Vec<f64>, Report> {
-    let untimed = |error: TimingError| Report::error(code::MOTION, format!("EXEC {what}: {error}"));
+    let untimed = |error: TimingError| untimed(what, &error);
     let state = |position, velocity, acceleration| JointState {
         position,
         velocity,

@@ -6,7 +6,7 @@ use crate::driver::SlotReading;
 use crate::joints::Distances;
 use crate::model::Model;
 use crate::trajectory::segment::SegmentError;
-use crate::trajectory::{Interpolator, Segment, Setpoint, Solver};
+use crate::trajectory::{Follower, Segment, Setpoint, Solver};
 
 /// What a tick made of the motion.
 pub(super) enum Progress {
@@ -18,70 +18,32 @@ pub(super) enum Progress {
 
 /// A segment being followed, braked or settled on.
 pub(super) struct Motion {
-    segment: Segment,
-    /// Servo period and setpoint interval, s.
-    period: f64,
-    interval: f64,
-    every: u32,
+    follower: Follower,
     settling: Settling,
-    /// Where between two planned setpoints the motion is; none before its first tick.
-    between: Option<Interpolator>,
-    /// Whole setpoint intervals behind, and ticks into the current one.
-    intervals: u64,
-    ticks: u32,
-    stopping: bool,
     settled_for: u32,
     settling_for: u32,
     elapsed: u64,
     max_error: Distances,
     error: Distances,
-    resting: bool,
 }
 
 impl Motion {
     pub(super) fn new(segment: Segment, config: &ServoConfig) -> Self {
         let period = config.period.as_secs_f64();
         Self {
-            segment,
-            period,
-            interval: period * f64::from(config.setpoint_every),
-            every: config.setpoint_every,
+            follower: Follower::new(segment, period, config.setpoint_every),
             settling: config.settling,
-            between: None,
-            intervals: 0,
-            ticks: 0,
-            stopping: false,
             settled_for: 0,
             settling_for: 0,
             elapsed: 0,
             max_error: Distances::default(),
             error: Distances::default(),
-            resting: false,
         }
     }
 
-    /// Time along the segment, s, from counts, so that it never drifts.
-    fn time(&self) -> f64 {
-        // A motion of 2^53 intervals would take longer than the arm will last.
-        self.intervals as f64 * self.interval + f64::from(self.ticks) * self.period
-    }
-
-    /// From now on brakes along the path, from the setpoint that holds now.
-    pub(super) fn stop(&mut self, solver: &mut Solver, now: &Setpoint) {
-        if self.stopping || self.resting {
-            self.stopping = true;
-            return;
-        }
-        self.stopping = true;
-        self.segment = self.segment.braked_at(self.time());
-        self.intervals = 0;
-        self.ticks = 0;
-        // The first interval starts at the setpoint in force, which between two planned setpoints
-        // may be a hair off the path: no step, whenever the stop comes.
-        let first = self.segment.at(solver, self.interval, &now.position);
-        self.between = first
-            .ok()
-            .map(|first| Interpolator::new(*now, first, self.interval));
+    /// From now on brakes along the path.
+    pub(super) fn stop(&mut self) {
+        self.follower.stop();
     }
 
     /// The setpoint of this tick, given the one before and the readings of this tick.
@@ -92,13 +54,13 @@ impl Motion {
         readings: &[SlotReading],
     ) -> Result<(Setpoint, Progress), SegmentError> {
         self.elapsed += 1;
-        let setpoint = if self.resting {
+        let setpoint = if self.follower.rests() {
             *before
         } else {
-            self.next(solver, before)?
+            self.follower.next(solver, &before.position)?
         };
         self.measure(solver.model(), &setpoint, readings);
-        if !self.resting {
+        if !self.follower.rests() {
             return Ok((setpoint, Progress::Going));
         }
         self.settling_for += 1;
@@ -112,7 +74,7 @@ impl Motion {
             self.settled_for = 0;
         }
         let progress = if self.settled_for >= self.settling.ticks {
-            Progress::Finished(if self.stopping {
+            Progress::Finished(if self.follower.is_stopping() {
                 MotionPhase::Stopped
             } else {
                 MotionPhase::Done
@@ -123,55 +85,6 @@ impl Motion {
             Progress::Going
         };
         Ok((setpoint, progress))
-    }
-
-    fn next(&mut self, solver: &mut Solver, before: &Setpoint) -> Result<Setpoint, SegmentError> {
-        let between = match self.between {
-            Some(between) => {
-                self.ticks += 1;
-                between
-            }
-            None => {
-                let from = self.segment.at(solver, 0.0, &before.position)?;
-                let between = self.interval_from(solver, from, 0)?;
-                self.between = Some(between);
-                between
-            }
-        };
-        if self.ticks < self.every {
-            return Ok(self.held(&between));
-        }
-        self.ticks = 0;
-        self.intervals += 1;
-        let reached = *between.end();
-        if self.time() >= self.segment.duration() {
-            self.resting = true;
-            return Ok(Setpoint::at_rest(reached.position));
-        }
-        let between = self.interval_from(solver, reached, self.intervals)?;
-        self.between = Some(between);
-        Ok(self.held(&between))
-    }
-
-    /// The setpoint of this tick. Torques are held until the next one, so its acceleration is the mean until then: that of
-    /// the middle, where it changes evenly.
-    fn held(&self, between: &Interpolator) -> Setpoint {
-        let now = f64::from(self.ticks) * self.period;
-        Setpoint {
-            acceleration: between.at(now + 0.5 * self.period).acceleration,
-            ..between.at(now)
-        }
-    }
-
-    fn interval_from(
-        &self,
-        solver: &mut Solver,
-        from: Setpoint,
-        intervals: u64,
-    ) -> Result<Interpolator, SegmentError> {
-        let end = (intervals + 1) as f64 * self.interval;
-        let to = self.segment.at(solver, end, &from.position)?;
-        Ok(Interpolator::new(from, to, self.interval))
     }
 
     fn measure(&mut self, model: &Model, setpoint: &Setpoint, readings: &[SlotReading]) {
@@ -192,7 +105,7 @@ impl Motion {
         status.elapsed_ticks = self.elapsed;
         status.max_tracking_error = self.max_error;
         status.error = self.error;
-        status.phase = match (self.resting, self.stopping) {
+        status.phase = match (self.follower.rests(), self.follower.is_stopping()) {
             (true, _) => MotionPhase::Settling,
             (false, true) => MotionPhase::Stopping,
             (false, false) => MotionPhase::Moving,

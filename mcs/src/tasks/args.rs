@@ -39,7 +39,7 @@ pub struct ServoArgs {
     /// Servo period, ms.
     #[serde(default = "period_ms")]
     pub period_ms: f64,
-    /// The planner gives a setpoint every so many periods.
+    /// A pose on a straight line is solved every so many periods, and interpolated between.
     #[serde(default = "setpoint_every")]
     pub setpoint_every: u32,
     /// Registered name of the control law.
@@ -76,6 +76,9 @@ pub struct ServoArgs {
     pub velocity: Option<Vec<f64>>,
     /// Joint acceleration limits, one for each joint, rad/s^2 or m/s^2; at most the arm's own.
     pub acceleration: Option<Vec<f64>>,
+    /// Whether joint-interpolated motions keep the limits of jerk that the model's joints have.
+    #[serde(default)]
+    pub limit_jerk: bool,
     /// Tool speeds on straight lines.
     #[serde(default)]
     pub cartesian: CartesianLimits,

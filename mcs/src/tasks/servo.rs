@@ -189,6 +189,7 @@ impl ServoTask {
         let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
         let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
         let planner = Planner::new(model, args.cartesian, setpoint_period)?;
+        let planner = planner.limiting_jerk(args.limit_jerk);
         let link = Arc::new(Link {
             port,
             planner: planner.clone(),

@@ -1,56 +1,65 @@
-//! Servo-rate setpoints between those of the planner, which come at a multiple of the servo period.
+//! Joint positions between two poses of a line, of which only every so many are solved.
 //!
-//! Between two planned setpoints each joint follows the cubic through both positions and velocities.
-//! Running ahead from the last setpoint alone would step in position wherever the acceleration changes
-//! within the interval; the cubic is continuous in position and velocity for any multiple, and
-//! exact wherever the acceleration is constant.
+//! Each joint follows the cubic through both positions and slopes over the progress along the line. It says nothing of
+//! time: an acceleration that jumps between two solved poses leaves no trace in it.
 
-use super::Setpoint;
+use mcs_model::Joints;
 
-/// A cubic between two setpoints.
+/// A solved pose of a line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Knot {
+    /// Progress along the line, 0 to 1.
+    pub progress: f64,
+    /// Joint positions, rad or m.
+    pub position: Joints,
+    /// Their derivatives by the progress.
+    pub slope: Joints,
+}
+
+/// Cubics between two knots.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interpolator {
-    from: Setpoint,
-    to: Setpoint,
-    interval: f64,
+    from: Knot,
+    to: Knot,
 }
 
 impl Interpolator {
-    /// From one setpoint to another, `interval` seconds (above zero) later.
+    /// From one knot to the next.
     #[must_use]
-    pub fn new(from: Setpoint, to: Setpoint, interval: f64) -> Self {
-        Self { from, to, interval }
+    pub fn new(from: Knot, to: Knot) -> Self {
+        Self { from, to }
     }
 
-    /// The setpoint at the end of the interval.
+    /// The knot at the start.
     #[must_use]
-    pub fn end(&self) -> &Setpoint {
+    pub fn start(&self) -> &Knot {
+        &self.from
+    }
+
+    /// The knot at the end.
+    #[must_use]
+    pub fn end(&self) -> &Knot {
         &self.to
     }
 
-    /// The setpoint `t` seconds after the first one.
+    /// A joint's position, its slope and the slope's slope at some progress.
     #[must_use]
-    pub fn at(&self, t: f64) -> Setpoint {
-        if t <= 0.0 {
-            return self.from;
+    pub fn at(&self, joint: usize, progress: f64) -> [f64; 3] {
+        let h = self.to.progress - self.from.progress;
+        let (p0, v0) = (self.from.position[joint], self.from.slope[joint]);
+        let (p1, v1) = (self.to.position[joint], self.to.slope[joint]);
+        if h <= 0.0 {
+            return [p1, v1, 0.0];
         }
-        if t >= self.interval {
-            return self.to;
-        }
-        let h = self.interval;
-        let x = t / h;
-        let mut setpoint = self.from;
-        for index in 0..self.from.position.len() {
-            let (p0, v0) = (self.from.position[index], self.from.velocity[index]);
-            let (p1, v1) = (self.to.position[index], self.to.velocity[index]);
-            let way = p1 - p0;
-            let square = (3.0 * way - h * (2.0 * v0 + v1)) / (h * h);
-            let cube = (h * (v0 + v1) - 2.0 * way) / (h * h);
-            setpoint.position[index] = p0 + t * (v0 + t * (square + cube * x));
-            setpoint.velocity[index] = v0 + t * (2.0 * square + 3.0 * cube * x);
-            setpoint.acceleration[index] = 2.0 * square + 6.0 * cube * x;
-        }
-        setpoint
+        let t = progress - self.from.progress;
+        let (way, x) = (p1 - p0, t / h);
+        let square = (3.0 * way - h * (2.0 * v0 + v1)) / (h * h);
+        let cube = (h * (v0 + v1) - 2.0 * way) / (h * h);
+        [
+            p0 + t * (v0 + t * (square + cube * x)),
+            v0 + t * (2.0 * square + 3.0 * cube * x),
+            2.0 * square + 6.0 * cube * x,
+        ]
     }
 }
 
@@ -61,20 +70,23 @@ mod tests {
 
     proptest! {
         #[test]
-        fn motion_under_constant_acceleration_is_reproduced_exactly(
-            p in -3.0..3.0_f64, v in -5.0..5.0_f64, a in -20.0..20.0_f64, share in 0.0..1.0_f64,
+        fn a_cubic_is_reproduced_exactly(
+            p in -3.0..3.0_f64, v in -5.0..5.0_f64, a in -20.0..20.0_f64, j in -20.0..20.0_f64, share in 0.0..1.0_f64,
         ) {
-            let h = 0.018;
-            let at = |t: f64| Setpoint {
-                position: [p + t * (v + 0.5 * a * t); 6].into(),
-                velocity: [v + a * t; 6].into(),
-                acceleration: [a; 6].into(),
+            let (start, h) = (0.3, 0.018);
+            let cubic = |progress: f64| {
+                let t = progress - start;
+                [p + t * (v + t * (a / 2.0 + t * j / 6.0)), v + t * (a + t * j / 2.0), a + t * j]
             };
-            let found = Interpolator::new(at(0.0), at(h), h).at(share * h);
-            let expected = at(share * h);
-            prop_assert!((found.position[0] - expected.position[0]).abs() < 1e-12);
-            prop_assert!((found.velocity[3] - expected.velocity[3]).abs() < 1e-10);
-            prop_assert!((found.acceleration[5] - expected.acceleration[5]).abs() < 1e-7);
+            let knot = |progress: f64| {
+                let [position, slope, _] = cubic(progress);
+                Knot { progress, position: [position; 6].into(), slope: [slope; 6].into() }
+            };
+            let found = Interpolator::new(knot(start), knot(start + h)).at(3, start + share * h);
+            let expected = cubic(start + share * h);
+            prop_assert!((found[0] - expected[0]).abs() < 1e-12);
+            prop_assert!((found[1] - expected[1]).abs() < 1e-10);
+            prop_assert!((found[2] - expected[2]).abs() < 1e-7);
         }
     }
 }

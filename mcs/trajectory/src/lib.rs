@@ -1,20 +1,23 @@
-//! The motion planning layer's mathematics: profiles of speed over time, and segments to follow.
+//! The motion planning layer's mathematics: courses of joints over time, and segments to follow.
 //!
 //! A [`Segment`] is planned and checked once, before anything moves; evaluating it allocates nothing.
 //! Knows the arm, but no servo, task or hardware. Positions are in rad of joints that turn and in m of
 //! joints that slide; speeds and accelerations are per s and s^2.
 
+pub mod course;
+pub mod follow;
 pub mod interpolate;
+pub mod passage;
 pub mod plan;
-pub mod profile;
 pub mod route;
 pub mod segment;
 pub mod solver;
 pub mod timing;
 
-pub use interpolate::Interpolator;
+pub use course::Course;
+pub use follow::Follower;
+pub use passage::Passage;
 pub use plan::{CartesianLimits, PlanError, Planner};
-pub use profile::{Profile, ProfilePoint};
 pub use route::{Goal, Pace, PathKind, Route};
 pub use segment::{Path, Segment};
 pub use solver::Solver;

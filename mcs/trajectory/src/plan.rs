@@ -7,11 +7,14 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
 
-use super::segment::{Line, SegmentError};
-use super::{Pace, Path, Profile, ProfilePoint, Segment, Setpoint, Solver};
+use super::course::Course;
+use super::interpolate::{Interpolator, Knot};
+use super::segment::{Courses, Line, SegmentError};
+use super::timing::{JointBounds, JointState};
+use super::{Pace, Path, Segment, Solver};
 use mcs_model::inverse::{Elbow, IkError};
 use mcs_model::{JointKind, Model};
-use mcs_model::{Joints, TooManyJoints};
+use mcs_model::{Joints, MAX_SLOTS, TooManyJoints};
 
 #[cfg(test)]
 mod tests;
@@ -20,8 +23,8 @@ mod tests;
 pub const SLOWEST: f64 = 1e-3;
 /// A line shorter than this (m, and rad of turn) is no motion.
 const NO_WAY: f64 = 1e-9;
-/// Fewest and most checks along one line.
-const CHECKS: (f64, f64) = (100.0, 20_000.0);
+/// Most checks along one line.
+const MOST_CHECKS: f64 = 20_000.0;
 
 /// Limits of the tool's motion along a straight line.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -143,11 +146,12 @@ pub struct Planner {
     pub(super) solver: Solver,
     cartesian: CartesianLimits,
     check_period: f64,
+    limits_jerk: bool,
 }
 
 impl Planner {
-    /// A planner for `model`; lines of its tip are checked every `check_period` seconds of their motion (the setpoint
-    /// period is the right one).
+    /// A planner for `model`; lines of its tip are checked every `check_period` seconds of their motion (the time in
+    /// which the servo solves one pose is the right one).
     ///
     /// # Errors
     /// [`TooManyJoints`].
@@ -160,7 +164,16 @@ impl Planner {
             solver: Solver::new(model)?,
             cartesian,
             check_period,
+            limits_jerk: false,
         })
+    }
+
+    /// Whether joint-interpolated motions keep the limits of jerk that the model's joints have. They do not unless this is
+    /// set: their accelerations jump. Lines and stops know no limit of jerk.
+    #[must_use]
+    pub fn limiting_jerk(mut self, limits: bool) -> Self {
+        self.limits_jerk = limits;
+        self
     }
 
     /// The arm planned for.
@@ -214,8 +227,8 @@ impl Planner {
         }))
     }
 
-    /// A joint-interpolated motion: all joints start, cruise and stop together, the slowest of
-    /// them at `pace` (fractions of full speed and acceleration; one number is both).
+    /// A joint-interpolated motion: all joints start and stop together. Each is on the quickest course that `pace`
+    /// (fractions of full speed and acceleration; one number is both) leaves it, stretched to the time of the slowest.
     ///
     /// # Errors
     /// A pace that is no fraction, a target that is no number or beyond a limit.
@@ -227,30 +240,41 @@ impl Planner {
     ) -> Result<Segment, PlanError> {
         let pace = pace.into().check()?;
         self.check_joints(end)?;
-        let mut velocity = f64::INFINITY;
-        let mut acceleration = f64::INFINITY;
-        let ways = start.iter().zip(end).map(|(from, to)| (to - from).abs());
-        for (index, (way, joint)) in ways.zip(self.model().joints()).enumerate() {
-            if way > 0.0 {
-                let limits = &joint.limits;
-                let usable = |limit: f64| limit > 0.0 && limit.is_finite();
-                if !usable(limits.velocity) || !usable(limits.acceleration) {
-                    return Err(PlanError::NoLimit { joint: index + 1 });
-                }
-                velocity = velocity.min(limits.velocity / way);
-                acceleration = acceleration.min(limits.acceleration / way);
+        let mut courses = [Course::default(); MAX_SLOTS];
+        let mut together = 0.0_f64;
+        let joints = self.model().joints().iter().zip(&mut courses);
+        let ends = start.iter().zip(end);
+        for (index, ((joint, course), (from, to))) in joints.zip(ends).enumerate() {
+            let limits = &joint.limits;
+            let usable = |limit: f64| limit > 0.0 && limit.is_finite();
+            if from == to {
+                *course = Course::still(*to);
+                continue;
             }
+            if !usable(limits.velocity) || !usable(limits.acceleration) {
+                return Err(PlanError::NoLimit { joint: index + 1 });
+            }
+            let limits_jerk = self.limits_jerk && usable(limits.jerk);
+            let bounds = JointBounds {
+                velocity: limits.velocity * pace.speed,
+                acceleration: limits.acceleration * pace.acceleration,
+                jerk: match limits_jerk {
+                    true => limits.jerk * pace.acceleration,
+                    false => 0.0,
+                },
+            };
+            *course = Course::rest_to_rest(*from, *to, &bounds);
+            together = together.max(course.duration());
         }
-        if velocity.is_infinite() {
-            return Ok(Segment::hold(*end));
-        }
-        let profile =
-            Profile::trapezoid(1.0, velocity * pace.speed, acceleration * pace.acceleration);
-        let path = Path::Joint {
-            start: *start,
-            end: *end,
+        let stretched = |index: usize| {
+            let course = &courses[index];
+            match course.duration() {
+                0.0 => *course,
+                least => course.stretched(together / least),
+            }
         };
-        Ok(Segment::new(path, profile, acceleration))
+        let courses = Courses::new(end.len(), stretched);
+        Ok(Segment::new(Path::Joint(courses)))
     }
 
     /// A straight line of the tool to `base_t_tool`, turning about one axis. An arm with a closed form keeps its posture;
@@ -284,6 +308,11 @@ impl Planner {
         if travel.norm() < NO_WAY && angle < NO_WAY {
             return Ok(Segment::hold(*start));
         }
+        let along = JointBounds {
+            velocity: velocity * pace.speed,
+            acceleration: acceleration * pace.acceleration,
+            jerk: 0.0,
+        };
         let mut line = Line {
             start: start_pose,
             travel,
@@ -291,53 +320,63 @@ impl Planner {
             angle,
             branch,
             end_joints,
+            progress: Course::rest_to_rest(0.0, 1.0, &along),
+            braking: along.acceleration,
         };
-        let braking = acceleration * pace.acceleration;
-        let profile = Profile::trapezoid(1.0, velocity * pace.speed, braking);
-        line.end_joints = self.check_line(&line, &profile, start, braking)?;
-        Ok(Segment::new(Path::Line(line), profile, braking))
+        line.end_joints = self.check_line(&line, start)?;
+        Ok(Segment::new(Path::Line(line)))
     }
 
     /// Follows the line in thought, as planned and as braked from every point of it, to the joint positions at its end.
-    fn check_line(
-        &mut self,
-        line: &Line,
-        profile: &Profile,
-        start: &Joints,
-        braking: f64,
-    ) -> Result<Joints, PlanError> {
-        let duration = profile.duration();
-        let checks = (duration / self.check_period)
-            .ceil()
-            .clamp(CHECKS.0, CHECKS.1);
-        let step = duration / checks;
-        let mut near = *start;
-        let mut count = 0.0;
-        while count <= checks {
-            let along = profile.at(count * step);
-            let percent = 100.0 * along.position;
-            let mut evaluate = |along: ProfilePoint| {
-                let found = line.evaluate(&mut self.solver, along, &near);
-                found.map_err(|reason| PlanError::Line { percent, reason })
-            };
-            let planned = evaluate(along)?;
-            let braked = evaluate(ProfilePoint {
-                acceleration: -braking,
-                ..along
-            })?;
-            self.check_setpoint(&planned, percent)?;
-            self.check_setpoint(&braked, percent)?;
-            self.check_step(&near, &planned.position, step, percent)?;
-            near = planned.position;
-            count += 1.0;
+    /// Poses are solved and joined by cubics as the servo does it, whose accelerations are those that count: without a
+    /// closed form they are not the least ones of each pose.
+    fn check_line(&mut self, line: &Line, start: &Joints) -> Result<Joints, PlanError> {
+        let duration = line.progress.duration();
+        let step = self.check_period.max(duration / MOST_CHECKS);
+        let mut last = self.knot(line, 0.0, start)?;
+        let mut time = 0.0;
+        while time < duration {
+            let progress = line.progress.at(time + step).position;
+            let next = self.knot(line, progress, &last.position)?;
+            let between = Interpolator::new(last, next);
+            let moving = line.progress.ranges(time, time + step);
+            for share in [0.0, 0.5, 1.0] {
+                let along = line.progress.at(time + share * step);
+                let hardest = [
+                    moving.acceleration.least,
+                    moving.acceleration.most,
+                    -line.braking,
+                ];
+                self.check_joints_on(&between, along, hardest)?;
+            }
+            self.check_step(&last.position, &next.position, step, 100.0 * last.progress)?;
+            last = next;
+            time += step;
         }
-        Ok(near)
+        Ok(last.position)
     }
 
-    fn check_setpoint(&self, setpoint: &Setpoint, percent: f64) -> Result<(), PlanError> {
+    fn knot(&mut self, line: &Line, progress: f64, near: &[f64]) -> Result<Knot, PlanError> {
+        let knot = line.knot(&mut self.solver, progress, near);
+        knot.map_err(|reason| PlanError::Line {
+            percent: 100.0 * progress,
+            reason,
+        })
+    }
+
+    /// Checks what the joints do between two solved poses while the tool is `along` the line, under some accelerations of
+    /// the progress, 1/s^2.
+    fn check_joints_on(
+        &self,
+        between: &Interpolator,
+        along: JointState,
+        accelerations: [f64; 3],
+    ) -> Result<(), PlanError> {
+        let percent = 100.0 * along.position;
         for (index, joint) in self.model().joints().iter().enumerate() {
             let (kind, limit) = (joint.kind, &joint.limits);
-            let value = setpoint.velocity[index].abs();
+            let [_, slope, bend] = between.at(index, along.position);
+            let value = (slope * along.velocity).abs();
             if value > limit.velocity {
                 return Err(PlanError::JointSpeed {
                     joint: index + 1,
@@ -347,15 +386,17 @@ impl Planner {
                     percent,
                 });
             }
-            let value = setpoint.acceleration[index].abs();
-            if value > limit.acceleration {
-                return Err(PlanError::JointAcceleration {
-                    joint: index + 1,
-                    kind,
-                    value,
-                    limit: limit.acceleration,
-                    percent,
-                });
+            for acceleration in accelerations {
+                let value = bend * along.velocity * along.velocity + slope * acceleration;
+                if value.abs() > limit.acceleration {
+                    return Err(PlanError::JointAcceleration {
+                        joint: index + 1,
+                        kind,
+                        value: value.abs(),
+                        limit: limit.acceleration,
+                        percent,
+                    });
+                }
             }
         }
         Ok(())

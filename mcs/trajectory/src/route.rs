@@ -5,14 +5,15 @@ use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use super::plan::SLOWEST;
-use super::{Path, PlanError, Planner, Segment};
+use super::{PlanError, Planner, Segment};
 use mcs_model::Joints;
 use mcs_model::inverse::Elbow;
 
 /// Which way to take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum PathKind {
-    /// All joints in proportion: fast, always possible between two positions within limits.
+    /// Every joint on a course of its own, all in the time of the slowest: fast, always possible between two positions
+    /// within limits.
     #[default]
     Joint,
     /// The tool along a straight line, turning about one axis.
@@ -114,12 +115,7 @@ impl Planner {
             }
             (PathKind::StraightLine, Goal::Pose(pose)) => self.line(start, pose, pace)?,
         };
-        // A line's end is asked for near its planned end, so that whole turns come out the same.
-        let near = match segment.path() {
-            Path::Line(line) => line.end_joints,
-            Path::Joint { end, .. } => *end,
-        };
-        let end = segment.end(&mut self.solver, &near);
+        let end = segment.end(&mut self.solver);
         let end = end.map_err(|reason| PlanError::Line {
             percent: 100.0,
             reason,

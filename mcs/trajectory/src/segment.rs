@@ -2,22 +2,60 @@
 
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3, Vector6};
 
-use super::{Profile, ProfilePoint, Setpoint, Solver};
-use mcs_model::Joints;
+use super::course::Course;
+use super::interpolate::Knot;
+use super::timing::JointState;
+use super::{Setpoint, Solver};
 use mcs_model::inverse::{Branch, IkError};
+use mcs_model::{Joints, MAX_SLOTS};
 
-/// The shape of a segment, over a path parameter from 0 to 1.
+/// The shape of a segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a path behind a pointer would be freed, and so call the allocator, in the tick"
+)]
 pub enum Path {
-    /// All joints in proportion.
-    Joint {
-        /// Joint positions at the start, rad or m.
-        start: Joints,
-        /// Joint positions at the end, rad or m.
-        end: Joints,
-    },
+    /// Every joint on a course of its own.
+    Joint(Courses),
     /// The tool along a straight line while it turns about one fixed axis.
     Line(Line),
+}
+
+/// The courses of all joints, which begin and end together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Courses {
+    courses: [Course; MAX_SLOTS],
+    joints: usize,
+}
+
+impl Courses {
+    /// Those of `joints` joints.
+    pub(super) fn new(joints: usize, course: impl FnMut(usize) -> Course) -> Self {
+        let mut courses = [Course::default(); MAX_SLOTS];
+        let joints = joints.min(MAX_SLOTS);
+        for (own, given) in courses.iter_mut().zip((0..joints).map(course)) {
+            *own = given;
+        }
+        Self { courses, joints }
+    }
+
+    /// One for each joint.
+    #[must_use]
+    pub fn each(&self) -> &[Course] {
+        &self.courses[..self.joints]
+    }
+
+    fn setpoint(&self, t: f64) -> Setpoint {
+        let mut setpoint = Setpoint::at_rest(Joints::zeros(self.joints));
+        for (index, course) in self.each().iter().enumerate() {
+            let state = course.at(t);
+            setpoint.position[index] = state.position;
+            setpoint.velocity[index] = state.velocity;
+            setpoint.acceleration[index] = state.acceleration;
+        }
+        setpoint
+    }
 }
 
 /// A straight line of the tool frame in the base frame.
@@ -35,10 +73,14 @@ pub struct Line {
     pub branch: Option<Branch>,
     /// Joint positions at the end, rad or m, as solved when the line was planned.
     pub end_joints: Joints,
+    /// The progress along it over time, from 0 to 1.
+    pub progress: Course,
+    /// The hardest braking allowed along it, 1/s^2.
+    pub braking: f64,
 }
 
 impl Line {
-    /// `base_t_tool` at path parameter `s`.
+    /// `base_t_tool` at progress `s`.
     #[must_use]
     pub fn pose(&self, s: f64) -> Isometry3<f64> {
         let turn = UnitQuaternion::from_axis_angle(&self.axis, self.angle * s);
@@ -51,25 +93,17 @@ impl Line {
     pub(super) fn evaluate(
         &self,
         solver: &mut Solver,
-        along: ProfilePoint,
+        along: JointState,
         near: &[f64],
     ) -> Result<Setpoint, SegmentError> {
         let position = solver.follow(&self.pose(along.position), self.branch, near)?;
-        if along.speed == 0.0 && along.acceleration == 0.0 {
+        if along.velocity == 0.0 && along.acceleration == 0.0 {
             return Ok(Setpoint::at_rest(position));
         }
-        let spin = self.axis.into_inner() * self.angle;
-        let direction = Vector6::new(
-            self.travel.x,
-            self.travel.y,
-            self.travel.z,
-            spin.x,
-            spin.y,
-            spin.z,
-        );
+        let direction = self.direction();
         let rates = solver.rates(
             &position,
-            &(direction * along.speed),
+            &(direction * along.velocity),
             &(direction * along.acceleration),
         );
         let (velocity, acceleration) = rates.ok_or(SegmentError::Singular)?;
@@ -78,6 +112,40 @@ impl Line {
             velocity,
             acceleration,
         })
+    }
+
+    /// The solved pose at some progress. At a singular end, where the tool rests, the joints rest too.
+    pub(super) fn knot(
+        &self,
+        solver: &mut Solver,
+        progress: f64,
+        near: &[f64],
+    ) -> Result<Knot, SegmentError> {
+        let position = solver.follow(&self.pose(progress), self.branch, near)?;
+        let rates = solver.rates(&position, &self.direction(), &Vector6::zeros());
+        let slope = match rates {
+            Some((slope, _)) => slope,
+            None if progress >= 1.0 => Joints::zeros(position.len()),
+            None => return Err(SegmentError::Singular),
+        };
+        Ok(Knot {
+            progress,
+            position,
+            slope,
+        })
+    }
+
+    /// How the tool moves and turns per progress, m and rad, base frame.
+    fn direction(&self) -> Vector6<f64> {
+        let spin = self.axis.into_inner() * self.angle;
+        Vector6::new(
+            self.travel.x,
+            self.travel.y,
+            self.travel.z,
+            spin.x,
+            spin.y,
+            spin.z,
+        )
     }
 }
 
@@ -96,34 +164,32 @@ pub enum SegmentError {
 #[derive(Debug, Clone, Copy)]
 pub struct Segment {
     path: Path,
-    profile: Profile,
-    /// The hardest braking allowed along this path, 1/s^2.
-    braking: f64,
+    duration: f64,
 }
 
 impl Segment {
-    pub(super) fn new(path: Path, profile: Profile, braking: f64) -> Self {
-        Self {
-            path,
-            profile,
-            braking,
-        }
+    pub(super) fn new(path: Path) -> Self {
+        let duration = match &path {
+            Path::Joint(courses) => courses
+                .each()
+                .iter()
+                .fold(0.0, |most: f64, course| most.max(course.duration())),
+            Path::Line(line) => line.progress.duration(),
+        };
+        Self { path, duration }
     }
 
     /// Staying at `position` (rad or m) for no time.
     #[must_use]
     pub fn hold(position: Joints) -> Self {
-        let path = Path::Joint {
-            start: position,
-            end: position,
-        };
-        Self::new(path, Profile::trapezoid(0.0, 1.0, 1.0), 1.0)
+        let still = |index: usize| Course::still(position[index]);
+        Self::new(Path::Joint(Courses::new(position.len(), still)))
     }
 
     /// Time from start to rest, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
-        self.profile.duration()
+        self.duration
     }
 
     /// The path's shape.
@@ -132,66 +198,27 @@ impl Segment {
         &self.path
     }
 
-    /// Timing along the path.
-    #[must_use]
-    pub fn profile(&self) -> &Profile {
-        &self.profile
-    }
-
     /// The setpoint at `t` seconds after the start; `near` are the joint positions (rad or m) of the
     /// setpoint before, by which whole turns are chosen and from which a search begins.
     ///
     /// # Errors
     /// [`SegmentError`] for a line through a pose that cannot be followed.
     pub fn at(&self, solver: &mut Solver, t: f64, near: &[f64]) -> Result<Setpoint, SegmentError> {
-        let along = self.profile.at(t);
         match &self.path {
-            Path::Joint { start, end } => Ok(joint_setpoint(start, end, along)),
-            Path::Line(line) => line.evaluate(solver, along, near),
+            Path::Joint(courses) => Ok(courses.setpoint(t)),
+            Path::Line(line) => line.evaluate(solver, line.progress.at(t), near),
         }
     }
 
-    /// Joint positions where the segment comes to rest, rad or m; for a braking segment `near` are the joint
-    /// positions to be near to.
+    /// Joint positions where the segment comes to rest, rad or m.
     ///
     /// # Errors
     /// [`SegmentError`] as [`Self::at`].
-    pub fn end(&self, solver: &mut Solver, near: &[f64]) -> Result<Joints, SegmentError> {
-        Ok(self.at(solver, self.duration(), near)?.position)
-    }
-
-    /// The same path, braked to rest from where it is at `t` seconds: a protective stop keeps to the
-    /// path that was checked and ends no later on it than the segment itself.
-    #[must_use]
-    pub fn braked_at(&self, t: f64) -> Self {
-        let now = self.profile.at(t);
-        // What is left of the path is always enough for the braking that it was planned with.
-        let left = (self.profile.end() - now.position).max(f64::MIN_POSITIVE);
-        let needed = now.speed * now.speed / (2.0 * left);
-        let braking = if now.speed > 0.0 {
-            self.braking.max(needed)
-        } else {
-            self.braking
-        };
-        Self {
-            profile: Profile::braking(now.position, now.speed, braking),
-            ..*self
+    pub fn end(&self, solver: &mut Solver) -> Result<Joints, SegmentError> {
+        match &self.path {
+            Path::Joint(courses) => Ok(courses.setpoint(self.duration).position),
+            // Asked for near its planned end, so that whole turns come out the same.
+            Path::Line(line) => Ok(self.at(solver, self.duration, &line.end_joints)?.position),
         }
     }
-}
-
-fn joint_setpoint(start: &Joints, end: &Joints, along: ProfilePoint) -> Setpoint {
-    let mut setpoint = Setpoint::at_rest(*end);
-    for index in 0..end.len().min(start.len()) {
-        let travel = end[index] - start[index];
-        // From the nearer end, so that both ends are exact.
-        setpoint.position[index] = if along.position < 0.5 {
-            start[index] + travel * along.position
-        } else {
-            end[index] - travel * (1.0 - along.position)
-        };
-        setpoint.velocity[index] = travel * along.speed;
-        setpoint.acceleration[index] = travel * along.acceleration;
-    }
-    setpoint
 }

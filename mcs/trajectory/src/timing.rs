@@ -74,6 +74,23 @@ pub enum TimingError {
         /// Joint number, from 1.
         joint: usize,
     },
+    /// Nothing lies between two points of a path.
+    #[error(
+        "point {point} of the path is where point {} is, the start being point 0; leave one of them out",
+        .point - 1
+    )]
+    Standing {
+        /// The later one; the start is 0.
+        point: usize,
+    },
+    /// More way points than are computed with.
+    #[error("a path has at most {most} way points, not {given}; give it in parts")]
+    TooManyPoints {
+        /// How many there are.
+        given: usize,
+        /// How many there may be.
+        most: usize,
+    },
     /// The computation found nothing.
     #[error("no motion was found under these limits: {0}")]
     NotFound(String),
@@ -130,39 +147,64 @@ pub fn stops(joints: &[(JointState, JointBounds)]) -> Result<Vec<(f64, f64)>, Ti
 }
 
 fn computed(joints: &[Motion], of: ControlInterface) -> Result<Trajectory<0>, TimingError> {
-    let count = joints.len();
-    let mut input = InputParameter::<0>::new(Some(count));
-    input.synchronization = match of {
-        ControlInterface::Position => Synchronization::Time,
-        _ => Synchronization::None,
-    };
-    input.control_interface = of;
     for (index, (start, end, bounds)) in joints.iter().enumerate() {
         check(index + 1, (start, end), bounds, of)?;
-        input.current_position[index] = start.position;
-        input.current_velocity[index] = start.velocity;
-        input.current_acceleration[index] = start.acceleration;
-        input.target_position[index] = end.position;
-        input.target_velocity[index] = end.velocity;
-        input.target_acceleration[index] = end.acceleration;
-        input.max_velocity[index] = bounds.velocity;
-        input.max_acceleration[index] = bounds.acceleration;
-        input.max_jerk[index] = bounds.jerk;
-        if bounds.jerk == 0.0 {
-            input.max_jerk[index] = f64::INFINITY;
-            input.current_acceleration[index] = 0.0;
-            input.target_acceleration[index] = 0.0;
+    }
+    let mut engine = Engine::new(joints.len(), of);
+    engine.compute(joints)?;
+    Ok(engine.trajectory)
+}
+
+/// rsruckig with its scratch: for many motions of the same joints.
+pub(super) struct Engine {
+    input: InputParameter<0>,
+    ruckig: Ruckig<0, ThrowErrorHandler>,
+    trajectory: Trajectory<0>,
+}
+
+impl Engine {
+    /// For so many joints, to states or to speeds.
+    pub(super) fn new(count: usize, of: ControlInterface) -> Self {
+        let mut input = InputParameter::<0>::new(Some(count));
+        input.synchronization = match of {
+            ControlInterface::Position => Synchronization::Time,
+            _ => Synchronization::None,
+        };
+        input.control_interface = of;
+        Self {
+            input,
+            ruckig: Ruckig::new(Some(count), 1.0),
+            trajectory: Trajectory::new(Some(count)),
         }
     }
-    let mut trajectory = Trajectory::<0>::new(Some(count));
-    let mut ruckig = Ruckig::<0, ThrowErrorHandler>::new(Some(count), 1.0);
-    match ruckig.calculate(&input, &mut trajectory)? {
-        RuckigResult::Working | RuckigResult::Finished => Ok(trajectory),
-        other => Err(TimingError::NotFound(format!("{other:?}"))),
+
+    /// The motion of joints, of which [`check`] has found nothing wrong.
+    pub(super) fn compute(&mut self, joints: &[Motion]) -> Result<&Trajectory<0>, TimingError> {
+        let input = &mut self.input;
+        for (index, (start, end, bounds)) in joints.iter().enumerate() {
+            input.current_position[index] = start.position;
+            input.current_velocity[index] = start.velocity;
+            input.current_acceleration[index] = start.acceleration;
+            input.target_position[index] = end.position;
+            input.target_velocity[index] = end.velocity;
+            input.target_acceleration[index] = end.acceleration;
+            input.max_velocity[index] = bounds.velocity;
+            input.max_acceleration[index] = bounds.acceleration;
+            input.max_jerk[index] = bounds.jerk;
+            if bounds.jerk == 0.0 {
+                input.max_jerk[index] = f64::INFINITY;
+                input.current_acceleration[index] = 0.0;
+                input.target_acceleration[index] = 0.0;
+            }
+        }
+        match self.ruckig.calculate(input, &mut self.trajectory)? {
+            RuckigResult::Working | RuckigResult::Finished => Ok(&self.trajectory),
+            other => Err(TimingError::NotFound(format!("{other:?}"))),
+        }
     }
 }
 
-fn check(
+pub(super) fn check(
     joint: usize,
     (start, end): (&JointState, &JointState),
     bounds: &JointBounds,

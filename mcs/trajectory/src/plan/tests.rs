@@ -1,6 +1,7 @@
 //! The planner on random and on awkward targets.
 
 use super::*;
+use crate::{Setpoint, timing};
 use mcs_model::{Placement, built_in, file::Inertias};
 use nalgebra::Translation3;
 use proptest::prelude::*;
@@ -24,6 +25,13 @@ fn arm(name: &str) -> Model {
 
 fn at(segment: &Segment, planner: &mut Planner, t: f64, near: &[f64]) -> Setpoint {
     segment.at(&mut planner.solver, t, near).unwrap()
+}
+
+fn progress(segment: &Segment, t: f64) -> f64 {
+    match segment.path() {
+        Path::Line(line) => line.progress.at(t).position,
+        Path::Joint(_) => panic!("no line"),
+    }
 }
 
 fn within_limits() -> impl Strategy<Value = Joints> {
@@ -53,28 +61,32 @@ proptest! {
             }
         }
         prop_assert_eq!(at(&segment, &mut planner, 0.0, &start).position, start);
-        prop_assert_eq!(segment.end(&mut planner.solver, &start).unwrap(), end);
+        prop_assert_eq!(segment.end(&mut planner.solver).unwrap(), end);
     }
 
     #[test]
-    fn a_stop_from_anywhere_stays_on_the_path_and_within_limits(
-        start in within_limits(), end in within_limits(), share in 0.0..1.0_f64, speed in 0.05..=1.0_f64,
+    fn a_joint_motion_takes_exactly_the_slowest_joints_least_time(
+        start in within_limits(), end in within_limits(), speed in 0.01..=1.0_f64, share in 0.01..=1.0_f64, jerk in any::<bool>(),
     ) {
-        let mut planner = planner();
-        let segment = planner.joint(&start, &end, speed).unwrap();
-        let t = share * segment.duration();
-        let before = at(&segment, &mut planner, t, &start);
-        let stop = segment.braked_at(t);
-        let first = at(&stop, &mut planner, 0.0, &start);
-        for index in 0..6 {
-            prop_assert!((before.position[index] - first.position[index]).abs() < 1e-9);
-            prop_assert!((before.velocity[index] - first.velocity[index]).abs() < 1e-9);
-            let limit = &planner.model().joints()[index].limits;
-            prop_assert!(first.acceleration[index].abs() <= limit.acceleration * (1.0 + 1e-6));
+        let planner = planner().limiting_jerk(jerk);
+        let segment = planner.joint(&start, &end, Pace::new(speed, Some(share))).unwrap();
+        let joints = planner.model().joints().iter().zip(start.iter().zip(&end));
+        let motions: Vec<timing::Motion> = joints.map(|(joint, (from, to))| {
+            let at = |position: &f64| JointState { position: *position, ..JointState::default() };
+            let limits = &joint.limits;
+            (at(from), at(to), JointBounds {
+                velocity: speed * limits.velocity,
+                acceleration: share * limits.acceleration,
+                jerk: if jerk { share * limits.jerk } else { 0.0 },
+            })
+        }).collect();
+        let times = timing::between(&motions).unwrap();
+        prop_assert!((segment.duration() - times.together).abs() < 1e-8, "{} {times:?}", segment.duration());
+        // Every joint goes all the time: none waits for the others.
+        let Path::Joint(courses) = segment.path() else { panic!("no line") };
+        for course in courses.each() {
+            prop_assert!((course.duration() - segment.duration()).abs() < 1e-9);
         }
-        prop_assert!(stop.profile().end() <= 1.0 + 1e-12);
-        let rest = at(&stop, &mut planner, stop.duration(), &start);
-        prop_assert_eq!(rest.velocity, [0.0; 6]);
     }
 }
 
@@ -111,7 +123,7 @@ fn a_line_is_straight_in_space_and_turns_about_one_axis() {
         let t = segment.duration() * f64::from(step) / 100.0;
         let setpoint = at(&segment, &mut planner, t, &near);
         let pose = planner.tool_pose(&setpoint.position);
-        let s = segment.profile().at(t).position;
+        let s = progress(&segment, t);
         let on_line = start.translation.vector + Vector3::new(0.05, 0.2, -0.1) * s;
         assert!((pose.translation.vector - on_line).norm() < 1e-9);
         near = setpoint.position;
@@ -250,7 +262,7 @@ fn a_line_of_an_arm_without_a_closed_form_is_straight_and_its_speeds_are_those_o
     for count in 1..=400_u32 {
         let t = step * f64::from(count);
         let now = at(&segment, &mut planner, t, &before.position);
-        let along = segment.profile().at(t).position;
+        let along = progress(&segment, t);
         let off = planner.tool_pose(&now.position).translation.vector
             - from.translation.vector
             - by * along;
