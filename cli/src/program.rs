@@ -1,4 +1,4 @@
-//! What configurations can name: every event handler, channel driver, frame source and expander.
+//! What configurations can name: every event handler, channel driver, guard, frame source and expander.
 
 use cli_scott::{panel, services};
 use ctos::{
@@ -6,7 +6,7 @@ use ctos::{
     diagnostic::Findings,
     registry::Registry,
 };
-use mcs::driver::DriverRegistry;
+use mcs::{control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry};
 use sorma::{daemon, ipc::Host};
 use vss::{catalog::VssExpander, source::FrameSources};
 
@@ -17,7 +17,8 @@ pub fn registry() -> Registry {
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
-    mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
+    let (laws, guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     cli_display::register(&mut registry);

@@ -18,6 +18,8 @@ use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
 use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use crate::guard::rack::{Now, Rack};
+use crate::guard::{Neighbour, Reaction, Stopping};
 use crate::joints::{Distances, Joints, TooManyJoints};
 use crate::model::Model;
 use crate::trajectory::{Setpoint, Solver};
@@ -139,6 +141,9 @@ pub struct Servo {
     readings: Vec<SlotReading>,
     setpoint: Setpoint,
     motion: Option<Motion>,
+    guards: Rack,
+    /// Where other servos of the chassis see this arm.
+    shown: Option<Neighbour>,
     /// Power state to take once the arm is at rest.
     after_rest: Option<Power>,
     /// Brakes were ordered open: seed setpoint and law from the next reading.
@@ -164,7 +169,8 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
-        let solver = Solver::new(model)?;
+        let solver = Solver::new(Arc::clone(&model))?;
+        let guards = Rack::new(model);
         let positive = [
             ("period", config.period.as_secs_f64()),
             ("setpoint_every", f64::from(config.setpoint_every)),
@@ -203,7 +209,12 @@ impl Servo {
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
-        let port = ServoPort::new(Arc::clone(&commands), Arc::clone(&driver_errors), reader);
+        let port = ServoPort::new(
+            Arc::clone(&commands),
+            Arc::clone(&driver_errors),
+            reader,
+            guards.port(),
+        );
         let servo = Self {
             solver,
             driver,
@@ -216,6 +227,8 @@ impl Servo {
             readings: vec![SlotReading::default(); needed],
             setpoint: Setpoint::at_rest(still),
             motion: None,
+            guards,
+            shown: None,
             after_rest: None,
             releasing: false,
             astray: vec![0; needed],
@@ -223,6 +236,11 @@ impl Servo {
             patience: (config.following_timeout.as_secs_f64() / config.period.as_secs_f64()) as u32,
         };
         Ok((servo, port))
+    }
+
+    /// From now on shows this arm, in every tick, to the guards of others.
+    pub fn show_on(&mut self, board: Neighbour) {
+        self.shown = Some(board);
     }
 
     /// What the last tick left.
@@ -236,12 +254,14 @@ impl Servo {
     pub fn tick(&mut self, missed: u64) {
         self.status.ticks += 1;
         self.status.missed += missed;
+        self.guards.take_in();
         while let Some(command) = self.commands.pop() {
             self.obey(command);
         }
         self.read();
         self.seed();
         self.advance();
+        self.guard();
         self.watch();
         let torques = self.control();
         self.write(&torques);
@@ -271,6 +291,7 @@ impl Servo {
                 self.status.power = Power::Off;
             }
             ServoCommand::Move { id, segment } => self.begin(id, segment),
+            ServoCommand::Name { guards } => self.guards.name(guards),
             ServoCommand::Stop => {
                 self.status.stopped = true;
                 self.brake();
@@ -318,6 +339,7 @@ impl Servo {
             ..MotionStatus::default()
         };
         self.motion = Some(Motion::new(segment, &self.config));
+        self.guards.begin(&self.setpoint.position);
     }
 
     /// Zeros for all joints.
@@ -403,6 +425,28 @@ impl Servo {
                 }
             }
             Err(_) => self.fail(Fault::Segment),
+        }
+    }
+
+    /// Asks the guards of the motion under way; one that is braking or at rest already needs none.
+    fn guard(&mut self) {
+        let Some(motion) = self.motion.as_ref().filter(|motion| motion.is_under_way()) else {
+            return;
+        };
+        let found = self.guards.check(&Now {
+            motion: self.status.motion.id,
+            setpoint: &self.setpoint,
+            readings: &self.readings,
+            stopping: motion.stopping(),
+            tool_at_rest: motion.tool_at_rest(),
+            // No driver has a force sensor yet.
+            force: None,
+            period: self.config.period.as_secs_f64(),
+        });
+        let Some(found) = found else { return };
+        self.status.guard = Some(found);
+        if found.reaction != Reaction::Report {
+            self.brake();
         }
     }
 
@@ -501,5 +545,12 @@ impl Servo {
                 .iter()
                 .all(|speed| speed.abs() <= self.config.settling.speed);
         self.output.write(self.status);
+        if let Some(board) = &self.shown {
+            let stopping = self
+                .motion
+                .as_ref()
+                .map_or_else(Stopping::default, Motion::stopping);
+            board.show(&self.setpoint, stopping, self.config.period.as_secs_f64());
+        }
     }
 }

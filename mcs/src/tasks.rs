@@ -6,7 +6,9 @@
 
 pub mod args;
 pub mod client;
+mod guards;
 pub mod planner;
+mod retreat;
 pub mod servo;
 pub mod state;
 
@@ -26,6 +28,7 @@ use nalgebra::Isometry3;
 use crate::client::{MotionError, Outcome};
 use crate::control::LawRegistry;
 use crate::driver::{DriverRegistry, Power};
+use crate::guard::GuardRegistry;
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::Planner;
 
@@ -38,9 +41,20 @@ pub const PLANNER: &str = "mcs.planner";
 /// Registered name of the client interface's event handler.
 pub const CLIENT: &str = "mcs.client";
 
-/// Registers the event handlers of MCS, which find their channel drivers in `drivers` and their control laws in `laws`.
-pub fn register(registry: &mut Registry, drivers: DriverRegistry, laws: LawRegistry) {
-    servo::register(registry, Arc::new(drivers), Arc::new(laws));
+/// Registers the event handlers of MCS, which find their channel drivers in `drivers`, their control laws in `laws` and
+/// their kinds of guard in `guards`.
+pub fn register(
+    registry: &mut Registry,
+    drivers: DriverRegistry,
+    laws: LawRegistry,
+    guards: GuardRegistry,
+) {
+    servo::register(
+        registry,
+        Arc::new(drivers),
+        Arc::new(laws),
+        Arc::new(guards),
+    );
     state::register(registry);
     planner::register(registry);
     client::register(registry);
@@ -54,6 +68,8 @@ pub struct Link {
     pub planner: Planner,
     /// Rates of the servo.
     pub config: ServoConfig,
+    /// The recipes of its guards.
+    guards: guards::Recipes,
 }
 
 impl Link {

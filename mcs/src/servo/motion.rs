@@ -3,10 +3,11 @@
 use super::port::{MotionPhase, MotionStatus};
 use super::{ServoConfig, Settling};
 use crate::driver::SlotReading;
+use crate::guard::Stopping;
 use crate::joints::Distances;
-use crate::model::Model;
+use crate::model::{Model, Placement};
 use crate::trajectory::segment::SegmentError;
-use crate::trajectory::{Interpolator, Segment, Setpoint, Solver};
+use crate::trajectory::{Interpolator, Path, ProfilePoint, Segment, Setpoint, Solver};
 
 /// What a tick made of the motion.
 pub(super) enum Progress {
@@ -181,6 +182,50 @@ impl Motion {
             most.with(joint.kind, (wanted - reading.position).abs())
         });
         self.max_error = self.max_error.or(self.error);
+    }
+
+    /// Whether it follows its segment and nobody has it brake.
+    pub(super) fn is_under_way(&self) -> bool {
+        !self.stopping && !self.resting
+    }
+
+    /// How it would come to rest if it braked from the next tick on, in closed form.
+    pub(super) fn stopping(&self) -> Stopping {
+        let at = self.segment.profile().at(self.time());
+        if self.resting || at.speed <= 0.0 {
+            return Stopping::default();
+        }
+        let braked = self.segment.braked_at(self.time());
+        let profile = braked.profile();
+        // Time and travel, in seconds of the speed, grow as the speed does until then.
+        let grows = self.pace(&at) / at.speed;
+        let time = profile.duration() * grows;
+        // A stop within one setpoint interval goes beyond its end on the way, by as much as a cubic does that has to
+        // come to rest where it begins.
+        let beyond = match time < self.interval {
+            true => 4.0 / 27.0 * self.interval,
+            false => 0.0,
+        };
+        Stopping {
+            time: time.max(self.interval),
+            lead: (profile.end() - at.position) / at.speed * grows + beyond,
+        }
+    }
+
+    /// The speed along the path in the next tick, at most.
+    fn pace(&self, at: &ProfilePoint) -> f64 {
+        at.speed + at.acceleration.max(0.0) * self.period
+    }
+
+    /// Where the tool would come to rest if it braked along its straight line from the next tick on; `None` on other
+    /// paths, on which the joints tell.
+    pub(super) fn tool_at_rest(&self) -> Option<Placement> {
+        let Path::Line(line) = self.segment.path() else {
+            return None;
+        };
+        let at = self.segment.profile().at(self.time());
+        let way = self.pace(&at) * (self.stopping().lead + self.period);
+        Some(Placement::from(&line.pose(at.position + way)))
     }
 
     /// Largest distances of joints from their setpoints at the last tick.

@@ -44,4 +44,14 @@ impl Setpoint {
             acceleration: still,
         }
     }
+
+    /// The speed of a joint after `period` (s) more of its acceleration, where that speeds it up; rad/s or m/s.
+    #[must_use]
+    pub fn pace(&self, joint: usize, period: f64) -> f64 {
+        let (speed, more) = (self.velocity[joint], self.acceleration[joint] * period);
+        if speed * more < 0.0 {
+            return speed;
+        }
+        speed + more
+    }
 }
