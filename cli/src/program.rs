@@ -17,7 +17,8 @@ pub fn registry() -> Registry {
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
-    let (laws, guards) = (LawRegistry::new(), GuardRegistry::new());
+    let (laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs_collision::register(&mut registry, &mut guards);
     mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);

@@ -3,7 +3,11 @@
 use crate::harness::{CTOS, Run, SCOTT, Scratch};
 
 fn up(scratch: &Scratch) -> Run<'_> {
-    let mut run = scratch.start(CTOS, &["boot", "configs/testbed.toml"], &[]);
+    up_with(scratch, "configs/testbed.toml")
+}
+
+fn up_with<'s>(scratch: &'s Scratch, config: &str) -> Run<'s> {
+    let mut run = scratch.start(CTOS, &["boot", config], &[]);
     run.wait_for("phase 3");
     run
 }
@@ -79,6 +83,33 @@ fn an_emergency_stop_of_one_manipulator_leaves_the_other_one_alone() {
         (later[0] - stopped[0]).abs() < 0.05,
         "{stopped:?} {later:?}"
     );
+}
+
+#[test]
+fn two_arms_that_are_sent_into_one_another_stop_before_they_touch_and_can_part_again() {
+    let scratch = Scratch::new();
+    let _run = up_with(&scratch, "configs/testbed-collision.toml");
+    // Each turns its arm towards the other and stretches it out.
+    let ways = [
+        ("left", [0.0, 0.0, 0.0, 1.5, -0.7, 0.0, 0.0, 0.0, 0.0]),
+        ("right", [0.0, 0.0, 0.0, -1.1, -0.7, 0.0, 0.0, 0.0, 0.0]),
+    ];
+    let under_way = ways.map(|(arm, way)| {
+        let line = by(arm, way);
+        scratch.start(SCOTT, &["testbed", "-c", &line], &[])
+    });
+    let told = under_way.map(|run| run.end().told);
+    let by_guard = |told: &String| told.contains("guard `collision` ended it: ");
+    assert!(told.iter().any(by_guard), "{told:?}");
+    // Back the way they came, one after the other.
+    let start = [0.0, 0.0, 0.0, 0.0, 0.785, -1.571, 0.0, 0.785, 0.0];
+    for (arm, _) in ways {
+        let joints = start.map(|joint| joint.to_string()).join(" ");
+        asked(
+            &scratch,
+            &format!("mvpos.{arm} EXEC joints FMSG 9 {joints}"),
+        );
+    }
 }
 
 #[test]
