@@ -1,4 +1,4 @@
-//! What configurations can name: every event handler, channel driver, frame source and expander.
+//! What configurations can name: every event handler, channel driver, guard, frame source and expander.
 
 use cli_scott::{panel, services};
 use ctos::{
@@ -6,7 +6,9 @@ use ctos::{
     diagnostic::Findings,
     registry::Registry,
 };
-use mcs::{driver::DriverRegistry, partition::McsExpander};
+use mcs::{
+    control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry, partition::McsExpander,
+};
 use sorma::{daemon, ipc::Host};
 use vss::{catalog::VssExpander, source::FrameSources};
 
@@ -18,7 +20,9 @@ pub fn registry() -> Registry {
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
     mcs_remote::register(&mut drivers);
-    mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
+    let (laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs_collision::register(&mut registry, &mut guards);
+    mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     cli_display::register(&mut registry);

@@ -8,6 +8,7 @@ use ctos::call::{CallError, Fault};
 use ctos::task::{Context, NameError, TaskRef};
 use serde::{Deserialize, Serialize};
 
+use crate::guard::{GuardReport, Reaction};
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
 use crate::servo::MotionPhase;
@@ -264,6 +265,8 @@ ctos::command! {
         pub acceleration: Option<f64>,
         /// Elbow posture at a pose, of an arm with a closed form, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
+        /// Recipes of guards that watch it, besides those that always do.
+        pub guards: Vec<String>,
     } => Result<MoveReport, MotionError>, 0x0302, "move"
 }
 ctos::command! {
@@ -354,4 +357,59 @@ ctos::command! {
         /// The buffer's name.
         pub buffer: Option<String>,
     } => (), 0x030f, "record_states"
+}
+
+/// A recipe of a guard that a manipulator has.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// Its name.
+    pub name: String,
+    /// The kind of guard.
+    pub kind: String,
+    /// Whether it watches motions that do not name it.
+    pub always: bool,
+    /// What happens when it finds something.
+    pub reaction: Reaction,
+    /// Whether it stands in the configuration, and so stays.
+    pub configured: bool,
+}
+
+/// The guards of a manipulator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GuardsReport {
+    /// All recipes.
+    pub recipes: Vec<Recipe>,
+    /// What a guard found last.
+    pub last: Option<GuardReport>,
+}
+
+ctos::command! {
+    /// Adds a recipe of a guard, or changes one, from the next servo tick on, also in a motion that it watches. It
+    /// stays until the servo's task is built anew. Anybody may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetGuard {
+        /// Its name.
+        pub name: String,
+        /// A registered kind of guard.
+        pub kind: String,
+        /// Whether it watches motions that do not name it.
+        pub always: bool,
+        /// What happens when it finds something.
+        pub reaction: Reaction,
+        /// The arguments of the kind, as TOML.
+        pub args: String,
+    } => (), 0x0310, "set_guard"
+}
+ctos::command! {
+    /// Takes a recipe away that a [`SetGuard`] added. Anybody may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct RemoveGuard {
+        /// Its name.
+        pub name: String,
+    } => (), 0x0311, "remove_guard"
+}
+ctos::command! {
+    /// Tells the recipes that there are, and what a guard found last.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadGuards => GuardsReport, 0x0312, "read_guards"
 }

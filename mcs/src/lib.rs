@@ -3,17 +3,20 @@
 //! The layers of CIRSSE report 108, section 4, from the bottom: [`driver`] is the testbed interface
 //! (slots over channel drivers), [`control`] the laws that turn setpoints into torques, [`trajectory`]
 //! the planning of segments, [`servo`] the synchronous function that runs all three at the servo
-//! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`model`] is any
-//! arm as data with its kinematics and dynamics, [`joints`] a vector of as many numbers as it has
-//! joints; the tasks put everything behind event handlers, registered by [`register`], and [`partition`] makes them out of a
-//! list of manipulators.
+//! rate, [`guard`] what watches its motions, [`state`] the rules of the state manager, [`client`] what
+//! users ask and get. [`model`] is any arm as data with its kinematics and dynamics, [`joints`] a vector
+//! of as many numbers as it has joints; the tasks put everything behind event handlers, registered by
+//! [`register`], and [`partition`] makes them out of a list of manipulators.
 //!
 //! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
-//! registers it in a [`driver::DriverRegistry`]. A control law of one's own goes into a [`control::LawRegistry`].
+//! registers it in a [`driver::DriverRegistry`]. A control law of one's own goes into a [`control::LawRegistry`], a
+//! guard into a [`guard::GuardRegistry`].
 
 pub mod client;
 pub mod control;
 pub mod driver;
+pub mod guard;
+pub mod latest;
 pub mod partition;
 pub mod services;
 pub mod servo;
@@ -26,3 +29,10 @@ pub use tasks::{
     args::{arm, manipulator},
     register,
 };
+
+/// The pages of the book whose examples must run.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../docs/guards.md")]
+    mod guards {}
+}

@@ -1,7 +1,7 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
 //! `kin`, `dyn` and `traj` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
-//! app one that the process holds for itself. Their texts and numbers are a fixed interface
+//! app one that the process holds for itself; `wspc` holds recipes of guards for the app's. Their texts and numbers are a fixed interface
 //! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
 //! under joint 1 and frame 6 as the DH table has it.
 
@@ -12,6 +12,7 @@ mod local;
 mod mvpos;
 mod pino;
 mod traj;
+mod wspc;
 
 use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
@@ -19,6 +20,7 @@ use crate::client::MotionError;
 use local::SharedArm;
 use mvpos::MvPos;
 use pino::Pino;
+use wspc::Wspc;
 
 /// Version of the classes.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -81,7 +83,9 @@ pub fn register(sorm: &Sorm) {
     // A flavor of one's own has options of one's own.
     let mvpos = mvpos.waits().any_flavor();
     let pino = pino.waits().any_flavor();
-    let all = [kin, dynamics, mvpos, pino, traj];
+    let wspc = Class::new("wspc", VERSION, |_, _| Ok(Box::new(Wspc::default())));
+    let wspc = wspc.waits().any_flavor();
+    let all = [kin, dynamics, mvpos, pino, traj, wspc];
     for (class, info) in all.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
@@ -96,6 +100,7 @@ pub fn classes() -> Vec<ClassInfo> {
         mvpos::TABLE.class("mvpos", VERSION),
         pino::TABLE.class("pino", VERSION),
         traj::TABLE.class("traj", VERSION),
+        wspc::TABLE.class("wspc", VERSION),
     ]
 }
 

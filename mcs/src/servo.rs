@@ -18,6 +18,8 @@ use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
 use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use crate::guard::rack::{Now, Rack};
+use crate::guard::{Neighbour, Reaction, Stopping};
 use crate::joints::{Distances, Joints, TooManyJoints};
 use crate::model::Model;
 use crate::trajectory::{Setpoint, Solver};
@@ -147,6 +149,11 @@ pub struct Servo {
     readings: Vec<SlotReading>,
     setpoint: Setpoint,
     motion: Option<Motion>,
+    guards: Rack,
+    /// Where other servos of the chassis see this arm.
+    shown: Option<Neighbour>,
+    /// How the arm would come to rest.
+    stopping: Stopping,
     /// What becomes of the power once the arm is at rest.
     after_rest: Option<AfterRest>,
     /// Brakes were ordered open: seed setpoint and law from the next reading.
@@ -172,7 +179,8 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
-        let solver = Solver::new(model)?;
+        let solver = Solver::new(Arc::clone(&model))?;
+        let guards = Rack::new(model);
         let positive = [
             ("period", config.period.as_secs_f64()),
             ("setpoint_every", f64::from(config.setpoint_every)),
@@ -211,7 +219,12 @@ impl Servo {
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
-        let port = ServoPort::new(Arc::clone(&commands), Arc::clone(&driver_errors), reader);
+        let port = ServoPort::new(
+            Arc::clone(&commands),
+            Arc::clone(&driver_errors),
+            reader,
+            guards.port(),
+        );
         let servo = Self {
             solver,
             driver,
@@ -224,6 +237,9 @@ impl Servo {
             readings: vec![SlotReading::default(); needed],
             setpoint: Setpoint::at_rest(still),
             motion: None,
+            guards,
+            shown: None,
+            stopping: Stopping::default(),
             after_rest: None,
             releasing: false,
             astray: vec![0; needed],
@@ -231,6 +247,11 @@ impl Servo {
             patience: (config.following_timeout.as_secs_f64() / config.period.as_secs_f64()) as u32,
         };
         Ok((servo, port))
+    }
+
+    /// From now on shows this arm, in every tick, to the guards of others.
+    pub fn show_on(&mut self, board: Neighbour) {
+        self.shown = Some(board);
     }
 
     /// What the last tick left.
@@ -244,12 +265,14 @@ impl Servo {
     pub fn tick(&mut self, missed: u64) {
         self.status.ticks += 1;
         self.status.missed += missed;
+        self.guards.take_in();
         while let Some(command) = self.commands.pop() {
             self.obey(command);
         }
         self.read();
         self.seed();
         self.advance();
+        self.guard();
         self.watch();
         let torques = self.control();
         self.write(&torques);
@@ -277,6 +300,7 @@ impl Servo {
                 self.status.power = Power::Off;
             }
             ServoCommand::Move { id, segment } => self.begin(id, segment),
+            ServoCommand::Name { guards } => self.guards.name(guards),
             ServoCommand::Stop => {
                 self.status.stopped = true;
                 self.brake();
@@ -328,6 +352,7 @@ impl Servo {
             ..MotionStatus::default()
         };
         self.motion = Some(Motion::new(segment, &self.config));
+        self.guards.begin(&self.setpoint.position);
     }
 
     /// Zeros for all joints.
@@ -433,6 +458,32 @@ impl Servo {
         }
     }
 
+    /// Asks the guards of the motion under way; one that is braking or at rest already needs none.
+    fn guard(&mut self) {
+        let motion = self.motion.as_ref();
+        self.stopping = motion.map_or_else(Stopping::default, |motion| {
+            motion.stopping(&self.solver, &self.setpoint)
+        });
+        let Some(motion) = self.motion.as_ref().filter(|motion| motion.is_under_way()) else {
+            return;
+        };
+        let found = self.guards.check(&Now {
+            motion: self.status.motion.id,
+            setpoint: &self.setpoint,
+            readings: &self.readings,
+            stopping: self.stopping,
+            tool_at_rest: motion.tool_at_rest(&self.solver),
+            // No driver has a force sensor yet.
+            force: None,
+            period: self.config.period.as_secs_f64(),
+        });
+        let Some(found) = found else { return };
+        self.status.guard = Some(found);
+        if found.reaction != Reaction::Report {
+            self.brake();
+        }
+    }
+
     fn watch(&mut self) {
         if self.status.power != Power::Released {
             self.astray.fill(0);
@@ -528,5 +579,12 @@ impl Servo {
                 .iter()
                 .all(|speed| speed.abs() <= self.config.settling.speed);
         self.output.write(self.status);
+        if let Some(board) = &self.shown {
+            board.show(
+                &self.setpoint,
+                self.stopping,
+                self.config.period.as_secs_f64(),
+            );
+        }
     }
 }

@@ -6,8 +6,10 @@
 
 pub mod args;
 pub mod client;
+mod guards;
 pub mod planner;
 mod records;
+mod retreat;
 pub mod servo;
 pub mod state;
 
@@ -27,6 +29,7 @@ use nalgebra::Isometry3;
 use crate::client::{MotionError, Outcome};
 use crate::control::LawRegistry;
 use crate::driver::{DriverRegistry, Power};
+use crate::guard::GuardRegistry;
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::Planner;
 
@@ -40,9 +43,19 @@ pub const PLANNER: &str = "mcs.planner";
 pub const CLIENT: &str = "mcs.client";
 
 /// Registers the event handlers of MCS, which find their channel drivers in `drivers`, alone or several as one
-/// ([`TESTBED`](crate::driver::TESTBED)), and their control laws in `laws`.
-pub fn register(registry: &mut Registry, drivers: DriverRegistry, laws: LawRegistry) {
-    servo::register(registry, Arc::new(drivers.with_testbed()), Arc::new(laws));
+/// ([`TESTBED`](crate::driver::TESTBED)), their control laws in `laws` and their kinds of guard in `guards`.
+pub fn register(
+    registry: &mut Registry,
+    drivers: DriverRegistry,
+    laws: LawRegistry,
+    guards: GuardRegistry,
+) {
+    servo::register(
+        registry,
+        Arc::new(drivers.with_testbed()),
+        Arc::new(laws),
+        Arc::new(guards),
+    );
     state::register(registry);
     planner::register(registry);
     client::register(registry);
@@ -56,6 +69,8 @@ pub struct Link {
     pub planner: Planner,
     /// Rates of the servo.
     pub config: ServoConfig,
+    /// The recipes of its guards.
+    guards: guards::Recipes,
 }
 
 impl Link {

@@ -8,6 +8,9 @@ use std::time::Duration;
 use mcs::Joints;
 use mcs::control::{ComputedTorque, ControlLaw, PidGravity};
 use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use mcs::guard::speed::Speed;
+use mcs::guard::workspace::{Region, Workspace};
+use mcs::guard::{Guard, GuardSet, Mounted, Reaction};
 use mcs::model::inverse::{Preferences, Search};
 use mcs::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
@@ -144,6 +147,51 @@ fn no_tick_of_any_arm_allocates_in_any_state() {
         port.emergency_stop();
         count += allocation_counter::measure(|| servo.tick(0)).count_total;
         assert!(port.status().fault.is_some());
+        assert_eq!(count, 0, "{name}");
+    }
+}
+
+#[test]
+fn no_tick_allocates_while_guards_watch_are_changed_and_end_a_motion() {
+    for name in ARMS {
+        let law = laws(name).into_iter().next().unwrap();
+        let (mut servo, port, mut planner) = rig(name, law);
+        for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
+            port.order(command).unwrap();
+            servo.tick(0);
+        }
+        let start = port.status().setpoint;
+        let tool = planner.tool_pose(&start).translation.vector;
+        let mount = |slot, guard: Box<dyn Guard>| {
+            let mounted = Mounted::new("guard", Reaction::Stop, slot == 0, guard);
+            port.mount(slot, Some(mounted)).unwrap();
+        };
+        let below = |depth: f64| Workspace {
+            keep_out: vec![Region {
+                low: [-9.0; 3],
+                high: [9.0, 9.0, tool.z - depth],
+            }],
+            ..Workspace::default()
+        };
+        mount(0, Box::new(below(0.5)));
+        let slow = Speed {
+            tool: Some(50.0),
+            joints: vec![50.0; start.len()],
+            ..Speed::default()
+        };
+        mount(1, Box::new(slow));
+        let guards = GuardSet::default().with(1);
+        port.order(ServoCommand::Name { guards }).unwrap();
+        let goal = Translation3::new(0.02, 0.05, -0.15) * planner.tool_pose(&start);
+        let segment = planner.line(&start, &goal, 0.5).unwrap();
+        port.order(ServoCommand::Move { id: 1, segment }).unwrap();
+        let mut count = 0;
+        for _ in 0..20 {
+            count += allocation_counter::measure(|| servo.tick(0)).count_total;
+        }
+        mount(0, Box::new(below(0.08)));
+        count += allocations(&mut servo, &port, None);
+        assert!(port.status().ended_by_guard(1).is_some(), "{name}");
         assert_eq!(count, 0, "{name}");
     }
 }

@@ -11,7 +11,6 @@ pub mod cell;
 pub mod driver;
 mod engine;
 pub mod handlers;
-mod latest;
 pub mod port;
 pub mod scene;
 pub mod served;

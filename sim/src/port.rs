@@ -14,7 +14,9 @@ use std::{
 use ctos::Context;
 use mcs::driver::Power;
 
-use crate::{cell::Cell, latest::Latest};
+use mcs::latest::Latest;
+
+use crate::cell::Cell;
 
 /// The joints that somebody asked for are not to be had.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -5,6 +5,7 @@ use crate::harness::{CTOS, Run, SCOTT, Scratch};
 const THREE_TIMES_SIX: &str = "configs/testbed.toml";
 const TWO_TIMES_NINE: &str = "configs/testbed-2x9.toml";
 const ONE_TIMES_EIGHTEEN: &str = "configs/testbed-1x18.toml";
+const WITHOUT_COLLISIONS: &str = "configs/testbed-collision.toml";
 
 fn up<'a>(scratch: &'a Scratch, partition: &str) -> Run<'a> {
     let mut run = scratch.start(CTOS, &["boot", partition], &[]);
@@ -169,6 +170,33 @@ fn what_every_tick_leaves_is_in_a_snapshot_buffer_on_request() {
     asked(&scratch, "pino.left CTRL -records left_arm");
     asked(&scratch, "pino.left EXEC records");
     assert_eq!(asked(&scratch, "shmem_r.left_arm EXEC").len(), 4 * 9);
+}
+
+#[test]
+fn two_arms_that_are_sent_into_one_another_stop_before_they_touch_and_can_part_again() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch, WITHOUT_COLLISIONS);
+    // Each turns its arm towards the other and stretches it out.
+    let ways = [
+        ("left", [0.0, 0.0, 0.0, 1.5, -0.7, 0.0, 0.0, 0.0, 0.0]),
+        ("right", [0.0, 0.0, 0.0, -1.1, -0.7, 0.0, 0.0, 0.0, 0.0]),
+    ];
+    let under_way = ways.map(|(arm, way)| {
+        let line = by(arm, &way);
+        scratch.start(SCOTT, &["testbed", "-c", &line], &[])
+    });
+    let told = under_way.map(|run| run.end().told);
+    let by_guard = |told: &String| told.contains("guard `collision` ended it: ");
+    assert!(told.iter().any(by_guard), "{told:?}");
+    // Back the way they came, one after the other.
+    let start = [0.0, 0.0, 0.0, 0.0, 0.785, -1.571, 0.0, 0.785, 0.0];
+    for (arm, _) in ways {
+        let joints = start.map(|joint| joint.to_string()).join(" ");
+        asked(
+            &scratch,
+            &format!("mvpos.{arm} EXEC joints FMSG 9 {joints}"),
+        );
+    }
 }
 
 #[test]

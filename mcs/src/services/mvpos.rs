@@ -11,6 +11,7 @@ use sorma::{
 
 use super::kinematics;
 use super::local::{SharedArm, rows, target};
+use super::wspc::guard_name;
 use super::{code, ended, in_the_way, six};
 use crate::client::{Acquire, Move, PathKind, Plan, Position, ReadPosition, Release, Status};
 use crate::joints::Joints;
@@ -131,6 +132,7 @@ pub(super) struct Options {
     elbow: String,
     plan: bool,
     keep: bool,
+    guards: String,
 }
 
 impl Default for Options {
@@ -145,6 +147,7 @@ impl Default for Options {
             elbow: "nearest".to_owned(),
             plan: false,
             keep: false,
+            guards: String::new(),
         }
     }
 }
@@ -204,6 +207,13 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "keep",
             "keeps the arm and its power after a motion, until EXEC release",
             |options| &mut options.keep,
+        )
+        .word(
+            "guards",
+            "NAMES",
+            "guards that watch the motions, with commas between: wspc.NAME, whose recipe is put in force, or NAME of one that \
+             the arm has",
+            |options| &mut options.guards,
         )
         .word(
             "client",
@@ -276,7 +286,7 @@ impl MvPos {
             _ => {
                 let goal = self.goal(text, cx, io).await?;
                 let (joints, duration_s) = match cx.is_in_app() {
-                    true => self.ask(cx, &goal).await?,
+                    true => self.ask(cx, &goal, io).await?,
                     false => self.move_here(&goal)?,
                 };
                 io.floats.clear();
@@ -360,6 +370,10 @@ impl MvPos {
 
     /// Moves the arm of this process.
     fn move_here(&self, goal: &Goal) -> Result<(Joints, f64), Report> {
+        if !self.options.guards.trim().is_empty() && !self.options.plan {
+            let text = "the arm of this process has no servo that could ask guards; clear it with -guards ''";
+            return Err(Report::error(code::MOTION, text));
+        }
         let mut arm = self.arm.lock()?;
         let planned = arm.plan(&Route {
             goal: *goal,
@@ -375,8 +389,27 @@ impl MvPos {
         Ok((joints, duration_s))
     }
 
+    /// The guards that are to watch a motion; those that are recipes of the dictionary are put in force.
+    async fn guards(&self, cx: &Waiting<'_>, io: &mut Transport) -> Result<Vec<String>, Report> {
+        let mut names = Vec::new();
+        let all = self.options.guards.split(',').map(str::trim);
+        for name in all.filter(|name| !name.is_empty()) {
+            if name.contains('.') {
+                let order = Transport::text(format!("for {}", self.options.client));
+                cx.call(name, Method::Exec, order, io).await?;
+            }
+            names.push(guard_name(name).to_owned());
+        }
+        Ok(names)
+    }
+
     /// Has the app's arm move.
-    async fn ask(&self, cx: &Waiting<'_>, goal: &Goal) -> Result<(Joints, f64), Report> {
+    async fn ask(
+        &self,
+        cx: &Waiting<'_>,
+        goal: &Goal,
+        io: &mut Transport,
+    ) -> Result<(Joints, f64), Report> {
         let (client, speed) = (&self.options.client, self.options.speed);
         let acceleration = self.options.acceleration.first().copied();
         let (target, path, elbow) = (target(goal), self.path(), self.elbow());
@@ -392,6 +425,7 @@ impl MvPos {
             let planned = planned.map_err(in_the_way)?;
             return Ok((planned.joints, planned.duration_s));
         }
+        let guards = self.guards(cx, io).await?;
         let status = cx.call_task(client, Status {}, SOON).await?;
         let acquires = status.state == State::Cold;
         if acquires {
@@ -404,6 +438,7 @@ impl MvPos {
             speed,
             acceleration,
             elbow,
+            guards,
         };
         let moved = cx.call_task(client, order, LONGEST_MOVE).await;
         let moved = moved.and_then(|moved| moved.map_err(in_the_way));

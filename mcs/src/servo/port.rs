@@ -6,6 +6,8 @@ use crossbeam_queue::ArrayQueue;
 use serde::{Deserialize, Serialize};
 
 use crate::driver::{DriverError, Power};
+use crate::guard::rack::RackPort;
+use crate::guard::{GuardReport, GuardSet, Mounted, Reaction};
 use crate::joints::{Distances, Joints};
 use crate::model::JointKind;
 use crate::trajectory::Segment;
@@ -32,6 +34,11 @@ pub enum ServoCommand {
         id: u64,
         /// The planned segment.
         segment: Segment,
+    },
+    /// Motions ordered after this are watched by these guards, besides those that always watch.
+    Name {
+        /// By slot: see [`ServoPort::mount`].
+        guards: GuardSet,
     },
     /// Protective stop: brake along the path within limits to rest, then hold (category 2). No
     /// segment is taken until [`Self::Resume`].
@@ -215,8 +222,19 @@ pub struct ServoStatus {
     pub at_rest: bool,
     /// The latest motion.
     pub motion: MotionStatus,
+    /// What a guard found last.
+    pub guard: Option<GuardReport>,
     /// Number of the latest segment that was not taken, and why.
     pub rejected: Option<(u64, Rejection)>,
+}
+
+impl ServoStatus {
+    /// What ended motion `id`, if a guard did.
+    #[must_use]
+    pub fn ended_by_guard(&self, id: u64) -> Option<GuardReport> {
+        let ended = |found: &GuardReport| found.motion == id && found.reaction != Reaction::Report;
+        self.guard.filter(ended)
+    }
 }
 
 /// The other side of a [`super::Servo`]: any number of tasks may use it at once. Readers may wait for
@@ -226,6 +244,7 @@ pub struct ServoPort {
     driver_errors: Arc<ArrayQueue<DriverError>>,
     last_driver_error: Mutex<Option<DriverError>>,
     status: Mutex<triple_buffer::Output<ServoStatus>>,
+    guards: RackPort,
 }
 
 /// The servo's queue of orders is full: it is not running.
@@ -238,12 +257,14 @@ impl ServoPort {
         commands: Arc<ArrayQueue<ServoCommand>>,
         driver_errors: Arc<ArrayQueue<DriverError>>,
         status: triple_buffer::Output<ServoStatus>,
+        guards: RackPort,
     ) -> Self {
         Self {
             commands,
             driver_errors,
             last_driver_error: Mutex::new(None),
             status: Mutex::new(status),
+            guards,
         }
     }
 
@@ -253,6 +274,17 @@ impl ServoPort {
     /// [`PortFull`] when the servo has taken none for a long time.
     pub fn order(&self, command: ServoCommand) -> Result<(), PortFull> {
         self.commands.push(command).map_err(|_| PortFull)
+    }
+
+    /// Puts a guard into a slot from the next tick on, in place of the one that is there, or takes that one out.
+    ///
+    /// # Errors
+    /// [`PortFull`] when the servo has taken none for a long time, or has no such slot.
+    pub fn mount(&self, slot: usize, guard: Option<Mounted>) -> Result<(), PortFull> {
+        match self.guards.mount(slot, guard) {
+            true => Ok(()),
+            false => Err(PortFull),
+        }
     }
 
     /// Emergency stop, which gets through even when the queue is full of other orders.

@@ -1,5 +1,6 @@
 //! Arguments of the MCS tasks, as they stand in the configuration.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ctos::config::{App, TaskConfig};
@@ -8,6 +9,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use crate::guard::Reaction;
 use crate::joints::{Distances, TooManyJoints};
 use crate::model::file::Inertias;
 use crate::model::origin::Origin;
@@ -48,6 +50,9 @@ pub struct ServoArgs {
     /// The law's own arguments, read by the law.
     #[serde(default, rename = "law_args")]
     pub _law_args: Option<IgnoredAny>,
+    /// Guards that watch its motions, by the names of their recipes.
+    #[serde(default)]
+    pub guards: BTreeMap<String, RecipeArgs>,
     /// Natural frequency of the position loop, Hz.
     #[serde(default = "bandwidth_hz")]
     pub bandwidth_hz: f64,
@@ -88,6 +93,27 @@ pub struct ServoArgs {
     /// Orientation of the tool in the frame of the tip: roll, pitch and yaw about x, y and z, rad.
     #[serde(default)]
     pub tool_rpy: [f64; 3],
+}
+
+/// The recipe of a guard.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecipeArgs {
+    /// Registered name of its kind.
+    pub kind: String,
+    /// Whether it watches motions that do not name it.
+    #[serde(default = "always")]
+    pub always: bool,
+    /// What happens when it finds something.
+    #[serde(default)]
+    pub reaction: Reaction,
+    /// The kind's own arguments, read by the kind.
+    #[serde(default, rename = "args")]
+    pub _args: Option<IgnoredAny>,
+}
+
+fn always() -> bool {
+    true
 }
 
 /// Above a twentieth of the servo rate the sampled loop comes near its limit of stability.

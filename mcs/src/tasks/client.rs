@@ -16,7 +16,8 @@ use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
     Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Plan, Position, ReadControl,
-    ReadPosition, RecordStates, Release, Reset, Resume, SetControl, Status, StatusReport, Stop,
+    ReadGuards, ReadPosition, RecordStates, Release, RemoveGuard, Reset, Resume, SetControl,
+    SetGuard, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -41,6 +42,9 @@ pub(super) fn register(registry: &mut Registry) {
         SetControl::INFO,
         Cancel::INFO,
         Resume::INFO,
+        SetGuard::INFO,
+        RemoveGuard::INFO,
+        ReadGuards::INFO,
     ];
     registry
         .handler(CLIENT, &commands, |cx| {
@@ -221,6 +225,18 @@ impl EventHandler for ClientTask {
             }
             SetControl::CODE => {
                 let (request, reply) = message.open::<SetControl>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            SetGuard::CODE => {
+                let (request, reply) = message.open::<SetGuard>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            RemoveGuard::CODE => {
+                let (request, reply) = message.open::<RemoveGuard>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            ReadGuards::CODE => {
+                let (request, reply) = message.open::<ReadGuards>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             Status::CODE => {

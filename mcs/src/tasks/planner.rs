@@ -14,9 +14,10 @@ use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use super::args::PartArgs;
-use super::{Link, PLANNER, SERVO, check_reference};
+use super::{Link, PLANNER, SERVO, check_reference, retreat};
 use crate::client::{MotionError, Move, MoveReport, Outcome, Plan, PlanReport, Target};
 use crate::driver::Power;
+use crate::guard::Reaction;
 use crate::joints::Joints;
 use crate::servo::{MotionPhase, Rejection, ServoCommand, ServoStatus};
 use crate::trajectory::{Goal, Pace, PlanError, Planner, Route, Segment};
@@ -87,6 +88,10 @@ impl PlannerTask {
         if let Err(error) = self.may_begin(&link) {
             return reply.ok(Err(error));
         }
+        let guards = match link.guards.named(&request.guards) {
+            Ok(guards) => guards,
+            Err(error) => return reply.ok(Err(error)),
+        };
         let request = Plan {
             target: request.target,
             path: request.path,
@@ -102,6 +107,7 @@ impl PlannerTask {
         let last_rejected = status.rejected.map_or(0, |(id, _)| id);
         let id = status.motion.id.max(last_rejected) + 1;
         let duration = segment.duration();
+        link.port.order(ServoCommand::Name { guards })?;
         link.port.order(ServoCommand::Move { id, segment })?;
         *self.running.borrow_mut() = Some(reply);
         cx.is_at(Some(AtReport {
@@ -241,13 +247,23 @@ async fn watch(cx: Context, link: Arc<Link>, running: Running, id: u64, duration
     };
     let patience = Duration::from_secs_f64(duration) + link.rest_patience();
     let ended = link.wait(&cx, "end the motion", patience, over).await;
+    let went_back = match ended
+        .as_ref()
+        .ok()
+        .and_then(|status| status.ended_by_guard(id))
+    {
+        Some(found) if found.reaction == Reaction::Retreat => {
+            Some(retreat::back(&cx, &link, id, &found).await)
+        }
+        _ => None,
+    };
     cx.is_at(None);
     // A stop may have answered the caller already.
     let Some(reply) = running.borrow_mut().take() else {
         return;
     };
     let result = match ended {
-        Ok(status) => outcome(&link, &status, id),
+        Ok(status) => outcome(&link, &status, id, went_back),
         Err(error) => Err(MotionError::new(Outcome::Fault, error)),
     };
     if let Err(error) = reply.ok(result) {
@@ -255,7 +271,13 @@ async fn watch(cx: Context, link: Arc<Link>, running: Running, id: u64, duration
     }
 }
 
-fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, MotionError> {
+/// What became of motion `id`, which ended with this status; and of the way back, if a guard wanted one.
+fn outcome(
+    link: &Link,
+    status: &ServoStatus,
+    id: u64,
+    went_back: Option<Result<(), HandlerError>>,
+) -> Result<MoveReport, MotionError> {
     if let Some(error) = link.failed() {
         return Err(error);
     }
@@ -266,6 +288,15 @@ fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, Mot
             Rejection::Stopped => stop_holds(),
             _ => refused(reason),
         });
+    }
+    if let Some(found) = status.ended_by_guard(id) {
+        let mut reason = format!("guard `{}` ended it: {}", found.guard, found.measured);
+        match went_back {
+            Some(Ok(())) => reason += "; the arm went back to where all was well",
+            Some(Err(error)) => reason += &format!("; the arm could not go back: {error}"),
+            None => {}
+        }
+        return Err(MotionError::new(Outcome::Guard, reason));
     }
     let motion = &status.motion;
     match motion.phase {

@@ -1,6 +1,7 @@
 //! The servo's task: builds the channel driver, puts the synchronous function on its processor's
 //! schedule, and brings the arm to rest when the app stops.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
@@ -11,12 +12,17 @@ use ctos::sync::{CyclicHandle, Tick};
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
 use serde::{Deserialize, Serialize};
 
-use super::args::{self, ServoArgs};
+use super::args::{self, RecipeArgs, ServoArgs};
+use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
 use super::{Link, SERVO, rows};
-use crate::client::{ControlReport, ReadControl, RecordStates, SetControl};
+use crate::client::{
+    ControlReport, GuardsReport, ReadControl, ReadGuards, RecordStates, RemoveGuard, SetControl,
+    SetGuard,
+};
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::DriverRegistry;
+use crate::guard::GuardRegistry;
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
 use crate::trajectory::Planner;
@@ -65,27 +71,32 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 6] = [
+const COMMANDS: [CommandInfo; 9] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
     ReadControl::INFO,
     SetControl::INFO,
     RecordStates::INFO,
+    SetGuard::INFO,
+    RemoveGuard::INFO,
+    ReadGuards::INFO,
 ];
 
 pub(super) fn register(
     registry: &mut Registry,
     drivers: Arc<DriverRegistry>,
     laws: Arc<LawRegistry>,
+    guards: Arc<GuardRegistry>,
 ) {
     let (known, known_laws) = (Arc::clone(&drivers), Arc::clone(&laws));
+    let kinds = Arc::clone(&guards);
     registry
         .handler(SERVO, &COMMANDS, move |cx| {
-            ServoTask::new(cx, &drivers, &laws)
+            ServoTask::new(cx, &drivers, &laws, &guards)
         })
         .checked_args::<ServoArgs>(move |args, task, app, findings| {
-            check(args, (task, app), (&known, &known_laws), findings);
+            check(args, (task, app), (&known, &known_laws, &kinds), findings);
         });
 }
 
@@ -101,10 +112,19 @@ fn place(task: &TaskConfig, key: &str) -> Place {
 fn check(
     args: &ServoArgs,
     (task, app): (&TaskConfig, &App),
-    (drivers, laws): (&DriverRegistry, &LawRegistry),
+    (drivers, laws, guards): (&DriverRegistry, &LawRegistry, &Arc<GuardRegistry>),
     findings: &mut Findings,
 ) {
     let model = args.check(task, app, findings).map(Arc::new);
+    if let Some(model) = &model {
+        let maker = Maker {
+            kinds: Arc::clone(guards),
+            model: Arc::clone(model),
+            period: args.config().period,
+            servo: task.name.clone(),
+        };
+        maker.check(args, task, app, findings);
+    }
     if let Some(model) = &model
         && let Err(finding) = law(args, task, model, laws)
     {
@@ -169,6 +189,9 @@ struct ServoTask {
     records: Records,
     cyclic: Option<CyclicHandle>,
     control: ControlReport,
+    guards: Maker,
+    /// The recipes of the configuration, until all servos of the chassis are there.
+    recipes: BTreeMap<String, RecipeArgs>,
 }
 
 impl ServoTask {
@@ -176,6 +199,7 @@ impl ServoTask {
         cx: &Context,
         drivers: &DriverRegistry,
         laws: &LawRegistry,
+        guards: &Arc<GuardRegistry>,
     ) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         let mut findings = Findings::new();
@@ -186,7 +210,14 @@ impl ServoTask {
         let driver = kind.build(cx, &own_args(task, "driver_args"))?;
         let config = args.config();
         let law = law(&args, task, &model, laws)?;
-        let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
+        let (mut servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
+        servo.show_on(guards::board(cx, &model));
+        let guards = Maker {
+            kinds: Arc::clone(guards),
+            model: Arc::clone(&model),
+            period: config.period,
+            servo: cx.name().to_owned(),
+        };
         let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
         let planner = Planner::new(model, args.cartesian, setpoint_period)?;
         let planner = planner.limiting_jerk(args.limit_jerk);
@@ -194,6 +225,7 @@ impl ServoTask {
             port,
             planner: planner.clone(),
             config,
+            guards: Recipes::default(),
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));
         let (records, recorder) = records(planner.model().dof());
@@ -203,6 +235,8 @@ impl ServoTask {
             ticking: Some((servo, recorder)),
             records,
             cyclic: None,
+            guards,
+            recipes: args.guards,
             control: ControlReport {
                 law: args.law,
                 bandwidth_hz: args.bandwidth_hz,
@@ -238,6 +272,13 @@ impl ServoTask {
             };
         });
         Ok(())
+    }
+
+    /// Answers when a tick has begun after the order was given.
+    fn confirm_tick<C: Command<Reply = ()>>(&self, cx: &Context, reply: Replier<C>) -> Handled {
+        let before = self.link.port.status().ticks;
+        // The tick that was under way may have ended without having seen it.
+        self.confirm(cx, reply, move |status| status.ticks > before + 1)
     }
 
     /// Gives the control law other parameters, when they can be and nothing moves.
@@ -336,6 +377,23 @@ impl EventHandler for ServoTask {
                     Err(error) => reply.fail(error),
                 }
             }
+            SetGuard::CODE => {
+                let (request, reply) = message.open::<SetGuard>()?;
+                self.guards.set(cx, &self.link, request)?;
+                self.confirm_tick(cx, reply)
+            }
+            RemoveGuard::CODE => {
+                let (RemoveGuard { name }, reply) = message.open::<RemoveGuard>()?;
+                self.guards.remove(&self.link, &name)?;
+                self.confirm_tick(cx, reply)
+            }
+            ReadGuards::CODE => {
+                let (ReadGuards {}, reply) = message.open::<ReadGuards>()?;
+                reply.ok(GuardsReport {
+                    recipes: self.link.guards.all(),
+                    last: self.link.port.status().guard,
+                })
+            }
             _ => cx.default_processing(message),
         }
     }
@@ -351,6 +409,9 @@ impl EventHandler for ServoTask {
             self.cyclic = Some(cx.cyclic(self.link.config.period, tick));
         }
         if phase == Phase::Connect {
+            // Now the other arms of the chassis are there, which a guard may look at.
+            let recipes = std::mem::take(&mut self.recipes);
+            self.guards.mount_all(cx, &self.link, recipes)?;
             // The first reading must be there before anybody plans from it.
             let ticking = |status: &ServoStatus| status.ticks > 0;
             let patience = self.link.rest_patience();

@@ -1,5 +1,6 @@
 //! MCS as an app, in virtual time, with an arm that obeys the equations of motion.
 
+mod guards;
 mod stops;
 
 use std::sync::atomic::Ordering;
@@ -136,7 +137,7 @@ fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
         let model = Arc::clone(settings.model);
         Ok(Box::new(Limp(share, model)))
     });
-    register(&mut registry, drivers, laws);
+    register(&mut registry, drivers, laws, GuardRegistry::new());
     let mut dictionary = sorma::Dictionary::new();
     let shipped = ctos::diagnostic::Source::new("mcs", crate::services::DICTIONARY);
     dictionary.load(&shipped).unwrap();
@@ -227,6 +228,7 @@ fn to(target: Target) -> Move {
         speed: 0.5,
         acceleration: None,
         elbow: None,
+        guards: Vec::new(),
     }
 }
 

@@ -41,6 +41,20 @@ struct Clock {
     stopping: bool,
 }
 
+/// How many steps a look at a stop takes, about.
+const REST_STEPS: f64 = 8.0;
+/// And at most: after these it goes on as planned.
+const MOST_REST_STEPS: u32 = 64;
+
+/// How a segment would come to rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rest {
+    /// The time until then, s.
+    pub time: f64,
+    /// The segment's own time at which it rests, s.
+    pub at: f64,
+}
+
 impl Follower {
     /// From the start of `segment`, with a setpoint every `period` (s). Poses on a line are solved every so many periods
     /// (at least 1) and interpolated between.
@@ -86,7 +100,7 @@ impl Follower {
     /// [`SegmentError`] for a line through a pose that cannot be followed.
     pub fn next(&mut self, solver: &mut Solver, near: &[f64]) -> Result<Setpoint, SegmentError> {
         if self.begun {
-            self.clock = self.after(&self.clock, solver);
+            self.clock = self.after(&self.clock, self.period, solver);
         }
         self.begun = true;
         self.solve(solver, near)?;
@@ -102,7 +116,7 @@ impl Follower {
             }
             return Ok(setpoint);
         }
-        let ahead = self.after(&self.clock, solver);
+        let ahead = self.after(&self.clock, self.period, solver);
         for index in 0..setpoint.position.len() {
             let now = self.state(index, self.clock.time);
             let then = self.state(index, ahead.time);
@@ -114,9 +128,61 @@ impl Follower {
         Ok(setpoint)
     }
 
-    /// The clock one period later.
-    fn after(&self, clock: &Clock, solver: &Solver) -> Clock {
-        let period = self.period;
+    /// The segment that is followed.
+    #[must_use]
+    pub fn segment(&self) -> &Segment {
+        &self.segment
+    }
+
+    /// The segment's own time now, s.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.clock.time
+    }
+
+    /// How it would come to rest if a stop were asked for now, in steps longer than a period: a step brakes as hard as all of it
+    /// bears, and so no harder than its periods would. Of a line only the tool counts.
+    #[must_use]
+    pub fn rest(&self, solver: &Solver) -> Rest {
+        let mut clock = Clock {
+            stopping: true,
+            ..self.clock
+        };
+        let braking = self.braking(&clock, self.period, solver);
+        let left = (self.segment.duration() - clock.time).max(0.0);
+        let step = (clock.rate / braking).min(left) / REST_STEPS;
+        let step = step.max(self.period);
+        let mut time = 0.0;
+        for _ in 0..MOST_REST_STEPS {
+            if clock.rate <= 0.0 || clock.time >= self.segment.duration() {
+                break;
+            }
+            let next = self.after(&clock, step, solver);
+            // The last step is shorter where it comes to rest within.
+            time += match next.rate > 0.0 {
+                true => step,
+                false => step.min(2.0 * (next.time - clock.time) / clock.rate),
+            };
+            clock = next;
+        }
+        let (end, still_going) = (self.segment.duration(), clock.rate > 0.0);
+        Rest {
+            time: time
+                + if still_going {
+                    (end - clock.time).max(0.0) / clock.rate
+                } else {
+                    0.0
+                },
+            at: if still_going {
+                end
+            } else {
+                clock.time.min(end)
+            },
+        }
+    }
+
+    /// The clock one `period` later, s.
+    fn after(&self, clock: &Clock, period: f64, solver: &Solver) -> Clock {
         if !clock.stopping {
             let periods = clock.periods + 1;
             return Clock {
@@ -126,7 +192,7 @@ impl Follower {
                 ..*clock
             };
         }
-        let braking = self.braking(clock, solver);
+        let braking = self.braking(clock, period, solver);
         if clock.rate <= braking * period {
             // It stands before the period is over.
             let way = match braking > 0.0 {
@@ -146,17 +212,17 @@ impl Follower {
         }
     }
 
-    /// How fast the rate may fall within the coming period, 1/s.
-    fn braking(&self, clock: &Clock, solver: &Solver) -> f64 {
+    /// How fast the rate may fall within the coming `period` (s), 1/s.
+    fn braking(&self, clock: &Clock, period: f64, solver: &Solver) -> f64 {
         // First with what gains speed left out of account, which gives the lowest rate at the end of the period.
-        let bold = self.bearable(clock, clock.rate, solver);
-        let slowest = (clock.rate - bold * self.period).max(0.0);
-        self.bearable(clock, slowest, solver)
+        let bold = self.bearable(clock, period, clock.rate, solver);
+        let slowest = (clock.rate - bold * period).max(0.0);
+        self.bearable(clock, period, slowest, solver)
     }
 
-    /// How fast the rate may fall within the coming period when it falls no lower than `slowest`.
-    fn bearable(&self, clock: &Clock, slowest: f64, solver: &Solver) -> f64 {
-        let until = clock.time + clock.rate * self.period;
+    /// How fast the rate may fall within the coming `period` (s) when it falls no lower than `slowest`.
+    fn bearable(&self, clock: &Clock, period: f64, slowest: f64, solver: &Solver) -> f64 {
+        let until = clock.time + clock.rate * period;
         let room = |ranges: &Ranges, limit: f64| {
             let (speed, acceleration) = (&ranges.velocity, &ranges.acceleration);
             let fastest = speed.most.max(-speed.least);
@@ -186,6 +252,9 @@ impl Follower {
             }
             Path::Line(line) => {
                 let tool = room(&line.progress.ranges(clock.time, until), line.braking);
+                if until > self.solved {
+                    return tool;
+                }
                 let middle = 0.5 * (clock.time + until);
                 joints.fold(tool, |least, (index, joint)| {
                     // Within a period the cubics hardly bend.

@@ -15,7 +15,7 @@ pub mod solver;
 pub mod timing;
 
 pub use course::Course;
-pub use follow::Follower;
+pub use follow::{Follower, Rest};
 pub use passage::Passage;
 pub use plan::{CartesianLimits, PlanError, Planner};
 pub use route::{Goal, Pace, PathKind, Route};
@@ -46,5 +46,15 @@ impl Setpoint {
             velocity: still,
             acceleration: still,
         }
+    }
+
+    /// The speed of a joint after `period` (s) more of its acceleration, where that speeds it up; rad/s or m/s.
+    #[must_use]
+    pub fn pace(&self, joint: usize, period: f64) -> f64 {
+        let (speed, more) = (self.velocity[joint], self.acceleration[joint] * period);
+        if speed * more < 0.0 {
+            return speed;
+        }
+        speed + more
     }
 }

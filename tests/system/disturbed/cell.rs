@@ -18,7 +18,9 @@ use ctos::{
 use futures_util::future::LocalBoxFuture;
 use mcs::{
     client::{EmergencyStop, Resume, Stop},
+    control::LawRegistry,
     driver::{ChannelDriver, DriverError, DriverRegistry, Power, SlotReading},
+    guard::GuardRegistry,
 };
 use serde::Deserialize;
 use vss::{
@@ -392,7 +394,8 @@ fn registry(seen: &Arc<Mutex<Seen>>, camera_lost_s: Option<f64>) -> Registry {
         Ok(source)
     });
     failing.keys(&["cell"]);
-    mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
+    let (laws, guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     let hand = registry.handler("test.hand", &[], |cx| Ok(Hand(cx.args()?)));

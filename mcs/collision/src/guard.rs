@@ -1,0 +1,220 @@
+//! The kind of guard `collision`: every tick looks at the arm against itself, the other arms of its chassis and the
+//! room, and stops it so early that it comes to rest before it touches anything.
+//!
+//! It counts with the braking that the servo would do now, which begins with the next tick, and with a neighbour's that
+//! begins a tick later still, because what a neighbour shows may be one tick old. A neighbour has to have the same guard:
+//! each arm stops itself. Between what is commanded and where the arm is lies the tracking error, for which the margin
+//! has room.
+
+use std::sync::Arc;
+
+use ctos::task::HandlerError;
+use mcs::guard::{Guard, GuardSettings, Neighbour, Seen, Shown, Words};
+use mcs::latest::Latest;
+use mcs::model::file::{AtText, ShapeText};
+use mcs::words;
+use serde::Deserialize;
+
+use crate::scene::{Looked, Near, Scene};
+
+/// Its name in configurations.
+pub const KIND: &str = "collision";
+
+/// Arguments of the guard.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Args {
+    /// The distance that is kept, m.
+    #[serde(default = "margin")]
+    margin: f64,
+    /// The other arms.
+    #[serde(default)]
+    others: Vec<Other>,
+    /// What stands in the room.
+    #[serde(default)]
+    room: Vec<Furniture>,
+}
+
+fn margin() -> f64 {
+    0.02
+}
+
+/// Another arm.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Other {
+    /// Its servo's task, on the same chassis.
+    servo: String,
+    /// Where its base frame stands in that of this arm.
+    #[serde(default)]
+    at: AtText,
+}
+
+/// Something of the room.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Furniture {
+    /// Its name, for messages.
+    name: String,
+    /// Its form in the base frame of this arm.
+    shapes: Vec<ShapeText>,
+}
+
+/// What the guard of a servo found, for tasks of its chassis.
+#[derive(Debug)]
+pub struct Findings {
+    /// The names of both solids of each pair.
+    pub names: Vec<[String; 2]>,
+    latest: Latest,
+}
+
+/// A finding as [`Findings::read`] hands it out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Found {
+    /// The pair that is nearest, by index in [`Findings::names`], and its distance, m.
+    pub nearest: Option<(usize, f64)>,
+    /// How often a motion was found to end in a collision.
+    pub stops: u64,
+    /// The pair of the latest such motion.
+    pub last: Option<usize>,
+}
+
+impl Findings {
+    /// Where the guard of a servo's task shares them.
+    #[must_use]
+    pub fn key(servo: &str) -> String {
+        format!("mcs.collision/{servo}")
+    }
+
+    fn write(&self, found: &Found) {
+        let index = |pair: Option<usize>| pair.map_or(-1.0, |pair| pair as f64);
+        let (pair, distance) = found.nearest.unzip();
+        let distance = distance.unwrap_or(f64::INFINITY);
+        let stops = found.stops as f64;
+        self.latest
+            .write([index(pair), distance, stops, index(found.last)]);
+    }
+
+    /// What the latest tick found.
+    #[must_use]
+    pub fn read(&self) -> Found {
+        let mut row = [-1.0; 4];
+        self.latest.read(&mut row);
+        let [pair, distance, stops, last] = row;
+        // All are small whole numbers.
+        let index = |number: f64| (number >= 0.0).then_some(number as usize);
+        Found {
+            nearest: index(pair).map(|pair| (pair, distance)),
+            stops: stops as u64,
+            last: index(last),
+        }
+    }
+}
+
+/// The guard.
+pub struct Collision {
+    scene: Scene,
+    margin: f64,
+    others: Vec<Neighbour>,
+    findings: Arc<Findings>,
+    found: Found,
+}
+
+/// Makes the guard from the recipe's arguments.
+///
+/// # Errors
+/// What is wrong with them.
+pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerError> {
+    let args: Args = settings.args.parse()?;
+    if !(0.0..=1.0).contains(&args.margin) {
+        return Err(format!("`margin` is 0 to 1 m, not {}", args.margin).into());
+    }
+    if settings.model.shapes().is_empty() {
+        let name = settings.model.name();
+        return Err(
+            format!("nothing is said of the form of `{name}`: its model has no shapes").into(),
+        );
+    }
+    let mut others = Vec::new();
+    for other in &args.others {
+        if other.servo == settings.servo {
+            return Err(format!("`{}` is this arm itself", other.servo).into());
+        }
+        others.push((
+            settings.around.neighbour(&other.servo)?,
+            other.at.placement(),
+        ));
+    }
+    let mut room = Vec::new();
+    for piece in args.room {
+        for shape in &piece.shapes {
+            let solid = shape
+                .solid()
+                .map_err(|what| format!("`{}`: {what}", piece.name))?;
+            room.push((piece.name.clone(), solid));
+        }
+    }
+    let own = (
+        Arc::clone(settings.model),
+        mcs::model::Placement::identity(),
+    );
+    let arms = others.iter().map(|(arm, at)| (Arc::clone(&arm.model), *at));
+    let scene = Scene::new(std::iter::once(own).chain(arms), room, args.margin);
+    let findings = Arc::new(Findings {
+        names: scene.names(),
+        latest: Latest::new(&[-1.0, f64::INFINITY, 0.0, -1.0]),
+    });
+    if let Some(cx) = settings.cx {
+        cx.share(&Findings::key(settings.servo), Arc::clone(&findings));
+    }
+    Ok(Box::new(Collision {
+        scene,
+        margin: args.margin,
+        others: others.into_iter().map(|(arm, _)| arm).collect(),
+        findings,
+        found: Found {
+            nearest: None,
+            stops: 0,
+            last: None,
+        },
+    }))
+}
+
+impl Collision {
+    fn told(&self, near: &Near) -> Words {
+        let [one, other] = match self.findings.names.get(near.pair) {
+            Some([one, other]) => [one.as_str(), other.as_str()],
+            None => ["?"; 2],
+        };
+        let (now, margin) = (near.now, self.margin);
+        words!("{one} and {other} are {now:.3} m apart and would come nearer than {margin:.3} m")
+    }
+}
+
+impl Guard for Collision {
+    fn check(&mut self, seen: &Seen<'_>) -> Option<Words> {
+        let pace = |joint: usize| seen.setpoint.pace(joint, seen.period);
+        let own = Shown {
+            ticks: 0,
+            position: seen.setpoint.position,
+            velocity: mcs::Joints::from_fn(seen.setpoint.position.len(), pace),
+            stopping: seen.stopping,
+        };
+        self.scene.see(0, &own, seen.period);
+        for (other, arm) in self.others.iter().zip(1..) {
+            let shown = other.read();
+            if shown.ticks == 0 {
+                return Some("where the other arm is is not known: its servo has not begun".into());
+            }
+            self.scene.see(arm, &shown, 2.0 * seen.period);
+        }
+        let Looked { nearest, touches } = self.scene.look();
+        self.found.nearest = nearest.map(|near| (near.pair, near.now));
+        if let Some(near) = touches {
+            self.found.stops += 1;
+            self.found.last = Some(near.pair);
+        }
+        self.findings.write(&self.found);
+        touches.map(|near| self.told(&near))
+    }
+}

@@ -1,0 +1,126 @@
+use mcs::model::{built_in, file::Inertias};
+use nalgebra::Vector3;
+
+use super::*;
+
+fn model(name: &str) -> Arc<Model> {
+    Arc::new(built_in::model(name, Inertias::Engine).unwrap().unwrap())
+}
+
+fn alone(name: &str, room: Vec<(String, Solid)>) -> Scene {
+    Scene::new([(model(name), Placement::identity())], room, 0.02)
+}
+
+fn at_rest(position: &[f64]) -> Shown {
+    let position = Joints::try_from(position).unwrap();
+    Shown {
+        ticks: 1,
+        velocity: Joints::zeros(position.len()),
+        position,
+        stopping: Stopping::default(),
+    }
+}
+
+#[test]
+fn links_that_follow_one_another_and_those_that_always_touch_are_no_pair() {
+    let scene = alone("puma560", Vec::new());
+    let names = scene.names();
+    let has = |one: &str, other: &str| {
+        let pair = [one.to_owned(), other.to_owned()];
+        names.contains(&pair) || names.contains(&[pair[1].clone(), pair[0].clone()])
+    };
+    for (one, other) in [
+        ("base", "link2"),
+        ("base", "link3"),
+        ("base", "link6"),
+        ("link1", "link4"),
+        ("link2", "link6"),
+    ] {
+        assert!(has(one, other), "{one} {other} {names:?}");
+    }
+    // Neighbours; and at the wrist's centre three links meet.
+    for (one, other) in [
+        ("base", "link1"),
+        ("link1", "link2"),
+        ("link2", "link3"),
+        ("link3", "link4"),
+        ("link4", "link6"),
+    ] {
+        assert!(!has(one, other), "{one} {other}");
+    }
+    let both = alone("testbed18", Vec::new()).names();
+    assert!(
+        both.iter()
+            .any(|[one, other]| one == "left_arm.link6" && other == "right_arm.link6")
+    );
+}
+
+/// A ball that stands still before an arm that turns about its first joint.
+fn before_a_ball(speed: f64, angle: f64) -> Looked {
+    let ball = Solid::sphere(
+        Vector3::new(0.8 * angle.cos(), 0.8 * angle.sin(), 0.67),
+        0.05,
+    );
+    let mut scene = alone("puma560", vec![("ball".to_owned(), ball)]);
+    // Stretched out, at the height of the ball.
+    let mut shown = at_rest(&[0.0, 0.0, -1.5707963267948966, 0.0, 0.0, 0.0]);
+    shown.velocity[0] = speed;
+    shown.stopping = Stopping {
+        time: 0.2,
+        lead: 0.1,
+    };
+    scene.see(0, &shown, 0.0045);
+    scene.look()
+}
+
+#[test]
+fn a_ball_that_would_be_met_before_rest_is_found_and_one_behind_or_farther_away_is_not() {
+    assert!(before_a_ball(0.0, 0.1).touches.is_none());
+    // It would come to rest 0.2 rad from here; the ball is 0.13 m away.
+    let near = before_a_ball(1.9, 0.1).touches.unwrap();
+    assert!(near.now > 0.1 && near.least <= 0.02, "{near:?}");
+    assert!(before_a_ball(-1.9, 0.1).touches.is_none());
+    assert!(before_a_ball(1.9, 0.3).touches.is_none());
+    assert!(before_a_ball(0.5, 0.1).touches.is_none());
+}
+
+#[test]
+fn what_is_nearer_than_the_margin_may_move_away_and_no_nearer() {
+    let angles = (0..400).map(|step| 0.2 - 0.001 * f64::from(step));
+    let near = |angle: &f64| before_a_ball(0.0, *angle).nearest.unwrap().now < 0.01;
+    let angle = angles.into_iter().find(near).unwrap();
+    assert!(before_a_ball(0.0, angle).touches.is_none());
+    assert!(before_a_ball(-0.3, angle).touches.is_none());
+    assert!(before_a_ball(0.001, angle).touches.is_some());
+}
+
+#[test]
+fn no_solid_moves_more_than_its_levers_say() {
+    let model = model("testbed9");
+    let mut arm = Arm::new(Arc::clone(&model), Placement::shifted(0.3, -0.2, 0.1));
+    for sample in 0..200 {
+        let q = spread(&model, sample);
+        let to = spread(&model, sample + 1000);
+        let by = Joints::from_fn(9, |joint| (to[joint] - q[joint]) * 0.1);
+        arm.see(
+            &q,
+            |joint| by[joint],
+            Stopping {
+                time: 2.0,
+                lead: 1.0,
+            },
+            0.0,
+        );
+        arm.until(2.0);
+        let (first, last) = (arm.at(0).to_vec(), arm.at(PIECES).to_vec());
+        for (part, (first, last)) in arm.parts.iter().zip(first.iter().zip(&last)) {
+            let most: f64 = part
+                .levers
+                .iter()
+                .map(|(joint, lever)| by[*joint].abs() * lever)
+                .sum();
+            let way = (first.ball().0 - last.ball().0).norm();
+            assert!(way <= most + 1e-12, "{} {way} {most}", part.name);
+        }
+    }
+}

@@ -1,0 +1,211 @@
+//! Guards: what watches a motion and ends it when something is seen that must not be (SORMA technical report, 2.1.3).
+//!
+//! A [`Guard`] is a synchronous function: the servo asks it in every tick of a motion, after the setpoint of the tick is
+//! known and before it is commanded. What happens then is the recipe's [`Reaction`]. Recipes have names; some hold for
+//! every motion, others for those that name them. A guard of one's own is one file with one type and one name in a
+//! [`GuardRegistry`]. Knows the arm's model, and no task, planner or hardware.
+
+pub mod force;
+pub(crate) mod rack;
+mod registry;
+pub mod speed;
+mod words;
+pub mod workspace;
+
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::driver::SlotReading;
+use crate::joints::Joints;
+use crate::latest::Latest;
+use crate::model::{Data, Joint, JointKind, Model, Placement};
+use crate::trajectory::Setpoint;
+pub use rack::{GuardSet, MAX_GUARDS, Mounted};
+pub use registry::{Around, GuardRegistry, GuardSettings};
+pub use words::Words;
+
+/// A watchdog of motions. Called once per servo period while a motion is under way; must neither allocate, lock nor
+/// wait.
+pub trait Guard: Send {
+    /// A motion begins: called once before its first [`Self::check`], with what that sees. Whoever compares with the
+    /// past forgets it here.
+    fn begin(&mut self, seen: &Seen<'_>) {
+        let _ = seen;
+    }
+
+    /// What must not be, in words with the numbers that were measured (see [`words!`](crate::words)); `None` when all
+    /// is well. A motion out of what is forbidden must be allowed, and one further into it must not: compare where the
+    /// arm would come to rest with where it is.
+    fn check(&mut self, seen: &Seen<'_>) -> Option<Words>;
+}
+
+/// What happens when a guard finds something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Reaction {
+    /// The arm brakes along its path to rest. The next motion may begin at once.
+    #[default]
+    Stop,
+    /// As [`Self::Stop`]; then the arm goes back to where it was when all was still well.
+    Retreat,
+    /// The motion goes on; it is told, once in a motion.
+    Report,
+}
+
+/// How the arm would come to rest if it braked along its path from the next tick on.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Stopping {
+    /// Time until rest, s.
+    pub time: f64,
+    /// Travel until rest from there: so many seconds at the speed of that tick ([`Setpoint::pace`]). Half the time where
+    /// the deceleration is even.
+    pub lead: f64,
+}
+
+impl Stopping {
+    /// The share of all the travel that is behind at `t` (s) from now, when the braking begins after `late` (s) more at
+    /// the present speed.
+    #[must_use]
+    pub fn share(&self, t: f64, late: f64) -> f64 {
+        let whole = self.lead + late;
+        if whole <= 0.0 {
+            return 1.0;
+        }
+        if t <= late {
+            return t.max(0.0) / whole;
+        }
+        let left = (1.0 - (t - late) / self.time).max(0.0);
+        match self.time > 0.0 {
+            true => (late + self.lead * (1.0 - left * left)) / whole,
+            false => 1.0,
+        }
+    }
+}
+
+/// What a guard sees in a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'a> {
+    /// The arm; its tip is the tool.
+    pub model: &'a Model,
+    /// Where the arm is at the setpoint: see [`Data::carrier`].
+    pub data: &'a Data,
+    /// `base_T_tool` at the setpoint.
+    pub tool: Placement,
+    /// `base_T_tool` where the arm would come to rest if it braked from the next tick on. Exact where it follows a
+    /// straight line of the tool, or of the joints.
+    pub tool_at_rest: Placement,
+    /// What the arm is to do in this tick.
+    pub setpoint: &'a Setpoint,
+    /// What was read from the slots in this tick.
+    pub readings: &'a [SlotReading],
+    /// How the arm would come to rest.
+    pub stopping: Stopping,
+    /// Force (N) and torque (N m) on the tool in the sensor's frame; `None` where there is no sensor.
+    pub force: Option<[f64; 6]>,
+    /// Servo period, s.
+    pub period: f64,
+}
+
+impl Seen<'_> {
+    /// Speed of the tool at joint speeds `qd` (rad/s or m/s): of its origin, m/s, and its turning, rad/s, base frame.
+    #[must_use]
+    pub fn tool_velocity(&self, qd: impl Fn(usize) -> f64) -> (Vector3<f64>, Vector3<f64>) {
+        let point = self.tool.origin;
+        let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
+        let joints = self.model.joints();
+        let carriers = std::iter::successors(self.model.at(self.model.tip()).carrier, |joint| {
+            joints.get(*joint).and_then(|joint: &Joint| joint.parent)
+        });
+        for index in carriers {
+            let at = self.data.carrier(Some(index));
+            let axis = at.rotation.column(2) * qd(index);
+            match joints.get(index).map(|joint| joint.kind) {
+                Some(JointKind::Revolute) => {
+                    linear += axis.cross(&(point - at.origin));
+                    angular += axis;
+                }
+                _ => linear += axis,
+            }
+        }
+        (linear, angular)
+    }
+}
+
+/// What a guard found in a motion, and what was done.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct GuardReport {
+    /// The number of the motion.
+    pub motion: u64,
+    /// The recipe's name.
+    pub guard: Words,
+    /// What it measured.
+    pub measured: Words,
+    /// What is done.
+    pub reaction: Reaction,
+    /// The last setpoint with which all was well, rad or m.
+    pub allowed: Joints,
+}
+
+/// Another arm of the same chassis, as its servo shows it in every tick.
+#[derive(Debug, Clone)]
+pub struct Neighbour {
+    /// Its joints and its form, in its own base frame.
+    pub model: Arc<Model>,
+    latest: Arc<Latest>,
+}
+
+/// What a neighbour shows.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Shown {
+    /// Ticks of its servo.
+    pub ticks: u64,
+    /// Its setpoint: positions, rad or m,
+    pub position: Joints,
+    /// and speeds in the next tick, rad/s or m/s.
+    pub velocity: Joints,
+    /// How it would come to rest.
+    pub stopping: Stopping,
+}
+
+impl Neighbour {
+    /// One that nobody moves yet: all zeros.
+    #[must_use]
+    pub fn new(model: Arc<Model>) -> Self {
+        let row = vec![0.0; 2 + 2 * model.dof()];
+        Self {
+            model,
+            latest: Arc::new(Latest::new(&row)),
+        }
+    }
+
+    /// Shows what one tick left; the servo of the arm alone does it. Neither waits nor allocates.
+    pub(crate) fn show(&self, setpoint: &Setpoint, stopping: Stopping, period: f64) {
+        let row = [stopping.time, stopping.lead].into_iter();
+        let speeds = (0..setpoint.position.len()).map(|joint| setpoint.pace(joint, period));
+        let joints = setpoint.position.iter().copied().chain(speeds);
+        self.latest.write(row.chain(joints));
+    }
+
+    /// What its servo showed last. Takes no lock and does not allocate.
+    #[must_use]
+    pub fn read(&self) -> Shown {
+        let n = self.model.dof();
+        let mut row = [0.0; 2 + 2 * crate::MAX_SLOTS];
+        let row = &mut row[..2 + 2 * n.min(crate::MAX_SLOTS)];
+        let ticks = self.latest.read(row);
+        Shown {
+            ticks,
+            position: Joints::from_fn(n, |index| row[2 + index]),
+            velocity: Joints::from_fn(n, |index| row[2 + n + index]),
+            stopping: Stopping {
+                time: row[0],
+                lead: row[1],
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,221 @@
+//! The guards of one servo: who is asked in a tick, and how guards get in and out of it without the tick's allocating.
+
+use std::fmt;
+use std::sync::Arc;
+
+use crossbeam_queue::ArrayQueue;
+
+use super::{Guard, GuardReport, Reaction, Seen, Stopping, Words};
+use crate::driver::SlotReading;
+use crate::joints::Joints;
+use crate::model::{Data, Model, Placement};
+use crate::trajectory::Setpoint;
+
+/// No servo has more guards than this.
+pub const MAX_GUARDS: usize = 32;
+/// Changes that may wait for the next tick.
+const CHANGES: usize = MAX_GUARDS;
+
+/// Some of the guards of a servo, by slot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct GuardSet(u32);
+
+impl GuardSet {
+    /// The guard in `slot`, below [`MAX_GUARDS`], and those of `self`.
+    #[must_use]
+    pub fn with(self, slot: usize) -> Self {
+        Self(self.0 | 1_u32.checked_shl(slot as u32).unwrap_or_default())
+    }
+
+    fn has(self, slot: usize) -> bool {
+        self.0.checked_shr(slot as u32).unwrap_or_default() & 1 == 1
+    }
+}
+
+/// A guard with its recipe's name and what happens when it finds something.
+pub struct Mounted {
+    name: Words,
+    reaction: Reaction,
+    always: bool,
+    guard: Box<dyn Guard>,
+    /// It knows of the motion that is under way.
+    begun: bool,
+    /// It has found something in this motion.
+    told: bool,
+}
+
+impl Mounted {
+    /// A guard; `always` says whether it watches motions that do not name it.
+    #[must_use]
+    pub fn new(name: &str, reaction: Reaction, always: bool, guard: Box<dyn Guard>) -> Self {
+        Self {
+            name: name.into(),
+            reaction,
+            always,
+            guard,
+            begun: false,
+            told: false,
+        }
+    }
+}
+
+impl fmt::Debug for Mounted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "guard {}", self.name)
+    }
+}
+
+/// What is to stand in a slot from the next tick on.
+type Change = (usize, Option<Mounted>);
+
+/// The way in and out.
+#[derive(Debug, Clone)]
+pub(crate) struct RackPort {
+    incoming: Arc<ArrayQueue<Change>>,
+    /// What was in the way: dropped by whoever mounts the next one, as the tick must not.
+    outgoing: Arc<ArrayQueue<Mounted>>,
+}
+
+impl RackPort {
+    /// Puts a guard into a slot, or takes one out; whether there was room for the order.
+    pub fn mount(&self, slot: usize, guard: Option<Mounted>) -> bool {
+        // A change puts out one guard at most, and no more changes wait than there is room for what they put out.
+        while self.outgoing.pop().is_some() {}
+        slot < MAX_GUARDS && self.incoming.push((slot, guard)).is_ok()
+    }
+}
+
+/// What the servo knows in a tick.
+pub(crate) struct Now<'a> {
+    pub motion: u64,
+    pub setpoint: &'a Setpoint,
+    pub readings: &'a [SlotReading],
+    pub stopping: Stopping,
+    /// Where that is known better than from the speeds of the joints.
+    pub tool_at_rest: Option<Placement>,
+    pub force: Option<[f64; 6]>,
+    pub period: f64,
+}
+
+/// The guards of one servo.
+pub(crate) struct Rack {
+    model: Arc<Model>,
+    /// At the setpoint, and at rest.
+    data: [Data; 2],
+    slots: [Option<Mounted>; MAX_GUARDS],
+    /// Those that motions ordered from now on name,
+    named: GuardSet,
+    /// and those that the motion under way does.
+    holding: GuardSet,
+    allowed: Joints,
+    port: RackPort,
+}
+
+impl Rack {
+    pub fn new(model: Arc<Model>) -> Self {
+        let queue = |room| ArrayQueue::new(room);
+        Self {
+            data: [model.data(), model.data()],
+            slots: [const { None }; MAX_GUARDS],
+            named: GuardSet::default(),
+            holding: GuardSet::default(),
+            allowed: Joints::zeros(model.dof()),
+            port: RackPort {
+                incoming: Arc::new(queue(CHANGES)),
+                outgoing: Arc::new(ArrayQueue::new(2 * CHANGES)),
+            },
+            model,
+        }
+    }
+
+    pub fn port(&self) -> RackPort {
+        self.port.clone()
+    }
+
+    /// Takes the changes that wait.
+    pub fn take_in(&mut self) {
+        while let Some((slot, guard)) = self.port.incoming.pop() {
+            let Some(place) = self.slots.get_mut(slot) else {
+                continue;
+            };
+            if let Some(old) = std::mem::replace(place, guard) {
+                // There is room: see `RackPort::mount`.
+                let _ = self.port.outgoing.push(old);
+            }
+        }
+    }
+
+    /// Motions ordered from now on name these, besides those that always hold. One that is under way keeps its own.
+    pub fn name(&mut self, guards: GuardSet) {
+        self.named = guards;
+    }
+
+    /// A motion begins at `start`.
+    pub fn begin(&mut self, start: &Joints) {
+        self.allowed = *start;
+        self.holding = self.named;
+        for mounted in self.slots.iter_mut().flatten() {
+            mounted.begun = false;
+            mounted.told = false;
+        }
+    }
+
+    /// What a guard has found in this tick; of several the first one that ends the motion.
+    pub fn check(&mut self, now: &Now<'_>) -> Option<GuardReport> {
+        let holding = self.holding;
+        let asked = |(slot, mounted): &(usize, &mut Mounted)| {
+            (mounted.always || holding.has(*slot)) && !mounted.told
+        };
+        let all = self.slots.iter_mut().enumerate();
+        let mut all = all
+            .filter_map(|(slot, place)| Some((slot, place.as_mut()?)))
+            .filter(asked)
+            .peekable();
+        if all.peek().is_none() {
+            self.allowed = now.setpoint.position;
+            return None;
+        }
+        let [data, rest] = &mut self.data;
+        let tip = self.model.tip();
+        let late = now.stopping.lead + now.period;
+        let at_rest = Joints::from_fn(now.setpoint.position.len(), |index| {
+            now.setpoint.position[index] + now.setpoint.pace(index, now.period) * late
+        });
+        let seen = Seen {
+            model: &self.model,
+            tool: self.model.placement(data, &now.setpoint.position, tip),
+            tool_at_rest: match now.tool_at_rest {
+                Some(there) => there,
+                None => self.model.placement(rest, &at_rest, tip),
+            },
+            data,
+            setpoint: now.setpoint,
+            readings: now.readings,
+            stopping: now.stopping,
+            force: now.force,
+            period: now.period,
+        };
+        let mut found = None;
+        for (_, mounted) in all {
+            if !std::mem::replace(&mut mounted.begun, true) {
+                mounted.guard.begin(&seen);
+            }
+            let Some(measured) = mounted.guard.check(&seen) else {
+                continue;
+            };
+            mounted.told = true;
+            found = Some(GuardReport {
+                motion: now.motion,
+                guard: mounted.name,
+                measured,
+                reaction: mounted.reaction,
+                allowed: self.allowed,
+            });
+            if mounted.reaction != Reaction::Report {
+                return found;
+            }
+        }
+        self.allowed = now.setpoint.position;
+        found
+    }
+}

@@ -1,0 +1,314 @@
+//! Guards in the servo, on an arm that obeys the equations of motion.
+
+use nalgebra::{Translation3, Vector3};
+
+use super::*;
+use crate::control::PidGravity;
+use crate::driver::test_arm::{Knobs, START, TestArm, built_in_arm};
+use crate::guard::workspace::{Region, Workspace};
+use crate::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort, ServoStatus};
+use crate::trajectory::{CartesianLimits, Planner, Segment};
+
+struct Rig {
+    servo: Servo,
+    port: ServoPort,
+    planner: Planner,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let model = Arc::new(built_in_arm("puma560"));
+        let arm = TestArm::new(
+            built_in_arm("puma560"),
+            &START,
+            false,
+            &Arc::new(Knobs::default()),
+        );
+        let law = Box::new(PidGravity::new(Arc::clone(&model), 8.0, 1.0));
+        let config = ServoConfig::default();
+        let (servo, port) = Servo::new(Arc::clone(&model), Box::new(arm), law, config).unwrap();
+        let planner = Planner::new(model, CartesianLimits::default(), 0.018).unwrap();
+        let mut rig = Self {
+            servo,
+            port,
+            planner,
+        };
+        for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
+            rig.port.order(command).unwrap();
+            rig.servo.tick(0);
+        }
+        rig
+    }
+
+    fn mount(
+        &self,
+        slot: usize,
+        name: &str,
+        reaction: Reaction,
+        always: bool,
+        guard: impl Guard + 'static,
+    ) {
+        let mounted = Mounted::new(name, reaction, always, Box::new(guard));
+        self.port.mount(slot, Some(mounted)).unwrap();
+    }
+
+    fn tool(&mut self) -> Vector3<f64> {
+        let status = self.port.status();
+        self.planner.tool_pose(&status.setpoint).translation.vector
+    }
+
+    /// A line by so much, m.
+    fn line(&mut self, by: [f64; 3]) -> Segment {
+        let start = self.port.status().setpoint;
+        let [x, y, z] = by;
+        let goal = Translation3::new(x, y, z) * self.planner.tool_pose(&start);
+        self.planner.line(&start, &goal, 0.8).unwrap()
+    }
+
+    /// Moves to the end, and hands back the status and the deepest z that the tool came to.
+    fn go(&mut self, segment: Segment) -> (ServoStatus, f64) {
+        let id = self.port.status().motion.id + 1;
+        self.port.order(ServoCommand::Move { id, segment }).unwrap();
+        let mut lowest = f64::INFINITY;
+        for _ in 0..5000 {
+            self.servo.tick(0);
+            lowest = lowest.min(self.tool().z);
+            let status = self.port.status();
+            if status.motion.id == id && status.motion.phase.is_over() {
+                return (status, lowest);
+            }
+        }
+        panic!("the motion never ended");
+    }
+}
+
+/// All below a height, m.
+fn table(height: f64) -> Workspace {
+    let (low, high) = ([-2.0; 3], [2.0, 2.0, height]);
+    Workspace {
+        keep_out: vec![Region { low, high }],
+        ..Workspace::default()
+    }
+}
+
+#[test]
+fn a_motion_into_a_keep_out_box_ends_above_it_and_only_ways_out_are_left() {
+    let mut rig = Rig::new();
+    let height = rig.tool().z - 0.1;
+    rig.mount(3, "table", Reaction::Stop, true, table(height));
+    let down = rig.line([0.0, 0.05, -0.25]);
+    let (status, lowest) = rig.go(down);
+    assert_eq!(status.motion.phase, MotionPhase::Stopped);
+    assert!(status.fault.is_none() && !status.stopped);
+    let found = status.ended_by_guard(1).unwrap();
+    assert_eq!(found.guard.as_str(), "table");
+    assert!(
+        found
+            .measured
+            .as_str()
+            .contains("would come into keep-out box 1"),
+        "{found:?}"
+    );
+    assert!(lowest > height, "{lowest} {height}");
+    // It came to rest no farther from the box than it moves in two ticks.
+    assert!(lowest < height + 0.005, "{lowest} {height}");
+    for _ in 0..5 {
+        let down = rig.line([0.0, 0.0, -0.05]);
+        let (status, deeper) = rig.go(down);
+        assert_eq!(status.motion.phase, MotionPhase::Stopped);
+        assert!(status.ended_by_guard(status.motion.id).is_some());
+        assert!(deeper > height, "{deeper} {height}");
+    }
+    let up = rig.line([0.0, 0.0, 0.05]);
+    let (status, _) = rig.go(up);
+    assert_eq!(status.motion.phase, MotionPhase::Done, "{:?}", status.guard);
+}
+
+#[test]
+fn out_of_a_keep_out_box_that_was_put_about_the_tool_it_may_move_and_no_deeper() {
+    let mut rig = Rig::new();
+    let height = rig.tool().z + 0.02;
+    rig.mount(0, "table", Reaction::Stop, true, table(height));
+    let start = rig.tool().z;
+    let down = rig.line([0.0, 0.0, -0.1]);
+    let (status, lowest) = rig.go(down);
+    assert_eq!(status.motion.phase, MotionPhase::Stopped);
+    assert!(start - lowest < 1e-6, "{start} {lowest}");
+    let up = rig.line([0.0, 0.0, 0.06]);
+    assert_eq!(rig.go(up).0.motion.phase, MotionPhase::Done);
+    let down = rig.line([0.0, 0.0, -0.1]);
+    assert!(rig.go(down).1 > height);
+}
+
+#[test]
+fn a_guard_that_does_not_always_watch_does_so_for_the_motions_that_name_it() {
+    let mut rig = Rig::new();
+    let height = rig.tool().z - 0.02;
+    rig.mount(5, "table", Reaction::Stop, false, table(height));
+    let down = rig.line([0.0, 0.0, -0.05]);
+    let (status, lowest) = rig.go(down);
+    assert_eq!(status.motion.phase, MotionPhase::Done);
+    assert!(lowest < height);
+    let up = rig.line([0.0, 0.0, 0.05]);
+    rig.go(up);
+    let guards = GuardSet::default().with(5);
+    rig.port.order(ServoCommand::Name { guards }).unwrap();
+    let down = rig.line([0.0, 0.0, -0.05]);
+    let (status, lowest) = rig.go(down);
+    assert_eq!(status.motion.phase, MotionPhase::Stopped);
+    assert!(lowest > height);
+}
+
+#[test]
+fn a_guard_that_is_changed_in_the_middle_of_a_motion_watches_it_as_it_is_then() {
+    let mut rig = Rig::new();
+    let start = rig.tool().z;
+    rig.mount(0, "table", Reaction::Stop, true, table(start - 1.0));
+    let segment = rig.line([0.0, 0.0, -0.25]);
+    rig.port
+        .order(ServoCommand::Move { id: 1, segment })
+        .unwrap();
+    for _ in 0..20 {
+        rig.servo.tick(0);
+    }
+    assert_eq!(rig.port.status().motion.phase, MotionPhase::Moving);
+    rig.mount(0, "table", Reaction::Stop, true, table(start - 0.15));
+    while !rig.port.status().motion.phase.is_over() {
+        rig.servo.tick(0);
+    }
+    assert!(rig.port.status().ended_by_guard(1).is_some());
+    assert!(rig.tool().z > start - 0.15);
+    rig.port.mount(0, None).unwrap();
+    let down = rig.line([0.0, 0.0, -0.1]);
+    assert_eq!(rig.go(down).0.motion.phase, MotionPhase::Done);
+}
+
+#[test]
+fn a_guard_that_only_reports_tells_once_and_the_motion_goes_on() {
+    let mut rig = Rig::new();
+    let height = rig.tool().z - 0.02;
+    rig.mount(0, "table", Reaction::Report, true, table(height));
+    let down = rig.line([0.0, 0.0, -0.05]);
+    let (status, _) = rig.go(down);
+    assert_eq!(status.motion.phase, MotionPhase::Done);
+    assert_eq!(status.ended_by_guard(1), None);
+    assert_eq!(status.guard.unwrap().guard.as_str(), "table");
+}
+
+/// Looks how well the way to rest is foretold, and stops the arm at once.
+struct Foretold(Arc<std::sync::Mutex<Option<Vector3<f64>>>>, u32);
+
+impl Guard for Foretold {
+    fn check(&mut self, seen: &Seen<'_>) -> Option<Words> {
+        self.1 += 1;
+        if self.1 == 40 {
+            *self.0.lock().unwrap() = Some(seen.tool_at_rest.origin);
+        }
+        // The braking begins with the next tick's setpoint.
+        (self.1 > 40).then(|| "enough".into())
+    }
+}
+
+#[test]
+fn where_a_motion_comes_to_rest_is_foretold_within_a_hundredth_of_its_way() {
+    for speed in [0.3, 1.0] {
+        let mut rig = Rig::new();
+        let rest = Arc::default();
+        rig.mount(
+            0,
+            "enough",
+            Reaction::Stop,
+            true,
+            Foretold(Arc::clone(&rest), 0),
+        );
+        let start = rig.port.status().setpoint;
+        let goal = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1].into();
+        let segment = rig.planner.joint(&start, &goal, speed).unwrap();
+        rig.port
+            .order(ServoCommand::Move { id: 1, segment })
+            .unwrap();
+        let mut from = rig.tool();
+        rig.servo.tick(0);
+        while !rig.port.status().motion.phase.is_over() {
+            if rest.lock().unwrap().is_none() {
+                rig.servo.tick(0);
+                from = rig.tool();
+                continue;
+            }
+            rig.servo.tick(0);
+        }
+        let (found, foretold) = (rig.tool(), rest.lock().unwrap().unwrap());
+        let way = (found - from).norm();
+        assert!(way > 0.01, "{way}");
+        assert!(
+            (found - foretold).norm() < 0.01 * way,
+            "{found} {foretold} {way}"
+        );
+    }
+}
+
+#[test]
+fn a_tool_that_moves_more_quickly_than_allowed_is_stopped_and_told_with_its_speed() {
+    let mut rig = Rig::new();
+    let guard = speed::Speed {
+        tool: Some(0.1),
+        ..speed::Speed::default()
+    };
+    rig.mount(0, "slow", Reaction::Stop, true, guard);
+    let segment = rig.line([0.0, 0.2, 0.0]);
+    let (status, _) = rig.go(segment);
+    let found = status.ended_by_guard(1).unwrap();
+    let text = found.measured.as_str();
+    assert!(
+        text.starts_with("the tool moves at 0.10") && text.ends_with("the limit is 0.100 m/s"),
+        "{text}"
+    );
+    let start = rig.port.status().setpoint;
+    let goal = Translation3::new(0.0, 0.05, 0.0) * rig.planner.tool_pose(&start);
+    let slowly = rig.planner.line(&start, &goal, 0.05).unwrap();
+    assert_eq!(rig.go(slowly).0.motion.phase, MotionPhase::Done);
+}
+
+#[test]
+fn the_speed_of_the_tool_is_that_of_the_jacobian() {
+    let model = built_in_arm("testbed9");
+    let q = [0.3, -0.4, 0.2, 0.5, 0.8, -1.2, 0.4, 0.9, -0.6];
+    let qd = [0.2, 0.1, -0.3, 0.5, -0.6, 0.2, 0.9, -0.1, 0.4];
+    let mut data = model.data();
+    let wanted =
+        model.jacobian(&mut data, &q, model.tip()) * nalgebra::DVector::from_row_slice(&qd);
+    let tool = model.placement(&mut data, &q, model.tip());
+    let seen = Seen {
+        model: &model,
+        data: &data,
+        tool,
+        tool_at_rest: tool,
+        setpoint: &Setpoint::at_rest(q.into()),
+        readings: &[],
+        stopping: Stopping::default(),
+        force: None,
+        period: 0.0045,
+    };
+    let (linear, angular) = seen.tool_velocity(|index| qd[index]);
+    for axis in 0..3 {
+        assert!((linear[axis] - wanted[axis]).abs() < 1e-12);
+        assert!((angular[axis] - wanted[3 + axis]).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn the_share_of_the_travel_runs_evenly_and_then_ever_more_slowly_to_all_of_it() {
+    let stopping = Stopping {
+        time: 0.2,
+        lead: 0.1,
+    };
+    let late = 0.01;
+    assert_eq!(stopping.share(0.0, late), 0.0);
+    assert_eq!(stopping.share(0.21, late), 1.0);
+    assert_eq!(stopping.share(9.0, late), 1.0);
+    assert_eq!(Stopping::default().share(0.0, 0.0), 1.0);
+    let way = |t: f64| stopping.share(t, late) * (stopping.lead + late);
+    assert!((way(0.005) - 0.005).abs() < 1e-12);
+    // At speed v for 10 ms, then v t - v t^2 / 2T.
+    assert!((way(0.11) - (0.01 + 0.1 - 0.1 * 0.1 / 0.4)).abs() < 1e-12);
+}
