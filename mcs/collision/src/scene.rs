@@ -18,7 +18,7 @@ const PIECES: usize = 32;
 /// Positions at which pairs are looked at when a scene is made.
 const SAMPLES: u32 = 256;
 /// The room for a joint without limits on either side, rad or m.
-const UNLIMITED: f64 = 3.1416;
+const UNLIMITED: f64 = std::f64::consts::PI;
 /// Nearer than before by less than this, m, is rounding.
 const ROUNDING: f64 = 1e-7;
 

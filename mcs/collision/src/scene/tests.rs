@@ -63,7 +63,7 @@ fn before_a_ball(speed: f64, angle: f64) -> Looked {
     );
     let mut scene = alone("puma560", vec![("ball".to_owned(), ball)]);
     // Stretched out, at the height of the ball.
-    let mut shown = at_rest(&[0.0, 0.0, -1.5707963267948966, 0.0, 0.0, 0.0]);
+    let mut shown = at_rest(&[0.0, 0.0, -std::f64::consts::FRAC_PI_2, 0.0, 0.0, 0.0]);
     shown.velocity[0] = speed;
     shown.stopping = Stopping {
         time: 0.2,
