@@ -17,7 +17,9 @@ pub fn registry() -> Registry {
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
-    mcs::register(&mut registry, drivers, mcs::control::LawRegistry::new());
+    let mut laws = mcs::control::LawRegistry::new();
+    mcs_hand::register(&mut registry, &mut laws);
+    mcs::register(&mut registry, drivers, laws);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     cli_display::register(&mut registry);
