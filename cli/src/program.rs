@@ -20,7 +20,8 @@ pub fn registry() -> Registry {
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
     mcs_remote::register(&mut drivers);
-    let (laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
+    let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs_hand::register(&mut registry, &mut laws);
     mcs_collision::register(&mut registry, &mut guards);
     mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);

@@ -32,6 +32,18 @@ pub struct Touch {
     pub work: f64,
 }
 
+impl Touch {
+    /// None yet, of an arm with so many joints.
+    pub fn none(joints: usize) -> Self {
+        Self {
+            impulse: vec![0.0; joints],
+            shift: vec![0.0; joints],
+            by_still: true,
+            work: 0.0,
+        }
+    }
+}
+
 /// The arm's state is no longer made of finite numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lost;
@@ -113,22 +125,23 @@ impl Arm {
         self.braked.iter().all(|braked| *braked) && self.now.v.iter().all(|speed| *speed == 0.0)
     }
 
-    /// Where it is after `h` seconds if nothing touches it.
-    pub fn predict(&mut self, h: f64) -> Result<(), Lost> {
+    /// Where it is after `h` seconds if it is touched as it is `expected` to be, or not at all.
+    pub fn predict(&mut self, h: f64, expected: Option<&Touch>) -> Result<(), Lost> {
         if self.is_held() {
             self.smooth.clone_from(&self.now);
             self.next.clone_from(&self.now);
             return Ok(());
         }
         self.runge_kutta(h)?;
-        self.settle(h, None)
+        self.settle(h, expected)
     }
 
-    /// Where it is after `h` seconds if it is touched so.
-    pub fn push(&mut self, h: f64, touch: &mut Touch) -> Result<(), Lost> {
+    /// Where it is after `h` seconds if it is touched so; how many times what its links were given it took.
+    pub fn push(&mut self, h: f64, touch: &mut Touch) -> Result<f64, Lost> {
         if self.is_held() {
-            return Ok(());
+            return Ok(1.0);
         }
+        let mut taken = 1.0;
         if touch.by_still && touch.work > 0.0 {
             let inverse = self.inverse_mass_of_loose().ok_or(Lost)?;
             let impulse = DVector::from_column_slice(&touch.impulse);
@@ -138,8 +151,10 @@ impl Arm {
             for number in touch.impulse.iter_mut().chain(&mut touch.shift) {
                 *number *= factor;
             }
+            taken = factor;
         }
-        self.settle(h, Some(touch))
+        self.settle(h, Some(touch))?;
+        Ok(taken)
     }
 
     /// The step is over.

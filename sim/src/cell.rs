@@ -49,6 +49,8 @@ pub struct ArmSpec {
     pub start: Vec<f64>,
     /// Whether the joints have the friction of the model's motors.
     pub friction: bool,
+    /// Coefficient of friction of its links against what has the same.
+    pub surface: f64,
     /// Where the frame of its tip stands in that of the model, m.
     pub tip_offset: Vector3<f64>,
     /// Its outer form, each part in the frame that carries it.

@@ -42,7 +42,7 @@ pub struct Shape {
     pub grey: f64,
 }
 
-/// A capsule of a PUMA: the last word of the frame that carries it, the ends of its axis, radius, grey.
+/// A capsule of a PUMA or a finger: the last word of the frame that carries it, the ends of its axis, radius, grey.
 type Part = (&'static str, [f64; 3], [f64; 3], f64, f64);
 
 /// The parts of a PUMA.
@@ -87,6 +87,26 @@ const PUMA: [Part; 9] = [
     ("link6", [0.0, 0.0, 0.0], [0.0, 0.0, 0.04], 0.028, 24.0),
 ];
 
+/// A box of the gripper: the last word of the frame that carries it, its centre, half its edge lengths, grey.
+type Block = (&'static str, [f64; 3], [f64; 3], f64);
+
+/// The parts of the built-in gripper. The dimensions are ours; the pads stand as its model's file says.
+const GRIPPER: [Block; 3] = [
+    ("housing", [0.0, 0.0, 0.035], [0.03, 0.05, 0.035], 40.0),
+    ("jaw_left", [0.0, 0.006, 0.03], [0.012, 0.006, 0.03], 60.0),
+    ("jaw_right", [0.0, -0.006, 0.03], [0.012, 0.006, 0.03], 60.0),
+];
+
+/// The prism of the built-in hand.
+const PRISM: Block = ("prism", [0.0, 0.0, 0.03], [0.045, 0.045, 0.03], 40.0);
+
+/// The parts of each of its fingers, by their names without the finger's number.
+const FINGER: [Part; 3] = [
+    ("phalanx", [0.0, 0.0, 0.005], [0.0, 0.0, 0.06], 0.008, 50.0),
+    ("distal", [0.0, 0.0, 0.0], [0.0, 0.0, 0.04], 0.0075, 55.0),
+    ("tip", [0.0; 3], [0.0; 3], 0.009, 70.0),
+];
+
 /// The flange of a PUMA in frame 6, m.
 const FLANGE: Point3<f64> = Point3::new(0.0, 0.0, 0.05625);
 
@@ -94,7 +114,8 @@ const FLANGE: Point3<f64> = Point3::new(0.0, 0.0, 0.05625);
 const ROD_RADIUS: f64 = 0.004;
 const ROD_GREY: f64 = 24.0;
 
-/// The outer form of a model that is built in: its PUMAs. Nothing is known of other models, nor of the carts.
+/// The outer form of a model that is built in: its PUMAs, grippers and hands. Nothing is known of other models, nor of the
+/// carts.
 #[must_use]
 pub fn outline(model: &Model) -> Vec<(FrameId, Shape)> {
     if !built_in::NAMES.contains(&model.name()) {
@@ -103,18 +124,32 @@ pub fn outline(model: &Model) -> Vec<(FrameId, Shape)> {
     let mut all = Vec::new();
     for frame in model.frames() {
         let word = last_word(&frame.name);
-        let parts = PUMA.iter().filter(|(part, ..)| *part == word);
-        for (_, a, b, radius, grey) in parts {
-            let solid = Solid::Capsule {
-                a: (*a).into(),
-                b: (*b).into(),
-                radius: *radius,
-            };
-            let shape = Shape { solid, grey: *grey };
-            all.extend(model.frame(&frame.name).map(|id| (id, shape)));
-        }
+        let finger = word.trim_end_matches(|letter: char| letter.is_ascii_digit());
+        let capsules = PUMA.iter().filter(|(part, ..)| *part == word);
+        let capsules = capsules.chain(FINGER.iter().filter(|(part, ..)| *part == finger));
+        let blocks = GRIPPER.iter().chain([&PRISM]);
+        let blocks = blocks.filter(|(part, ..)| *part == word);
+        let shapes = capsules.map(capsule).chain(blocks.map(block));
+        all.extend(shapes.filter_map(|shape| Some((model.frame(&frame.name)?, shape))));
     }
     all
+}
+
+fn capsule((_, a, b, radius, grey): &Part) -> Shape {
+    let solid = Solid::Capsule {
+        a: (*a).into(),
+        b: (*b).into(),
+        radius: *radius,
+    };
+    Shape { solid, grey: *grey }
+}
+
+fn block((_, centre, half, grey): &Block) -> Shape {
+    let solid = Solid::Block {
+        centre: (*centre).into(),
+        half: (*half).into(),
+    };
+    Shape { solid, grey: *grey }
 }
 
 /// The rod from the flange of a PUMA to a lamp at `lamp` (m, frame 6); `None` on another frame, or when there is no room.
@@ -163,12 +198,15 @@ mod tests {
     }
 
     #[test]
-    fn every_puma_of_a_built_in_model_has_its_outline_and_a_cart_has_none() {
+    fn every_puma_and_every_hand_of_a_built_in_model_has_its_outline_and_a_cart_has_none() {
         for (name, parts) in [
             ("puma560", 9),
             ("transporter", 0),
             ("testbed9", 9),
             ("testbed18", 18),
+            ("gripper", 3),
+            ("puma560_gripper", 12),
+            ("puma560_hand", 19),
         ] {
             let model = built_in::model(name, Inertias::Engine).unwrap().unwrap();
             assert_eq!(outline(&model).len(), parts, "{name}");

@@ -5,6 +5,8 @@
 
 use std::{sync::Arc, time::Duration};
 
+use nalgebra::Vector3;
+
 use crate::{
     cell::Cell,
     port::{Claim, Port},
@@ -72,6 +74,12 @@ impl Simulation {
             tick: self.tick,
             ..scene
         }
+    }
+
+    /// What pressed on the links of an arm in the last tick: the names of their frames, and the forces, N, in their axes.
+    /// Links that nothing touched are left out.
+    pub fn touches(&mut self, arm: usize) -> Vec<(String, Vector3<f64>)> {
+        self.world.touches(arm)
     }
 
     /// Switches the lamp called `name`; every lamp when there is no name. False when there is none to switch.

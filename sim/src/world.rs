@@ -6,6 +6,10 @@
 //! A link that has a form stands in the engine as a free body of its own, which begins each step where the link is, and as
 //! fast. It weighs no more than the arm resists there, so that nothing is stopped too hard. What the step does to its motion,
 //! the arm feels as an impulse at its joints. World frame: z up, m, rad, s, N m.
+//!
+//! A link weighs less in the engine than in truth, and would be dragged along by what hangs on it: what a gripper holds would
+//! creep out of it. So a step begins with what the steps before did to a link. The arm has felt it already, and the engine
+//! presses the link by as much the other way. Only what changes is left to the link's weight.
 
 use std::time::Duration;
 
@@ -43,6 +47,9 @@ const CONTACT_HZ: f64 = 120.0;
 /// Part of what the arm resists with that its link weighs in the engine: half, for a blow off the centre of a link meets
 /// the resistance to turning besides.
 const SHARE: f64 = 0.5;
+
+/// Part that the latest step has in what a link is expected to be given by contact.
+const LATEST: f64 = 0.5;
 
 /// No link weighs more in the engine, kg and kg m^2.
 const HEAVIEST: f64 = 1000.0;
@@ -82,8 +89,20 @@ struct Link {
     /// Mass and inertia that it has now, kg and kg m^2.
     weight: [f64; 2],
     /// How the step began: where the centre was, and how fast it and the link.
-    began: (Point3<f64>, [Vector3<f64>; 2]),
+    began: (Point3<f64>, Wrench),
+    /// What the last step gave it by contact, N s and N m s at its centre; `None` when nothing touched it.
+    felt: Option<Wrench>,
+    /// What it is expected to be given in this step: the mean of the steps before, the later ones counting more. A blow is
+    /// over when the next step begins, so of a contact the first step does not count.
+    expected: Wrench,
+    /// What contact has given it since the world's last period began, N s.
+    pressed: Vector3<f64>,
 }
+
+/// A linear and an angular part.
+type Wrench = [Vector3<f64>; 2];
+
+const NOTHING: Wrench = [Vector3::new(0.0, 0.0, 0.0); 2];
 
 /// Everything that moves, and what it moves among.
 pub struct World {
@@ -93,6 +112,8 @@ pub struct World {
     links: Vec<Link>,
     objects: Vec<RigidBodyHandle>,
     elapsed: Duration,
+    /// How much of it the last period was.
+    lasted: Duration,
 }
 
 impl std::fmt::Debug for World {
@@ -126,6 +147,7 @@ impl World {
             links: Vec::new(),
             objects: Vec::new(),
             elapsed: Duration::ZERO,
+            lasted: Duration::ZERO,
         };
         world.fill();
         world
@@ -182,6 +204,10 @@ impl World {
     /// A state that is no longer finite.
     pub fn advance(&mut self, period: Duration) -> Result<(), WorldError> {
         self.elapsed += period;
+        self.lasted = period;
+        for link in &mut self.links {
+            link.pressed = Vector3::zeros();
+        }
         // Held arms among still things are a world that stands still.
         let still = self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
         let seconds = period.as_secs_f64();
@@ -210,30 +236,36 @@ impl World {
         })
     }
 
+    /// What presses on the links of an arm: the names of their frames, and the mean forces of the last period, N, in the axes
+    /// of these frames. Links that nothing touches are left out. An arm that its brakes hold feels nothing.
+    pub fn touches(&mut self, arm: usize) -> Vec<(String, Vector3<f64>)> {
+        let seconds = self.lasted.as_secs_f64();
+        let mut all = Vec::new();
+        for link in self.links.iter().filter(|link| link.mount.arm == arm) {
+            let pose = link_pose(&self.cell, &mut self.arms, link.mount);
+            let force = pose.rotation.inverse() * (link.pressed / seconds);
+            if let Some(spec) = self.cell.arms.get(arm)
+                && link.pressed != Vector3::zeros()
+            {
+                all.push((spec.model.at(link.mount.frame).name.clone(), force));
+            }
+        }
+        all
+    }
+
     fn step(&mut self, h: f64) -> Result<(), WorldError> {
-        self.each_arm(|arm| arm.predict(h))?;
-        self.place_links();
+        let expected = self.expect(h);
+        for (index, arm) in self.arms.iter_mut().enumerate() {
+            let expected = expected.get(index).and_then(Option::as_ref);
+            if arm.predict(h, expected).is_err() {
+                return Err(self.lost(index));
+            }
+        }
+        self.place_links(h);
         self.physics.integration_parameters.dt = h;
         self.physics.step();
-        for (index, arm) in self.arms.iter_mut().enumerate() {
-            let zero = vec![0.0; arm.model().dof()];
-            let mut touch = Touch {
-                impulse: zero.clone(),
-                shift: zero,
-                by_still: true,
-                work: 0.0,
-            };
-            let mut touched = false;
-            for link in self.links.iter().filter(|link| link.mount.arm == index) {
-                let by = link.touched_by(&self.physics);
-                let (Some(by_still), Some(body)) = (by, self.physics.bodies.get(link.body)) else {
-                    continue;
-                };
-                touched = true;
-                touch.by_still &= by_still;
-                link.gained(body, h, arm, &mut touch);
-            }
-            if touched && arm.push(h, &mut touch).is_err() {
+        for (index, expected) in expected.iter().enumerate() {
+            if self.feel(index, h, expected.is_some()).is_err() {
                 return Err(self.lost(index));
             }
         }
@@ -266,8 +298,69 @@ impl World {
         }
     }
 
-    /// Puts every link where it is at the beginning of a step, as fast as it is at its end if nothing touches it.
-    fn place_links(&mut self) {
+    /// What each arm is expected to feel in a step: what its links are.
+    fn expect(&mut self, h: f64) -> Vec<Option<Touch>> {
+        let mut all: Vec<Option<Touch>> = vec![None; self.arms.len()];
+        for link in &mut self.links {
+            if link.expected == NOTHING {
+                continue;
+            }
+            let pose = link_pose(&self.cell, &mut self.arms, link.mount);
+            let index = link.mount.arm;
+            if let (Some(arm), Some(touch)) = (self.arms.get_mut(index), all.get_mut(index)) {
+                let touch = touch.get_or_insert_with(|| Touch::none(arm.model().dof()));
+                link.add_expected(&(pose * link.centre), h, arm, touch);
+            }
+        }
+        all
+    }
+
+    /// Gives an arm what the step did to its links.
+    fn feel(&mut self, index: usize, h: f64, expected: bool) -> Result<(), Lost> {
+        let Some(arm) = self.arms.get_mut(index) else {
+            return Ok(());
+        };
+        let mut touch = Touch::none(arm.model().dof());
+        // What hangs on an arm is no wall that stops it.
+        touch.by_still = !expected;
+        let mut touched = false;
+        for link in self.links.iter_mut().filter(|link| link.mount.arm == index) {
+            let before = link.felt.take();
+            let by = link.touched_by(&self.physics);
+            let (Some(by_still), Some(body)) = (by, self.physics.bodies.get(link.body)) else {
+                link.expected = NOTHING;
+                continue;
+            };
+            touched = true;
+            touch.by_still &= by_still;
+            let felt = link.gained(body, h, arm, &mut touch);
+            link.felt = Some(felt);
+            for (expected, felt) in link.expected.iter_mut().zip(felt) {
+                *expected = match before {
+                    Some(_) => *expected + (felt - *expected) * LATEST,
+                    None => Vector3::zeros(),
+                };
+            }
+        }
+        if !touched && !expected {
+            return Ok(());
+        }
+        let (held, taken) = (arm.is_held(), arm.push(h, &mut touch)?);
+        for link in self.links.iter_mut().filter(|link| link.mount.arm == index) {
+            link.pressed += link
+                .felt
+                .map_or_else(Vector3::zeros, |[force, _]| force * taken);
+            // A wall does not hang on the arm, nor does anything move one that is held.
+            if touch.by_still || held {
+                link.felt = None;
+                link.expected = NOTHING;
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts every link where it is at the beginning of a step, as fast as it is at its end if it is touched as expected.
+    fn place_links(&mut self, h: f64) {
         for link in &mut self.links {
             let mount = link.mount;
             let pose = link_pose(&self.cell, &mut self.arms, mount);
@@ -283,6 +376,13 @@ impl World {
             body.set_position(engine::pose(&pose), true);
             body.set_linvel(vector(&linear), true);
             body.set_angvel(vector(&angular), true);
+            // Contact is expected to give this back.
+            body.reset_forces(true);
+            body.reset_torques(true);
+            if !arm.is_held() {
+                body.add_force(vector(&(link.expected[0] / -h)), true);
+                body.add_torque(vector(&(link.expected[1] / -h)), true);
+            }
             // Nothing moves an arm that its brakes hold.
             body.set_dominance_group(i8::from(arm.is_held()));
             let near = link.colliders.iter().any(|collider| {
@@ -355,12 +455,13 @@ impl World {
             .gravity_scale(0.0)
             .can_sleep(false);
         let body = self.physics.insert_body(body);
+        let surface = self.cell.arms.get(mount.arm).map_or(0.0, |arm| arm.surface);
         let mut colliders = Vec::new();
         let mut middle = Vector3::zeros();
         for Shape { solid, .. } in shapes {
             let (shape, within) = engine::shape(solid);
             middle += (within * Point3::from(ours(shape.compute_local_aabb().center()))).coords;
-            let collider = collider(solid, groups).density(0.0);
+            let collider = collider(solid, groups).density(0.0).friction(surface);
             colliders.push(self.physics.insert_collider(collider, Some(body)));
         }
         let centre = Point3::from(middle / shapes.len() as f64);
@@ -370,7 +471,10 @@ impl World {
             colliders,
             centre,
             weight: [1.0; 2],
-            began: (centre, [Vector3::zeros(); 2]),
+            began: (centre, NOTHING),
+            felt: None,
+            expected: NOTHING,
+            pressed: Vector3::zeros(),
         };
         if let (Some(arm), Some(body)) = (
             self.arms.get_mut(mount.arm),
@@ -406,23 +510,28 @@ impl Link {
         still
     }
 
-    /// Adds what the step gave the link, and how far it moved it beyond its speed.
-    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) {
-        let (began, [linear, angular]) = &self.began;
+    /// Adds what the step gave the link, and how far it moved it beyond its speed; what contact gave it in all.
+    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) -> Wrench {
+        let (began, [linear, angular]) = self.began;
         let [mass, inertia] = self.weight;
         let faster = ours(body.linvel()) - linear;
         let turned = ours(body.angvel()) - angular;
         let moved = isometry(body.position()) * self.centre - began - linear * h;
+        let more = [faster * mass, turned * inertia];
+        touch.work += more[0].dot(&faster) + more[1].dot(&turned);
+        let shift = [moved * mass, Vector3::zeros()];
+        arm.at_joints(self.mount.frame, &began, more, &mut touch.impulse);
+        arm.at_joints(self.mount.frame, &began, shift, &mut touch.shift);
+        self.add_expected(&began, h, arm, touch);
+        [more[0] + self.expected[0], more[1] + self.expected[1]]
+    }
+
+    /// Adds what it is expected to feel; it acts all through the step.
+    fn add_expected(&self, centre: &Point3<f64>, h: f64, arm: &mut Arm, touch: &mut Touch) {
         let frame = self.mount.frame;
-        let impulse = [faster * mass, turned * inertia];
-        touch.work += impulse[0].dot(&faster) + impulse[1].dot(&turned);
-        arm.at_joints(frame, began, impulse, &mut touch.impulse);
-        arm.at_joints(
-            frame,
-            began,
-            [moved * mass, Vector3::zeros()],
-            &mut touch.shift,
-        );
+        let shift = [self.expected[0] * (h / 2.0), Vector3::zeros()];
+        arm.at_joints(frame, centre, self.expected, &mut touch.impulse);
+        arm.at_joints(frame, centre, shift, &mut touch.shift);
     }
 
     /// Gives it the weight with which the arm resists at its centre.

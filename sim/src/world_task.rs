@@ -9,6 +9,7 @@ use ctos::{
     sync::{CyclicHandle, Tick},
     task::{EventHandler, Handled, HandlerError, Phase},
 };
+use mcs_hand::command::{ReadTouch, Touch};
 use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
@@ -66,6 +67,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         SetLamp::INFO,
         SwitchLamp::INFO,
         TrueCameras::INFO,
+        ReadTouch::INFO,
     ];
     registry.handler(WORLD, &commands, WorldTask::new)
 }
@@ -113,6 +115,16 @@ impl WorldTask {
         }
     }
 
+    /// What touches the links of an arm, by index.
+    fn touches(&self, arm: usize) -> Vec<Touch> {
+        let touches = self.simulation.borrow_mut().touches(arm);
+        let touches = touches.into_iter().map(|(link, force)| Touch {
+            link,
+            force_n: force.into(),
+        });
+        touches.collect()
+    }
+
     /// The cameras as they truly are, those that are carried where they are now.
     fn cameras(&self) -> Vec<NamedCamera> {
         let scene = self.simulation.borrow_mut().scene();
@@ -147,6 +159,13 @@ impl EventHandler for WorldTask {
             TrueCameras::CODE => {
                 let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;
                 reply.ok(self.cameras())
+            }
+            ReadTouch::CODE => {
+                let (ReadTouch { arm }, reply) = message.open::<ReadTouch>()?;
+                match self.cell.arm(arm.as_deref()) {
+                    Ok(arm) => reply.ok(self.touches(arm)),
+                    Err(finding) => reply.fail(finding.message),
+                }
             }
             _ => cx.default_processing(message),
         }

@@ -23,6 +23,7 @@ mod doors;
 mod durable;
 mod faults;
 mod full_disk;
+mod grasp;
 mod half_open;
 mod harness;
 mod hosts;

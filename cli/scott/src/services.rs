@@ -16,15 +16,17 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(demo::classes());
     classes.extend(ipc::classes());
     classes.extend(mcs::services::classes());
+    classes.extend(mcs_hand::services::classes());
     classes.extend(vss::services::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
     classes
 });
 
 /// The dictionaries that are shipped with the classes.
-const SHIPPED: [(&str, &str); 2] = [
+const SHIPPED: [(&str, &str); 3] = [
     ("the demo classes' dictionary", demo::DICTIONARY),
     ("the arm's dictionary", mcs::services::DICTIONARY),
+    ("the hand's dictionary", mcs_hand::services::DICTIONARY),
 ];
 
 /// A manager with all classes, the shipped dictionary, and the given files over it.
@@ -60,6 +62,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     demo::register(sorm);
     ipc::register(sorm, host);
     mcs::services::register(sorm);
+    mcs_hand::services::register(sorm);
     vss::services::register(sorm);
 }
 

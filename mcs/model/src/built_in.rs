@@ -6,14 +6,28 @@ use super::features::Model;
 use super::file::{self, Inertias};
 
 /// Their names.
-pub const NAMES: [&str; 5] = ["puma560", "puma600", "transporter", "testbed9", "testbed18"];
+pub const NAMES: [&str; 9] = [
+    "puma560",
+    "puma600",
+    "transporter",
+    "testbed9",
+    "testbed18",
+    "gripper",
+    "hand",
+    "puma560_gripper",
+    "puma560_hand",
+];
 
-const TEXTS: [&str; 5] = [
+const TEXTS: [&str; 9] = [
     include_str!("../../../configs/models/puma560.toml"),
     include_str!("../../../configs/models/puma600.toml"),
     include_str!("../../../configs/models/transporter.toml"),
     include_str!("../../../configs/models/testbed9.toml"),
     include_str!("../../../configs/models/testbed18.toml"),
+    include_str!("../../../configs/models/gripper.toml"),
+    include_str!("../../../configs/models/hand.toml"),
+    include_str!("../../../configs/models/puma560_gripper.toml"),
+    include_str!("../../../configs/models/puma560_hand.toml"),
 ];
 
 /// The file of a model.
@@ -38,7 +52,7 @@ mod tests {
 
     #[test]
     fn every_file_is_a_model_with_as_many_joints_as_its_name_says() {
-        for (name, joints) in NAMES.into_iter().zip([6, 6, 3, 9, 18]) {
+        for (name, joints) in NAMES.into_iter().zip([6, 6, 3, 9, 18, 2, 9, 8, 15]) {
             for inertias in [Inertias::Identified, Inertias::Engine] {
                 let model = model(name, inertias).unwrap().unwrap();
                 assert_eq!((model.name(), model.dof()), (name, joints));

@@ -82,6 +82,7 @@ struct ArmText {
     start: Spanned<Vec<f64>>,
     #[serde(default)]
     friction: bool,
+    surface: Option<Spanned<f64>>,
     mass_factor: Option<Spanned<f64>>,
     inertia_factor: Option<Spanned<f64>>,
     friction_factor: Option<Spanned<f64>>,
@@ -189,7 +190,7 @@ const fn yes() -> bool {
 /// Grey of a floor that the file says nothing of.
 const FLOOR_GREY: f64 = 24.0;
 
-/// Friction of an object that the file says nothing of.
+/// Friction of an object or of an arm's surface that the file says nothing of.
 const FRICTION: f64 = 0.5;
 
 /// Largest picture side, px: a picture stays within a few megabytes.
@@ -517,6 +518,9 @@ impl ArmText {
             base: base.isometry(),
             start,
             friction: self.friction,
+            surface: self.surface.as_ref().map_or(FRICTION, |surface| {
+                check.number(surface, "the friction of an arm's surface", "", [0.0, 10.0])
+            }),
             tip_offset,
             shapes,
         })

@@ -1,3 +1,4 @@
+mod grasp;
 mod two_arms;
 
 use std::{
@@ -14,7 +15,10 @@ use ctos::{
     system::AppResult,
     task::{EventHandler, Handled, Phase},
 };
-use mcs::driver::{Power, SlotReading};
+use mcs::{
+    client::{Manipulator, PathKind},
+    driver::{Power, SlotReading},
+};
 use vss::{
     command::{NamedCamera, TrueCameras},
     frame::Frame,

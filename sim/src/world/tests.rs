@@ -1,4 +1,5 @@
 mod contacts;
+mod grasp;
 mod puma;
 
 use ctos::diagnostic::Source;
