@@ -349,6 +349,7 @@ async fn drive(action: &Act) -> Result<(), Failure> {
         speed: path.speed,
         acceleration: None,
         elbow: None,
+        blend: 0.0,
     };
     let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S);
     let limit = limit.map_err(|error| Failure::new(Outcome::Fault, error))?;

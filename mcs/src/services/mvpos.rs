@@ -404,6 +404,7 @@ impl MvPos {
             speed,
             acceleration,
             elbow,
+            blend: 0.0,
         };
         let moved = cx.call_task(client, order, LONGEST_MOVE).await;
         let moved = moved.and_then(|moved| moved.map_err(in_the_way));

@@ -1,12 +1,12 @@
 //! One motion under way: which setpoint each tick gets, how well it is tracked, when it has settled.
 
+use super::Settling;
 use super::port::{MotionPhase, MotionStatus};
-use super::{ServoConfig, Settling};
 use crate::driver::SlotReading;
 use crate::joints::Distances;
 use crate::model::Model;
 use crate::trajectory::segment::SegmentError;
-use crate::trajectory::{Follower, Segment, Setpoint, Solver};
+use crate::trajectory::{Follower, Setpoint, Solver};
 
 /// What a tick made of the motion.
 pub(super) enum Progress {
@@ -18,7 +18,6 @@ pub(super) enum Progress {
 
 /// A segment being followed, braked or settled on.
 pub(super) struct Motion {
-    follower: Follower,
     settling: Settling,
     settled_for: u32,
     settling_for: u32,
@@ -28,11 +27,9 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    pub(super) fn new(segment: Segment, config: &ServoConfig) -> Self {
-        let period = config.period.as_secs_f64();
+    pub(super) fn new(settling: Settling) -> Self {
         Self {
-            follower: Follower::new(segment, period, config.setpoint_every),
-            settling: config.settling,
+            settling,
             settled_for: 0,
             settling_for: 0,
             elapsed: 0,
@@ -41,26 +38,21 @@ impl Motion {
         }
     }
 
-    /// From now on brakes along the path.
-    pub(super) fn stop(&mut self) {
-        self.follower.stop();
-    }
-
     /// The setpoint of this tick, given the one before and the readings of this tick.
     pub(super) fn advance(
         &mut self,
-        solver: &mut Solver,
+        (follower, solver): (&mut Follower, &mut Solver),
         before: &Setpoint,
         readings: &[SlotReading],
     ) -> Result<(Setpoint, Progress), SegmentError> {
         self.elapsed += 1;
-        let setpoint = if self.follower.rests() {
+        let setpoint = if follower.rests() {
             *before
         } else {
-            self.follower.next(solver, &before.position)?
+            follower.next(solver, &before.position)?
         };
         self.measure(solver.model(), &setpoint, readings);
-        if !self.follower.rests() {
+        if !follower.rests() {
             return Ok((setpoint, Progress::Going));
         }
         self.settling_for += 1;
@@ -74,7 +66,7 @@ impl Motion {
             self.settled_for = 0;
         }
         let progress = if self.settled_for >= self.settling.ticks {
-            Progress::Finished(if self.follower.is_stopping() {
+            Progress::Finished(if follower.is_stopping() {
                 MotionPhase::Stopped
             } else {
                 MotionPhase::Done
@@ -101,11 +93,11 @@ impl Motion {
         self.error
     }
 
-    pub(super) fn report(&self, status: &mut MotionStatus) {
+    pub(super) fn report(&self, follower: &Follower, status: &mut MotionStatus) {
         status.elapsed_ticks = self.elapsed;
         status.max_tracking_error = self.max_error;
         status.error = self.error;
-        status.phase = match (self.follower.rests(), self.follower.is_stopping()) {
+        status.phase = match (follower.rests(), follower.is_stopping()) {
             (true, _) => MotionPhase::Settling,
             (false, true) => MotionPhase::Stopping,
             (false, false) => MotionPhase::Moving,

@@ -1,22 +1,34 @@
-//! Following a segment, one servo period at a time, and stopping on it. Allocates nothing.
+//! Following segments, one servo period at a time, and stopping on them. Allocates nothing.
 //!
-//! A segment has a time of its own. It runs as the clock does until a stop is asked for; then it runs ever more slowly, until it
-//! stands still. So the joints stay on the path that was planned and checked. Per period it is slowed down as much as the
-//! accelerations of all joints allow: with q(s) the path over its own time s, a joint's acceleration is q'' s'^2 + q' s''. A joint
-//! that brakes already at its limit cannot brake harder; a joint that gains speed begins to lose it at once.
+//! A segment has a time of its own. It runs as the clock does until a stop is asked for; then it runs ever more slowly,
+//! until it stands still. So the joints stay on the path that was planned and checked. Per period it is slowed down as
+//! much as the accelerations of all joints allow: with q(s) the path over its own time s, a joint's acceleration is
+//! q'' s'^2 + q' s''. A joint that brakes already at its limit cannot brake harder; a joint that gains speed begins to lose
+//! it at once.
+//!
+//! Segments wait in a queue. Over a [`Bridge`] the arm gets into the next one without a stop; without one it rests at the end
+//! of each until it is told to go on.
+
+use std::collections::VecDeque;
 
 use mcs_model::{Joint, Joints};
 
 use super::course::Ranges;
 use super::interpolate::Interpolator;
-use super::segment::{Path, SegmentError};
+use super::segment::{Courses, Path, SegmentError};
 use super::timing::JointState;
-use super::{Segment, Setpoint, Solver};
+use super::{Bridge, Segment, Setpoint, Solver};
 
-/// A segment that is being followed.
-#[derive(Debug, Clone)]
+#[cfg(test)]
+mod tests;
+
+/// The segments that are followed.
+#[derive(Debug)]
 pub struct Follower {
-    segment: Segment,
+    /// The first one is under way.
+    queue: VecDeque<Entry>,
+    /// How many the queue holds.
+    most: usize,
     /// Servo period, s.
     period: f64,
     /// Servo periods between two solved poses of a line.
@@ -24,42 +36,121 @@ pub struct Follower {
     clock: Clock,
     /// Whether the first setpoint has been given.
     begun: bool,
-    /// What lies between the last three solved poses of a line, and the line's time at the last of them.
+    /// How many segments were left over a bridge.
+    passed: u64,
+    /// What lies between the last three solved poses of the line under way, and the line's time at the last of them.
     between: Option<[Interpolator; 2]>,
     solved: f64,
 }
 
-/// How the segment's own time runs.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    segment: Segment,
+    /// The way into it from the one before.
+    bridge: Option<Bridge>,
+}
+
+/// A part of the way: the segment of an entry of the queue, or the bridge into it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Part {
+    entry: usize,
+    is_bridge: bool,
+}
+
+/// Where the arm is on its way, and how the time of that runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Clock {
-    /// The segment's own time, s.
+    part: Part,
+    /// The part's own time, s.
     time: f64,
     /// How fast it runs, 1 to 0.
     rate: f64,
-    /// Periods since the start, from which the time is counted until a stop, so that it never drifts.
+    /// Periods since the start, from which the time is counted until a stop, so that it never drifts, and the time of them
+    /// that other parts took.
     periods: u64,
+    before: f64,
     stopping: bool,
 }
 
 impl Follower {
-    /// From the start of `segment`, with a setpoint every `period` (s). Poses on a line are solved every so many periods
-    /// (at least 1) and interpolated between.
+    /// One that follows nothing, with room for so many segments, for setpoints every `period` (s). Poses on a line are
+    /// solved every so many periods (at least 1) and interpolated between.
     #[must_use]
-    pub fn new(segment: Segment, period: f64, every: u32) -> Self {
+    pub fn new(most: usize, period: f64, every: u32) -> Self {
         Self {
-            segment,
+            queue: VecDeque::with_capacity(most),
+            most,
             period,
             every: every.max(1),
-            clock: Clock {
-                time: 0.0,
-                rate: 1.0,
-                periods: 0,
-                stopping: false,
-            },
+            clock: Clock::START,
             begun: false,
+            passed: 0,
             between: None,
             solved: 0.0,
         }
+    }
+
+    /// Puts a segment behind the others, which begins where the last of them ends; whether there was room for it. The
+    /// bridge into it is taken when the one before has not come too far, or else the arm stops between both.
+    pub fn push(&mut self, segment: Segment, bridge: Option<Bridge>) -> bool {
+        if self.queue.len() >= self.most {
+            return false;
+        }
+        let last = self.queue.len().wrapping_sub(1);
+        let on_last = self.clock.part == Part::segment(last);
+        let next = self.clock.time + self.period;
+        let in_time = |bridge: &Bridge| last != usize::MAX && !(on_last && bridge.leave <= next);
+        self.queue.push_back(Entry {
+            segment,
+            bridge: bridge.filter(in_time),
+        });
+        true
+    }
+
+    /// Leaves the segment at whose end the arm rests for the next one in the queue; whether there is one.
+    pub fn go_on(&mut self) -> bool {
+        self.queue.pop_front();
+        self.restart();
+        !self.queue.is_empty()
+    }
+
+    /// Follows nothing any more.
+    pub fn clear(&mut self) {
+        self.queue.clear();
+        self.restart();
+    }
+
+    fn restart(&mut self) {
+        self.clock = Clock::START;
+        self.begun = false;
+        self.between = None;
+    }
+
+    /// How many segments are under way or wait.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Whether no segment is under way.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.queue.is_empty()
+    }
+
+    /// Where the last segment ends, rad or m.
+    ///
+    /// # Errors
+    /// [`SegmentError`] as [`Segment::end`].
+    pub fn end(&self, solver: &mut Solver) -> Result<Option<Joints>, SegmentError> {
+        let last = self.queue.back();
+        last.map(|last| last.segment.end(solver)).transpose()
+    }
+
+    /// How many segments were left over a bridge so far.
+    #[must_use]
+    pub fn passed(&self) -> u64 {
+        self.passed
     }
 
     /// Stops on the path, as hard as the accelerations of all joints allow.
@@ -73,10 +164,12 @@ impl Follower {
         self.clock.stopping
     }
 
-    /// Whether the setpoint rests, at the end or where a stop has ended.
+    /// Whether the setpoint rests, at the end of a segment or where a stop has ended.
     #[must_use]
     pub fn rests(&self) -> bool {
-        self.begun && (self.clock.time >= self.segment.duration() || self.clock.rate <= 0.0)
+        let (end, following) = self.end_of(self.clock.part);
+        let at_end = following.is_none() && self.clock.time >= end;
+        self.begun && (at_end || self.clock.rate <= 0.0)
     }
 
     /// The setpoint of the next period, `near` the joint positions (rad or m) of the one before. Its acceleration is the
@@ -86,84 +179,135 @@ impl Follower {
     /// [`SegmentError`] for a line through a pose that cannot be followed.
     pub fn next(&mut self, solver: &mut Solver, near: &[f64]) -> Result<Setpoint, SegmentError> {
         if self.begun {
-            self.clock = self.after(&self.clock, solver);
+            self.clock = self.after(solver);
         }
         self.begun = true;
+        while self.clock.part.entry > 0 {
+            self.clock.part.entry -= 1;
+            self.queue.pop_front();
+            self.passed += 1;
+            self.between = None;
+        }
         self.solve(solver, near)?;
+        let now = self.clock;
         let mut setpoint = Setpoint::at_rest(Joints::zeros(solver.model().dof()));
         if self.rests() {
             for index in 0..setpoint.position.len() {
-                setpoint.position[index] = self.state(index, self.clock.time).position;
+                setpoint.position[index] = self.state(now.part, index, now.time).position;
             }
-            if let Some([_, between]) = &self.between
-                && self.clock.time >= self.segment.duration()
-            {
+            if let (Some([_, between]), true) = (&self.between, now.rate > 0.0) {
                 setpoint.position = between.end().position;
             }
             return Ok(setpoint);
         }
-        let ahead = self.after(&self.clock, solver);
+        let ahead = self.after(solver);
         for index in 0..setpoint.position.len() {
-            let now = self.state(index, self.clock.time);
-            let then = self.state(index, ahead.time);
-            setpoint.position[index] = now.position;
-            setpoint.velocity[index] = now.velocity * self.clock.rate;
+            let state = self.state(now.part, index, now.time);
+            let then = self.state(ahead.part, index, ahead.time);
+            setpoint.position[index] = state.position;
+            setpoint.velocity[index] = state.velocity * now.rate;
             setpoint.acceleration[index] =
                 (then.velocity * ahead.rate - setpoint.velocity[index]) / self.period;
         }
         Ok(setpoint)
     }
 
+    /// When a part ends, and what follows it from which time of its own, if anything does.
+    fn end_of(&self, part: Part) -> (f64, Option<(Part, f64)>) {
+        let Some(entry) = self.queue.get(part.entry) else {
+            return (0.0, None);
+        };
+        if let (true, Some(bridge)) = (part.is_bridge, &entry.bridge) {
+            let own = Part::segment(part.entry);
+            return (bridge.duration(), Some((own, bridge.join)));
+        }
+        let next = Part {
+            entry: part.entry + 1,
+            is_bridge: true,
+        };
+        let bridge = self
+            .queue
+            .get(next.entry)
+            .and_then(|entry| entry.bridge.as_ref());
+        match bridge {
+            Some(bridge) => (bridge.leave, Some((next, 0.0))),
+            None => (entry.segment.duration(), None),
+        }
+    }
+
     /// The clock one period later.
-    fn after(&self, clock: &Clock, solver: &Solver) -> Clock {
-        let period = self.period;
-        if !clock.stopping {
-            let periods = clock.periods + 1;
-            return Clock {
-                // A motion of 2^53 periods would take longer than the arm will last.
-                time: periods as f64 * period,
-                periods,
-                ..*clock
-            };
+    fn after(&self, solver: &Solver) -> Clock {
+        let (mut clock, period) = (self.clock, self.period);
+        if clock.stopping {
+            let braking = self.braking(solver);
+            if clock.rate <= braking * period {
+                // It stands before the period is over.
+                if braking > 0.0 {
+                    clock.time += 0.5 * clock.rate * clock.rate / braking;
+                }
+                clock.rate = 0.0;
+            } else {
+                clock.time += period * (clock.rate - 0.5 * braking * period);
+                clock.rate -= braking * period;
+            }
+        } else {
+            clock.periods += 1;
+            // A motion of 2^53 periods would take longer than the arm will last.
+            clock.time = clock.periods as f64 * period - clock.before;
         }
-        let braking = self.braking(clock, solver);
-        if clock.rate <= braking * period {
-            // It stands before the period is over.
-            let way = match braking > 0.0 {
-                true => 0.5 * clock.rate * clock.rate / braking,
-                false => 0.0,
-            };
-            return Clock {
-                time: clock.time + way,
-                rate: 0.0,
-                ..*clock
-            };
+        while let (end, Some((part, start))) = self.end_of(clock.part)
+            && clock.time >= end
+        {
+            clock.part = part;
+            clock.time -= end - start;
+            clock.before += end - start;
         }
-        Clock {
-            time: clock.time + period * (clock.rate - 0.5 * braking * period),
-            rate: clock.rate - braking * period,
-            ..*clock
-        }
+        clock
     }
 
     /// How fast the rate may fall within the coming period, 1/s.
-    fn braking(&self, clock: &Clock, solver: &Solver) -> f64 {
-        // First with what gains speed left out of account, which gives the lowest rate at the end of the period.
-        let bold = self.bearable(clock, clock.rate, solver);
-        let slowest = (clock.rate - bold * self.period).max(0.0);
-        self.bearable(clock, slowest, solver)
+    fn braking(&self, solver: &Solver) -> f64 {
+        // First as if what gains speed went on to do so, which gives the lowest rate at the end of the period.
+        let bold = self.bearable(self.clock.rate, solver);
+        let slowest = (self.clock.rate - bold * self.period).max(0.0);
+        self.bearable(slowest, solver)
     }
 
     /// How fast the rate may fall within the coming period when it falls no lower than `slowest`.
-    fn bearable(&self, clock: &Clock, slowest: f64, solver: &Solver) -> f64 {
-        let until = clock.time + clock.rate * self.period;
+    fn bearable(&self, slowest: f64, solver: &Solver) -> f64 {
+        let rates = (slowest, self.clock.rate);
+        let (mut part, mut from) = (self.clock.part, self.clock.time);
+        let mut left = self.clock.rate * self.period;
+        let mut least = f64::INFINITY;
+        loop {
+            let (end, following) = self.end_of(part);
+            let until = from + left;
+            match following {
+                Some((next, start)) if until > end => {
+                    least = least.min(self.bearable_in(part, (from, end), rates, solver));
+                    left = until - end;
+                    (part, from) = (next, start);
+                }
+                _ => return least.min(self.bearable_in(part, (from, until), rates, solver)),
+            }
+        }
+    }
+
+    /// The same within some time of one part.
+    fn bearable_in(
+        &self,
+        part: Part,
+        (from, until): (f64, f64),
+        (slowest, fastest): (f64, f64),
+        solver: &Solver,
+    ) -> f64 {
         let room = |ranges: &Ranges, limit: f64| {
             let (speed, acceleration) = (&ranges.velocity, &ranges.acceleration);
-            let fastest = speed.most.max(-speed.least);
-            if fastest <= 0.0 {
+            let most = speed.most.max(-speed.least);
+            if most <= 0.0 {
                 return f64::INFINITY;
             }
-            // The acceleration along the way of the joint, and against it where that turns within the period.
+            // The least acceleration along the way of the joint, or against it where that turns within the period.
             let along = if speed.least >= 0.0 {
                 acceleration.least
             } else if speed.most <= 0.0 {
@@ -171,41 +315,52 @@ impl Follower {
             } else {
                 -acceleration.most.max(-acceleration.least)
             };
-            let rate = if along > 0.0 { slowest } else { clock.rate };
-            (limit + along * rate * rate).max(0.0) / fastest
+            let rate = if along > 0.0 { slowest } else { fastest };
+            (limit + along * rate * rate).max(0.0) / most
         };
         let limit = |joint: &Joint| joint.limits.acceleration;
         let joints = solver.model().joints().iter().enumerate();
-        match &self.segment.path() {
-            Path::Joint(courses) => {
-                joints
-                    .zip(courses.each())
-                    .fold(f64::INFINITY, |least, ((_, joint), course)| {
-                        least.min(room(&course.ranges(clock.time, until), limit(joint)))
-                    })
-            }
-            Path::Line(line) => {
-                let tool = room(&line.progress.ranges(clock.time, until), line.braking);
-                let middle = 0.5 * (clock.time + until);
-                joints.fold(tool, |least, (index, joint)| {
+        let Some(entry) = self.queue.get(part.entry) else {
+            return f64::INFINITY;
+        };
+        let courses = match (part.is_bridge, &entry.bridge, entry.segment.path()) {
+            (true, Some(bridge), _) => &bridge.courses,
+            (_, _, Path::Joint(courses)) => courses,
+            (_, _, Path::Line(line)) => {
+                let tool = room(&line.progress.ranges(from, until), line.braking);
+                let middle = 0.5 * (from + until);
+                return joints.fold(tool, |least, (index, joint)| {
                     // Within a period the cubics hardly bend.
-                    let states = [clock.time, middle, until].map(|time| self.state(index, time));
+                    let states = [from, middle, until].map(|time| self.state(part, index, time));
                     let ranges = states.iter().fold(Ranges::NONE, Ranges::with);
                     least.min(room(&ranges, limit(joint)))
-                })
+                });
             }
-        }
+        };
+        let pairs = joints.zip(courses.each());
+        pairs.fold(f64::INFINITY, |least, ((_, joint), course)| {
+            least.min(room(&course.ranges(from, until), limit(joint)))
+        })
     }
 
-    /// A joint's state at some time of the segment's own.
-    fn state(&self, joint: usize, time: f64) -> JointState {
-        match (self.segment.path(), &self.between) {
-            (Path::Joint(courses), _) => courses
-                .each()
-                .get(joint)
-                .map_or_else(JointState::default, |course| course.at(time)),
-            (Path::Line(line), Some([older, newer])) => {
+    /// A joint's state at some time of a part.
+    fn state(&self, part: Part, joint: usize, time: f64) -> JointState {
+        let on = |courses: &Courses| {
+            let course = courses.each().get(joint);
+            course.map_or_else(JointState::default, |course| course.at(time))
+        };
+        let Some(entry) = self.queue.get(part.entry) else {
+            return JointState::default();
+        };
+        match (part.is_bridge, &entry.bridge, entry.segment.path()) {
+            (true, Some(bridge), _) => on(&bridge.courses),
+            (_, _, Path::Joint(courses)) => on(courses),
+            (_, _, Path::Line(line)) => {
                 let along = line.progress.at(time);
+                // Its poses are solved before anybody asks: a bridge takes longer than a period.
+                let Some([older, newer]) = &self.between else {
+                    return JointState::default();
+                };
                 let between = match along.position < newer.start().progress {
                     true => older,
                     false => newer,
@@ -218,22 +373,31 @@ impl Follower {
                         + slope * along.acceleration,
                 }
             }
-            // Poses are solved before anybody asks.
-            (Path::Line(_), None) => JointState::default(),
         }
     }
 
-    /// Sees that the poses of a line are solved up to where the clock is.
+    /// Sees that the poses of the line under way, or of that to which the bridge under way leads, are solved as far as the
+    /// arm has come.
     fn solve(&mut self, solver: &mut Solver, near: &[f64]) -> Result<(), SegmentError> {
-        let Path::Line(line) = self.segment.path() else {
+        let Some(Entry { segment, bridge }) = self.queue.front() else {
             return Ok(());
         };
+        let Path::Line(line) = segment.path() else {
+            return Ok(());
+        };
+        let coming = bridge.as_ref().filter(|_| self.clock.part.is_bridge);
+        let time = coming.map_or(self.clock.time, |bridge| bridge.join);
         let mut last = match &self.between {
             Some([_, between]) => *between.end(),
-            None => line.knot(solver, 0.0, near)?,
+            None => {
+                self.solved = time;
+                let end = coming.map(Bridge::end);
+                let near = end.as_deref().unwrap_or(near);
+                line.knot(solver, line.progress.at(time).position, near)?
+            }
         };
         // One period ahead, because the speed there is announced.
-        while self.between.is_none() || self.solved < self.clock.time + self.period {
+        while self.between.is_none() || self.solved < time + self.period {
             self.solved += self.period * f64::from(self.every);
             let progress = line.progress.at(self.solved).position;
             let next = line.knot(solver, progress, &last.position)?;
@@ -246,5 +410,22 @@ impl Follower {
     }
 }
 
-#[cfg(test)]
-mod tests;
+impl Clock {
+    const START: Self = Self {
+        part: Part::segment(0),
+        time: 0.0,
+        rate: 1.0,
+        periods: 0,
+        before: 0.0,
+        stopping: false,
+    };
+}
+
+impl Part {
+    const fn segment(entry: usize) -> Self {
+        Self {
+            entry,
+            is_bridge: false,
+        }
+    }
+}
