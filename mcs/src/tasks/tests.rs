@@ -638,6 +638,21 @@ fn nine_joints_move_as_six_do_by_joints_by_line_and_by_text() {
             assert!(moved.is_ok(), "{:?}", moved.reports);
             assert_eq!(moved.floats.len(), 10);
             assert_eq!(told(&cx, "pino EXEC state").await?.floats.len(), 9 + 16);
+            let there = "0.1 0 0 0 0 0 0 0 0.1";
+            told(&cx, "mvpos CTRL -blend 0.5").await?;
+            let line = "mvpos EXEC along FMSG 18 0.2 0 0 0 0.8 -2.6 0.2 0.7 0.1 -0.2 0 0 0.3 0.5 -2.2 0 0.4 0.1";
+            let along = told(&cx, line).await?;
+            assert!(along.is_ok(), "{:?}", along.reports);
+            assert!(
+                (along.floats[0] + 0.2).abs() < 1e-3 && along.floats.len() == 10,
+                "{along:?}"
+            );
+            let wrong = told(&cx, &format!("mvpos EXEC along FMSG 10 0 {there}")).await?;
+            let text = &wrong.reports[0].text;
+            assert_eq!(
+                text,
+                "EXEC along takes 9 floats for each of 1 to 8 positions, not 10 in all"
+            );
             let wrong = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 0 0").await?;
             let text = &wrong.reports[0].text;
             assert!(
