@@ -252,7 +252,9 @@ ctos::command! {
     pub struct Acquire => Result<State, MotionError>, 0x0301, "acquire"
 }
 ctos::command! {
-    /// Moves, and answers when the arm has settled at the target.
+    /// Moves, and answers when the arm has settled at the target, or has passed it on the way to the next one. A motion
+    /// that comes while another is under way waits until that has ended, and is planned from there; at most
+    /// [`crate::servo::QUEUE`] may be under way and wait. What ends one before its end ends those that wait as well.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Move {
         /// Where to.
@@ -267,10 +269,13 @@ ctos::command! {
         pub elbow: Option<Elbow>,
         /// Recipes of guards that watch it, besides those that always do.
         pub guards: Vec<String>,
+        /// How much of the stop before it may be left out when it follows on another motion: 0, all of it is made, to 1, the
+        /// second half of the motion before and the first half of this one give way to a bridge between both.
+        pub blend: f64,
     } => Result<MoveReport, MotionError>, 0x0302, "move"
 }
 ctos::command! {
-    /// Checks a motion from the present position without moving.
+    /// Checks a motion from the present position, or from where the last motion that is ordered ends, without moving.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Plan {
         /// Where to.

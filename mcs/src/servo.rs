@@ -11,6 +11,7 @@ pub mod port;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,16 +20,18 @@ use crossbeam_queue::ArrayQueue;
 use crate::control::ControlLaw;
 use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use crate::guard::rack::{Now, Rack};
-use crate::guard::{Neighbour, Reaction, Stopping};
+use crate::guard::{GuardSet, Neighbour, Reaction, Stopping};
 use crate::joints::{Distances, Joints, TooManyJoints};
-use crate::model::Model;
-use crate::trajectory::{Setpoint, Solver};
+use crate::model::{Model, Placement};
+use crate::trajectory::{Bridge, Follower, Segment, Setpoint, Solver};
 use motion::{Motion, Progress};
-pub use port::{Fault, MotionPhase, MotionStatus, Rejection, ServoCommand, ServoPort, ServoStatus};
+pub use port::{
+    Ended, Fault, MotionPhase, MotionStatus, QUEUE, Rejection, ServoCommand, ServoPort, ServoStatus,
+};
 
 /// Orders that may wait in the queue at once.
 const COMMANDS: usize = 32;
-/// How far (rad or m) a segment may start from the setpoint that is held.
+/// How far (rad or m) a segment may start from the setpoint that is held, or from the end of the one before.
 const START_TOLERANCE: f64 = 1e-6;
 
 /// When a motion counts as settled.
@@ -119,6 +122,15 @@ pub enum ServoError {
     },
 }
 
+/// Largest distance of any joint between two positions, rad or m; of different arms infinite.
+fn distance(a: &Joints, b: &Joints) -> f64 {
+    if a.len() != b.len() {
+        return f64::INFINITY;
+    }
+    let pairs = a.iter().zip(b);
+    pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
+
 /// Whoever drops the servo leaves an arm without a controller: its power goes off first.
 impl Drop for Servo {
     fn drop(&mut self) {
@@ -154,6 +166,9 @@ pub struct Servo {
     shown: Option<Neighbour>,
     /// How the arm would come to rest.
     stopping: Stopping,
+    /// The segments under way and waiting, and their numbers and guards.
+    follower: Follower,
+    ids: VecDeque<(u64, GuardSet)>,
     /// What becomes of the power once the arm is at rest.
     after_rest: Option<AfterRest>,
     /// Brakes were ordered open: seed setpoint and law from the next reading.
@@ -240,6 +255,8 @@ impl Servo {
             guards,
             shown: None,
             stopping: Stopping::default(),
+            follower: Follower::new(QUEUE, config.period.as_secs_f64(), config.setpoint_every),
+            ids: VecDeque::with_capacity(QUEUE),
             after_rest: None,
             releasing: false,
             astray: vec![0; needed],
@@ -299,7 +316,12 @@ impl Servo {
                 self.releasing = false;
                 self.status.power = Power::Off;
             }
-            ServoCommand::Move { id, segment } => self.begin(id, segment),
+            ServoCommand::Move { id, segment } => self.begin(id, segment, None),
+            ServoCommand::MoveOver {
+                id,
+                segment,
+                bridge,
+            } => self.begin(id, segment, Some(bridge)),
             ServoCommand::Name { guards } => self.guards.name(guards),
             ServoCommand::Stop => {
                 self.status.stopped = true;
@@ -329,30 +351,67 @@ impl Servo {
         }
     }
 
-    fn begin(&mut self, id: u64, segment: crate::trajectory::Segment) {
-        let rejection = match segment.at(&mut self.solver, 0.0, &self.setpoint.position) {
+    fn begin(&mut self, id: u64, segment: Segment, bridge: Option<Bridge>) {
+        let before = self.follower.end(&mut self.solver).ok().flatten();
+        let from = before.unwrap_or(self.setpoint.position);
+        let rejection = match segment.at(&mut self.solver, 0.0, &from) {
             _ if self.status.power != Power::Released || self.after_rest.is_some() => {
                 Some(Rejection::NotReleased)
             }
             _ if self.status.stopped => Some(Rejection::Stopped),
-            _ if self.motion.is_some() => Some(Rejection::Busy),
+            _ if self.motion.is_some() && self.follower.is_stopping() => Some(Rejection::Busy),
+            _ if self.follower.len() >= QUEUE => Some(Rejection::Full),
             Err(_) => Some(Rejection::Unfit),
-            Ok(start) if self.distance(&start.position) > START_TOLERANCE => {
+            Ok(start) if distance(&start.position, &from) > START_TOLERANCE => {
                 Some(Rejection::StartsElsewhere)
             }
             Ok(_) => None,
         };
         if let Some(rejection) = rejection {
             self.status.rejected = Some((id, rejection));
+            self.status.ended.push(MotionStatus {
+                id,
+                phase: MotionPhase::Rejected(rejection),
+                ..MotionStatus::default()
+            });
             return;
         }
+        self.follower.push(segment, bridge);
+        self.ids.push_back((id, self.guards.named()));
+        if self.motion.is_none() {
+            self.motion = Some(self.first_in_queue());
+        }
+    }
+
+    /// The segment that is now first in the queue.
+    fn first_in_queue(&mut self) -> Motion {
+        let (id, guards) = self.ids.front().copied().unwrap_or_default();
+        self.guards.begin(&self.setpoint.position, guards);
         self.status.motion = MotionStatus {
             id,
             phase: MotionPhase::Moving,
             ..MotionStatus::default()
         };
-        self.motion = Some(Motion::new(segment, &self.config));
-        self.guards.begin(&self.setpoint.position);
+        Motion::new(self.config.settling)
+    }
+
+    /// The segment that was first in the queue has ended.
+    fn ended(&mut self, phase: MotionPhase) {
+        self.status.motion.phase = phase;
+        self.status.ended.push(self.status.motion);
+        self.ids.pop_front();
+    }
+
+    /// What waits is not begun any more.
+    fn drop_queue(&mut self, phase: MotionPhase) {
+        self.follower.clear();
+        while let Some((id, _)) = self.ids.pop_front() {
+            self.status.ended.push(MotionStatus {
+                id,
+                phase,
+                ..MotionStatus::default()
+            });
+        }
     }
 
     /// Zeros for all joints.
@@ -360,19 +419,10 @@ impl Servo {
         Joints::zeros(self.readings.len())
     }
 
-    /// Largest distance of any joint from the held setpoint, rad or m; of another arm's vector infinite.
-    fn distance(&self, position: &Joints) -> f64 {
-        if position.len() != self.setpoint.position.len() {
-            return f64::INFINITY;
-        }
-        let pairs = position.iter().zip(&self.setpoint.position);
-        pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
-    }
-
     /// Brakes along the path; standing still already, there is nothing to do.
     fn brake(&mut self) {
-        if let Some(motion) = &mut self.motion {
-            motion.stop();
+        if self.motion.is_some() {
+            self.follower.stop();
         }
     }
 
@@ -427,19 +477,30 @@ impl Servo {
     }
 
     fn advance_motion(&mut self) {
-        let Some(motion) = &mut self.motion else {
+        let Some(mut motion) = self.motion.take() else {
             return;
         };
-        let progress = motion.advance(&mut self.solver, &self.setpoint, &self.readings);
+        let passed = self.follower.passed();
+        let on_the_way = (&mut self.follower, &mut self.solver);
+        let progress = motion.advance(on_the_way, &self.setpoint, &self.readings);
         match progress {
             Ok((setpoint, progress)) => {
                 self.setpoint = setpoint;
-                motion.report(&mut self.status.motion);
+                for _ in passed..self.follower.passed() {
+                    motion.report(&self.follower, &mut self.status.motion);
+                    self.ended(MotionPhase::Done);
+                    motion = self.first_in_queue();
+                }
+                motion.report(&self.follower, &mut self.status.motion);
                 match progress {
-                    Progress::Going => {}
+                    Progress::Going => self.motion = Some(motion),
                     Progress::Finished(phase) => {
-                        self.status.motion.phase = phase;
-                        self.motion = None;
+                        self.ended(phase);
+                        if phase == MotionPhase::Done && self.follower.go_on() {
+                            self.motion = Some(self.first_in_queue());
+                        } else {
+                            self.drop_queue(phase);
+                        }
                     }
                     Progress::NotSettled => {
                         let settling = &self.config.settling;
@@ -450,32 +511,40 @@ impl Servo {
                             limit: settling.error,
                             after: f64::from(settling.patience) * self.config.period.as_secs_f64(),
                         };
+                        self.motion = Some(motion);
                         self.fail(fault);
                     }
                 }
             }
-            Err(_) => self.fail(Fault::Segment),
+            Err(_) => {
+                self.motion = Some(motion);
+                self.fail(Fault::Segment);
+            }
         }
     }
 
     /// Asks the guards of the motion under way; one that is braking or at rest already needs none.
     fn guard(&mut self) {
-        let motion = self.motion.as_ref();
-        self.stopping = motion.map_or_else(Stopping::default, |motion| {
-            motion.stopping(&self.solver, &self.setpoint)
-        });
-        let Some(motion) = self.motion.as_ref().filter(|motion| motion.is_under_way()) else {
+        let period = self.config.period.as_secs_f64();
+        let mut tool_at_rest = None;
+        self.stopping = Stopping::default();
+        if self.motion.is_some() && !self.follower.rests() {
+            let rest = self.follower.rest(&self.solver);
+            self.stopping = Motion::stopping(&rest, &self.setpoint, period);
+            tool_at_rest = rest.tool.map(|tool| Placement::from(&tool));
+        }
+        if self.motion.is_none() || self.follower.is_stopping() || self.follower.rests() {
             return;
-        };
+        }
         let found = self.guards.check(&Now {
             motion: self.status.motion.id,
             setpoint: &self.setpoint,
             readings: &self.readings,
             stopping: self.stopping,
-            tool_at_rest: motion.tool_at_rest(&self.solver),
+            tool_at_rest,
             // No driver has a force sensor yet.
             force: None,
-            period: self.config.period.as_secs_f64(),
+            period,
         });
         let Some(found) = found else { return };
         self.status.guard = Some(found);
@@ -564,7 +633,8 @@ impl Servo {
         self.releasing = false;
         self.after_rest = None;
         if self.motion.take().is_some() {
-            self.status.motion.phase = MotionPhase::Failed;
+            self.ended(MotionPhase::Failed);
+            self.drop_queue(MotionPhase::Failed);
         }
     }
 

@@ -14,7 +14,7 @@ use mcs::guard::{Guard, GuardSet, Mounted, Reaction};
 use mcs::model::inverse::{Preferences, Search};
 use mcs::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
-use mcs::trajectory::{CartesianLimits, Planner, Solver};
+use mcs::trajectory::{CartesianLimits, Pace, Planner, Solver};
 use nalgebra::Translation3;
 
 const START: [f64; 6] = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
@@ -106,6 +106,11 @@ fn allocations(servo: &mut Servo, port: &ServoPort, stop_after: Option<u32>) -> 
     count
 }
 
+/// Neither the goal nor the start.
+fn aside(name: &str) -> Joints {
+    joints(name, [-0.3, 0.4, -0.2], [0.6, 0.4, -2.0, 0.6, 0.2, -0.6])
+}
+
 fn laws(name: &str) -> [Box<dyn ControlLaw>; 2] {
     let model = Arc::new(model(name));
     let options = DynamicsOptions::WITH_ROTORS;
@@ -138,10 +143,34 @@ fn no_tick_of_any_arm_allocates_in_any_state() {
         port.order(ServoCommand::Move { id: 1, segment }).unwrap();
         count += allocations(&mut servo, &port, None);
         assert_eq!(port.status().motion.phase, MotionPhase::Done, "{name}");
+        // On to a third position over a bridge.
+        let (from, third) = (goal, joints(name, [0.1, 0.1, 0.0], START));
+        let back = planner.joint(&from, &aside(name), 0.5).unwrap();
+        let on = planner.joint(&aside(name), &third, 0.5).unwrap();
+        let bridge = planner.bridge((&back, &on), Pace::from(0.5), 1.0).unwrap();
+        let orders = [
+            ServoCommand::Move {
+                id: 2,
+                segment: back,
+            },
+            ServoCommand::MoveOver {
+                id: 3,
+                segment: on,
+                bridge,
+            },
+        ];
+        for order in orders {
+            port.order(order).unwrap();
+            count += allocation_counter::measure(|| servo.tick(0)).count_total;
+        }
+        while port.status().ended.of(3).is_none() {
+            count += allocation_counter::measure(|| servo.tick(0)).count_total;
+        }
+        assert_eq!(port.status().motion.phase, MotionPhase::Done, "{name}");
         let start = port.status().setpoint;
         let goal = Translation3::new(0.02, 0.1, -0.05) * planner.tool_pose(&start);
         let segment = planner.line(&start, &goal, 0.5).unwrap();
-        port.order(ServoCommand::Move { id: 2, segment }).unwrap();
+        port.order(ServoCommand::Move { id: 4, segment }).unwrap();
         count += allocations(&mut servo, &port, Some(50));
         assert_eq!(port.status().motion.phase, MotionPhase::Stopped, "{name}");
         port.emergency_stop();

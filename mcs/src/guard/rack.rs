@@ -150,10 +150,15 @@ impl Rack {
         self.named = guards;
     }
 
-    /// A motion begins at `start`.
-    pub fn begin(&mut self, start: &Joints) {
+    /// What motions ordered now name.
+    pub fn named(&self) -> GuardSet {
+        self.named
+    }
+
+    /// A motion that named these begins at `start`.
+    pub fn begin(&mut self, start: &Joints, guards: GuardSet) {
         self.allowed = *start;
-        self.holding = self.named;
+        self.holding = guards;
         for mounted in self.slots.iter_mut().flatten() {
             mounted.begun = false;
             mounted.told = false;

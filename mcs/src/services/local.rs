@@ -76,10 +76,25 @@ impl LocalArm {
         self.planner.tool_pose(&self.joints)
     }
 
-    /// Where a motion would end, and how long it would take, s.
-    pub(super) fn plan(&mut self, route: &Route) -> Result<(Joints, f64), PlanError> {
-        let (segment, end) = self.planner.segment(&self.joints, route)?;
-        Ok((end, segment.duration()))
+    /// Where motions, one after the other, would end, and how long they would take with so much of a blend, s.
+    pub(super) fn plan(
+        &mut self,
+        routes: &[Route],
+        blend: f64,
+    ) -> Result<(Joints, f64), PlanError> {
+        let (mut at, mut took) = (self.joints, 0.0);
+        let mut before = None;
+        for route in routes {
+            let (segment, end) = self.planner.segment(&at, route)?;
+            took += segment.duration();
+            if let Some(before) = &before {
+                let bridge = self.planner.bridge((before, &segment), route.pace, blend);
+                took -= bridge.map_or(0.0, |bridge| bridge.gain(before));
+            }
+            at = end;
+            before = Some(segment);
+        }
+        Ok((at, took))
     }
 
     /// Is there, and so much later.

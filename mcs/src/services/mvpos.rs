@@ -3,7 +3,7 @@
 
 use std::{sync::LazyLock, time::Duration};
 
-use futures_util::future::LocalBoxFuture;
+use futures_util::future::{LocalBoxFuture, join_all};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use sorma::{
     Context, Form, Method, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting, words,
@@ -13,9 +13,12 @@ use super::kinematics;
 use super::local::{SharedArm, rows, target};
 use super::wspc::guard_name;
 use super::{code, ended, in_the_way, six};
-use crate::client::{Acquire, Move, PathKind, Plan, Position, ReadPosition, Release, Status};
+use crate::client::{
+    Acquire, Move, MoveReport, PathKind, Plan, Position, ReadPosition, Release, Status,
+};
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
+use crate::servo::QUEUE;
 use crate::state::State;
 use crate::trajectory::{Goal, Pace, Route};
 
@@ -27,26 +30,33 @@ const SOON: Duration = Duration::from_secs(30);
 const FORMS: &[Form] = &[
     Form {
         text: "joints",
-        floats: 6,
-        takes: "joint positions q1 to q6, rad",
-        gives: "7 floats: joint positions at the end, rad, and how long it took, s",
+        floats: Form::ANY,
+        takes: "joint positions q1 to qn, as many as the arm has joints, rad or m",
+        gives: "n + 1 floats: joint positions at the end, rad or m, and how long it took, s",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
-        help: "moves the joints there; an arm of n joints takes n positions in the order of its model, rad or m, and answers n + 1 \
-               floats to all that moves it",
+        help: "moves the joints there",
     },
     Form {
         text: "by",
-        floats: 6,
-        takes: "how far each joint turns, rad",
-        gives: "7 floats, as joints",
+        floats: Form::ANY,
+        takes: "how far each joint turns or slides, rad or m",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the joints on from where they are",
+    },
+    Form {
+        text: "along",
+        floats: Form::ANY,
+        takes: "up to 8 joint positions, one after the other, as many numbers for each as the arm has joints, rad or m",
+        gives: "n + 1 floats, as joints, at the last of them",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
+        help: "moves through joint positions in their order, with a stop at each as far as -blend does not leave it out",
     },
     Form {
         text: "pose",
         floats: 16,
         takes: "base_T_tool, or reference_T_tool, row by row, m",
-        gives: "7 floats, as joints",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool to a pose in the reference frame",
     },
@@ -54,7 +64,7 @@ const FORMS: &[Form] = &[
         text: "place",
         floats: 6,
         takes: "x y z, m, and roll pitch yaw about the base's x, y and z, rad",
-        gives: "7 floats, as joints",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool to a place in the reference frame",
     },
@@ -62,7 +72,7 @@ const FORMS: &[Form] = &[
         text: "shift",
         floats: 6,
         takes: "dx dy dz, m, and roll pitch yaw about the base's axes, rad",
-        gives: "7 floats, as joints",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool on from where it is, and turns it about itself, both along the base's axes",
     },
@@ -70,7 +80,7 @@ const FORMS: &[Form] = &[
         text: "relative",
         floats: 16,
         takes: "tool_T_goal, row by row, m",
-        gives: "7 floats, as joints",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool on from where it is, along its own axes, by a transformation matrix",
     },
@@ -78,7 +88,7 @@ const FORMS: &[Form] = &[
         text: "where",
         floats: 0,
         takes: "",
-        gives: "22 floats: joint positions, rad, and base_T_tool, row by row, m",
+        gives: "n + 16 floats: joint positions, rad or m, and base_T_tool, row by row, m",
         results: "q1 q2 q3 q4 q5 q6: rad; base_T_tool 4x4: m",
         help: "tells where the arm is",
     },
@@ -94,7 +104,7 @@ const FORMS: &[Form] = &[
         text: "POSITION",
         floats: 0,
         takes: "",
-        gives: "7 floats, as joints",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves to a position that the dictionary names: `position.NAME q1 .. qn`, rad or m",
     },
@@ -102,7 +112,7 @@ const FORMS: &[Form] = &[
         text: "",
         floats: 0,
         takes: "",
-        gives: "7 floats, as joints",
+        gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves to the flavor's own position, -to",
     },
@@ -111,7 +121,7 @@ const FORMS: &[Form] = &[
 /// The same of an arm with so many joints.
 fn forms(n: usize) -> Vec<Form> {
     let counted = |form: &Form| match form.text {
-        "joints" | "by" if n != form.floats => Form {
+        "joints" | "by" => Form {
             floats: n,
             takes: "one number for each joint in the model's order, rad or m",
             ..*form
@@ -130,6 +140,7 @@ pub(super) struct Options {
     acceleration: Vec<f64>,
     reference: Vec<f64>,
     elbow: String,
+    blend: f64,
     plan: bool,
     keep: bool,
     guards: String,
@@ -145,6 +156,7 @@ impl Default for Options {
             acceleration: Vec::new(),
             reference: Vec::new(),
             elbow: "nearest".to_owned(),
+            blend: 0.0,
             plan: false,
             keep: false,
             guards: String::new(),
@@ -189,6 +201,14 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             &["nearest", "above", "below"],
             "posture at a pose; nearest to where the joints are",
             |options| &mut options.elbow,
+        )
+        .float(
+            "blend",
+            0.0..=1.0,
+            "",
+            "how much of the stop at the position before may be left out: 0 nothing, 1 the second half of the way there and \
+             the first half of the way on give way to a bridge between both",
+            |options| &mut options.blend,
         )
         .floats(
             "to",
@@ -284,10 +304,13 @@ impl MvPos {
                 Ok(())
             }
             _ => {
-                let goal = self.goal(text, cx, io).await?;
+                let goals = match text {
+                    "along" => self.goals(cx, io).await?,
+                    _ => vec![self.goal(text, cx, io).await?],
+                };
                 let (joints, duration_s) = match cx.is_in_app() {
-                    true => self.ask(cx, &goal, io).await?,
-                    false => self.move_here(&goal)?,
+                    true => self.ask(cx, &goals, io).await?,
+                    false => self.move_here(&goals)?,
                 };
                 io.floats.clear();
                 io.floats.extend_from_slice(&joints);
@@ -299,12 +322,30 @@ impl MvPos {
 
     /// Which form the request has. Joint positions are counted by the arm that it is for.
     async fn form(&self, cx: &Waiting<'_>, io: &Transport) -> Result<&'static str, Report> {
-        let counted = ["joints", "by"].contains(&io.text.trim()) && !io.floats.is_empty();
+        let counted = ["joints", "by"].contains(&io.text.trim());
         if !counted {
             return TABLE.form(io).map(|form| form.text);
         }
         let (joints, _) = self.position(cx).await?;
         sorma::options::form(&forms(joints.len()), io).map(|form| form.text)
+    }
+
+    /// The positions of a way through several.
+    async fn goals(&self, cx: &Waiting<'_>, io: &Transport) -> Result<Vec<Goal>, Report> {
+        let (joints, _) = self.position(cx).await?;
+        let (needed, given) = (joints.len(), io.floats.len());
+        let goals = io.floats.chunks_exact(needed);
+        let goals: Result<Vec<Goal>, _> = goals
+            .map(|goal| Joints::try_from(goal).map(Goal::Joints))
+            .collect();
+        let goals = goals.map_err(|error| Report::error(code::MOTION, error.to_string()))?;
+        if !(1..=QUEUE).contains(&goals.len()) || goals.len() * needed != given {
+            let text = format!(
+                "EXEC along takes {needed} floats for each of 1 to {QUEUE} positions, not {given} in all"
+            );
+            return Err(Report::error(sorma::report::code::VALUE, text));
+        }
+        Ok(goals)
     }
 
     /// Where the request wants it to go.
@@ -369,18 +410,22 @@ impl MvPos {
     }
 
     /// Moves the arm of this process.
-    fn move_here(&self, goal: &Goal) -> Result<(Joints, f64), Report> {
+    fn move_here(&self, goals: &[Goal]) -> Result<(Joints, f64), Report> {
         if !self.options.guards.trim().is_empty() && !self.options.plan {
             let text = "the arm of this process has no servo that could ask guards; clear it with -guards ''";
             return Err(Report::error(code::MOTION, text));
         }
         let mut arm = self.arm.lock()?;
-        let planned = arm.plan(&Route {
-            goal: *goal,
-            path: self.path(),
-            pace: self.pace(),
-            elbow: self.elbow(),
-        });
+        let routes: Vec<Route> = goals
+            .iter()
+            .map(|goal| Route {
+                goal: *goal,
+                path: self.path(),
+                pace: self.pace(),
+                elbow: self.elbow(),
+            })
+            .collect();
+        let planned = arm.plan(&routes, self.options.blend);
         let (joints, duration_s) =
             planned.map_err(|error| Report::error(code::MOTION, error.to_string()))?;
         if !self.options.plan {
@@ -407,15 +452,20 @@ impl MvPos {
     async fn ask(
         &self,
         cx: &Waiting<'_>,
-        goal: &Goal,
+        goals: &[Goal],
         io: &mut Transport,
     ) -> Result<(Joints, f64), Report> {
         let (client, speed) = (&self.options.client, self.options.speed);
         let acceleration = self.options.acceleration.first().copied();
-        let (target, path, elbow) = (target(goal), self.path(), self.elbow());
+        let (path, elbow) = (self.path(), self.elbow());
         if self.options.plan {
+            let [goal] = goals else {
+                let text =
+                    "-plan tells of one motion from where the arm is; ask for each position alone";
+                return Err(Report::error(code::MOTION, text));
+            };
             let plan = Plan {
-                target,
+                target: target(goal),
                 path,
                 speed,
                 acceleration,
@@ -432,26 +482,38 @@ impl MvPos {
             let acquired = cx.call_task(client, Acquire {}, SOON).await?;
             acquired.map_err(in_the_way)?;
         }
-        let order = Move {
-            target,
-            path,
-            speed,
-            acceleration,
-            elbow,
-            guards,
-        };
-        let moved = cx.call_task(client, order, LONGEST_MOVE).await;
-        let moved = moved.and_then(|moved| moved.map_err(in_the_way));
+        let moves = goals.iter().map(|goal| {
+            let order = Move {
+                target: target(goal),
+                path,
+                speed,
+                acceleration,
+                elbow,
+                blend: self.options.blend,
+                guards: guards.clone(),
+            };
+            cx.call_task(client, order, LONGEST_MOVE)
+        });
+        // Each waits in the queue of the arm for the one before it.
+        let moved = join_all(moves).await.into_iter();
+        let moved = moved.map(|moved| moved.and_then(|moved| moved.map_err(in_the_way)));
+        let moved: Result<Vec<MoveReport>, Report> = moved.collect();
         if acquires && (!self.options.keep || moved.is_err()) {
             // It was had for this motion, whatever became of it.
             let released = cx.call_task(client, Release {}, SOON).await;
             let moved = moved?;
             released?.map_err(in_the_way)?;
-            return Ok((moved.joints, moved.duration_s));
+            return Ok(last_of(&moved));
         }
-        let moved = moved?;
-        Ok((moved.joints, moved.duration_s))
+        Ok(last_of(&moved?))
     }
+}
+
+/// Where the last of several motions ended, and how long all took, s.
+fn last_of(moved: &[MoveReport]) -> (Joints, f64) {
+    let took = moved.iter().map(|moved| moved.duration_s).sum();
+    let joints = moved.last().map(|moved| moved.joints);
+    (joints.unwrap_or_default(), took)
 }
 
 /// x y z and roll pitch yaw as a pose.

@@ -556,6 +556,24 @@ fn a_motion_that_cannot_be_made_moves_nothing_and_says_what_is_in_the_way() {
 }
 
 #[test]
+fn along_positions_takes_as_long_as_one_after_the_other_and_blended_less() {
+    let sorm = manager();
+    let (a, b) = ("0.4 0.9 -2.4 0 0.6 0", "0.8 0.5 -2.6 0.3 0.2 0");
+    let how_long = |options: &str, line: &str| {
+        tell(&sorm, &format!("mvpos CTRL -plan -blend {options}"));
+        done(&sorm, line)[6]
+    };
+    let along = format!("mvpos EXEC along FMSG 12 {a} {b}");
+    let both = how_long("0", &along);
+    let blended = how_long("0.5", &along);
+    let first = how_long("0", &format!("mvpos EXEC joints FMSG 6 {a}"));
+    assert!(
+        first < blended && blended < both - 0.05,
+        "{first} {blended} {both}"
+    );
+}
+
+#[test]
 fn times_of_trapezoids_and_of_stops_are_the_closed_forms() {
     let sorm = manager();
     // Joint 1 cruises, joint 2 does not come to it, joint 3 stays: 1/1 + 1/2, 2 sqrt(0.5/2), 0.

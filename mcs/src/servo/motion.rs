@@ -1,15 +1,15 @@
 //! One motion under way: which setpoint each tick gets, how well it is tracked, when it has settled.
 
+use super::Settling;
 use super::port::{MotionPhase, MotionStatus};
-use super::{ServoConfig, Settling};
 use crate::driver::SlotReading;
 use crate::guard::Stopping;
 use crate::joints::Distances;
-use crate::model::{Model, Placement};
+use crate::model::Model;
 use crate::trajectory::segment::SegmentError;
-use crate::trajectory::{Follower, Path, Segment, Setpoint, Solver};
+use crate::trajectory::{Follower, Rest, Setpoint, Solver};
 
-/// A joint (rad/s or m/s), or a line (1/s), that is slower does not move yet.
+/// A joint (rad/s or m/s) that is slower does not move yet.
 const STANDING: f64 = 1e-9;
 
 /// What a tick made of the motion.
@@ -22,9 +22,6 @@ pub(super) enum Progress {
 
 /// A segment being followed, braked or settled on.
 pub(super) struct Motion {
-    follower: Follower,
-    /// Servo period, s.
-    period: f64,
     settling: Settling,
     settled_for: u32,
     settling_for: u32,
@@ -33,21 +30,10 @@ pub(super) struct Motion {
     error: Distances,
 }
 
-/// How many seconds at `pace` a way takes; of one that does not move yet none.
-fn seconds(way: f64, pace: f64) -> f64 {
-    match pace.abs() > STANDING {
-        true => (way / pace).max(0.0),
-        false => 0.0,
-    }
-}
-
 impl Motion {
-    pub(super) fn new(segment: Segment, config: &ServoConfig) -> Self {
-        let period = config.period.as_secs_f64();
+    pub(super) fn new(settling: Settling) -> Self {
         Self {
-            follower: Follower::new(segment, period, config.setpoint_every),
-            period,
-            settling: config.settling,
+            settling,
             settled_for: 0,
             settling_for: 0,
             elapsed: 0,
@@ -56,26 +42,21 @@ impl Motion {
         }
     }
 
-    /// From now on brakes along the path.
-    pub(super) fn stop(&mut self) {
-        self.follower.stop();
-    }
-
     /// The setpoint of this tick, given the one before and the readings of this tick.
     pub(super) fn advance(
         &mut self,
-        solver: &mut Solver,
+        (follower, solver): (&mut Follower, &mut Solver),
         before: &Setpoint,
         readings: &[SlotReading],
     ) -> Result<(Setpoint, Progress), SegmentError> {
         self.elapsed += 1;
-        let setpoint = if self.follower.rests() {
+        let setpoint = if follower.rests() {
             *before
         } else {
-            self.follower.next(solver, &before.position)?
+            follower.next(solver, &before.position)?
         };
         self.measure(solver.model(), &setpoint, readings);
-        if !self.follower.rests() {
+        if !follower.rests() {
             return Ok((setpoint, Progress::Going));
         }
         self.settling_for += 1;
@@ -89,7 +70,7 @@ impl Motion {
             self.settled_for = 0;
         }
         let progress = if self.settled_for >= self.settling.ticks {
-            Progress::Finished(if self.follower.is_stopping() {
+            Progress::Finished(if follower.is_stopping() {
                 MotionPhase::Stopped
             } else {
                 MotionPhase::Done
@@ -111,50 +92,25 @@ impl Motion {
         self.max_error = self.max_error.or(self.error);
     }
 
-    /// Whether it follows its segment and nobody has it brake.
-    pub(super) fn is_under_way(&self) -> bool {
-        !self.follower.is_stopping() && !self.follower.rests()
-    }
-
-    /// How it would come to rest if it braked from the next tick on, `setpoint` being that of this one. No joint goes farther
-    /// than this says.
-    pub(super) fn stopping(&self, solver: &Solver, setpoint: &Setpoint) -> Stopping {
-        if self.follower.rests() {
-            return Stopping::default();
-        }
-        let rest = self.follower.rest(solver);
-        let lead = match self.follower.segment().path() {
-            Path::Line(line) => {
-                let [now, then] =
-                    [self.follower.time(), rest.at].map(|time| line.progress.at(time));
-                let pace = now.velocity + now.acceleration.max(0.0) * self.period;
-                seconds(then.position - now.position, pace)
+    /// How it comes to rest as `rest` says, `setpoint` being that of this tick: no joint goes farther than this says.
+    pub(super) fn stopping(rest: &Rest, setpoint: &Setpoint, period: f64) -> Stopping {
+        let lead = match (&rest.joints, rest.lead) {
+            (Some(joints), _) => {
+                let all = joints.iter().zip(&setpoint.position).enumerate();
+                all.fold(0.0, |most: f64, (index, (then, now))| {
+                    let pace = setpoint.pace(index, period);
+                    match pace.abs() > STANDING {
+                        true => most.max((then - now) / pace),
+                        false => most,
+                    }
+                })
             }
-            Path::Joint(courses) => {
-                courses
-                    .each()
-                    .iter()
-                    .enumerate()
-                    .fold(0.0, |most: f64, (index, course)| {
-                        let way = course.at(rest.at).position - setpoint.position[index];
-                        most.max(seconds(way, setpoint.pace(index, self.period)))
-                    })
-            }
+            (None, lead) => lead,
         };
         Stopping {
-            time: rest.time.max(2.0 * self.period),
+            time: rest.time.max(2.0 * period),
             lead,
         }
-    }
-
-    /// Where the tool would come to rest if it braked along its straight line from the next tick on; `None` on other
-    /// paths, on which the joints tell.
-    pub(super) fn tool_at_rest(&self, solver: &Solver) -> Option<Placement> {
-        let Path::Line(line) = self.follower.segment().path() else {
-            return None;
-        };
-        let rest = self.follower.rest(solver).at + self.period;
-        Some(Placement::from(&line.pose(line.progress.at(rest).position)))
     }
 
     /// Largest distances of joints from their setpoints at the last tick.
@@ -162,11 +118,11 @@ impl Motion {
         self.error
     }
 
-    pub(super) fn report(&self, status: &mut MotionStatus) {
+    pub(super) fn report(&self, follower: &Follower, status: &mut MotionStatus) {
         status.elapsed_ticks = self.elapsed;
         status.max_tracking_error = self.max_error;
         status.error = self.error;
-        status.phase = match (self.follower.rests(), self.follower.is_stopping()) {
+        status.phase = match (follower.rests(), follower.is_stopping()) {
             (true, _) => MotionPhase::Settling,
             (false, true) => MotionPhase::Stopping,
             (false, false) => MotionPhase::Moving,

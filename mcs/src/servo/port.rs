@@ -10,7 +10,10 @@ use crate::guard::rack::RackPort;
 use crate::guard::{GuardReport, GuardSet, Mounted, Reaction};
 use crate::joints::{Distances, Joints};
 use crate::model::JointKind;
-use crate::trajectory::Segment;
+use crate::trajectory::{Bridge, Segment};
+
+/// So many segments are under way or wait at most.
+pub const QUEUE: usize = 8;
 
 /// An order to the servo. Orders that the present state does not allow change nothing; the status
 /// shows what holds.
@@ -28,7 +31,8 @@ pub enum ServoCommand {
     EngageBrakes,
     /// Protective stop if moving, then brakes on and power off.
     PowerOff,
-    /// Follow a segment, from rest, from the setpoint that is held.
+    /// Follow a segment, from rest: from the setpoint that is held, or after those that are under way and wait, from where
+    /// the last of them ends.
     Move {
         /// Number by which the status reports it.
         id: u64,
@@ -39,6 +43,15 @@ pub enum ServoCommand {
     Name {
         /// By slot: see [`ServoPort::mount`].
         guards: GuardSet,
+    },
+    /// The same without the rest before it.
+    MoveOver {
+        /// Number by which the status reports it.
+        id: u64,
+        /// The planned segment.
+        segment: Segment,
+        /// The way into it. Where it comes too late for that, the arm rests between both.
+        bridge: Bridge,
     },
     /// Protective stop: brake along the path within limits to rest, then hold (category 2). No
     /// segment is taken until [`Self::Resume`].
@@ -143,11 +156,14 @@ pub enum Rejection {
     /// A protective stop holds.
     #[error("a protective stop holds")]
     Stopped,
-    /// Another motion is under way.
-    #[error("another motion is under way")]
+    /// A motion is being stopped.
+    #[error("the arm is still coming to rest; try again when it has")]
     Busy,
-    /// The segment does not start where the arm is held.
-    #[error("the segment does not start where the arm is held")]
+    /// So many segments wait that there is no room for another one.
+    #[error("{QUEUE} motions are under way or wait already; wait for one of them to end")]
+    Full,
+    /// The segment does not begin where the arm is held, or where the last one before it ends.
+    #[error("the segment does not begin where the arm is held, or where the one before it ends")]
     StartsElsewhere,
     /// The segment has no setpoint at its start.
     #[error("the segment has no setpoint at its start")]
@@ -172,6 +188,8 @@ pub enum MotionPhase {
     Stopped,
     /// Ended by a fault.
     Failed,
+    /// Never begun, and why.
+    Rejected(Rejection),
 }
 
 impl MotionPhase {
@@ -195,6 +213,36 @@ pub struct MotionStatus {
     pub max_tracking_error: Distances,
     /// Largest distances of joints from their setpoints now; once over, the final errors.
     pub error: Distances,
+}
+
+/// The motions that ended lately, so that whoever looks now and then misses none.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Ended {
+    motions: [MotionStatus; 2 * QUEUE],
+    next: usize,
+}
+
+impl Ended {
+    pub(super) fn push(&mut self, motion: MotionStatus) {
+        if let Some(oldest) = self.motions.get_mut(self.next) {
+            *oldest = motion;
+        }
+        self.next = (self.next + 1) % self.motions.len();
+    }
+
+    /// The largest number of a motion that ended.
+    #[must_use]
+    pub fn newest(&self) -> u64 {
+        let ids = self.motions.iter().map(|motion| motion.id);
+        ids.max().unwrap_or_default()
+    }
+
+    /// How the motion with this number ended, if it has.
+    #[must_use]
+    pub fn of(&self, id: u64) -> Option<&MotionStatus> {
+        let mut ended = self.motions.iter();
+        ended.find(|motion| motion.id == id && motion.phase != MotionPhase::None)
+    }
 }
 
 /// What the servo shows after each tick.
@@ -224,6 +272,8 @@ pub struct ServoStatus {
     pub motion: MotionStatus,
     /// What a guard found last.
     pub guard: Option<GuardReport>,
+    /// The motions that ended lately.
+    pub ended: Ended,
     /// Number of the latest segment that was not taken, and why.
     pub rejected: Option<(u64, Rejection)>,
 }

@@ -535,7 +535,7 @@ fn an_emergency_stop_gets_through_a_full_queue() {
 }
 
 #[test]
-fn a_segment_is_taken_only_at_rest_with_brakes_released_and_from_where_the_arm_is() {
+fn a_segment_is_taken_only_with_brakes_released_and_from_where_the_arm_is_or_will_be() {
     let mut rig = Rig::pid();
     let rejected = |rig: &Rig| rig.port.status().rejected;
     let segment = rig.plan(0.5);
@@ -551,10 +551,119 @@ fn a_segment_is_taken_only_at_rest_with_brakes_released_and_from_where_the_arm_i
     let segment = rig.plan(0.5);
     rig.order(ServoCommand::Move { id: 3, segment });
     rig.order(ServoCommand::Move { id: 4, segment });
-    assert_eq!(rejected(&rig), Some((4, Rejection::Busy)));
+    assert_eq!(rejected(&rig), Some((4, Rejection::StartsElsewhere)));
     // The motion under way is not disturbed and still reported under its own number.
     let motion = rig.run_to_end();
     assert_eq!((motion.id, motion.phase), (3, MotionPhase::Done));
+}
+
+/// There and back and there, of which the second and the third may wait.
+fn there_and_back(rig: &mut Rig, blend: f64) -> [ServoCommand; 3] {
+    let aside = Joints::from_fn(6, |index| GOAL[index] + 0.3);
+    let ends = [START.into(), GOAL.into(), aside, START.into()];
+    let segment = |index: usize| rig.planner.joint(&ends[index], &ends[index + 1], 0.8);
+    let segments = [0, 1, 2].map(|index| segment(index).unwrap());
+    [0, 1, 2].map(|index| {
+        let (id, segment) = (index as u64 + 1, segments[index]);
+        let before = index.checked_sub(1).map(|before| &segments[before]);
+        let bridge = before.and_then(|before| {
+            let pace = crate::trajectory::Pace::from(0.8);
+            rig.planner.bridge((before, &segment), pace, blend)
+        });
+        match bridge {
+            Some(bridge) => ServoCommand::MoveOver {
+                id,
+                segment,
+                bridge,
+            },
+            None => ServoCommand::Move { id, segment },
+        }
+    })
+}
+
+#[test]
+fn segments_that_wait_are_followed_in_their_order_with_a_stop_between_or_over_bridges() {
+    let mut took = [0; 2];
+    for (took, blend) in took.iter_mut().zip([0.0, 0.6]) {
+        let mut rig = Rig::pid();
+        rig.release();
+        for order in there_and_back(&mut rig, blend) {
+            rig.order(order);
+        }
+        let mut rests = 0;
+        let mut before = rig.port.status();
+        while rig.port.status().ended.of(3).is_none() {
+            rig.servo.tick(0);
+            let status = rig.port.status();
+            rests += u32::from(
+                status.motion.phase == MotionPhase::Settling
+                    && before.motion.phase == MotionPhase::Moving,
+            );
+            assert!(status.motion.id >= before.motion.id);
+            for (joint, own) in rig.planner.model().joints().iter().enumerate() {
+                let moved = (status.setpoint[joint] - before.setpoint[joint]).abs();
+                assert!(moved <= own.limits.velocity * 0.0045 * (1.0 + 1e-9) + 1e-9);
+            }
+            before = status;
+            *took += 1;
+            assert!(*took < 5000, "{status:?}");
+        }
+        assert_eq!(rests, if blend > 0.0 { 1 } else { 3 });
+        let status = rig.port.status();
+        for id in 1..=3 {
+            assert_eq!(status.ended.of(id).unwrap().phase, MotionPhase::Done);
+        }
+        assert!(distance(&status.setpoint, &START.into()) < 1e-9);
+    }
+    assert!(took[1] + 100 < took[0], "{took:?}");
+}
+
+#[test]
+fn what_ends_a_motion_ends_those_that_wait_and_a_queue_that_is_full_says_so() {
+    for stop in [
+        ServoCommand::Stop,
+        ServoCommand::Cancel,
+        ServoCommand::EmergencyStop,
+        ServoCommand::PowerOff,
+    ] {
+        let mut rig = Rig::pid();
+        rig.release();
+        for order in there_and_back(&mut rig, 0.5) {
+            rig.order(order);
+        }
+        let here = rig
+            .planner
+            .joint(&START.into(), &START.into(), 0.5)
+            .unwrap();
+        for id in 4..=QUEUE as u64 + 1 {
+            rig.order(ServoCommand::Move { id, segment: here });
+        }
+        let full = rig.port.status().ended;
+        let rejected = MotionPhase::Rejected(Rejection::Full);
+        assert_eq!(full.of(QUEUE as u64 + 1).unwrap().phase, rejected);
+        for _ in 0..60 {
+            rig.servo.tick(0);
+        }
+        let expected = match stop {
+            ServoCommand::EmergencyStop => MotionPhase::Failed,
+            _ => MotionPhase::Stopped,
+        };
+        rig.order(stop);
+        rig.order(ServoCommand::Move {
+            id: 20,
+            segment: here,
+        });
+        rig.run_to_end();
+        let ended = rig.port.status().ended;
+        for id in 1..=QUEUE as u64 {
+            assert_eq!(ended.of(id).unwrap().phase, expected, "{id}");
+        }
+        assert!(matches!(
+            ended.of(20).unwrap().phase,
+            MotionPhase::Rejected(_)
+        ));
+        assert_eq!(ended.newest(), 20);
+    }
 }
 
 #[test]

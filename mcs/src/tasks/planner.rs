@@ -1,7 +1,8 @@
 //! The planner as a task: takes [`Plan`] and [`Move`], checks them, gives segments to the servo and
-//! answers a move when the arm has settled, or says what ended it.
+//! answers a move when the arm has settled or is on its way to the next target, or says what ended it.
 
 use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::future::Future;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -19,8 +20,8 @@ use crate::client::{MotionError, Move, MoveReport, Outcome, Plan, PlanReport, Ta
 use crate::driver::Power;
 use crate::guard::Reaction;
 use crate::joints::Joints;
-use crate::servo::{MotionPhase, Rejection, ServoCommand, ServoStatus};
-use crate::trajectory::{Goal, Pace, PlanError, Planner, Route, Segment};
+use crate::servo::{MotionPhase, QUEUE, Rejection, ServoCommand, ServoStatus};
+use crate::trajectory::{Bridge, Goal, Pace, PlanError, Planner, Route, Segment};
 
 /// How far the rotation of a target pose may be from a rotation, per entry.
 const ROTATION_ROUNDING: f64 = 1e-6;
@@ -33,7 +34,9 @@ pub(super) fn register(registry: &mut Registry) {
                 servo: args.servo,
                 link: None,
                 planner: None,
-                running: Rc::default(),
+                waiting: Rc::default(),
+                last: None,
+                last_id: 0,
                 asked_from: 0,
                 ending: None,
             })
@@ -43,14 +46,24 @@ pub(super) fn register(registry: &mut Registry) {
         });
 }
 
-/// The caller of the motion under way, who waits for its end.
-type Running = Rc<RefCell<Option<Replier<Move>>>>;
+/// The callers of the motion under way and of those that wait, with the motions' numbers.
+type Waiting = Rc<RefCell<VecDeque<(u64, Replier<Move>)>>>;
+
+/// The motion that was ordered last.
+struct Last {
+    segment: Segment,
+    /// Where it ends, rad or m.
+    end: Joints,
+    pace: Pace,
+}
 
 struct PlannerTask {
     servo: String,
     link: Option<Arc<Link>>,
     planner: Option<Planner>,
-    running: Running,
+    waiting: Waiting,
+    last: Option<Last>,
+    last_id: u64,
     /// The number of the chassis from which the latest move was asked for.
     asked_from: u8,
     /// Why nothing moves any more: the app is being stopped.
@@ -64,11 +77,18 @@ impl PlannerTask {
             .ok_or_else(|| "the servo is not connected yet".into())
     }
 
-    /// The segment for a request from where the arm is held (or stands), and where it ends.
+    /// The motion that was ordered last, while it has not ended.
+    fn last(&self, link: &Link) -> Option<&Last> {
+        let last = self.last.as_ref()?;
+        let ended = link.port.status().ended.of(self.last_id).is_some();
+        (!ended).then_some(last)
+    }
+
+    /// The segment for a request, and where it ends: from where the last motion ends, or the arm is held (or stands).
     fn plan(&mut self, link: &Link, request: &Plan) -> Result<(Segment, Joints), MotionError> {
+        let held = link.port.status().setpoint;
+        let start = self.last(link).map_or(held, |last| last.end);
         let planner = self.planner.get_or_insert_with(|| link.planner.clone());
-        let status = link.port.status();
-        let start = status.setpoint;
         let goal = match &request.target {
             Target::Joints(joints) => Goal::Joints(*joints),
             Target::Pose(rows) => Goal::Pose(pose(rows).map_err(refused)?),
@@ -85,13 +105,15 @@ impl PlannerTask {
     /// Gives the servo the segment for a move, or says what is in the way of it.
     fn begin(&mut self, cx: &Context, request: Move, reply: Replier<Move>) -> Handled {
         let link = self.link()?;
-        if let Err(error) = self.may_begin(&link) {
+        if let Err(error) = self.may_begin(&link, request.blend) {
             return reply.ok(Err(error));
         }
         let guards = match link.guards.named(&request.guards) {
             Ok(guards) => guards,
             Err(error) => return reply.ok(Err(error)),
         };
+        let pace = Pace::new(request.speed, request.acceleration);
+        let blend = request.blend;
         let request = Plan {
             target: request.target,
             path: request.path,
@@ -99,32 +121,54 @@ impl PlannerTask {
             acceleration: request.acceleration,
             elbow: request.elbow,
         };
-        let segment = match self.plan(&link, &request) {
-            Ok((segment, _)) => segment,
+        let (segment, end) = match self.plan(&link, &request) {
+            Ok(planned) => planned,
             Err(error) => return reply.ok(Err(error)),
         };
         let status = link.port.status();
-        let last_rejected = status.rejected.map_or(0, |(id, _)| id);
-        let id = status.motion.id.max(last_rejected) + 1;
-        let duration = segment.duration();
+        let bridge = self.bridge(&link, &segment, pace, blend);
+        let newest = status.ended.newest().max(status.motion.id);
+        let id = self.last_id.max(newest) + 1;
         link.port.order(ServoCommand::Name { guards })?;
-        link.port.order(ServoCommand::Move { id, segment })?;
-        *self.running.borrow_mut() = Some(reply);
+        link.port.order(match bridge {
+            Some(bridge) => ServoCommand::MoveOver {
+                id,
+                segment,
+                bridge,
+            },
+            None => ServoCommand::Move { id, segment },
+        })?;
+        self.waiting.borrow_mut().push_back((id, reply));
+        self.last_id = id;
+        self.last = Some(Last { segment, end, pace });
+        let duration = Duration::from_secs_f64(segment.duration());
         cx.is_at(Some(AtReport {
             text: "moves the arm".to_owned(),
-            until: Some(cx.now() + Duration::from_secs_f64(duration)),
+            until: Some(cx.now() + duration),
         }));
         cx.spawn(watch(
             cx.clone(),
             link,
-            Rc::clone(&self.running),
+            Rc::clone(&self.waiting),
             id,
             duration,
         ));
         Ok(())
     }
 
-    fn may_begin(&self, link: &Link) -> Result<(), MotionError> {
+    /// The way into a segment from the one before it, at the pace of the faster one.
+    fn bridge(&mut self, link: &Link, segment: &Segment, pace: Pace, blend: f64) -> Option<Bridge> {
+        let last = self.last(link)?;
+        let (before, slower) = (last.segment, last.pace);
+        let pace = Pace {
+            speed: pace.speed.max(slower.speed),
+            acceleration: pace.acceleration.max(slower.acceleration),
+        };
+        let planner = self.planner.as_mut()?;
+        planner.bridge((&before, segment), pace, blend)
+    }
+
+    fn may_begin(&self, link: &Link, blend: f64) -> Result<(), MotionError> {
         if let Some(reason) = &self.ending {
             return Err(ended(reason));
         }
@@ -135,32 +179,33 @@ impl PlannerTask {
         if status.stopped {
             return Err(stop_holds());
         }
-        if self.running.borrow().is_some() {
-            return Err(refused(
-                "another motion is under way; wait for it, or stop it first",
-            ));
+        if !(0.0..=1.0).contains(&blend) {
+            return Err(refused(format!("a blend is 0 to 1, not {blend}")));
+        }
+        let waiting = self.waiting.borrow().len();
+        if waiting >= QUEUE {
+            return Err(refused(Rejection::Full));
         }
         if status.power != Power::Released {
             return Err(refused(
                 "the brakes are on; acquire the manipulator and move through its client interface",
             ));
         }
-        if !status.motion.phase.is_over() {
-            return Err(refused(
-                "the arm is still coming to rest; try again when it has",
-            ));
+        let stopping = status.motion.phase == MotionPhase::Stopping;
+        if stopping || (waiting == 0 && !status.motion.phase.is_over()) {
+            return Err(refused(Rejection::Busy));
         }
         Ok(())
     }
 
-    /// Answers the caller of the motion under way and brakes, for good; the future ends when the arm rests.
+    /// Answers the callers of all motions and brakes, for good; the future ends when the arm rests.
     fn halt(
         &mut self,
         cx: &Context,
         reason: &StopReason,
     ) -> Result<impl Future<Output = Handled> + use<>, HandlerError> {
         let reason = self.ending.insert(reason.to_string());
-        if let Some(reply) = self.running.borrow_mut().take() {
+        for (_, reply) in self.waiting.borrow_mut().drain(..) {
             reply.ok(Err(ended(reason)))?;
         }
         let link = self.link.clone();
@@ -238,28 +283,39 @@ fn pose(rows: &[f64; 16]) -> Result<Isometry3<f64>, HandlerError> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }
 
-/// Waits for the end of motion `id` and answers its caller.
-async fn watch(cx: Context, link: Arc<Link>, running: Running, id: u64, duration: f64) {
-    let over = move |status: &ServoStatus| {
-        status.fault.is_some()
-            || status.rejected.is_some_and(|(rejected, _)| rejected == id)
-            || (status.motion.id == id && status.motion.phase.is_over())
+/// Waits for the end of motion `id`, which takes so long when it is its turn, and answers its caller.
+async fn watch(cx: Context, link: Arc<Link>, waiting: Waiting, id: u64, duration: Duration) {
+    let over = move |status: &ServoStatus| status.fault.is_some() || status.ended.of(id).is_some();
+    // Each one before it has a watch of its own, and its own patience.
+    let ended = loop {
+        let first = waiting
+            .borrow()
+            .front()
+            .is_none_or(|(first, _)| *first >= id);
+        let patience = duration + link.rest_patience();
+        let ended = link.wait(&cx, "end the motion", patience, over).await;
+        if ended.is_ok() || first {
+            break ended;
+        }
     };
-    let patience = Duration::from_secs_f64(duration) + link.rest_patience();
-    let ended = link.wait(&cx, "end the motion", patience, over).await;
-    let went_back = match ended
-        .as_ref()
-        .ok()
-        .and_then(|status| status.ended_by_guard(id))
-    {
+    let own = {
+        let mut waiting = waiting.borrow_mut();
+        let place = waiting.iter().position(|(waits, _)| *waits == id);
+        place.and_then(|place| waiting.remove(place))
+    };
+    let found = ended.as_ref().ok();
+    let found = found.and_then(|status| status.ended_by_guard(id));
+    let went_back = match found {
         Some(found) if found.reaction == Reaction::Retreat => {
-            Some(retreat::back(&cx, &link, id, &found).await)
+            Some(retreat::back(&cx, &link, &found).await)
         }
         _ => None,
     };
-    cx.is_at(None);
+    if waiting.borrow().is_empty() {
+        cx.is_at(None);
+    }
     // A stop may have answered the caller already.
-    let Some(reply) = running.borrow_mut().take() else {
+    let Some((_, reply)) = own else {
         return;
     };
     let result = match ended {
@@ -281,14 +337,6 @@ fn outcome(
     if let Some(error) = link.failed() {
         return Err(error);
     }
-    if let Some((rejected, reason)) = status.rejected
-        && rejected == id
-    {
-        return Err(match reason {
-            Rejection::Stopped => stop_holds(),
-            _ => refused(reason),
-        });
-    }
     if let Some(found) = status.ended_by_guard(id) {
         let mut reason = format!("guard `{}` ended it: {}", found.guard, found.measured);
         match went_back {
@@ -298,7 +346,21 @@ fn outcome(
         }
         return Err(MotionError::new(Outcome::Guard, reason));
     }
-    let motion = &status.motion;
+    let Some(motion) = status.ended.of(id) else {
+        let text = "how the motion ended is not known any more";
+        return Err(MotionError::new(Outcome::Lost, text));
+    };
+    let stopped = |reason: &str| {
+        // One that was stopped while it waited has taken no time.
+        let when = match motion.elapsed_ticks {
+            0 => "before it began",
+            _ => "before its end",
+        };
+        Err(MotionError::new(
+            Outcome::Stopped,
+            reason.replace("{when}", when),
+        ))
+    };
     match motion.phase {
         MotionPhase::Done => Ok(MoveReport {
             duration_s: motion.elapsed_ticks as f64 * link.config.period.as_secs_f64(),
@@ -308,14 +370,12 @@ fn outcome(
             final_error_m: motion.error.sliding,
             joints: status.position,
         }),
-        _ if status.stopped => Err(MotionError::new(
-            Outcome::Stopped,
-            "stopped before its end by a protective stop, which holds until `pino EXEC resume`",
-        )),
-        _ => Err(MotionError::new(
-            Outcome::Stopped,
-            "cancelled before its end; the arm has come to rest on the way",
-        )),
+        MotionPhase::Rejected(Rejection::Stopped) => Err(stop_holds()),
+        MotionPhase::Rejected(reason) => Err(refused(reason)),
+        _ if status.stopped => {
+            stopped("stopped {when} by a protective stop, which holds until `pino EXEC resume`")
+        }
+        _ => stopped("cancelled {when}; the arm has come to rest on the way"),
     }
 }
 
@@ -325,7 +385,7 @@ impl EventHandler for PlannerTask {
             Move::CODE => {
                 let from = message.from().chassis();
                 let (request, reply) = message.open::<Move>()?;
-                if self.running.borrow().is_none() {
+                if self.waiting.borrow().is_empty() {
                     self.asked_from = from;
                 }
                 self.begin(cx, request, reply)
@@ -364,7 +424,7 @@ impl EventHandler for PlannerTask {
     /// Nobody could stop a motion any more whose client interface is gone.
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         let asked_from = cx.chassis().name_of(self.asked_from);
-        if asked_from == chassis && self.running.borrow().is_some() {
+        if asked_from == chassis && !self.waiting.borrow().is_empty() {
             tracing::warn!(
                 task = cx.name(),
                 chassis,

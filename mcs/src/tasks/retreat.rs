@@ -12,7 +12,7 @@ use crate::trajectory::{Goal, Pace, PathKind, Route};
 /// Fraction of full speed.
 const SPEED: f64 = 0.1;
 
-/// Goes back from where motion `id` came to rest, all joints in proportion, and returns when the arm has settled. Guards
+/// Goes back from where the arm came to rest, joint-interpolated, and returns when the arm has settled. Guards
 /// that always watch do so on this way too.
 ///
 /// # Errors
@@ -20,7 +20,6 @@ const SPEED: f64 = 0.1;
 pub(super) async fn back(
     cx: &Context,
     link: &Link,
-    id: u64,
     report: &GuardReport,
 ) -> Result<(), HandlerError> {
     let mut planner = link.planner.clone();
@@ -30,24 +29,22 @@ pub(super) async fn back(
         pace: Pace::new(SPEED, None),
         elbow: None,
     };
-    let (segment, _) = planner.segment(&link.port.status().setpoint, &route)?;
-    let id = id + 1;
+    let status = link.port.status();
+    let (segment, _) = planner.segment(&status.setpoint, &route)?;
+    // All that was ordered has ended: what a guard ends takes what waited behind it along.
+    let id = status.ended.newest().max(status.motion.id) + 1;
     let patience = Duration::from_secs_f64(segment.duration()) + link.rest_patience();
     let guards = GuardSet::default();
     link.port.order(ServoCommand::Name { guards })?;
     link.port.order(ServoCommand::Move { id, segment })?;
-    let over = move |status: &ServoStatus| {
-        status.fault.is_some()
-            || status.rejected.is_some_and(|(rejected, _)| rejected == id)
-            || (status.motion.id == id && status.motion.phase.is_over())
-    };
+    let over = move |status: &ServoStatus| status.fault.is_some() || status.ended.of(id).is_some();
     let status = link.wait(cx, "go back", patience, over).await?;
     if let Some(fault) = status.fault {
         return Err(fault.into());
     }
-    match status.rejected {
-        Some((rejected, reason)) if rejected == id => Err(reason.into()),
-        _ if status.motion.phase == MotionPhase::Done => Ok(()),
+    match status.ended.of(id).map(|motion| motion.phase) {
+        Some(MotionPhase::Done) => Ok(()),
+        Some(MotionPhase::Rejected(reason)) => Err(reason.into()),
         _ => Err("something stopped it on the way".into()),
     }
 }

@@ -229,6 +229,7 @@ fn to(target: Target) -> Move {
         acceleration: None,
         elbow: None,
         guards: Vec::new(),
+        blend: 0.0,
     }
 }
 
@@ -263,6 +264,86 @@ fn a_user_acquires_moves_reads_back_and_releases() {
         })
     });
     assert!(text.contains("duration_s"));
+}
+
+/// Several moves at once, each in its turn; what they came to.
+async fn all_of(
+    cx: &Context,
+    mcs: &TaskRef,
+    goals: &[[f64; 6]],
+    blend: f64,
+) -> Result<Vec<Result<MoveReport, MotionError>>, HandlerError> {
+    let moves = goals.iter().map(|goal| {
+        let order = Move {
+            blend,
+            ..to(Target::Joints((*goal).into()))
+        };
+        asked(cx, mcs, order)
+    });
+    let answers = futures_util::future::join_all(moves).await;
+    answers.into_iter().collect()
+}
+
+#[test]
+fn moves_that_come_while_one_is_under_way_wait_and_blended_they_take_less_time() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let mut took = Vec::new();
+            for blend in [0.0, 0.5] {
+                let begun = cx.now();
+                let answers = all_of(&cx, &mcs, &[GOAL, [0.0; 6], START], blend).await?;
+                took.push((cx.now() - begun).as_secs_f64());
+                for answer in answers {
+                    assert!(answer?.max_tracking_error_rad < 8e-3);
+                }
+                let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+                assert!(stands.at_rest && (stands.joints[0] - START[0]).abs() < 1e-3);
+            }
+            assert!(took[1] + 0.5 < took[0], "{took:?}");
+            let wrong = Move {
+                blend: 1.5,
+                ..to(Target::Joints(GOAL.into()))
+            };
+            refusal(&cx, &mcs, wrong).await
+        })
+    });
+    assert_eq!(text, "a blend is 0 to 1, not 1.5");
+}
+
+#[test]
+fn each_mover_in_the_queue_is_told_what_ended_it_and_the_ninth_that_there_is_no_room() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let stop = async {
+                cx.sleep(Duration::from_millis(300)).await;
+                asked(&cx, &mcs, Cancel {}).await
+            };
+            let goals: Vec<[f64; 6]> = [GOAL, START].repeat(4).into_iter().chain([GOAL]).collect();
+            let moving = all_of(&cx, &mcs, &goals, 0.5);
+            let (stopped, answers) = futures_util::future::join(stop, moving).await;
+            stopped?;
+            let told = answers?.into_iter().map(|answer| match answer {
+                Ok(report) => format!("{report:?}"),
+                Err(error) => error.to_string(),
+            });
+            let told: Vec<String> = told.collect();
+            // The next one begins where the arm has come to rest.
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+            Ok(told.join("\n"))
+        })
+    });
+    let lines: Vec<&str> = text.lines().collect();
+    let rests = "; the arm has come to rest on the way";
+    assert_eq!(lines[0], format!("cancelled before its end{rests}"));
+    for line in &lines[1..8] {
+        assert_eq!(*line, format!("cancelled before it began{rests}"));
+    }
+    assert!(
+        lines[8].starts_with("8 motions are under way or wait"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -567,6 +648,21 @@ fn nine_joints_move_as_six_do_by_joints_by_line_and_by_text() {
             assert!(moved.is_ok(), "{:?}", moved.reports);
             assert_eq!(moved.floats.len(), 10);
             assert_eq!(told(&cx, "pino EXEC state").await?.floats.len(), 9 + 16);
+            let there = "0.1 0 0 0 0 0 0 0 0.1";
+            told(&cx, "mvpos CTRL -blend 0.5").await?;
+            let line = "mvpos EXEC along FMSG 18 0.2 0 0 0 0.8 -2.6 0.2 0.7 0.1 -0.2 0 0 0.3 0.5 -2.2 0 0.4 0.1";
+            let along = told(&cx, line).await?;
+            assert!(along.is_ok(), "{:?}", along.reports);
+            assert!(
+                (along.floats[0] + 0.2).abs() < 1e-3 && along.floats.len() == 10,
+                "{along:?}"
+            );
+            let wrong = told(&cx, &format!("mvpos EXEC along FMSG 10 0 {there}")).await?;
+            let text = &wrong.reports[0].text;
+            assert_eq!(
+                text,
+                "EXEC along takes 9 floats for each of 1 to 8 positions, not 10 in all"
+            );
             let wrong = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 0 0").await?;
             let text = &wrong.reports[0].text;
             assert!(

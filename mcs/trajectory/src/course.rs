@@ -164,6 +164,23 @@ impl Course {
         course
     }
 
+    /// A course of given phases, each with its begin (s), its state there and its jerk, to a state at `duration` (s).
+    pub(crate) fn of_phases(
+        duration: f64,
+        end: JointState,
+        phase: impl Fn(usize) -> (f64, JointState, f64),
+    ) -> Self {
+        let phases = std::array::from_fn(|index| {
+            let (begin, state, jerk) = phase(index);
+            Phase { begin, state, jerk }
+        });
+        Self {
+            phases,
+            duration,
+            end,
+        }
+    }
+
     /// The same course in `factor` times the time, with speeds, accelerations and jerks so much smaller; at least 1.
     #[must_use]
     pub fn stretched(mut self, factor: f64) -> Self {
@@ -199,12 +216,34 @@ impl Course {
         begun.map_or(self.end, |phase| phase.at(t))
     }
 
+    /// The phases and when they end.
+    fn lasting(&self) -> impl Iterator<Item = (&Phase, f64)> {
+        let ends = self.phases.iter().skip(1).map(|phase| phase.begin);
+        self.phases.iter().zip(ends.chain([self.duration]))
+    }
+
+    /// The least and the largest position on it.
+    pub(crate) fn positions(&self) -> Range {
+        let mut reached = Range::NONE.with(self.end.position);
+        for (phase, end) in self.lasting() {
+            reached = reached.with(phase.state.position);
+            // Where the speed is zero: v + a t + j t^2 / 2 = 0.
+            let (v, a, j) = (phase.state.velocity, phase.state.acceleration, phase.jerk);
+            let root = (a * a - 2.0 * j * v).sqrt();
+            let turns = [-2.0 * v / (a + root), -2.0 * v / (a - root)];
+            for turn in turns.map(|t| phase.begin + t) {
+                if phase.begin < turn && turn < end {
+                    reached = reached.with(phase.at(turn).position);
+                }
+            }
+        }
+        reached
+    }
+
     /// What speed and acceleration are between two times, s.
     pub(crate) fn ranges(&self, from: f64, to: f64) -> Ranges {
         let mut ranges = Ranges::NONE;
-        let ends = self.phases.iter().skip(1).map(|phase| phase.begin);
-        let ends = ends.chain([self.duration]);
-        for (phase, end) in self.phases.iter().zip(ends) {
+        for (phase, end) in self.lasting() {
             let (first, last) = (from.max(phase.begin), to.min(end));
             if first > last {
                 continue;
@@ -305,6 +344,7 @@ mod tests {
             let holds = |range: Range, number: f64| range.least - 1e-9 <= number && number <= range.most + 1e-9;
             prop_assert!(holds(ranges.velocity, now.velocity), "{ranges:?} {now:?}");
             prop_assert!(holds(ranges.acceleration, now.acceleration), "{ranges:?} {now:?}");
+            prop_assert!(holds(course.positions(), now.position), "{:?} {now:?}", course.positions());
         }
     }
 

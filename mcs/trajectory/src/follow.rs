@@ -1,22 +1,35 @@
-//! Following a segment, one servo period at a time, and stopping on it. Allocates nothing.
+//! Following segments, one servo period at a time, and stopping on them. Allocates nothing.
 //!
-//! A segment has a time of its own. It runs as the clock does until a stop is asked for; then it runs ever more slowly, until it
-//! stands still. So the joints stay on the path that was planned and checked. Per period it is slowed down as much as the
-//! accelerations of all joints allow: with q(s) the path over its own time s, a joint's acceleration is q'' s'^2 + q' s''. A joint
-//! that brakes already at its limit cannot brake harder; a joint that gains speed begins to lose it at once.
+//! A segment has a time of its own. It runs as the clock does until a stop is asked for; then it runs ever more slowly,
+//! until it stands still. So the joints stay on the path that was planned and checked. Per period it is slowed down as
+//! much as the accelerations of all joints allow: with q(s) the path over its own time s, a joint's acceleration is
+//! q'' s'^2 + q' s''. A joint that brakes already at its limit cannot brake harder; a joint that gains speed begins to lose
+//! it at once.
+//!
+//! Segments wait in a queue. Over a [`Bridge`] the arm gets into the next one without a stop; without one it rests at the end
+//! of each until it is told to go on.
+
+use std::collections::VecDeque;
 
 use mcs_model::{Joint, Joints};
+use nalgebra::Isometry3;
 
 use super::course::Ranges;
 use super::interpolate::Interpolator;
-use super::segment::{Path, SegmentError};
+use super::segment::{Courses, Path, SegmentError};
 use super::timing::JointState;
-use super::{Segment, Setpoint, Solver};
+use super::{Bridge, Segment, Setpoint, Solver};
 
-/// A segment that is being followed.
-#[derive(Debug, Clone)]
+#[cfg(test)]
+mod tests;
+
+/// The segments that are followed.
+#[derive(Debug)]
 pub struct Follower {
-    segment: Segment,
+    /// The first one is under way.
+    queue: VecDeque<Entry>,
+    /// How many the queue holds.
+    most: usize,
     /// Servo period, s.
     period: f64,
     /// Servo periods between two solved poses of a line.
@@ -24,56 +37,139 @@ pub struct Follower {
     clock: Clock,
     /// Whether the first setpoint has been given.
     begun: bool,
-    /// What lies between the last three solved poses of a line, and the line's time at the last of them.
+    /// How many segments were left over a bridge.
+    passed: u64,
+    /// What lies between the last three solved poses of the line under way, and the line's time at the last of them.
     between: Option<[Interpolator; 2]>,
     solved: f64,
 }
 
-/// How the segment's own time runs.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    segment: Segment,
+    /// The way into it from the one before.
+    bridge: Option<Bridge>,
+}
+
+/// A part of the way: the segment of an entry of the queue, or the bridge into it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Part {
+    entry: usize,
+    is_bridge: bool,
+}
+
+/// Where the arm is on its way, and how the time of that runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Clock {
-    /// The segment's own time, s.
+    part: Part,
+    /// The part's own time, s.
     time: f64,
     /// How fast it runs, 1 to 0.
     rate: f64,
-    /// Periods since the start, from which the time is counted until a stop, so that it never drifts.
+    /// Periods since the start, from which the time is counted until a stop, so that it never drifts, and the time of them
+    /// that other parts took.
     periods: u64,
+    before: f64,
     stopping: bool,
 }
 
-/// How many steps a look at a stop takes, about.
+/// How many steps a look at a stop takes, about; how long each is at most, s; and how many they are at most.
 const REST_STEPS: f64 = 8.0;
-/// And at most: after these it goes on as planned.
+const LONGEST_REST_STEP: f64 = 0.25;
 const MOST_REST_STEPS: u32 = 64;
 
-/// How a segment would come to rest.
+/// How segments would come to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rest {
-    /// The time until then, s.
+    /// The time until then at most, s.
     pub time: f64,
-    /// The segment's own time at which it rests, s.
-    pub at: f64,
+    /// Where all joints rest, rad or m; `None` on a straight line.
+    pub joints: Option<Joints>,
+    /// `base_t_tool` at rest, on a straight line.
+    pub tool: Option<Isometry3<f64>>,
+    /// The travel until rest on a straight line: so many seconds at the present pace.
+    pub lead: f64,
 }
 
 impl Follower {
-    /// From the start of `segment`, with a setpoint every `period` (s). Poses on a line are solved every so many periods
-    /// (at least 1) and interpolated between.
+    /// One that follows nothing, with room for so many segments, for setpoints every `period` (s). Poses on a line are
+    /// solved every so many periods (at least 1) and interpolated between.
     #[must_use]
-    pub fn new(segment: Segment, period: f64, every: u32) -> Self {
+    pub fn new(most: usize, period: f64, every: u32) -> Self {
         Self {
-            segment,
+            queue: VecDeque::with_capacity(most),
+            most,
             period,
             every: every.max(1),
-            clock: Clock {
-                time: 0.0,
-                rate: 1.0,
-                periods: 0,
-                stopping: false,
-            },
+            clock: Clock::START,
             begun: false,
+            passed: 0,
             between: None,
             solved: 0.0,
         }
+    }
+
+    /// Puts a segment behind the others, which begins where the last of them ends; whether there was room for it. The
+    /// bridge into it is taken when the one before has not come too far, or else the arm stops between both.
+    pub fn push(&mut self, segment: Segment, bridge: Option<Bridge>) -> bool {
+        if self.queue.len() >= self.most {
+            return false;
+        }
+        let last = self.queue.len().wrapping_sub(1);
+        let on_last = self.clock.part == Part::segment(last);
+        let next = self.clock.time + self.period;
+        let in_time = |bridge: &Bridge| last != usize::MAX && !(on_last && bridge.leave <= next);
+        self.queue.push_back(Entry {
+            segment,
+            bridge: bridge.filter(in_time),
+        });
+        true
+    }
+
+    /// Leaves the segment at whose end the arm rests for the next one in the queue; whether there is one.
+    pub fn go_on(&mut self) -> bool {
+        self.queue.pop_front();
+        self.restart();
+        !self.queue.is_empty()
+    }
+
+    /// Follows nothing any more.
+    pub fn clear(&mut self) {
+        self.queue.clear();
+        self.restart();
+    }
+
+    fn restart(&mut self) {
+        self.clock = Clock::START;
+        self.begun = false;
+        self.between = None;
+    }
+
+    /// How many segments are under way or wait.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Whether no segment is under way.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.queue.is_empty()
+    }
+
+    /// Where the last segment ends, rad or m.
+    ///
+    /// # Errors
+    /// [`SegmentError`] as [`Segment::end`].
+    pub fn end(&self, solver: &mut Solver) -> Result<Option<Joints>, SegmentError> {
+        let last = self.queue.back();
+        last.map(|last| last.segment.end(solver)).transpose()
+    }
+
+    /// How many segments were left over a bridge so far.
+    #[must_use]
+    pub fn passed(&self) -> u64 {
+        self.passed
     }
 
     /// Stops on the path, as hard as the accelerations of all joints allow.
@@ -87,10 +183,12 @@ impl Follower {
         self.clock.stopping
     }
 
-    /// Whether the setpoint rests, at the end or where a stop has ended.
+    /// Whether the setpoint rests, at the end of a segment or where a stop has ended.
     #[must_use]
     pub fn rests(&self) -> bool {
-        self.begun && (self.clock.time >= self.segment.duration() || self.clock.rate <= 0.0)
+        let (end, following) = self.end_of(self.clock.part);
+        let at_end = following.is_none() && self.clock.time >= end;
+        self.begun && (at_end || self.clock.rate <= 0.0)
     }
 
     /// The setpoint of the next period, `near` the joint positions (rad or m) of the one before. Its acceleration is the
@@ -103,118 +201,151 @@ impl Follower {
             self.clock = self.after(&self.clock, self.period, solver);
         }
         self.begun = true;
+        while self.clock.part.entry > 0 {
+            self.clock.part.entry -= 1;
+            self.queue.pop_front();
+            self.passed += 1;
+            self.between = None;
+        }
         self.solve(solver, near)?;
+        let now = self.clock;
         let mut setpoint = Setpoint::at_rest(Joints::zeros(solver.model().dof()));
         if self.rests() {
             for index in 0..setpoint.position.len() {
-                setpoint.position[index] = self.state(index, self.clock.time).position;
+                setpoint.position[index] = self.state(now.part, index, now.time).position;
             }
-            if let Some([_, between]) = &self.between
-                && self.clock.time >= self.segment.duration()
-            {
+            if let (Some([_, between]), true) = (&self.between, now.rate > 0.0) {
                 setpoint.position = between.end().position;
             }
             return Ok(setpoint);
         }
         let ahead = self.after(&self.clock, self.period, solver);
         for index in 0..setpoint.position.len() {
-            let now = self.state(index, self.clock.time);
-            let then = self.state(index, ahead.time);
-            setpoint.position[index] = now.position;
-            setpoint.velocity[index] = now.velocity * self.clock.rate;
+            let state = self.state(now.part, index, now.time);
+            let then = self.state(ahead.part, index, ahead.time);
+            setpoint.position[index] = state.position;
+            setpoint.velocity[index] = state.velocity * now.rate;
             setpoint.acceleration[index] =
                 (then.velocity * ahead.rate - setpoint.velocity[index]) / self.period;
         }
         Ok(setpoint)
     }
 
-    /// The segment that is followed.
-    #[must_use]
-    pub fn segment(&self) -> &Segment {
-        &self.segment
+    /// When a part ends, and what follows it from which time of its own, if anything does.
+    fn end_of(&self, part: Part) -> (f64, Option<(Part, f64)>) {
+        let Some(entry) = self.queue.get(part.entry) else {
+            return (0.0, None);
+        };
+        if let (true, Some(bridge)) = (part.is_bridge, &entry.bridge) {
+            let own = Part::segment(part.entry);
+            return (bridge.duration(), Some((own, bridge.join)));
+        }
+        let next = Part {
+            entry: part.entry + 1,
+            is_bridge: true,
+        };
+        let bridge = self
+            .queue
+            .get(next.entry)
+            .and_then(|entry| entry.bridge.as_ref());
+        match bridge {
+            Some(bridge) => (bridge.leave, Some((next, 0.0))),
+            None => (entry.segment.duration(), None),
+        }
     }
 
-    /// The segment's own time now, s.
-    #[must_use]
-    pub fn time(&self) -> f64 {
-        self.clock.time
-    }
-
-    /// How it would come to rest if a stop were asked for now, in steps longer than a period: a step brakes as hard as all of it
-    /// bears, and so no harder than its periods would. Of a line only the tool counts.
+    /// How it would come to rest if a stop were asked for now, in steps longer than a period: a step brakes as hard as all of
+    /// it bears, and so no harder than its periods would. Of a line beyond its solved poses only the tool counts.
     #[must_use]
     pub fn rest(&self, solver: &Solver) -> Rest {
         let mut clock = Clock {
             stopping: true,
             ..self.clock
         };
-        let braking = self.braking(&clock, self.period, solver);
-        let left = (self.segment.duration() - clock.time).max(0.0);
-        let step = (clock.rate / braking).min(left) / REST_STEPS;
-        let step = step.max(self.period);
-        let mut time = 0.0;
-        for _ in 0..MOST_REST_STEPS {
-            if clock.rate <= 0.0 || clock.time >= self.segment.duration() {
-                break;
-            }
-            let next = self.after(&clock, step, solver);
-            // The last step is shorter where it comes to rest within.
-            time += match next.rate > 0.0 {
-                true => step,
-                false => step.min(2.0 * (next.time - clock.time) / clock.rate),
-            };
-            clock = next;
+        let step = clock.rate / self.braking(&clock, self.period, solver) / REST_STEPS;
+        let step = step.clamp(self.period, LONGEST_REST_STEP);
+        let (mut time, mut steps) = (0.0, 0);
+        while clock.rate > 0.0 && !self.is_at_end(&clock) && steps < MOST_REST_STEPS {
+            clock = self.after(&clock, step, solver);
+            time += step;
+            steps += 1;
         }
-        let (end, still_going) = (self.segment.duration(), clock.rate > 0.0);
-        Rest {
-            time: time
-                + if still_going {
-                    (end - clock.time).max(0.0) / clock.rate
-                } else {
-                    0.0
-                },
-            at: if still_going {
-                end
-            } else {
-                clock.time.min(end)
-            },
-        }
+        self.rest_at(&clock, time)
     }
 
-    /// The clock one `period` later, s.
+    /// What is known of rest at a place of the way, after so much time (s).
+    fn rest_at(&self, clock: &Clock, time: f64) -> Rest {
+        let Clock { part, time: at, .. } = *clock;
+        let mut rest = Rest {
+            time,
+            joints: None,
+            tool: None,
+            lead: time,
+        };
+        let Some(entry) = self.queue.get(part.entry) else {
+            return rest;
+        };
+        let courses = match (part.is_bridge, &entry.bridge, entry.segment.path()) {
+            (true, Some(bridge), _) => &bridge.courses,
+            (_, _, Path::Joint(courses)) => courses,
+            (_, _, Path::Line(line)) => {
+                let then = line.progress.at(at);
+                rest.tool = Some(line.pose(then.position));
+                let now = line.progress.at(self.clock.time);
+                let pace = now.velocity + now.acceleration.max(0.0) * self.period;
+                if part == self.clock.part && pace > 0.0 {
+                    rest.lead = (then.position - now.position) / pace;
+                }
+                return rest;
+            }
+        };
+        let mut joints = Joints::zeros(courses.each().len());
+        for (joint, course) in joints.iter_mut().zip(courses.each()) {
+            *joint = course.at(at).position;
+        }
+        rest.joints = Some(joints);
+        rest
+    }
+
+    /// Whether nothing comes after this.
+    fn is_at_end(&self, clock: &Clock) -> bool {
+        let (end, following) = self.end_of(clock.part);
+        following.is_none() && clock.time >= end
+    }
+
+    /// The clock one `period` (s) later.
     fn after(&self, clock: &Clock, period: f64, solver: &Solver) -> Clock {
-        if !clock.stopping {
-            let periods = clock.periods + 1;
-            return Clock {
-                // A motion of 2^53 periods would take longer than the arm will last.
-                time: periods as f64 * period,
-                periods,
-                ..*clock
-            };
+        let mut clock = *clock;
+        if clock.stopping {
+            let braking = self.braking(&clock, period, solver);
+            if clock.rate <= braking * period {
+                // It stands before the period is over.
+                if braking > 0.0 {
+                    clock.time += 0.5 * clock.rate * clock.rate / braking;
+                }
+                clock.rate = 0.0;
+            } else {
+                clock.time += period * (clock.rate - 0.5 * braking * period);
+                clock.rate -= braking * period;
+            }
+        } else {
+            clock.periods += 1;
+            // A motion of 2^53 periods would take longer than the arm will last.
+            clock.time = clock.periods as f64 * period - clock.before;
         }
-        let braking = self.braking(clock, period, solver);
-        if clock.rate <= braking * period {
-            // It stands before the period is over.
-            let way = match braking > 0.0 {
-                true => 0.5 * clock.rate * clock.rate / braking,
-                false => 0.0,
-            };
-            return Clock {
-                time: clock.time + way,
-                rate: 0.0,
-                ..*clock
-            };
+        while let (end, Some((part, start))) = self.end_of(clock.part)
+            && clock.time >= end
+        {
+            clock.part = part;
+            clock.time -= end - start;
+            clock.before += end - start;
         }
-        Clock {
-            time: clock.time + period * (clock.rate - 0.5 * braking * period),
-            rate: clock.rate - braking * period,
-            ..*clock
-        }
+        clock
     }
 
     /// How fast the rate may fall within the coming `period` (s), 1/s.
     fn braking(&self, clock: &Clock, period: f64, solver: &Solver) -> f64 {
-        // First with what gains speed left out of account, which gives the lowest rate at the end of the period.
+        // First as if what gains speed went on to do so, which gives the lowest rate at the end of the period.
         let bold = self.bearable(clock, period, clock.rate, solver);
         let slowest = (clock.rate - bold * period).max(0.0);
         self.bearable(clock, period, slowest, solver)
@@ -222,14 +353,39 @@ impl Follower {
 
     /// How fast the rate may fall within the coming `period` (s) when it falls no lower than `slowest`.
     fn bearable(&self, clock: &Clock, period: f64, slowest: f64, solver: &Solver) -> f64 {
-        let until = clock.time + clock.rate * period;
+        let rates = (slowest, clock.rate);
+        let (mut part, mut from) = (clock.part, clock.time);
+        let mut left = clock.rate * period;
+        let mut least = f64::INFINITY;
+        loop {
+            let (end, following) = self.end_of(part);
+            let until = from + left;
+            match following {
+                Some((next, start)) if until > end => {
+                    least = least.min(self.bearable_in(part, (from, end), rates, solver));
+                    left = until - end;
+                    (part, from) = (next, start);
+                }
+                _ => return least.min(self.bearable_in(part, (from, until), rates, solver)),
+            }
+        }
+    }
+
+    /// The same within some time of one part.
+    fn bearable_in(
+        &self,
+        part: Part,
+        (from, until): (f64, f64),
+        (slowest, fastest): (f64, f64),
+        solver: &Solver,
+    ) -> f64 {
         let room = |ranges: &Ranges, limit: f64| {
             let (speed, acceleration) = (&ranges.velocity, &ranges.acceleration);
-            let fastest = speed.most.max(-speed.least);
-            if fastest <= 0.0 {
+            let most = speed.most.max(-speed.least);
+            if most <= 0.0 {
                 return f64::INFINITY;
             }
-            // The acceleration along the way of the joint, and against it where that turns within the period.
+            // The least acceleration along the way of the joint, or against it where that turns within the period.
             let along = if speed.least >= 0.0 {
                 acceleration.least
             } else if speed.most <= 0.0 {
@@ -237,44 +393,55 @@ impl Follower {
             } else {
                 -acceleration.most.max(-acceleration.least)
             };
-            let rate = if along > 0.0 { slowest } else { clock.rate };
-            (limit + along * rate * rate).max(0.0) / fastest
+            let rate = if along > 0.0 { slowest } else { fastest };
+            (limit + along * rate * rate).max(0.0) / most
         };
         let limit = |joint: &Joint| joint.limits.acceleration;
         let joints = solver.model().joints().iter().enumerate();
-        match &self.segment.path() {
-            Path::Joint(courses) => {
-                joints
-                    .zip(courses.each())
-                    .fold(f64::INFINITY, |least, ((_, joint), course)| {
-                        least.min(room(&course.ranges(clock.time, until), limit(joint)))
-                    })
-            }
-            Path::Line(line) => {
-                let tool = room(&line.progress.ranges(clock.time, until), line.braking);
+        let Some(entry) = self.queue.get(part.entry) else {
+            return f64::INFINITY;
+        };
+        let courses = match (part.is_bridge, &entry.bridge, entry.segment.path()) {
+            (true, Some(bridge), _) => &bridge.courses,
+            (_, _, Path::Joint(courses)) => courses,
+            (_, _, Path::Line(line)) => {
+                let tool = room(&line.progress.ranges(from, until), line.braking);
                 if until > self.solved {
                     return tool;
                 }
-                let middle = 0.5 * (clock.time + until);
-                joints.fold(tool, |least, (index, joint)| {
+                let middle = 0.5 * (from + until);
+                return joints.fold(tool, |least, (index, joint)| {
                     // Within a period the cubics hardly bend.
-                    let states = [clock.time, middle, until].map(|time| self.state(index, time));
+                    let states = [from, middle, until].map(|time| self.state(part, index, time));
                     let ranges = states.iter().fold(Ranges::NONE, Ranges::with);
                     least.min(room(&ranges, limit(joint)))
-                })
+                });
             }
-        }
+        };
+        let pairs = joints.zip(courses.each());
+        pairs.fold(f64::INFINITY, |least, ((_, joint), course)| {
+            least.min(room(&course.ranges(from, until), limit(joint)))
+        })
     }
 
-    /// A joint's state at some time of the segment's own.
-    fn state(&self, joint: usize, time: f64) -> JointState {
-        match (self.segment.path(), &self.between) {
-            (Path::Joint(courses), _) => courses
-                .each()
-                .get(joint)
-                .map_or_else(JointState::default, |course| course.at(time)),
-            (Path::Line(line), Some([older, newer])) => {
+    /// A joint's state at some time of a part.
+    fn state(&self, part: Part, joint: usize, time: f64) -> JointState {
+        let on = |courses: &Courses| {
+            let course = courses.each().get(joint);
+            course.map_or_else(JointState::default, |course| course.at(time))
+        };
+        let Some(entry) = self.queue.get(part.entry) else {
+            return JointState::default();
+        };
+        match (part.is_bridge, &entry.bridge, entry.segment.path()) {
+            (true, Some(bridge), _) => on(&bridge.courses),
+            (_, _, Path::Joint(courses)) => on(courses),
+            (_, _, Path::Line(line)) => {
                 let along = line.progress.at(time);
+                // Its poses are solved before anybody asks: a bridge takes longer than a period.
+                let Some([older, newer]) = &self.between else {
+                    return JointState::default();
+                };
                 let between = match along.position < newer.start().progress {
                     true => older,
                     false => newer,
@@ -287,22 +454,31 @@ impl Follower {
                         + slope * along.acceleration,
                 }
             }
-            // Poses are solved before anybody asks.
-            (Path::Line(_), None) => JointState::default(),
         }
     }
 
-    /// Sees that the poses of a line are solved up to where the clock is.
+    /// Sees that the poses of the line under way, or of that to which the bridge under way leads, are solved as far as the
+    /// arm has come.
     fn solve(&mut self, solver: &mut Solver, near: &[f64]) -> Result<(), SegmentError> {
-        let Path::Line(line) = self.segment.path() else {
+        let Some(Entry { segment, bridge }) = self.queue.front() else {
             return Ok(());
         };
+        let Path::Line(line) = segment.path() else {
+            return Ok(());
+        };
+        let coming = bridge.as_ref().filter(|_| self.clock.part.is_bridge);
+        let time = coming.map_or(self.clock.time, |bridge| bridge.join);
         let mut last = match &self.between {
             Some([_, between]) => *between.end(),
-            None => line.knot(solver, 0.0, near)?,
+            None => {
+                self.solved = time;
+                let end = coming.map(Bridge::end);
+                let near = end.as_deref().unwrap_or(near);
+                line.knot(solver, line.progress.at(time).position, near)?
+            }
         };
         // One period ahead, because the speed there is announced.
-        while self.between.is_none() || self.solved < self.clock.time + self.period {
+        while self.between.is_none() || self.solved < time + self.period {
             self.solved += self.period * f64::from(self.every);
             let progress = line.progress.at(self.solved).position;
             let next = line.knot(solver, progress, &last.position)?;
@@ -315,5 +491,22 @@ impl Follower {
     }
 }
 
-#[cfg(test)]
-mod tests;
+impl Clock {
+    const START: Self = Self {
+        part: Part::segment(0),
+        time: 0.0,
+        rate: 1.0,
+        periods: 0,
+        before: 0.0,
+        stopping: false,
+    };
+}
+
+impl Part {
+    const fn segment(entry: usize) -> Self {
+        Self {
+            entry,
+            is_bridge: false,
+        }
+    }
+}

@@ -4,6 +4,7 @@
 //! Knows the arm, but no servo, task or hardware. Positions are in rad of joints that turn and in m of
 //! joints that slide; speeds and accelerations are per s and s^2.
 
+pub mod bridge;
 pub mod course;
 pub mod follow;
 pub mod interpolate;
@@ -14,6 +15,7 @@ pub mod segment;
 pub mod solver;
 pub mod timing;
 
+pub use bridge::Bridge;
 pub use course::Course;
 pub use follow::{Follower, Rest};
 pub use passage::Passage;

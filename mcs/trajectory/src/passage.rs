@@ -24,9 +24,9 @@ const SPARE: f64 = 0.75;
 /// Of two passages as long as one another that one is better whose joints have more time to spare: so much counts a joint
 /// that has none.
 const TIE: f64 = 0.02;
-/// What a joint going straight ahead keeps of its acceleration and jerk: from one way point to the next it could not reach
-/// a speed that rounding has made too large, but for a loop.
-const STRAIGHT: f64 = 1.0 - 1e-7;
+/// What joints that go straight ahead leave unused of their accelerations and jerks: else rounding makes a speed too large to
+/// be reached from one way point to the next, but for a loop. What is shortest is taken.
+const SPARED: [f64; 4] = [1e-7, 1e-6, 1e-5, 1e-4];
 /// Speeds and accelerations at a way point keep off their limits by this share, lest rounding put them beyond.
 const INSIDE: f64 = 1.0 - 1e-9;
 
@@ -211,22 +211,26 @@ impl<'b> Chain<'b> {
     /// Where all points lie on one straight line and follow one another on it, the joints can go in proportion: the
     /// states of that motion are where the descent begins.
     fn start_straight(&mut self) {
-        let Some(states) = self.straight() else {
-            return;
-        };
-        let before = std::mem::replace(&mut self.states, states);
-        let sections: Result<Vec<Section>, TimingError> = (1..self.states.len())
-            .map(|index| self.section(index - 1))
-            .collect();
-        let length = |sections: &[Section]| sections.iter().map(|section| section.duration).sum();
-        let now: f64 = length(&self.sections);
-        match sections {
-            Ok(sections) if length(&sections) < now => self.sections = sections,
-            _ => self.states = before,
+        for spared in SPARED {
+            let Some(states) = self.straight(1.0 - spared) else {
+                return;
+            };
+            let before = std::mem::replace(&mut self.states, states);
+            let sections: Result<Vec<Section>, TimingError> = (1..self.states.len())
+                .map(|index| self.section(index - 1))
+                .collect();
+            let length =
+                |sections: &[Section]| sections.iter().map(|section| section.duration).sum();
+            let now: f64 = length(&self.sections);
+            match sections {
+                Ok(sections) if length(&sections) < now => self.sections = sections,
+                _ => self.states = before,
+            }
         }
     }
 
-    fn straight(&self) -> Option<Vec<Vec<JointState>>> {
+    /// The states of the motion in proportion, with a share of the accelerations and jerks.
+    fn straight(&self, share_used: f64) -> Option<Vec<Vec<JointState>>> {
         let (first, last) = (self.states.first()?, self.states.last()?);
         let way: Vec<f64> = last
             .iter()
@@ -247,9 +251,9 @@ impl<'b> Chain<'b> {
         let jerk = least(|bounds| bounds.jerk);
         let bounds = JointBounds {
             velocity: least(|bounds| bounds.velocity),
-            acceleration: STRAIGHT * least(|bounds| bounds.acceleration),
+            acceleration: share_used * least(|bounds| bounds.acceleration),
             jerk: if jerk.is_finite() {
-                STRAIGHT * jerk
+                share_used * jerk
             } else {
                 0.0
             },

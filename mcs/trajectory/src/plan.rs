@@ -145,8 +145,8 @@ pub enum PlanError {
 pub struct Planner {
     pub(super) solver: Solver,
     cartesian: CartesianLimits,
-    check_period: f64,
-    limits_jerk: bool,
+    pub(super) check_period: f64,
+    pub(super) limits_jerk: bool,
 }
 
 impl Planner {

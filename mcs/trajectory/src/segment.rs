@@ -46,7 +46,13 @@ impl Courses {
         &self.courses[..self.joints]
     }
 
-    fn setpoint(&self, t: f64) -> Setpoint {
+    /// How long they take, s.
+    pub(super) fn duration(&self) -> f64 {
+        let durations = self.each().iter().map(Course::duration);
+        durations.fold(0.0, f64::max)
+    }
+
+    pub(super) fn setpoint(&self, t: f64) -> Setpoint {
         let mut setpoint = Setpoint::at_rest(Joints::zeros(self.joints));
         for (index, course) in self.each().iter().enumerate() {
             let state = course.at(t);
@@ -170,10 +176,7 @@ pub struct Segment {
 impl Segment {
     pub(super) fn new(path: Path) -> Self {
         let duration = match &path {
-            Path::Joint(courses) => courses
-                .each()
-                .iter()
-                .fold(0.0, |most: f64, course| most.max(course.duration())),
+            Path::Joint(courses) => courses.duration(),
             Path::Line(line) => line.progress.duration(),
         };
         Self { path, duration }

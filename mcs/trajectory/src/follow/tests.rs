@@ -7,6 +7,8 @@ use crate::{CartesianLimits, Pace, Planner};
 use mcs_model::{Model, built_in, file::Inertias};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 const PERIOD: f64 = 0.0045;
 
@@ -32,7 +34,18 @@ fn followed(
     (segment, start): (&Segment, &Joints),
     stop_before: usize,
 ) -> Vec<Setpoint> {
-    let mut follower = Follower::new(*segment, PERIOD, 4);
+    let mut follower = Follower::new(1, PERIOD, 4);
+    assert!(follower.push(*segment, None));
+    setpoints(solver, &mut follower, start, stop_before)
+}
+
+/// All setpoints to the next rest.
+fn setpoints(
+    solver: &mut Solver,
+    follower: &mut Follower,
+    start: &Joints,
+    stop_before: usize,
+) -> Vec<Setpoint> {
     let mut near = *start;
     let mut setpoints: Vec<Setpoint> = Vec::new();
     while !follower.rests() {
@@ -215,6 +228,144 @@ proptest! {
     }
 }
 
+/// Two segments with a bridge between them, if there is one, followed to the end and to a stop; how much was gained by the
+/// bridge, s.
+fn two_segments(
+    planner: &mut Planner,
+    start: &Joints,
+    (first, second): (&Segment, &Segment),
+    (pace, blend, stop_at): (Pace, f64, f64),
+) -> f64 {
+    let model = Arc::clone(planner.model());
+    let Some(bridge) = planner.bridge((first, second), pace, blend) else {
+        return 0.0;
+    };
+    assert!(bridge.gain(first) > 0.0);
+    let whole = first.duration() + second.duration() - bridge.gain(first);
+    let planned = (whole / PERIOD).ceil() as usize + 1;
+    for stop_before in [usize::MAX, (stop_at * planned as f64) as usize] {
+        let mut follower = Follower::new(2, PERIOD, 4);
+        assert!(follower.push(*first, None) && follower.push(*second, Some(bridge)));
+        let setpoints = setpoints(&mut planner.solver, &mut follower, start, stop_before);
+        check(&model, &setpoints, Pace::from(1.0), stop_before);
+        if stop_before == usize::MAX {
+            assert!(setpoints.len().abs_diff(planned) <= 1);
+            assert_eq!(follower.passed(), 1);
+            let end = second.end(&mut planner.solver).unwrap();
+            let pairs = setpoints[setpoints.len() - 1].position.iter().zip(&end);
+            assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-7));
+        } else {
+            assert!(setpoints.len() <= planned.max(stop_before) + 2);
+            let rest = setpoints[setpoints.len() - 1];
+            assert_eq!(rest, Setpoint::at_rest(rest.position));
+        }
+    }
+    bridge.gain(first)
+}
+
+proptest! {
+    #[test]
+    fn over_a_bridge_every_limit_is_kept_with_no_step_of_speed_and_in_a_stop_too(
+        points in (within_limits("testbed18"), within_limits("testbed18"), within_limits("testbed18")),
+        how in (pace(), any::<bool>()), blend in 0.05..=1.0_f64, stop_at in 0.0..1.0_f64,
+    ) {
+        let planner = Planner::new(arm("testbed18"), CartesianLimits::default(), 0.018);
+        let (mut planner, pace) = (planner.unwrap().limiting_jerk(how.1), how.0);
+        let first = planner.joint(&points.0, &points.1, pace).unwrap();
+        let second = planner.joint(&points.1, &points.2, pace).unwrap();
+        two_segments(&mut planner, &points.0, (&first, &second), (pace, blend, stop_at));
+    }
+
+    #[test]
+    fn bridges_lead_from_lines_to_lines_and_to_joint_motions(
+        kinds in (any::<bool>(), any::<bool>()), blend in 0.05..=1.0_f64, stop_at in 0.0..1.0_f64, pace in 0.1..1.0_f64,
+        by in (prop::array::uniform3(-0.15..0.15_f64), prop::array::uniform3(-0.15..0.15_f64)),
+    ) {
+        let planner = Planner::new(arm("puma560"), CartesianLimits::default(), 0.018);
+        let (mut planner, pace) = (planner.unwrap(), Pace::from(pace));
+        let start = Joints::from([0.1, 0.8, -2.6, 0.2, 0.7, 0.1]);
+        let mut from = start;
+        let mut segments = Vec::new();
+        for (is_line, by) in [(kinds.0, by.0), (kinds.1, by.1)] {
+            let pose = Translation3::from(Vector3::from(by)) * planner.tool_pose(&from);
+            let joints = planner.joints_for(&pose, &from, None);
+            let segment = match joints {
+                Ok(joints) if !is_line => planner.joint(&from, &joints, pace),
+                _ => planner.line(&from, &pose, pace),
+            };
+            prop_assume!(segment.is_ok());
+            segments.extend(segment);
+            from = segments[segments.len() - 1].end(&mut planner.solver).unwrap();
+        }
+        two_segments(&mut planner, &start, (&segments[0], &segments[1]), (pace, blend, stop_at));
+    }
+}
+
+#[test]
+fn a_bridge_saves_time_at_a_corner_and_straight_ahead() {
+    let planner = Planner::new(arm("puma560"), CartesianLimits::default(), 0.018);
+    let mut planner = planner.unwrap();
+    let start = Joints::from([0.1, 0.8, -2.6, 0.2, 0.7, 0.1]);
+    let (mut corner, mut ahead, mut aside) = (start, start, start);
+    corner[0] += 1.0;
+    ahead[0] += 2.0;
+    (aside[0], aside[1]) = (corner[0], start[1] + 1.0);
+    let pace = Pace::from(1.0);
+    let first = planner.joint(&start, &corner, pace).unwrap();
+    let limits = planner.model().joints()[0].limits;
+    let ramp = limits.velocity / limits.acceleration;
+    // Straight ahead neither the braking nor the acceleration is needed; aside both joints move at once.
+    for (to, least, most) in [(ahead, ramp, ramp), (aside, ramp, first.duration())] {
+        let second = planner.joint(&corner, &to, pace).unwrap();
+        let gain = two_segments(&mut planner, &start, (&first, &second), (pace, 1.0, 0.5));
+        assert!(gain > least - 1e-6 && gain < most + 1e-6, "{gain}");
+    }
+    // Without a blend there is no bridge.
+    let second = planner.joint(&corner, &ahead, pace).unwrap();
+    assert_eq!(planner.bridge((&first, &second), pace, 0.0), None);
+}
+
+#[test]
+fn a_segment_that_comes_too_late_begins_where_the_arm_has_stopped_on_the_path() {
+    let planner = Planner::new(arm("puma560"), CartesianLimits::default(), 0.018);
+    let mut planner = planner.unwrap();
+    let start = Joints::from([0.1, 0.8, -2.6, 0.2, 0.7, 0.1]);
+    let (mut corner, mut to) = (start, start);
+    corner[0] += 1.0;
+    to[1] += 1.0;
+    let pace = Pace::from(1.0);
+    let first = planner.joint(&start, &corner, pace).unwrap();
+    let second = planner.joint(&corner, &to, pace).unwrap();
+    let bridge = planner.bridge((&first, &second), pace, 0.5).unwrap();
+    let leave = (bridge.leave / PERIOD) as usize;
+    for (before, passed) in [(leave - 1, 1), (leave + 1, 0)] {
+        let mut follower = Follower::new(2, PERIOD, 4);
+        assert!(follower.push(first, None));
+        let mut all: Vec<Setpoint> = Vec::new();
+        while !follower.rests() {
+            if all.len() == before {
+                assert!(follower.push(second, Some(bridge)));
+                assert!(!follower.push(second, None), "there is room for two");
+            }
+            all.push(follower.next(&mut planner.solver, &start).unwrap());
+        }
+        assert_eq!(follower.passed(), passed);
+        if passed == 0 {
+            assert_eq!(all.last().unwrap().position, corner);
+            assert!(follower.go_on());
+            all.extend(setpoints(
+                &mut planner.solver,
+                &mut follower,
+                &corner,
+                usize::MAX,
+            ));
+        }
+        check(planner.model(), &all, pace, usize::MAX);
+        assert_eq!(all.last().unwrap().position, to);
+        assert!(!follower.go_on() && follower.is_empty());
+    }
+}
+
 #[test]
 fn a_stop_takes_the_closed_forms_time_where_one_joint_moves() {
     let model = arm("puma560");
@@ -246,4 +397,28 @@ fn a_segment_of_no_length_rests_at_once() {
     let here = Joints::from([0.1, 0.8, -2.6, 0.2, 0.7, 0.1]);
     let setpoints = followed(&mut solver, (&Segment::hold(here), &here), usize::MAX);
     assert_eq!(setpoints, [Setpoint::at_rest(here)]);
+}
+
+#[test]
+fn nine_of_ten_random_corners_have_a_bridge() {
+    let model = arm("testbed9");
+    let planner = Planner::new(Arc::clone(&model), CartesianLimits::default(), 0.018);
+    let mut planner = planner.unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut anywhere = || {
+        Joints::from_fn(model.dof(), |index| {
+            let limits = &model.joints()[index].limits;
+            let share = random.random_range(0.25..0.75);
+            limits.lower + share * (limits.upper - limits.lower)
+        })
+    };
+    let pace = Pace::from(0.5);
+    let bridges = (0..100).filter_map(|_| {
+        let [start, corner, end] = [anywhere(), anywhere(), anywhere()];
+        let first = planner.joint(&start, &corner, pace).unwrap();
+        let second = planner.joint(&corner, &end, pace).unwrap();
+        planner.bridge((&first, &second), pace, 0.5)
+    });
+    let count = bridges.count();
+    assert!(count >= 90, "{count}");
 }
