@@ -328,6 +328,15 @@ ctos::command! {
     } => ControlReport, 0x030b, "set_control"
 }
 ctos::command! {
+    /// Goes over to another control law, until the servo's task is built anew. Torques go from those of the one to those
+    /// of the other without a step, also while the arm is on its way.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetLaw {
+        /// Its registered name.
+        pub law: String,
+    } => ControlReport, 0x0310, "set_law"
+}
+ctos::command! {
     /// Ends the motion under way: brakes along the path to rest. The next one may begin at once, which it may not
     /// after a protective stop. Anybody may ask.
     #[derive(Debug, Clone, PartialEq)]

@@ -5,6 +5,7 @@
 //! lock-free queue and what happened goes out as a snapshot, both through [`ServoPort`]. Nothing
 //! here knows tasks or messages; all time is counted in ticks.
 
+mod blend;
 mod motion;
 pub mod port;
 
@@ -21,11 +22,15 @@ use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use crate::joints::{Distances, Joints, TooManyJoints};
 use crate::model::Model;
 use crate::trajectory::{Setpoint, Solver};
+use blend::Blend;
 use motion::{Motion, Progress};
+use port::Laws;
 pub use port::{Fault, MotionPhase, MotionStatus, Rejection, ServoCommand, ServoPort, ServoStatus};
 
 /// Orders that may wait in the queue at once.
 const COMMANDS: usize = 32;
+/// Laws that may.
+const LAWS: usize = 4;
 /// How far (rad or m) a segment may start from the setpoint that is held.
 const START_TOLERANCE: f64 = 1e-6;
 
@@ -131,6 +136,8 @@ pub struct Servo {
     solver: Solver,
     driver: Box<dyn ChannelDriver>,
     law: Box<dyn ControlLaw>,
+    laws: Arc<Laws>,
+    blend: Blend,
     config: ServoConfig,
     commands: Arc<ArrayQueue<ServoCommand>>,
     driver_errors: Arc<ArrayQueue<DriverError>>,
@@ -203,11 +210,18 @@ impl Servo {
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
-        let port = ServoPort::new(Arc::clone(&commands), Arc::clone(&driver_errors), reader);
+        let laws = Arc::new(Laws::new(LAWS));
+        let port = ServoPort::new(
+            Arc::clone(&commands),
+            (Arc::clone(&driver_errors), Arc::clone(&laws)),
+            reader,
+        );
         let servo = Self {
             solver,
             driver,
             law,
+            laws,
+            blend: Blend::default(),
             config,
             commands,
             driver_errors,
@@ -445,7 +459,12 @@ impl Servo {
 
     fn control(&mut self) -> Joints {
         let mut torques = self.still();
+        let next = self.laws.next();
         if self.status.power != Power::Released {
+            self.blend = Blend::default();
+            if let Some(law) = next {
+                self.laws.retire(std::mem::replace(&mut self.law, law));
+            }
             return torques;
         }
         self.law.torques(
@@ -454,6 +473,10 @@ impl Servo {
             self.config.period,
             &mut torques,
         );
+        if let Some(law) = next {
+            torques = self.change_law(law, torques);
+        }
+        self.blend.add_to(&mut torques);
         if torques.iter().any(|torque| !torque.is_finite()) {
             self.fail(Fault::ControlLaw);
             return self.still();
@@ -461,6 +484,19 @@ impl Servo {
         for (torque, joint) in torques.iter_mut().zip(self.solver.model().joints()) {
             *torque = torque.clamp(-joint.limits.torque, joint.limits.torque);
         }
+        torques
+    }
+
+    /// Goes over to another law, whose torques begin where those of the law before ended.
+    fn change_law(&mut self, mut law: Box<dyn ControlLaw>, mut before: Joints) -> Joints {
+        let (readings, period) = (&self.readings, self.config.period);
+        law.reset(readings);
+        let mut torques = Joints::zeros(before.len());
+        law.torques(&self.setpoint, readings, period, &mut torques);
+        self.laws.retire(std::mem::replace(&mut self.law, law));
+        // Of a law before that one, too.
+        self.blend.add_to(&mut before);
+        self.blend = Blend::between(&before, &torques, period);
         torques
     }
 

@@ -10,7 +10,7 @@ use super::ended;
 use super::local::SharedArm;
 use super::mvpos::answer;
 use crate::client::{
-    EmergencyStop, ReadControl, ReadPosition, Reset, Resume, SetControl, Status, Stop,
+    EmergencyStop, ReadControl, ReadPosition, Reset, Resume, SetControl, SetLaw, Status, Stop,
 };
 
 /// Everything here is answered at once, but for coming to rest.
@@ -49,6 +49,14 @@ const FORMS: &[Form] = &[
         gives: "3 floats, as control",
         results: "bandwidth: Hz; damping; following_error: rad",
         help: "sets the control parameters; the arm must not be on its way",
+    },
+    Form {
+        text: "law NAME",
+        floats: 0,
+        takes: "",
+        gives: "as control",
+        results: "bandwidth: Hz; damping; following_error: rad",
+        help: "goes over to another control law, without a step of the torques, also under way",
     },
     Form {
         text: "stop",
@@ -122,7 +130,13 @@ impl Pino {
         }
     }
 
-    async fn in_app(&self, form: &str, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+    /// What a form asks for; `named` is what its text names besides.
+    async fn in_app(
+        &self,
+        (form, named): (&str, &str),
+        cx: &Waiting<'_>,
+        io: &mut Transport,
+    ) -> Outcome {
         let client = &self.options.client;
         match form {
             "control" => {
@@ -136,6 +150,11 @@ impl Pino {
                     damping,
                 };
                 let control = cx.call_task(client, set, SOON).await?;
+                control_answer(io, &control.law, control.numbers());
+            }
+            "law NAME" => {
+                let law = named.to_owned();
+                let control = cx.call_task(client, SetLaw { law }, SOON).await?;
                 control_answer(io, &control.law, control.numbers());
             }
             "stop" => cx.call_task(client, Stop {}, SOON).await?,
@@ -180,7 +199,7 @@ impl Pino {
                 control_answer(io, "none: it goes as planned", [bandwidth, damping, 0.0]);
             }
             // It never is on its way, and has no power to be taken away.
-            "stop" | "resume" | "estop" | "reset" => {}
+            "law NAME" | "stop" | "resume" | "estop" | "reset" => {}
             _ => {
                 io.text = format!(
                     "an arm of this process, kinematic only: {} motions, {:.3} s of them",
@@ -215,12 +234,16 @@ impl ServiceObject for Pino {
                 Ok(form) => form.text,
                 Err(report) => return ended(io, Err(report)),
             };
-            io.text.clear();
+            let text = std::mem::take(&mut io.text);
+            let named = text
+                .trim()
+                .split_once(' ')
+                .map_or("", |(_, named)| named.trim());
             if form != "set" {
                 io.floats.clear();
             }
             let outcome = match cx.is_in_app() {
-                true => self.in_app(form, cx, io).await,
+                true => self.in_app((form, named), cx, io).await,
                 false => self.here(form, io),
             };
             if outcome.is_err() {

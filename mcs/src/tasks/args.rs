@@ -48,6 +48,9 @@ pub struct ServoArgs {
     /// The law's own arguments, read by the law.
     #[serde(default, rename = "law_args")]
     pub _law_args: Option<IgnoredAny>,
+    /// Arguments of laws that it may go over to, by their names; read by the laws.
+    #[serde(default, rename = "laws")]
+    pub _laws: Option<IgnoredAny>,
     /// Natural frequency of the position loop, Hz.
     #[serde(default = "bandwidth_hz")]
     pub bandwidth_hz: f64,

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::args::{self, ServoArgs};
 use super::{Link, SERVO, rows};
-use crate::client::{ControlReport, ReadControl, SetControl};
+use crate::client::{ControlReport, ReadControl, SetControl, SetLaw};
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::DriverRegistry;
 use crate::model::Model;
@@ -62,12 +62,13 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 5] = [
+const COMMANDS: [CommandInfo; 6] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
     ReadControl::INFO,
     SetControl::INFO,
+    SetLaw::INFO,
 ];
 
 pub(super) fn register(
@@ -101,10 +102,14 @@ fn check(
     findings: &mut Findings,
 ) {
     let model = args.check(task, app, findings).map(Arc::new);
-    if let Some(model) = &model
-        && let Err(finding) = law(args, task, model, laws)
-    {
-        findings.push(finding);
+    if let Some(model) = &model {
+        let others = own_args(task, "laws");
+        let others = others.entries().iter().map(|entry| &entry.key);
+        for name in std::iter::once(&args.law).chain(others) {
+            if let Err(finding) = law(name, (args, task), model, laws) {
+                findings.push(finding);
+            }
+        }
     }
     let Some(kind) = drivers.kind(&args.driver) else {
         return findings.push(unknown_driver(task, &args.driver, drivers));
@@ -126,31 +131,39 @@ fn check(
     }
 }
 
-/// The control law that the arguments name.
+/// The control law of that name, with the arguments that the task has for it: `law_args` for its own law, else those in
+/// `laws`.
 fn law(
-    args: &ServoArgs,
-    task: &TaskConfig,
+    name: &str,
+    (args, task): (&ServoArgs, &TaskConfig),
     model: &Arc<Model>,
     laws: &LawRegistry,
 ) -> Result<Box<dyn ControlLaw>, Finding> {
+    let own = name == args.law;
+    let key = match own {
+        true => "law_args".to_owned(),
+        false => format!("laws.\"{name}\""),
+    };
     let settings = LawSettings {
         model,
         bandwidth_hz: args.bandwidth_hz,
         damping: args.damping,
-        args: &own_args(task, "law_args"),
+        period: args.config().period,
+        args: &own_args(task, &key),
     };
-    match laws.build(&args.law, &settings) {
+    match laws.build(name, &settings) {
         Some(law) => law.map_err(|error| {
-            let text = format!("control law `{}`: {error}", args.law);
-            Finding::error("mcs::servo::law", text).at(place(task, "law_args"))
+            let text = format!("control law `{name}`: {error}");
+            Finding::error("mcs::servo::law", text).at(place(task, &key))
         }),
         None => {
             let text = format!(
-                "task `{}` names the control law `{}`, which nobody registered",
-                task.name, args.law
+                "task `{}` names the control law `{name}`, which nobody registered",
+                task.name
             );
-            let finding = Finding::error("mcs::servo::unknown_law", text).at(place(task, "law"));
-            Err(finding.suggest(&args.law, laws.names()))
+            let at = place(task, if own { "law" } else { &key });
+            let finding = Finding::error("mcs::servo::unknown_law", text).at(at);
+            Err(finding.suggest(name, laws.names()))
         }
     }
 }
@@ -173,13 +186,16 @@ struct ServoTask {
     servo: Option<Servo>,
     cyclic: Option<CyclicHandle>,
     control: ControlReport,
+    laws: Arc<LawRegistry>,
+    model: Arc<Model>,
+    args: ServoArgs,
 }
 
 impl ServoTask {
     fn new(
         cx: &Context,
         drivers: &DriverRegistry,
-        laws: &LawRegistry,
+        laws: &Arc<LawRegistry>,
     ) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         let mut findings = Findings::new();
@@ -190,10 +206,10 @@ impl ServoTask {
         let kind = kind.ok_or_else(|| unknown_driver(task, &args.driver, drivers))?;
         let driver = kind.build(cx, &own_args(task, "driver_args"))?;
         let config = args.config();
-        let law = law(&args, task, &model, laws)?;
+        let law = law(&args.law, (&args, task), &model, laws)?;
         let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
         let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
-        let planner = Planner::new(model, args.cartesian, setpoint_period)?;
+        let planner = Planner::new(Arc::clone(&model), args.cartesian, setpoint_period)?;
         let link = Arc::new(Link {
             port,
             planner: planner.clone(),
@@ -206,11 +222,14 @@ impl ServoTask {
             servo: Some(servo),
             cyclic: None,
             control: ControlReport {
-                law: args.law,
+                law: args.law.clone(),
                 bandwidth_hz: args.bandwidth_hz,
                 damping: args.damping,
                 following_error_rad: args.following_error_rad,
             },
+            laws: Arc::clone(laws),
+            model,
+            args,
         })
     }
 
@@ -268,6 +287,17 @@ impl ServoTask {
         Ok(self.control.clone())
     }
 
+    /// Goes over to another law, with the present bandwidth and damping.
+    fn change_law(&mut self, cx: &Context, name: String) -> Result<ControlReport, HandlerError> {
+        let task = cx.config().ok_or("a servo task needs a configuration")?;
+        self.args.bandwidth_hz = self.control.bandwidth_hz;
+        self.args.damping = self.control.damping;
+        let law = law(&name, (&self.args, task), &self.model, &self.laws)?;
+        self.link.port.change_law(law)?;
+        self.control.law = name;
+        Ok(self.control.clone())
+    }
+
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
     async fn shut_down(&self, cx: &Context) -> Handled {
         if self.cyclic.is_some() {
@@ -310,6 +340,13 @@ impl EventHandler for ServoTask {
             SetControl::CODE => {
                 let (request, reply) = message.open::<SetControl>()?;
                 match self.tune(&request) {
+                    Ok(control) => reply.ok(control),
+                    Err(error) => reply.fail(error),
+                }
+            }
+            SetLaw::CODE => {
+                let (SetLaw { law }, reply) = message.open::<SetLaw>()?;
+                match self.change_law(cx, law) {
                     Ok(control) => reply.ok(control),
                     Err(error) => reply.fail(error),
                 }
