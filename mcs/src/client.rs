@@ -8,6 +8,7 @@ use ctos::call::{CallError, Fault};
 use ctos::task::{Context, NameError, TaskRef};
 use serde::{Deserialize, Serialize};
 
+pub use crate::driver::{Sensor, SensorKind};
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
 use crate::servo::MotionPhase;
@@ -335,6 +336,20 @@ ctos::command! {
         /// Its registered name.
         pub law: String,
     } => ControlReport, 0x0310, "set_law"
+}
+/// What sensors read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SensorReport {
+    /// The sensors, in the order of their numbers.
+    pub sensors: Vec<Sensor>,
+    /// Their numbers at the servo's latest tick, one sensor after the other.
+    pub numbers: Vec<f64>,
+}
+
+ctos::command! {
+    /// Reads the slots that are no joints.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadSensors => SensorReport, 0x030f, "read_sensors"
 }
 ctos::command! {
     /// Ends the motion under way: brakes along the path to rest. The next one may begin at once, which it may not

@@ -19,7 +19,7 @@ use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
 use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
-use crate::joints::{Distances, Joints, TooManyJoints};
+use crate::joints::{Distances, Joints, MAX_SLOTS, TooManyJoints};
 use crate::model::Model;
 use crate::trajectory::{Setpoint, Solver};
 use blend::Blend;
@@ -112,6 +112,14 @@ pub enum ServoError {
     /// The arm has more joints than a manipulator may have.
     #[error(transparent)]
     Joints(#[from] TooManyJoints),
+    /// The sensors read more numbers than a status has room for.
+    #[error(
+        "the channel driver's sensors read {found} numbers, and there is room for {MAX_SLOTS}; name fewer of them"
+    )]
+    Sensors {
+        /// How many.
+        found: usize,
+    },
     /// A number of the configuration that cannot be.
     #[error("servo `{what}` is {value}; it must be above zero")]
     NotPositive {
@@ -171,6 +179,11 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
+        let widths = driver.sensors().iter().map(|sensor| sensor.kind.width());
+        let sensed: usize = widths.sum();
+        if sensed > MAX_SLOTS {
+            return Err(ServoError::Sensors { found: sensed });
+        }
         let solver = Solver::new(model)?;
         let positive = [
             ("period", config.period.as_secs_f64()),
@@ -207,6 +220,7 @@ impl Servo {
             velocity: still,
             setpoint: still,
             torque: still,
+            sensors: Joints::zeros(sensed),
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
@@ -370,6 +384,14 @@ impl Servo {
             self.status.position[index] = reading.position;
             self.status.velocity[index] = reading.velocity;
         }
+        let mut sensed = self.status.sensors;
+        if let Err(error) = self.driver.sense(&mut sensed) {
+            return self.driver_failed(error);
+        }
+        match sensed.iter().position(|number| !number.is_finite()) {
+            Some(number) => self.fail(Fault::Sensor { number }),
+            None => self.status.sensors = sensed,
+        }
     }
 
     /// Takes over the arm where it is: after any time with the brakes on, setpoint and law start
@@ -467,6 +489,7 @@ impl Servo {
             }
             return torques;
         }
+        self.law.sense(&self.status.sensors);
         self.law.torques(
             &self.setpoint,
             &self.readings,
@@ -491,6 +514,7 @@ impl Servo {
     fn change_law(&mut self, mut law: Box<dyn ControlLaw>, mut before: Joints) -> Joints {
         let (readings, period) = (&self.readings, self.config.period);
         law.reset(readings);
+        law.sense(&self.status.sensors);
         let mut torques = Joints::zeros(before.len());
         law.torques(&self.setpoint, readings, period, &mut torques);
         self.laws.retire(std::mem::replace(&mut self.law, law));

@@ -124,22 +124,24 @@ impl Arm {
         self.settle(h, None)
     }
 
-    /// Where it is after `h` seconds if it is touched so.
-    pub fn push(&mut self, h: f64, touch: &mut Touch) -> Result<(), Lost> {
+    /// Where it is after `h` seconds if it is touched so, and by what factor it was touched harder than its links were.
+    pub fn push(&mut self, h: f64, touch: &mut Touch) -> Result<f64, Lost> {
         if self.is_held() {
-            return Ok(());
+            return Ok(1.0);
         }
+        let mut factor = 1.0;
         if touch.by_still && touch.work > 0.0 {
             let inverse = self.inverse_mass_of_loose().ok_or(Lost)?;
             let impulse = DVector::from_column_slice(&touch.impulse);
             let gives = impulse.dot(&(inverse * &impulse));
             // Never less than it was given, nor without bound where it hardly gives way.
-            let factor = (touch.work / gives).clamp(1.0, MOST_STOPPED);
+            factor = (touch.work / gives).clamp(1.0, MOST_STOPPED);
             for number in touch.impulse.iter_mut().chain(&mut touch.shift) {
                 *number *= factor;
             }
         }
-        self.settle(h, Some(touch))
+        self.settle(h, Some(touch))?;
+        Ok(factor)
     }
 
     /// The step is over.

@@ -9,7 +9,9 @@
 
 use std::time::Duration;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+pub use crate::engine::GRAVITY;
+
+use nalgebra::{Isometry3, Point3, Rotation3, Vector3};
 use rapier3d_f64::{
     dynamics::{MassProperties, RigidBody, RigidBodyBuilder, RigidBodyHandle},
     geometry::{
@@ -25,10 +27,8 @@ use crate::{
     engine::{self, isometry, ours, pose, vector},
     scene::SceneState,
     shapes::Shape,
+    wrist::Wrench,
 };
-
-/// Free fall, m/s^2.
-pub const GRAVITY: f64 = 9.81;
 
 /// The longest time step, s; a period of the world is divided into equal steps.
 const MAX_STEP: f64 = 1.5e-3;
@@ -85,6 +85,24 @@ struct Link {
     began: (Point3<f64>, [Vector3<f64>; 2]),
 }
 
+/// What acts on a force-torque sensor.
+#[derive(Debug, Clone)]
+struct Sensing {
+    /// Speed of the centre of its load, m/s, at the end of the last step.
+    speed: Vector3<f64>,
+    /// The sum over the steps of the present advance, sensor's frame, and how many there were.
+    sum: Wrench,
+    steps: u32,
+    world: Rotation3<f64>,
+}
+
+/// An impulse that the step gave a link: at which point, N s and N m s; world.
+struct Blow {
+    mount: Mount,
+    at: Point3<f64>,
+    impulse: [Vector3<f64>; 2],
+}
+
 /// Everything that moves, and what it moves among.
 pub struct World {
     cell: Cell,
@@ -92,6 +110,7 @@ pub struct World {
     physics: PhysicsWorld,
     links: Vec<Link>,
     objects: Vec<RigidBodyHandle>,
+    sensing: Vec<Sensing>,
     elapsed: Duration,
 }
 
@@ -125,6 +144,15 @@ impl World {
             physics,
             links: Vec::new(),
             objects: Vec::new(),
+            sensing: vec![
+                Sensing {
+                    speed: Vector3::zeros(),
+                    sum: [0.0; 6],
+                    steps: 0,
+                    world: Rotation3::identity(),
+                };
+                cell.sensors.len()
+            ],
             elapsed: Duration::ZERO,
         };
         world.fill();
@@ -185,7 +213,11 @@ impl World {
         // Held arms among still things are a world that stands still.
         let still = self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
         let seconds = period.as_secs_f64();
+        for sensing in &mut self.sensing {
+            (sensing.sum, sensing.steps) = ([0.0; 6], 0);
+        }
         if still || seconds <= 0.0 {
+            self.feel(None, &[]);
             return Ok(());
         }
         // The small allowance keeps 4.5 ms at three steps of 1.5 ms whatever the rounding.
@@ -194,6 +226,17 @@ impl World {
             self.step(seconds / steps)?;
         }
         Ok(())
+    }
+
+    /// The mean of what acted on a sensor in the last advance (sensor's frame), and how it stands in the world; nothing
+    /// acts on one that is not there.
+    #[must_use]
+    pub fn wrench(&self, sensor: usize) -> (Wrench, Rotation3<f64>) {
+        let Some(sensing) = self.sensing.get(sensor) else {
+            return ([0.0; 6], Rotation3::identity());
+        };
+        let steps = f64::from(sensing.steps.max(1));
+        (sensing.sum.map(|sum| sum / steps), sensing.world)
     }
 
     /// What there is to see; stamp and tick are its caller's.
@@ -215,7 +258,9 @@ impl World {
         self.place_links();
         self.physics.integration_parameters.dt = h;
         self.physics.step();
+        let mut blows = Vec::new();
         for (index, arm) in self.arms.iter_mut().enumerate() {
+            let first = blows.len();
             let zero = vec![0.0; arm.model().dof()];
             let mut touch = Touch {
                 impulse: zero.clone(),
@@ -231,13 +276,19 @@ impl World {
                 };
                 touched = true;
                 touch.by_still &= by_still;
-                link.gained(body, h, arm, &mut touch);
+                blows.push(link.gained(body, h, arm, &mut touch));
             }
-            if touched && arm.push(h, &mut touch).is_err() {
-                return Err(self.lost(index));
+            if touched {
+                let Ok(factor) = arm.push(h, &mut touch) else {
+                    return Err(self.lost(index));
+                };
+                for blow in blows.iter_mut().skip(first) {
+                    blow.impulse = blow.impulse.map(|impulse| impulse * factor);
+                }
             }
         }
         self.each_arm(Arm::accept)?;
+        self.feel(Some(h), &blows);
         let mut objects = self.objects.iter().zip(&self.cell.objects);
         let lost = objects.find(|(handle, _)| {
             let body = self.physics.bodies.get(**handle);
@@ -248,6 +299,41 @@ impl World {
                 object: spec.name.clone(),
             }),
             None => Ok(()),
+        }
+    }
+
+    /// Adds what acts on each sensor at the end of a step of `h` seconds, or in no time.
+    fn feel(&mut self, h: Option<f64>, blows: &[Blow]) {
+        for (sensing, spec) in self.sensing.iter_mut().zip(&self.cell.sensors) {
+            let mount = spec.mount;
+            let pose = link_pose(&self.cell, &mut self.arms, mount);
+            let Some(arm) = self.arms.get_mut(mount.arm) else {
+                continue;
+            };
+            let [speed, _] = arm.velocity(mount.frame, &(pose * Point3::from(spec.load.centre)));
+            let rate = h.map_or_else(Vector3::zeros, |h| (speed - sensing.speed) / h);
+            sensing.speed = speed;
+            let world = pose.rotation.to_rotation_matrix();
+            let own = |vector: Vector3<f64>| world.inverse() * vector;
+            let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
+            let mut acts = spec.load.wrench(&own(gravity), &own(rate));
+            for blow in blows.iter().filter(|blow| blow.mount == mount) {
+                let [force, turn] = blow
+                    .impulse
+                    .map(|impulse| impulse / h.unwrap_or(f64::INFINITY));
+                let moment = turn + (blow.at - Point3::from(pose.translation.vector)).cross(&force);
+                let both = [own(force), own(moment)];
+                for (sum, number) in acts
+                    .iter_mut()
+                    .zip(both.iter().flat_map(|part| part.iter()))
+                {
+                    *sum += number;
+                }
+            }
+            for (sum, number) in sensing.sum.iter_mut().zip(acts) {
+                *sum += number;
+            }
+            (sensing.steps, sensing.world) = (sensing.steps + 1, world);
         }
     }
 
@@ -406,8 +492,8 @@ impl Link {
         still
     }
 
-    /// Adds what the step gave the link, and how far it moved it beyond its speed.
-    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) {
+    /// Adds what the step gave the link, which is returned, and how far it moved it beyond its speed.
+    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) -> Blow {
         let (began, [linear, angular]) = &self.began;
         let [mass, inertia] = self.weight;
         let faster = ours(body.linvel()) - linear;
@@ -423,6 +509,11 @@ impl Link {
             [moved * mass, Vector3::zeros()],
             &mut touch.shift,
         );
+        Blow {
+            mount: self.mount,
+            at: *began,
+            impulse,
+        }
     }
 
     /// Gives it the weight with which the arm resists at its centre.

@@ -10,7 +10,8 @@ use super::ended;
 use super::local::SharedArm;
 use super::mvpos::answer;
 use crate::client::{
-    EmergencyStop, ReadControl, ReadPosition, Reset, Resume, SetControl, SetLaw, Status, Stop,
+    EmergencyStop, ReadControl, ReadPosition, ReadSensors, Reset, Resume, SetControl, SetLaw,
+    Status, Stop,
 };
 
 /// Everything here is answered at once, but for coming to rest.
@@ -49,6 +50,15 @@ const FORMS: &[Form] = &[
         gives: "3 floats, as control",
         results: "bandwidth: Hz; damping; following_error: rad",
         help: "sets the control parameters; the arm must not be on its way",
+    },
+    Form {
+        text: "sensors",
+        floats: 0,
+        takes: "",
+        gives: "text: names and kinds of the driver's sensors; the numbers of all of them, one after the other: of a force-torque \
+                sensor 3 forces, N, and 3 moments, N m, in its frame",
+        results: "* number",
+        help: "tells what the slots read that are no joints",
     },
     Form {
         text: "law NAME",
@@ -152,6 +162,13 @@ impl Pino {
                 let control = cx.call_task(client, set, SOON).await?;
                 control_answer(io, &control.law, control.numbers());
             }
+            "sensors" => {
+                let report = cx.call_task(client, ReadSensors {}, SOON).await?;
+                let named = report.sensors.iter();
+                let named = named.map(|sensor| format!("{} {:?}", sensor.name, sensor.kind));
+                io.text = named.collect::<Vec<_>>().join(", ");
+                io.floats = report.numbers;
+            }
             "law NAME" => {
                 let law = named.to_owned();
                 let control = cx.call_task(client, SetLaw { law }, SOON).await?;
@@ -199,6 +216,7 @@ impl Pino {
                 control_answer(io, "none: it goes as planned", [bandwidth, damping, 0.0]);
             }
             // It never is on its way, and has no power to be taken away.
+            "sensors" => io.text = "none: the arm of this process is kinematic only".to_owned(),
             "law NAME" | "stop" | "resume" | "estop" | "reset" => {}
             _ => {
                 io.text = format!(

@@ -69,6 +69,12 @@ pub enum Fault {
         /// Slot, from 0.
         slot: usize,
     },
+    /// A sensor read a NaN or an infinity.
+    #[error("number {number} of the sensors is no finite number")]
+    Sensor {
+        /// Among the numbers of all sensors, from 0.
+        number: usize,
+    },
     /// A joint was too far from its setpoint.
     #[error(
         "joint {joint} was {error:.4} {unit} from its setpoint, the limit is {limit:.4} {unit}",
@@ -206,6 +212,8 @@ pub struct ServoStatus {
     pub setpoint: Joints,
     /// Torques written, N m, or forces, N.
     pub torque: Joints,
+    /// What the driver's sensors read, one after the other, in the units of their kinds.
+    pub sensors: Joints,
     /// Nothing moves and nothing is going to.
     pub at_rest: bool,
     /// The latest motion.

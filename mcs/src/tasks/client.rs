@@ -16,7 +16,7 @@ use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
     Acquire, Cancel, EmergencyStop, MotionError, Move, Plan, Position, ReadControl, ReadPosition,
-    Release, Reset, Resume, SetControl, SetLaw, Status, StatusReport, Stop,
+    ReadSensors, Release, Reset, Resume, SetControl, SetLaw, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -38,6 +38,7 @@ pub(super) fn register(registry: &mut Registry) {
         ReadControl::INFO,
         SetControl::INFO,
         SetLaw::INFO,
+        ReadSensors::INFO,
         Cancel::INFO,
         Resume::INFO,
     ];
@@ -210,6 +211,10 @@ impl EventHandler for ClientTask {
             }
             SetControl::CODE => {
                 let (request, reply) = message.open::<SetControl>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            ReadSensors::CODE => {
+                let (request, reply) = message.open::<ReadSensors>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             SetLaw::CODE => {

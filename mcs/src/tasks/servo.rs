@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::args::{self, ServoArgs};
 use super::{Link, SERVO, rows};
-use crate::client::{ControlReport, ReadControl, SetControl, SetLaw};
+use crate::client::{ControlReport, ReadControl, ReadSensors, SensorReport, SetControl, SetLaw};
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
-use crate::driver::DriverRegistry;
+use crate::driver::{DriverRegistry, Sensor};
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
 use crate::trajectory::Planner;
@@ -62,13 +62,14 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 6] = [
+const COMMANDS: [CommandInfo; 7] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
     ReadControl::INFO,
     SetControl::INFO,
     SetLaw::INFO,
+    ReadSensors::INFO,
 ];
 
 pub(super) fn register(
@@ -189,6 +190,7 @@ struct ServoTask {
     laws: Arc<LawRegistry>,
     model: Arc<Model>,
     args: ServoArgs,
+    sensors: Vec<Sensor>,
 }
 
 impl ServoTask {
@@ -205,6 +207,7 @@ impl ServoTask {
         let kind = drivers.kind(&args.driver);
         let kind = kind.ok_or_else(|| unknown_driver(task, &args.driver, drivers))?;
         let driver = kind.build(cx, &own_args(task, "driver_args"))?;
+        let sensors = driver.sensors().to_vec();
         let config = args.config();
         let law = law(&args.law, (&args, task), &model, laws)?;
         let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
@@ -230,6 +233,7 @@ impl ServoTask {
             laws: Arc::clone(laws),
             model,
             args,
+            sensors,
         })
     }
 
@@ -343,6 +347,13 @@ impl EventHandler for ServoTask {
                     Ok(control) => reply.ok(control),
                     Err(error) => reply.fail(error),
                 }
+            }
+            ReadSensors::CODE => {
+                let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
+                reply.ok(SensorReport {
+                    sensors: self.sensors.clone(),
+                    numbers: self.link.port.status().sensors.to_vec(),
+                })
             }
             SetLaw::CODE => {
                 let (SetLaw { law }, reply) = message.open::<SetLaw>()?;

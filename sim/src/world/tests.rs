@@ -1,5 +1,6 @@
 mod contacts;
 mod puma;
+mod wrist;
 
 use ctos::diagnostic::Source;
 use nalgebra::Vector6;
