@@ -8,6 +8,7 @@ use ctos::call::{CallError, Fault};
 use ctos::task::{Context, NameError, TaskRef};
 use serde::{Deserialize, Serialize};
 
+pub use crate::driver::{Sensor, SensorKind};
 use crate::guard::{GuardReport, Reaction};
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
@@ -341,6 +342,29 @@ ctos::command! {
         /// Damping ratio of the position loop.
         pub damping: f64,
     } => ControlReport, 0x030b, "set_control"
+}
+ctos::command! {
+    /// Goes over to another control law, until the servo's task is built anew. Torques go from those of the one to those
+    /// of the other without a step, also while the arm is on its way.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetLaw {
+        /// Its registered name.
+        pub law: String,
+    } => ControlReport, 0x0314, "set_law"
+}
+/// What sensors read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SensorReport {
+    /// The sensors, in the order of their numbers.
+    pub sensors: Vec<Sensor>,
+    /// Their numbers at the servo's latest tick, one sensor after the other.
+    pub numbers: Vec<f64>,
+}
+
+ctos::command! {
+    /// Reads the slots that are no joints.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadSensors => SensorReport, 0x0313, "read_sensors"
 }
 ctos::command! {
     /// Ends the motion under way: brakes along the path to rest. The next one may begin at once, which it may not

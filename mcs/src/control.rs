@@ -3,13 +3,19 @@
 //! A law of one's own is one file with one type that implements [`ControlLaw`], and one name in a [`LawRegistry`].
 //! Laws know the arm's model and nothing of tasks, planning or hardware.
 
+pub mod cartesian_impedance;
 pub mod computed_torque;
+#[cfg(test)]
+mod impedance_tests;
+pub mod joint_impedance;
 pub mod pid;
 mod registry;
 
 use std::time::Duration;
 
+pub use cartesian_impedance::{CartesianImpedance, CartesianImpedanceArgs};
 pub use computed_torque::ComputedTorque;
+pub use joint_impedance::{JointImpedance, JointImpedanceArgs};
 pub use pid::PidGravity;
 pub use registry::{LawRegistry, LawSettings};
 
@@ -25,6 +31,12 @@ pub trait ControlLaw: Send {
     /// periods; must neither allocate, lock nor wait. A law without such parameters stays as it is.
     fn tune(&mut self, bandwidth: f64, damping: f64) {
         let _ = (bandwidth, damping);
+    }
+
+    /// Takes in what the driver's sensors read, one after the other, before [`torques`](Self::torques) of the same period. A
+    /// law that asks for none does nothing with it.
+    fn sense(&mut self, numbers: &[f64]) {
+        let _ = numbers;
     }
 
     /// Computes one torque per slot into `out` (N m, or N for a joint that slides) from the setpoint and the

@@ -23,6 +23,35 @@ pub struct SlotReading {
     pub velocity: f64,
 }
 
+/// What a slot that is no joint measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub enum SensorKind {
+    /// A force (N) and a moment (N m) about the sensor's origin, in its frame: that which what hangs behind it exerts on it.
+    ForceTorque,
+    /// 0 or 1.
+    DigitalInput,
+}
+
+impl SensorKind {
+    /// How many numbers it reads.
+    #[must_use]
+    pub fn width(self) -> usize {
+        match self {
+            Self::ForceTorque => 6,
+            Self::DigitalInput => 1,
+        }
+    }
+}
+
+/// A slot that is no joint. What kinds there are in hardware, each is a run of numbers here.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Sensor {
+    /// Its name.
+    pub name: String,
+    /// What it measures.
+    pub kind: SensorKind,
+}
+
 /// The three physical states of the manipulator (report 108, section 4, end of the state manager).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum Power {
@@ -61,6 +90,21 @@ pub trait ChannelDriver: Send {
     /// # Errors
     /// A driver fault; the servo then stops the arm.
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError>;
+
+    /// The slots that are no joints, which never change; none unless a driver says otherwise.
+    fn sensors(&self) -> &[Sensor] {
+        &[]
+    }
+
+    /// Reads every sensor, one after the other, into `numbers` (length: the sum of their widths). Called once per period
+    /// after [`read`](Self::read) has gone well, under the same rules.
+    ///
+    /// # Errors
+    /// A driver fault; the servo then stops the arm.
+    fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
+        let _ = numbers;
+        Ok(())
+    }
 
     /// Applies one torque per slot, N m (N for a joint that slides), held until the next write. The
     /// next one is due in `period`: a driver may brake its joints when it does not come.

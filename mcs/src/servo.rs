@@ -5,6 +5,7 @@
 //! lock-free queue and what happened goes out as a snapshot, both through [`ServoPort`]. Nothing
 //! here knows tasks or messages; all time is counted in ticks.
 
+mod blend;
 mod motion;
 pub mod port;
 
@@ -21,16 +22,20 @@ use crate::control::ControlLaw;
 use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use crate::guard::rack::{Now, Rack};
 use crate::guard::{GuardSet, Neighbour, Reaction, Stopping};
-use crate::joints::{Distances, Joints, TooManyJoints};
+use crate::joints::{Distances, Joints, MAX_SLOTS, TooManyJoints};
 use crate::model::{Model, Placement};
 use crate::trajectory::{Bridge, Follower, Segment, Setpoint, Solver};
+use blend::Blend;
 use motion::{Motion, Progress};
+use port::Laws;
 pub use port::{
     Ended, Fault, MotionPhase, MotionStatus, QUEUE, Rejection, ServoCommand, ServoPort, ServoStatus,
 };
 
 /// Orders that may wait in the queue at once.
 const COMMANDS: usize = 32;
+/// Laws that may.
+const LAWS: usize = 4;
 /// How far (rad or m) a segment may start from the setpoint that is held, or from the end of the one before.
 const START_TOLERANCE: f64 = 1e-6;
 
@@ -112,6 +117,14 @@ pub enum ServoError {
     /// The arm has more joints than a manipulator may have.
     #[error(transparent)]
     Joints(#[from] TooManyJoints),
+    /// The sensors read more numbers than a status has room for.
+    #[error(
+        "the channel driver's sensors read {found} numbers, and there is room for {MAX_SLOTS}; name fewer of them"
+    )]
+    Sensors {
+        /// How many.
+        found: usize,
+    },
     /// A number of the configuration that cannot be.
     #[error("servo `{what}` is {value}; it must be above zero")]
     NotPositive {
@@ -153,6 +166,8 @@ pub struct Servo {
     solver: Solver,
     driver: Box<dyn ChannelDriver>,
     law: Box<dyn ControlLaw>,
+    laws: Arc<Laws>,
+    blend: Blend,
     config: ServoConfig,
     commands: Arc<ArrayQueue<ServoCommand>>,
     driver_errors: Arc<ArrayQueue<DriverError>>,
@@ -194,6 +209,11 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
+        let widths = driver.sensors().iter().map(|sensor| sensor.kind.width());
+        let sensed: usize = widths.sum();
+        if sensed > MAX_SLOTS {
+            return Err(ServoError::Sensors { found: sensed });
+        }
         let solver = Solver::new(Arc::clone(&model))?;
         let guards = Rack::new(model);
         let positive = [
@@ -231,12 +251,14 @@ impl Servo {
             velocity: still,
             setpoint: still,
             torque: still,
+            sensors: Joints::zeros(sensed),
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
+        let laws = Arc::new(Laws::new(LAWS));
         let port = ServoPort::new(
             Arc::clone(&commands),
-            Arc::clone(&driver_errors),
+            (Arc::clone(&driver_errors), Arc::clone(&laws)),
             reader,
             guards.port(),
         );
@@ -244,6 +266,8 @@ impl Servo {
             solver,
             driver,
             law,
+            laws,
+            blend: Blend::default(),
             config,
             commands,
             driver_errors,
@@ -449,6 +473,14 @@ impl Servo {
             self.status.position[index] = reading.position;
             self.status.velocity[index] = reading.velocity;
         }
+        let mut sensed = self.status.sensors;
+        if let Err(error) = self.driver.sense(&mut sensed) {
+            return self.driver_failed(error);
+        }
+        match sensed.iter().position(|number| !number.is_finite()) {
+            Some(number) => self.fail(Fault::Sensor { number }),
+            None => self.status.sensors = sensed,
+        }
     }
 
     /// Takes over the arm where it is: after any time with the brakes on, setpoint and law start
@@ -592,15 +624,25 @@ impl Servo {
 
     fn control(&mut self) -> Joints {
         let mut torques = self.still();
+        let next = self.laws.next();
         if self.status.power != Power::Released {
+            self.blend = Blend::default();
+            if let Some(law) = next {
+                self.laws.retire(std::mem::replace(&mut self.law, law));
+            }
             return torques;
         }
+        self.law.sense(&self.status.sensors);
         self.law.torques(
             &self.setpoint,
             &self.readings,
             self.config.period,
             &mut torques,
         );
+        if let Some(law) = next {
+            torques = self.change_law(law, torques);
+        }
+        self.blend.add_to(&mut torques);
         if torques.iter().any(|torque| !torque.is_finite()) {
             self.fail(Fault::ControlLaw);
             return self.still();
@@ -608,6 +650,20 @@ impl Servo {
         for (torque, joint) in torques.iter_mut().zip(self.solver.model().joints()) {
             *torque = torque.clamp(-joint.limits.torque, joint.limits.torque);
         }
+        torques
+    }
+
+    /// Goes over to another law, whose torques begin where those of the law before ended.
+    fn change_law(&mut self, mut law: Box<dyn ControlLaw>, mut before: Joints) -> Joints {
+        let (readings, period) = (&self.readings, self.config.period);
+        law.reset(readings);
+        law.sense(&self.status.sensors);
+        let mut torques = Joints::zeros(before.len());
+        law.torques(&self.setpoint, readings, period, &mut torques);
+        self.laws.retire(std::mem::replace(&mut self.law, law));
+        // Of a law before that one, too.
+        self.blend.add_to(&mut before);
+        self.blend = Blend::between(&before, &torques, period);
         torques
     }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mcs::Joints;
-use mcs::control::{ComputedTorque, ControlLaw, PidGravity};
+use mcs::control::{ComputedTorque, ControlLaw, LawRegistry, LawSettings, PidGravity};
 use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use mcs::guard::speed::Speed;
 use mcs::guard::workspace::{Region, Workspace};
@@ -14,7 +14,7 @@ use mcs::guard::{Guard, GuardSet, Mounted, Reaction};
 use mcs::model::inverse::{Preferences, Search};
 use mcs::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
-use mcs::trajectory::{CartesianLimits, Pace, Planner, Solver};
+use mcs::trajectory::{CartesianLimits, Pace, Planner, Setpoint, Solver};
 use nalgebra::Translation3;
 
 const START: [f64; 6] = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
@@ -222,6 +222,41 @@ fn no_tick_allocates_while_guards_watch_are_changed_and_end_a_motion() {
         count += allocations(&mut servo, &port, None);
         assert!(port.status().ended_by_guard(1).is_some(), "{name}");
         assert_eq!(count, 0, "{name}");
+    }
+}
+
+#[test]
+fn no_law_allocates_when_it_computes_or_is_tuned() {
+    let (registry, args) = (LawRegistry::new(), ctos::config::Node::table());
+    let period = Duration::from_micros(4500);
+    for (arm, name) in ARMS
+        .into_iter()
+        .flat_map(|arm| registry.names().map(move |name| (arm, name)))
+    {
+        let model = Arc::new(model(arm));
+        let settings = LawSettings {
+            model: &model,
+            bandwidth_hz: 6.0,
+            damping: 1.0,
+            period,
+            args: &args,
+        };
+        let mut law = registry.build(name, &settings).unwrap().unwrap();
+        let q = joints(arm, [0.0, 0.1, 0.0], START);
+        let setpoint = Setpoint::at_rest(q);
+        let readings = vec![SlotReading::default(); q.len()];
+        let mut torques = Joints::zeros(q.len());
+        let info = allocation_counter::measure(|| {
+            law.reset(&readings);
+            law.tune(5.0, 0.9);
+            law.sense(&[0.1; 6]);
+            law.torques(&setpoint, &readings, period, &mut torques);
+        });
+        assert_eq!(info.count_total, 0, "{arm} {name}");
+        assert!(
+            torques.iter().all(|torque| torque.is_finite()),
+            "{arm} {name}"
+        );
     }
 }
 

@@ -12,7 +12,12 @@ use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{FrameId, Model};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
-use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape};
+use crate::{
+    camera::truth::CameraTruth,
+    scene::SceneState,
+    shapes::Shape,
+    wrist::{Electronics, Load},
+};
 
 /// How the file of a model is read that the cell names, relative to the cell's file.
 pub type ReadModel<'a> = &'a dyn Fn(&str) -> Result<Source, Finding>;
@@ -32,6 +37,8 @@ pub struct Cell {
     pub objects: Vec<ObjectSpec>,
     /// The cameras.
     pub cameras: Vec<CameraSpec>,
+    /// The force-torque sensors.
+    pub sensors: Vec<SensorSpec>,
     /// What can be seen and may move: links of the arms, then objects.
     pub bodies: Vec<BodySpec>,
 }
@@ -132,6 +139,19 @@ pub struct ObjectSpec {
     pub friction: f64,
     /// Its pose at the start, `world_T_object`, m.
     pub start: Isometry3<f64>,
+}
+
+/// A force-torque sensor. Behind it hang its load, and every form that its frame carries.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorSpec {
+    /// Its name.
+    pub name: String,
+    /// Where it is.
+    pub mount: Mount,
+    /// What hangs behind it in truth; part of the arm's mass.
+    pub load: Load,
+    /// What it makes of what acts on it.
+    pub electronics: Electronics,
 }
 
 /// A camera with its sensor.

@@ -3,7 +3,7 @@
 use std::{f64::consts::TAU, sync::Arc, time::Duration};
 
 use mcs::{
-    driver::{ChannelDriver, DriverError, Power, SlotReading},
+    driver::{ChannelDriver, DriverError, Power, Sensor, SensorKind, SlotReading},
     model::JointKind,
 };
 
@@ -36,6 +36,9 @@ pub struct SimArm {
     counts: Vec<f64>,
     /// Tick, positions and speeds of all joints of the arm.
     state: Vec<f64>,
+    /// Sensors by index in the cell, and as slots.
+    sensing: Vec<usize>,
+    sensors: Vec<Sensor>,
     tick: f64,
     period: Duration,
     /// How long it has been the same tick.
@@ -66,10 +69,27 @@ impl SimArm {
             driver,
             counts: joints.iter().map(counts).collect(),
             state: vec![0.0; port.state_length(arm)],
+            sensing: Vec::new(),
+            sensors: Vec::new(),
             tick: 0.0,
             period: Duration::ZERO,
             waited: Duration::ZERO,
         })
+    }
+
+    /// Reads sensors of the cell besides, by index; one that it does not have is left out.
+    #[must_use]
+    pub fn sensing(mut self, cell: &Cell, sensors: &[usize]) -> Self {
+        for index in sensors {
+            if let Some(spec) = cell.sensors.get(*index) {
+                self.sensing.push(*index);
+                self.sensors.push(Sensor {
+                    name: spec.name.clone(),
+                    kind: SensorKind::ForceTorque,
+                });
+            }
+        }
+        self
     }
 
     /// The world's tick to which the last reading belongs.
@@ -135,6 +155,17 @@ impl ChannelDriver for SimArm {
                 position: (number(positions, *joint) * counts).round() / counts,
                 velocity: number(speeds, *joint),
             };
+        }
+        Ok(())
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        &self.sensors
+    }
+
+    fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
+        for (index, numbers) in self.sensing.iter().zip(numbers.chunks_exact_mut(6)) {
+            self.port.sensed(*index, numbers);
         }
         Ok(())
     }

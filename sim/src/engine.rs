@@ -8,6 +8,9 @@ use rapier3d_f64::{
 
 use crate::shapes::Solid;
 
+/// Free fall, m/s^2.
+pub const GRAVITY: f64 = 9.81;
+
 pub fn vector(v: &Vector3<f64>) -> Vector {
     Vector::new(v.x, v.y, v.z)
 }

@@ -42,6 +42,9 @@ struct ArmArgs {
     arm: Option<String>,
     /// Names of joints of its model, in the order of the slots; all of them, when none is named.
     joints: Option<Vec<String>>,
+    /// Names of sensors that the arm carries, in the order of their numbers; none, when none is named.
+    #[serde(default)]
+    sensors: Vec<String>,
 }
 
 /// The joints of a driver: an arm of a cell, and joints of it by index.
@@ -100,6 +103,23 @@ fn joints(args: &ArmArgs, cell: &Cell) -> Result<Joints, Finding> {
     Ok(Joints { arm, joints })
 }
 
+/// The sensors that `args` name, by index in the cell.
+fn sensors(args: &ArmArgs, arm: usize, cell: &Cell) -> Result<Vec<usize>, Finding> {
+    let carried = |name: &str| {
+        let mut all = cell.sensors.iter();
+        all.position(|sensor| sensor.name == name && sensor.mount.arm == arm)
+    };
+    let names = args.sensors.iter();
+    let found = names.map(|name| {
+        carried(name).ok_or_else(|| {
+            let text = format!("the arm carries no sensor `{name}`");
+            let known = cell.sensors.iter().map(|sensor| sensor.name.as_str());
+            Finding::error("sim::arm::sensors", text).suggest(name, known)
+        })
+    });
+    found.collect()
+}
+
 /// The task called `world`, if it owns a world on the chassis of `task`.
 fn world_of<'a>(world: &str, task: &TaskConfig, app: &'a App) -> Result<&'a TaskConfig, Finding> {
     let found = app.task(world).filter(|found| found.handler == WORLD);
@@ -141,9 +161,10 @@ pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, Han
     let WorldArgs { cell, .. } = world.args.parse()?;
     let cell = Cell::read(&cx.app().file_at(&cell))?;
     let Joints { arm, joints } = joints(&args, &cell)?;
+    let sensing = sensors(&args, arm, &cell)?;
     let port = Port::of(cx, &world.name, &cell);
     let driver = SimArm::new(cx.name(), (&world.name, &port, &cell), arm, &joints)?;
-    Ok(Box::new(driver))
+    Ok(Box::new(driver.sensing(&cell, &sensing)))
 }
 
 /// How many slots the driver will have, if its arguments and the world's are sound.
@@ -186,6 +207,9 @@ fn check_arm(task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings)
             return findings.push(at(finding, key));
         }
     };
+    if let Err(finding) = sensors(&parsed, own.arm, &cell) {
+        findings.push(at(finding, "sensors"));
+    }
     let drivers = app.tasks.iter().flat_map(|other| {
         let drivers = NamedDriver::all_of(&other.args).into_iter();
         drivers.map(move |driver| (other, driver))

@@ -19,5 +19,6 @@ pub mod simulation;
 pub mod source;
 pub mod world;
 pub mod world_task;
+pub mod wrist;
 
 pub use handlers::register;

@@ -16,7 +16,7 @@ use mcs::driver::Power;
 
 use mcs::latest::Latest;
 
-use crate::cell::Cell;
+use crate::{cell::Cell, wrist::Wrench};
 
 /// The joints that somebody asked for are not to be had.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -31,6 +31,8 @@ pub struct Taken {
 #[derive(Debug)]
 pub struct Port {
     arms: Vec<ArmPort>,
+    /// What each sensor reads.
+    sensors: Vec<Latest>,
     claims: Mutex<Vec<Arc<Claim>>>,
     /// Counts the changes of the claims.
     changes: AtomicU64,
@@ -87,6 +89,11 @@ impl Port {
         });
         Self {
             arms: arms.collect(),
+            sensors: cell
+                .sensors
+                .iter()
+                .map(|_| Latest::new(&[0.0; 6]))
+                .collect(),
             claims: Mutex::new(Vec::new()),
             changes: AtomicU64::new(0),
             failure: Mutex::new(None),
@@ -169,6 +176,20 @@ impl Port {
         if let Some(arm) = self.arms.get(arm) {
             let numbers = positions.iter().chain(velocities).copied();
             arm.state.write(std::iter::once(tick as f64).chain(numbers));
+        }
+    }
+
+    /// What a sensor reads, into six numbers.
+    pub(crate) fn sensed(&self, sensor: usize, numbers: &mut [f64]) {
+        if let Some(sensor) = self.sensors.get(sensor) {
+            sensor.read(numbers);
+        }
+    }
+
+    /// Shows what a sensor reads after a tick.
+    pub(crate) fn show_sensed(&self, sensor: usize, numbers: Wrench) {
+        if let Some(sensor) = self.sensors.get(sensor) {
+            sensor.write(numbers);
         }
     }
 

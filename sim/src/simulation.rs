@@ -12,6 +12,7 @@ use crate::{
     port::{Claim, Port},
     scene::SceneState,
     world::{World, WorldError},
+    wrist::Wrist,
 };
 
 /// A driver that has said nothing for so many of its periods is silent, and its joints brake.
@@ -40,6 +41,7 @@ pub struct Simulation {
     changes: u64,
     drivers: Vec<Driver>,
     lamps: Vec<bool>,
+    wrists: Vec<Wrist>,
     tick: u64,
     stamp: Duration,
 }
@@ -48,17 +50,26 @@ impl Simulation {
     /// The world of `cell` at its start, shown at `port`.
     #[must_use]
     pub fn new(cell: &Cell, port: Arc<Port>) -> Self {
-        let simulation = Self {
+        let mut simulation = Self {
             world: World::new(cell),
             port,
             changes: 0,
             drivers: Vec::new(),
             lamps: cell.lamps.iter().map(|lamp| lamp.on).collect(),
+            wrists: cell
+                .sensors
+                .iter()
+                .map(|sensor| Wrist::new(sensor.electronics.clone()))
+                .collect(),
             tick: 0,
             stamp: Duration::ZERO,
         };
         simulation.port.set_failure(None);
         simulation.show();
+        // What is still is felt before the first tick.
+        if simulation.world.advance(Duration::ZERO).is_ok() {
+            simulation.feel(Duration::ZERO);
+        }
         simulation
     }
 
@@ -111,6 +122,7 @@ impl Simulation {
         }
         self.tick += 1;
         self.stamp = now;
+        self.feel(period);
         self.show();
         Ok(())
     }
@@ -169,6 +181,15 @@ impl Simulation {
             });
         }
         Ok(())
+    }
+
+    /// Samples the sensors, `period` after the time before.
+    fn feel(&mut self, period: Duration) {
+        for (sensor, wrist) in self.wrists.iter_mut().enumerate() {
+            let (wrench, world) = self.world.wrench(sensor);
+            self.port
+                .show_sensed(sensor, wrist.sample(&wrench, &world, period));
+        }
     }
 
     fn show(&self) {

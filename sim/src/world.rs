@@ -13,7 +13,9 @@
 
 use std::time::Duration;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+pub use crate::engine::GRAVITY;
+
+use nalgebra::{Isometry3, Point3, Rotation3, Vector3};
 use rapier3d_f64::{
     dynamics::{MassProperties, RigidBody, RigidBodyBuilder, RigidBodyHandle},
     geometry::{
@@ -29,10 +31,8 @@ use crate::{
     engine::{self, isometry, ours, pose, vector},
     scene::SceneState,
     shapes::Shape,
+    wrist::Wrench,
 };
-
-/// Free fall, m/s^2.
-pub const GRAVITY: f64 = 9.81;
 
 /// The longest time step, s; a period of the world is divided into equal steps.
 const MAX_STEP: f64 = 1.5e-3;
@@ -89,20 +89,38 @@ struct Link {
     /// Mass and inertia that it has now, kg and kg m^2.
     weight: [f64; 2],
     /// How the step began: where the centre was, and how fast it and the link.
-    began: (Point3<f64>, Wrench),
+    began: (Point3<f64>, Spatial),
     /// What the last step gave it by contact, N s and N m s at its centre; `None` when nothing touched it.
-    felt: Option<Wrench>,
+    felt: Option<Spatial>,
     /// What it is expected to be given in this step: the mean of the steps before, the later ones counting more. A blow is
     /// over when the next step begins, so of a contact the first step does not count.
-    expected: Wrench,
+    expected: Spatial,
     /// What contact has given it since the world's last period began, N s.
     pressed: Vector3<f64>,
 }
 
 /// A linear and an angular part.
-type Wrench = [Vector3<f64>; 2];
+type Spatial = [Vector3<f64>; 2];
 
-const NOTHING: Wrench = [Vector3::new(0.0, 0.0, 0.0); 2];
+const NOTHING: Spatial = [Vector3::new(0.0, 0.0, 0.0); 2];
+
+/// What acts on a force-torque sensor.
+#[derive(Debug, Clone)]
+struct Sensing {
+    /// Speed of the centre of its load, m/s, at the end of the last step.
+    speed: Vector3<f64>,
+    /// The sum over the steps of the present advance, sensor's frame, and how many there were.
+    sum: Wrench,
+    steps: u32,
+    world: Rotation3<f64>,
+}
+
+/// An impulse that the step gave a link: at which point, N s and N m s; world.
+struct Blow {
+    mount: Mount,
+    at: Point3<f64>,
+    impulse: Spatial,
+}
 
 /// Everything that moves, and what it moves among.
 pub struct World {
@@ -111,6 +129,7 @@ pub struct World {
     physics: PhysicsWorld,
     links: Vec<Link>,
     objects: Vec<RigidBodyHandle>,
+    sensing: Vec<Sensing>,
     elapsed: Duration,
     /// How much of it the last period was.
     lasted: Duration,
@@ -146,6 +165,15 @@ impl World {
             physics,
             links: Vec::new(),
             objects: Vec::new(),
+            sensing: vec![
+                Sensing {
+                    speed: Vector3::zeros(),
+                    sum: [0.0; 6],
+                    steps: 0,
+                    world: Rotation3::identity(),
+                };
+                cell.sensors.len()
+            ],
             elapsed: Duration::ZERO,
             lasted: Duration::ZERO,
         };
@@ -211,7 +239,11 @@ impl World {
         // Held arms among still things are a world that stands still.
         let still = self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
         let seconds = period.as_secs_f64();
+        for sensing in &mut self.sensing {
+            (sensing.sum, sensing.steps) = ([0.0; 6], 0);
+        }
         if still || seconds <= 0.0 {
+            self.sense(None, &[]);
             return Ok(());
         }
         // The small allowance keeps 4.5 ms at three steps of 1.5 ms whatever the rounding.
@@ -220,6 +252,17 @@ impl World {
             self.step(seconds / steps)?;
         }
         Ok(())
+    }
+
+    /// The mean of what acted on a sensor in the last advance (sensor's frame), and how it stands in the world; nothing
+    /// acts on one that is not there.
+    #[must_use]
+    pub fn wrench(&self, sensor: usize) -> (Wrench, Rotation3<f64>) {
+        let Some(sensing) = self.sensing.get(sensor) else {
+            return ([0.0; 6], Rotation3::identity());
+        };
+        let steps = f64::from(sensing.steps.max(1));
+        (sensing.sum.map(|sum| sum / steps), sensing.world)
     }
 
     /// What there is to see; stamp and tick are its caller's.
@@ -264,12 +307,14 @@ impl World {
         self.place_links(h);
         self.physics.integration_parameters.dt = h;
         self.physics.step();
+        let mut blows = Vec::new();
         for (index, expected) in expected.iter().enumerate() {
-            if self.feel(index, h, expected.is_some()).is_err() {
+            if self.feel(index, h, expected.is_some(), &mut blows).is_err() {
                 return Err(self.lost(index));
             }
         }
         self.each_arm(Arm::accept)?;
+        self.sense(Some(h), &blows);
         let mut objects = self.objects.iter().zip(&self.cell.objects);
         let lost = objects.find(|(handle, _)| {
             let body = self.physics.bodies.get(**handle);
@@ -280,6 +325,41 @@ impl World {
                 object: spec.name.clone(),
             }),
             None => Ok(()),
+        }
+    }
+
+    /// Adds what acts on each sensor at the end of a step of `h` seconds, or in no time.
+    fn sense(&mut self, h: Option<f64>, blows: &[Blow]) {
+        for (sensing, spec) in self.sensing.iter_mut().zip(&self.cell.sensors) {
+            let mount = spec.mount;
+            let pose = link_pose(&self.cell, &mut self.arms, mount);
+            let Some(arm) = self.arms.get_mut(mount.arm) else {
+                continue;
+            };
+            let [speed, _] = arm.velocity(mount.frame, &(pose * Point3::from(spec.load.centre)));
+            let rate = h.map_or_else(Vector3::zeros, |h| (speed - sensing.speed) / h);
+            sensing.speed = speed;
+            let world = pose.rotation.to_rotation_matrix();
+            let own = |vector: Vector3<f64>| world.inverse() * vector;
+            let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
+            let mut acts = spec.load.wrench(&own(gravity), &own(rate));
+            for blow in blows.iter().filter(|blow| blow.mount == mount) {
+                let [force, turn] = blow
+                    .impulse
+                    .map(|impulse| impulse / h.unwrap_or(f64::INFINITY));
+                let moment = turn + (blow.at - Point3::from(pose.translation.vector)).cross(&force);
+                let both = [own(force), own(moment)];
+                for (sum, number) in acts
+                    .iter_mut()
+                    .zip(both.iter().flat_map(|part| part.iter()))
+                {
+                    *sum += number;
+                }
+            }
+            for (sum, number) in sensing.sum.iter_mut().zip(acts) {
+                *sum += number;
+            }
+            (sensing.steps, sensing.world) = (sensing.steps + 1, world);
         }
     }
 
@@ -315,8 +395,14 @@ impl World {
         all
     }
 
-    /// Gives an arm what the step did to its links.
-    fn feel(&mut self, index: usize, h: f64, expected: bool) -> Result<(), Lost> {
+    /// Gives an arm what the step did to its links, and adds that to `blows`.
+    fn feel(
+        &mut self,
+        index: usize,
+        h: f64,
+        expected: bool,
+        blows: &mut Vec<Blow>,
+    ) -> Result<(), Lost> {
         let Some(arm) = self.arms.get_mut(index) else {
             return Ok(());
         };
@@ -350,6 +436,11 @@ impl World {
             link.pressed += link
                 .felt
                 .map_or_else(Vector3::zeros, |[force, _]| force * taken);
+            blows.extend(link.felt.map(|felt| Blow {
+                mount: link.mount,
+                at: link.began.0,
+                impulse: felt.map(|part| part * taken),
+            }));
             // A wall does not hang on the arm, nor does anything move one that is held.
             if touch.by_still || held {
                 link.felt = None;
@@ -511,7 +602,7 @@ impl Link {
     }
 
     /// Adds what the step gave the link, and how far it moved it beyond its speed; what contact gave it in all.
-    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) -> Wrench {
+    fn gained(&self, body: &RigidBody, h: f64, arm: &mut Arm, touch: &mut Touch) -> Spatial {
         let (began, [linear, angular]) = self.began;
         let [mass, inertia] = self.weight;
         let faster = ours(body.linvel()) - linear;

@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use ctos::config::Node;
 use ctos::task::HandlerError;
 
-use super::{ComputedTorque, ControlLaw, PidGravity};
+use super::{
+    CartesianImpedance, ComputedTorque, ControlLaw, JointImpedance, JointImpedanceArgs, PidGravity,
+};
 use crate::model::{DynamicsOptions, Model};
 
 type Build =
@@ -21,6 +24,8 @@ pub struct LawSettings<'a> {
     pub bandwidth_hz: f64,
     /// Damping ratio of the position loop.
     pub damping: f64,
+    /// The servo's.
+    pub period: Duration,
     /// The law's own arguments: `law_args` of the servo task, or an empty table.
     pub args: &'a Node,
 }
@@ -38,7 +43,8 @@ impl Default for LawRegistry {
 }
 
 impl LawRegistry {
-    /// The laws that come with this crate: `pid`, which compensates gravity, and `computed_torque`.
+    /// The laws that come with this crate: `pid`, which compensates gravity, `computed_torque`, `joint_impedance` and
+    /// `cartesian_impedance`.
     #[must_use]
     pub fn new() -> Self {
         let mut registry = Self {
@@ -63,6 +69,25 @@ impl LawRegistry {
                 settings.damping,
                 DynamicsOptions::WITH_ROTORS,
             )))
+        });
+        registry.law("joint_impedance", |settings| {
+            let JointImpedanceArgs { stiffness } = settings.args.parse()?;
+            let LawSettings {
+                model,
+                bandwidth_hz,
+                damping,
+                period,
+                ..
+            } = *settings;
+            let usual = || JointImpedance::of_bandwidth(model, bandwidth_hz);
+            let stiffness = stiffness.unwrap_or_else(usual);
+            let law = JointImpedance::new(Arc::clone(model), stiffness, damping, period)?;
+            Ok(Box::new(law))
+        });
+        registry.law("cartesian_impedance", |settings| {
+            let (model, args) = (Arc::clone(settings.model), settings.args.parse()?);
+            let law = CartesianImpedance::new(model, args, settings.damping)?;
+            Ok(Box::new(law))
         });
         registry
     }

@@ -10,8 +10,8 @@ use super::ended;
 use super::local::SharedArm;
 use super::mvpos::answer;
 use crate::client::{
-    ControlledStop, EmergencyStop, ReadControl, ReadPosition, RecordStates, Reset, Resume,
-    SetControl, Status, Stop,
+    ControlledStop, EmergencyStop, ReadControl, ReadPosition, ReadSensors, RecordStates, Reset,
+    Resume, SetControl, SetLaw, Status, Stop,
 };
 
 /// Everything here is answered at once, but for coming to rest.
@@ -58,6 +58,23 @@ const FORMS: &[Form] = &[
         gives: "text: the buffer, or that none is written",
         results: "",
         help: "writes what every servo tick leaves to the snapshot buffer that -records names, or ends it where none is named",
+    },
+    Form {
+        text: "sensors",
+        floats: 0,
+        takes: "",
+        gives: "text: names and kinds of the driver's sensors; the numbers of all of them, one after the other: of a force-torque \
+                sensor 3 forces, N, and 3 moments, N m, in its frame",
+        results: "* number",
+        help: "tells what the slots read that are no joints",
+    },
+    Form {
+        text: "law NAME",
+        floats: 0,
+        takes: "",
+        gives: "as control",
+        results: "bandwidth: Hz; damping; following_error: rad",
+        help: "goes over to another control law, without a step of the torques, also under way",
     },
     Form {
         text: "stop",
@@ -147,7 +164,13 @@ impl Pino {
         }
     }
 
-    async fn in_app(&self, form: &str, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+    /// What a form asks for; `named` is what its text names besides.
+    async fn in_app(
+        &self,
+        (form, named): (&str, &str),
+        cx: &Waiting<'_>,
+        io: &mut Transport,
+    ) -> Outcome {
         let client = &self.options.client;
         match form {
             "control" => {
@@ -161,6 +184,18 @@ impl Pino {
                     damping,
                 };
                 let control = cx.call_task(client, set, SOON).await?;
+                control_answer(io, &control.law, control.numbers());
+            }
+            "sensors" => {
+                let report = cx.call_task(client, ReadSensors {}, SOON).await?;
+                let named = report.sensors.iter();
+                let named = named.map(|sensor| format!("{} {:?}", sensor.name, sensor.kind));
+                io.text = named.collect::<Vec<_>>().join(", ");
+                io.floats = report.numbers;
+            }
+            "law NAME" => {
+                let law = named.to_owned();
+                let control = cx.call_task(client, SetLaw { law }, SOON).await?;
                 control_answer(io, &control.law, control.numbers());
             }
             "stop" => cx.call_task(client, Stop {}, SOON).await?,
@@ -214,10 +249,11 @@ impl Pino {
                 control_answer(io, "none: it goes as planned", [bandwidth, damping, 0.0]);
             }
             // It never is on its way, and has no power to be taken away.
-            "stop" | "stop1" | "resume" | "estop" | "reset" => {}
+            "law NAME" | "stop" | "stop1" | "resume" | "estop" | "reset" => {}
             "records" => {
                 "an arm of this process has no servo, and so no records".clone_into(&mut io.text)
             }
+            "sensors" => io.text = "none: the arm of this process is kinematic only".to_owned(),
             _ => {
                 io.text = format!(
                     "an arm of this process, kinematic only: {} motions, {:.3} s of them",
@@ -252,12 +288,16 @@ impl ServiceObject for Pino {
                 Ok(form) => form.text,
                 Err(report) => return ended(io, Err(report)),
             };
-            io.text.clear();
+            let text = std::mem::take(&mut io.text);
+            let named = text
+                .trim()
+                .split_once(' ')
+                .map_or("", |(_, named)| named.trim());
             if form != "set" {
                 io.floats.clear();
             }
             let outcome = match cx.is_in_app() {
-                true => self.in_app(form, cx, io).await,
+                true => self.in_app((form, named), cx, io).await,
                 false => self.here(form, io),
             };
             if outcome.is_err() {

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crossbeam_queue::ArrayQueue;
 use serde::{Deserialize, Serialize};
 
+use crate::control::ControlLaw;
 use crate::driver::{DriverError, Power};
 use crate::guard::rack::RackPort;
 use crate::guard::{GuardReport, GuardSet, Mounted, Reaction};
@@ -93,6 +94,12 @@ pub enum Fault {
     Reading {
         /// Slot, from 0.
         slot: usize,
+    },
+    /// A sensor read a NaN or an infinity.
+    #[error("number {number} of the sensors is no finite number")]
+    Sensor {
+        /// Among the numbers of all sensors, from 0.
+        number: usize,
     },
     /// A joint was too far from its setpoint.
     #[error(
@@ -266,6 +273,8 @@ pub struct ServoStatus {
     pub setpoint: Joints,
     /// Torques written, N m, or forces, N.
     pub torque: Joints,
+    /// What the driver's sensors read, one after the other, in the units of their kinds.
+    pub sensors: Joints,
     /// Nothing moves and nothing is going to.
     pub at_rest: bool,
     /// The latest motion.
@@ -293,8 +302,38 @@ pub struct ServoPort {
     commands: Arc<ArrayQueue<ServoCommand>>,
     driver_errors: Arc<ArrayQueue<DriverError>>,
     last_driver_error: Mutex<Option<DriverError>>,
+    laws: Arc<Laws>,
     status: Mutex<triple_buffer::Output<ServoStatus>>,
     guards: RackPort,
+}
+
+/// Laws on their way to the servo, and those that it has done with: it frees none.
+pub(super) struct Laws {
+    next: ArrayQueue<Box<dyn ControlLaw>>,
+    done: ArrayQueue<Box<dyn ControlLaw>>,
+}
+
+impl Laws {
+    /// Room for so many each way.
+    pub(super) fn new(room: usize) -> Self {
+        Self {
+            next: ArrayQueue::new(room),
+            done: ArrayQueue::new(room),
+        }
+    }
+
+    /// The law that was ordered first, while there is room for the one before it.
+    pub(super) fn next(&self) -> Option<Box<dyn ControlLaw>> {
+        match self.done.is_full() {
+            true => None,
+            false => self.next.pop(),
+        }
+    }
+
+    /// Hands a law back. There is room: only the servo puts one here, and it looks before.
+    pub(super) fn retire(&self, law: Box<dyn ControlLaw>) {
+        let _ = self.done.push(law);
+    }
 }
 
 /// The servo's queue of orders is full: it is not running.
@@ -305,7 +344,7 @@ pub struct PortFull;
 impl ServoPort {
     pub(super) fn new(
         commands: Arc<ArrayQueue<ServoCommand>>,
-        driver_errors: Arc<ArrayQueue<DriverError>>,
+        (driver_errors, laws): (Arc<ArrayQueue<DriverError>>, Arc<Laws>),
         status: triple_buffer::Output<ServoStatus>,
         guards: RackPort,
     ) -> Self {
@@ -313,6 +352,7 @@ impl ServoPort {
             commands,
             driver_errors,
             last_driver_error: Mutex::new(None),
+            laws,
             status: Mutex::new(status),
             guards,
         }
@@ -335,6 +375,15 @@ impl ServoPort {
             true => Ok(()),
             false => Err(PortFull),
         }
+    }
+
+    /// Has the servo go over to another law in the next tick. Its torques begin where those of the law before end.
+    ///
+    /// # Errors
+    /// [`PortFull`] when the servo has taken none for a long time.
+    pub fn change_law(&self, law: Box<dyn ControlLaw>) -> Result<(), PortFull> {
+        while self.laws.done.pop().is_some() {}
+        self.laws.next.push(law).map_err(|_| PortFull)
     }
 
     /// Emergency stop, which gets through even when the queue is full of other orders.

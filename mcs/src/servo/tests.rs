@@ -1,5 +1,7 @@
 //! The servo on an arm that obeys the equations of motion.
 
+mod switch;
+
 use std::sync::atomic::Ordering;
 
 use super::*;

@@ -53,6 +53,9 @@ pub struct ServoArgs {
     /// Guards that watch its motions, by the names of their recipes.
     #[serde(default)]
     pub guards: BTreeMap<String, RecipeArgs>,
+    /// Arguments of laws that it may go over to, by their names; read by the laws.
+    #[serde(default, rename = "laws")]
+    pub _laws: Option<IgnoredAny>,
     /// Natural frequency of the position loop, Hz.
     #[serde(default = "bandwidth_hz")]
     pub bandwidth_hz: f64,

@@ -16,8 +16,8 @@ use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
     Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Plan, Position, ReadControl,
-    ReadGuards, ReadPosition, RecordStates, Release, RemoveGuard, Reset, Resume, SetControl,
-    SetGuard, Status, StatusReport, Stop,
+    ReadGuards, ReadPosition, ReadSensors, RecordStates, Release, RemoveGuard, Reset, Resume,
+    SetControl, SetGuard, SetLaw, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -40,6 +40,8 @@ pub(super) fn register(registry: &mut Registry) {
         ReadControl::INFO,
         RecordStates::INFO,
         SetControl::INFO,
+        SetLaw::INFO,
+        ReadSensors::INFO,
         Cancel::INFO,
         Resume::INFO,
         SetGuard::INFO,
@@ -237,6 +239,14 @@ impl EventHandler for ClientTask {
             }
             ReadGuards::CODE => {
                 let (request, reply) = message.open::<ReadGuards>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            ReadSensors::CODE => {
+                let (request, reply) = message.open::<ReadSensors>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            SetLaw::CODE => {
+                let (request, reply) = message.open::<SetLaw>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             Status::CODE => {

@@ -17,11 +17,11 @@ use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
 use super::{Link, SERVO, rows};
 use crate::client::{
-    ControlReport, GuardsReport, ReadControl, ReadGuards, RecordStates, RemoveGuard, SetControl,
-    SetGuard,
+    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, RecordStates, RemoveGuard,
+    SensorReport, SetControl, SetGuard, SetLaw,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
-use crate::driver::DriverRegistry;
+use crate::driver::{DriverRegistry, Sensor};
 use crate::guard::GuardRegistry;
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
@@ -71,7 +71,7 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 9] = [
+const COMMANDS: [CommandInfo; 11] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
@@ -81,6 +81,8 @@ const COMMANDS: [CommandInfo; 9] = [
     SetGuard::INFO,
     RemoveGuard::INFO,
     ReadGuards::INFO,
+    SetLaw::INFO,
+    ReadSensors::INFO,
 ];
 
 pub(super) fn register(
@@ -124,11 +126,13 @@ fn check(
             servo: task.name.clone(),
         };
         maker.check(args, task, app, findings);
-    }
-    if let Some(model) = &model
-        && let Err(finding) = law(args, task, model, laws)
-    {
-        findings.push(finding);
+        let others = own_args(task, "laws");
+        let others = others.entries().iter().map(|entry| &entry.key);
+        for name in std::iter::once(&args.law).chain(others) {
+            if let Err(finding) = law(name, (args, task), model, laws) {
+                findings.push(finding);
+            }
+        }
     }
     let kind = match drivers.find(&args.driver, &task.name) {
         Ok(kind) => kind,
@@ -151,31 +155,39 @@ fn check(
     }
 }
 
-/// The control law that the arguments name.
+/// The control law of that name, with the arguments that the task has for it: `law_args` for its own law, else those in
+/// `laws`.
 fn law(
-    args: &ServoArgs,
-    task: &TaskConfig,
+    name: &str,
+    (args, task): (&ServoArgs, &TaskConfig),
     model: &Arc<Model>,
     laws: &LawRegistry,
 ) -> Result<Box<dyn ControlLaw>, Finding> {
+    let own = name == args.law;
+    let key = match own {
+        true => "law_args".to_owned(),
+        false => format!("laws.\"{name}\""),
+    };
     let settings = LawSettings {
         model,
         bandwidth_hz: args.bandwidth_hz,
         damping: args.damping,
-        args: &own_args(task, "law_args"),
+        period: args.config().period,
+        args: &own_args(task, &key),
     };
-    match laws.build(&args.law, &settings) {
+    match laws.build(name, &settings) {
         Some(law) => law.map_err(|error| {
-            let text = format!("control law `{}`: {error}", args.law);
-            Finding::error("mcs::servo::law", text).at(place(task, "law_args"))
+            let text = format!("control law `{name}`: {error}");
+            Finding::error("mcs::servo::law", text).at(place(task, &key))
         }),
         None => {
             let text = format!(
-                "task `{}` names the control law `{}`, which nobody registered",
-                task.name, args.law
+                "task `{}` names the control law `{name}`, which nobody registered",
+                task.name
             );
-            let finding = Finding::error("mcs::servo::unknown_law", text).at(place(task, "law"));
-            Err(finding.suggest(&args.law, laws.names()))
+            let at = place(task, if own { "law" } else { &key });
+            let finding = Finding::error("mcs::servo::unknown_law", text).at(at);
+            Err(finding.suggest(name, laws.names()))
         }
     }
 }
@@ -192,13 +204,17 @@ struct ServoTask {
     guards: Maker,
     /// The recipes of the configuration, until all servos of the chassis are there.
     recipes: BTreeMap<String, RecipeArgs>,
+    laws: Arc<LawRegistry>,
+    model: Arc<Model>,
+    args: ServoArgs,
+    sensors: Vec<Sensor>,
 }
 
 impl ServoTask {
     fn new(
         cx: &Context,
         drivers: &DriverRegistry,
-        laws: &LawRegistry,
+        laws: &Arc<LawRegistry>,
         guards: &Arc<GuardRegistry>,
     ) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
@@ -208,8 +224,9 @@ impl ServoTask {
         let model = Arc::new(model);
         let kind = drivers.find(&args.driver, &task.name)?;
         let driver = kind.build(cx, &own_args(task, "driver_args"))?;
+        let sensors = driver.sensors().to_vec();
         let config = args.config();
-        let law = law(&args, task, &model, laws)?;
+        let law = law(&args.law, (&args, task), &model, laws)?;
         let (mut servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
         servo.show_on(guards::board(cx, &model));
         let guards = Maker {
@@ -219,7 +236,7 @@ impl ServoTask {
             servo: cx.name().to_owned(),
         };
         let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
-        let planner = Planner::new(model, args.cartesian, setpoint_period)?;
+        let planner = Planner::new(Arc::clone(&model), args.cartesian, setpoint_period)?;
         let planner = planner.limiting_jerk(args.limit_jerk);
         let link = Arc::new(Link {
             port,
@@ -236,13 +253,17 @@ impl ServoTask {
             records,
             cyclic: None,
             guards,
-            recipes: args.guards,
+            recipes: args.guards.clone(),
             control: ControlReport {
-                law: args.law,
+                law: args.law.clone(),
                 bandwidth_hz: args.bandwidth_hz,
                 damping: args.damping,
                 following_error_rad: args.following_error_rad,
             },
+            laws: Arc::clone(laws),
+            model,
+            args,
+            sensors,
         })
     }
 
@@ -323,6 +344,17 @@ impl ServoTask {
         Ok(())
     }
 
+    /// Goes over to another law, with the present bandwidth and damping.
+    fn change_law(&mut self, cx: &Context, name: String) -> Result<ControlReport, HandlerError> {
+        let task = cx.config().ok_or("a servo task needs a configuration")?;
+        self.args.bandwidth_hz = self.control.bandwidth_hz;
+        self.args.damping = self.control.damping;
+        let law = law(&name, (&self.args, task), &self.model, &self.laws)?;
+        self.link.port.change_law(law)?;
+        self.control.law = name;
+        Ok(self.control.clone())
+    }
+
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
     async fn shut_down(&self, cx: &Context) -> Handled {
         if self.cyclic.is_some() {
@@ -393,6 +425,20 @@ impl EventHandler for ServoTask {
                     recipes: self.link.guards.all(),
                     last: self.link.port.status().guard,
                 })
+            }
+            ReadSensors::CODE => {
+                let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
+                reply.ok(SensorReport {
+                    sensors: self.sensors.clone(),
+                    numbers: self.link.port.status().sensors.to_vec(),
+                })
+            }
+            SetLaw::CODE => {
+                let (SetLaw { law }, reply) = message.open::<SetLaw>()?;
+                match self.change_law(cx, law) {
+                    Ok(control) => reply.ok(control),
+                    Err(error) => reply.fail(error),
+                }
             }
             _ => cx.default_processing(message),
         }

@@ -1,6 +1,7 @@
 //! MCS as an app, in virtual time, with an arm that obeys the equations of motion.
 
 mod guards;
+mod laws;
 mod stops;
 
 use std::sync::atomic::Ordering;

@@ -18,8 +18,7 @@ import mujoco
 FRAME = struct.Struct("<4s4B2I3Q4I32s64d")
 SIZE = FRAME.size + 4
 COMMAND, STATE, TORQUE = 1, 2, 10
-BRAKED, RELEASED = 1, 2
-FINE, LATE, REFUSED = 0, 1, 2
+BRAKED, RELEASED, FINE, LATE, REFUSED = 1, 2, 0, 1, 2
 STEP = 1.5e-3  # s, at most
 STILL = 1e-3  # rad/s or m/s: brakes hold what is slower
 
@@ -75,13 +74,10 @@ class Peer:
             return None
         fields = FRAME.unpack(data[:-4])
         magic, version, kind, slots, power, session, receiver, sequence, _, _, period, watchdog, _, _, modes, *numbers = fields
-        if (magic, version, kind, slots) != (b"mcsr", 1, COMMAND, self.slots):
+        known = self.heard if session == self.driver else 0
+        if (magic, version, kind, slots) != (b"mcsr", 1, COMMAND, self.slots) or sequence <= known:
             return None
-        if session != self.driver:
-            self.driver, self.heard = session, 0
-        if sequence <= self.heard:
-            return None
-        self.heard, self.period, self.watchdog = sequence, period * 1e-9, watchdog * 1e-9
+        self.driver, self.heard, self.period, self.watchdog = session, sequence, period * 1e-9, watchdog * 1e-9
         torques = numbers[: 2 * slots : 2]
         sound = receiver == self.own and set(modes[:slots]) == {TORQUE} and all(t - t == 0 for t in torques)
         if power != RELEASED:
@@ -95,11 +91,10 @@ class Peer:
     def answer(self, power):
         self.sent += 1
         rows = [number for row in zip(self.arm.data.qpos, self.arm.data.qvel) for number in row]
-        rows += [0.0] * (64 - len(rows))
         modes = bytes([TORQUE] * self.slots).ljust(32, b"\0")
         head = (b"mcsr", 1, STATE, self.slots, power, self.own, self.driver, self.sent, self.heard, time.monotonic_ns())
-        times = (int(self.period * 1e9), int(self.watchdog * 1e9), self.trouble, 0)
-        frame = FRAME.pack(*head, *times, modes, *rows)
+        rest = (int(self.period * 1e9), int(self.watchdog * 1e9), self.trouble, 0, modes)
+        frame = FRAME.pack(*head, *rest, *rows, *[0.0] * (64 - len(rows)))
         return frame + struct.pack("<I", zlib.crc32(frame))
 
     def silent(self):
@@ -134,16 +129,20 @@ if __name__ == "__main__":
     given = parser.parse_args()
     peer, own = Peer(Arm(given.urdf, given.start, given.friction)), listen(given.address)
     print(f"{peer.slots} slots in MuJoCo {mujoco.__version__}, at {given.address}", flush=True)
+    last = time.monotonic()
     while True:
-        own.settimeout(peer.watchdog)
+        own.settimeout(peer.watchdog and max(1e-3, last + peer.watchdog - time.monotonic()))
         try:
             data, driver = own.recvfrom(SIZE + 1)
         except TimeoutError:
-            peer.silent()
-            continue
+            data = b""
         answer = peer.take(data)
         if answer:
+            last = time.monotonic()
             try:
                 own.sendto(answer, driver)
             except OSError:
                 pass  # that driver is gone
+        elif peer.watchdog and time.monotonic() - last > peer.watchdog:  # nothing else holds the watchdog off
+            peer.silent()
+            last = time.monotonic()

@@ -250,3 +250,39 @@ proptest! {
         let _ = Cell::parse(&Source::new("cell.toml", text));
     }
 }
+
+#[test]
+fn a_sensor_that_cannot_be_is_found_at_its_place() {
+    let sensor = "\n[[force_torque]]\nname = 'wrist'\narm = 'puma'\n";
+    for (from, to, why) in [
+        ("arm = 'puma'", "arm = 'pume'", "did you mean `puma`?"),
+        (
+            "name = 'wrist'",
+            "name = ''",
+            "a sensor cannot be called ``",
+        ),
+        (
+            "name",
+            "load = { mass = -1, centre = [0, 0, 0] }\nname",
+            "the mass behind a sensor is -1",
+        ),
+        (
+            "name",
+            "noise = [nan, 0]\nname",
+            "the noise of a sensor is [NaN, 0.0]",
+        ),
+        (
+            "name",
+            "filter_hz = 0\nname",
+            "the filter of a sensor is 0 Hz",
+        ),
+        ("name", "corner = 3\nname", "unknown field `corner`"),
+    ] {
+        let text = format!("{TEXT}{}", sensor.replacen(from, to, 1));
+        let found = findings(&text);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(found[0].starts_with("cell.toml:"), "{}", found[0]);
+        assert!(found[0].contains(why), "{}", found[0]);
+    }
+    assert!(findings(&format!("{TEXT}{sensor}")).is_empty());
+}

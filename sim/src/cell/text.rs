@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{
-    JointKind, Model, Placement, built_in,
+    Body, JointKind, Model, Placement, built_in,
     file::{self, Inertias},
     urdf,
 };
@@ -13,11 +13,13 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::{
-    ArmSpec, BodySpec, CameraSpec, Cell, LampSpec, Mount, ObjectSpec, Origin, ReadModel, overlap,
+    ArmSpec, BodySpec, CameraSpec, Cell, LampSpec, Mount, ObjectSpec, Origin, ReadModel,
+    SensorSpec, overlap,
 };
 use crate::{
     camera::truth::{CameraTruth, Distortion},
     shapes::{self, Shape, Solid},
+    wrist::{Electronics, Load},
 };
 
 /// As [`Cell::parse_with`].
@@ -70,6 +72,8 @@ struct CellText {
     furniture: Vec<FurnitureText>,
     #[serde(default)]
     object: Vec<ObjectText>,
+    #[serde(default)]
+    force_torque: Vec<SensorText>,
 }
 
 #[derive(Deserialize)]
@@ -119,6 +123,28 @@ struct LampText {
     brightness: Spanned<f64>,
     #[serde(default = "yes")]
     on: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SensorText {
+    name: Spanned<String>,
+    arm: Spanned<String>,
+    link: Option<Spanned<String>>,
+    load: Option<LoadText>,
+    compensates: Option<LoadText>,
+    bias: Option<Spanned<[f64; 6]>>,
+    noise: Option<Spanned<[f64; 2]>>,
+    filter_hz: Option<Spanned<f64>>,
+    #[serde(default = "one")]
+    seed: u64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LoadText {
+    mass: Spanned<f64>,
+    centre: Spanned<[f64; 3]>,
 }
 
 #[derive(Deserialize, Default)]
@@ -187,6 +213,10 @@ const fn yes() -> bool {
     true
 }
 
+const fn one() -> u64 {
+    1
+}
+
 /// Grey of a floor that the file says nothing of.
 const FLOOR_GREY: f64 = 24.0;
 
@@ -232,6 +262,24 @@ impl Check<'_> {
             );
         }
         number
+    }
+
+    /// Numbers within `low..=high` each.
+    fn each<const N: usize>(
+        &mut self,
+        values: &Spanned<[f64; N]>,
+        what: &str,
+        [low, high]: [f64; 2],
+    ) -> [f64; N] {
+        let numbers = *values.get_ref();
+        if !numbers.iter().all(|number| (low..=high).contains(number)) {
+            self.refuse(
+                values.span(),
+                format!("{what} is {numbers:?}"),
+                &format!("give numbers from {low} to {high}: N, then N m"),
+            );
+        }
+        numbers
     }
 
     /// Three coordinates within `reach` of the origin, m.
@@ -419,8 +467,21 @@ impl CellText {
             mounts.push(check.mount(&arms, camera.arm.as_ref(), camera.link.as_ref()));
             cameras.push(camera.check(check));
         }
+        let mut names = Vec::new();
+        let mut sensors = Vec::new();
+        for sensor in &self.force_torque {
+            let name = check.name("a sensor", &sensor.name, &mut names);
+            let Some(spec) = sensor.check(name, &arms, check) else {
+                continue;
+            };
+            if let Some(arm) = arms.get_mut(spec.mount.arm) {
+                arm.model = loaded(&arm.model, &spec);
+            }
+            sensors.push(spec);
+        }
         let mut cell = Cell {
             bodies: bodies(&arms, &objects, &mounts),
+            sensors,
             arms,
             lamps,
             floor_grey,
@@ -621,6 +682,66 @@ impl LampText {
             brightness,
             on: self.on,
         }
+    }
+}
+
+/// The model with what hangs behind a sensor.
+fn loaded(model: &Model, sensor: &SensorSpec) -> Model {
+    let frame = model.at(sensor.mount.frame).clone();
+    let Load { mass, centre } = sensor.load;
+    let body = Body::diagonal(mass, centre.into(), [0.0; 3]).seen_from(&frame.placement);
+    model.clone().with_joints(|index, joint| {
+        if frame.carrier == Some(index) && mass > 0.0 {
+            joint.body = joint.body.joined(&body);
+        }
+    })
+}
+
+impl LoadText {
+    fn check(&self, check: &mut Check<'_>) -> Load {
+        Load {
+            mass: check.number(&self.mass, "the mass behind a sensor", "kg", [0.0, 100.0]),
+            centre: check.point(
+                &self.centre,
+                "the centre of what hangs behind a sensor",
+                1.0,
+            ),
+        }
+    }
+}
+
+impl SensorText {
+    fn check(&self, name: String, arms: &[ArmSpec], check: &mut Check<'_>) -> Option<SensorSpec> {
+        let usual = Electronics::default();
+        let mut load = |text: &Option<LoadText>| {
+            let text = text.as_ref();
+            text.map_or_else(Load::default, |text| text.check(check))
+        };
+        let (load, compensates) = (load(&self.load), load(&self.compensates));
+        let bias = self.bias.as_ref();
+        let bias = bias.map_or(usual.bias, |bias| {
+            check.each(bias, "the bias of a sensor", [-1000.0, 1000.0])
+        });
+        let noise = self.noise.as_ref();
+        let noise = noise.map_or(usual.noise, |noise| {
+            check.each(noise, "the noise of a sensor", [0.0, 100.0])
+        });
+        let filter_hz = self.filter_hz.as_ref().map_or(usual.filter_hz, |corner| {
+            check.number(corner, "the filter of a sensor", "Hz", [0.01, 1e6])
+        });
+        let mount = check.mount(arms, Some(&self.arm), self.link.as_ref())?;
+        Some(SensorSpec {
+            name,
+            mount,
+            load,
+            electronics: Electronics {
+                compensates,
+                bias,
+                noise,
+                filter_hz,
+                seed: self.seed,
+            },
+        })
     }
 }
 

@@ -1,6 +1,7 @@
 mod contacts;
 mod grasp;
 mod puma;
+mod wrist;
 
 use ctos::diagnostic::Source;
 use nalgebra::Vector6;
