@@ -19,7 +19,7 @@ use std::time::Duration;
 use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
-use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use crate::driver::{ChannelDriver, DriverError, Power, SensorKind, SlotReading};
 use crate::guard::rack::{Now, Rack};
 use crate::guard::{GuardSet, Neighbour, Reaction, Stopping};
 use crate::joints::{Distances, Joints, MAX_SLOTS, TooManyJoints};
@@ -181,6 +181,8 @@ pub struct Servo {
     shown: Option<Neighbour>,
     /// How the arm would come to rest.
     stopping: Stopping,
+    /// Where the first force-torque sensor stands among the sensors' numbers.
+    force_at: Option<usize>,
     /// The segments under way and waiting, and their numbers and guards.
     follower: Follower,
     ids: VecDeque<(u64, GuardSet)>,
@@ -209,8 +211,13 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
-        let widths = driver.sensors().iter().map(|sensor| sensor.kind.width());
-        let sensed: usize = widths.sum();
+        let (mut sensed, mut force_at) = (0, None);
+        for sensor in driver.sensors() {
+            if sensor.kind == SensorKind::ForceTorque {
+                force_at = force_at.or(Some(sensed));
+            }
+            sensed += sensor.kind.width();
+        }
         if sensed > MAX_SLOTS {
             return Err(ServoError::Sensors { found: sensed });
         }
@@ -279,6 +286,7 @@ impl Servo {
             guards,
             shown: None,
             stopping: Stopping::default(),
+            force_at,
             follower: Follower::new(QUEUE, config.period.as_secs_f64(), config.setpoint_every),
             ids: VecDeque::with_capacity(QUEUE),
             after_rest: None,
@@ -483,6 +491,12 @@ impl Servo {
         }
     }
 
+    /// What the first force-torque sensor reads, N and N m in its frame.
+    fn force(&self) -> Option<[f64; 6]> {
+        let at = self.force_at?;
+        self.status.sensors.get(at..at + 6)?.try_into().ok()
+    }
+
     /// Takes over the arm where it is: after any time with the brakes on, setpoint and law start
     /// from what is measured, never from what was once commanded.
     fn seed(&mut self) {
@@ -574,8 +588,7 @@ impl Servo {
             readings: &self.readings,
             stopping: self.stopping,
             tool_at_rest,
-            // No driver has a force sensor yet.
-            force: None,
+            force: self.force(),
             period,
         });
         let Some(found) = found else { return };

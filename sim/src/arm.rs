@@ -147,7 +147,7 @@ impl Arm {
             let impulse = DVector::from_column_slice(&touch.impulse);
             let gives = impulse.dot(&(inverse * &impulse));
             // Never less than it was given, nor without bound where it hardly gives way.
-            factor = (touch.work / gives).clamp(1.0, MOST_STOPPED);
+            let factor = (touch.work / gives).clamp(1.0, MOST_STOPPED);
             for number in touch.impulse.iter_mut().chain(&mut touch.shift) {
                 *number *= factor;
             }

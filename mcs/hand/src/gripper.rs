@@ -197,6 +197,8 @@ impl Gripper {
             speed,
             acceleration: Some(1.0),
             elbow: None,
+            blend: 0.0,
+            guards: Vec::new(),
         };
         jaws.go(order, LONGEST).await.map(|_| ())
     }

@@ -181,6 +181,8 @@ impl Hand {
             speed,
             acceleration: Some(acceleration),
             elbow: None,
+            blend: 0.0,
+            guards: Vec::new(),
         };
         hand.go(go, LONGEST).await.map(|_| ())
     }

@@ -9,7 +9,7 @@ use ctos::task::{Context, HandlerError};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use super::{ChannelDriver, DriverError, DriverRegistry, Power, SlotReading};
+use super::{ChannelDriver, DriverError, DriverRegistry, Power, Sensor, SlotReading};
 
 /// Name of the driver that is made of others.
 pub const TESTBED: &str = "mcs.testbed";
@@ -120,21 +120,40 @@ fn open(
     Ok(Box::new(Testbed::new(opened.collect::<Result<_, _>>()?)))
 }
 
-/// Several drivers, and the slots of each among those of all.
+/// One of several drivers: its slots among those of all, and the numbers of its sensors among those of all.
+struct Own {
+    driver: Box<dyn ChannelDriver>,
+    slots: Range<usize>,
+    sensed: Range<usize>,
+}
+
+/// Several drivers, with the sensors of all.
 struct Testbed {
-    parts: Vec<(Box<dyn ChannelDriver>, Range<usize>)>,
+    parts: Vec<Own>,
+    sensors: Vec<Sensor>,
 }
 
 impl Testbed {
     fn new(drivers: Vec<Box<dyn ChannelDriver>>) -> Self {
-        let mut first = 0;
+        let (mut slots, mut sensed, mut sensors) = (0..0, 0..0, Vec::new());
         let parts = drivers.into_iter().map(|driver| {
-            let slots = first..first + driver.slots();
-            first = slots.end;
-            (driver, slots)
+            let width: usize = driver
+                .sensors()
+                .iter()
+                .map(|sensor| sensor.kind.width())
+                .sum();
+            slots = slots.end..slots.end + driver.slots();
+            sensed = sensed.end..sensed.end + width;
+            sensors.extend_from_slice(driver.sensors());
+            Own {
+                driver,
+                slots: slots.clone(),
+                sensed: sensed.clone(),
+            }
         });
         Self {
             parts: parts.collect(),
+            sensors,
         }
     }
 
@@ -152,16 +171,26 @@ impl Testbed {
 
 impl ChannelDriver for Testbed {
     fn slots(&self) -> usize {
-        self.parts.last().map_or(0, |(_, slots)| slots.end)
+        self.parts.last().map_or(0, |own| own.slots.end)
     }
 
     /// Reads all of them, whatever becomes of one; the first error counts.
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
         self.count("readings", readings.len())?;
-        let read = |(driver, slots): &mut (Box<dyn ChannelDriver>, Range<usize>)| {
-            driver.read(&mut readings[slots.clone()])
-        };
+        let read = |own: &mut Own| own.driver.read(&mut readings[own.slots.clone()]);
         self.parts.iter_mut().map(read).fold(Ok(()), Result::and)
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        &self.sensors
+    }
+
+    fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
+        let sense = |own: &mut Own| match numbers.get_mut(own.sensed.clone()) {
+            Some(numbers) => own.driver.sense(numbers),
+            None => Ok(()),
+        };
+        self.parts.iter_mut().map(sense).fold(Ok(()), Result::and)
     }
 
     /// Writes to all of them, so that the others brake when one fails; the first error counts.
@@ -172,9 +201,7 @@ impl ChannelDriver for Testbed {
         period: Duration,
     ) -> Result<(), DriverError> {
         self.count("torques", torques.len())?;
-        let write = |(driver, slots): &mut (Box<dyn ChannelDriver>, Range<usize>)| {
-            driver.write(&torques[slots.clone()], power, period)
-        };
+        let write = |own: &mut Own| own.driver.write(&torques[own.slots.clone()], power, period);
         self.parts.iter_mut().map(write).fold(Ok(()), Result::and)
     }
 }

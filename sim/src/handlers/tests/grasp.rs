@@ -46,6 +46,8 @@ pub async fn go(arm: &Manipulator, target: Target, path: PathKind) {
         speed: 0.5,
         acceleration: None,
         elbow: None,
+        blend: 0.0,
+        guards: Vec::new(),
     };
     arm.go(to, Duration::from_secs(60)).await.unwrap();
 }
@@ -155,7 +157,12 @@ pub fn run_app<T: Clone + Send + 'static>(
     let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
     register(&mut registry, &mut drivers, &mut sources);
     mcs_hand::register(&mut registry, &mut laws);
-    mcs::register(&mut registry, drivers, laws);
+    mcs::register(
+        &mut registry,
+        drivers,
+        laws,
+        mcs::guard::GuardRegistry::new(),
+    );
     let shared = Arc::clone(&log);
     registry.handler("test.worker", &[], move |_| {
         Ok(Worker(job, Arc::clone(&shared)))
