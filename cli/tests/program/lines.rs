@@ -74,7 +74,8 @@ fn ours(mut words: Vec<String>) -> Option<Vec<String>> {
     if words.first().is_some_and(|first| first == "cargo") {
         let rest = words.iter().position(|word| word == "--")?;
         let runs = words.get(1).is_some_and(|word| word == "run");
-        let other = |word: &String| ["peers", "picture", "--bin"].contains(&word.as_str());
+        let others = ["peers", "picture", "peer", "track", "--bin"];
+        let other = |word: &String| others.contains(&word.as_str());
         if !runs || words.iter().take(rest).any(other) {
             return None;
         }
@@ -104,10 +105,18 @@ fn lines_of(page: &str) -> Vec<Line> {
     };
     let mut prose = String::new();
     let mut fenced = false;
+    let mut begun = String::new();
     for (number, line) in (1..).zip(text.lines()) {
         if line.trim_start().starts_with("```") {
             fenced = !fenced;
         } else if fenced {
+            // A line that goes on in the next.
+            if let Some(part) = line.strip_suffix(" \\") {
+                begun.push_str(part);
+                begun.push(' ');
+                continue;
+            }
+            let line = std::mem::take(&mut begun) + line.trim_start();
             let line = line.trim_start();
             let line = line.strip_prefix("$ ").unwrap_or(line);
             // The forms of commands stand in brackets.
@@ -281,7 +290,10 @@ pub fn is_run(words: &[String]) -> bool {
             "check" | "perf" | "draw" | "convert" | "fmt",
             ..,
         ] => shipped(),
-        ["scott", "--local", "-c", lines @ ..] => !lines.iter().any(|line| line.contains(".csv")),
+        ["scott", "--local", "-c", lines @ ..]
+        | ["scott", "--local", "--json", "-c", lines @ ..] => {
+            !lines.iter().any(|line| line.contains(".csv"))
+        }
         _ => false,
     }
 }

@@ -32,10 +32,12 @@ enum Then {
     Ends,
     /// It goes on: it says something, and then it is interrupted.
     GoesOn,
+    /// It boots an app: that comes up, and then it is interrupted.
+    ComesUp,
     /// It cannot do what it is asked for as the app stands: its exit code, and a word of what it says.
     Refused(i32, &'static str),
 }
-use Then::{Ends, GoesOn, Refused};
+use Then::{ComesUp, Ends, GoesOn, Refused};
 
 /// Lines for the calibration, which waits at its first move, in this order.
 const CALIBRATION: &[(&str, Then)] = &[
@@ -74,6 +76,7 @@ const CALIBRATION: &[(&str, Then)] = &[
     ("ctos net step dispatcher 2", Ends),
     ("ctos net resume dispatcher", Ends),
     ("ctos record", GoesOn),
+    ("ctos record calibrate --to records --for 10s", GoesOn),
     (
         "ctos record --channels /message/* --channels /firing/*",
         GoesOn,
@@ -104,8 +107,66 @@ const OBJECTS: &[(&str, Then)] = &[
     ("ctos stop", Ends),
 ];
 
+/// Lines that boot the calibration, or run it in virtual time, in this order.
+const BOOTS: &[(&str, Then)] = &[
+    ("ctos boot configs/calibrate.toml", ComesUp),
+    ("ctos boot configs/calibrate.toml -v", ComesUp),
+    ("ctos boot configs/calibrate.toml --display", ComesUp),
+    (
+        "ctos boot configs/calibrate.toml --record run.mcap",
+        ComesUp,
+    ),
+    (
+        "ctos boot configs/calibrate.toml --break dispatcher.move_robot",
+        ComesUp,
+    ),
+    ("ctos boot configs/calibrate.toml --profile panel", ComesUp),
+    ("ctos boot configs/remote.toml --profile inside", ComesUp),
+    (
+        "ctos boot configs/calibrate.toml --detach --log-file calibrate.log",
+        Ends,
+    ),
+    ("ctos stop", Ends),
+    (
+        "ctos boot configs/calibrate.toml --set time.mode=virtual --set seed=7 --json",
+        Ends,
+    ),
+    ("ctos boot --detach configs/objects.toml", Ends),
+    ("ctos stop", Ends),
+    ("ctos boot --detach configs/testbed-2x9.toml", Ends),
+    (
+        "scott testbed -c mvpos.left EXEC by FMSG 9 0.3 0 0 0.5 0 0 0 0 0",
+        Ends,
+    ),
+    (
+        "scott testbed -c mvpos.right EXEC by FMSG 9 0 0.4 0 0 0 0 0 0.3 0",
+        Ends,
+    ),
+    ("ctos stop", Ends),
+];
+
+/// Lines for an app of the reader's with the nets of the calibration, in this order.
+const OWN: &[(&str, Then)] = &[
+    ("ctos boot app.toml", ComesUp),
+    ("ctos boot app.toml --break dispatcher.loop_again", ComesUp),
+    ("ctos boot app.toml --break dispatcher.move_robot", ComesUp),
+    (
+        "ctos sim app.toml --seed 7 --break dispatcher.spot_done>=1",
+        Refused(7, "spot_done"),
+    ),
+    ("ctos boot app.toml --detach", Ends),
+    ("ctos stop", Ends),
+];
+
+/// Lines for an app of the reader's with two chassis.
+const LINKS: &[(&str, Then)] = &[(
+    "ctos boot app.toml --drop 0.01 --delay 5ms..20ms --cut motion:vision@2s+0.5s",
+    ComesUp,
+)];
+
 /// Lines for the example `hello`, which need no running app.
 const HELLO: &[(&str, Then)] = &[
+    ("ctos boot configs/hello.toml -v", Ends),
     ("ctos sim configs/hello.toml --seed 7", Ends),
     (
         "ctos sim configs/hello.toml --seeds 0..50 --faults rough",
@@ -125,7 +186,7 @@ const HELLO: &[(&str, Then)] = &[
     ),
 ];
 
-/// Lines for files of the reader's: a net as PNML, and an app.
+/// Lines for files of the reader's: nets, apps, scripts of requests, spots that were seen.
 const FILES: &[(&str, Then)] = &[
     ("ctos net check cell.pnml --json", Ends),
     ("ctos net check cell.pnml --seconds 30 --deadlocks 10", Ends),
@@ -133,8 +194,20 @@ const FILES: &[(&str, Then)] = &[
     ("ctos net convert model.pnml model.net", Ends),
     ("ctos net draw model.pnml --to dot", Ends),
     ("ctos net draw model.pnml --to mermaid", Ends),
+    ("ctos net fmt -", Ends),
+    ("ctos net check grab.net --json", Refused(1, "grab.a")),
+    ("ctos net play grab.net --sequence steps.txt --json", Ends),
     ("ctos check app.toml", Ends),
+    ("ctos check apps/*.toml", Ends),
     ("ctos net perf queue.net", Ends),
+    ("ctos new my-app", Ends),
+    (
+        "scott --local -c resect CTRL -size 640 480 -model k1k2 -c resect EXEC lights.csv",
+        Ends,
+    ),
+    ("scott --local -f check.sor", Ends),
+    ("scott --local -f checks.sor --json", Ends),
+    ("scott --local --panel configs/panels/puma560.toml", GoesOn),
 ];
 
 /// Lines for the record of a calibration.
@@ -163,6 +236,10 @@ const RECORD: &[(&str, Then)] = &[
         "ctos replay configs/calibrate.toml run.mcap --task dispatcher",
         Ends,
     ),
+    (
+        "ctos replay configs/calibrate.toml run.*.mcap --task dispatcher --json",
+        Ends,
+    ),
 ];
 
 /// Pages whose lines are run by a test of the page, in its order and with its files.
@@ -173,15 +250,27 @@ const PAGES: [(&str, &str); 4] = [
     ("docs/security.md", "tests/system/keys.rs"),
 ];
 
-/// Beginnings of lines that are run elsewhere, or by nothing, and why.
+/// Beginnings of lines that cannot be run here, and why; what does the same elsewhere.
 const ELSEWHERE: &[(&str, &str)] = &[
     (
-        "ctos boot",
-        "boots: every test of tests/system does so, with these options",
+        "ctos boot configs/calibrate.toml --set time.mode=virtual --record run.mcap",
+        "makes the record for the lines about records: cli/tests/program/running.rs",
     ),
     (
-        "ctos sim app.toml",
-        "the app of docs/tutorial.md: tests/system/documents.rs",
+        "ctos boot configs/hello.toml --set same_host=zenoh",
+        "needs a program with zenoh, which tests of the whole are built without: ctos/tests/conformance/main.rs",
+    ),
+    (
+        "ctos boot configs/remote.toml",
+        "needs an arm in another process: tests/system/remote.rs",
+    ),
+    (
+        "scott remote",
+        "needs an arm in another process: tests/system/remote.rs",
+    ),
+    (
+        "ctos sim app.toml --seed 7",
+        "in the tutorial the app with the kettle: tests/system/documents.rs",
     ),
     (
         "ctos sim configs/hello.toml --seed 3 --faults faults.toml",
@@ -189,20 +278,11 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     (
         "ctos sim configs/hello.toml --seed 7 --faults hostile --shrink",
-        "needs a run that fails: cli/tests/program/sim.rs",
-    ),
-    ("ctos agent", "waits for other hosts: tests/system/hosts.rs"),
-    (
-        "ctos replay configs/calibrate.toml run.*.mcap",
-        "needs the records of several processes: tests/system/recording.rs",
+        "shrinks a run that fails, and this one does well: cli/tests/program/sim.rs",
     ),
     (
-        "ctos display run.desk.mcap",
-        "the record of docs/tutorial.md: tests/system/displays.rs",
-    ),
-    (
-        "ctos record calibrate --to records --for 10s",
-        "takes ten seconds: tests/system/keys.rs",
+        "ctos agent",
+        "serves one port that is the same for all tests: tests/system/hosts.rs",
     ),
     (
         "ctos record --at",
@@ -214,45 +294,16 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "needs an app that comes to rest: tests/system/nets.rs",
     ),
     (
-        "ctos net check grab.net",
-        "a file of docs/proving.md: cli/tests/program/proving.rs",
-    ),
-    (
-        "ctos net play",
-        "a file of docs/proving.md: cli/tests/program/proving.rs",
-    ),
-    (
-        "ctos net fmt -",
-        "reads a net on standard input: cli/tests/program/nets.rs",
+        "ctos net play grab.net --sequence -",
+        "reads what another command has written: cli/tests/program/proving.rs",
     ),
     (
         "ctos net lsp",
         "speaks to an editor: cli/tests/program/lsp.rs",
     ),
-    ("ctos new", "cli/tests/program/offline.rs"),
-    (
-        "scott testbed",
-        "two manipulators that move: tests/system/testbed.rs",
-    ),
-    (
-        "ctos check apps/*.toml",
-        "files of the reader's: cli/tests/program/offline.rs",
-    ),
     (
         "ctos move sink",
-        "the app of docs/names.md: tests/system/moving.rs",
-    ),
-    (
-        "scott --local --panel",
-        "serves a page until Ctrl-C: cli/tests/program/panel.rs",
-    ),
-    (
-        "scott --local -f",
-        "files of the reader's: cli/tests/program/scott.rs",
-    ),
-    (
-        "scott --local -c resect",
-        "a file of the reader's: cli/tests/program/scott.rs",
+        "needs a handler that hands its state over, and no shipped app has one: tests/system/moving.rs",
     ),
 ];
 
@@ -277,7 +328,16 @@ fn listed(words: &[String]) -> String {
 
 #[test]
 fn every_command_line_is_run_by_a_test_or_stands_in_a_list_with_the_reason() {
-    let all = [CALIBRATION, OBJECTS, HELLO, FILES, RECORD];
+    let all = [
+        CALIBRATION,
+        OBJECTS,
+        BOOTS,
+        OWN,
+        LINKS,
+        HELLO,
+        FILES,
+        RECORD,
+    ];
     let running = || all.into_iter().flatten().map(|(line, _)| *line);
     let mut seen = BTreeSet::new();
     let mut unknown = Vec::new();
@@ -357,13 +417,17 @@ fn arguments(words: &[String], folder: &Path) -> Vec<String> {
     let mut arguments = Vec::new();
     for word in &words[1..] {
         match word.split_once('*') {
-            Some((start, ".mcap")) => {
-                let entries = fs::read_dir(folder).unwrap();
+            Some((start, ending @ (".mcap" | ".toml"))) => {
+                let within = start.rsplit_once('/').map_or("", |(within, _)| within);
+                let entries = fs::read_dir(folder.join(within)).unwrap();
                 let names = entries.map(|entry| entry.unwrap().file_name());
-                let names = names.map(|name| name.into_string().unwrap());
-                let mut names: Vec<String> = names
-                    .filter(|name| name.starts_with(start) && name.ends_with(".mcap"))
-                    .collect();
+                let names = names.map(|name| Path::new(within).join(name));
+                let names = names.map(|name| name.into_os_string().into_string().unwrap());
+                let fits = |name: &String| {
+                    let rest = name.strip_prefix(start);
+                    rest.is_some_and(|rest| rest.ends_with(ending))
+                };
+                let mut names: Vec<String> = names.filter(fits).collect();
                 names.sort();
                 arguments.append(&mut names);
             }
@@ -398,9 +462,21 @@ fn run(mut command: Command, then: &Then) -> Option<String> {
         let wrong = ended.filter(|status| !status.success());
         return wrong.map(|status| format!("{status}: {first:?} {}{}", rest(&out), rest(&err)));
     }
-    let (out, err) = (rest(&out), rest(&err));
+    let mut begun = String::new();
+    if matches!(then, ComesUp) {
+        while let Ok(line) = err.recv_timeout(LIMIT) {
+            begun.push_str(&line);
+            if line.contains("phase 3") {
+                interrupt(&child);
+                break;
+            }
+        }
+    }
+    let (out, err) = (rest(&out), begun + &rest(&err));
     let status = child.wait().unwrap();
     let well = match then {
+        // As Ctrl-C ends it.
+        ComesUp => status.code() == Some(130),
         Refused(code, what) => {
             status.code() == Some(*code) && (out.contains(what) || err.contains(what))
         }
@@ -421,6 +497,9 @@ fn run_all(all: &[(&str, Then)], ctos: &OsStr, folder: &Path) {
         };
         let mut command = command(program, folder);
         command.args(arguments(words, folder));
+        if words.starts_with(&["ctos", "net", "fmt", "-"].map(str::to_owned)) {
+            command.stdin(fs::File::open(folder.join("draft.net")).unwrap());
+        }
         if let Some(why) = run(command, then) {
             panic!("{text}\n{why}");
         }
@@ -486,6 +565,36 @@ fn the_lines_about_service_objects_are_run_against_their_app_and_go_well() {
 }
 
 #[test]
+fn the_lines_that_boot_an_app_are_run_and_go_well() {
+    let folder = configurations();
+    few_positions(folder.path());
+    run_all(BOOTS, CTOS.as_ref(), folder.path());
+}
+
+#[test]
+fn the_lines_that_boot_an_app_of_the_reader_are_run_and_go_well() {
+    let folder = configurations();
+    few_positions(folder.path());
+    let configs = folder.path().join("configs");
+    fs::copy(configs.join("calibrate.toml"), configs.join("app.toml")).unwrap();
+    run_all(OWN, CTOS.as_ref(), &configs);
+    let task = |name: &str, on: &str| {
+        format!("[chassis.{on}]\n[task.{name}]\nhandler = \"sorma.daemon\"\non = \"{on}\"\n")
+    };
+    let app = task("d1", "motion") + &task("d2", "vision");
+    fs::write(folder.path().join("app.toml"), app).unwrap();
+    run_all(LINKS, CTOS.as_ref(), folder.path());
+}
+
+/// Leaves the calibration some positions, so that it ends soon.
+fn few_positions(folder: &Path) {
+    let file = folder.join("configs/positions.csv");
+    let positions = fs::read_to_string(&file).unwrap();
+    let few: Vec<&str> = positions.lines().take(14).collect();
+    fs::write(file, few.join("\n")).unwrap();
+}
+
+#[test]
 fn the_lines_about_the_example_are_run_and_go_well() {
     let folder = configurations();
     let hello = example("hello");
@@ -495,10 +604,7 @@ fn the_lines_about_the_example_are_run_and_go_well() {
 #[test]
 fn the_lines_about_a_record_are_run_and_go_well() {
     let folder = configurations();
-    let file = folder.path().join("configs/positions.csv");
-    let positions = fs::read_to_string(&file).unwrap();
-    let few: Vec<&str> = positions.lines().take(14).collect();
-    fs::write(file, few.join("\n")).unwrap();
+    few_positions(folder.path());
     let mut boot = command(CTOS, folder.path());
     let recorded = ["--set", "time.mode=virtual", "--record", "run.mcap"];
     boot.args(["boot", "configs/calibrate.toml"]).args(recorded);
@@ -522,11 +628,38 @@ fn the_lines_about_files_of_the_reader_are_run_and_go_well() {
         convert.args(["net", "convert", "ring.net", file]);
         assert!(convert.output().unwrap().status.success());
     }
-    let page = fs::read_to_string(root().join("docs/net-performance.md")).unwrap();
-    let queue = page.split("```net\n").nth(1).unwrap();
-    let queue = queue.split("```").next().unwrap();
-    fs::write(folder.path().join("queue.net"), queue).unwrap();
+    // The text of a block of a page.
+    let block = |page: &str, opens: &str| {
+        let page = fs::read_to_string(root().join(page)).unwrap();
+        let block = page.split(&format!("```{opens}\n")).nth(1).unwrap();
+        block.split("```").next().unwrap().to_owned()
+    };
+    let write = |file: &str, text: &str| fs::write(folder.path().join(file), text).unwrap();
+    write("queue.net", &block("docs/net-performance.md", "net"));
+    write("grab.net", &block("docs/proving.md", "net grab.net"));
+    write("steps.txt", "grab.first_left\ngrab.first_right\n");
+    write("draft.net", net);
     let app = "[chassis.w]\n[task.d]\nhandler = \"sorma.daemon\"\non = \"w\"\n";
-    fs::write(folder.path().join("app.toml"), app).unwrap();
+    write("app.toml", app);
+    fs::create_dir(folder.path().join("apps")).unwrap();
+    write("apps/one.toml", app);
+    write("apps/other.toml", app);
+    let page = fs::read_to_string(root().join("docs/service-objects.md")).unwrap();
+    let script = page.split("$ cat check.sor\n").nth(1).unwrap();
+    let script = script.split("$ ").next().unwrap();
+    write("check.sor", script);
+    write("checks.sor", script);
+    // What a camera without distortion sees of lights before it.
+    let lights = (0..40).map(|at| {
+        let at = f64::from(at);
+        let (x, y) = ((at * 1.3).sin(), 0.7 * (at * 2.1).cos());
+        let z = 3.0 + (at * 0.9).sin();
+        let (u, v) = (500.0 * x / z + 320.0, 510.0 * y / z + 240.0);
+        format!("{x:?},{y:?},{z:?},{u:?},{v:?}\n")
+    });
+    write(
+        "lights.csv",
+        &format!("X,Y,Z,u,v\n{}", lights.collect::<String>()),
+    );
     run_all(FILES, CTOS.as_ref(), folder.path());
 }
