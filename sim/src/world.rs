@@ -48,6 +48,10 @@ const CONTACT_HZ: f64 = 120.0;
 /// the resistance to turning besides.
 const SHARE: f64 = 0.5;
 
+/// Sweeps over all contacts in a substep while something hangs on an arm. With one alone, what two jaws hold creeps by
+/// 0.15 mm a second; otherwise one is enough.
+const HOLDING: usize = 6;
+
 /// Part that the latest step has in what a link is expected to be given by contact.
 const LATEST: f64 = 0.5;
 
@@ -305,7 +309,12 @@ impl World {
             }
         }
         self.place_links(h);
-        self.physics.integration_parameters.dt = h;
+        let holds = expected.iter().any(Option::is_some);
+        let sweeps = if holds { HOLDING } else { 1 };
+        let parameters = &mut self.physics.integration_parameters;
+        parameters.num_internal_pgs_iterations = sweeps;
+        parameters.num_internal_stabilization_iterations = sweeps;
+        parameters.dt = h;
         self.physics.step();
         let mut blows = Vec::new();
         for (index, expected) in expected.iter().enumerate() {

@@ -1,4 +1,5 @@
 mod grasp;
+mod hand;
 mod two_arms;
 
 use std::{

@@ -131,7 +131,7 @@ impl Cell {
 }
 
 #[test]
-fn a_box_of_half_a_kilogram_is_lifted_slips_by_less_than_a_millimetre_in_5_seconds_and_falls_when_let_go()
+fn a_box_of_half_a_kilogram_is_lifted_slips_by_less_than_a_tenth_of_a_millimetre_in_5_seconds_and_falls_when_let_go()
  {
     let mut cell = Cell::new(0.5, 15.0);
     let start = cell.box_in_world().translation.vector;
@@ -154,14 +154,15 @@ fn a_box_of_half_a_kilogram_is_lifted_slips_by_less_than_a_millimetre_in_5_secon
     let slipped = (held.translation.vector - lifted.translation.vector).norm();
     let turned = (held.rotation.inverse() * lifted.rotation).angle();
     assert!(settled < 1e-3, "{settled} m while it was lifted");
-    assert!(slipped < 1e-3, "{slipped} m in 5 s");
+    assert!(slipped < 1e-4, "{slipped} m in 5 s");
     assert!(turned < 1e-3, "{turned} rad in 5 s");
     let high = cell.box_in_world().translation.vector.z - start.z;
     assert!(high > 0.05, "{high}");
     cell.go([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.04, 0.04], 0.8);
     cell.wait(0.5);
     let rests = cell.box_in_world().translation.vector.z - start.z;
-    assert!(rests.abs() < 2e-3, "{rests}");
+    // It lies on the table again, upright or on a side.
+    assert!((-0.011..2e-3).contains(&rests), "{rests}");
 }
 
 #[test]
