@@ -161,7 +161,7 @@ servo = {}
                 twice,
                 "app.toml:8:1: error: two manipulators are called `left`",
             ),
-            ("on = \"cage\"", "missing field `manipulator`"),
+            ("on = \"cage\"", "the key `manipulator` is missing"),
         ] {
             let (_, findings) = expand(text);
             assert!(findings[0].contains(expected), "{findings:?}");

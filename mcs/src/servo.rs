@@ -572,11 +572,12 @@ impl Servo {
     /// Asks the guards of the motion under way; one that is braking or at rest already needs none.
     fn guard(&mut self) {
         let period = self.config.period.as_secs_f64();
-        let mut tool_at_rest = None;
+        let (mut joints_at_rest, mut tool_at_rest) = (None, None);
         self.stopping = Stopping::default();
         if self.motion.is_some() && !self.follower.rests() {
             let rest = self.follower.rest(&self.solver);
             self.stopping = Motion::stopping(&rest, &self.setpoint, period);
+            joints_at_rest = rest.joints;
             tool_at_rest = rest.tool.map(|tool| Placement::from(&tool));
         }
         if self.motion.is_none() || self.follower.is_stopping() || self.follower.rests() {
@@ -587,6 +588,7 @@ impl Servo {
             setpoint: &self.setpoint,
             readings: &self.readings,
             stopping: self.stopping,
+            joints_at_rest,
             tool_at_rest,
             force: self.force(),
             period,

@@ -186,14 +186,21 @@ mod tests {
             .unwrap();
         let seen = outline(&model);
         assert_eq!(seen.len(), model.shapes().len());
+        let (mut data, q) = (model.data(), [0.3, -0.4, 0.5, 0.6, -0.7, 0.8]);
         for ((frame, seen), shape) in seen.iter().zip(model.shapes()) {
             let Solid::Capsule { a, b, radius } = seen.solid else {
                 panic!("{seen:?}");
             };
-            // The frame of each of its links is that of its joint.
             let (a, b) = (a.coords, b.coords);
-            let solid = model::Solid::Capsule { a, b, radius };
-            assert_eq!((*frame, solid), (shape.frame, shape.solid));
+            let there = model.placement(&mut data, &q, *frame);
+            let seen = model::Solid::Capsule { a, b, radius }.seen_from(&there);
+            let touched = shape.solid.seen_from(&data.carrier(shape.carrier));
+            let [seen, touched] = [seen, touched].map(|solid| match solid {
+                model::Solid::Capsule { a, b, radius } => (a, b, radius),
+                model::Solid::Block { .. } => panic!("{solid:?}"),
+            });
+            assert_eq!((*frame, seen.2), (shape.frame, touched.2));
+            assert!((seen.0 - touched.0).norm() + (seen.1 - touched.1).norm() < 1e-12);
         }
     }
 

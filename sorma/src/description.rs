@@ -158,13 +158,21 @@ pub struct OptionInfo {
     pub help: String,
 }
 
+/// No word of a help is longer than so many letters.
+const LONGEST_WORD: usize = 60;
+
 impl OptionInfo {
     /// What stands after the option: `0.0..1.0 m/s`, `on|off`, `W H, each 1..65536 px`.
     #[must_use]
     pub fn form(&self) -> String {
         let mut parts = self.parameters.join(" ");
         if !self.choices.is_empty() {
-            parts.push_str(&self.choices.join("|"));
+            let text = self.choices.join("|");
+            // A long list is to be broken between lines.
+            match text.len() > LONGEST_WORD {
+                true => parts.push_str(&self.choices.join(" | ")),
+                false => parts.push_str(&text),
+            }
         }
         if let Some([low, high]) = &self.range {
             if !self.choices.is_empty() {

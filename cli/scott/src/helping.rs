@@ -265,7 +265,7 @@ mod tests {
         let words = form
             .text
             .replace(|letter: char| letter.is_ascii_uppercase(), "x");
-        let count = form.floats.min(7);
+        let count = form.floats.min(9);
         let numbers: Vec<String> = (0..count).map(|number| format!("{number}.5")).collect();
         let start = format!("{class} EXEC {words}");
         let (start, numbers) = (start.trim_end(), numbers.join(" "));

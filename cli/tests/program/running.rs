@@ -261,6 +261,14 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "needs a program with zenoh, which tests of the whole are built without: ctos/tests/conformance/main.rs",
     ),
     (
+        "ctos boot --detach configs/grasp.toml",
+        "moves an arm for half a minute: tests/system/grasp.rs",
+    ),
+    (
+        "scott grasp",
+        "moves an arm for half a minute: tests/system/grasp.rs",
+    ),
+    (
         "ctos boot configs/remote.toml",
         "needs an arm in another process: tests/system/remote.rs",
     ),

@@ -17,7 +17,7 @@ use std::{
     time::Duration,
 };
 
-use ctos::task::HandlerError;
+use ctos::task::{Context, HandlerError};
 use mcs::{
     control::{ControlLaw, LawRegistry, LawSettings},
     driver::SlotReading,
@@ -198,6 +198,24 @@ impl Grips {
     pub fn find(&self, name: &str) -> Option<Arc<Grip>> {
         let grips = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         grips.get(name).cloned()
+    }
+
+    /// The grip of the law called `name`, for a task of its chassis.
+    ///
+    /// # Errors
+    /// No law of this process has that name.
+    pub(crate) fn of(&self, cx: &Context, name: &str) -> Result<Arc<Grip>, HandlerError> {
+        // It is memory that law and task share, which no record holds: so a replay is told.
+        let key = format!("mcs.hand/{name}");
+        if let Some(grip) = cx.shared(&key) {
+            return Ok(grip);
+        }
+        let found = self.find(name);
+        let grip = found.ok_or_else(|| {
+            HandlerError::new(format!("no servo of this chassis has the grip `{name}`"))
+        })?;
+        cx.share(&key, Arc::clone(&grip));
+        Ok(grip)
     }
 
     /// Registers the law; those that have a name are found here.

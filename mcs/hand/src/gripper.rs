@@ -266,10 +266,7 @@ impl EventHandler for Gripper {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Connect {
-            let name = &self.args.grip;
-            let grip = self.grips.find(name).ok_or_else(|| {
-                HandlerError::new(format!("no servo of this chassis has the grip `{name}`"))
-            })?;
+            let grip = self.grips.of(cx, &self.args.grip)?;
             let jaws = Manipulator::find(cx, &self.args.client).await;
             let jaws = jaws.map_err(|error| HandlerError::new(error.reason))?;
             self.parts = Some(Parts { jaws, grip });

@@ -360,10 +360,7 @@ impl EventHandler for Hand {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Connect {
-            let name = &self.args.grip;
-            let grip = self.grips.find(name).ok_or_else(|| {
-                HandlerError::new(format!("no servo of this chassis has the grip `{name}`"))
-            })?;
+            let grip = self.grips.of(cx, &self.args.grip)?;
             let hand = Manipulator::find(cx, &self.args.client).await;
             self.parts = Some(Parts {
                 hand: hand.map_err(|error| HandlerError::new(error.reason))?,

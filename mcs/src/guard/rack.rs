@@ -91,7 +91,8 @@ pub(crate) struct Now<'a> {
     pub setpoint: &'a Setpoint,
     pub readings: &'a [SlotReading],
     pub stopping: Stopping,
-    /// Where that is known better than from the speeds of the joints.
+    /// Where these are known better than from the speeds of the joints.
+    pub joints_at_rest: Option<Joints>,
     pub tool_at_rest: Option<Placement>,
     pub force: Option<[f64; 6]>,
     pub period: f64,
@@ -183,8 +184,10 @@ impl Rack {
         let [data, rest] = &mut self.data;
         let tip = self.model.tip();
         let late = now.stopping.lead + now.period;
-        let at_rest = Joints::from_fn(now.setpoint.position.len(), |index| {
-            now.setpoint.position[index] + now.setpoint.pace(index, now.period) * late
+        let at_rest = now.joints_at_rest.unwrap_or_else(|| {
+            Joints::from_fn(now.setpoint.position.len(), |index| {
+                now.setpoint.position[index] + now.setpoint.pace(index, now.period) * late
+            })
         });
         let seen = Seen {
             model: &self.model,

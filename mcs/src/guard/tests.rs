@@ -1,13 +1,82 @@
 //! Guards in the servo, on an arm that obeys the equations of motion.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use ctos::config::Node;
+use ctos::diagnostic::{Findings, Source};
+use ctos::task::HandlerError;
 use nalgebra::{Translation3, Vector3};
 
 use super::*;
 use crate::control::PidGravity;
 use crate::driver::test_arm::{Knobs, START, TestArm, built_in_arm};
+use crate::driver::{ChannelDriver, DriverError, Power, Sensor, SensorKind};
+use crate::guard::force::Force;
 use crate::guard::workspace::{Region, Workspace};
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::{CartesianLimits, Planner, Segment};
+
+fn arm() -> TestArm {
+    let knobs = Arc::new(Knobs::default());
+    TestArm::new(built_in_arm("puma560"), &START, false, &knobs)
+}
+
+/// An arm with a force-torque sensor that reads a force along z, N.
+struct Touched {
+    arm: TestArm,
+    sensors: [Sensor; 1],
+    force: Arc<AtomicU64>,
+}
+
+impl Touched {
+    fn by(force: &Arc<AtomicU64>) -> Self {
+        let kind = SensorKind::ForceTorque;
+        let name = "wrist".to_owned();
+        Self {
+            arm: arm(),
+            sensors: [Sensor { name, kind }],
+            force: Arc::clone(force),
+        }
+    }
+}
+
+impl ChannelDriver for Touched {
+    fn slots(&self) -> usize {
+        self.arm.slots()
+    }
+
+    fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
+        self.arm.read(readings)
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        &self.sensors
+    }
+
+    fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
+        numbers[2] = self.force.load(Ordering::Relaxed) as f64;
+        Ok(())
+    }
+
+    fn write(
+        &mut self,
+        torques: &[f64],
+        power: Power,
+        period: Duration,
+    ) -> Result<(), DriverError> {
+        self.arm.write(torques, power, period)
+    }
+}
+
+/// No other arm.
+struct Nobody;
+
+impl Around for Nobody {
+    fn neighbour(&self, servo: &str) -> Result<Neighbour, HandlerError> {
+        Err(format!("there is no servo `{servo}`").into())
+    }
+}
 
 struct Rig {
     servo: Servo,
@@ -17,16 +86,14 @@ struct Rig {
 
 impl Rig {
     fn new() -> Self {
+        Self::driving(arm())
+    }
+
+    fn driving(driver: impl ChannelDriver + 'static) -> Self {
         let model = Arc::new(built_in_arm("puma560"));
-        let arm = TestArm::new(
-            built_in_arm("puma560"),
-            &START,
-            false,
-            &Arc::new(Knobs::default()),
-        );
         let law = Box::new(PidGravity::new(Arc::clone(&model), 8.0, 1.0));
         let config = ServoConfig::default();
-        let (servo, port) = Servo::new(Arc::clone(&model), Box::new(arm), law, config).unwrap();
+        let (servo, port) = Servo::new(Arc::clone(&model), Box::new(driver), law, config).unwrap();
         let planner = Planner::new(model, CartesianLimits::default(), 0.018).unwrap();
         let mut rig = Self {
             servo,
@@ -311,4 +378,51 @@ fn the_share_of_the_travel_runs_evenly_and_then_ever_more_slowly_to_all_of_it() 
     assert!((way(0.005) - 0.005).abs() < 1e-12);
     // At speed v for 10 ms, then v t - v t^2 / 2T.
     assert!((way(0.11) - (0.01 + 0.1 - 0.1 * 0.1 / 0.4)).abs() < 1e-12);
+}
+
+#[test]
+fn two_ticks_after_a_contact_at_most_the_torques_are_other_ones() {
+    let args = Source::new("recipe", "force = 20.0");
+    let args = Node::from_toml(&args, &mut Findings::new());
+    let model = Arc::new(built_in_arm("puma560"));
+    for contact in [40, 90, 150] {
+        let forces = [Arc::default(), Arc::<AtomicU64>::default()];
+        let mut rigs = forces.each_ref().map(|force| {
+            let mut rig = Rig::driving(Touched::by(force));
+            let settings = GuardSettings {
+                args: &args,
+                model: &model,
+                period: Duration::from_micros(4500),
+                servo: "servo",
+                around: &Nobody,
+                cx: None,
+            };
+            let guard = Force::from_args(&settings).unwrap();
+            let guard = Mounted::new("fragile", Reaction::Stop, true, guard);
+            rig.port.mount(0, Some(guard)).unwrap();
+            let segment = rig.line([0.0, 0.1, -0.2]);
+            rig.port
+                .order(ServoCommand::Move { id: 1, segment })
+                .unwrap();
+            rig
+        });
+        let mut torques = || {
+            rigs.each_mut().map(|rig| {
+                rig.servo.tick(0);
+                rig.port.status().torque
+            })
+        };
+        for tick in 0..contact {
+            let [touched, free] = torques();
+            assert_eq!(touched, free, "tick {tick}");
+        }
+        forces[0].store(30, Ordering::Relaxed);
+        let changed = (1..=2).find(|_| {
+            let [touched, free] = torques();
+            touched != free
+        });
+        assert!(changed.is_some(), "contact in tick {contact}");
+        let found = rigs[0].port.status().guard.unwrap();
+        assert_eq!(found.guard.as_str(), "fragile");
+    }
 }

@@ -109,7 +109,8 @@ impl Motion {
         };
         Stopping {
             time: rest.time.max(2.0 * period),
-            lead,
+            // Who counts with it adds the period before the braking begins.
+            lead: (lead - period).max(0.0),
         }
     }
 

@@ -74,20 +74,22 @@ struct Clock {
 }
 
 /// How many steps a look at a stop takes, about; how long each is at most, s; and how many they are at most.
-const REST_STEPS: f64 = 8.0;
+const REST_STEPS: f64 = 16.0;
 const LONGEST_REST_STEP: f64 = 0.25;
 const MOST_REST_STEPS: u32 = 64;
+/// How much farther than it seems a line is taken to go until rest.
+const LINE_CAUTION: f64 = 1.05;
 
 /// How segments would come to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rest {
-    /// The time until then at most, s.
+    /// The time from when it brakes until then at most, s.
     pub time: f64,
     /// Where all joints rest, rad or m; `None` on a straight line.
     pub joints: Option<Joints>,
     /// `base_t_tool` at rest, on a straight line.
     pub tool: Option<Isometry3<f64>>,
-    /// The travel until rest on a straight line: so many seconds at the present pace.
+    /// The travel from now until rest on a straight line: so many seconds at the present pace.
     pub lead: f64,
 }
 
@@ -172,9 +174,12 @@ impl Follower {
         self.passed
     }
 
-    /// Stops on the path, as hard as the accelerations of all joints allow.
+    /// Stops on the path, as hard as the accelerations of all joints allow; what has not moved yet does not begin to.
     pub fn stop(&mut self) {
         self.clock.stopping = true;
+        if self.clock.time == 0.0 && !self.clock.part.is_bridge {
+            self.clock.rate = 0.0;
+        }
     }
 
     /// Whether a stop was asked for.
@@ -254,16 +259,14 @@ impl Follower {
         }
     }
 
-    /// How it would come to rest if a stop were asked for now, in steps longer than a period: a step brakes as hard as all of
-    /// it bears, and so no harder than its periods would. Of a line beyond its solved poses only the tool counts.
+    /// How it would come to rest if it braked from the next period on, in steps longer than a period: a step brakes as hard as
+    /// all of it bears, and so no harder than its periods would.
     #[must_use]
     pub fn rest(&self, solver: &Solver) -> Rest {
-        let mut clock = Clock {
-            stopping: true,
-            ..self.clock
-        };
+        let mut clock = self.after(&self.clock, self.period, solver);
+        clock.stopping = true;
         let step = clock.rate / self.braking(&clock, self.period, solver) / REST_STEPS;
-        let step = step.clamp(self.period, LONGEST_REST_STEP);
+        let step = step.min(LONGEST_REST_STEP).max(self.period);
         let (mut time, mut steps) = (0.0, 0);
         while clock.rate > 0.0 && !self.is_at_end(&clock) && steps < MOST_REST_STEPS {
             clock = self.after(&clock, step, solver);
@@ -289,12 +292,17 @@ impl Follower {
             (true, Some(bridge), _) => &bridge.courses,
             (_, _, Path::Joint(courses)) => courses,
             (_, _, Path::Line(line)) => {
-                let then = line.progress.at(at);
-                rest.tool = Some(line.pose(then.position));
+                let then = line.progress.at(at).position;
                 let now = line.progress.at(self.clock.time);
-                let pace = now.velocity + now.acceleration.max(0.0) * self.period;
-                if part == self.clock.part && pace > 0.0 {
-                    rest.lead = (then.position - now.position) / pace;
+                rest.tool = Some(line.pose(then));
+                if part == self.clock.part {
+                    // The joints may bear less braking farther on than where the poses are solved.
+                    let then = now.position + (then - now.position) * LINE_CAUTION;
+                    rest.tool = Some(line.pose(then.min(1.0)));
+                    let pace = now.velocity + now.acceleration.max(0.0) * self.period;
+                    if pace > 0.0 {
+                        rest.lead = (then - now.position) / pace;
+                    }
                 }
                 return rest;
             }
@@ -406,9 +414,6 @@ impl Follower {
             (_, _, Path::Joint(courses)) => courses,
             (_, _, Path::Line(line)) => {
                 let tool = room(&line.progress.ranges(from, until), line.braking);
-                if until > self.solved {
-                    return tool;
-                }
                 let middle = 0.5 * (from + until);
                 return joints.fold(tool, |least, (index, joint)| {
                     // Within a period the cubics hardly bend.
@@ -446,7 +451,9 @@ impl Follower {
                     true => older,
                     false => newer,
                 };
-                let [position, slope, bend] = between.at(joint, along.position);
+                // Who looks farther ahead sees the arm go on as at the last solved pose.
+                let solved = along.position.min(newer.end().progress);
+                let [position, slope, bend] = between.at(joint, solved);
                 JointState {
                     position,
                     velocity: slope * along.velocity,
