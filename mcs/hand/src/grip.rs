@@ -205,17 +205,10 @@ impl Grips {
     /// # Errors
     /// No law of this process has that name.
     pub(crate) fn of(&self, cx: &Context, name: &str) -> Result<Arc<Grip>, HandlerError> {
-        // It is memory that law and task share, which no record holds: so a replay is told.
-        let key = format!("mcs.hand/{name}");
-        if let Some(grip) = cx.shared(&key) {
-            return Ok(grip);
-        }
-        let found = self.find(name);
-        let grip = found.ok_or_else(|| {
+        cx.reads_unrecorded(format_args!("the grip `{name}`"));
+        self.find(name).ok_or_else(|| {
             HandlerError::new(format!("no servo of this chassis has the grip `{name}`"))
-        })?;
-        cx.share(&key, Arc::clone(&grip));
-        Ok(grip)
+        })
     }
 
     /// Registers the law; those that have a name are found here.

@@ -273,6 +273,10 @@ impl Follower {
             time += step;
             steps += 1;
         }
+        if clock.rate > 0.0 {
+            // As far as the part goes: it may not come to rest before.
+            clock.time = self.end_of(clock.part).0;
+        }
         self.rest_at(&clock, time)
     }
 
