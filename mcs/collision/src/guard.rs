@@ -1,8 +1,8 @@
 //! The kind of guard `collision`: every tick looks at the arm against itself, the other arms of its chassis and the
 //! room, and stops it so early that it comes to rest before it touches anything.
 //!
-//! It counts with the braking that the servo would do now, which begins with the next tick, and with a neighbour's that
-//! begins a tick later still, because what a neighbour shows may be one tick old. A neighbour has to have the same guard:
+//! It counts with the braking that the servo would do now, which begins with the next tick. A neighbour's begins a tick
+//! later still, because what a neighbour shows may be one tick old. A neighbour has to have the same guard:
 //! each arm stops itself. Between what is commanded and where the arm is lies the tracking error, for which the margin
 //! has room.
 

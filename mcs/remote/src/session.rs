@@ -159,8 +159,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session with the number `own` (not 0) for joints of those `speeds` at most (rad/s or m/s), with a peer that brakes
-    /// `watchdog` after the last command and is given up as long after its last state.
+    /// A session with the number `own` (not 0) for joints of those `speeds` at most (rad/s or m/s). The peer brakes `watchdog`
+    /// after the last command. It is given up as long after its last state.
     #[must_use]
     pub fn new(own: u32, speeds: Vec<f64>, watchdog: Duration) -> Self {
         Self {

@@ -1,7 +1,7 @@
 //! The way from one segment into the next past the point where both meet: a blend.
 //!
-//! The first segment is left before its end, the second one is joined after its start, and between both every joint goes
-//! from state to state in the least time that is common to all, under its own limits. No speed has a step. With a limit of
+//! The arm leaves the first segment before its end and joins the second one after its start. Between both every joint goes
+//! from state to state under its own limits, in the least time that is common to all. No speed has a step. With a limit of
 //! jerk no acceleration has one.
 
 use mcs_model::Joints;
