@@ -37,7 +37,7 @@ const WATCHDOG: Duration = Duration::from_millis(100);
 const BY: [f64; 6] = [0.4, -0.3, 0.2, 0.5, -0.3, 0.6];
 
 fn cell() -> Cell {
-    let text = include_str!("../../../configs/cell.toml");
+    let text = include_str!("../../configs/cell.toml");
     Cell::parse(&Source::new("cell.toml", text)).unwrap()
 }
 

@@ -1,9 +1,9 @@
 //! How well a servo tracks a few moves of the PUMA 560 behind a peer, or in a world of this process.
 //!
 //! ```console
-//! $ cargo run --release -p mcs-remote --example track -- inside
-//! $ cargo run --release -p mcs-remote --example track -- udp:127.0.0.1:4560 in-step
-//! $ cargo run --release -p mcs-remote --example track -- udp:127.0.0.1:4560 real
+//! $ cargo run --release -p sim --example track -- inside
+//! $ cargo run --release -p sim --example track -- udp:127.0.0.1:4560 in-step
+//! $ cargo run --release -p sim --example track -- udp:127.0.0.1:4560 real
 //! ```
 //!
 //! In step, a tick waits for the answer to the command before; in real time, ticks come each 4.5 ms whatever is there.
@@ -148,7 +148,7 @@ fn driver(
     late: &Arc<AtomicU64>,
 ) -> Result<Box<dyn ChannelDriver>, Box<dyn Error>> {
     if place == "inside" {
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/cell.toml");
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../configs/cell.toml");
         let cell = Cell::read(Path::new(folder))?;
         let port = Arc::new(Port::new(&cell));
         let world = Simulation::new(&cell, Arc::clone(&port));
