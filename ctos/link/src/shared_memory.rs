@@ -383,7 +383,7 @@ mod tests {
     #[test]
     fn what_was_released_is_found_whole() {
         let memory = Memory::private(8192);
-        play(&memory, &memory, if cfg!(miri) { 30 } else { 20_000 });
+        play(&memory, &memory, if cfg!(miri) { 30 } else { 4_000 });
     }
 
     #[cfg(not(miri))]
@@ -392,7 +392,7 @@ mod tests {
         let file = tempfile::tempfile().unwrap();
         file.set_len(8192).unwrap();
         let map = || Memory::new(&file, 8192).unwrap();
-        play(&map(), &map(), 20_000);
+        play(&map(), &map(), 4_000);
     }
 
     /// Whole words never tear, whatever the other side writes meanwhile.

@@ -28,7 +28,7 @@ ctos::command! {
 }
 ctos::command! {
     /// Answers with so many bytes.
-    pub struct Produce { pub size: usize } => Vec<u8>, 3, "produce"
+    pub struct Produce { pub size: usize } => Blob, 3, "produce"
 }
 ctos::command! {
     /// Is refused.
@@ -148,7 +148,7 @@ impl EventHandler for Peer {
             }
             Produce::CODE => {
                 let (Produce { size }, reply) = message.open::<Produce>()?;
-                reply.ok(vec![7; size])
+                reply.ok(vec![7; size].into())
             }
             Refuse::CODE => Err("the arm is cold".into()),
             Forget::CODE => Ok(()),

@@ -29,7 +29,7 @@ use breach::Breach;
 use run::{Trial, trial};
 
 /// How many seeds a profile is tried with.
-const SEEDS: Range<u64> = 0..40;
+const SEEDS: Range<u64> = 0..16;
 
 /// So many findings are shown of one seed.
 const SHOWN: usize = 12;
@@ -159,7 +159,7 @@ fn chassis_that_die_come_back_with_their_names_and_every_promise_holds() {
 
 #[test]
 fn an_app_whose_chassis_come_back_is_the_same_for_one_seed() {
-    for seed in 0..5 {
+    for seed in 0..2 {
         let one = run::events(Policy::Returns, seed, deaths());
         assert_eq!(
             one,
@@ -207,7 +207,7 @@ fn a_frame_that_reaches_another_task_is_caught_by_the_suite() {
 #[test]
 fn one_seed_is_one_run_event_for_event() {
     for profile in ["none", "rough", "hostile"] {
-        for seed in 0..5 {
+        for seed in 0..2 {
             let faults = Faults::built_in(profile).unwrap();
             let one = run::events(Policy::Ends, seed, faults.clone());
             assert_eq!(
@@ -222,7 +222,7 @@ fn one_seed_is_one_run_event_for_event() {
 
 #[test]
 fn the_faults_of_a_run_given_as_a_list_make_the_same_run() {
-    for seed in 0..8 {
+    for seed in 0..3 {
         let faults = Faults::built_in("hostile").unwrap();
         let one = trial(Policy::Ends, seed, faults.clone(), None);
         let list = Faults::of_script("list", one.run.faults.clone());

@@ -4,8 +4,9 @@ use super::*;
 use crate::file::Inertias;
 use nalgebra::{DVector, Vector3};
 use proptest::prelude::*;
+use std::sync::LazyLock;
 
-fn all() -> Vec<Model> {
+static ALL: LazyLock<Vec<Model>> = LazyLock::new(|| {
     let built_in = built_in::NAMES.iter().map(|name| {
         built_in::model(name, Inertias::Identified)
             .unwrap()
@@ -15,7 +16,7 @@ fn all() -> Vec<Model> {
     let source = ctos_config::diagnostic::Source::new("two_arms.urdf", file);
     let way = urdf::parse(&source, Some("left_hand"), Some("right_hand")).unwrap();
     built_in.chain([way.model]).collect()
-}
+});
 
 /// Kinetic energy from the velocities of the bodies' centres, by a way of its own.
 fn kinetic_energy(model: &Model, q: &[f64], qd: &[f64]) -> f64 {
@@ -80,20 +81,20 @@ fn swing(model: &Model, data: &mut Data, q: &mut DVector<f64>, qd: &mut DVector<
 
 #[test]
 fn a_free_swing_keeps_its_energy() {
-    for model in all() {
+    for model in ALL.iter() {
         let n = model.dof();
         let mut data = model.data();
         let mut q = DVector::from_fn(n, |index, _| 0.2 + 0.3 * (index as f64).cos());
         let mut qd = DVector::zeros(n);
         let energy = |q: &DVector<f64>, qd: &DVector<f64>| {
-            kinetic_energy(&model, q.as_slice(), qd.as_slice())
-                + potential_energy(&model, q.as_slice())
+            kinetic_energy(model, q.as_slice(), qd.as_slice())
+                + potential_energy(model, q.as_slice())
         };
         let before = energy(&q, &qd);
         let mut moved = 0.0_f64;
         for _ in 0..250 {
-            swing(&model, &mut data, &mut q, &mut qd, 1e-3);
-            moved = moved.max(kinetic_energy(&model, q.as_slice(), qd.as_slice()));
+            swing(model, &mut data, &mut q, &mut qd, 1e-3);
+            moved = moved.max(kinetic_energy(model, q.as_slice(), qd.as_slice()));
         }
         let after = energy(&q, &qd);
         // A cart and jaws alone do not fall, and fingers weigh little.
@@ -141,7 +142,7 @@ fn states() -> impl Strategy<Value = (usize, Vec<f64>)> {
 proptest! {
     #[test]
     fn the_jacobian_is_the_derivative_of_forward_kinematics((which, numbers) in states()) {
-        let model = &all()[which];
+        let model = &ALL[which];
         let n = model.dof();
         let (q, qd) = (&numbers[..n], &numbers[n..2 * n]);
         let mut data = model.data();
@@ -161,7 +162,7 @@ proptest! {
 
     #[test]
     fn bias_acceleration_is_the_jacobians_rate_times_the_joint_speeds((which, numbers) in states()) {
-        let model = &all()[which];
+        let model = &ALL[which];
         let n = model.dof();
         let (q, qd) = (&numbers[..n], &numbers[n..2 * n]);
         let (mut data, tip) = (model.data(), model.tip());
@@ -176,7 +177,7 @@ proptest! {
 
     #[test]
     fn the_mass_matrix_is_symmetric_positive_definite_and_gives_the_kinetic_energy((which, numbers) in states()) {
-        let model = &all()[which];
+        let model = &ALL[which];
         let n = model.dof();
         let (q, qd) = (&numbers[..n], &numbers[n..2 * n]);
         let mut data = model.data();
@@ -190,7 +191,7 @@ proptest! {
 
     #[test]
     fn forward_dynamics_undo_inverse_dynamics((which, numbers) in states()) {
-        let model = &all()[which];
+        let model = &ALL[which];
         let n = model.dof();
         let (q, qd, qdd) = (&numbers[..n], &numbers[n..2 * n], &numbers[2 * n..3 * n]);
         for options in [DynamicsOptions::RIGID, DynamicsOptions::FULL] {
@@ -205,7 +206,7 @@ proptest! {
 
     #[test]
     fn power_of_the_torques_is_the_rate_of_the_energy((which, numbers) in states()) {
-        let model = &all()[which];
+        let model = &ALL[which];
         let n = model.dof();
         let (q, qd, qdd) = (&numbers[..n], &numbers[n..2 * n], &numbers[2 * n..3 * n]);
         let mut data = model.data();
@@ -222,7 +223,7 @@ proptest! {
 
     #[test]
     fn gravity_is_inverse_dynamics_at_rest((which, numbers) in states()) {
-        let model = &all()[which];
+        let model = &ALL[which];
         let (n, still) = (model.dof(), [0.0; 18]);
         let mut data = model.data();
         let at_rest = model.inverse_dynamics(&mut data, &numbers[..n], &still, &still, DynamicsOptions::FULL).to_vec();

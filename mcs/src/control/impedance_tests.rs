@@ -1,6 +1,6 @@
 //! An arm that something pushes, held by a law at the servo's rate: what the tests of the impedances share.
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use super::ControlLaw;
@@ -14,9 +14,13 @@ pub(super) const PERIOD: Duration = Duration::from_micros(4500);
 /// Steps of integration in a period.
 const STEPS: u32 = 4;
 
+/// One model for all, because to read its file takes longer than a tick.
 pub(super) fn puma() -> Arc<Model> {
-    let model = built_in::model("puma560", Inertias::Engine);
-    Arc::new(model.unwrap().unwrap())
+    static PUMA: LazyLock<Arc<Model>> = LazyLock::new(|| {
+        let model = built_in::model("puma560", Inertias::Engine);
+        Arc::new(model.unwrap().unwrap())
+    });
+    PUMA.clone()
 }
 
 /// The PUMA without friction, its setpoint where it began.

@@ -7,7 +7,9 @@ use ctos::{
 };
 
 use super::{
-    survival::{durable_app, insist, register_script, register_with_settings, simulate, tokens},
+    survival::{
+        durable_app, insist, register_script, register_with_settings, seeds, simulate, tokens,
+    },
     *,
 };
 use crate::stream::{Batch, Follow as FollowNet};
@@ -62,7 +64,7 @@ async fn watch_the_tally(cx: Context) -> Result<String, HandlerError> {
 
 #[test]
 fn what_a_display_has_seen_of_a_durable_net_is_never_lost_whenever_the_net_dies() {
-    for seed in 0..60 {
+    for seed in 0..seeds(20) as u64 {
         let app = durable_app(&[("n", "durable = true")], seed);
         let mut registry = Registry::new();
         register_with_settings(&mut registry, COUNTER, || Library::new(()));
