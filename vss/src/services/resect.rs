@@ -1,20 +1,29 @@
 //! The class `resect`: the camera that saw known points, from a table of points and pixels.
 
-use std::{path::Path, sync::LazyLock};
+use std::sync::LazyLock;
 
-use ctos::diagnostic::{Findings, Source};
+use ctos::diagnostic::Source;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
-    check_file, code, ended,
-    table::{self, Table},
+    code, ended, opened,
+    table::{self, Columns, Table},
+    told,
 };
-use crate::calibrate::{Calibration, CalibrationError, LensModel, RejectReason, calibrate_as};
+use crate::calibrate::{
+    Calibration, CalibrationError, LensModel, LightPoint, RejectReason, calibrate_as,
+};
 
-/// So many findings and rejected points are told one by one.
+/// So many rejected points are told one by one.
 const MOST_TOLD: usize = 20;
+
+const COLUMNS: Columns = Columns {
+    names: &["X", "Y", "Z", "u", "v"],
+    may_be_empty: &[],
+    help: "the first line is `X,Y,Z,u,v`: world coordinates in m, picture coordinates in px",
+};
 
 const FORMS: &[Form] = &[Form {
     text: "FILE",
@@ -107,15 +116,12 @@ impl Resect {
             return Err(Report::error(sorma::report::code::VALUE, text));
         };
         let side = |length: i64| usize::try_from(length).unwrap_or_default();
-        let path = io.text.trim().to_owned();
-        check_file(&path)?;
-        let source = Source::read(Path::new(&path))
-            .map_err(|finding| Report::error(code::FILE, finding.to_string()))?;
-        let table =
-            table::read(&source).map_err(|findings| Report::error(code::TABLE, told(findings)))?;
+        let source = opened(io.text.trim())?;
+        let table = table::read(&source, &COLUMNS).map_err(told)?;
+        let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed.unsigned_abs());
         let (width, height) = (side(*width), side(*height));
-        let found = calibrate_as(&table.points, width, height, self.0.model(), &mut rng)
+        let found = calibrate_as(&points, width, height, self.0.model(), &mut rng)
             .map_err(|error| Report::error(code::NO_CAMERA, refused(&source, &table, &error)))?;
         if !found.rejected.is_empty() {
             let text = rejected(&source, &table, &found);
@@ -143,25 +149,11 @@ fn answer(found: &Calibration, io: &mut Transport) {
     io.floats.push(found.rms_px);
 }
 
-/// The findings of a table, in one text.
-fn told(findings: Findings) -> String {
-    let sorted = findings.into_sorted();
-    let mut lines: Vec<String> = sorted
-        .iter()
-        .take(MOST_TOLD)
-        .map(ToString::to_string)
-        .collect();
-    let more = sorted.len().saturating_sub(MOST_TOLD);
-    if more > 0 {
-        lines.push(format!("and {more} more"));
-    }
-    lines.join("\n")
-}
-
-/// `file:line:column` of a row.
-fn place(source: &Source, table: &Table, row: usize) -> String {
-    let (line, column) = source.line_column(table.rows.get(row).copied().unwrap_or_default());
-    format!("{}:{line}:{column}", source.name())
+fn light(row: &[f64]) -> Option<LightPoint> {
+    let &[x, y, z, u, v] = row else {
+        return None;
+    };
+    Some(LightPoint { x, y, z, u, v })
 }
 
 /// Why no camera follows, with the place where there is one.
@@ -175,7 +167,7 @@ fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
             height,
         } => format!(
             "{}: the point is seen at ({u:?}, {v:?}), outside the picture of {width} x {height} px (-size)",
-            place(source, table, *row)
+            table.place(source, *row)
         ),
         other => format!("{}: {other}", source.name()),
     }
@@ -185,7 +177,7 @@ fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
 fn rejected(source: &Source, table: &Table, found: &Calibration) -> String {
     let all = found.rejected.len();
     let told = found.rejected.iter().take(MOST_TOLD).map(|point| {
-        let at = place(source, table, point.row);
+        let at = table.place(source, point.row);
         match point.reason {
             RejectReason::Behind => format!("{at} lies behind the camera"),
             RejectReason::Outlier { limit_px } => {
@@ -201,7 +193,7 @@ fn rejected(source: &Source, table: &Table, found: &Calibration) -> String {
     } else {
         String::new()
     };
-    let points = table.points.len();
+    let points = table.at.len();
     format!(
         "{all} of {points} points are not used: {}{rest}",
         told.join("; ")
