@@ -16,6 +16,9 @@ use crate::calibrate::{
     Calibration, CalibrationError, LensModel, LightPoint, RejectReason, calibrate_as,
 };
 
+/// A camera whose focal length has this standard deviation or more, relative to it, is told to be poor.
+const POOR_FOCAL: f64 = 0.02;
+
 /// So many rejected points are told one by one.
 const MOST_TOLD: usize = 20;
 
@@ -30,7 +33,8 @@ const FORMS: &[Form] = &[Form {
     floats: 0,
     takes: "",
     gives: "16 floats: fx fy cx cy (px) k1 k2 p1 p2 k3, rotation vector (rad) and translation (m) of \
-            camera_T_world, rms over the used points of the distance between seen and predicted (px)",
+            camera_T_world, rms over the used points of the distance between seen and predicted (px); with -sd on \
+            15 more: standard deviations of all but the last",
     results: "fx fy cx cy: px; k1 k2 p1 p2 k3; rx ry rz: rad; x y z: m; rms: px",
     help: "calibrates a camera from a table X,Y,Z,u,v (m and px, comma-separated)",
 }];
@@ -40,6 +44,7 @@ pub(super) struct Options {
     size: Vec<i64>,
     model: String,
     seed: i64,
+    sd: bool,
 }
 
 impl Default for Options {
@@ -48,6 +53,7 @@ impl Default for Options {
             size: Vec::new(),
             model: "brown5".to_owned(),
             seed: 1,
+            sd: false,
         }
     }
 }
@@ -76,6 +82,9 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "seed of the random samples that the start value comes from; one seed, one result",
             |options| &mut options.seed,
         )
+        .flag("sd", "standard deviations are answered, too", |options| {
+            &mut options.sd
+        })
 });
 
 /// An object of class `resect`.
@@ -131,7 +140,21 @@ impl Resect {
             let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
             io.report(Report::warning(code::NO_CAMERA, text));
         }
+        let focal = found.focal_sd_rel();
+        if focal > POOR_FOCAL {
+            let text = format!(
+                "the points determine the camera poorly: its focal length to {:.1} %, its place to {:.3} m; are they nearly in one plane? Spread them in depth",
+                100.0 * focal,
+                found.position_sd_m()
+            );
+            io.report(Report::warning(code::NO_CAMERA, text));
+        }
         answer(&found, io);
+        if self.0.sd {
+            let sd = &found.uncertainty;
+            io.floats.extend(sd.parameter_sd.iter().skip(6));
+            io.floats.extend(sd.camera_t_world_sd);
+        }
         Ok(())
     }
 }
