@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::camera::{Camera, PARAMETERS};
 pub use design::design;
+pub(crate) use fit::left_jacobian;
 pub use table::CalibrationError;
 pub use uncertainty::Uncertainty;
 

@@ -7,10 +7,12 @@
 mod abg;
 mod blobs;
 mod clockfit;
+mod handeye;
 mod picture;
 mod psom;
 mod resect;
 mod spot;
+mod stereo;
 mod table;
 
 use std::{fs::File, path::Path};
@@ -48,7 +50,7 @@ sorma::prototypes! {
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 6] = [
+    let made: [Class; 8] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -57,6 +59,10 @@ pub fn register(sorm: &Sorm) {
         Class::new("resect", VERSION, |_, _| {
             Ok(Box::new(resect::Resect::default()))
         }),
+        Class::new("stereo", VERSION, |_, _| {
+            Ok(Box::new(stereo::Stereo::default()))
+        }),
+        Class::new("handeye", VERSION, |_, _| Ok(Box::new(handeye::HandEye))),
         Class::new("psom", VERSION, |_, _| Ok(Box::new(psom::Map::default()))),
         Class::new("abg", VERSION, |_, _| Ok(Box::new(abg::Filter::default()))),
         Class::new("clockfit", VERSION, |_, _| {
@@ -75,6 +81,8 @@ pub fn classes() -> Vec<ClassInfo> {
         spot::TABLE.class("spot", VERSION),
         blobs::TABLE.class("blobs", VERSION),
         resect::TABLE.class("resect", VERSION),
+        stereo::TABLE.class("stereo", VERSION),
+        handeye::TABLE.class("handeye", VERSION),
         psom::TABLE.class("psom", VERSION),
         abg::TABLE.class("abg", VERSION),
         clockfit::TABLE.class("clockfit", VERSION),

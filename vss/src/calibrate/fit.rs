@@ -210,7 +210,7 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
 }
 
 /// The left Jacobian of the rotation group: exp(ω + δ) = exp(J δ) exp(ω) to first order.
-pub(super) fn left_jacobian(w: Vector3<f64>) -> Matrix3<f64> {
+pub(crate) fn left_jacobian(w: Vector3<f64>) -> Matrix3<f64> {
     let (angle, k) = (w.norm(), w.cross_matrix());
     if angle < 1e-4 {
         return Matrix3::identity() + k * 0.5 + k * k / 6.0;

@@ -28,8 +28,8 @@ pub struct Uncertainty {
     pub position_covariance: [[f64; 3]; 3],
     /// Covariance of the rotation vector in the camera frame, rad².
     pub rotation_covariance: [[f64; 3]; 3],
-    /// Standard deviations of camera_T_world: its rotation vector (3, rad) and its translation (3, m).
-    pub camera_t_world_sd: [f64; 6],
+    /// Covariance of camera_T_world: of its rotation vector (3, rad) and its translation (3, m).
+    pub camera_t_world_covariance: [[f64; 6]; 6],
     /// Root of the trace of `position_covariance`, m.
     pub position_sd_m: f64,
     /// Root of the trace of `rotation_covariance`, rad.
@@ -40,6 +40,15 @@ pub struct Uncertainty {
     pub condition: f64,
     /// Expected error (rms of the length) of a point projected anywhere in the box around the light positions, px.
     pub volume_error_px: f64,
+}
+
+impl Uncertainty {
+    /// Standard deviations of camera_T_world: its rotation vector (3, rad) and its translation (3, m).
+    #[must_use]
+    pub fn camera_t_world_sd(&self) -> [f64; 6] {
+        let covariance = &self.camera_t_world_covariance;
+        std::array::from_fn(|k| covariance[k][k].sqrt())
+    }
 }
 
 /// What [`summarise`] finds.
@@ -198,7 +207,7 @@ pub(super) fn describe(
         parameter_sd: std::array::from_fn(|k| covariance[(k, k)].sqrt()),
         position_covariance: array(&position),
         rotation_covariance: array(&rotation),
-        camera_t_world_sd: camera_t_world_sd(camera, covariance),
+        camera_t_world_covariance: camera_t_world_covariance(camera, covariance),
         position_sd_m: position.trace().sqrt(),
         rotation_sd_rad: rotation.trace().sqrt(),
         focal_sd_rel: focal.sqrt() / camera.focal(),
@@ -207,9 +216,9 @@ pub(super) fn describe(
     }
 }
 
-/// Standard deviations of the rotation vector r and the translation t = -R C of camera_T_world, where the covariance is about
+/// Covariance of the rotation vector r and the translation t = -R C of camera_T_world, where the covariance is about
 /// a turn δ on the left of R and a shift of the centre C: dr = J(r)⁻¹ δ, dt = -t × δ - R dC.
-fn camera_t_world_sd(camera: &Camera, covariance: &Covariance) -> [f64; 6] {
+fn camera_t_world_covariance(camera: &Camera, covariance: &Covariance) -> [[f64; 6]; 6] {
     let pose = camera.camera_from_world();
     let turn = fit::left_jacobian(pose.rotation.scaled_axis());
     let turn = turn.try_inverse().unwrap_or_else(Matrix3::identity);
@@ -221,7 +230,7 @@ fn camera_t_world_sd(camera: &Camera, covariance: &Covariance) -> [f64; 6] {
     change.fixed_view_mut::<3, 3>(3, 3).copy_from(&by_shift);
     let of_pose = covariance.fixed_view::<6, 6>(0, 0);
     let found = change * of_pose * change.transpose();
-    std::array::from_fn(|k| found[(k, k)].sqrt())
+    std::array::from_fn(|i| std::array::from_fn(|j| found[(i, j)]))
 }
 
 /// Rms over a grid in the box around `points` of the error that `covariance` means for a projected point, px.

@@ -14,6 +14,7 @@ use crate::tracking::{Gains, Track};
 
 const COLUMNS: Columns = Columns {
     names: &["t", "z"],
+    count: None,
     may_be_empty: &["z"],
     help: "the first line is `t,z`: times in s, ascending, and positions in m; an empty z has no measurement",
 };

@@ -16,6 +16,7 @@ use super::{
 
 const COLUMNS: Columns = Columns {
     names: &["t1", "t2", "t3", "t4"],
+    count: None,
     may_be_empty: &[],
     help: "the first line is `t1,t2,t3,t4`, s: the client sends, the server receives, the server sends, the client receives",
 };

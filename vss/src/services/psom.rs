@@ -13,6 +13,7 @@ use crate::psom::{Psom, Scratch, Search};
 
 const COLUMNS: Columns = Columns {
     names: &[],
+    count: None,
     may_be_empty: &[],
     help: "the first line names the columns: the parameters of a node, then the components of its vector; a row is a node",
 };

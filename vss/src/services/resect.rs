@@ -24,6 +24,7 @@ const MOST_TOLD: usize = 20;
 
 const COLUMNS: Columns = Columns {
     names: &["X", "Y", "Z", "u", "v"],
+    count: None,
     may_be_empty: &[],
     help: "the first line is `X,Y,Z,u,v`: world coordinates in m, picture coordinates in px",
 };
@@ -59,8 +60,15 @@ impl Default for Options {
 }
 
 pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
-    OptionTable::new("calibrates a camera from known points and their pixels")
-        .exec(FORMS)
+    let table = OptionTable::new("calibrates a camera from known points and their pixels");
+    options(table.exec(FORMS)).flag("sd", "standard deviations are answered, too", |options| {
+        &mut options.sd
+    })
+});
+
+/// Adds what every calibration from a table is asked with.
+pub(super) fn options(table: OptionTable<Options>) -> OptionTable<Options> {
+    table
         .ints(
             "size",
             &["W", "H"],
@@ -82,10 +90,7 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "seed of the random samples that the start value comes from; one seed, one result",
             |options| &mut options.seed,
         )
-        .flag("sd", "standard deviations are answered, too", |options| {
-            &mut options.sd
-        })
-});
+}
 
 /// An object of class `resect`.
 #[derive(Default)]
@@ -108,7 +113,21 @@ impl ServiceObject for Resect {
 }
 
 impl Options {
-    fn model(&self) -> LensModel {
+    /// Width and height of the pictures, px.
+    pub fn size(&self) -> Result<(usize, usize), Report> {
+        let [width, height] = self.size.as_slice() else {
+            let text = "the size of the pictures is not known: set it with CTRL -size W H";
+            return Err(Report::error(sorma::report::code::VALUE, text));
+        };
+        let side = |length: i64| usize::try_from(length).unwrap_or_default();
+        Ok((side(*width), side(*height)))
+    }
+
+    pub fn seed(&self) -> u64 {
+        self.seed.unsigned_abs()
+    }
+
+    pub fn model(&self) -> LensModel {
         match self.model.as_str() {
             "none" => LensModel::None,
             "k1" => LensModel::K1,
@@ -120,54 +139,61 @@ impl Options {
 
 impl Resect {
     fn calibrate(&self, io: &mut Transport) -> Outcome {
-        let [width, height] = self.0.size.as_slice() else {
-            let text = "the size of the pictures is not known: set it with CTRL -size W H";
-            return Err(Report::error(sorma::report::code::VALUE, text));
-        };
-        let side = |length: i64| usize::try_from(length).unwrap_or_default();
+        let (width, height) = self.0.size()?;
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
         let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
-        let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed.unsigned_abs());
-        let (width, height) = (side(*width), side(*height));
+        let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed());
         let found = calibrate_as(&points, width, height, self.0.model(), &mut rng)
             .map_err(|error| Report::error(code::NO_CAMERA, refused(&source, &table, &error)))?;
-        if !found.rejected.is_empty() {
-            let text = rejected(&source, &table, &found);
-            io.report(Report::warning(code::REJECTED, text));
-        }
-        if !found.monotonic {
-            let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
-            io.report(Report::warning(code::NO_CAMERA, text));
-        }
-        let focal = found.focal_sd_rel();
-        if focal > POOR_FOCAL {
-            let text = format!(
-                "the points determine the camera poorly: its focal length to {:.1} %, its place to {:.3} m; are they nearly in one plane? Spread them in depth",
-                100.0 * focal,
-                found.position_sd_m()
-            );
-            io.report(Report::warning(code::NO_CAMERA, text));
+        for warning in warnings(&source, &table, &found) {
+            io.report(warning);
         }
         answer(&found, io);
         if self.0.sd {
             let sd = &found.uncertainty;
             io.floats.extend(sd.parameter_sd.iter().skip(6));
-            io.floats.extend(sd.camera_t_world_sd);
+            io.floats.extend(sd.camera_t_world_sd());
         }
         Ok(())
     }
 }
 
+/// What a person should know about a calibration before leaning on it.
+pub(super) fn warnings(source: &Source, table: &Table, found: &Calibration) -> Vec<Report> {
+    let mut warnings = Vec::new();
+    if !found.rejected.is_empty() {
+        let text = rejected(source, table, found);
+        warnings.push(Report::warning(code::REJECTED, text));
+    }
+    if !found.monotonic {
+        let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
+        warnings.push(Report::warning(code::NO_CAMERA, text));
+    }
+    let focal = found.focal_sd_rel();
+    if focal > POOR_FOCAL {
+        let text = format!(
+            "the points determine the camera poorly: its focal length to {:.1} %, its place to {:.3} m; are they nearly in one plane? Spread them in depth",
+            100.0 * focal,
+            found.position_sd_m()
+        );
+        warnings.push(Report::warning(code::NO_CAMERA, text));
+    }
+    warnings
+}
+
+/// fx fy cx cy k1 k2 p1 p2 k3.
+pub(super) fn lens(found: &Calibration) -> [f64; 9] {
+    let (i, d) = (&found.camera.intrinsics, &found.camera.distortion);
+    [i.fx, i.fy, i.cx, i.cy, d.k1, d.k2, d.p1, d.p2, d.k3]
+}
+
 fn answer(found: &Calibration, io: &mut Transport) {
-    let camera = &found.camera;
-    let (i, d) = (&camera.intrinsics, &camera.distortion);
-    let camera_t_world = camera.camera_from_world();
+    let camera_t_world = found.camera.camera_from_world();
     let turn = camera_t_world.rotation.scaled_axis();
     let shift = camera_t_world.translation.vector;
     io.floats.clear();
-    io.floats
-        .extend([i.fx, i.fy, i.cx, i.cy, d.k1, d.k2, d.p1, d.p2, d.k3]);
+    io.floats.extend(lens(found));
     io.floats.extend(turn.iter().chain(shift.iter()));
     io.floats.push(found.rms_px);
 }
@@ -180,7 +206,7 @@ fn light(row: &[f64]) -> Option<LightPoint> {
 }
 
 /// Why no camera follows, with the place where there is one.
-fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
+pub(super) fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
     match error {
         CalibrationError::OutsidePicture {
             row,

@@ -6,6 +6,8 @@ use ctos::diagnostic::{Finding, Findings, Source};
 pub(super) struct Columns {
     /// As the header names them; the case of letters does not matter. Empty: whatever the header names.
     pub names: &'static [&'static str],
+    /// How many columns there are where they have no names: then the header may be left out, too.
+    pub count: Option<usize>,
     /// Those whose cells may be empty. They are read as NaN, which no other cell is.
     pub may_be_empty: &'static [&'static str],
     /// What the table should be, for whoever wrote it.
@@ -55,6 +57,17 @@ pub(super) fn read(source: &Source, columns: &Columns) -> Result<Table, Findings
     let is_number = |(_, text): &Field<'_>| text.is_empty() || text.parse::<f64>().is_ok();
     let numeric = first.iter().all(is_number);
     let headless = numeric && first.len() == columns.names.len();
+    let nameless = columns.names.is_empty() && columns.count.is_some();
+    if nameless && columns.count != Some(first.len()) {
+        let text = format!(
+            "{} columns stand here, not {}",
+            first.len(),
+            columns.count.unwrap_or_default()
+        );
+        let finding = Finding::error("vss::table::header", text);
+        findings.push(finding.at(whole(source, &first)).help(columns.help));
+        return Err(findings);
+    }
     let (names, order) = if headless || !columns.names.is_empty() {
         let order = if headless {
             Some((0..first.len()).collect())
@@ -67,13 +80,19 @@ pub(super) fn read(source: &Source, columns: &Columns) -> Result<Table, Findings
         )
     } else {
         let names: Vec<String> = first.iter().map(|(_, name)| (*name).to_owned()).collect();
-        if numeric {
+        if numeric && !nameless {
             let text = "the table begins with numbers: its first line should name the columns";
             let finding = Finding::error("vss::table::header", text);
             findings.push(finding.at(whole(source, &first)).help(columns.help));
         }
-        (names, (!numeric).then(|| (0..first.len()).collect()))
+        (
+            names,
+            (nameless || !numeric).then(|| (0..first.len()).collect()),
+        )
     };
+    // A line with a number in it is no line of names, and what is wrong with it is told.
+    let numbered = first.iter().any(|(_, text)| text.parse::<f64>().is_ok());
+    let headless = headless || (nameless && numbered);
     let Some(order): Option<Vec<usize>> = order else {
         return Err(findings);
     };

@@ -446,7 +446,7 @@ proptest! {
     #[test]
     fn any_table_is_read_or_refused_with_a_place(text in "[XYZuv,0-9.\n #a-]{0,80}") {
         let source = ctos::diagnostic::Source::new("t", text.as_str());
-        let columns = table::Columns { names: &["X", "Y", "Z", "u", "v"], may_be_empty: &["u"], help: "" };
+        let columns = table::Columns { names: &["X", "Y", "Z", "u", "v"], count: None, may_be_empty: &["u"], help: "" };
         match table::read(&source, &columns) {
             Ok(table) => prop_assert_eq!(table.numbers.len(), 5 * table.at.len()),
             Err(findings) => prop_assert!(findings.iter().all(|finding| finding.place.is_some())),
@@ -455,3 +455,4 @@ proptest! {
 }
 
 mod maps;
+mod rigs;
