@@ -1,8 +1,9 @@
 //! Camera calibration from a moving light: resection of one camera from world positions and their pixels.
 //!
 //! The order is: check the table; start from a normalised direct linear transform inside RANSAC; fit 10, 12, then
-//! 15 parameters with a Cauchy loss; reject what lies beyond 3.5 standard deviations (from the median absolute
-//! residual) until the set stays; fit plain least squares; drop distortion terms that the data do not
+//! 15 parameters with a Cauchy loss; reject what lies beyond 3.5 standard deviations (first from the median absolute
+//! residual of all points, then from the residuals of those used, so that points of a second noise level come back) until
+//! the set stays; fit plain least squares; drop distortion terms that the data do not
 //! support; report every uncertainty. Tables from which no camera follows are refused with the reason.
 //! This module knows numbers only: no pictures, no tasks, no simulator, and never the true camera.
 
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::camera::{Camera, PARAMETERS};
 pub use design::design;
+pub(crate) use fit::left_jacobian;
 pub use table::CalibrationError;
 pub use uncertainty::Uncertainty;
 
@@ -29,6 +31,8 @@ const REJECT_SD: f64 = 3.5;
 const CAUCHY_SD: f64 = 1.5;
 /// Rounds of rejection after which a set that still changes is taken as it is.
 const REJECTION_ROUNDS: usize = 20;
+/// Noise that no measurement of a spot is below, px: the limit of the rejection never falls under so much of it.
+const LEAST_SPOT_NOISE_PX: f64 = 0.01;
 /// Noise below which residuals are rounding errors, px.
 const LEAST_NOISE_PX: f64 = 1e-6;
 /// Equations that must be left over beyond the parameters before a lens model is tried.
@@ -336,8 +340,13 @@ fn robust_fit(
 /// back.
 fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationError> {
     for round in 0..REJECTION_ROUNDS {
-        let parameters = stand.model.parameters();
-        stand.limit_px = REJECT_SD * fit::noise_of(&stand.camera, table, &stand.used, parameters);
+        // The median of those used would fall each time that points are rejected, and the limit with it.
+        let noise = if round == 0 {
+            fit::wide_noise_of(&stand.camera, table, stand.model.parameters())
+        } else {
+            uncertainty::noise_variance(table, &stand).1.sqrt()
+        };
+        stand.limit_px = REJECT_SD * noise.max(LEAST_SPOT_NOISE_PX);
         let fits = |row: &usize| {
             table.get(*row).is_some_and(|point| {
                 stand.camera.in_camera_frame(&point.position()).z > 0.0

@@ -1,7 +1,7 @@
 //! Connected components of a thresholded picture by runs, with exact moments in closed form.
 //!
 //! No label image is made: each row becomes runs of foreground pixels, a run joins the components of
-//! the runs it touches in the row above (8-connectivity), and every sum over a run has a closed form.
+//! the runs it touches in the row above, and every sum over a run has a closed form.
 //! Sums are integers, so areas, centroids and second moments are exact whatever the size. Components
 //! come in the order of their first pixel, row by row. This module knows grey values and nothing of
 //! spots, cameras or tasks.
@@ -9,7 +9,17 @@
 /// Bytes that are looked at together when background is skipped.
 const STRIDE: usize = 32;
 
-/// One 8-connected set of foreground pixels.
+/// Which neighbours of a pixel belong to its component. The background between is connected the other way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Connectivity {
+    /// Those that share a side.
+    Four,
+    /// Those that share a side or a corner.
+    #[default]
+    Eight,
+}
+
+/// One connected set of foreground pixels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Component {
     /// The first pixel in raster order, (u, v).
@@ -28,6 +38,8 @@ pub struct Component {
     pub peak: u8,
     /// The first pixel, in raster order, that has the largest grey value, (u, v).
     pub peak_at: (usize, usize),
+    /// One minus the number of holes.
+    pub euler: i64,
     sum_u: u64,
     sum_v: u64,
     sum_uu: u128,
@@ -60,6 +72,17 @@ impl Moments {
     pub fn orientation(&self) -> f64 {
         0.5 * (2.0 * self.uv).atan2(self.uu - self.vv)
     }
+
+    /// √(1 - l2/l1) of the eigenvalues l1 ≥ l2: 0 for a disc, towards 1 for a line. 0 for a single pixel.
+    #[must_use]
+    pub fn eccentricity(&self) -> f64 {
+        let (long, short) = self.eigenvalues();
+        if long > 0.0 {
+            (1.0 - short / long).max(0.0).sqrt()
+        } else {
+            0.0
+        }
+    }
 }
 
 impl Component {
@@ -73,6 +96,7 @@ impl Component {
             v_max: row,
             peak: run.peak,
             peak_at: (run.peak_at, row),
+            euler: 0,
             sum_u: 0,
             sum_v: 0,
             sum_uu: 0,
@@ -89,6 +113,7 @@ impl Component {
         // The sum of a..b-1; n and (a + b - 1) cannot both be odd.
         let sum_u = n * (a + b - 1) / 2;
         self.area += n;
+        self.euler += 1;
         self.sum_u += sum_u;
         self.sum_v += n * v;
         self.sum_uu += squares_below(b) - squares_below(a);
@@ -106,6 +131,7 @@ impl Component {
     /// Takes in another component whose first pixel comes later in raster order.
     fn absorb(&mut self, other: &Self) {
         self.area += other.area;
+        self.euler += other.euler;
         self.sum_u += other.sum_u;
         self.sum_v += other.sum_v;
         self.sum_uu += other.sum_uu;
@@ -160,16 +186,30 @@ struct Run {
     label: usize,
 }
 
-/// The components of all pixels that are at least `threshold`, in the order of their first pixel.
+/// The 8-connected components of all pixels that are at least `threshold`, in the order of their first pixel.
 ///
 /// Pixels are taken `width` to a row; a last row that is not full is ignored, and a width of 0 has no
 /// components.
 #[must_use]
 pub fn components(pixels: &[u8], width: usize, threshold: u8) -> Vec<Component> {
+    connected(pixels, width, threshold, Connectivity::Eight)
+}
+
+/// The same with either connectivity.
+#[must_use]
+pub fn connected(
+    pixels: &[u8],
+    width: usize,
+    threshold: u8,
+    connectivity: Connectivity,
+) -> Vec<Component> {
     if width == 0 {
         return Vec::new();
     }
-    let mut forest = Forest::default();
+    let mut forest = Forest {
+        corner: usize::from(connectivity == Connectivity::Eight),
+        ..Forest::default()
+    };
     let (mut above, mut here) = (Vec::new(), Vec::new());
     for (row, line) in pixels.chunks_exact(width).enumerate() {
         here.clear();
@@ -223,6 +263,8 @@ fn find_runs(line: &[u8], threshold: u8, runs: &mut Vec<Run>) {
 struct Forest {
     parents: Vec<usize>,
     parts: Vec<Component>,
+    /// By how many columns runs may miss one another and still touch.
+    corner: usize,
 }
 
 impl Forest {
@@ -238,13 +280,16 @@ impl Forest {
     fn connect(&mut self, above: &[Run], here: &mut [Run], row: usize) {
         let mut next = 0;
         for run in here {
-            // Runs that end left of our left neighbour touch neither this run nor a later one.
-            while above.get(next).is_some_and(|other| other.end < run.start) {
+            let corner = self.corner;
+            // Runs that end left of this run touch neither it nor a later one.
+            let ends_before = |other: &Run| other.end + corner <= run.start;
+            while above.get(next).is_some_and(ends_before) {
                 next += 1;
             }
-            let mut label = None;
+            let (mut label, mut contacts) = (None, 0);
             let touching = above.iter().skip(next);
-            for other in touching.take_while(|other| other.start <= run.end) {
+            for other in touching.take_while(|other| other.start < run.end + corner) {
+                contacts += 1;
                 let root = self.root(other.label);
                 label = Some(match label {
                     None => root,
@@ -253,7 +298,11 @@ impl Forest {
             }
             run.label = match label {
                 Some(root) => {
-                    self.parts[root].add_run(run, row);
+                    let part = &mut self.parts[root];
+                    part.add_run(run, row);
+                    // Runs have no holes, and no three touch one another, so a contact closes a way around a hole or
+                    // joins two parts: the Euler number is the number of runs less the number of contacts.
+                    part.euler -= contacts;
                     root
                 }
                 None => {
@@ -297,7 +346,12 @@ mod tests {
     use proptest::prelude::*;
 
     /// The same by flood fill, pixel by pixel, with plain sums: slow and obviously right.
-    fn by_flood_fill(pixels: &[u8], width: usize, threshold: u8) -> Vec<Vec<(i64, i64)>> {
+    fn by_flood_fill(
+        pixels: &[u8],
+        width: usize,
+        threshold: u8,
+        connectivity: Connectivity,
+    ) -> Vec<Vec<(i64, i64)>> {
         let height = pixels.len() / width;
         let mut seen = vec![false; pixels.len()];
         let mut all = Vec::new();
@@ -311,6 +365,9 @@ mod tests {
                 let (u, v) = ((at % width) as i64, (at / width) as i64);
                 members.push((u, v));
                 for (du, dv) in (-1..=1).flat_map(|du| (-1..=1).map(move |dv| (du, dv))) {
+                    if connectivity == Connectivity::Four && du != 0 && dv != 0 {
+                        continue;
+                    }
                     let (x, y) = (u + du, v + dv);
                     if x < 0 || y < 0 || x >= width as i64 || y >= height as i64 {
                         continue;
@@ -327,12 +384,43 @@ mod tests {
         all
     }
 
+    /// One minus the parts of the background that the component encloses, by flood fill around it.
+    fn euler(members: &[(i64, i64)], connectivity: Connectivity) -> i64 {
+        let (u0, u1) = (
+            members.iter().map(|m| m.0).min(),
+            members.iter().map(|m| m.0).max(),
+        );
+        let (v0, v1) = (
+            members.iter().map(|m| m.1).min(),
+            members.iter().map(|m| m.1).max(),
+        );
+        let (u0, v0) = (u0.unwrap() - 1, v0.unwrap() - 1);
+        let width = (u1.unwrap() - u0 + 2) as usize;
+        let height = (v1.unwrap() - v0 + 2) as usize;
+        let mut around = vec![1; width * height];
+        for (u, v) in members {
+            around[(v - v0) as usize * width + (u - u0) as usize] = 0;
+        }
+        let other = match connectivity {
+            Connectivity::Four => Connectivity::Eight,
+            Connectivity::Eight => Connectivity::Four,
+        };
+        2 - by_flood_fill(&around, width, 1, other).len() as i64
+    }
+
     fn check(pixels: &[u8], width: usize, threshold: u8) {
-        let found = components(pixels, width, threshold);
-        let expected = by_flood_fill(pixels, width, threshold);
+        for connectivity in [Connectivity::Four, Connectivity::Eight] {
+            check_one(pixels, width, threshold, connectivity);
+        }
+    }
+
+    fn check_one(pixels: &[u8], width: usize, threshold: u8, connectivity: Connectivity) {
+        let found = connected(pixels, width, threshold, connectivity);
+        let expected = by_flood_fill(pixels, width, threshold, connectivity);
         assert_eq!(found.len(), expected.len());
         for (component, members) in found.iter().zip(&expected) {
             let n = members.len() as f64;
+            assert_eq!(component.euler, euler(members, connectivity));
             assert_eq!(component.area, members.len() as u64);
             let first = members.iter().min_by_key(|(u, v)| (*v, *u)).unwrap();
             assert_eq!(component.first, (first.0 as usize, first.1 as usize));
@@ -417,7 +505,8 @@ mod tests {
     }
 
     #[test]
-    fn corners_touch() {
+    fn corners_touch_where_eight_neighbours_count() {
+        assert_eq!(connected(&[1, 0, 0, 1], 2, 1, Connectivity::Four).len(), 2);
         check(&[1, 0, 0, 1], 2, 1);
         assert_eq!(components(&[1, 0, 0, 1], 2, 1).len(), 1);
         assert_eq!(components(&[0, 1, 1, 0], 2, 1).len(), 1);

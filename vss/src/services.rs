@@ -4,12 +4,20 @@
 //! pictures besides. Their texts and numbers are a
 //! fixed interface that other programs lean on: metres, rad, pixels with centres at whole numbers.
 
+mod abg;
+mod blobs;
+mod clockfit;
+mod handeye;
+mod picture;
+mod psom;
 mod resect;
 mod spot;
+mod stereo;
 mod table;
 
 use std::{fs::File, path::Path};
 
+use ctos::diagnostic::{Findings, Source};
 use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
 /// Version of the classes.
@@ -24,7 +32,7 @@ sorma::prototypes! {
         FILE = 140, Error, "a file cannot be read, or is not of the kind it should be",
             "check the path; it is taken from where the process was started";
         TABLE = 141, Error, "a table has wrong lines",
-            "correct the lines at the places given: X,Y,Z,u,v in m and px";
+            "correct the lines at the places given; `help` of the class names the columns";
         NO_CAMERA = 142, Error, "no camera follows from a table",
             "the text says what is missing: points, depth, or agreement";
         REJECTED = 143, Warning, "points of a table were not used",
@@ -33,18 +41,35 @@ sorma::prototypes! {
             "look at the picture, then at -threshold, -polarity and -min-area";
         CAMERA = 145, Error, "no picture comes from a camera",
             "the text says why; cameras are those of the app's [vss.cameras], and only an app has some";
+        NO_MAP = 146, Error, "there is no map, or no point of it is near what is known",
+            "the text says what is missing: CTRL -train FILE -params P, known components, or training nearby";
+        CLOCKS = 147, Warning, "exchanges contradict one another",
+            "a clock was set meanwhile, or drifts faster than -max-drift";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let spot = Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default())));
-    // A camera's picture is waited for.
-    let spot = spot.waits();
-    let resect = Class::new("resect", VERSION, |_, _| {
-        Ok(Box::new(resect::Resect::default()))
-    });
-    for (class, info) in [spot, resect].into_iter().zip(classes()) {
+    let made: [Class; 8] = [
+        // A camera's picture is waited for.
+        Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
+        Class::new("blobs", VERSION, |_, _| {
+            Ok(Box::new(blobs::Blobs::default()))
+        }),
+        Class::new("resect", VERSION, |_, _| {
+            Ok(Box::new(resect::Resect::default()))
+        }),
+        Class::new("stereo", VERSION, |_, _| {
+            Ok(Box::new(stereo::Stereo::default()))
+        }),
+        Class::new("handeye", VERSION, |_, _| Ok(Box::new(handeye::HandEye))),
+        Class::new("psom", VERSION, |_, _| Ok(Box::new(psom::Map::default()))),
+        Class::new("abg", VERSION, |_, _| Ok(Box::new(abg::Filter::default()))),
+        Class::new("clockfit", VERSION, |_, _| {
+            Ok(Box::new(clockfit::ClockFit::default()))
+        }),
+    ];
+    for (class, info) in made.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
 }
@@ -54,8 +79,38 @@ pub fn register(sorm: &Sorm) {
 pub fn classes() -> Vec<ClassInfo> {
     vec![
         spot::TABLE.class("spot", VERSION),
+        blobs::TABLE.class("blobs", VERSION),
         resect::TABLE.class("resect", VERSION),
+        stereo::TABLE.class("stereo", VERSION),
+        handeye::TABLE.class("handeye", VERSION),
+        psom::TABLE.class("psom", VERSION),
+        abg::TABLE.class("abg", VERSION),
+        clockfit::TABLE.class("clockfit", VERSION),
     ]
+}
+
+/// So many findings are told one by one.
+const MOST_TOLD: usize = 20;
+
+/// The text of a file that a request names.
+fn opened(path: &str) -> Result<Source, Report> {
+    check_file(path)?;
+    Source::read(Path::new(path)).map_err(|finding| Report::error(code::FILE, finding.to_string()))
+}
+
+/// The findings of a table as one report.
+fn told(findings: Findings) -> Report {
+    let sorted = findings.into_sorted();
+    let mut lines: Vec<String> = sorted
+        .iter()
+        .take(MOST_TOLD)
+        .map(ToString::to_string)
+        .collect();
+    let more = sorted.len().saturating_sub(MOST_TOLD);
+    if more > 0 {
+        lines.push(format!("and {more} more"));
+    }
+    Report::error(code::TABLE, lines.join("\n"))
 }
 
 /// Refuses what no request should wait for or fill the memory with: folders, devices, huge files.

@@ -9,6 +9,9 @@ use crate::camera::{Camera, Distortion, PARAMETERS};
 /// Turns a median of absolute normal deviates into their standard deviation.
 const MEDIAN_TO_SD: f64 = 1.482_602_218_505_602;
 
+/// Turns what 70 % of absolute normal deviates are below into their standard deviation.
+const PART_TO_SD: f64 = 0.964_847_3;
+
 /// Seen minus predicted, px; infinite where there is no prediction.
 pub(super) fn residual(camera: &Camera, point: &LightPoint) -> Vector2<f64> {
     let predicted = camera.project_unchecked(&point.position());
@@ -46,6 +49,22 @@ pub(super) fn noise_of(
         .or(sizes.last());
     let widened = middle.copied().unwrap_or(0.0) * (equations as f64 / spare as f64).sqrt();
     (MEDIAN_TO_SD * widened).max(LEAST_NOISE_PX)
+}
+
+/// Where rejection begins: the noise that 70 % of the residuals mean, for at least so many points are right. With points of
+/// two noise levels it is larger than [`noise_of`], whose median lies among the better half; with more wrong points than
+/// that it is bounded by it.
+pub(super) fn wide_noise_of(camera: &Camera, table: &[LightPoint], parameters: usize) -> f64 {
+    let mut sizes: Vec<f64> = table
+        .iter()
+        .flat_map(|point| <[f64; 2]>::from(residual(camera, point)))
+        .map(f64::abs)
+        .collect();
+    sizes.sort_by(f64::total_cmp);
+    let all: Vec<usize> = (0..table.len()).collect();
+    let noise = noise_of(camera, table, &all, parameters);
+    let wide = sizes.get(sizes.len() * 7 / 10).copied().unwrap_or_default() * PART_TO_SD;
+    wide.clamp(noise, 3.0 * noise)
 }
 
 /// The camera with all distortion terms that `model` does not have set to 0.
@@ -191,7 +210,7 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
 }
 
 /// The left Jacobian of the rotation group: exp(ω + δ) = exp(J δ) exp(ω) to first order.
-fn left_jacobian(w: Vector3<f64>) -> Matrix3<f64> {
+pub(crate) fn left_jacobian(w: Vector3<f64>) -> Matrix3<f64> {
     let (angle, k) = (w.norm(), w.cross_matrix());
     if angle < 1e-4 {
         return Matrix3::identity() + k * 0.5 + k * k / 6.0;

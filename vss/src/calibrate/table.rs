@@ -10,6 +10,8 @@ use crate::camera::Camera;
 const FLAT: f64 = 1e-3;
 /// Extent (rms) below which all positions are one, m.
 const ONE_POSITION_M: f64 = 1e-3;
+/// Extent (rms) above which positions are not in metres, m: no laboratory is so large.
+const LARGEST_M: f64 = 50.0;
 /// Extent (rms) below which all pixels are one, px.
 const ONE_PIXEL: f64 = 1.0;
 
@@ -71,6 +73,14 @@ pub enum CalibrationError {
         "all light positions are one point (within {extent_m:.2e} m); move the light through the work volume"
     )]
     OnePoint {
+        /// Their extent (rms), m.
+        extent_m: f64,
+    },
+    /// The lights are spread over more than any laboratory.
+    #[error(
+        "the light positions are {extent_m:.0} m apart (rms): positions are in m; are these millimetres?"
+    )]
+    TooLarge {
         /// Their extent (rms), m.
         extent_m: f64,
     },
@@ -198,6 +208,9 @@ fn check_geometry(table: &[LightPoint], rows: &[usize]) -> Result<(), Calibratio
     }
     if s1.is_nan() || s1 < ONE_POSITION_M {
         return Err(CalibrationError::OnePoint { extent_m: s1 });
+    }
+    if s1 > LARGEST_M {
+        return Err(CalibrationError::TooLarge { extent_m: s1 });
     }
     if s2 < FLAT * s1 {
         return Err(CalibrationError::OneLine { ratio: s2 / s1 });

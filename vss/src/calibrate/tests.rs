@@ -215,6 +215,54 @@ fn a_third_of_wrong_points_changes_nothing() {
     assert!((robust / clean).sqrt() < 1.1, "{}", (robust / clean).sqrt());
 }
 
+/// Two halves of a table, one measured ten times as well as the other: 3.5 of their common standard deviation are 2.3 of
+/// the larger one, and few lie beyond.
+#[test]
+fn points_of_a_second_noise_level_are_no_outliers() {
+    let truth = table_camera();
+    for seed in 0..8 {
+        let mut random = rng(300 + seed);
+        let mut table = seen_by(&truth, &volume(100, &mut random), 0.03, &mut random);
+        table.extend(seen_by(&truth, &volume(100, &mut random), 0.3, &mut random));
+        let chosen = run(&table).unwrap();
+        let asked = calibrate_as(&table, 640, 480, LensModel::Brown5, &mut rng(1)).unwrap();
+        for found in [&chosen, &asked] {
+            assert!(
+                found.rejected.len() <= 20,
+                "seed {seed}: {}",
+                found.rejected.len()
+            );
+        }
+        // Wrong points among them are found all the same.
+        for wrong in 0..20 {
+            table[wrong * 9].u = (table[wrong * 9].u + 40.0 + wrong as f64).min(639.0);
+        }
+        let found = run(&table).unwrap();
+        for wrong in 0..20 {
+            let told = found.rejected.iter().any(|point| point.row == wrong * 9);
+            assert!(told, "seed {seed}: row {}", wrong * 9);
+        }
+        assert!(
+            found.rejected.len() <= 40,
+            "seed {seed}: {}",
+            found.rejected.len()
+        );
+    }
+}
+
+#[test]
+fn positions_in_millimetres_are_refused_as_such() {
+    let mut table = good_table(50);
+    for point in &mut table {
+        (point.x, point.y, point.z) = (1e3 * point.x, 1e3 * point.y, 1e3 * point.z);
+    }
+    let refused = run(&table).unwrap_err();
+    assert!(
+        refused.to_string().contains("are these millimetres?"),
+        "{refused}"
+    );
+}
+
 #[test]
 fn distortion_that_is_not_there_is_dropped_and_the_report_says_so() {
     let truth = Camera {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Point3, SMatrix};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, SMatrix};
 use serde::{Deserialize, Serialize};
 
 use super::{CalibrationError, LightPoint, Stand, fit};
@@ -28,6 +28,8 @@ pub struct Uncertainty {
     pub position_covariance: [[f64; 3]; 3],
     /// Covariance of the rotation vector in the camera frame, rad².
     pub rotation_covariance: [[f64; 3]; 3],
+    /// Covariance of camera_T_world: of its rotation vector (3, rad) and its translation (3, m).
+    pub camera_t_world_covariance: [[f64; 6]; 6],
     /// Root of the trace of `position_covariance`, m.
     pub position_sd_m: f64,
     /// Root of the trace of `rotation_covariance`, rad.
@@ -38,6 +40,15 @@ pub struct Uncertainty {
     pub condition: f64,
     /// Expected error (rms of the length) of a point projected anywhere in the box around the light positions, px.
     pub volume_error_px: f64,
+}
+
+impl Uncertainty {
+    /// Standard deviations of camera_T_world: its rotation vector (3, rad) and its translation (3, m).
+    #[must_use]
+    pub fn camera_t_world_sd(&self) -> [f64; 6] {
+        let covariance = &self.camera_t_world_covariance;
+        std::array::from_fn(|k| covariance[k][k].sqrt())
+    }
 }
 
 /// What [`summarise`] finds.
@@ -99,7 +110,7 @@ fn positions(table: &[LightPoint], used: &[usize]) -> Vec<Point3<f64>> {
 }
 
 /// Sum of squared residuals of the used rows and the noise variance it means, σ² = Σr² / (2N - p).
-fn noise_variance(table: &[LightPoint], stand: &Stand) -> (f64, f64) {
+pub(super) fn noise_variance(table: &[LightPoint], stand: &Stand) -> (f64, f64) {
     let rows = stand.used.iter().filter_map(|row| table.get(*row));
     let squares: f64 = rows
         .map(|point| fit::residual(&stand.camera, point).norm_squared())
@@ -196,12 +207,30 @@ pub(super) fn describe(
         parameter_sd: std::array::from_fn(|k| covariance[(k, k)].sqrt()),
         position_covariance: array(&position),
         rotation_covariance: array(&rotation),
+        camera_t_world_covariance: camera_t_world_covariance(camera, covariance),
         position_sd_m: position.trace().sqrt(),
         rotation_sd_rad: rotation.trace().sqrt(),
         focal_sd_rel: focal.sqrt() / camera.focal(),
         condition,
         volume_error_px: volume_error(camera, points, covariance),
     }
+}
+
+/// Covariance of the rotation vector r and the translation t = -R C of camera_T_world, where the covariance is about
+/// a turn δ on the left of R and a shift of the centre C: dr = J(r)⁻¹ δ, dt = -t × δ - R dC.
+fn camera_t_world_covariance(camera: &Camera, covariance: &Covariance) -> [[f64; 6]; 6] {
+    let pose = camera.camera_from_world();
+    let turn = fit::left_jacobian(pose.rotation.scaled_axis());
+    let turn = turn.try_inverse().unwrap_or_else(Matrix3::identity);
+    let mut change = Matrix6::zeros();
+    change.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+    let by_turn = -pose.translation.vector.cross_matrix();
+    change.fixed_view_mut::<3, 3>(3, 0).copy_from(&by_turn);
+    let by_shift = -pose.rotation.to_rotation_matrix().into_inner();
+    change.fixed_view_mut::<3, 3>(3, 3).copy_from(&by_shift);
+    let of_pose = covariance.fixed_view::<6, 6>(0, 0);
+    let found = change * of_pose * change.transpose();
+    std::array::from_fn(|i| std::array::from_fn(|j| found[(i, j)]))
 }
 
 /// Rms over a grid in the box around `points` of the error that `covariance` means for a projected point, px.

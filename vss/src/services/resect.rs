@@ -1,27 +1,41 @@
 //! The class `resect`: the camera that saw known points, from a table of points and pixels.
 
-use std::{path::Path, sync::LazyLock};
+use std::sync::LazyLock;
 
-use ctos::diagnostic::{Findings, Source};
+use ctos::diagnostic::Source;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
-    check_file, code, ended,
-    table::{self, Table},
+    code, ended, opened,
+    table::{self, Columns, Table},
+    told,
 };
-use crate::calibrate::{Calibration, CalibrationError, LensModel, RejectReason, calibrate_as};
+use crate::calibrate::{
+    Calibration, CalibrationError, LensModel, LightPoint, RejectReason, calibrate_as,
+};
 
-/// So many findings and rejected points are told one by one.
+/// A camera whose focal length has this standard deviation or more, relative to it, is told to be poor.
+const POOR_FOCAL: f64 = 0.02;
+
+/// So many rejected points are told one by one.
 const MOST_TOLD: usize = 20;
+
+const COLUMNS: Columns = Columns {
+    names: &["X", "Y", "Z", "u", "v"],
+    count: None,
+    may_be_empty: &[],
+    help: "the first line is `X,Y,Z,u,v`: world coordinates in m, picture coordinates in px",
+};
 
 const FORMS: &[Form] = &[Form {
     text: "FILE",
     floats: 0,
     takes: "",
     gives: "16 floats: fx fy cx cy (px) k1 k2 p1 p2 k3, rotation vector (rad) and translation (m) of \
-            camera_T_world, rms over the used points of the distance between seen and predicted (px)",
+            camera_T_world, rms over the used points of the distance between seen and predicted (px); with -sd on \
+            15 more: standard deviations of all but the last",
     results: "fx fy cx cy: px; k1 k2 p1 p2 k3; rx ry rz: rad; x y z: m; rms: px",
     help: "calibrates a camera from a table X,Y,Z,u,v (m and px, comma-separated)",
 }];
@@ -31,6 +45,7 @@ pub(super) struct Options {
     size: Vec<i64>,
     model: String,
     seed: i64,
+    sd: bool,
 }
 
 impl Default for Options {
@@ -39,13 +54,21 @@ impl Default for Options {
             size: Vec::new(),
             model: "brown5".to_owned(),
             seed: 1,
+            sd: false,
         }
     }
 }
 
 pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
-    OptionTable::new("calibrates a camera from known points and their pixels")
-        .exec(FORMS)
+    let table = OptionTable::new("calibrates a camera from known points and their pixels");
+    options(table.exec(FORMS)).flag("sd", "standard deviations are answered, too", |options| {
+        &mut options.sd
+    })
+});
+
+/// Adds what every calibration from a table is asked with.
+pub(super) fn options(table: OptionTable<Options>) -> OptionTable<Options> {
+    table
         .ints(
             "size",
             &["W", "H"],
@@ -67,7 +90,7 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "seed of the random samples that the start value comes from; one seed, one result",
             |options| &mut options.seed,
         )
-});
+}
 
 /// An object of class `resect`.
 #[derive(Default)]
@@ -90,7 +113,21 @@ impl ServiceObject for Resect {
 }
 
 impl Options {
-    fn model(&self) -> LensModel {
+    /// Width and height of the pictures, px.
+    pub fn size(&self) -> Result<(usize, usize), Report> {
+        let [width, height] = self.size.as_slice() else {
+            let text = "the size of the pictures is not known: set it with CTRL -size W H";
+            return Err(Report::error(sorma::report::code::VALUE, text));
+        };
+        let side = |length: i64| usize::try_from(length).unwrap_or_default();
+        Ok((side(*width), side(*height)))
+    }
+
+    pub fn seed(&self) -> u64 {
+        self.seed.unsigned_abs()
+    }
+
+    pub fn model(&self) -> LensModel {
         match self.model.as_str() {
             "none" => LensModel::None,
             "k1" => LensModel::K1,
@@ -102,70 +139,74 @@ impl Options {
 
 impl Resect {
     fn calibrate(&self, io: &mut Transport) -> Outcome {
-        let [width, height] = self.0.size.as_slice() else {
-            let text = "the size of the pictures is not known: set it with CTRL -size W H";
-            return Err(Report::error(sorma::report::code::VALUE, text));
-        };
-        let side = |length: i64| usize::try_from(length).unwrap_or_default();
-        let path = io.text.trim().to_owned();
-        check_file(&path)?;
-        let source = Source::read(Path::new(&path))
-            .map_err(|finding| Report::error(code::FILE, finding.to_string()))?;
-        let table =
-            table::read(&source).map_err(|findings| Report::error(code::TABLE, told(findings)))?;
-        let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed.unsigned_abs());
-        let (width, height) = (side(*width), side(*height));
-        let found = calibrate_as(&table.points, width, height, self.0.model(), &mut rng)
+        let (width, height) = self.0.size()?;
+        let source = opened(io.text.trim())?;
+        let table = table::read(&source, &COLUMNS).map_err(told)?;
+        let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
+        let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed());
+        let found = calibrate_as(&points, width, height, self.0.model(), &mut rng)
             .map_err(|error| Report::error(code::NO_CAMERA, refused(&source, &table, &error)))?;
-        if !found.rejected.is_empty() {
-            let text = rejected(&source, &table, &found);
-            io.report(Report::warning(code::REJECTED, text));
-        }
-        if !found.monotonic {
-            let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
-            io.report(Report::warning(code::NO_CAMERA, text));
+        for warning in warnings(&source, &table, &found) {
+            io.report(warning);
         }
         answer(&found, io);
+        if self.0.sd {
+            let sd = &found.uncertainty;
+            io.floats.extend(sd.parameter_sd.iter().skip(6));
+            io.floats.extend(sd.camera_t_world_sd());
+        }
         Ok(())
     }
 }
 
+/// What a person should know about a calibration before leaning on it.
+pub(super) fn warnings(source: &Source, table: &Table, found: &Calibration) -> Vec<Report> {
+    let mut warnings = Vec::new();
+    if !found.rejected.is_empty() {
+        let text = rejected(source, table, found);
+        warnings.push(Report::warning(code::REJECTED, text));
+    }
+    if !found.monotonic {
+        let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
+        warnings.push(Report::warning(code::NO_CAMERA, text));
+    }
+    let focal = found.focal_sd_rel();
+    if focal > POOR_FOCAL {
+        let text = format!(
+            "the points determine the camera poorly: its focal length to {:.1} %, its place to {:.3} m; are they nearly in one plane? Spread them in depth",
+            100.0 * focal,
+            found.position_sd_m()
+        );
+        warnings.push(Report::warning(code::NO_CAMERA, text));
+    }
+    warnings
+}
+
+/// fx fy cx cy k1 k2 p1 p2 k3.
+pub(super) fn lens(found: &Calibration) -> [f64; 9] {
+    let (i, d) = (&found.camera.intrinsics, &found.camera.distortion);
+    [i.fx, i.fy, i.cx, i.cy, d.k1, d.k2, d.p1, d.p2, d.k3]
+}
+
 fn answer(found: &Calibration, io: &mut Transport) {
-    let camera = &found.camera;
-    let (i, d) = (&camera.intrinsics, &camera.distortion);
-    let camera_t_world = camera.camera_from_world();
+    let camera_t_world = found.camera.camera_from_world();
     let turn = camera_t_world.rotation.scaled_axis();
     let shift = camera_t_world.translation.vector;
     io.floats.clear();
-    io.floats
-        .extend([i.fx, i.fy, i.cx, i.cy, d.k1, d.k2, d.p1, d.p2, d.k3]);
+    io.floats.extend(lens(found));
     io.floats.extend(turn.iter().chain(shift.iter()));
     io.floats.push(found.rms_px);
 }
 
-/// The findings of a table, in one text.
-fn told(findings: Findings) -> String {
-    let sorted = findings.into_sorted();
-    let mut lines: Vec<String> = sorted
-        .iter()
-        .take(MOST_TOLD)
-        .map(ToString::to_string)
-        .collect();
-    let more = sorted.len().saturating_sub(MOST_TOLD);
-    if more > 0 {
-        lines.push(format!("and {more} more"));
-    }
-    lines.join("\n")
-}
-
-/// `file:line:column` of a row.
-fn place(source: &Source, table: &Table, row: usize) -> String {
-    let (line, column) = source.line_column(table.rows.get(row).copied().unwrap_or_default());
-    format!("{}:{line}:{column}", source.name())
+fn light(row: &[f64]) -> Option<LightPoint> {
+    let &[x, y, z, u, v] = row else {
+        return None;
+    };
+    Some(LightPoint { x, y, z, u, v })
 }
 
 /// Why no camera follows, with the place where there is one.
-fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
+pub(super) fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
     match error {
         CalibrationError::OutsidePicture {
             row,
@@ -175,7 +216,7 @@ fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
             height,
         } => format!(
             "{}: the point is seen at ({u:?}, {v:?}), outside the picture of {width} x {height} px (-size)",
-            place(source, table, *row)
+            table.place(source, *row)
         ),
         other => format!("{}: {other}", source.name()),
     }
@@ -185,7 +226,7 @@ fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
 fn rejected(source: &Source, table: &Table, found: &Calibration) -> String {
     let all = found.rejected.len();
     let told = found.rejected.iter().take(MOST_TOLD).map(|point| {
-        let at = place(source, table, point.row);
+        let at = table.place(source, point.row);
         match point.reason {
             RejectReason::Behind => format!("{at} lies behind the camera"),
             RejectReason::Outlier { limit_px } => {
@@ -201,7 +242,7 @@ fn rejected(source: &Source, table: &Table, found: &Calibration) -> String {
     } else {
         String::new()
     };
-    let points = table.points.len();
+    let points = table.at.len();
     format!(
         "{all} of {points} points are not used: {}{rest}",
         told.join("; ")

@@ -1,11 +1,11 @@
 //! The class `spot`: the spots of a picture, from a file or, in an app, from one of its cameras.
 
-use std::{fs::File, io::BufReader, sync::LazyLock, time::Duration};
+use std::{sync::LazyLock, time::Duration};
 
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
-use super::{check_file, code, ended};
+use super::{code, ended, picture};
 use crate::{
     command::Snap,
     frame::Frame,
@@ -181,7 +181,7 @@ impl Spot {
                 io.ints.extend([number, stamp_ns]);
                 Ok(())
             }
-            _ => self.find(&format!("`{text}`"), &read(&text)?, io),
+            _ => self.find(&format!("`{text}`"), &picture::read(&text)?, io),
         }
     }
 
@@ -233,22 +233,4 @@ impl Spot {
         io.ints.push(i64::try_from(count).unwrap_or(i64::MAX));
         Ok(())
     }
-}
-
-/// The picture in a file, as grey values.
-fn read(path: &str) -> Result<Frame, Report> {
-    check_file(path)?;
-    let wrong = |why: &dyn std::fmt::Display| {
-        let text = format!("`{path}` is no picture that can be read (PNG): {why}");
-        Report::error(code::FILE, text)
-    };
-    let file = File::open(path).map_err(|error| wrong(&error))?;
-    let grey = crate::png::read(BufReader::new(file)).map_err(|error| wrong(&error))?;
-    Ok(Frame {
-        width: grey.width,
-        height: grey.height,
-        pixels: grey.pixels.into(),
-        stamp: Duration::ZERO,
-        number: 0,
-    })
 }

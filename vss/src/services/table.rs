@@ -1,54 +1,132 @@
-//! Reading a table of lights and their pictures: comma-separated, with the columns X, Y, Z, u, v.
+//! Reading tables of numbers: comma-separated, a header first, everything wrong told with its place.
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::calibrate::LightPoint;
+/// What a table should have.
+pub(super) struct Columns {
+    /// As the header names them; the case of letters does not matter. Empty: whatever the header names.
+    pub names: &'static [&'static str],
+    /// How many columns there are where they have no names: then the header may be left out, too.
+    pub count: Option<usize>,
+    /// Those whose cells may be empty. They are read as NaN, which no other cell is.
+    pub may_be_empty: &'static [&'static str],
+    /// What the table should be, for whoever wrote it.
+    pub help: &'static str,
+}
 
-/// The columns, as the header names them; their letters' case does not matter.
-pub(super) const COLUMNS: [&str; 5] = ["X", "Y", "Z", "u", "v"];
-
-/// The points of a table with the byte offsets of their rows.
+/// Numbers, row by row, in the order of [`Columns::names`].
 pub(super) struct Table {
-    pub points: Vec<LightPoint>,
-    pub rows: Vec<usize>,
+    /// Names of the columns.
+    pub names: Vec<String>,
+    /// All numbers.
+    pub numbers: Vec<f64>,
+    /// The byte offset of each row.
+    pub at: Vec<usize>,
+}
+
+impl Table {
+    /// The rows.
+    pub fn rows(&self) -> impl Iterator<Item = &[f64]> {
+        self.numbers.chunks_exact(self.names.len().max(1))
+    }
+
+    /// `file:line:column` of a row.
+    pub fn place(&self, source: &Source, row: usize) -> String {
+        let (line, column) = source.line_column(self.at.get(row).copied().unwrap_or_default());
+        format!("{}:{line}:{column}", source.name())
+    }
 }
 
 /// One field with its byte offset.
 type Field<'a> = (usize, &'a str);
 
-/// Reads a table. A first row of five numbers is a row of points in the order of [`COLUMNS`]; else it is the
-/// header, whose columns may stand in any order. Lines that begin with `#` are comments.
+/// Reads a table. A first row of numbers alone is a row in the order of the columns; else it is the header, whose columns
+/// may stand in any order. A table whose columns are free must have one. Lines that begin with `#` are comments.
 ///
 /// # Errors
 /// Everything that is wrong with it, with places.
-pub(super) fn read(source: &Source) -> Result<Table, Findings> {
+pub(super) fn read(source: &Source, columns: &Columns) -> Result<Table, Findings> {
     let mut findings = Findings::new();
     let mut lines = rows(source.text());
     let Some(first) = lines.next() else {
-        let finding = Finding::error("vss::resect::header", "the table is empty");
-        findings.push(finding.at(source.at(0..0)).help(HELP));
+        let finding = Finding::error("vss::table::header", "the table is empty");
+        findings.push(finding.at(source.at(0..0)).help(columns.help));
         return Err(findings);
     };
-    let is_number = |(_, text): &Field<'_>| text.parse::<f64>().is_ok();
-    let headless = first.len() == COLUMNS.len() && first.iter().all(is_number);
-    let order = if headless {
-        Some([0, 1, 2, 3, 4])
+    let optional = |name: &str| columns.may_be_empty.contains(&name);
+    let is_number = |(_, text): &Field<'_>| text.is_empty() || text.parse::<f64>().is_ok();
+    let numeric = first.iter().all(is_number);
+    let headless = numeric && first.len() == columns.names.len();
+    let nameless = columns.names.is_empty() && columns.count.is_some();
+    if nameless && columns.count != Some(first.len()) {
+        let text = format!(
+            "{} columns stand here, not {}",
+            first.len(),
+            columns.count.unwrap_or_default()
+        );
+        let finding = Finding::error("vss::table::header", text);
+        findings.push(finding.at(whole(source, &first)).help(columns.help));
+        return Err(findings);
+    }
+    let (names, order) = if headless || !columns.names.is_empty() {
+        let order = if headless {
+            Some((0..first.len()).collect())
+        } else {
+            header(source, &first, columns, &mut findings)
+        };
+        (
+            columns.names.iter().map(ToString::to_string).collect(),
+            order,
+        )
     } else {
-        header(source, &first, &mut findings)
+        let names: Vec<String> = first.iter().map(|(_, name)| (*name).to_owned()).collect();
+        if numeric && !nameless {
+            let text = "the table begins with numbers: its first line should name the columns";
+            let finding = Finding::error("vss::table::header", text);
+            findings.push(finding.at(whole(source, &first)).help(columns.help));
+        }
+        (
+            names,
+            (nameless || !numeric).then(|| (0..first.len()).collect()),
+        )
     };
-    let Some(order) = order else {
+    // A line with a number in it is no line of names, and what is wrong with it is told.
+    let numbered = first.iter().any(|(_, text)| text.parse::<f64>().is_ok());
+    let headless = headless || (nameless && numbered);
+    let Some(order): Option<Vec<usize>> = order else {
         return Err(findings);
     };
     let mut table = Table {
-        points: Vec::new(),
-        rows: Vec::new(),
+        names,
+        numbers: Vec::new(),
+        at: Vec::new(),
     };
     let width = first.len();
     for fields in headless.then_some(first.clone()).into_iter().chain(lines) {
-        if let Some(point) = point(source, &fields, order, width, &mut findings) {
-            table.points.push(point);
-            table.rows.push(fields.first().map_or(0, |(at, _)| *at));
+        if fields.len() != width {
+            let text = format!(
+                "{} values stand here, and {width} in the first line",
+                fields.len()
+            );
+            let finding = Finding::error("vss::table::row", text);
+            findings.push(finding.at(whole(source, &fields)).help(columns.help));
+            continue;
         }
+        for (name, index) in table.names.iter().zip(&order) {
+            let (at, text) = fields.get(*index).copied().unwrap_or_default();
+            match text.parse::<f64>() {
+                Ok(number) if number.is_finite() => table.numbers.push(number),
+                _ if text.is_empty() && optional(name) => table.numbers.push(f64::NAN),
+                _ => {
+                    let shown: String = text.chars().take(40).collect();
+                    let said = format!("{name} must be a finite number, not `{shown}`");
+                    let finding = Finding::error("vss::table::row", said);
+                    let place = source.at(at..at + text.len());
+                    findings.push(finding.at(place).help(columns.help));
+                }
+            }
+        }
+        table.at.push(fields.first().map_or(0, |(at, _)| *at));
     }
     if findings.has_errors() {
         Err(findings)
@@ -57,30 +135,35 @@ pub(super) fn read(source: &Source) -> Result<Table, Findings> {
     }
 }
 
-const HELP: &str =
-    "the first line is `X,Y,Z,u,v`: world coordinates in m, picture coordinates in px";
+/// The place of a whole row.
+fn whole(source: &Source, fields: &[Field<'_>]) -> ctos::diagnostic::Place {
+    let start = fields.first().map_or(0, |(at, _)| *at);
+    let end = fields.last().map_or(start, |(at, text)| at + text.len());
+    source.at(start..end)
+}
 
 /// Where each column stands.
-fn header(source: &Source, fields: &[Field<'_>], findings: &mut Findings) -> Option<[usize; 5]> {
-    let whole = |fields: &[Field<'_>]| {
-        let start = fields.first().map_or(0, |(at, _)| *at);
-        let end = fields.last().map_or(start, |(at, text)| at + text.len());
-        source.at(start..end)
-    };
-    let mut order = [0; 5];
+fn header(
+    source: &Source,
+    fields: &[Field<'_>],
+    columns: &Columns,
+    findings: &mut Findings,
+) -> Option<Vec<usize>> {
+    let mut order = Vec::new();
     let mut missing = Vec::new();
-    for (name, slot) in COLUMNS.iter().zip(&mut order) {
+    for name in columns.names {
         let mut found = fields
             .iter()
             .enumerate()
             .filter(|(_, (_, text))| text.eq_ignore_ascii_case(name));
         match (found.next(), found.next()) {
             (None, _) => missing.push(*name),
-            (Some((index, _)), None) => *slot = index,
+            (Some((index, _)), None) => order.push(index),
             (Some(_), Some((_, (at, text)))) => {
                 let text_of = format!("the column `{name}` stands twice in the header");
-                let finding = Finding::error("vss::resect::header", text_of);
-                findings.push(finding.at(source.at(*at..at + text.len())).help(HELP));
+                let finding = Finding::error("vss::table::header", text_of);
+                let place = source.at(*at..at + text.len());
+                findings.push(finding.at(place).help(columns.help));
             }
         }
     }
@@ -88,48 +171,10 @@ fn header(source: &Source, fields: &[Field<'_>], findings: &mut Findings) -> Opt
         let names: Vec<&str> = fields.iter().map(|(_, text)| *text).collect();
         let given: String = names.join(",").chars().take(80).collect();
         let text = format!("the header lacks {}: it is `{given}`", missing.join(", "));
-        let finding = Finding::error("vss::resect::header", text);
-        findings.push(finding.at(whole(fields)).help(HELP));
+        let finding = Finding::error("vss::table::header", text);
+        findings.push(finding.at(whole(source, fields)).help(columns.help));
     }
     (!findings.has_errors()).then_some(order)
-}
-
-/// The point of one row.
-fn point(
-    source: &Source,
-    fields: &[Field<'_>],
-    order: [usize; 5],
-    width: usize,
-    findings: &mut Findings,
-) -> Option<LightPoint> {
-    let start = fields.first().map_or(0, |(at, _)| *at);
-    let end = fields.last().map_or(start, |(at, text)| at + text.len());
-    if fields.len() != width {
-        let text = format!(
-            "{} values stand here, and {width} in the first line",
-            fields.len()
-        );
-        let finding = Finding::error("vss::resect::row", text);
-        findings.push(finding.at(source.at(start..end)).help(HELP));
-        return None;
-    }
-    let mut numbers = [0.0; 5];
-    let mut good = true;
-    for ((name, index), number) in COLUMNS.iter().zip(order).zip(&mut numbers) {
-        let (at, text) = fields.get(index).copied().unwrap_or((end, ""));
-        match text.parse::<f64>() {
-            Ok(read) if read.is_finite() => *number = read,
-            _ => {
-                good = false;
-                let shown: String = text.chars().take(40).collect();
-                let said = format!("{name} must be a finite number, not `{shown}`");
-                let finding = Finding::error("vss::resect::row", said);
-                findings.push(finding.at(source.at(at..at + text.len())).help(HELP));
-            }
-        }
-    }
-    let [x, y, z, u, v] = numbers;
-    good.then_some(LightPoint { x, y, z, u, v })
 }
 
 /// The fields of every line that is neither empty nor a comment.

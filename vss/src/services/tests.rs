@@ -154,6 +154,67 @@ fn the_rms_is_that_of_the_noise_and_outliers_are_named_by_line() {
     );
 }
 
+/// Over many tables, the errors of all 15 numbers have the size that is answered.
+#[test]
+fn the_answered_standard_deviations_are_those_of_the_errors() {
+    let truth = camera(LENS);
+    let sorm = manager();
+    ask(&sorm, "resect CTRL -size 640 480 -sd on");
+    let (mut squares, mut within, mut count) = ([0.0; 15], 0, 0);
+    let runs = 40;
+    for seed in 0..runs {
+        let (_folder, path) = file("lights.csv", table(&truth, 100, 0.3, 50 + seed).as_bytes());
+        let reply = ask(&sorm, &format!("resect EXEC {path}"));
+        assert_eq!(reply.floats.len(), 31, "{:?}", reply.reports);
+        let errors = reply.floats.iter().zip(expected(&truth));
+        for (k, ((found, truth), sd)) in errors.zip(&reply.floats[16..]).enumerate() {
+            let ratio = (found - truth) / sd;
+            squares[k] += ratio * ratio / runs as f64;
+            within += usize::from(ratio.abs() < 1.96);
+            count += 1;
+        }
+    }
+    for (k, square) in squares.iter().enumerate() {
+        assert!(
+            (0.6..1.4).contains(&square.sqrt()),
+            "{k}: {}",
+            square.sqrt()
+        );
+    }
+    let share = within as f64 / f64::from(count);
+    assert!((0.91..0.99).contains(&share), "{share}");
+}
+
+#[test]
+fn a_table_that_is_nearly_flat_is_told_to_say_little() {
+    let mut text = String::from("X,Y,Z,u,v\n");
+    for line in table(&camera(LENS), 100, 0.5, 9).lines().skip(1) {
+        let numbers: Vec<f64> = line.split(',').map(|x| x.parse().unwrap()).collect();
+        let point = Point3::new(numbers[0], numbers[1], numbers[2] / 60.0);
+        let pixel = camera(LENS).project(&point).unwrap();
+        // The noise of the table stays.
+        let seen = camera(LENS)
+            .project(&Point3::new(numbers[0], numbers[1], numbers[2]))
+            .unwrap();
+        let (u, v) = (pixel.x + numbers[3] - seen.x, pixel.y + numbers[4] - seen.y);
+        writeln!(text, "{},{},{},{u},{v}", point.x, point.y, point.z).unwrap();
+    }
+    let (_folder, path) = file("flat.csv", text.as_bytes());
+    let sorm = manager();
+    ask(&sorm, "resect CTRL -size 640 480");
+    let reply = ask(&sorm, &format!("resect EXEC {path}"));
+    assert!(reply.is_ok());
+    let told = reply
+        .reports
+        .iter()
+        .find(|report| report.code == code::NO_CAMERA);
+    assert!(
+        told.unwrap().text.contains("nearly in one plane"),
+        "{:?}",
+        reply.reports
+    );
+}
+
 #[test]
 fn columns_may_stand_in_any_order_and_a_table_without_header_has_the_usual_one() {
     let text = table(&camera(LENS), 60, 0.0, 3);
@@ -385,9 +446,13 @@ proptest! {
     #[test]
     fn any_table_is_read_or_refused_with_a_place(text in "[XYZuv,0-9.\n #a-]{0,80}") {
         let source = ctos::diagnostic::Source::new("t", text.as_str());
-        match table::read(&source) {
-            Ok(table) => prop_assert_eq!(table.points.len(), table.rows.len()),
+        let columns = table::Columns { names: &["X", "Y", "Z", "u", "v"], count: None, may_be_empty: &["u"], help: "" };
+        match table::read(&source, &columns) {
+            Ok(table) => prop_assert_eq!(table.numbers.len(), 5 * table.at.len()),
             Err(findings) => prop_assert!(findings.iter().all(|finding| finding.place.is_some())),
         }
     }
 }
+
+mod maps;
+mod rigs;

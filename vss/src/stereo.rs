@@ -1,0 +1,135 @@
+//! Two cameras that saw the same lights: how one stands to the other, and points from pairs of pixels.
+
+use nalgebra::{Isometry3, Matrix3, Point3, SMatrix, Vector2, Vector3};
+
+use crate::{
+    calibrate::{Calibration, left_jacobian},
+    camera::Camera,
+};
+
+/// right_T_left of two calibrations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair {
+    /// Where the left camera's frame is in the right one's.
+    pub right_t_left: Isometry3<f64>,
+    /// Standard deviations of its rotation vector (3, rad) and its translation (3, m).
+    pub sd: [f64; 6],
+    /// Root of the mean over all used points of both cameras of du² + dv², px.
+    pub rms_px: f64,
+}
+
+/// How two cameras stand to one another that were each calibrated from lights in one world. The lights are known, so the
+/// calibrations share no unknown, and their errors are independent.
+#[must_use]
+pub fn pair(left: &Calibration, right: &Calibration) -> Pair {
+    let (l, r) = (
+        left.camera.camera_from_world(),
+        right.camera.camera_from_world(),
+    );
+    let right_t_left = r * l.inverse();
+    let turned = right_t_left.rotation.to_rotation_matrix().into_inner();
+    let arm = (turned * l.translation.vector).cross_matrix();
+    // With turns on the left, δ = δr - R δl, and of t = tr - R tl follows dt = dtr + (R tl) × δ - R dtl.
+    let turns = |pose: &Isometry3<f64>| left_jacobian(pose.rotation.scaled_axis());
+    let unturn = left_jacobian(right_t_left.rotation.scaled_axis());
+    let unturn = unturn.try_inverse().unwrap_or_else(Matrix3::identity);
+    let (by_right, by_left) = (turns(&r), -turned * turns(&l));
+    let mut change = SMatrix::<f64, 6, 12>::zeros();
+    change
+        .fixed_view_mut::<3, 3>(0, 0)
+        .copy_from(&(unturn * by_right));
+    change
+        .fixed_view_mut::<3, 3>(0, 6)
+        .copy_from(&(unturn * by_left));
+    change
+        .fixed_view_mut::<3, 3>(3, 0)
+        .copy_from(&(arm * by_right));
+    change
+        .fixed_view_mut::<3, 3>(3, 6)
+        .copy_from(&(arm * by_left));
+    change
+        .fixed_view_mut::<3, 3>(3, 3)
+        .copy_from(&Matrix3::identity());
+    change.fixed_view_mut::<3, 3>(3, 9).copy_from(&-turned);
+    let mut covariance = SMatrix::<f64, 12, 12>::zeros();
+    for (at, one) in [(0, right), (6, left)] {
+        for (i, row) in one.uncertainty.camera_t_world_covariance.iter().enumerate() {
+            for (j, value) in row.iter().enumerate() {
+                covariance[(at + i, at + j)] = *value;
+            }
+        }
+    }
+    let found = change * covariance * change.transpose();
+    let squares = |one: &Calibration| one.rms_px * one.rms_px * one.used as f64;
+    Pair {
+        right_t_left,
+        sd: std::array::from_fn(|k| found[(k, k)].sqrt()),
+        rms_px: ((squares(left) + squares(right)) / (left.used + right.used) as f64).sqrt(),
+    }
+}
+
+/// A point from its pixels in two pictures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Triangulated {
+    /// The middle of the shortest line between the two rays, in the world, m.
+    pub point: Point3<f64>,
+    /// The length of that line, m: how little the two pixels agree.
+    pub gap_m: f64,
+    /// The angle between the rays, rad: the depth is as uncertain as it is small.
+    pub angle: f64,
+}
+
+/// Why two pixels give no point.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum NoPoint {
+    /// A pixel has no ray: the lens cannot be undone there.
+    #[error("the pixel ({0:.1}, {1:.1}) has no ray: the distortion cannot be undone there")]
+    NoRay(f64, f64),
+    /// The rays are nearly parallel.
+    #[error("the rays are parallel within {0:.1e} rad: the depth cannot be told")]
+    Parallel(f64),
+    /// The rays meet behind a camera.
+    #[error("the rays meet behind a camera: the pixels are not of one point")]
+    Behind,
+}
+
+/// Rays whose angle is below this are parallel, rad.
+const PARALLEL: f64 = 1e-3;
+
+/// The point that two cameras see at two pixels.
+///
+/// # Errors
+/// When a pixel has no ray, or the rays do not meet in front of both.
+pub fn triangulate(
+    left: &Camera,
+    right: &Camera,
+    at_left: Vector2<f64>,
+    at_right: Vector2<f64>,
+) -> Result<Triangulated, NoPoint> {
+    let ray = |camera: &Camera, at: Vector2<f64>| {
+        let ray = camera.ray(at).ok_or(NoPoint::NoRay(at.x, at.y))?;
+        Ok(camera.camera_from_world().rotation.inverse() * ray.normalize())
+    };
+    let (d, e) = (ray(left, at_left)?, ray(right, at_right)?);
+    let angle = d.cross(&e).norm().atan2(d.dot(&e));
+    if angle < PARALLEL {
+        return Err(NoPoint::Parallel(angle));
+    }
+    // The feet of the common perpendicular: P + s d and Q + t e.
+    let base: Vector3<f64> = right.centre - left.centre;
+    let (cosine, sine) = (d.dot(&e), angle.sin());
+    let s = (base.dot(&d) - cosine * base.dot(&e)) / (sine * sine);
+    let t = (cosine * base.dot(&d) - base.dot(&e)) / (sine * sine);
+    if s <= 0.0 || t <= 0.0 {
+        return Err(NoPoint::Behind);
+    }
+    let (one, other) = (left.centre + d * s, right.centre + e * t);
+    Ok(Triangulated {
+        point: nalgebra::center(&one, &other),
+        gap_m: (other - one).norm(),
+        angle,
+    })
+}
+
+#[cfg(test)]
+mod tests;
