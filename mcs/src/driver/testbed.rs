@@ -205,3 +205,6 @@ impl ChannelDriver for Testbed {
         self.parts.iter_mut().map(write).fold(Ok(()), Result::and)
     }
 }
+
+#[cfg(test)]
+mod tests;
