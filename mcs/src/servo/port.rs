@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crossbeam_queue::ArrayQueue;
 use serde::{Deserialize, Serialize};
 
+use super::stream::{Stream, StreamStatus};
 use crate::control::ControlLaw;
 use crate::driver::{DriverError, Power};
 use crate::guard::rack::RackPort;
@@ -163,6 +164,12 @@ pub enum Rejection {
     /// A protective stop holds.
     #[error("a protective stop holds")]
     Stopped,
+    /// Setpoints or torques are streamed to the arm.
+    #[error("the arm follows a stream; end that first")]
+    Streaming,
+    /// A motion is under way.
+    #[error("a motion is under way; a stream can begin when the arm has come to rest")]
+    Moving,
     /// A motion is being stopped.
     #[error("the arm is still coming to rest; try again when it has")]
     Busy,
@@ -285,6 +292,10 @@ pub struct ServoStatus {
     pub ended: Ended,
     /// Number of the latest segment that was not taken, and why.
     pub rejected: Option<(u64, Rejection)>,
+    /// The latest stream.
+    pub stream: StreamStatus,
+    /// Number of the latest stream that was not taken, and why.
+    pub stream_rejected: Option<(u64, Rejection)>,
 }
 
 impl ServoStatus {
@@ -303,17 +314,23 @@ pub struct ServoPort {
     driver_errors: Arc<ArrayQueue<DriverError>>,
     last_driver_error: Mutex<Option<DriverError>>,
     laws: Arc<Laws>,
+    streams: Arc<Streams>,
     status: Mutex<triple_buffer::Output<ServoStatus>>,
     guards: RackPort,
 }
 
-/// Laws on their way to the servo, and those that it has done with: it frees none.
-pub(super) struct Laws {
-    next: ArrayQueue<Box<dyn ControlLaw>>,
-    done: ArrayQueue<Box<dyn ControlLaw>>,
+/// Things on their way to the servo, and those that it has done with: it frees none.
+pub(super) struct Handed<T> {
+    next: ArrayQueue<T>,
+    done: ArrayQueue<T>,
 }
 
-impl Laws {
+/// Laws.
+pub(super) type Laws = Handed<Box<dyn ControlLaw>>;
+/// Streams. The servo follows one at most.
+pub(super) type Streams = Handed<Box<Stream>>;
+
+impl<T> Handed<T> {
     /// Room for so many each way.
     pub(super) fn new(room: usize) -> Self {
         Self {
@@ -322,17 +339,23 @@ impl Laws {
         }
     }
 
-    /// The law that was ordered first, while there is room for the one before it.
-    pub(super) fn next(&self) -> Option<Box<dyn ControlLaw>> {
-        match self.done.is_full() {
-            true => None,
-            false => self.next.pop(),
+    /// That which was ordered first, while there is room for it and for the one before it.
+    pub(super) fn next(&self) -> Option<T> {
+        match self.done.len() + 1 < self.done.capacity() {
+            true => self.next.pop(),
+            false => None,
         }
     }
 
-    /// Hands a law back. There is room: only the servo puts one here, and it looks before.
-    pub(super) fn retire(&self, law: Box<dyn ControlLaw>) {
-        let _ = self.done.push(law);
+    /// Hands one back. There is room: only the servo puts one here, and it looks before.
+    pub(super) fn retire(&self, one: T) {
+        let _ = self.done.push(one);
+    }
+
+    /// Frees what the servo has done with, and orders the next one.
+    fn order(&self, one: T) -> Result<(), PortFull> {
+        while self.done.pop().is_some() {}
+        self.next.push(one).map_err(|_| PortFull)
     }
 }
 
@@ -344,7 +367,8 @@ pub struct PortFull;
 impl ServoPort {
     pub(super) fn new(
         commands: Arc<ArrayQueue<ServoCommand>>,
-        (driver_errors, laws): (Arc<ArrayQueue<DriverError>>, Arc<Laws>),
+        driver_errors: Arc<ArrayQueue<DriverError>>,
+        (laws, streams): (Arc<Laws>, Arc<Streams>),
         status: triple_buffer::Output<ServoStatus>,
         guards: RackPort,
     ) -> Self {
@@ -353,6 +377,7 @@ impl ServoPort {
             driver_errors,
             last_driver_error: Mutex::new(None),
             laws,
+            streams,
             status: Mutex::new(status),
             guards,
         }
@@ -382,8 +407,16 @@ impl ServoPort {
     /// # Errors
     /// [`PortFull`] when the servo has taken none for a long time.
     pub fn change_law(&self, law: Box<dyn ControlLaw>) -> Result<(), PortFull> {
-        while self.laws.done.pop().is_some() {}
-        self.laws.next.push(law).map_err(|_| PortFull)
+        self.laws.order(law)
+    }
+
+    /// Has the servo follow a stream from the next tick on. [`ServoStatus::stream`] tells how it fares, or
+    /// [`ServoStatus::stream_rejected`] why it was not begun. A stop of any kind ends it.
+    ///
+    /// # Errors
+    /// [`PortFull`] when the servo has taken none for a long time.
+    pub fn stream(&self, stream: Box<Stream>) -> Result<(), PortFull> {
+        self.streams.order(stream)
     }
 
     /// Emergency stop, which gets through even when the queue is full of other orders.

@@ -1,5 +1,6 @@
 //! The servo on an arm that obeys the equations of motion.
 
+mod stream;
 mod switch;
 
 use std::sync::atomic::Ordering;
