@@ -15,10 +15,11 @@ use serde::{Deserialize, Serialize};
 use super::args::{self, RecipeArgs, ServoArgs};
 use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
+use super::streams::Streams;
 use super::{Link, SERVO, rows};
 use crate::client::{
-    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, RecordStates, RemoveGuard,
-    SensorReport, SetControl, SetGuard, SetLaw,
+    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, ReadStream, RecordStates,
+    RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw, StreamSetpoints, StreamValue,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::{DriverRegistry, Sensor};
@@ -71,7 +72,7 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 11] = [
+const COMMANDS: [CommandInfo; 14] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
@@ -83,6 +84,9 @@ const COMMANDS: [CommandInfo; 11] = [
     ReadGuards::INFO,
     SetLaw::INFO,
     ReadSensors::INFO,
+    StreamSetpoints::INFO,
+    StreamValue::INFO,
+    ReadStream::INFO,
 ];
 
 pub(super) fn register(
@@ -208,6 +212,7 @@ struct ServoTask {
     model: Arc<Model>,
     args: ServoArgs,
     sensors: Vec<Sensor>,
+    streams: Streams,
 }
 
 impl ServoTask {
@@ -264,6 +269,7 @@ impl ServoTask {
             model,
             args,
             sensors,
+            streams: Streams::default(),
         })
     }
 
@@ -432,6 +438,19 @@ impl EventHandler for ServoTask {
                     sensors: self.sensors.clone(),
                     numbers: self.link.port.status().sensors.to_vec(),
                 })
+            }
+            StreamSetpoints::CODE => {
+                let (request, reply) = message.open::<StreamSetpoints>()?;
+                let arm = (&*self.link, &*self.model);
+                reply.ok(self.streams.begin(cx, arm, request).await)
+            }
+            StreamValue::CODE => {
+                let (value, reply) = message.open::<StreamValue>()?;
+                reply.ok(self.streams.put(cx, &self.link, &value))
+            }
+            ReadStream::CODE => {
+                let (ReadStream {}, reply) = message.open::<ReadStream>()?;
+                reply.ok(self.streams.report(&self.link))
             }
             SetLaw::CODE => {
                 let (SetLaw { law }, reply) = message.open::<SetLaw>()?;
