@@ -2,7 +2,9 @@
 
 mod guards;
 mod laws;
+mod random;
 mod stops;
+mod streams;
 
 use std::sync::atomic::Ordering;
 
