@@ -1,9 +1,10 @@
 //! The testbed interface layer: channel drivers that present every joint and sensor as a slot.
 //!
 //! A channel driver hides hardware (or its simulated stand-in) behind [`ChannelDriver`]. Upper layers
-//! see slots only: a position read back and a torque command per joint, whatever drives it
+//! see slots only: a position read back and a command per joint, by torque, speed or position, whatever drives it
 //! (CIRSSE report 108, section 4). This module names no simulator.
 
+mod drives;
 mod registry;
 #[cfg(test)]
 pub(crate) mod test_arm;
@@ -11,6 +12,7 @@ mod testbed;
 
 use std::time::Duration;
 
+pub use drives::{DRIVES, Drives};
 pub use registry::{DriverKind, DriverRegistry};
 pub use testbed::{NamedDriver, TESTBED};
 
@@ -21,6 +23,33 @@ pub struct SlotReading {
     pub position: f64,
     /// Joint velocity, rad/s, or m/s.
     pub velocity: f64,
+}
+
+/// What a slot is commanded by, with the names and the codes of CiA 402 (object 6060h).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+pub enum Mode {
+    /// Cyclic synchronous position: where to be when the next command is due, rad or m.
+    #[serde(rename = "csp")]
+    Position = 8,
+    /// Cyclic synchronous velocity: how fast to be then, rad/s or m/s.
+    #[serde(rename = "csv")]
+    Velocity = 9,
+    /// Cyclic synchronous torque: to be held until then, N m or N.
+    #[default]
+    #[serde(rename = "cst")]
+    Torque = 10,
+}
+
+impl Mode {
+    /// One mode for each of so many slots, where one or as many are given.
+    #[must_use]
+    pub fn for_slots(given: &[Self], slots: usize) -> Option<Vec<Self>> {
+        match given {
+            [one] => Some(vec![*one; slots]),
+            all if all.len() == slots => Some(all.to_vec()),
+            _ => None,
+        }
+    }
 }
 
 /// What a slot that is no joint measures.
@@ -78,8 +107,8 @@ pub enum DriverError {
 }
 
 /// Hardware behind a run of slots. Called by the servo only, once per period, in the order
-/// [`read`](Self::read), [`write`](Self::write), in every power state: with power off or brakes on the
-/// torques are zero. A failed read is followed by a write with [`Power::Off`] in the same period, and
+/// [`read`](Self::read), [`write`](Self::write), in every power state: with power off or brakes on
+/// torques and speeds are zero, and positions those that were read. A failed read is followed by a write with [`Power::Off`] in the same period, and
 /// so is the servo's own end. Neither call may allocate, lock or wait; only an error may cost more.
 pub trait ChannelDriver: Send {
     /// Number of slots.
@@ -106,11 +135,20 @@ pub trait ChannelDriver: Send {
         Ok(())
     }
 
-    /// Applies one torque per slot, N m (N for a joint that slides), held until the next write. The
-    /// next one is due in `period`: a driver may brake its joints when it does not come.
+    /// What each slot is commanded by, which never changes: torque, of those that it does not name.
+    fn modes(&self) -> &[Mode] {
+        &[]
+    }
+
+    /// Applies one command per slot, which is of the slot's [mode](Self::modes), until the next write. The next one is due
+    /// in `period`: a driver may brake its joints when it does not come.
     ///
     /// # Errors
     /// A driver fault; the servo then stops the arm.
-    fn write(&mut self, torques: &[f64], power: Power, period: Duration)
-    -> Result<(), DriverError>;
+    fn write(
+        &mut self,
+        commands: &[f64],
+        power: Power,
+        period: Duration,
+    ) -> Result<(), DriverError>;
 }

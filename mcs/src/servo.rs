@@ -22,7 +22,7 @@ use std::time::Duration;
 use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
-use crate::driver::{ChannelDriver, DriverError, Power, SensorKind, SlotReading};
+use crate::driver::{ChannelDriver, DriverError, Mode, Power, SensorKind, SlotReading};
 use crate::guard::rack::{Now, Rack};
 use crate::guard::{GuardSet, Neighbour, Reaction, Stopping, Words};
 use crate::joints::{Distances, Joints, MAX_SLOTS, TooManyJoints};
@@ -624,6 +624,12 @@ impl Servo {
         for (torque, joint) in torques.iter_mut().zip(self.solver.model().joints()) {
             *torque = torque.clamp(-joint.limits.torque, joint.limits.torque);
         }
+        for (torque, mode) in torques.iter_mut().zip(self.driver.modes()) {
+            // What a drive gives by itself is not known.
+            if *mode != Mode::Torque {
+                *torque = 0.0;
+            }
+        }
         torques
     }
 
@@ -643,9 +649,34 @@ impl Servo {
 
     fn write(&mut self, torques: &Joints) {
         let power = self.status.power;
-        if let Err(error) = self.driver.write(torques, power, self.config.period) {
+        let commands = self.commands(torques);
+        if let Err(error) = self.driver.write(&commands, power, self.config.period) {
             self.driver_failed(error);
         }
+    }
+
+    /// What each slot is to do until the next tick, by its mode.
+    fn commands(&self, torques: &Joints) -> Joints {
+        let (moves, period) = (
+            self.status.power == Power::Released,
+            self.config.period.as_secs_f64(),
+        );
+        let modes = self.driver.modes();
+        Joints::from_fn(torques.len(), |slot| {
+            let (speed, rate) = (
+                self.setpoint.velocity[slot],
+                self.setpoint.acceleration[slot],
+            );
+            match modes.get(slot).copied().unwrap_or_default() {
+                Mode::Torque => torques[slot],
+                Mode::Velocity if moves => speed + rate * period,
+                Mode::Velocity => 0.0,
+                Mode::Position if moves => {
+                    self.setpoint.position[slot] + (speed + 0.5 * rate * period) * period
+                }
+                Mode::Position => self.status.position[slot],
+            }
+        })
     }
 
     fn driver_failed(&mut self, error: DriverError) {

@@ -170,6 +170,9 @@ pub enum Rejection {
     /// A motion is under way.
     #[error("a motion is under way; a stream can begin when the arm has come to rest")]
     Moving,
+    /// Torques for a slot that takes none.
+    #[error("a slot of the arm is commanded by position or speed, and takes no torque")]
+    NoTorque,
     /// A motion is being stopped.
     #[error("the arm is still coming to rest; try again when it has")]
     Busy,

@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
 use super::chase::{brake, chase};
-use crate::driver::Power;
+use crate::driver::{Mode, Power};
 use crate::guard::{GuardSet, Words};
 use crate::joints::Joints;
 use crate::model::inverse::Branch;
@@ -475,7 +475,10 @@ impl Servo {
     /// Begins the streams that were ordered, as far as the present state allows.
     pub(super) fn take_streams(&mut self) {
         while let Some(mut stream) = self.streams.next() {
+            let direct = matches!(stream.how.kind, StreamKind::Torques { .. });
+            let other = |mode: &Mode| *mode != Mode::Torque;
             let rejection = match self.status.power {
+                _ if direct && self.driver.modes().iter().any(other) => Some(Rejection::NoTorque),
                 _ if self.stream.is_some() => Some(Rejection::Streaming),
                 _ if self.motion.is_some() => Some(Rejection::Moving),
                 _ if self.status.stopped => Some(Rejection::Stopped),

@@ -1,5 +1,6 @@
 //! The servo on an arm that obeys the equations of motion.
 
+mod modes;
 mod stream;
 mod switch;
 

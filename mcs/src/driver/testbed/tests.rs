@@ -164,7 +164,7 @@ fn one_driver_that_fails_is_named_and_the_others_are_read_and_written_all_the_sa
         .write(&torques[..5], Power::Off, period)
         .unwrap_err();
     assert!(
-        wrong.to_string().contains("5 torques for 6 slots"),
+        wrong.to_string().contains("5 commands for 6 slots"),
         "{wrong}"
     );
 }
