@@ -8,8 +8,10 @@ use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transpor
 
 use super::{code, ended, in_the_way};
 use crate::client::{
-    Acquire, Cancel, ReadStream, Release, StreamKind, StreamReport, StreamSetpoints, StreamValue,
+    Acquire, Cancel, ReadStream, Release, Status, StreamKind, StreamReport, StreamSetpoints,
+    StreamValue,
 };
+use crate::state::State;
 
 /// Everything here is answered at once, but for coming to rest.
 const SOON: Duration = Duration::from_secs(30);
@@ -204,8 +206,7 @@ impl Streaming {
 
     async fn job(&self, form: &str, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
         if !cx.is_in_app() {
-            let text = "the arm of this process has no servo that could follow a stream";
-            return Err(Report::error(code::MOTION, text));
+            return Err(no_servo());
         }
         let client = &self.options.client;
         let numbers = std::mem::take(&mut io.floats);
@@ -241,8 +242,42 @@ impl Streaming {
     }
 }
 
+/// Has the arm listen to poses or displacements of its tool, for `mvpos`. It is acquired where nobody holds it, and kept.
+pub(super) async fn listen(
+    cx: &Waiting<'_>,
+    client: &str,
+    request: StreamSetpoints,
+    io: &mut Transport,
+) -> Outcome {
+    if !cx.is_in_app() {
+        return Err(no_servo());
+    }
+    if request.buffer.is_none() {
+        let text = "no buffer is named; name one: CTRL -listen BUFFER";
+        return Err(Report::error(sorma::report::code::VALUE, text));
+    }
+    let cold = cx.call_task(client, Status {}, SOON).await?.state == State::Cold;
+    if cold {
+        let acquired = cx.call_task(client, Acquire {}, SOON).await?;
+        acquired.map_err(in_the_way)?;
+    }
+    let begun = cx.call_task(client, request, SOON).await;
+    let begun = begun.and_then(|begun| begun.map_err(in_the_way));
+    if cold && begun.is_err() {
+        // It was had for this, and nothing came of it.
+        let _ = cx.call_task(client, Release {}, SOON).await;
+    }
+    told(io, begun?);
+    Ok(())
+}
+
+fn no_servo() -> Report {
+    let text = "the arm of this process has no servo that could follow a stream";
+    Report::error(code::MOTION, text)
+}
+
 /// Names with commas between.
-pub(super) fn guards(names: &str) -> Vec<String> {
+fn guards(names: &str) -> Vec<String> {
     let all = names.split(',').map(str::trim);
     all.filter(|name| !name.is_empty())
         .map(str::to_owned)
@@ -250,7 +285,7 @@ pub(super) fn guards(names: &str) -> Vec<String> {
 }
 
 /// How a stream is, as an answer.
-pub(super) fn told(io: &mut Transport, report: StreamReport) {
+fn told(io: &mut Transport, report: StreamReport) {
     let what = match report.kind {
         Some(StreamKind::Joints) => "setpoints",
         Some(StreamKind::Tool) => "poses",

@@ -266,3 +266,52 @@ fn a_stream_ends_with_the_chassis_of_the_task_that_holds_the_arm() {
     let speed = *knobs.speed_at_power_off.lock().unwrap();
     assert!(speed.is_some_and(|speed| speed < 5e-3), "{speed:?}");
 }
+
+#[test]
+fn the_tool_listens_to_displacements_from_a_buffer_by_one_word() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            let name = buffer("listen");
+            let nothing = told(&cx, "mvpos EXEC listen").await?;
+            assert!(
+                nothing.reports[0].text.contains("-listen BUFFER"),
+                "{nothing:?}"
+            );
+            told(&cx, &format!("mvpos CTRL -listen {name} -speed 1")).await?;
+            let none = told(&cx, "mvpos EXEC listen").await?;
+            assert!(!none.is_ok());
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            let start = asked(&cx, &mcs, ReadPosition {}).await?.base_t_tool;
+            let mut writer = writer(&cx, &name, 6)?;
+            writer.write(&[0.0; 6], &[])?;
+            let begun = told(&cx, "mvpos EXEC listen").await?;
+            assert_eq!(
+                begun.text,
+                format!("the arm follows poses of buffer `{name}`")
+            );
+            for step in 1..=60 {
+                let by = 0.0015 * f64::from(step);
+                writer.write(&[0.0, by, -by, 0.0, 0.0, 0.0], &[])?;
+                cx.sleep(Duration::from_millis(20)).await;
+            }
+            let there = asked(&cx, &mcs, ReadPosition {}).await?.base_t_tool;
+            for (row, way) in [(3, 0.0), (7, 0.09), (11, -0.09)] {
+                assert!(
+                    (there[row] - start[row] - way).abs() < 4e-3,
+                    "{row}: {there:?}"
+                );
+            }
+            // The usual limit of the age is half a second.
+            cx.sleep(Duration::from_secs(2)).await;
+            let ended = told(&cx, "setpoint EXEC state").await?;
+            assert!(
+                ended.text.contains("and the limit is 0.500 s"),
+                "{}",
+                ended.text
+            );
+            told(&cx, "mvpos EXEC release").await?;
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            Ok(String::new())
+        })
+    });
+}
