@@ -360,12 +360,24 @@ pub struct SensorReport {
     pub sensors: Vec<Sensor>,
     /// Their numbers at the servo's latest tick, one sensor after the other.
     pub numbers: Vec<f64>,
+    /// The names of those that have read nothing new for too long.
+    pub stale: Vec<String>,
 }
 
 ctos::command! {
     /// Reads the slots that are no joints.
     #[derive(Debug, Clone, PartialEq)]
     pub struct ReadSensors => SensorReport, 0x0313, "read_sensors"
+}
+ctos::command! {
+    /// Sets an output, until power goes off. Only the task that holds the manipulator may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetOutput {
+        /// Its name.
+        pub name: String,
+        /// 0 or 1; of a lamp from 0 to 1.
+        pub value: f64,
+    } => Result<(), MotionError>, 0x0333, "set_output"
 }
 ctos::command! {
     /// Ends the motion under way: brakes along the path to rest. The next one may begin at once, which it may not

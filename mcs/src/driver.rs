@@ -5,6 +5,7 @@
 //! (CIRSSE report 108, section 4). This module names no simulator.
 
 mod drives;
+mod named;
 mod registry;
 #[cfg(test)]
 pub(crate) mod test_arm;
@@ -13,6 +14,7 @@ mod testbed;
 use std::time::Duration;
 
 pub use drives::{DRIVES, Drives};
+pub use named::NAMED_SLOTS;
 pub use registry::{DriverKind, DriverRegistry};
 pub use testbed::{NamedDriver, TESTBED};
 
@@ -52,32 +54,49 @@ impl Mode {
     }
 }
 
-/// What a slot that is no joint measures.
+/// What a slot that is no joint is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum SensorKind {
     /// A force (N) and a moment (N m) about the sensor's origin, in its frame: that which what hangs behind it exerts on it.
     ForceTorque,
     /// 0 or 1.
     DigitalInput,
+    /// How far the cap of a space mouse is pushed along its axes, and turned about them: six numbers from -1 to 1.
+    SpaceMouse,
+    /// The position of a joint of a hand, which something else moves, rad or m.
+    HandJoint,
+    /// 0 or 1, which is set.
+    DigitalOutput,
+    /// How bright a lamp is, 0 to 1, which is set.
+    Lamp,
+    /// Whether a laser pointer is on, 0 or 1, which is set.
+    Laser,
 }
 
 impl SensorKind {
-    /// How many numbers it reads.
+    /// How many numbers it has.
     #[must_use]
     pub fn width(self) -> usize {
         match self {
-            Self::ForceTorque => 6,
-            Self::DigitalInput => 1,
+            Self::ForceTorque | Self::SpaceMouse => 6,
+            _ => 1,
         }
+    }
+
+    /// Whether it is set, and not read.
+    #[must_use]
+    pub fn is_output(self) -> bool {
+        matches!(self, Self::DigitalOutput | Self::Lamp | Self::Laser)
     }
 }
 
-/// A slot that is no joint. What kinds there are in hardware, each is a run of numbers here.
+/// A slot that is no joint: a sensor, an input or an output. What kinds there are in hardware, each is a run of numbers here.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Sensor {
     /// Its name.
     pub name: String,
-    /// What it measures.
+    /// What it is.
     pub kind: SensorKind,
 }
 
@@ -125,8 +144,25 @@ pub trait ChannelDriver: Send {
         &[]
     }
 
-    /// Reads every sensor, one after the other, into `numbers` (length: the sum of their widths). Called once per period
-    /// after [`read`](Self::read) has gone well, under the same rules.
+    /// How old what each of them has read is at the last [`sense`](Self::sense), s; of that very period unless a driver says
+    /// otherwise. The servo marks what is too old, and brings the arm to rest. Under the same rules; of an output it does not
+    /// matter.
+    fn ages(&mut self, ages: &mut [f64]) {
+        ages.fill(0.0);
+    }
+
+    /// Sets the outputs among them, in every period before [`write`](Self::write): all numbers as for
+    /// [`sense`](Self::sense), of which those of outputs count. They are 0 while power is off. Under the same rules.
+    ///
+    /// # Errors
+    /// A driver fault; the servo then stops the arm.
+    fn actuate(&mut self, numbers: &[f64]) -> Result<(), DriverError> {
+        let _ = numbers;
+        Ok(())
+    }
+
+    /// Reads every sensor, one after the other, into `numbers` (length: the sum of their widths); outputs read as they were set. Called once per
+    /// period after [`read`](Self::read) has gone well, under the same rules.
     ///
     /// # Errors
     /// A driver fault; the servo then stops the arm.

@@ -10,6 +10,7 @@ mod chase;
 mod motion;
 pub mod port;
 mod queue;
+mod slots;
 pub mod stream;
 
 #[cfg(test)]
@@ -22,7 +23,7 @@ use std::time::Duration;
 use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
-use crate::driver::{ChannelDriver, DriverError, Mode, Power, SensorKind, SlotReading};
+use crate::driver::{ChannelDriver, DriverError, Mode, Power, SlotReading};
 use crate::guard::rack::{Now, Rack};
 use crate::guard::{GuardSet, Neighbour, Reaction, Stopping, Words};
 use crate::joints::{Distances, Joints, MAX_SLOTS, TooManyJoints};
@@ -35,6 +36,7 @@ pub use port::{
     Ended, Fault, MotionPhase, MotionStatus, QUEUE, Rejection, ServoCommand, ServoPort, ServoStatus,
 };
 use port::{Laws, Streams};
+use slots::Slots;
 pub use stream::{Following, Newest, Source, Stream, StreamKind, StreamStatus};
 
 /// Orders that may wait in the queue at once.
@@ -87,6 +89,8 @@ pub struct ServoConfig {
     pub following_timeout: Duration,
     /// When a motion counts as settled.
     pub settling: Settling,
+    /// What a slot that is no joint has read, and that is older than this, is stale.
+    pub stale_after: Duration,
 }
 
 impl Default for ServoConfig {
@@ -104,6 +108,7 @@ impl Default for ServoConfig {
             },
             following_timeout: Duration::from_millis(100),
             settling: Settling::default(),
+            stale_after: Duration::from_millis(100),
         }
     }
 }
@@ -193,8 +198,8 @@ pub struct Servo {
     shown: Option<Neighbour>,
     /// How the arm would come to rest.
     stopping: Stopping,
-    /// Where the first force-torque sensor stands among the sensors' numbers.
-    force_at: Option<usize>,
+    /// The slots that are no joints.
+    slots: Slots,
     /// The segments under way and waiting, and their numbers and guards.
     follower: Follower,
     ids: VecDeque<(u64, GuardSet)>,
@@ -223,16 +228,7 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
-        let (mut sensed, mut force_at) = (0, None);
-        for sensor in driver.sensors() {
-            if sensor.kind == SensorKind::ForceTorque {
-                force_at = force_at.or(Some(sensed));
-            }
-            sensed += sensor.kind.width();
-        }
-        if sensed > MAX_SLOTS {
-            return Err(ServoError::Sensors { found: sensed });
-        }
+        let slots = Slots::new(driver.sensors())?;
         let solver = Solver::new(Arc::clone(&model))?;
         let guards = Rack::new(model);
         let positive = [
@@ -270,7 +266,7 @@ impl Servo {
             velocity: still,
             setpoint: still,
             torque: still,
-            sensors: Joints::zeros(sensed),
+            sensors: Joints::zeros(slots.width()),
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
@@ -303,7 +299,7 @@ impl Servo {
             guards,
             shown: None,
             stopping: Stopping::default(),
-            force_at,
+            slots,
             follower: Follower::new(QUEUE, config.period.as_secs_f64(), config.setpoint_every),
             ids: VecDeque::with_capacity(QUEUE),
             after_rest: None,
@@ -343,6 +339,7 @@ impl Servo {
         self.guard();
         self.watch();
         let torques = self.control();
+        self.actuate();
         self.write(&torques);
         self.publish(&torques);
     }
@@ -373,6 +370,7 @@ impl Servo {
                 segment,
                 bridge,
             } => self.begin(id, segment, Some(bridge)),
+            ServoCommand::SetOutput { number, value } => self.set_output(number, value),
             ServoCommand::Name { guards } => self.guards.name(guards),
             ServoCommand::Stop => {
                 self.status.stopped = true;
@@ -443,20 +441,7 @@ impl Servo {
             self.status.position[index] = reading.position;
             self.status.velocity[index] = reading.velocity;
         }
-        let mut sensed = self.status.sensors;
-        if let Err(error) = self.driver.sense(&mut sensed) {
-            return self.driver_failed(error);
-        }
-        match sensed.iter().position(|number| !number.is_finite()) {
-            Some(number) => self.fail(Fault::Sensor { number }),
-            None => self.status.sensors = sensed,
-        }
-    }
-
-    /// What the first force-torque sensor reads, N and N m in its frame.
-    fn force(&self) -> Option<[f64; 6]> {
-        let at = self.force_at?;
-        self.status.sensors.get(at..at + 6)?.try_into().ok()
+        self.sense();
     }
 
     /// Takes over the arm where it is: after any time with the brakes on, setpoint and law start
@@ -520,6 +505,9 @@ impl Servo {
         let (mut joints_at_rest, mut tool_at_rest) = (None, None);
         self.stopping = Stopping::default();
         let (rests, stopping) = self.ends();
+        if self.status.stale != 0 && self.motion.is_some() && !stopping {
+            self.watch_slots();
+        }
         if self.motion.is_some() && !rests {
             let rest = match &self.stream {
                 Some(_) => Stream::rest(&self.setpoint, self.solver.model(), period),
@@ -529,7 +517,7 @@ impl Servo {
             joints_at_rest = rest.joints;
             tool_at_rest = rest.tool.map(|tool| Placement::from(&tool));
         }
-        if self.motion.is_none() || stopping || rests {
+        if self.motion.is_none() || self.ends() != (false, false) {
             return;
         }
         let found = self.guards.check(&Now {
@@ -693,13 +681,12 @@ impl Servo {
         self.status.power = Power::Off;
         self.releasing = false;
         self.after_rest = None;
-        match (self.motion.take(), &self.stream) {
-            (_, Some(_)) => self.fail_stream(fault),
-            (Some(_), None) => {
-                self.ended(MotionPhase::Failed);
-                self.drop_queue(MotionPhase::Failed);
-            }
-            (None, None) => {}
+        let moved = self.motion.take().is_some();
+        if self.stream.is_some() {
+            self.fail_stream(fault);
+        } else if moved {
+            self.ended(MotionPhase::Failed);
+            self.drop_queue(MotionPhase::Failed);
         }
     }
 

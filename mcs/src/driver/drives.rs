@@ -206,6 +206,14 @@ impl ChannelDriver for Drives {
         self.inner.sense(numbers)
     }
 
+    fn ages(&mut self, ages: &mut [f64]) {
+        self.inner.ages(ages);
+    }
+
+    fn actuate(&mut self, numbers: &[f64]) -> Result<(), DriverError> {
+        self.inner.actuate(numbers)
+    }
+
     fn write(
         &mut self,
         commands: &[f64],

@@ -206,6 +206,26 @@ impl ChannelDriver for Testbed {
         self.parts.iter_mut().map(sense).fold(Ok(()), Result::and)
     }
 
+    fn ages(&mut self, ages: &mut [f64]) {
+        let mut rest = ages;
+        for own in &mut self.parts {
+            let count = own.driver.sensors().len();
+            let Some((those, others)) = rest.split_at_mut_checked(count) else {
+                return;
+            };
+            own.driver.ages(those);
+            rest = others;
+        }
+    }
+
+    fn actuate(&mut self, numbers: &[f64]) -> Result<(), DriverError> {
+        let actuate = |own: &mut Own| match numbers.get(own.sensed.clone()) {
+            Some(numbers) => own.driver.actuate(numbers),
+            None => Ok(()),
+        };
+        self.parts.iter_mut().map(actuate).fold(Ok(()), Result::and)
+    }
+
     /// Writes to all of them, so that the others brake when one fails; the first error counts.
     fn write(
         &mut self,

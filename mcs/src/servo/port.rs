@@ -41,6 +41,13 @@ pub enum ServoCommand {
         /// The planned segment.
         segment: Segment,
     },
+    /// Sets a number of an output. All are 0 again when power goes off.
+    SetOutput {
+        /// Which, among the numbers of all slots that are no joints, from 0.
+        number: usize,
+        /// To what.
+        value: f64,
+    },
     /// Motions ordered after this are watched by these guards, besides those that always watch.
     Name {
         /// By slot: see [`ServoPort::mount`].
@@ -170,6 +177,9 @@ pub enum Rejection {
     /// A motion is under way.
     #[error("a motion is under way; a stream can begin when the arm has come to rest")]
     Moving,
+    /// A slot that is no joint has read nothing new for too long.
+    #[error("a slot of the arm is stale; `pino EXEC sensors` names it")]
+    StaleSlot,
     /// Torques for a slot that takes none.
     #[error("a slot of the arm is commanded by position or speed, and takes no torque")]
     NoTorque,
@@ -285,6 +295,8 @@ pub struct ServoStatus {
     pub torque: Joints,
     /// What the driver's sensors read, one after the other, in the units of their kinds.
     pub sensors: Joints,
+    /// Which sensors are stale, the first by the lowest bit.
+    pub stale: u32,
     /// Nothing moves and nothing is going to.
     pub at_rest: bool,
     /// The latest motion.

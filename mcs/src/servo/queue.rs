@@ -17,6 +17,7 @@ impl Servo {
             _ if self.status.stopped => Some(Rejection::Stopped),
             _ if self.stream.is_some() => Some(Rejection::Streaming),
             _ if self.motion.is_some() && self.follower.is_stopping() => Some(Rejection::Busy),
+            _ if self.status.stale != 0 => self.stale(),
             _ if self.follower.len() >= QUEUE => Some(Rejection::Full),
             Err(_) => Some(Rejection::Unfit),
             Ok(start) if distance(&start.position, &from) > START_TOLERANCE => {

@@ -482,7 +482,7 @@ impl Servo {
                 _ if self.stream.is_some() => Some(Rejection::Streaming),
                 _ if self.motion.is_some() => Some(Rejection::Moving),
                 _ if self.status.stopped => Some(Rejection::Stopped),
-                Power::Released if self.after_rest.is_none() => None,
+                Power::Released if self.after_rest.is_none() => self.stale(),
                 _ => Some(Rejection::NotReleased),
             };
             if let Some(rejection) = rejection {

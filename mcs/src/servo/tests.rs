@@ -1,6 +1,7 @@
 //! The servo on an arm that obeys the equations of motion.
 
 mod modes;
+mod slots;
 mod stream;
 mod switch;
 

@@ -17,8 +17,8 @@ use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
     Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Outcome, Plan, Position,
     ReadControl, ReadGuards, ReadPosition, ReadSensors, ReadStream, RecordStates, Release,
-    RemoveGuard, Reset, Resume, SetControl, SetGuard, SetLaw, Status, StatusReport, Stop,
-    StreamReport, StreamSetpoints, StreamValue,
+    RemoveGuard, Reset, Resume, SetControl, SetGuard, SetLaw, SetOutput, Status, StatusReport,
+    Stop, StreamReport, StreamSetpoints, StreamValue,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -51,6 +51,7 @@ pub(super) fn register(registry: &mut Registry) {
         StreamSetpoints::INFO,
         StreamValue::INFO,
         ReadStream::INFO,
+        SetOutput::INFO,
     ];
     registry
         .handler(CLIENT, &commands, |cx| {
@@ -149,26 +150,27 @@ impl ClientTask {
         flat(Self::ask(cx, &parts.servo, request).await)
     }
 
-    /// Hands a value on for the task that holds the manipulator.
-    async fn value(
+    /// Hands on what only the task that holds the manipulator may ask.
+    async fn of_holder<T, C: Command<Reply = Result<T, MotionError>>>(
         &self,
         cx: &Context,
         by: &str,
-        value: StreamValue,
-    ) -> Result<Result<StreamReport, MotionError>, HandlerError> {
+        request: C,
+    ) -> Result<Result<T, MotionError>, HandlerError> {
         let parts = self.parts()?;
         let state = Self::told(cx, &parts.state, ReadState {}).await?;
         if state.holder.as_deref() != Some(by) {
             let holder = match &state.holder {
-                Some(holder) => format!("reserved by task `{holder}`"),
-                None => "reserved by nobody".to_owned(),
+                Some(holder) => format!("task `{holder}`"),
+                None => "nobody".to_owned(),
             };
             let text = format!(
-                "a value by task `{by}` refused: the manipulator is {holder}; acquire it first"
+                "`{}` by task `{by}` refused: the manipulator is reserved by {holder}; acquire it first",
+                C::NAME
             );
             return Ok(Err(MotionError::new(Outcome::Refused, text)));
         }
-        Ok(flat(Self::ask(cx, &parts.servo, value).await))
+        Ok(flat(Self::ask(cx, &parts.servo, request).await))
     }
 
     async fn status(&self, cx: &Context) -> Result<StatusReport, HandlerError> {
@@ -296,7 +298,12 @@ impl EventHandler for ClientTask {
             StreamValue::CODE => {
                 let by = caller(cx, message.from()).await?;
                 let (value, reply) = message.open::<StreamValue>()?;
-                reply.ok(self.value(cx, &by, value).await?)
+                reply.ok(self.of_holder(cx, &by, value).await?)
+            }
+            SetOutput::CODE => {
+                let by = caller(cx, message.from()).await?;
+                let (request, reply) = message.open::<SetOutput>()?;
+                reply.ok(self.of_holder(cx, &by, request).await?)
             }
             ReadStream::CODE => {
                 let (request, reply) = message.open::<ReadStream>()?;

@@ -18,11 +18,12 @@ use super::records::{Recorder, Records, records};
 use super::streams::Streams;
 use super::{Link, SERVO, rows};
 use crate::client::{
-    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, ReadStream, RecordStates,
-    RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw, StreamSetpoints, StreamValue,
+    ControlReport, GuardsReport, MotionError, Outcome, ReadControl, ReadGuards, ReadSensors,
+    ReadStream, RecordStates, RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw, SetOutput,
+    StreamSetpoints, StreamValue,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
-use crate::driver::{DriverRegistry, Sensor};
+use crate::driver::{DriverRegistry, Sensor, SensorKind};
 use crate::guard::GuardRegistry;
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
@@ -72,7 +73,7 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 14] = [
+const COMMANDS: [CommandInfo; 15] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
@@ -87,6 +88,7 @@ const COMMANDS: [CommandInfo; 14] = [
     StreamSetpoints::INFO,
     StreamValue::INFO,
     ReadStream::INFO,
+    SetOutput::INFO,
 ];
 
 pub(super) fn register(
@@ -361,6 +363,42 @@ impl ServoTask {
         Ok(self.control.clone())
     }
 
+    /// Sets an output by its name.
+    fn set_output(&self, request: &SetOutput) -> Result<(), MotionError> {
+        let SetOutput { name, value } = request;
+        let refused = |text: String| Err(MotionError::new(Outcome::Refused, text));
+        let mut number = 0;
+        for sensor in &self.sensors {
+            if sensor.name != *name {
+                number += sensor.kind.width();
+                continue;
+            }
+            if !sensor.kind.is_output() {
+                return refused(format!("slot `{name}` is read, and not set"));
+            }
+            let lamp = sensor.kind == SensorKind::Lamp && (0.0..=1.0).contains(value);
+            if !lamp && *value != 0.0 && *value != 1.0 {
+                let fit = match sensor.kind {
+                    SensorKind::Lamp => "0 to 1",
+                    _ => "0 or 1",
+                };
+                return refused(format!("output `{name}` is set to {fit}, not {value}"));
+            }
+            let value = *value;
+            let order = self
+                .link
+                .port
+                .order(ServoCommand::SetOutput { number, value });
+            return order.map_err(|error| MotionError::new(Outcome::Fault, error));
+        }
+        let outputs = self.sensors.iter().filter(|sensor| sensor.kind.is_output());
+        let names: Vec<&str> = outputs.map(|sensor| sensor.name.as_str()).collect();
+        refused(format!(
+            "there is no output `{name}`; there are: {}",
+            names.join(", ")
+        ))
+    }
+
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
     async fn shut_down(&self, cx: &Context) -> Handled {
         if self.cyclic.is_some() {
@@ -434,9 +472,13 @@ impl EventHandler for ServoTask {
             }
             ReadSensors::CODE => {
                 let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
+                let status = self.link.port.status();
+                let named = self.sensors.iter().enumerate();
+                let stale = named.filter(|(index, _)| status.stale >> index & 1 == 1);
                 reply.ok(SensorReport {
                     sensors: self.sensors.clone(),
-                    numbers: self.link.port.status().sensors.to_vec(),
+                    numbers: status.sensors.to_vec(),
+                    stale: stale.map(|(_, sensor)| sensor.name.clone()).collect(),
                 })
             }
             StreamSetpoints::CODE => {
@@ -451,6 +493,10 @@ impl EventHandler for ServoTask {
             ReadStream::CODE => {
                 let (ReadStream {}, reply) = message.open::<ReadStream>()?;
                 reply.ok(self.streams.report(&self.link))
+            }
+            SetOutput::CODE => {
+                let (request, reply) = message.open::<SetOutput>()?;
+                reply.ok(self.set_output(&request))
             }
             SetLaw::CODE => {
                 let (SetLaw { law }, reply) = message.open::<SetLaw>()?;

@@ -108,7 +108,8 @@ impl Streams {
                 let floats = reader.layout().floats;
                 let fit = fitting(request.kind, model.dof());
                 if !fit.contains(&floats) {
-                    let fit = fit.map(|count| count.to_string()).join(" or ");
+                    let fit: Vec<String> = fit.iter().map(usize::to_string).collect();
+                    let fit = fit.join(" or ");
                     let text =
                         format!("a record of buffer `{name}` has {floats} floats and not {fit}");
                     return Err(refused(text));
@@ -219,10 +220,10 @@ impl Streams {
 }
 
 /// How many numbers a value of that kind has.
-fn fitting(kind: StreamKind, joints: usize) -> [usize; 2] {
+fn fitting(kind: StreamKind, joints: usize) -> Vec<usize> {
     match kind {
-        StreamKind::Joints => [joints, 2 * joints],
-        StreamKind::Tool => [6, 16],
-        StreamKind::Torques { .. } => [joints, joints],
+        StreamKind::Joints => vec![joints, 2 * joints],
+        StreamKind::Tool => vec![6, 16],
+        StreamKind::Torques { .. } => vec![joints],
     }
 }

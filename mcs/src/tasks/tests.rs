@@ -3,6 +3,7 @@
 mod guards;
 mod laws;
 mod random;
+mod slots;
 mod stops;
 mod streams;
 

@@ -379,13 +379,13 @@ impl EventHandler for Asker {
             seen.lose();
             seen.open.retain(|(who, _), _| who.as_str() != cx.name());
         }
-        let seed = self.seed ^ (index as u64) << 8 ^ life << 16;
+        let seed = self.seed ^ ((index as u64) << 8) ^ (life << 16);
         let mcs = cx.task("mcs").await?;
         // Two requests at once, so that one can disturb the other.
         for half in 0..2 {
             let (cx, own, mcs, seen) =
                 (cx.clone(), cx.clone(), mcs.clone(), Arc::clone(&self.seen));
-            let mut rng = ChaCha8Rng::seed_from_u64(seed ^ half << 24);
+            let mut rng = ChaCha8Rng::seed_from_u64(seed ^ (half << 24));
             cx.spawn(async move {
                 loop {
                     let pause = Duration::from_millis(rng.random_range(1..120));
