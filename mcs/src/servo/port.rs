@@ -184,7 +184,7 @@ pub enum Rejection {
     #[error("a slot of the arm is commanded by position or speed, and takes no torque")]
     NoTorque,
     /// A motion is being stopped.
-    #[error("the arm is still coming to rest; try again when it has")]
+    #[error("the arm follows a stream or is still coming to rest; try again when it rests")]
     Busy,
     /// So many segments wait that there is no room for another one.
     #[error("{QUEUE} motions are under way or wait already; wait for one of them to end")]

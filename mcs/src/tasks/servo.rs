@@ -215,6 +215,8 @@ struct ServoTask {
     args: ServoArgs,
     sensors: Vec<Sensor>,
     streams: Streams,
+    /// The number of the chassis of the client interface that last asked for a stream.
+    streamed_from: Option<u8>,
 }
 
 impl ServoTask {
@@ -272,6 +274,7 @@ impl ServoTask {
             args,
             sensors,
             streams: Streams::default(),
+            streamed_from: None,
         })
     }
 
@@ -482,6 +485,7 @@ impl EventHandler for ServoTask {
                 })
             }
             StreamSetpoints::CODE => {
+                self.streamed_from = Some(message.from().chassis());
                 let (request, reply) = message.open::<StreamSetpoints>()?;
                 let arm = (&*self.link, &*self.model);
                 reply.ok(self.streams.begin(cx, arm, request).await)
@@ -527,6 +531,20 @@ impl EventHandler for ServoTask {
             let ticking = |status: &ServoStatus| status.ticks > 0;
             let patience = self.link.rest_patience();
             self.link.wait(cx, "begin", patience, ticking).await?;
+        }
+        Ok(())
+    }
+
+    /// Nobody could stop a stream any more whose client interface is gone.
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let from = self.streamed_from.map(|index| cx.chassis().name_of(index));
+        if from.is_some_and(|from| from == chassis) && self.streams.report(&self.link).follows {
+            tracing::warn!(
+                task = cx.name(),
+                chassis,
+                "the arm comes to rest: the chassis of its client interface is gone"
+            );
+            self.link.port.order(ServoCommand::Cancel)?;
         }
         Ok(())
     }

@@ -268,6 +268,41 @@ fn a_stream_ends_with_the_chassis_of_the_task_that_holds_the_arm() {
 }
 
 #[test]
+fn a_stream_ends_with_the_chassis_of_the_client_interface_and_the_arm_is_still_held() {
+    let knobs = Arc::<Knobs>::default();
+    let script: Script = |cx, mcs, knobs| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let request = StreamSetpoints {
+                max_age_s: 60.0,
+                ..following(StreamKind::Joints, None)
+            };
+            done(&cx, &mcs, request).await?;
+            let numbers = START.map(|joint| joint - 0.9).to_vec();
+            done(&cx, &mcs, StreamValue { numbers }).await?;
+            cx.sleep(Duration::from_secs(2)).await;
+            let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+            assert_eq!(power, Power::Released, "it is still held");
+            let mcs = cx.task("mcs").await?;
+            let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!(
+                stands.at_rest && stands.joints[0] > START[0] - 0.85,
+                "{stands:?}"
+            );
+            let report = asked(&cx, &mcs, ReadStream {}).await?;
+            assert!(!report.follows, "{report:?}");
+            Ok(String::new())
+        })
+    };
+    let app = APP.replace(
+        "handler = \"mcs.client\"\non = \"ws\"",
+        "handler = \"mcs.client\"\non = \"aside\"",
+    );
+    let result = stops::run_app_dying(&app, script, &knobs, &[("aside", 300)]);
+    assert!(result.ok, "{}", result.text);
+}
+
+#[test]
 fn the_tool_listens_to_displacements_from_a_buffer_by_one_word() {
     text_of(|cx, mcs, _| {
         Box::pin(async move {
