@@ -10,8 +10,10 @@ mod chase;
 mod motion;
 pub mod port;
 mod queue;
+mod sensing;
 mod slots;
 pub mod stream;
+mod streaming;
 
 #[cfg(test)]
 mod tests;
@@ -228,7 +230,7 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
-        let slots = Slots::new(driver.sensors())?;
+        let slots = Slots::new(driver.sensors()).map_err(|found| ServoError::Sensors { found })?;
         let solver = Solver::new(Arc::clone(&model))?;
         let guards = Rack::new(model);
         let positive = [
