@@ -117,8 +117,9 @@ pub struct Drives {
     law: PidGravity,
     readings: Vec<SlotReading>,
     setpoint: Setpoint,
-    /// Where each slot is to be in the next period, rad or m.
+    /// Where each slot is to be in the next period, rad or m, and how fast.
     next: Joints,
+    speeds: Joints,
     torques: Vec<f64>,
 }
 
@@ -149,6 +150,7 @@ impl Drives {
             readings: vec![SlotReading::default(); slots],
             setpoint: Setpoint::at_rest(Joints::zeros(slots)),
             next: Joints::zeros(slots),
+            speeds: Joints::zeros(slots),
             torques: vec![0.0; slots],
             inner,
         })
@@ -159,6 +161,7 @@ impl Drives {
         for (position, reading) in self.next.iter_mut().zip(&self.readings) {
             *position = reading.position;
         }
+        self.speeds.fill(0.0);
         self.setpoint = Setpoint::at_rest(self.next);
         self.law.reset(&self.readings);
     }
@@ -166,17 +169,20 @@ impl Drives {
     /// What the loops are to follow within the coming `period` (s).
     fn follow(&mut self, commands: &[f64], period: f64) {
         for (slot, (command, mode)) in commands.iter().zip(&self.modes).enumerate() {
-            let (from, before) = (self.next[slot], self.setpoint.velocity[slot]);
-            let then = match mode {
-                Mode::Position => *command,
-                Mode::Velocity => from + command * period,
-                Mode::Torque => self.readings[slot].position,
+            let (from, before) = (self.next[slot], self.speeds[slot]);
+            let (then, speed, now) = match mode {
+                Mode::Position => (
+                    *command,
+                    (command - from) / period,
+                    (command - from) / period,
+                ),
+                Mode::Velocity => (from + 0.5 * (before + command) * period, *command, before),
+                Mode::Torque => (self.readings[slot].position, 0.0, 0.0),
             };
-            let speed = (then - from) / period;
             self.setpoint.position[slot] = from;
-            self.setpoint.velocity[slot] = speed;
+            self.setpoint.velocity[slot] = now;
             self.setpoint.acceleration[slot] = (speed - before) / period;
-            self.next[slot] = then;
+            (self.next[slot], self.speeds[slot]) = (then, speed);
         }
     }
 }

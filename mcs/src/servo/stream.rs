@@ -20,6 +20,10 @@ use crate::words;
 
 /// How far the rotation of a pose may be from a rotation, per entry.
 const ROTATION_ROUNDING: f64 = 1e-6;
+/// How much longer than it seems the way until rest is taken to be under direct torques, and by how many periods of travel:
+/// the law that takes over lags behind its setpoint.
+const CAUTION: f64 = 1.25;
+const LATE: f64 = 2.0;
 /// The way to a value takes no longer than this, however seldom values come, s.
 const LONGEST_WAY: f64 = 0.25;
 
@@ -244,7 +248,7 @@ impl Stream {
             self.end(why);
         }
         if self.is_direct() {
-            match strayed(&self.next, solver.model()) {
+            match strayed(&self.next, solver.model(), period) {
                 Some(why) => self.end(why),
                 None => return self.next,
             }
@@ -429,7 +433,7 @@ fn within(
 }
 
 /// Why an arm under direct torques must be stopped: a joint is too fast, or would pass a limit before it rests.
-fn strayed(now: &Setpoint, model: &Model) -> Option<Words> {
+fn strayed(now: &Setpoint, model: &Model, period: f64) -> Option<Words> {
     let mut joints = model.joints().iter().enumerate();
     joints.find_map(|(index, joint)| {
         let (at, speed, limits) = (now.position[index], now.velocity[index], &joint.limits);
@@ -440,7 +444,8 @@ fn strayed(now: &Setpoint, model: &Model) -> Option<Words> {
                 "joint {number} went at {speed:.4} {unit}/s, its limit is {limit:.4}"
             ));
         }
-        let rest = at + 0.5 * speed * speed.abs() / limits.acceleration;
+        let braking = CAUTION * 0.5 * speed.abs() / limits.acceleration;
+        let rest = at + speed * (braking + LATE * period);
         let (low, high) = (limits.lower, limits.upper);
         let outward = (rest > high && speed >= 0.0) || (rest < low && speed <= 0.0);
         outward.then(|| {

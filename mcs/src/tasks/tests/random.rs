@@ -164,6 +164,10 @@ impl ChannelDriver for Watched {
             let text = format!("power is {power:?} without a reset and a new reservation");
             seen.wrong.push(text);
         }
+        if power == Power::Off && self.power != Power::Off {
+            // Whatever the reason, a fault of the servo's own or that the arm is given back.
+            seen.lose();
+        }
         if power == Power::Released && self.power != Power::Released {
             seen.released += 1;
             let q: Vec<f64> = self.readings.iter().map(|slot| slot.position).collect();
@@ -205,6 +209,13 @@ enum What {
     Estop,
     Reset,
 }
+
+/// Faults that somebody asks for, or that the driver has. No other may come of what is asked.
+const FAULTS: [&str; 3] = [
+    "emergency stop was asked for",
+    "a controlled stop was asked for",
+    "the channel driver failed",
+];
 
 /// Often what makes the arm move, seldom what stops it.
 const WHATS: [(What, u32); 12] = [
@@ -322,6 +333,13 @@ impl Asker {
                         status.state,
                         State::Cold | State::Reserved | State::Estopped
                     );
+                    if let Some(fault) = &status.fault
+                        && !FAULTS.iter().any(|known| fault.starts_with(known))
+                    {
+                        lock()
+                            .wrong
+                            .push(format!("{} met a fault: {fault}", cx.name()));
+                    }
                     if powered && status.holder.is_none() {
                         lock()
                             .wrong

@@ -145,7 +145,11 @@ fn an_arm_that_is_given_back_in_the_midst_of_a_stream_comes_to_rest_first() {
             done(&cx, &mcs, Acquire {}).await?;
             let mut writer = writer(&cx, &name, 6)?;
             writer.write(&START.map(|joint| joint - 0.7), &[])?;
-            done(&cx, &mcs, following(StreamKind::Joints, Some(name))).await?;
+            let request = StreamSetpoints {
+                max_age_s: 10.0,
+                ..following(StreamKind::Joints, Some(name))
+            };
+            done(&cx, &mcs, request).await?;
             cx.sleep(Duration::from_millis(80)).await;
             assert_eq!(done(&cx, &mcs, Release {}).await?, State::Cold);
             let end = asked(&cx, &mcs, ReadStream {})
@@ -320,8 +324,10 @@ fn the_tool_listens_to_displacements_from_a_buffer_by_one_word() {
             let mut writer = writer(&cx, &name, 6)?;
             writer.write(&[0.0; 6], &[])?;
             let begun = told(&cx, "mvpos EXEC listen").await?;
+            assert!(begun.is_ok(), "{:?}", begun.reports);
+            let follows = told(&cx, "setpoint EXEC state").await?;
             assert_eq!(
-                begun.text,
+                follows.text,
                 format!("the arm follows poses of buffer `{name}`")
             );
             for step in 1..=60 {
