@@ -47,6 +47,9 @@ const COMMANDS: usize = 32;
 const LAWS: usize = 4;
 /// Streams that may.
 const STREAMS: usize = 4;
+/// How fast a slot that is commanded by speed goes back to its setpoint: so much per s of what it is off, and slower than any
+/// drive's own loop.
+const RETURNING: f64 = 10.0;
 /// How far (rad or m) a segment may start from the setpoint that is held, or from the end of the one before.
 const START_TOLERANCE: f64 = 1e-6;
 
@@ -659,7 +662,10 @@ impl Servo {
             );
             match modes.get(slot).copied().unwrap_or_default() {
                 Mode::Torque => torques[slot],
-                Mode::Velocity if moves => speed + rate * period,
+                Mode::Velocity if moves => {
+                    let off = self.setpoint.position[slot] - self.status.position[slot];
+                    speed + rate * period + RETURNING * off
+                }
                 Mode::Velocity => 0.0,
                 Mode::Position if moves => {
                     self.setpoint.position[slot] + (speed + 0.5 * rate * period) * period
