@@ -13,6 +13,7 @@ use crate::guard::{GuardReport, Reaction};
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
 use crate::servo::MotionPhase;
+pub use crate::servo::StreamKind;
 use crate::state::State;
 pub use crate::trajectory::PathKind;
 
@@ -359,12 +360,24 @@ pub struct SensorReport {
     pub sensors: Vec<Sensor>,
     /// Their numbers at the servo's latest tick, one sensor after the other.
     pub numbers: Vec<f64>,
+    /// The names of those that have read nothing new for too long.
+    pub stale: Vec<String>,
 }
 
 ctos::command! {
     /// Reads the slots that are no joints.
     #[derive(Debug, Clone, PartialEq)]
     pub struct ReadSensors => SensorReport, 0x0313, "read_sensors"
+}
+ctos::command! {
+    /// Sets an output, until power goes off. Only the task that holds the manipulator may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetOutput {
+        /// Its name.
+        pub name: String,
+        /// 0 or 1; of a lamp from 0 to 1.
+        pub value: f64,
+    } => Result<(), MotionError>, 0x0333, "set_output"
 }
 ctos::command! {
     /// Ends the motion under way: brakes along the path to rest. The next one may begin at once, which it may not
@@ -386,6 +399,58 @@ ctos::command! {
         /// The buffer's name.
         pub buffer: Option<String>,
     } => (), 0x030f, "record_states"
+}
+
+/// How a stream is that an arm follows, or how the last one ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StreamReport {
+    /// What is streamed; nothing before the first.
+    pub kind: Option<StreamKind>,
+    /// The snapshot buffer; nothing where values come by [`StreamValue`].
+    pub buffer: Option<String>,
+    /// Whether the arm follows it.
+    pub follows: bool,
+    /// How many values were taken.
+    pub values: u64,
+    /// How old the newest one was at the last tick, s.
+    pub age_s: f64,
+    /// Why it is followed no more.
+    pub end: Option<String>,
+}
+
+ctos::command! {
+    /// Has the arm follow a stream of setpoints or torques, and answers once it does. Only the task that holds the
+    /// manipulator may ask. [`Cancel`] and every stop end the stream, and so does a value that is too old, or that cannot be
+    /// followed: the arm comes to rest, and holds until a stream or a motion is asked for anew.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StreamSetpoints {
+        /// What is streamed.
+        pub kind: StreamKind,
+        /// The snapshot buffer of the app whose newest record is followed; without one, what [`StreamValue`] hands over.
+        pub buffer: Option<String>,
+        /// A value older than this ends the stream, s.
+        pub max_age_s: f64,
+        /// Fraction of full speed, above 0 up to 1. Of torques it limits nothing.
+        pub speed: f64,
+        /// Fraction of full acceleration, above 0 up to 1; as the speed when it is left out.
+        pub acceleration: Option<f64>,
+        /// Recipes of guards that watch it, besides those that always do.
+        pub guards: Vec<String>,
+    } => Result<StreamReport, MotionError>, 0x0330, "stream_setpoints"
+}
+ctos::command! {
+    /// The next value of a stream that follows no buffer. Only the task that holds the manipulator may ask. What cannot be
+    /// followed the next tick finds, and [`ReadStream`] tells, as does the next value.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StreamValue {
+        /// Numbers, as [`StreamKind`] says.
+        pub numbers: Vec<f64>,
+    } => Result<StreamReport, MotionError>, 0x0331, "stream_value"
+}
+ctos::command! {
+    /// Tells how the latest stream is.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadStream => StreamReport, 0x0332, "read_stream"
 }
 
 /// A recipe of a guard that a manipulator has.

@@ -1,9 +1,9 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
 //! `kin`, `dyn` and `traj` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
-//! app one that the process holds for itself; `wspc` holds recipes of guards for the app's. Their texts and numbers are a fixed interface
-//! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
-//! under joint 1 and frame 6 as the DH table has it.
+//! app one that the process holds for itself; `setpoint` and `torque` stream to the app's, and `wspc` holds recipes of guards
+//! for it. Their texts and numbers are a fixed interface that other programs lean on: SI units, rad, matrices row by row, the
+//! base frame on the floor under joint 1 and frame 6 as the DH table has it.
 
 mod arm;
 mod dynamics;
@@ -11,6 +11,7 @@ mod kinematics;
 mod local;
 mod mvpos;
 mod pino;
+mod streaming;
 mod traj;
 mod wspc;
 
@@ -20,6 +21,7 @@ use crate::client::MotionError;
 use local::SharedArm;
 use mvpos::MvPos;
 use pino::Pino;
+use streaming::Streaming;
 use wspc::Wspc;
 
 /// Version of the classes.
@@ -85,7 +87,12 @@ pub fn register(sorm: &Sorm) {
     let pino = pino.waits().any_flavor();
     let wspc = Class::new("wspc", VERSION, |_, _| Ok(Box::new(Wspc::default())));
     let wspc = wspc.waits().any_flavor();
-    let all = [kin, dynamics, mvpos, pino, traj, wspc];
+    let setpoint = Class::new("setpoint", VERSION, |_, _| {
+        Ok(Box::new(Streaming::setpoints()))
+    });
+    let torque = Class::new("torque", VERSION, |_, _| Ok(Box::new(Streaming::torques())));
+    let (setpoint, torque) = (setpoint.waits().any_flavor(), torque.waits().any_flavor());
+    let all = [kin, dynamics, mvpos, pino, setpoint, torque, traj, wspc];
     for (class, info) in all.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
@@ -99,6 +106,8 @@ pub fn classes() -> Vec<ClassInfo> {
         dynamics::TABLE.class("dyn", VERSION),
         mvpos::TABLE.class("mvpos", VERSION),
         pino::TABLE.class("pino", VERSION),
+        streaming::SETPOINTS.class("setpoint", VERSION),
+        streaming::TORQUES.class("torque", VERSION),
         traj::TABLE.class("traj", VERSION),
         wspc::TABLE.class("wspc", VERSION),
     ]

@@ -6,8 +6,14 @@
 //! here knows tasks or messages; all time is counted in ticks.
 
 mod blend;
+mod chase;
 mod motion;
 pub mod port;
+mod queue;
+mod sensing;
+mod slots;
+pub mod stream;
+mod streaming;
 
 #[cfg(test)]
 mod tests;
@@ -19,23 +25,31 @@ use std::time::Duration;
 use crossbeam_queue::ArrayQueue;
 
 use crate::control::ControlLaw;
-use crate::driver::{ChannelDriver, DriverError, Power, SensorKind, SlotReading};
+use crate::driver::{ChannelDriver, DriverError, Mode, Power, SlotReading};
 use crate::guard::rack::{Now, Rack};
-use crate::guard::{GuardSet, Neighbour, Reaction, Stopping};
+use crate::guard::{GuardSet, Neighbour, Reaction, Stopping, Words};
 use crate::joints::{Distances, Joints, MAX_SLOTS, TooManyJoints};
 use crate::model::{Model, Placement};
-use crate::trajectory::{Bridge, Follower, Segment, Setpoint, Solver};
+use crate::trajectory::{Follower, Setpoint, Solver};
+use crate::words;
 use blend::Blend;
-use motion::{Motion, Progress};
-use port::Laws;
+use motion::Motion;
 pub use port::{
     Ended, Fault, MotionPhase, MotionStatus, QUEUE, Rejection, ServoCommand, ServoPort, ServoStatus,
 };
+use port::{Laws, Streams};
+use slots::Slots;
+pub use stream::{Following, Newest, Source, Stream, StreamKind, StreamStatus};
 
 /// Orders that may wait in the queue at once.
 const COMMANDS: usize = 32;
 /// Laws that may.
 const LAWS: usize = 4;
+/// Streams that may.
+const STREAMS: usize = 4;
+/// How fast a slot that is commanded by speed goes back to its setpoint: so much per s of what it is off, and slower than any
+/// drive's own loop.
+const RETURNING: f64 = 10.0;
 /// How far (rad or m) a segment may start from the setpoint that is held, or from the end of the one before.
 const START_TOLERANCE: f64 = 1e-6;
 
@@ -80,6 +94,8 @@ pub struct ServoConfig {
     pub following_timeout: Duration,
     /// When a motion counts as settled.
     pub settling: Settling,
+    /// What a slot that is no joint has read, and that is older than this, is stale.
+    pub stale_after: Duration,
 }
 
 impl Default for ServoConfig {
@@ -97,6 +113,7 @@ impl Default for ServoConfig {
             },
             following_timeout: Duration::from_millis(100),
             settling: Settling::default(),
+            stale_after: Duration::from_millis(100),
         }
     }
 }
@@ -167,6 +184,11 @@ pub struct Servo {
     driver: Box<dyn ChannelDriver>,
     law: Box<dyn ControlLaw>,
     laws: Arc<Laws>,
+    streams: Arc<Streams>,
+    /// That which is followed in place of segments.
+    stream: Option<Box<Stream>>,
+    /// The torques of the last tick were a stream's.
+    direct: bool,
     blend: Blend,
     config: ServoConfig,
     commands: Arc<ArrayQueue<ServoCommand>>,
@@ -181,8 +203,8 @@ pub struct Servo {
     shown: Option<Neighbour>,
     /// How the arm would come to rest.
     stopping: Stopping,
-    /// Where the first force-torque sensor stands among the sensors' numbers.
-    force_at: Option<usize>,
+    /// The slots that are no joints.
+    slots: Slots,
     /// The segments under way and waiting, and their numbers and guards.
     follower: Follower,
     ids: VecDeque<(u64, GuardSet)>,
@@ -211,16 +233,7 @@ impl Servo {
         if found != needed {
             return Err(ServoError::Slots { found, needed });
         }
-        let (mut sensed, mut force_at) = (0, None);
-        for sensor in driver.sensors() {
-            if sensor.kind == SensorKind::ForceTorque {
-                force_at = force_at.or(Some(sensed));
-            }
-            sensed += sensor.kind.width();
-        }
-        if sensed > MAX_SLOTS {
-            return Err(ServoError::Sensors { found: sensed });
-        }
+        let slots = Slots::new(driver.sensors()).map_err(|found| ServoError::Sensors { found })?;
         let solver = Solver::new(Arc::clone(&model))?;
         let guards = Rack::new(model);
         let positive = [
@@ -258,14 +271,16 @@ impl Servo {
             velocity: still,
             setpoint: still,
             torque: still,
-            sensors: Joints::zeros(sensed),
+            sensors: Joints::zeros(slots.width()),
             ..ServoStatus::default()
         };
         let (output, reader) = triple_buffer::triple_buffer(&status);
         let laws = Arc::new(Laws::new(LAWS));
+        let streams = Arc::new(Streams::new(STREAMS));
         let port = ServoPort::new(
             Arc::clone(&commands),
-            (Arc::clone(&driver_errors), Arc::clone(&laws)),
+            Arc::clone(&driver_errors),
+            (Arc::clone(&laws), Arc::clone(&streams)),
             reader,
             guards.port(),
         );
@@ -274,6 +289,9 @@ impl Servo {
             driver,
             law,
             laws,
+            streams,
+            stream: None,
+            direct: false,
             blend: Blend::default(),
             config,
             commands,
@@ -286,7 +304,7 @@ impl Servo {
             guards,
             shown: None,
             stopping: Stopping::default(),
-            force_at,
+            slots,
             follower: Follower::new(QUEUE, config.period.as_secs_f64(), config.setpoint_every),
             ids: VecDeque::with_capacity(QUEUE),
             after_rest: None,
@@ -315,6 +333,8 @@ impl Servo {
         self.status.ticks += 1;
         self.status.missed += missed;
         self.guards.take_in();
+        // First, so that whatever is ordered after a stream, a stop above all, is about it.
+        self.take_streams();
         while let Some(command) = self.commands.pop() {
             self.obey(command);
         }
@@ -324,6 +344,7 @@ impl Servo {
         self.guard();
         self.watch();
         let torques = self.control();
+        self.actuate();
         self.write(&torques);
         self.publish(&torques);
     }
@@ -354,12 +375,15 @@ impl Servo {
                 segment,
                 bridge,
             } => self.begin(id, segment, Some(bridge)),
+            ServoCommand::SetOutput { number, value } => self.set_output(number, value),
             ServoCommand::Name { guards } => self.guards.name(guards),
             ServoCommand::Stop => {
                 self.status.stopped = true;
-                self.brake();
+                self.brake(words!(
+                    "a protective stop, which holds until somebody resumes"
+                ));
             }
-            ServoCommand::Cancel => self.brake(),
+            ServoCommand::Cancel => self.brake(words!("somebody ended it")),
             ServoCommand::Resume => self.status.stopped = false,
             ServoCommand::ControlledStop if power == Power::Released => {
                 self.rest_then(AfterRest::Latch(Fault::ControlledStop));
@@ -383,84 +407,25 @@ impl Servo {
         }
     }
 
-    fn begin(&mut self, id: u64, segment: Segment, bridge: Option<Bridge>) {
-        let before = self.follower.end(&mut self.solver).ok().flatten();
-        let from = before.unwrap_or(self.setpoint.position);
-        let rejection = match segment.at(&mut self.solver, 0.0, &from) {
-            _ if self.status.power != Power::Released || self.after_rest.is_some() => {
-                Some(Rejection::NotReleased)
-            }
-            _ if self.status.stopped => Some(Rejection::Stopped),
-            _ if self.motion.is_some() && self.follower.is_stopping() => Some(Rejection::Busy),
-            _ if self.follower.len() >= QUEUE => Some(Rejection::Full),
-            Err(_) => Some(Rejection::Unfit),
-            Ok(start) if distance(&start.position, &from) > START_TOLERANCE => {
-                Some(Rejection::StartsElsewhere)
-            }
-            Ok(_) => None,
-        };
-        if let Some(rejection) = rejection {
-            self.status.rejected = Some((id, rejection));
-            self.status.ended.push(MotionStatus {
-                id,
-                phase: MotionPhase::Rejected(rejection),
-                ..MotionStatus::default()
-            });
-            return;
-        }
-        self.follower.push(segment, bridge);
-        self.ids.push_back((id, self.guards.named()));
-        if self.motion.is_none() {
-            self.motion = Some(self.first_in_queue());
-        }
-    }
-
-    /// The segment that is now first in the queue.
-    fn first_in_queue(&mut self) -> Motion {
-        let (id, guards) = self.ids.front().copied().unwrap_or_default();
-        self.guards.begin(&self.setpoint.position, guards);
-        self.status.motion = MotionStatus {
-            id,
-            phase: MotionPhase::Moving,
-            ..MotionStatus::default()
-        };
-        Motion::new(self.config.settling)
-    }
-
-    /// The segment that was first in the queue has ended.
-    fn ended(&mut self, phase: MotionPhase) {
-        self.status.motion.phase = phase;
-        self.status.ended.push(self.status.motion);
-        self.ids.pop_front();
-    }
-
-    /// What waits is not begun any more.
-    fn drop_queue(&mut self, phase: MotionPhase) {
-        self.follower.clear();
-        while let Some((id, _)) = self.ids.pop_front() {
-            self.status.ended.push(MotionStatus {
-                id,
-                phase,
-                ..MotionStatus::default()
-            });
-        }
-    }
-
     /// Zeros for all joints.
     fn still(&self) -> Joints {
         Joints::zeros(self.readings.len())
     }
 
-    /// Brakes along the path; standing still already, there is nothing to do.
-    fn brake(&mut self) {
-        if self.motion.is_some() {
-            self.follower.stop();
+    /// Brakes along the path, or from a stream, and why; standing still already, there is nothing to do.
+    fn brake(&mut self, why: Words) {
+        match &mut self.stream {
+            Some(stream) => stream.end(why),
+            None if self.motion.is_some() => self.follower.stop(),
+            None => {}
         }
     }
 
     /// Brakes along the path; what comes after it may not take back that the power will be latched off.
     fn rest_then(&mut self, then: AfterRest) {
-        self.brake();
+        self.brake(words!(
+            "the arm was to come to rest and its power to be switched"
+        ));
         if !matches!(self.after_rest, Some(AfterRest::Latch(_))) {
             self.after_rest = Some(then);
         }
@@ -481,20 +446,7 @@ impl Servo {
             self.status.position[index] = reading.position;
             self.status.velocity[index] = reading.velocity;
         }
-        let mut sensed = self.status.sensors;
-        if let Err(error) = self.driver.sense(&mut sensed) {
-            return self.driver_failed(error);
-        }
-        match sensed.iter().position(|number| !number.is_finite()) {
-            Some(number) => self.fail(Fault::Sensor { number }),
-            None => self.status.sensors = sensed,
-        }
-    }
-
-    /// What the first force-torque sensor reads, N and N m in its frame.
-    fn force(&self) -> Option<[f64; 6]> {
-        let at = self.force_at?;
-        self.status.sensors.get(at..at + 6)?.try_into().ok()
+        self.sense();
     }
 
     /// Takes over the arm where it is: after any time with the brakes on, setpoint and law start
@@ -523,49 +475,32 @@ impl Servo {
     }
 
     fn advance_motion(&mut self) {
-        let Some(mut motion) = self.motion.take() else {
+        let Some(motion) = self.motion.take() else {
             return;
         };
-        let passed = self.follower.passed();
-        let on_the_way = (&mut self.follower, &mut self.solver);
-        let progress = motion.advance(on_the_way, &self.setpoint, &self.readings);
-        match progress {
-            Ok((setpoint, progress)) => {
-                self.setpoint = setpoint;
-                for _ in passed..self.follower.passed() {
-                    motion.report(&self.follower, &mut self.status.motion);
-                    self.ended(MotionPhase::Done);
-                    motion = self.first_in_queue();
-                }
-                motion.report(&self.follower, &mut self.status.motion);
-                match progress {
-                    Progress::Going => self.motion = Some(motion),
-                    Progress::Finished(phase) => {
-                        self.ended(phase);
-                        if phase == MotionPhase::Done && self.follower.go_on() {
-                            self.motion = Some(self.first_in_queue());
-                        } else {
-                            self.drop_queue(phase);
-                        }
-                    }
-                    Progress::NotSettled => {
-                        let settling = &self.config.settling;
-                        let (kind, error) = motion.error().largest();
-                        let fault = Fault::NotSettled {
-                            kind,
-                            error,
-                            limit: settling.error,
-                            after: f64::from(settling.patience) * self.config.period.as_secs_f64(),
-                        };
-                        self.motion = Some(motion);
-                        self.fail(fault);
-                    }
-                }
-            }
-            Err(_) => {
-                self.motion = Some(motion);
-                self.fail(Fault::Segment);
-            }
+        match self.stream.take() {
+            Some(stream) => self.advance_stream(motion, stream),
+            None => self.advance_queue(motion),
+        }
+    }
+
+    /// An arm whose motion has not settled in time.
+    fn not_settled(&self, motion: &Motion) -> Fault {
+        let settling = &self.config.settling;
+        let (kind, error) = motion.error().largest();
+        Fault::NotSettled {
+            kind,
+            error,
+            limit: settling.error,
+            after: f64::from(settling.patience) * self.config.period.as_secs_f64(),
+        }
+    }
+
+    /// Whether the setpoint of the motion under way rests, and whether it is not to go on.
+    fn ends(&self) -> (bool, bool) {
+        match &self.stream {
+            Some(stream) => (stream.rests(), stream.is_ending()),
+            None => (self.follower.rests(), self.follower.is_stopping()),
         }
     }
 
@@ -574,13 +509,20 @@ impl Servo {
         let period = self.config.period.as_secs_f64();
         let (mut joints_at_rest, mut tool_at_rest) = (None, None);
         self.stopping = Stopping::default();
-        if self.motion.is_some() && !self.follower.rests() {
-            let rest = self.follower.rest(&self.solver);
+        let (rests, stopping) = self.ends();
+        if self.status.stale != 0 && self.motion.is_some() && !stopping {
+            self.watch_slots();
+        }
+        if self.motion.is_some() && !rests {
+            let rest = match &self.stream {
+                Some(_) => Stream::rest(&self.setpoint, self.solver.model(), period),
+                None => self.follower.rest(&self.solver),
+            };
             self.stopping = Motion::stopping(&rest, &self.setpoint, period);
             joints_at_rest = rest.joints;
             tool_at_rest = rest.tool.map(|tool| Placement::from(&tool));
         }
-        if self.motion.is_none() || self.follower.is_stopping() || self.follower.rests() {
+        if self.motion.is_none() || self.ends() != (false, false) {
             return;
         }
         let found = self.guards.check(&Now {
@@ -596,7 +538,7 @@ impl Servo {
         let Some(found) = found else { return };
         self.status.guard = Some(found);
         if found.reaction != Reaction::Report {
-            self.brake();
+            self.brake(words!("guard `{}`: {}", found.guard, found.measured));
         }
     }
 
@@ -642,20 +584,30 @@ impl Servo {
         let next = self.laws.next();
         if self.status.power != Power::Released {
             self.blend = Blend::default();
+            self.direct = false;
             if let Some(law) = next {
                 self.laws.retire(std::mem::replace(&mut self.law, law));
             }
             return torques;
         }
+        let direct = self.direct_torques();
         self.law.sense(&self.status.sensors);
-        self.law.torques(
-            &self.setpoint,
-            &self.readings,
-            self.config.period,
-            &mut torques,
-        );
-        if let Some(law) = next {
-            torques = self.change_law(law, torques);
+        match direct {
+            Some(direct) => torques = direct,
+            None => self.law.torques(
+                &self.setpoint,
+                &self.readings,
+                self.config.period,
+                &mut torques,
+            ),
+        }
+        match next {
+            // It takes over from what is measured when the stream ends.
+            Some(law) if direct.is_some() => {
+                self.laws.retire(std::mem::replace(&mut self.law, law));
+            }
+            Some(law) => torques = self.change_law(law, torques),
+            None => {}
         }
         self.blend.add_to(&mut torques);
         if torques.iter().any(|torque| !torque.is_finite()) {
@@ -664,6 +616,12 @@ impl Servo {
         }
         for (torque, joint) in torques.iter_mut().zip(self.solver.model().joints()) {
             *torque = torque.clamp(-joint.limits.torque, joint.limits.torque);
+        }
+        for (torque, mode) in torques.iter_mut().zip(self.driver.modes()) {
+            // What a drive gives by itself is not known.
+            if *mode != Mode::Torque {
+                *torque = 0.0;
+            }
         }
         torques
     }
@@ -684,9 +642,37 @@ impl Servo {
 
     fn write(&mut self, torques: &Joints) {
         let power = self.status.power;
-        if let Err(error) = self.driver.write(torques, power, self.config.period) {
+        let commands = self.commands(torques);
+        if let Err(error) = self.driver.write(&commands, power, self.config.period) {
             self.driver_failed(error);
         }
+    }
+
+    /// What each slot is to do until the next tick, by its mode.
+    fn commands(&self, torques: &Joints) -> Joints {
+        let (moves, period) = (
+            self.status.power == Power::Released,
+            self.config.period.as_secs_f64(),
+        );
+        let modes = self.driver.modes();
+        Joints::from_fn(torques.len(), |slot| {
+            let (speed, rate) = (
+                self.setpoint.velocity[slot],
+                self.setpoint.acceleration[slot],
+            );
+            match modes.get(slot).copied().unwrap_or_default() {
+                Mode::Torque => torques[slot],
+                Mode::Velocity if moves => {
+                    let off = self.setpoint.position[slot] - self.status.position[slot];
+                    speed + rate * period + RETURNING * off
+                }
+                Mode::Velocity => 0.0,
+                Mode::Position if moves => {
+                    self.setpoint.position[slot] + (speed + 0.5 * rate * period) * period
+                }
+                Mode::Position => self.status.position[slot],
+            }
+        })
     }
 
     fn driver_failed(&mut self, error: DriverError) {
@@ -703,7 +689,10 @@ impl Servo {
         self.status.power = Power::Off;
         self.releasing = false;
         self.after_rest = None;
-        if self.motion.take().is_some() {
+        let moved = self.motion.take().is_some();
+        if self.stream.is_some() {
+            self.fail_stream(fault);
+        } else if moved {
             self.ended(MotionPhase::Failed);
             self.drop_queue(MotionPhase::Failed);
         }

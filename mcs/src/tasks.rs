@@ -12,6 +12,7 @@ mod records;
 mod retreat;
 pub mod servo;
 pub mod state;
+mod streams;
 
 #[cfg(test)]
 mod tests;

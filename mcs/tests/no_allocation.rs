@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use mcs::Joints;
@@ -13,7 +14,10 @@ use mcs::guard::workspace::{Region, Workspace};
 use mcs::guard::{Guard, GuardSet, Mounted, Reaction};
 use mcs::model::inverse::{Preferences, Search};
 use mcs::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
-use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
+use mcs::servo::{
+    Following, MotionPhase, Newest, Servo, ServoCommand, ServoConfig, ServoPort, Source, Stream,
+    StreamKind,
+};
 use mcs::trajectory::{CartesianLimits, Pace, Planner, Setpoint, Solver};
 use nalgebra::Translation3;
 
@@ -298,4 +302,91 @@ fn the_general_model_does_not_allocate_per_evaluation() {
 fn the_counter_counts() {
     let info = allocation_counter::measure(|| drop(std::hint::black_box(vec![0_u8; 64])));
     assert_eq!(info.count_total, 1);
+}
+
+/// A value for as long as the flag is not raised, then one that is too old.
+struct Fed {
+    numbers: Vec<f64>,
+    count: u64,
+    silent: Arc<AtomicBool>,
+}
+
+impl Source for Fed {
+    fn newest(&mut self) -> Option<Newest<'_>> {
+        self.count += 1;
+        Some(Newest {
+            count: self.count,
+            stamp: 0.018 * self.count as f64,
+            age: match self.silent.load(Ordering::Relaxed) {
+                true => 9.0,
+                false => 0.0,
+            },
+            numbers: &self.numbers,
+        })
+    }
+}
+
+#[test]
+fn no_tick_allocates_while_a_stream_is_followed_and_ends() {
+    for name in ARMS {
+        let law = laws(name).into_iter().next().unwrap();
+        let (mut servo, port, planner) = rig(name, law);
+        for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
+            port.order(command).unwrap();
+            servo.tick(0);
+        }
+        let n = planner.model().dof();
+        let goal = joints(name, [0.1, 0.1, 0.0], START);
+        let with_speeds = [&goal[..], &vec![0.0; n]].concat();
+        let gravity = StreamKind::Torques { gravity: true };
+        let streams = [
+            (StreamKind::Joints, goal.to_vec()),
+            (StreamKind::Joints, with_speeds),
+            (StreamKind::Tool, vec![0.01, 0.02, -0.01, 0.0, 0.0, 0.1]),
+            (gravity, vec![0.0; n]),
+            (StreamKind::Joints, vec![f64::NAN; n]),
+        ];
+        let mut count = 0;
+        for (serial, (kind, numbers)) in streams.into_iter().enumerate() {
+            let silent = Arc::new(AtomicBool::new(false));
+            let source = Fed {
+                numbers,
+                count: 0,
+                silent: Arc::clone(&silent),
+            };
+            let how = Following {
+                serial: serial as u64 + 1,
+                kind,
+                max_age: 0.1,
+                pace: (0.5, 0.5),
+                guards: GuardSet::default(),
+            };
+            let stream = Stream::new(how, Box::new(source), planner.model());
+            port.stream(Box::new(stream)).unwrap();
+            for _ in 0..60 {
+                count += allocation_counter::measure(|| servo.tick(0)).count_total;
+            }
+            let status = port.status();
+            assert_eq!(
+                status.stream.serial,
+                serial as u64 + 1,
+                "{name}: {status:?}"
+            );
+            silent.store(true, Ordering::Relaxed);
+            for _ in 0..2000 {
+                count += allocation_counter::measure(|| servo.tick(0)).count_total;
+                if port.status().motion.phase.is_over() {
+                    break;
+                }
+            }
+            let status = port.status();
+            assert_eq!(
+                status.motion.phase,
+                MotionPhase::Stopped,
+                "{name}: {status:?}"
+            );
+            assert!(status.stream.end.is_some());
+        }
+        assert_eq!(count, 0, "{name}");
+    }
 }

@@ -81,7 +81,7 @@ impl Served {
         self.peer.silent();
         let order = Order {
             power: Power::Braked,
-            torques: vec![0.0; self.readings.len()],
+            commands: vec![0.0; self.readings.len()],
             period: self.period,
         };
         for _ in 0..MOST_BRAKING {
@@ -109,7 +109,7 @@ impl Served {
         (self.power, self.period) = (order.power, order.period);
         let now = self.clock.now().since_start();
         let period = order.period;
-        let written = self.arm.write(&order.torques, order.power, period);
+        let written = self.arm.write(&order.commands, order.power, period);
         let gone_on = self
             .simulation
             .tick(period, 0, now)

@@ -173,6 +173,55 @@ fn what_every_tick_leaves_is_in_a_snapshot_buffer_on_request() {
 }
 
 #[test]
+fn setpoints_and_torques_are_streamed_to_one_manipulator_by_name_and_to_its_owner_only() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch, TWO_TIMES_NINE);
+    let early = scratch.scott(&["testbed", "-c", "setpoint.left EXEC begin"]);
+    early
+        .must_exit_leaving(1)
+        .must_say("acquire the manipulator first");
+    let start = asked(&scratch, "pino.left EXEC state")[..9].to_vec();
+    let other = asked(&scratch, "pino.right EXEC state")[..9].to_vec();
+    asked(&scratch, "setpoint.left EXEC acquire");
+    asked(&scratch, "setpoint.left CTRL -age 30 -speed 0.5");
+    asked(&scratch, "setpoint.left EXEC begin");
+    let way = [0.05, 0.0, 0.02, 0.2, 0.0, 0.0, 0.0, 0.0, 0.1];
+    let goal: Vec<String> = start
+        .iter()
+        .zip(way)
+        .map(|(at, by)| (at + by).to_string())
+        .collect();
+    asked(
+        &scratch,
+        &format!("setpoint.left EXEC FMSG 9 {}", goal.join(" ")),
+    );
+    let there = || {
+        let now = asked(&scratch, "pino.left EXEC state");
+        (0..9).all(|joint| (now[joint] - start[joint] - way[joint]).abs() < 1e-3)
+    };
+    while !there() {}
+    // The other arm is nobody's, and no motion comes between.
+    let busy = scratch.scott(&["testbed", "-c", &by("left", &way)]);
+    busy.must_exit_leaving(1);
+    let other_way = scratch.scott(&["testbed", "-c", "torque.right EXEC begin"]);
+    other_way
+        .must_exit_leaving(1)
+        .must_say("acquire the manipulator first");
+    let few = scratch.scott(&["testbed", "-c", "setpoint.left EXEC FMSG 2 0 0"]);
+    few.must_exit_leaving(1)
+        .must_say("a value has 2 numbers and not 9 or 18");
+    asked(&scratch, "setpoint.left EXEC release");
+    let state = scratch.scott(&["testbed", "-c", "setpoint.left EXEC state"]);
+    state
+        .must_exit_leaving(0)
+        .must_say("the arm follows no more");
+    let later = asked(&scratch, "pino.right EXEC state");
+    for (before, after) in other.iter().zip(&later) {
+        assert!((before - after).abs() < 4e-4, "{other:?} {later:?}");
+    }
+}
+
+#[test]
 fn two_arms_that_are_sent_into_one_another_stop_before_they_touch_and_can_part_again() {
     let scratch = Scratch::new();
     let _run = up(&scratch, WITHOUT_COLLISIONS);

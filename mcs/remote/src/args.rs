@@ -8,7 +8,7 @@ use ctos::{
     task::{Context, HandlerError},
     time::Clock,
 };
-use mcs::driver::{ChannelDriver, DriverRegistry};
+use mcs::driver::{ChannelDriver, DriverRegistry, Mode};
 use serde::Deserialize;
 
 use crate::{
@@ -35,6 +35,13 @@ struct RemoteArgs {
     /// After this long without a command the peer brakes, and without an answer the servo takes power away, ms.
     #[serde(default = "watchdog_ms")]
     watchdog_ms: f64,
+    /// What the peer's slots are commanded by: one for all, or one for each. By torque, where nothing is said.
+    #[serde(default = "modes")]
+    modes: Vec<Mode>,
+}
+
+fn modes() -> Vec<Mode> {
+    vec![Mode::Torque]
 }
 
 fn watchdog_ms() -> f64 {
@@ -69,7 +76,9 @@ fn open(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, HandlerErro
     let clock = cx.chassis().clock().clone();
     let watchdog =
         Duration::from_secs_f64(args.watchdog_ms.clamp(WATCHDOG_MS[0], WATCHDOG_MS[1]) / 1e3);
-    let session = Session::new(number(&clock), speeds.collect(), watchdog);
+    let modes = Mode::for_slots(&args.modes, model.dof());
+    let modes = modes.ok_or("`modes` does not fit the joints of the arm")?;
+    let session = Session::new(number(&clock), speeds.collect(), watchdog).commanding(&modes);
     let line =
         Line::open(&address).map_err(|error| format!("cannot reach `{address}`: {error}"))?;
     let mut arm = RemoteArm::new(cx.name(), (address.clone(), line), session, clock);
@@ -106,6 +115,15 @@ fn check(task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings) {
         let finding = Finding::error("mcs::out_of_range", text);
         let finding = finding.help(format!("give a value from {least} to {most}"));
         findings.push(at(finding, "watchdog_ms"));
+    }
+    if let Some(model) = mcs::arm(task, app)
+        && Mode::for_slots(&parsed.modes, model.dof()).is_none()
+    {
+        let (given, joints) = (parsed.modes.len(), model.dof());
+        let text = format!("`modes` has {given} entries for {joints} slots");
+        let finding = Finding::error("mcs::driver::modes", text);
+        let help = "give one for all slots, or one for each: modes = [\"csp\"]";
+        findings.push(at(finding.help(help), "modes"));
     }
     if app.time == TimeMode::Virtual {
         let text = format!(

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use ctos::time::Clock;
-use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use mcs::driver::{ChannelDriver, DriverError, Mode, Power, SlotReading};
 
 use crate::{
     frame::SIZE,
@@ -118,25 +118,29 @@ impl ChannelDriver for RemoteArm {
         read.map_err(|doubt| self.doubted(doubt))
     }
 
+    fn modes(&self) -> &[Mode] {
+        self.session.modes()
+    }
+
     fn write(
         &mut self,
-        torques: &[f64],
+        commands: &[f64],
         power: Power,
         period: Duration,
     ) -> Result<(), DriverError> {
-        if torques.len() != self.slots() {
-            let (given, slots) = (torques.len(), self.slots());
-            return Err(self.fault(format_args!("was given {given} torques for {slots} slots")));
+        if commands.len() != self.slots() {
+            let (given, slots) = (commands.len(), self.slots());
+            return Err(self.fault(format_args!("was given {given} commands for {slots} slots")));
         }
-        if let Some(slot) = torques.iter().position(|torque| !torque.is_finite()) {
-            let (slot, torque) = (slot + 1, torques[slot]);
+        if let Some(slot) = commands.iter().position(|command| !command.is_finite()) {
+            let (slot, command) = (slot + 1, commands[slot]);
             return Err(self.fault(format_args!(
-                "the torque of slot {slot} is {torque}, not a finite number"
+                "the command of slot {slot} is {command}, not a finite number"
             )));
         }
         let stamp = self.clock.now().as_nanos();
-        let command = self.session.command(torques, power, period, stamp);
-        if let Err(error) = self.line.send(&command.encode()) {
+        let frame = self.session.command(commands, power, period, stamp);
+        if let Err(error) = self.line.send(&frame.encode()) {
             let doubt = Doubt::Socket(error.kind());
             self.session.fail(doubt);
             return Err(self.doubted(doubt));

@@ -3,6 +3,7 @@
 //! Every frame has [`SIZE`] bytes, whatever the number of slots; numbers are little-endian. `docs/remote.md` has the table
 //! of all fields. What is accepted is written again to the same bytes.
 
+pub use mcs::driver::Mode;
 use mcs::{MAX_SLOTS, driver::Power};
 
 /// Bytes of a frame.
@@ -27,17 +28,6 @@ pub enum Kind {
     Command = 1,
     /// The peer: how the slots are.
     State = 2,
-}
-
-/// What the first number of a commanded slot is, by the codes of CiA 402 (object 6060h).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
-    /// Cyclic synchronous position, rad or m.
-    Position = 8,
-    /// Cyclic synchronous velocity, rad/s or m/s.
-    Velocity = 9,
-    /// Cyclic synchronous torque, N m or N.
-    Torque = 10,
 }
 
 /// What keeps a peer from doing what it is told.

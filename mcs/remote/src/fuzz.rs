@@ -77,7 +77,7 @@ fn both_sides_take_any_bytes_and_what_is_read_is_finite() {
             session.take(bytes);
             // What is refused is not answered.
             if let Ok(order) = peer.take(bytes) {
-                assert!(order.torques.iter().all(|torque| torque.is_finite()));
+                assert!(order.commands.iter().all(|torque| torque.is_finite()));
                 assert_eq!(Frame::decode(bytes).unwrap().kind, Kind::Command);
             }
         });

@@ -14,8 +14,9 @@ use crate::frame::{Frame, FrameError, Kind, Mode, Trouble};
 pub struct Order {
     /// Brakes are released only by [`Power::Released`].
     pub power: Power,
-    /// Torque of each slot, N m or N; zeros unless brakes are released.
-    pub torques: Vec<f64>,
+    /// What each slot shall do, by its mode: be at a position (rad or m), have a speed (per s) or hold a torque (N m or N);
+    /// zeros unless brakes are released.
+    pub commands: Vec<f64>,
     /// When the next order is due. A simulator advances by so much.
     pub period: Duration,
 }
@@ -47,6 +48,8 @@ pub enum Refusal {
 pub struct Peer {
     own: u32,
     slots: usize,
+    /// What each slot takes.
+    modes: Vec<Mode>,
     driver: u32,
     heard: u64,
     sent: u64,
@@ -62,6 +65,7 @@ impl Peer {
         Self {
             own: own.max(1),
             slots,
+            modes: vec![Mode::Torque; slots],
             driver: 0,
             heard: 0,
             sent: 0,
@@ -71,10 +75,19 @@ impl Peer {
         }
     }
 
+    /// The same with slots that take these modes, one for each; those that are missing take torques.
+    #[must_use]
+    pub fn taking(mut self, modes: &[Mode]) -> Self {
+        for (own, mode) in self.modes.iter_mut().zip(modes) {
+            *own = *mode;
+        }
+        self
+    }
+
     /// Takes in a command.
     ///
     /// A driver that is new is listened to at once. Brakes are released only by a command that knows this very peer, in
-    /// the mode of torques, with numbers that are finite; after any trouble only once one came that did not release them.
+    /// the modes that its slots take, with numbers that are finite; after any trouble only once one came that did not release them.
     ///
     /// # Errors
     /// [`Refusal`] of what is not to be answered.
@@ -96,20 +109,23 @@ impl Peer {
         self.heard = frame.sequence;
         (self.period_ns, self.watchdog_ns) = (frame.period_ns, frame.watchdog_ns);
         let released = frame.power == Power::Released;
-        let sound = |row: &crate::frame::Row| row.mode == Mode::Torque && row.values[0].is_finite();
-        if released && !(frame.receiver == self.own && frame.rows().iter().all(sound)) {
+        let rows = frame.rows().iter();
+        let sound = rows
+            .zip(&self.modes)
+            .all(|(row, mode)| row.mode == *mode && row.values[0].is_finite());
+        if released && !(frame.receiver == self.own && sound) {
             self.trouble = Trouble::Refused;
         } else if !released && self.trouble != Trouble::Fault {
             self.trouble = Trouble::None;
         }
         let obeyed = released && self.trouble == Trouble::None;
-        let torque = |row: &crate::frame::Row| if obeyed { row.values[0] } else { 0.0 };
+        let command = |row: &crate::frame::Row| if obeyed { row.values[0] } else { 0.0 };
         Ok(Order {
             power: match frame.power {
                 Power::Released if !obeyed => Power::Braked,
                 power => power,
             },
-            torques: frame.rows().iter().map(torque).collect(),
+            commands: frame.rows().iter().map(command).collect(),
             period: Duration::from_nanos(self.period_ns.into()),
         })
     }
@@ -147,8 +163,9 @@ impl Peer {
         (frame.sequence, frame.answers) = (self.sent, self.heard);
         (frame.period_ns, frame.watchdog_ns) = (self.period_ns, self.watchdog_ns);
         (frame.stamp_ns, frame.trouble) = (stamp_ns, self.trouble);
-        for (row, values) in frame.rows_mut().iter_mut().zip(slots) {
-            row.values = values;
+        let each = slots.into_iter().zip(&self.modes);
+        for (row, (values, mode)) in frame.rows_mut().iter_mut().zip(each) {
+            (row.mode, row.values) = (*mode, values);
         }
         frame
     }

@@ -135,6 +135,8 @@ pub struct Session {
     watchdog: Duration,
     /// Speed of each joint at most, rad/s or m/s.
     speeds: Vec<f64>,
+    /// What each slot is commanded by.
+    modes: Vec<Mode>,
     period: Duration,
     /// The peer's session, or 0.
     peer: u32,
@@ -172,6 +174,7 @@ impl Session {
             heard: 0,
             answered: 0,
             readings: vec![SlotReading::default(); speeds.len()],
+            modes: vec![Mode::Torque; speeds.len()],
             speeds,
             placed: false,
             good: 0,
@@ -182,6 +185,21 @@ impl Session {
             since: 1,
             released: false,
         }
+    }
+
+    /// The same with slots that are commanded by these modes, one for each; those that are missing by torque.
+    #[must_use]
+    pub fn commanding(mut self, modes: &[Mode]) -> Self {
+        for (own, mode) in self.modes.iter_mut().zip(modes) {
+            *own = *mode;
+        }
+        self
+    }
+
+    /// What each slot is commanded by.
+    #[must_use]
+    pub fn modes(&self) -> &[Mode] {
+        &self.modes
     }
 
     /// How many slots there are.
@@ -202,10 +220,11 @@ impl Session {
         self.sent.saturating_sub(self.answered)
     }
 
-    /// The next command. To a peer that is not believed it says power off, whatever is asked for.
+    /// The next command, one number for each slot by its mode. To a peer that is not believed it says power off, whatever is
+    /// asked for.
     pub fn command(
         &mut self,
-        torques: &[f64],
+        commands: &[f64],
         power: Power,
         period: Duration,
         stamp_ns: u64,
@@ -222,10 +241,11 @@ impl Session {
         (frame.sequence, frame.answers) = (self.sent, self.heard);
         frame.stamp_ns = stamp_ns;
         (frame.period_ns, frame.watchdog_ns) = (nanos(period), nanos(self.watchdog));
-        for (row, torque) in frame.rows_mut().iter_mut().zip(torques) {
-            row.mode = Mode::Torque;
+        let each = commands.iter().zip(&self.modes);
+        for (row, (command, mode)) in frame.rows_mut().iter_mut().zip(each) {
+            row.mode = *mode;
             row.values[0] = if power == Power::Released {
-                *torque
+                *command
             } else {
                 0.0
             };

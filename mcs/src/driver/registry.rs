@@ -148,9 +148,11 @@ impl DriverRegistry {
         })
     }
 
-    /// These drivers, and [`TESTBED`](super::TESTBED) made of any of them.
+    /// These drivers, [`NAMED_SLOTS`](super::NAMED_SLOTS), [`DRIVES`](super::DRIVES) made of one of them, and [`TESTBED`](super::TESTBED) made of any.
     #[must_use]
     pub(crate) fn with_testbed(mut self) -> Self {
+        super::named::register(&mut self);
+        super::drives::register(&mut self);
         super::testbed::register(&mut self);
         self
     }

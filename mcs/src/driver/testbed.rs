@@ -9,7 +9,7 @@ use ctos::task::{Context, HandlerError};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use super::{ChannelDriver, DriverError, DriverRegistry, Power, Sensor, SlotReading};
+use super::{ChannelDriver, DRIVES, DriverError, DriverRegistry, Mode, Power, Sensor, SlotReading};
 
 /// Name of the driver that is made of others.
 pub const TESTBED: &str = "mcs.testbed";
@@ -50,12 +50,16 @@ impl NamedDriver {
         })
     }
 
-    /// The drivers behind that of a servo with these arguments: those that [`TESTBED`] is made of, in the order of their slots,
-    /// or the one driver.
+    /// The drivers behind that of a servo with these arguments: those that [`TESTBED`] and [`DRIVES`] are made of, in the
+    /// order of their slots, or the one driver.
     #[must_use]
     pub fn all_of(args: &Node) -> Vec<Self> {
         match Self::of(args) {
-            Some(testbed) if testbed.name == TESTBED => parts(&testbed.args),
+            Some(testbed) if testbed.name == TESTBED => {
+                let parts = testbed.args.get("parts").map_or(&[][..], Node::elements);
+                parts.iter().flat_map(Self::all_of).collect()
+            }
+            Some(drives) if drives.name == DRIVES => Self::all_of(&drives.args),
             one => one.into_iter().collect(),
         }
     }
@@ -127,15 +131,17 @@ struct Own {
     sensed: Range<usize>,
 }
 
-/// Several drivers, with the sensors of all.
+/// Several drivers, with the sensors and modes of all.
 struct Testbed {
     parts: Vec<Own>,
     sensors: Vec<Sensor>,
+    modes: Vec<Mode>,
 }
 
 impl Testbed {
     fn new(drivers: Vec<Box<dyn ChannelDriver>>) -> Self {
-        let (mut slots, mut sensed, mut sensors) = (0..0, 0..0, Vec::new());
+        let (mut slots, mut sensed) = (0..0, 0..0);
+        let (mut sensors, mut modes) = (Vec::new(), Vec::new());
         let parts = drivers.into_iter().map(|driver| {
             let width: usize = driver
                 .sensors()
@@ -145,6 +151,8 @@ impl Testbed {
             slots = slots.end..slots.end + driver.slots();
             sensed = sensed.end..sensed.end + width;
             sensors.extend_from_slice(driver.sensors());
+            modes.extend_from_slice(driver.modes());
+            modes.resize(slots.end, Mode::Torque);
             Own {
                 driver,
                 slots: slots.clone(),
@@ -154,6 +162,7 @@ impl Testbed {
         Self {
             parts: parts.collect(),
             sensors,
+            modes,
         }
     }
 
@@ -185,6 +194,10 @@ impl ChannelDriver for Testbed {
         &self.sensors
     }
 
+    fn modes(&self) -> &[Mode] {
+        &self.modes
+    }
+
     fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
         let sense = |own: &mut Own| match numbers.get_mut(own.sensed.clone()) {
             Some(numbers) => own.driver.sense(numbers),
@@ -193,15 +206,41 @@ impl ChannelDriver for Testbed {
         self.parts.iter_mut().map(sense).fold(Ok(()), Result::and)
     }
 
+    fn ages(&mut self, ages: &mut [f64]) {
+        let mut rest = ages;
+        for own in &mut self.parts {
+            let count = own.driver.sensors().len();
+            let Some((those, others)) = rest.split_at_mut_checked(count) else {
+                return;
+            };
+            own.driver.ages(those);
+            rest = others;
+        }
+    }
+
+    fn actuate(&mut self, numbers: &[f64]) -> Result<(), DriverError> {
+        let actuate = |own: &mut Own| match numbers.get(own.sensed.clone()) {
+            Some(numbers) => own.driver.actuate(numbers),
+            None => Ok(()),
+        };
+        self.parts.iter_mut().map(actuate).fold(Ok(()), Result::and)
+    }
+
     /// Writes to all of them, so that the others brake when one fails; the first error counts.
     fn write(
         &mut self,
-        torques: &[f64],
+        commands: &[f64],
         power: Power,
         period: Duration,
     ) -> Result<(), DriverError> {
-        self.count("torques", torques.len())?;
-        let write = |own: &mut Own| own.driver.write(&torques[own.slots.clone()], power, period);
+        self.count("commands", commands.len())?;
+        let write = |own: &mut Own| {
+            own.driver
+                .write(&commands[own.slots.clone()], power, period)
+        };
         self.parts.iter_mut().map(write).fold(Ok(()), Result::and)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,9 +12,10 @@ use sorma::{
 use super::kinematics;
 use super::local::{SharedArm, rows, target};
 use super::wspc::guard_name;
-use super::{code, ended, in_the_way, six};
+use super::{code, ended, in_the_way, six, streaming};
 use crate::client::{
-    Acquire, Move, MoveReport, PathKind, Plan, Position, ReadPosition, Release, Status,
+    Acquire, Move, MoveReport, PathKind, Plan, Position, ReadPosition, Release, Status, StreamKind,
+    StreamSetpoints,
 };
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
@@ -93,6 +94,14 @@ const FORMS: &[Form] = &[
         help: "tells where the arm is",
     },
     Form {
+        text: "listen",
+        floats: 0,
+        takes: "",
+        gives: "1 float: age of the newest value, s; 1 int: values taken",
+        results: "age: s; ints values",
+        help: "follows poses or displacements of the tool from buffer -listen until EXEC release, a stop or silence",
+    },
+    Form {
         text: "release",
         floats: 0,
         takes: "",
@@ -144,6 +153,8 @@ pub(super) struct Options {
     plan: bool,
     keep: bool,
     guards: String,
+    listen: String,
+    age: f64,
 }
 
 impl Default for Options {
@@ -160,6 +171,8 @@ impl Default for Options {
             plan: false,
             keep: false,
             guards: String::new(),
+            listen: String::new(),
+            age: 0.5,
         }
     }
 }
@@ -236,6 +249,19 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             |options| &mut options.guards,
         )
         .word(
+            "listen",
+            "BUFFER",
+            "the snapshot buffer of poses or displacements that EXEC listen follows",
+            |options| &mut options.listen,
+        )
+        .float(
+            "age",
+            0.001..=60.0,
+            "s",
+            "a value of -listen older than this brings the arm to rest",
+            |options| &mut options.age,
+        )
+        .word(
             "client",
             "TASK",
             "the app's task with the client interface of MCS",
@@ -294,6 +320,21 @@ impl MvPos {
                 let (joints, pose) = self.position(cx).await?;
                 answer(io, &joints, &pose);
                 Ok(())
+            }
+            "listen" => {
+                let guards = match cx.is_in_app() {
+                    true => self.guards(cx, io).await?,
+                    false => Vec::new(),
+                };
+                let request = StreamSetpoints {
+                    kind: StreamKind::Tool,
+                    buffer: Some(self.options.listen.clone()).filter(|name| !name.is_empty()),
+                    max_age_s: self.options.age,
+                    speed: self.options.speed,
+                    acceleration: self.options.acceleration.first().copied(),
+                    guards,
+                };
+                streaming::listen(cx, &self.options.client, request, io).await
             }
             "release" => {
                 io.floats.clear();

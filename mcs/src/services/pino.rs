@@ -11,7 +11,7 @@ use super::local::SharedArm;
 use super::mvpos::answer;
 use crate::client::{
     ControlledStop, EmergencyStop, ReadControl, ReadPosition, ReadSensors, RecordStates, Reset,
-    Resume, SetControl, SetLaw, Status, Stop,
+    Resume, SetControl, SetLaw, SetOutput, Status, Stop,
 };
 
 /// Everything here is answered at once, but for coming to rest.
@@ -63,10 +63,18 @@ const FORMS: &[Form] = &[
         text: "sensors",
         floats: 0,
         takes: "",
-        gives: "text: names and kinds of the driver's sensors; the numbers of all of them, one after the other: of a force-torque \
-                sensor 3 forces, N, and 3 moments, N m, in its frame",
+        gives: "text: names and kinds, and which are stale; the numbers of all of them, one after the other: of a force-torque \
+                sensor 3 forces, N, and 3 moments, N m, in its frame; of a space mouse 6, of anything else 1",
         results: "* number",
         help: "tells what the slots read that are no joints",
+    },
+    Form {
+        text: "output NAME",
+        floats: 1,
+        takes: "0 or 1; of a lamp 0 to 1",
+        gives: "nothing",
+        results: "",
+        help: "sets an output until power goes off; only the task that holds the arm may",
     },
     Form {
         text: "law NAME",
@@ -189,9 +197,21 @@ impl Pino {
             "sensors" => {
                 let report = cx.call_task(client, ReadSensors {}, SOON).await?;
                 let named = report.sensors.iter();
-                let named = named.map(|sensor| format!("{} {:?}", sensor.name, sensor.kind));
+                let named = named.map(|sensor| {
+                    let stale = report.stale.contains(&sensor.name);
+                    let stale = if stale { " (stale)" } else { "" };
+                    format!("{} {:?}{stale}", sensor.name, sensor.kind)
+                });
                 io.text = named.collect::<Vec<_>>().join(", ");
                 io.floats = report.numbers;
+            }
+            "output NAME" => {
+                let (name, (value, _)) = (named.to_owned(), numbers(io));
+                io.floats.clear();
+                let set = cx
+                    .call_task(client, SetOutput { name, value }, SOON)
+                    .await?;
+                set.map_err(super::in_the_way)?;
             }
             "law NAME" => {
                 let law = named.to_owned();
@@ -253,6 +273,10 @@ impl Pino {
             "records" => {
                 "an arm of this process has no servo, and so no records".clone_into(&mut io.text)
             }
+            "output NAME" => {
+                let text = "the arm of this process has no outputs";
+                return Err(sorma::Report::error(super::code::MOTION, text));
+            }
             "sensors" => io.text = "none: the arm of this process is kinematic only".to_owned(),
             _ => {
                 io.text = format!(
@@ -293,7 +317,7 @@ impl ServiceObject for Pino {
                 .trim()
                 .split_once(' ')
                 .map_or("", |(_, named)| named.trim());
-            if form != "set" {
+            if form != "set" && form != "output NAME" {
                 io.floats.clear();
             }
             let outcome = match cx.is_in_app() {

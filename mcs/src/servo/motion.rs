@@ -1,4 +1,4 @@
-//! One motion under way: which setpoint each tick gets, how well it is tracked, when it has settled.
+//! One motion under way: how well its setpoints are tracked, and when it has settled.
 
 use super::Settling;
 use super::port::{MotionPhase, MotionStatus};
@@ -6,8 +6,7 @@ use crate::driver::SlotReading;
 use crate::guard::Stopping;
 use crate::joints::Distances;
 use crate::model::Model;
-use crate::trajectory::segment::SegmentError;
-use crate::trajectory::{Follower, Rest, Setpoint, Solver};
+use crate::trajectory::{Rest, Setpoint};
 
 /// A joint (rad/s or m/s) that is slower does not move yet.
 const STANDING: f64 = 1e-9;
@@ -20,7 +19,7 @@ pub(super) enum Progress {
     NotSettled,
 }
 
-/// A segment being followed, braked or settled on.
+/// A segment or a stream being followed, braked or settled on.
 pub(super) struct Motion {
     settling: Settling,
     settled_for: u32,
@@ -42,22 +41,18 @@ impl Motion {
         }
     }
 
-    /// The setpoint of this tick, given the one before and the readings of this tick.
-    pub(super) fn advance(
+    /// What this tick made of it: its setpoint, what was read, whether the setpoint rests and whether it does not go on.
+    pub(super) fn settle(
         &mut self,
-        (follower, solver): (&mut Follower, &mut Solver),
-        before: &Setpoint,
+        model: &Model,
+        setpoint: &Setpoint,
         readings: &[SlotReading],
-    ) -> Result<(Setpoint, Progress), SegmentError> {
+        (rests, stopping): (bool, bool),
+    ) -> Progress {
         self.elapsed += 1;
-        let setpoint = if follower.rests() {
-            *before
-        } else {
-            follower.next(solver, &before.position)?
-        };
-        self.measure(solver.model(), &setpoint, readings);
-        if !follower.rests() {
-            return Ok((setpoint, Progress::Going));
+        self.measure(model, setpoint, readings);
+        if !rests {
+            return Progress::Going;
         }
         self.settling_for += 1;
         let slow = readings
@@ -69,8 +64,8 @@ impl Motion {
         } else {
             self.settled_for = 0;
         }
-        let progress = if self.settled_for >= self.settling.ticks {
-            Progress::Finished(if follower.is_stopping() {
+        if self.settled_for >= self.settling.ticks {
+            Progress::Finished(if stopping {
                 MotionPhase::Stopped
             } else {
                 MotionPhase::Done
@@ -79,8 +74,7 @@ impl Motion {
             Progress::NotSettled
         } else {
             Progress::Going
-        };
-        Ok((setpoint, progress))
+        }
     }
 
     fn measure(&mut self, model: &Model, setpoint: &Setpoint, readings: &[SlotReading]) {
@@ -119,11 +113,12 @@ impl Motion {
         self.error
     }
 
-    pub(super) fn report(&self, follower: &Follower, status: &mut MotionStatus) {
+    /// Tells how it is, and whether its setpoint rests or does not go on.
+    pub(super) fn report(&self, (rests, stopping): (bool, bool), status: &mut MotionStatus) {
         status.elapsed_ticks = self.elapsed;
         status.max_tracking_error = self.max_error;
         status.error = self.error;
-        status.phase = match (follower.rests(), follower.is_stopping()) {
+        status.phase = match (rests, stopping) {
             (true, _) => MotionPhase::Settling,
             (false, true) => MotionPhase::Stopping,
             (false, false) => MotionPhase::Moving,

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crossbeam_queue::ArrayQueue;
 use serde::{Deserialize, Serialize};
 
+use super::stream::{Stream, StreamStatus};
 use crate::control::ControlLaw;
 use crate::driver::{DriverError, Power};
 use crate::guard::rack::RackPort;
@@ -39,6 +40,13 @@ pub enum ServoCommand {
         id: u64,
         /// The planned segment.
         segment: Segment,
+    },
+    /// Sets a number of an output. All are 0 again when power goes off.
+    SetOutput {
+        /// Which, among the numbers of all slots that are no joints, from 0.
+        number: usize,
+        /// To what.
+        value: f64,
     },
     /// Motions ordered after this are watched by these guards, besides those that always watch.
     Name {
@@ -163,8 +171,20 @@ pub enum Rejection {
     /// A protective stop holds.
     #[error("a protective stop holds")]
     Stopped,
+    /// Setpoints or torques are streamed to the arm.
+    #[error("the arm follows a stream; end that first")]
+    Streaming,
+    /// A motion is under way.
+    #[error("a motion is under way; a stream can begin when the arm has come to rest")]
+    Moving,
+    /// A slot that is no joint has read nothing new for too long.
+    #[error("a slot of the arm is stale; `pino EXEC sensors` names it")]
+    StaleSlot,
+    /// Torques for a slot that takes none.
+    #[error("a slot of the arm is commanded by position or speed, and takes no torque")]
+    NoTorque,
     /// A motion is being stopped.
-    #[error("the arm is still coming to rest; try again when it has")]
+    #[error("the arm follows a stream or is still coming to rest; try again when it rests")]
     Busy,
     /// So many segments wait that there is no room for another one.
     #[error("{QUEUE} motions are under way or wait already; wait for one of them to end")]
@@ -275,6 +295,8 @@ pub struct ServoStatus {
     pub torque: Joints,
     /// What the driver's sensors read, one after the other, in the units of their kinds.
     pub sensors: Joints,
+    /// Which sensors are stale, the first by the lowest bit.
+    pub stale: u32,
     /// Nothing moves and nothing is going to.
     pub at_rest: bool,
     /// The latest motion.
@@ -285,6 +307,10 @@ pub struct ServoStatus {
     pub ended: Ended,
     /// Number of the latest segment that was not taken, and why.
     pub rejected: Option<(u64, Rejection)>,
+    /// The latest stream.
+    pub stream: StreamStatus,
+    /// Number of the latest stream that was not taken, and why.
+    pub stream_rejected: Option<(u64, Rejection)>,
 }
 
 impl ServoStatus {
@@ -303,17 +329,23 @@ pub struct ServoPort {
     driver_errors: Arc<ArrayQueue<DriverError>>,
     last_driver_error: Mutex<Option<DriverError>>,
     laws: Arc<Laws>,
+    streams: Arc<Streams>,
     status: Mutex<triple_buffer::Output<ServoStatus>>,
     guards: RackPort,
 }
 
-/// Laws on their way to the servo, and those that it has done with: it frees none.
-pub(super) struct Laws {
-    next: ArrayQueue<Box<dyn ControlLaw>>,
-    done: ArrayQueue<Box<dyn ControlLaw>>,
+/// Things on their way to the servo, and those that it has done with: it frees none.
+pub(super) struct Handed<T> {
+    next: ArrayQueue<T>,
+    done: ArrayQueue<T>,
 }
 
-impl Laws {
+/// Laws.
+pub(super) type Laws = Handed<Box<dyn ControlLaw>>;
+/// Streams. The servo follows one at most.
+pub(super) type Streams = Handed<Box<Stream>>;
+
+impl<T> Handed<T> {
     /// Room for so many each way.
     pub(super) fn new(room: usize) -> Self {
         Self {
@@ -322,17 +354,23 @@ impl Laws {
         }
     }
 
-    /// The law that was ordered first, while there is room for the one before it.
-    pub(super) fn next(&self) -> Option<Box<dyn ControlLaw>> {
-        match self.done.is_full() {
-            true => None,
-            false => self.next.pop(),
+    /// That which was ordered first, while there is room for it and for the one before it.
+    pub(super) fn next(&self) -> Option<T> {
+        match self.done.len() + 1 < self.done.capacity() {
+            true => self.next.pop(),
+            false => None,
         }
     }
 
-    /// Hands a law back. There is room: only the servo puts one here, and it looks before.
-    pub(super) fn retire(&self, law: Box<dyn ControlLaw>) {
-        let _ = self.done.push(law);
+    /// Hands one back. There is room: only the servo puts one here, and it looks before.
+    pub(super) fn retire(&self, one: T) {
+        let _ = self.done.push(one);
+    }
+
+    /// Frees what the servo has done with, and orders the next one.
+    fn order(&self, one: T) -> Result<(), PortFull> {
+        while self.done.pop().is_some() {}
+        self.next.push(one).map_err(|_| PortFull)
     }
 }
 
@@ -344,7 +382,8 @@ pub struct PortFull;
 impl ServoPort {
     pub(super) fn new(
         commands: Arc<ArrayQueue<ServoCommand>>,
-        (driver_errors, laws): (Arc<ArrayQueue<DriverError>>, Arc<Laws>),
+        driver_errors: Arc<ArrayQueue<DriverError>>,
+        (laws, streams): (Arc<Laws>, Arc<Streams>),
         status: triple_buffer::Output<ServoStatus>,
         guards: RackPort,
     ) -> Self {
@@ -353,6 +392,7 @@ impl ServoPort {
             driver_errors,
             last_driver_error: Mutex::new(None),
             laws,
+            streams,
             status: Mutex::new(status),
             guards,
         }
@@ -382,8 +422,16 @@ impl ServoPort {
     /// # Errors
     /// [`PortFull`] when the servo has taken none for a long time.
     pub fn change_law(&self, law: Box<dyn ControlLaw>) -> Result<(), PortFull> {
-        while self.laws.done.pop().is_some() {}
-        self.laws.next.push(law).map_err(|_| PortFull)
+        self.laws.order(law)
+    }
+
+    /// Has the servo follow a stream from the next tick on. [`ServoStatus::stream`] tells how it fares, or
+    /// [`ServoStatus::stream_rejected`] why it was not begun. A stop of any kind ends it.
+    ///
+    /// # Errors
+    /// [`PortFull`] when the servo has taken none for a long time.
+    pub fn stream(&self, stream: Box<Stream>) -> Result<(), PortFull> {
+        self.streams.order(stream)
     }
 
     /// Emergency stop, which gets through even when the queue is full of other orders.

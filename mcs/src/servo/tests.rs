@@ -1,5 +1,8 @@
 //! The servo on an arm that obeys the equations of motion.
 
+mod modes;
+mod slots;
+mod stream;
 mod switch;
 
 use std::sync::atomic::Ordering;

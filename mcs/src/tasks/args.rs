@@ -77,6 +77,9 @@ pub struct ServoArgs {
     /// for this long (s) does not follow, which is a fault.
     #[serde(default = "following_timeout_s")]
     pub following_timeout_s: f64,
+    /// What a slot that is no joint has read is stale after this long, s.
+    #[serde(default = "slot_timeout_s")]
+    pub slot_timeout_s: f64,
     /// When a motion counts as settled.
     #[serde(default)]
     pub settling: Settling,
@@ -169,6 +172,10 @@ fn following_window_m() -> f64 {
 }
 
 fn following_timeout_s() -> f64 {
+    0.1
+}
+
+fn slot_timeout_s() -> f64 {
     0.1
 }
 
@@ -274,6 +281,7 @@ impl ServoArgs {
         within("following_window_rad", self.following_window_rad, 1e-4, 3.2);
         within("following_window_m", self.following_window_m, 1e-4, 3.2);
         within("following_timeout_s", self.following_timeout_s, 0.0, 10.0);
+        within("slot_timeout_s", self.slot_timeout_s, 1e-3, 60.0);
         let top = most_bandwidth_hz(Duration::from_secs_f64(
             self.period_ms.clamp(0.1, 1e3) / 1e3,
         ));
@@ -326,6 +334,7 @@ impl ServoArgs {
             },
             following_timeout: Duration::from_secs_f64(self.following_timeout_s),
             settling: self.settling,
+            stale_after: Duration::from_secs_f64(self.slot_timeout_s),
         }
     }
 

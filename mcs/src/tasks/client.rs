@@ -15,9 +15,10 @@ use super::servo::{ReadServo, ResumeServo, StopKind, StopServo};
 use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
-    Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Plan, Position, ReadControl,
-    ReadGuards, ReadPosition, ReadSensors, RecordStates, Release, RemoveGuard, Reset, Resume,
-    SetControl, SetGuard, SetLaw, Status, StatusReport, Stop,
+    Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Outcome, Plan, Position,
+    ReadControl, ReadGuards, ReadPosition, ReadSensors, ReadStream, RecordStates, Release,
+    RemoveGuard, Reset, Resume, SetControl, SetGuard, SetLaw, SetOutput, Status, StatusReport,
+    Stop, StreamReport, StreamSetpoints, StreamValue,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -47,6 +48,10 @@ pub(super) fn register(registry: &mut Registry) {
         SetGuard::INFO,
         RemoveGuard::INFO,
         ReadGuards::INFO,
+        StreamSetpoints::INFO,
+        StreamValue::INFO,
+        ReadStream::INFO,
+        SetOutput::INFO,
     ];
     registry
         .handler(CLIENT, &commands, |cx| {
@@ -130,6 +135,42 @@ impl ClientTask {
             }
         });
         Ok(())
+    }
+
+    /// Brings the manipulator into the motion state for the caller, then has the servo follow.
+    async fn stream(
+        &self,
+        cx: &Context,
+        (by, chassis): (String, u8),
+        request: StreamSetpoints,
+    ) -> Result<StreamReport, MotionError> {
+        let parts = self.parts();
+        let parts = parts.map_err(|error| MotionError::new(Outcome::Lost, error))?;
+        flat(Self::ask(cx, &parts.state, EnableMotion { by, chassis }).await)?;
+        flat(Self::ask(cx, &parts.servo, request).await)
+    }
+
+    /// Hands on what only the task that holds the manipulator may ask.
+    async fn of_holder<T, C: Command<Reply = Result<T, MotionError>>>(
+        &self,
+        cx: &Context,
+        by: &str,
+        request: C,
+    ) -> Result<Result<T, MotionError>, HandlerError> {
+        let parts = self.parts()?;
+        let state = Self::told(cx, &parts.state, ReadState {}).await?;
+        if state.holder.as_deref() != Some(by) {
+            let holder = match &state.holder {
+                Some(holder) => format!("task `{holder}`"),
+                None => "nobody".to_owned(),
+            };
+            let text = format!(
+                "`{}` by task `{by}` refused: the manipulator is reserved by {holder}; acquire it first",
+                C::NAME
+            );
+            return Ok(Err(MotionError::new(Outcome::Refused, text)));
+        }
+        Ok(flat(Self::ask(cx, &parts.servo, request).await))
     }
 
     async fn status(&self, cx: &Context) -> Result<StatusReport, HandlerError> {
@@ -247,6 +288,25 @@ impl EventHandler for ClientTask {
             }
             SetLaw::CODE => {
                 let (request, reply) = message.open::<SetLaw>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            StreamSetpoints::CODE => {
+                let by = (caller(cx, message.from()).await?, message.from().chassis());
+                let (request, reply) = message.open::<StreamSetpoints>()?;
+                reply.ok(self.stream(cx, by, request).await)
+            }
+            StreamValue::CODE => {
+                let by = caller(cx, message.from()).await?;
+                let (value, reply) = message.open::<StreamValue>()?;
+                reply.ok(self.of_holder(cx, &by, value).await?)
+            }
+            SetOutput::CODE => {
+                let by = caller(cx, message.from()).await?;
+                let (request, reply) = message.open::<SetOutput>()?;
+                reply.ok(self.of_holder(cx, &by, request).await?)
+            }
+            ReadStream::CODE => {
+                let (request, reply) = message.open::<ReadStream>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             Status::CODE => {

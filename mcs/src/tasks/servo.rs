@@ -15,13 +15,15 @@ use serde::{Deserialize, Serialize};
 use super::args::{self, RecipeArgs, ServoArgs};
 use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
+use super::streams::Streams;
 use super::{Link, SERVO, rows};
 use crate::client::{
-    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, RecordStates, RemoveGuard,
-    SensorReport, SetControl, SetGuard, SetLaw,
+    ControlReport, GuardsReport, MotionError, Outcome, ReadControl, ReadGuards, ReadSensors,
+    ReadStream, RecordStates, RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw, SetOutput,
+    StreamSetpoints, StreamValue,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
-use crate::driver::{DriverRegistry, Sensor};
+use crate::driver::{DriverRegistry, Sensor, SensorKind};
 use crate::guard::GuardRegistry;
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
@@ -71,7 +73,7 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 11] = [
+const COMMANDS: [CommandInfo; 15] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
@@ -83,6 +85,10 @@ const COMMANDS: [CommandInfo; 11] = [
     ReadGuards::INFO,
     SetLaw::INFO,
     ReadSensors::INFO,
+    StreamSetpoints::INFO,
+    StreamValue::INFO,
+    ReadStream::INFO,
+    SetOutput::INFO,
 ];
 
 pub(super) fn register(
@@ -208,6 +214,9 @@ struct ServoTask {
     model: Arc<Model>,
     args: ServoArgs,
     sensors: Vec<Sensor>,
+    streams: Streams,
+    /// The number of the chassis of the client interface that last asked for a stream.
+    streamed_from: Option<u8>,
 }
 
 impl ServoTask {
@@ -264,6 +273,8 @@ impl ServoTask {
             model,
             args,
             sensors,
+            streams: Streams::default(),
+            streamed_from: None,
         })
     }
 
@@ -355,6 +366,42 @@ impl ServoTask {
         Ok(self.control.clone())
     }
 
+    /// Sets an output by its name.
+    fn set_output(&self, request: &SetOutput) -> Result<(), MotionError> {
+        let SetOutput { name, value } = request;
+        let refused = |text: String| Err(MotionError::new(Outcome::Refused, text));
+        let mut number = 0;
+        for sensor in &self.sensors {
+            if sensor.name != *name {
+                number += sensor.kind.width();
+                continue;
+            }
+            if !sensor.kind.is_output() {
+                return refused(format!("slot `{name}` is read, and not set"));
+            }
+            let lamp = sensor.kind == SensorKind::Lamp && (0.0..=1.0).contains(value);
+            if !lamp && *value != 0.0 && *value != 1.0 {
+                let fit = match sensor.kind {
+                    SensorKind::Lamp => "0 to 1",
+                    _ => "0 or 1",
+                };
+                return refused(format!("output `{name}` is set to {fit}, not {value}"));
+            }
+            let value = *value;
+            let order = self
+                .link
+                .port
+                .order(ServoCommand::SetOutput { number, value });
+            return order.map_err(|error| MotionError::new(Outcome::Fault, error));
+        }
+        let outputs = self.sensors.iter().filter(|sensor| sensor.kind.is_output());
+        let names: Vec<&str> = outputs.map(|sensor| sensor.name.as_str()).collect();
+        refused(format!(
+            "there is no output `{name}`; there are: {}",
+            names.join(", ")
+        ))
+    }
+
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
     async fn shut_down(&self, cx: &Context) -> Handled {
         if self.cyclic.is_some() {
@@ -428,10 +475,32 @@ impl EventHandler for ServoTask {
             }
             ReadSensors::CODE => {
                 let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
+                let status = self.link.port.status();
+                let named = self.sensors.iter().enumerate();
+                let stale = named.filter(|(index, _)| status.stale >> index & 1 == 1);
                 reply.ok(SensorReport {
                     sensors: self.sensors.clone(),
-                    numbers: self.link.port.status().sensors.to_vec(),
+                    numbers: status.sensors.to_vec(),
+                    stale: stale.map(|(_, sensor)| sensor.name.clone()).collect(),
                 })
+            }
+            StreamSetpoints::CODE => {
+                self.streamed_from = Some(message.from().chassis());
+                let (request, reply) = message.open::<StreamSetpoints>()?;
+                let arm = (&*self.link, &*self.model);
+                reply.ok(self.streams.begin(cx, arm, request).await)
+            }
+            StreamValue::CODE => {
+                let (value, reply) = message.open::<StreamValue>()?;
+                reply.ok(self.streams.put(cx, &self.link, &value))
+            }
+            ReadStream::CODE => {
+                let (ReadStream {}, reply) = message.open::<ReadStream>()?;
+                reply.ok(self.streams.report(&self.link))
+            }
+            SetOutput::CODE => {
+                let (request, reply) = message.open::<SetOutput>()?;
+                reply.ok(self.set_output(&request))
             }
             SetLaw::CODE => {
                 let (SetLaw { law }, reply) = message.open::<SetLaw>()?;
@@ -462,6 +531,20 @@ impl EventHandler for ServoTask {
             let ticking = |status: &ServoStatus| status.ticks > 0;
             let patience = self.link.rest_patience();
             self.link.wait(cx, "begin", patience, ticking).await?;
+        }
+        Ok(())
+    }
+
+    /// Nobody could stop a stream any more whose client interface is gone.
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let from = self.streamed_from.map(|index| cx.chassis().name_of(index));
+        if from.is_some_and(|from| from == chassis) && self.streams.report(&self.link).follows {
+            tracing::warn!(
+                task = cx.name(),
+                chassis,
+                "the arm comes to rest: the chassis of its client interface is gone"
+            );
+            self.link.port.order(ServoCommand::Cancel)?;
         }
         Ok(())
     }

@@ -2,7 +2,10 @@
 
 mod guards;
 mod laws;
+mod random;
+mod slots;
 mod stops;
+mod streams;
 
 use std::sync::atomic::Ordering;
 

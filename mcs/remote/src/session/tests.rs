@@ -131,13 +131,13 @@ fn a_peer_is_believed_after_some_good_answers_and_moves_as_it_is_told() {
     rig.tick(Power::Released).unwrap();
     let order = rig.order.clone().unwrap();
     assert_eq!(
-        (order.power, order.torques),
+        (order.power, order.commands),
         (Power::Released, vec![0.3, -0.1])
     );
     assert_eq!(order.period, PERIOD);
     rig.tick(Power::Braked).unwrap();
     let order = rig.order.clone().unwrap();
-    assert_eq!((order.power, order.torques), (Power::Braked, vec![0.0; 2]));
+    assert_eq!((order.power, order.commands), (Power::Braked, vec![0.0; 2]));
 }
 
 #[test]

@@ -163,7 +163,7 @@ fn run_dying(script: Script, knobs: &Arc<Knobs>, deaths: &[(&str, u64)]) -> AppR
     run_app_dying(APP, script, knobs, deaths)
 }
 
-fn run_app_dying(
+pub(super) fn run_app_dying(
     app: &str,
     script: Script,
     knobs: &Arc<Knobs>,

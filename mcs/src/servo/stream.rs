@@ -1,0 +1,483 @@
+//! Setpoints and torques that somebody streams: the newest value is followed in every tick, until it is too old or cannot
+//! be followed, and then the arm comes to rest.
+//!
+//! Between two values a joint goes along a line, or with speeds along a cubic, in the time that lay between them in whole
+//! servo periods. A joint goes after that point within its limits ([`chase`](super::chase)), so that a jump of the stream is none
+//! of the arm. Allocates nothing in a tick.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+use serde::{Deserialize, Serialize};
+
+use super::chase::{brake, chase};
+use crate::guard::{GuardSet, Words};
+use crate::joints::Joints;
+use crate::model::inverse::Branch;
+use crate::model::{Data, Joint, Model};
+use crate::trajectory::{Rest, Setpoint, Solver};
+use crate::words;
+
+/// How far the rotation of a pose may be from a rotation, per entry.
+const ROTATION_ROUNDING: f64 = 1e-6;
+/// How much longer than it seems the way until rest is taken to be under direct torques, and by how many periods of travel:
+/// the law that takes over lags behind its setpoint.
+const CAUTION: f64 = 1.25;
+const LATE: f64 = 2.0;
+/// The way to a value takes no longer than this, however seldom values come, s.
+const LONGEST_WAY: f64 = 0.25;
+
+/// What is streamed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StreamKind {
+    /// Of n joints, n positions (rad or m), or as many and then n speeds (per s).
+    Joints,
+    /// `base_T_tool`, 16 numbers row by row, m; or 6 numbers by which the tool is away from where it was when the stream
+    /// began: along the base's axes, m, and roll, pitch and yaw about them, rad.
+    Tool,
+    /// Of n joints, n torques, N m or N.
+    Torques {
+        /// Whether those that carry the arm's weight are added.
+        gravity: bool,
+    },
+}
+
+/// The newest value of a stream.
+#[derive(Debug, Clone, Copy)]
+pub struct Newest<'a> {
+    /// Which one it is; another one has another number.
+    pub count: u64,
+    /// When it was written, s since some moment.
+    pub stamp: f64,
+    /// How long ago that was, s.
+    pub age: f64,
+    /// The value.
+    pub numbers: &'a [f64],
+}
+
+/// Where values come from. Asked once per tick; must neither allocate, lock nor wait.
+pub trait Source: Send {
+    /// The newest value; `None` before the first.
+    fn newest(&mut self) -> Option<Newest<'_>>;
+}
+
+/// How a stream is followed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Following {
+    /// The number by which the status tells of it.
+    pub serial: u64,
+    /// What is streamed.
+    pub kind: StreamKind,
+    /// A value older than this ends it, s.
+    pub max_age: f64,
+    /// Fractions of the largest speeds and accelerations.
+    pub pace: (f64, f64),
+    /// Guards that watch it, besides those that always do.
+    pub guards: GuardSet,
+}
+
+/// How the latest stream is, or how it ended.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct StreamStatus {
+    /// Its number; 0 before the first.
+    pub serial: u64,
+    /// How many values were taken.
+    pub values: u64,
+    /// Age of the newest value at the last tick, s.
+    pub age: f64,
+    /// Why it is followed no more.
+    pub end: Option<Words>,
+}
+
+/// The way of one joint to the value that came last.
+#[derive(Debug, Clone, Copy, Default)]
+struct Way {
+    from: f64,
+    leaving: f64,
+    to: f64,
+    /// The speed there, where the stream tells it.
+    arriving: Option<f64>,
+}
+
+impl Way {
+    fn standing(at: f64) -> Self {
+        Self {
+            from: at,
+            to: at,
+            ..Self::default()
+        }
+    }
+
+    /// Position and speed at a `share` of the whole time, s; it stays at the end.
+    fn at(&self, share: f64, whole: f64) -> (f64, f64) {
+        let over = self.to - self.from;
+        let Some(arriving) = self.arriving else {
+            return match share < 1.0 {
+                true => (self.from + over * share, over / whole),
+                false => (self.to, 0.0),
+            };
+        };
+        if share >= 1.0 {
+            return (self.to, 0.0);
+        }
+        // The cubic of Hermite.
+        let (leaving, arriving) = (self.leaving * whole, arriving * whole);
+        let square = 3.0 * over - 2.0 * leaving - arriving;
+        let cube = leaving + arriving - 2.0 * over;
+        let position = self.from + share * (leaving + share * (square + share * cube));
+        let slope = leaving + share * (2.0 * square + share * 3.0 * cube);
+        (position, slope / whole)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Following,
+    Braking,
+    /// The setpoint rests.
+    Resting,
+}
+
+/// A stream that is followed.
+pub struct Stream {
+    how: Following,
+    source: Box<dyn Source>,
+    data: Data,
+    phase: Phase,
+    status: StreamStatus,
+    /// Which value was taken last, and its stamp, s.
+    last: Option<(u64, f64)>,
+    waited: f64,
+    ways: Vec<Way>,
+    /// Periods since the last value was taken, and how many its way takes.
+    passed: u32,
+    periods: u32,
+    /// Where the joints are to be in the next tick, and how fast.
+    next: Setpoint,
+    /// Where the tool was when it began, and in which posture.
+    origin: Isometry3<f64>,
+    posture: Option<Branch>,
+    /// Torques that came last.
+    torques: Option<Joints>,
+}
+
+impl Stream {
+    /// A stream for an arm, which begins when the servo takes it.
+    #[must_use]
+    pub fn new(how: Following, source: Box<dyn Source>, model: &Model) -> Self {
+        Self {
+            how,
+            source,
+            data: model.data(),
+            phase: Phase::Following,
+            status: StreamStatus {
+                serial: how.serial,
+                ..StreamStatus::default()
+            },
+            last: None,
+            waited: 0.0,
+            ways: vec![Way::default(); model.dof()],
+            passed: 0,
+            periods: 1,
+            next: Setpoint::default(),
+            origin: Isometry3::identity(),
+            posture: None,
+            torques: None,
+        }
+    }
+
+    /// How it is to be followed.
+    pub(super) fn how(&self) -> &Following {
+        &self.how
+    }
+
+    /// How it is.
+    pub(super) fn status(&self) -> StreamStatus {
+        self.status
+    }
+
+    /// Begins where the arm is held.
+    pub(super) fn begin(&mut self, held: &Joints, solver: &mut Solver) {
+        self.next = Setpoint::at_rest(*held);
+        for (way, held) in self.ways.iter_mut().zip(held) {
+            *way = Way::standing(*held);
+        }
+        self.origin = solver.pose(held);
+        self.posture = solver.branch_of(held);
+    }
+
+    /// Follows it no more: every joint brakes as hard as it may. The first reason counts.
+    pub(super) fn end(&mut self, why: Words) {
+        if self.phase == Phase::Following {
+            self.phase = Phase::Braking;
+            self.status.end = Some(why);
+        }
+    }
+
+    /// Whether it is followed no more.
+    pub(super) fn is_ending(&self) -> bool {
+        self.phase != Phase::Following
+    }
+
+    /// Whether the setpoint rests.
+    pub(super) fn rests(&self) -> bool {
+        self.phase == Phase::Resting
+    }
+
+    /// Whether the torques are the stream's and not those of a law: the arm is where it happens to be.
+    fn is_direct(&self) -> bool {
+        self.phase == Phase::Following && self.torques.is_some()
+    }
+
+    /// The setpoint of this tick, the arm being measured at these positions and speeds.
+    pub(super) fn setpoint(
+        &mut self,
+        solver: &mut Solver,
+        (position, velocity): (&Joints, &Joints),
+        period: f64,
+    ) -> Setpoint {
+        if self.is_direct() {
+            self.next = Setpoint {
+                velocity: *velocity,
+                ..Setpoint::at_rest(*position)
+            };
+        }
+        if self.phase == Phase::Following
+            && let Err(why) = self.take(solver, period)
+        {
+            self.end(why);
+        }
+        if self.is_direct() {
+            match strayed(&self.next, solver.model(), period) {
+                Some(why) => self.end(why),
+                None => return self.next,
+            }
+        }
+        let mut now = self.next;
+        let whole = f64::from(self.periods) * period;
+        let share = f64::from(self.passed) / f64::from(self.periods);
+        self.passed = self.passed.saturating_add(1);
+        for (index, joint) in solver.model().joints().iter().enumerate() {
+            let (limits, at) = (&joint.limits, (now.position[index], now.velocity[index]));
+            let speed = match (self.phase, self.ways.get(index)) {
+                (Phase::Following, Some(way)) => {
+                    let aim = way.at(share, whole);
+                    let held = aim.0.clamp(limits.lower, limits.upper);
+                    chase(at, (held, aim.1), limits, self.how.pace, period)
+                }
+                _ => brake(at.1, limits, period),
+            };
+            now.acceleration[index] = (speed - at.1) / period;
+            self.next.position[index] = at.0 + 0.5 * (at.1 + speed) * period;
+            self.next.velocity[index] = speed;
+        }
+        let stands = |number: &f64| *number == 0.0;
+        let still = now.velocity.iter().chain(&now.acceleration).all(stands);
+        if self.phase == Phase::Braking && still {
+            self.phase = Phase::Resting;
+        }
+        now
+    }
+
+    /// Takes the newest value in, if it is another one.
+    fn take(&mut self, solver: &mut Solver, period: f64) -> Result<(), Words> {
+        let Some(newest) = self.source.newest() else {
+            self.waited += period;
+            let limit = self.how.max_age;
+            return match self.waited > limit {
+                true => Err(words!("no value has come within {limit:.3} s")),
+                false => Ok(()),
+            };
+        };
+        let (age, limit) = (newest.age, self.how.max_age);
+        self.status.age = age;
+        if age.is_nan() || age > limit {
+            return Err(words!(
+                "the newest value is {age:.3} s old, and the limit is {limit:.3} s"
+            ));
+        }
+        if self.last.is_some_and(|(count, _)| count == newest.count) {
+            return Ok(());
+        }
+        let numbers = newest.numbers;
+        if let Some(index) = numbers.iter().position(|number| !number.is_finite()) {
+            let (number, value) = (index + 1, numbers[index]);
+            return Err(words!("number {number} of a value is {value}"));
+        }
+        let model = solver.model();
+        let (n, given) = (model.dof(), numbers.len());
+        let (mut positions, mut speeds) = (Joints::zeros(n), None);
+        match self.how.kind {
+            StreamKind::Joints if given == n || given == 2 * n => {
+                positions.copy_from_slice(&numbers[..n]);
+                if given > n {
+                    let mut those = Joints::zeros(n);
+                    those.copy_from_slice(&numbers[n..]);
+                    speeds = Some(those);
+                }
+            }
+            StreamKind::Torques { .. } if given == n => {
+                let mut torques = Joints::zeros(n);
+                torques.copy_from_slice(numbers);
+                within(&torques, model, "torque", |joint| joint.limits.torque)?;
+                self.torques = Some(torques);
+            }
+            StreamKind::Tool if given == 6 || given == 16 => {
+                let pose = pose(numbers, &self.origin)?;
+                let near = Joints::from_fn(n, |index| self.ways[index].to);
+                let found = solver.follow(&pose, self.posture, &near);
+                positions = found.map_err(|error| words!("{error}"))?;
+            }
+            kind => {
+                let wanted = match kind {
+                    StreamKind::Joints => words!("{n} or {}", 2 * n),
+                    StreamKind::Torques { .. } => words!("{n}"),
+                    StreamKind::Tool => words!("6 or 16"),
+                };
+                return Err(words!("a value has {given} numbers and not {wanted}"));
+            }
+        }
+        let before = self.last.replace((newest.count, newest.stamp));
+        self.status.values += 1;
+        if self.torques.is_some() {
+            return Ok(());
+        }
+        let model = solver.model();
+        if let Some(index) = model.joint_outside(&positions) {
+            let (joint, at) = (&model.joints()[index], positions[index]);
+            let (unit, limits) = (joint.kind.unit(), &joint.limits);
+            let (low, high, joint) = (limits.lower, limits.upper, index + 1);
+            return Err(words!(
+                "joint {joint} would have to be at {at:.4} {unit}, its limits are {low:.4} and {high:.4}"
+            ));
+        }
+        if let Some(speeds) = &speeds {
+            within(speeds, model, "speed", |joint| joint.limits.velocity)?;
+        }
+        let apart = before.map_or(0.0, |(_, stamp)| newest.stamp - stamp);
+        self.go(&positions, speeds.as_ref(), apart, period);
+        Ok(())
+    }
+
+    /// Sets out for a value that was written so many seconds after the one before.
+    fn go(&mut self, to: &Joints, speeds: Option<&Joints>, apart: f64, period: f64) {
+        let whole = f64::from(self.periods) * period;
+        let share = f64::from(self.passed) / f64::from(self.periods);
+        for (index, way) in self.ways.iter_mut().enumerate() {
+            let (from, leaving) = way.at(share, whole);
+            *way = Way {
+                from,
+                leaving,
+                to: to[index],
+                arriving: speeds.map(|speeds| speeds[index]),
+            };
+        }
+        // A hair less, lest rounding make one period more of a whole number of them.
+        let periods = apart.clamp(period, LONGEST_WAY.max(period)) / period - 1e-6;
+        self.periods = periods.ceil() as u32;
+        self.passed = 0;
+    }
+
+    /// The torques of this tick, where they are the stream's.
+    pub(super) fn torques(&mut self, model: &Model, position: &Joints) -> Option<Joints> {
+        if !self.is_direct() {
+            return None;
+        }
+        let mut torques = self.torques?;
+        if self.how.kind == (StreamKind::Torques { gravity: true }) {
+            let weight = model.gravity_torques(&mut self.data, position);
+            for (torque, weight) in torques.iter_mut().zip(weight) {
+                *torque += weight;
+            }
+        }
+        Some(torques)
+    }
+
+    /// How it would come to rest if it braked from the next period on.
+    pub(super) fn rest(setpoint: &Setpoint, model: &Model, period: f64) -> Rest {
+        let mut joints = setpoint.position;
+        let mut time = 0.0_f64;
+        for (index, joint) in model.joints().iter().enumerate() {
+            let speed = setpoint.velocity[index];
+            let then = speed + setpoint.acceleration[index] * period;
+            let braking = then.abs() / joint.limits.acceleration;
+            joints[index] += 0.5 * (speed + then) * period + 0.5 * then * braking;
+            time = time.max(braking);
+        }
+        Rest {
+            time,
+            joints: Some(joints),
+            tool: None,
+            lead: time,
+        }
+    }
+}
+
+/// Holds that no number is larger than a limit of its joint.
+fn within(
+    numbers: &Joints,
+    model: &Model,
+    what: &str,
+    limit: fn(&Joint) -> f64,
+) -> Result<(), Words> {
+    let mut joints = model.joints().iter().zip(numbers).enumerate();
+    let beyond = joints.find(|(_, (joint, number))| number.abs() > limit(joint));
+    match beyond {
+        Some((index, (joint, number))) => Err(words!(
+            "the {what} of joint {} is {number:.4}, its limit is {:.4}",
+            index + 1,
+            limit(joint)
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Why an arm under direct torques must be stopped: a joint is too fast, or would pass a limit before it rests.
+fn strayed(now: &Setpoint, model: &Model, period: f64) -> Option<Words> {
+    let mut joints = model.joints().iter().enumerate();
+    joints.find_map(|(index, joint)| {
+        let (at, speed, limits) = (now.position[index], now.velocity[index], &joint.limits);
+        let (unit, number) = (joint.kind.unit(), index + 1);
+        if speed.abs() > limits.velocity {
+            let limit = limits.velocity;
+            return Some(words!(
+                "joint {number} went at {speed:.4} {unit}/s, its limit is {limit:.4}"
+            ));
+        }
+        let braking = CAUTION * 0.5 * speed.abs() / limits.acceleration;
+        let rest = at + speed * (braking + LATE * period);
+        let (low, high) = (limits.lower, limits.upper);
+        let outward = (rest > high && speed >= 0.0) || (rest < low && speed <= 0.0);
+        outward.then(|| {
+            words!("joint {number} at {at:.4} {unit} would not rest within {low:.4} and {high:.4}")
+        })
+    })
+}
+
+/// The pose that a value asks for: one of its own, or one away from where the tool was when the stream began.
+fn pose(numbers: &[f64], origin: &Isometry3<f64>) -> Result<Isometry3<f64>, Words> {
+    if let [x, y, z, roll, pitch, yaw] = *numbers {
+        if [roll, pitch, yaw]
+            .iter()
+            .any(|angle| angle.abs() > 2.0 * PI)
+        {
+            return Err(words!("an angle of a value is more than a whole turn"));
+        }
+        let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+        let place = origin.translation.vector + nalgebra::Vector3::new(x, y, z);
+        return Ok(Isometry3::from_parts(place.into(), turn * origin.rotation));
+    }
+    let [a, b, c, x, d, e, f, y, g, h, i, z, last @ ..] = numbers else {
+        return Err(words!("a value has {} numbers", numbers.len()));
+    };
+    let matrix = Matrix3::new(*a, *b, *c, *d, *e, *f, *g, *h, *i);
+    let skew = (matrix * matrix.transpose() - Matrix3::identity()).amax();
+    if last != [0.0, 0.0, 0.0, 1.0] || skew > ROTATION_ROUNDING || matrix.determinant() < 0.0 {
+        return Err(words!("the 16 numbers of a value are no pose"));
+    }
+    let rotation = Rotation3::from_matrix_unchecked(matrix);
+    Ok(Isometry3::from_parts(
+        Translation3::new(*x, *y, *z),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    ))
+}
