@@ -350,7 +350,7 @@ async fn drive(action: &Act) -> Result<(), Failure> {
         acceleration: None,
         elbow: None,
         guards: Vec::new(),
-        blend: 0.0,
+        blend: 0.0.into(),
     };
     let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S);
     let limit = limit.map_err(|error| Failure::new(Outcome::Fault, error))?;

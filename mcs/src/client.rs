@@ -15,7 +15,7 @@ use crate::model::inverse::Elbow;
 use crate::servo::MotionPhase;
 pub use crate::servo::StreamKind;
 use crate::state::State;
-pub use crate::trajectory::PathKind;
+pub use crate::trajectory::{Blend, PathKind};
 
 /// Where to move.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -142,6 +142,54 @@ impl Manipulator {
         self.cx.call(&self.client, to).deadline(within).await?
     }
 
+    /// Moves the tool along the arc of a circle through a point (base frame, m): [`Self::go`] with
+    /// [`PathKind::Arc`].
+    ///
+    /// # Errors
+    /// As [`Self::go`].
+    pub async fn arc(
+        &self,
+        through: [f64; 3],
+        to: Move,
+        within: Duration,
+    ) -> Result<MoveReport, MotionError> {
+        let path = PathKind::Arc { through };
+        self.go(Move { path, ..to }, within).await
+    }
+
+    /// Moves the tool along the arc of a circle about a centre (base frame, m), the shorter way round or the longer one:
+    /// [`Self::go`] with [`PathKind::ArcAbout`].
+    ///
+    /// # Errors
+    /// As [`Self::go`].
+    pub async fn arc_about(
+        &self,
+        (centre, longer): ([f64; 3], bool),
+        to: Move,
+        within: Duration,
+    ) -> Result<MoveReport, MotionError> {
+        let path = PathKind::ArcAbout { centre, longer };
+        self.go(Move { path, ..to }, within).await
+    }
+
+    /// Moves the tool up, across and down, so far (m) above the higher end and with corners as wide as there is room:
+    /// [`Self::go`] with [`PathKind::Arch`].
+    ///
+    /// # Errors
+    /// As [`Self::go`].
+    pub async fn arch(
+        &self,
+        height: f64,
+        to: Move,
+        within: Duration,
+    ) -> Result<MoveReport, MotionError> {
+        let path = PathKind::Arch {
+            height,
+            corner: None,
+        };
+        self.go(Move { path, ..to }, within).await
+    }
+
     /// Ends the motion under way, as [`Cancel`] does.
     ///
     /// # Errors
@@ -185,6 +233,8 @@ pub struct MoveReport {
     pub final_error_m: f64,
     /// Joint positions as read back at the end, rad or m.
     pub joints: Joints,
+    /// The smallest singular value of the tool's Jacobian along a path of the tool, m and rad together, per rad or m.
+    pub smallest_singular_value: Option<f64>,
 }
 
 /// A motion that would be accepted.
@@ -194,6 +244,8 @@ pub struct PlanReport {
     pub joints: Joints,
     /// Duration of the motion without settling, s.
     pub duration_s: f64,
+    /// The smallest singular value of the tool's Jacobian along a path of the tool, m and rad together, per rad or m.
+    pub smallest_singular_value: Option<f64>,
 }
 
 /// Where the manipulator is.
@@ -271,9 +323,9 @@ ctos::command! {
         pub elbow: Option<Elbow>,
         /// Recipes of guards that watch it, besides those that always do.
         pub guards: Vec<String>,
-        /// How much of the stop before it may be left out when it follows on another motion: 0, all of it is made, to 1, the
-        /// second half of the motion before and the first half of this one give way to a bridge between both.
-        pub blend: f64,
+        /// How much of the stop before it may be left out when it follows on another motion: what lies so near to the point
+        /// where both meet gives way to a bridge between them.
+        pub blend: Blend,
     } => Result<MoveReport, MotionError>, 0x0302, "move"
 }
 ctos::command! {

@@ -121,7 +121,8 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
     }
 
     /// `-name 0.1 0.2 0.3`: as many finite floats as there are `parameters`, each within `range`, in
-    /// `unit`. A list without numbers is not set; `-dump` leaves it out.
+    /// `unit`. Parameters with `..` among them stand for any number of floats from one. A list without numbers is not
+    /// set; `-dump` leaves it out.
     #[must_use]
     pub fn floats(
         self,
@@ -495,8 +496,7 @@ fn one<'w>(
         return Err(Report::error(code::UNKNOWN_OPTION, text));
     };
     let wrong = |text: String| Report::error(code::VALUE, format!("-{name}: {text}"));
-    let next = rest.first().map(|word| word.text.as_str());
-    let count = kind.count(next);
+    let count = kind.count(rest);
     if rest.len() < count {
         return Err(wrong(format!("write -{name}{}", kind.form())));
     }

@@ -184,6 +184,7 @@ impl EventHandler for Mcs {
                     Ok(Ok(PlanReport {
                         joints,
                         duration_s: 1.0,
+                        smallest_singular_value: None,
                     }))
                 },
             ),
@@ -208,6 +209,7 @@ impl EventHandler for Mcs {
                             final_error_rad: 0.001,
                             final_error_m: 0.0,
                             joints: Joints::zeros(6),
+                            smallest_singular_value: None,
                         }))
                     })
             }

@@ -197,7 +197,7 @@ impl Gripper {
             speed,
             acceleration: Some(1.0),
             elbow: None,
-            blend: 0.0,
+            blend: 0.0.into(),
             guards: Vec::new(),
         };
         jaws.go(order, LONGEST).await.map(|_| ())

@@ -181,7 +181,7 @@ impl Hand {
             speed,
             acceleration: Some(acceleration),
             elbow: None,
-            blend: 0.0,
+            blend: 0.0.into(),
             guards: Vec::new(),
         };
         hand.go(go, LONGEST).await.map(|_| ())

@@ -8,10 +8,10 @@ use sorma::Report;
 
 use super::arm::Which;
 use super::code;
-use crate::client::Target;
+use crate::client::{PlanReport, Target};
 use crate::joints::Joints;
 use crate::model::file::Inertias;
-use crate::trajectory::{CartesianLimits, Goal, PlanError, Planner, Route};
+use crate::trajectory::{Blend, CartesianLimits, Goal, PlanError, Planner, Route};
 
 /// Where it begins, rad: the elbow bent, with room on all sides.
 const START: [f64; 6] = [
@@ -76,25 +76,28 @@ impl LocalArm {
         self.planner.tool_pose(&self.joints)
     }
 
-    /// Where motions, one after the other, would end, and how long they would take with so much of a blend, s.
-    pub(super) fn plan(
-        &mut self,
-        routes: &[Route],
-        blend: f64,
-    ) -> Result<(Joints, f64), PlanError> {
-        let (mut at, mut took) = (self.joints, 0.0);
+    /// Where motions, one after the other, would end, and how long they would take with such a blend.
+    pub(super) fn plan(&mut self, routes: &[Route], blend: Blend) -> Result<PlanReport, PlanError> {
+        let mut report = PlanReport {
+            joints: self.joints,
+            duration_s: 0.0,
+            smallest_singular_value: None,
+        };
         let mut before = None;
         for route in routes {
-            let (segment, end) = self.planner.segment(&at, route)?;
-            took += segment.duration();
+            let (segment, end) = self.planner.segment(&report.joints, route)?;
+            report.duration_s += segment.duration();
             if let Some(before) = &before {
                 let bridge = self.planner.bridge((before, &segment), route.pace, blend);
-                took -= bridge.map_or(0.0, |bridge| bridge.gain(before));
+                report.duration_s -= bridge.map_or(0.0, |bridge| bridge.gain(before));
             }
-            at = end;
+            let smallest = segment.singularity().map(|(smallest, _)| smallest);
+            let values = [report.smallest_singular_value, smallest];
+            report.smallest_singular_value = values.into_iter().flatten().reduce(f64::min);
+            report.joints = end;
             before = Some(segment);
         }
-        Ok((at, took))
+        Ok(report)
     }
 
     /// Is there, and so much later.

@@ -4,7 +4,7 @@
 use std::{sync::LazyLock, time::Duration};
 
 use futures_util::future::{LocalBoxFuture, join_all};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use sorma::{
     Context, Form, Method, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting, words,
 };
@@ -14,14 +14,14 @@ use super::local::{SharedArm, rows, target};
 use super::wspc::guard_name;
 use super::{code, ended, in_the_way, six, streaming};
 use crate::client::{
-    Acquire, Move, MoveReport, PathKind, Plan, Position, ReadPosition, Release, Status, StreamKind,
-    StreamSetpoints,
+    Acquire, Move, MoveReport, PathKind, Plan, PlanReport, Position, ReadPosition, Release, Status,
+    StreamKind, StreamSetpoints,
 };
 use crate::joints::Joints;
 use crate::model::inverse::Elbow;
 use crate::servo::QUEUE;
 use crate::state::State;
-use crate::trajectory::{Goal, Pace, Route};
+use crate::trajectory::{Blend, Goal, Pace, Route};
 
 /// A motion is answered at its end.
 const LONGEST_MOVE: Duration = Duration::from_secs(3600);
@@ -84,6 +84,31 @@ const FORMS: &[Form] = &[
         gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
         help: "moves the tool on from where it is, along its own axes, by a transformation matrix",
+    },
+    Form {
+        text: "arc",
+        floats: 9,
+        takes: "x y z of a point on the way, m; then x y z, m, and roll pitch yaw, rad, of the target, as place",
+        gives: "n + 1 floats, as joints, and a text with the smallest singular value of the Jacobian on the way",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
+        help: "moves the tool from where it is along the arc of a circle through the point to the target",
+    },
+    Form {
+        text: "about",
+        floats: 9,
+        takes: "x y z of the centre, m; then x y z, m, and roll pitch yaw, rad, of the target, as place",
+        gives: "as arc",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
+        help: "moves the tool from where it is along the arc of a circle about the centre to the target, which is as far from the \
+               centre; the shorter way round unless -longer is set",
+    },
+    Form {
+        text: "arch",
+        floats: 7,
+        takes: "how far above the higher end it goes across, m; then x y z, m, and roll pitch yaw, rad, of the target, as place",
+        gives: "as arc",
+        results: "q1 q2 q3 q4 q5 q6: rad; took: s",
+        help: "moves the tool up along the base's z axis, across and down to the target, with corners of -corner",
     },
     Form {
         text: "where",
@@ -149,7 +174,10 @@ pub(super) struct Options {
     acceleration: Vec<f64>,
     reference: Vec<f64>,
     elbow: String,
+    corner: Vec<f64>,
+    longer: bool,
     blend: f64,
+    blend_by: String,
     plan: bool,
     keep: bool,
     guards: String,
@@ -167,7 +195,10 @@ impl Default for Options {
             acceleration: Vec::new(),
             reference: Vec::new(),
             elbow: "nearest".to_owned(),
+            corner: Vec::new(),
+            longer: false,
             blend: 0.0,
+            blend_by: "share".to_owned(),
             plan: false,
             keep: false,
             guards: String::new(),
@@ -206,7 +237,8 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         .choice(
             "path",
             &["joint", "line"],
-            "whether every joint takes a course of its own, all in the time of the slowest, or the tool goes along a straight line",
+            "whether every joint takes a course of its own, all in the time of the slowest, or the tool goes along a straight \
+             line; arc, about and arch have paths of their own",
             |options| &mut options.path,
         )
         .choice(
@@ -220,15 +252,35 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             0.0..=1.0,
             "",
             "how much of the stop at the position before may be left out: 0 nothing, 1 the second half of the way there and \
-             the first half of the way on give way to a bridge between both",
+             the first half of the way on give way to a bridge between both; see -blendBy",
             |options| &mut options.blend,
+        )
+        .choice(
+            "blendBy",
+            &["share", "radius", "joints"],
+            "what -blend counts: a share of both halves, the distance of the tool from the position before, m, or the largest \
+             distance of a joint from it, rad or m; never more than both halves",
+            |options| &mut options.blend_by,
+        )
+        .floats(
+            "corner",
+            &["R"],
+            0.001..=10.0,
+            "m",
+            "the radius of the corners of an arch; as large as there is room unless it is set",
+            |options| &mut options.corner,
+        )
+        .flag(
+            "longer",
+            "whether about goes the longer way round",
+            |options| &mut options.longer,
         )
         .floats(
             "to",
-            &["Q1", "Q2", "Q3", "Q4", "Q5", "Q6"],
+            &["Q1", "..", "QN"],
             -10.0..=10.0,
-            "rad",
-            "the position of a flavor, of an arm with six joints, to which EXEC without a text moves",
+            "rad or m",
+            "the position of a flavor, as many numbers as the arm has joints, to which EXEC without a text moves",
             |options| &mut options.to,
         )
         .flag(
@@ -283,10 +335,33 @@ impl MvPos {
         }
     }
 
-    fn path(&self) -> PathKind {
-        match self.options.path.as_str() {
-            "line" => PathKind::StraightLine,
+    /// The way that a form with these numbers takes.
+    fn path(&self, form: &str, numbers: &[f64]) -> PathKind {
+        let given = six(numbers);
+        let [x, y, z, ..] = given;
+        let point = self.reference() * Point3::new(x, y, z);
+        let point = [point.x, point.y, point.z];
+        match (form, self.options.path.as_str()) {
+            ("arc", _) => PathKind::Arc { through: point },
+            ("about", _) => PathKind::ArcAbout {
+                centre: point,
+                longer: self.options.longer,
+            },
+            ("arch", _) => PathKind::Arch {
+                height: given[0],
+                corner: self.options.corner.first().copied(),
+            },
+            (_, "line") => PathKind::StraightLine,
             _ => PathKind::Joint,
+        }
+    }
+
+    fn blend(&self) -> Blend {
+        let most = self.options.blend;
+        match self.options.blend_by.as_str() {
+            "radius" => Blend::Radius(most),
+            "joints" => Blend::Joints(most),
+            _ => Blend::Share(most),
         }
     }
 
@@ -313,13 +388,14 @@ impl MvPos {
         }
     }
 
-    async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+    /// Does what a request wants; the text of the answer.
+    async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Result<String, Report> {
         let text = self.form(cx, io).await?;
         match text {
             "where" => {
                 let (joints, pose) = self.position(cx).await?;
                 answer(io, &joints, &pose);
-                Ok(())
+                Ok(String::new())
             }
             "listen" => {
                 let guards = match cx.is_in_app() {
@@ -334,7 +410,9 @@ impl MvPos {
                     acceleration: self.options.acceleration.first().copied(),
                     guards,
                 };
-                streaming::listen(cx, &self.options.client, request, io).await
+                streaming::listen(cx, &self.options.client, request, io)
+                    .await
+                    .map(|()| String::new())
             }
             "release" => {
                 io.floats.clear();
@@ -342,21 +420,25 @@ impl MvPos {
                     let released = cx.call_task(&self.options.client, Release {}, SOON);
                     released.await?.map_err(in_the_way)?;
                 }
-                Ok(())
+                Ok(String::new())
             }
             _ => {
+                let path = self.path(text, &io.floats);
                 let goals = match text {
                     "along" => self.goals(cx, io).await?,
                     _ => vec![self.goal(text, cx, io).await?],
                 };
-                let (joints, duration_s) = match cx.is_in_app() {
-                    true => self.ask(cx, &goals, io).await?,
-                    false => self.move_here(&goals)?,
+                let planned = match cx.is_in_app() {
+                    true => self.ask(cx, (path, &goals), io).await?,
+                    false => self.move_here(path, &goals)?,
                 };
                 io.floats.clear();
-                io.floats.extend_from_slice(&joints);
-                io.floats.push(duration_s);
-                Ok(())
+                io.floats.extend_from_slice(&planned.joints);
+                io.floats.push(planned.duration_s);
+                let smallest = planned.smallest_singular_value;
+                Ok(smallest.map_or_else(String::new, |smallest| {
+                    format!("smallest singular value {smallest:.6e}")
+                }))
             }
         }
     }
@@ -400,6 +482,11 @@ impl MvPos {
             "joints" => Goal::Joints(positions(&io.floats)?),
             "pose" => Goal::Pose(self.reference() * kinematics::pose(io)?),
             "place" => Goal::Pose(self.reference() * place(&given)),
+            "arc" | "about" | "arch" => {
+                let before = if form == "arch" { 1 } else { 3 };
+                let target = six(io.floats.get(before..).unwrap_or_default());
+                Goal::Pose(self.reference() * place(&target))
+            }
             "relative" => {
                 let by = kinematics::pose(io)?;
                 let (_, now) = self.position(cx).await?;
@@ -451,7 +538,7 @@ impl MvPos {
     }
 
     /// Moves the arm of this process.
-    fn move_here(&self, goals: &[Goal]) -> Result<(Joints, f64), Report> {
+    fn move_here(&self, path: PathKind, goals: &[Goal]) -> Result<PlanReport, Report> {
         if !self.options.guards.trim().is_empty() && !self.options.plan {
             let text = "the arm of this process has no servo that could ask guards; clear it with -guards ''";
             return Err(Report::error(code::MOTION, text));
@@ -461,18 +548,17 @@ impl MvPos {
             .iter()
             .map(|goal| Route {
                 goal: *goal,
-                path: self.path(),
+                path,
                 pace: self.pace(),
                 elbow: self.elbow(),
             })
             .collect();
-        let planned = arm.plan(&routes, self.options.blend);
-        let (joints, duration_s) =
-            planned.map_err(|error| Report::error(code::MOTION, error.to_string()))?;
+        let planned = arm.plan(&routes, self.blend());
+        let planned = planned.map_err(|error| Report::error(code::MOTION, error.to_string()))?;
         if !self.options.plan {
-            arm.moved(joints, duration_s);
+            arm.moved(planned.joints, planned.duration_s);
         }
-        Ok((joints, duration_s))
+        Ok(planned)
     }
 
     /// The guards that are to watch a motion; those that are recipes of the dictionary are put in force.
@@ -493,12 +579,12 @@ impl MvPos {
     async fn ask(
         &self,
         cx: &Waiting<'_>,
-        goals: &[Goal],
+        (path, goals): (PathKind, &[Goal]),
         io: &mut Transport,
-    ) -> Result<(Joints, f64), Report> {
+    ) -> Result<PlanReport, Report> {
         let (client, speed) = (&self.options.client, self.options.speed);
         let acceleration = self.options.acceleration.first().copied();
-        let (path, elbow) = (self.path(), self.elbow());
+        let elbow = self.elbow();
         if self.options.plan {
             let [goal] = goals else {
                 let text =
@@ -513,8 +599,7 @@ impl MvPos {
                 elbow,
             };
             let planned = cx.call_task(client, plan, SOON).await?;
-            let planned = planned.map_err(in_the_way)?;
-            return Ok((planned.joints, planned.duration_s));
+            return planned.map_err(in_the_way);
         }
         let guards = self.guards(cx, io).await?;
         let status = cx.call_task(client, Status {}, SOON).await?;
@@ -530,7 +615,7 @@ impl MvPos {
                 speed,
                 acceleration,
                 elbow,
-                blend: self.options.blend,
+                blend: self.blend(),
                 guards: guards.clone(),
             };
             cx.call_task(client, order, LONGEST_MOVE)
@@ -550,11 +635,17 @@ impl MvPos {
     }
 }
 
-/// Where the last of several motions ended, and how long all took, s.
-fn last_of(moved: &[MoveReport]) -> (Joints, f64) {
-    let took = moved.iter().map(|moved| moved.duration_s).sum();
+/// Where the last of several motions ended, how long all took, and the smallest singular value on the way.
+fn last_of(moved: &[MoveReport]) -> PlanReport {
     let joints = moved.last().map(|moved| moved.joints);
-    (joints.unwrap_or_default(), took)
+    let values = moved
+        .iter()
+        .filter_map(|moved| moved.smallest_singular_value);
+    PlanReport {
+        joints: joints.unwrap_or_default(),
+        duration_s: moved.iter().map(|moved| moved.duration_s).sum(),
+        smallest_singular_value: values.reduce(f64::min),
+    }
 }
 
 /// x y z and roll pitch yaw as a pose.
@@ -616,8 +707,13 @@ impl ServiceObject for MvPos {
         io: &'a mut Transport,
     ) -> Option<LocalBoxFuture<'a, Outcome>> {
         Some(Box::pin(async move {
-            let outcome = self.job(cx, io).await;
-            ended(io, outcome)
+            let answer = self.job(cx, io).await;
+            let text = answer
+                .as_ref()
+                .map_or_else(|_| String::new(), String::clone);
+            let outcome = ended(io, answer.map(drop));
+            io.text = text;
+            outcome
         }))
     }
 

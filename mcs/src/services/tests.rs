@@ -2,6 +2,7 @@
 //! any arm, and every way to ask wrongly.
 
 mod arms;
+mod paths;
 
 use super::*;
 use crate::model::{Model, built_in, file::Inertias};

@@ -21,7 +21,7 @@ use crate::driver::Power;
 use crate::guard::Reaction;
 use crate::joints::Joints;
 use crate::servo::{MotionPhase, QUEUE, Rejection, ServoCommand, ServoStatus};
-use crate::trajectory::{Bridge, Goal, Pace, PlanError, Planner, Route, Segment};
+use crate::trajectory::{Blend, Bridge, Goal, Pace, PlanError, Planner, Route, Segment};
 
 /// How far the rotation of a target pose may be from a rotation, per entry.
 const ROTATION_ROUNDING: f64 = 1e-6;
@@ -127,6 +127,13 @@ impl PlannerTask {
         };
         let status = link.port.status();
         let bridge = self.bridge(&link, &segment, pace, blend);
+        let singularity = segment.singularity();
+        if let Some((smallest, slowed)) = singularity.filter(|(_, slowed)| *slowed > 1.0) {
+            tracing::info!(
+                task = cx.name(),
+                "the limits of the joints make the path {slowed:.2} times as long; the smallest singular value along it is {smallest:.3e}"
+            );
+        }
         let newest = status.ended.newest().max(status.motion.id);
         let id = self.last_id.max(newest) + 1;
         link.port.order(ServoCommand::Name { guards })?;
@@ -151,13 +158,19 @@ impl PlannerTask {
             link,
             Rc::clone(&self.waiting),
             id,
-            duration,
+            (duration, singularity.map(|(smallest, _)| smallest)),
         ));
         Ok(())
     }
 
     /// The way into a segment from the one before it, at the pace of the faster one.
-    fn bridge(&mut self, link: &Link, segment: &Segment, pace: Pace, blend: f64) -> Option<Bridge> {
+    fn bridge(
+        &mut self,
+        link: &Link,
+        segment: &Segment,
+        pace: Pace,
+        blend: Blend,
+    ) -> Option<Bridge> {
         let last = self.last(link)?;
         let (before, slower) = (last.segment, last.pace);
         let pace = Pace {
@@ -168,7 +181,7 @@ impl PlannerTask {
         planner.bridge((&before, segment), pace, blend)
     }
 
-    fn may_begin(&self, link: &Link, blend: f64) -> Result<(), MotionError> {
+    fn may_begin(&self, link: &Link, blend: Blend) -> Result<(), MotionError> {
         if let Some(reason) = &self.ending {
             return Err(ended(reason));
         }
@@ -179,9 +192,7 @@ impl PlannerTask {
         if status.stopped {
             return Err(stop_holds());
         }
-        if !(0.0..=1.0).contains(&blend) {
-            return Err(refused(format!("a blend is 0 to 1, not {blend}")));
-        }
+        blend.check().map_err(unplanned)?;
         let waiting = self.waiting.borrow().len();
         if waiting >= QUEUE {
             return Err(refused(Rejection::Full));
@@ -247,9 +258,13 @@ fn unplanned(error: PlanError) -> MotionError {
         | PlanError::Acceleration { .. }
         | PlanError::NotFinite { .. }
         | PlanError::Count { .. }
+        | PlanError::Share { .. }
+        | PlanError::Distance { .. }
+        | PlanError::Curve(_)
         | PlanError::NoLimit { .. } => Outcome::Refused,
         PlanError::Target(_)
-        | PlanError::Line { .. }
+        | PlanError::Path { .. }
+        | PlanError::Singular { .. }
         | PlanError::JointSpeed { .. }
         | PlanError::JointAcceleration { .. } => Outcome::Unreachable,
     };
@@ -283,8 +298,15 @@ fn pose(rows: &[f64; 16]) -> Result<Isometry3<f64>, HandlerError> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }
 
-/// Waits for the end of motion `id`, which takes so long when it is its turn, and answers its caller.
-async fn watch(cx: Context, link: Arc<Link>, waiting: Waiting, id: u64, duration: Duration) {
+/// Waits for the end of motion `id`, which takes so long when it is its turn and has this smallest singular value, and
+/// answers its caller.
+async fn watch(
+    cx: Context,
+    link: Arc<Link>,
+    waiting: Waiting,
+    id: u64,
+    (duration, smallest_singular_value): (Duration, Option<f64>),
+) {
     let over = move |status: &ServoStatus| status.fault.is_some() || status.ended.of(id).is_some();
     // Each one before it has a watch of its own, and its own patience.
     let ended = loop {
@@ -319,7 +341,10 @@ async fn watch(cx: Context, link: Arc<Link>, waiting: Waiting, id: u64, duration
         return;
     };
     let result = match ended {
-        Ok(status) => outcome(&link, &status, id, went_back),
+        Ok(status) => outcome(&link, &status, id, went_back).map(|report| MoveReport {
+            smallest_singular_value,
+            ..report
+        }),
         Err(error) => Err(MotionError::new(Outcome::Fault, error)),
     };
     if let Err(error) = reply.ok(result) {
@@ -369,6 +394,7 @@ fn outcome(
             final_error_rad: motion.error.turning,
             final_error_m: motion.error.sliding,
             joints: status.position,
+            smallest_singular_value: None,
         }),
         MotionPhase::Rejected(Rejection::Stopped) => Err(stop_holds()),
         MotionPhase::Rejected(reason) => Err(refused(reason)),
@@ -397,6 +423,7 @@ impl EventHandler for PlannerTask {
                 reply.ok(planned.map(|(segment, joints)| PlanReport {
                     joints,
                     duration_s: segment.duration(),
+                    smallest_singular_value: segment.singularity().map(|(smallest, _)| smallest),
                 }))
             }
             _ => cx.default_processing(message),

@@ -2,6 +2,7 @@
 
 mod guards;
 mod laws;
+mod paths;
 mod random;
 mod slots;
 mod stops;
@@ -233,7 +234,7 @@ fn to(target: Target) -> Move {
         acceleration: None,
         elbow: None,
         guards: Vec::new(),
-        blend: 0.0,
+        blend: 0.0.into(),
     }
 }
 
@@ -279,7 +280,7 @@ async fn all_of(
 ) -> Result<Vec<Result<MoveReport, MotionError>>, HandlerError> {
     let moves = goals.iter().map(|goal| {
         let order = Move {
-            blend,
+            blend: blend.into(),
             ..to(Target::Joints((*goal).into()))
         };
         asked(cx, mcs, order)
@@ -306,7 +307,7 @@ fn moves_that_come_while_one_is_under_way_wait_and_blended_they_take_less_time()
             }
             assert!(took[1] + 0.5 < took[0], "{took:?}");
             let wrong = Move {
-                blend: 1.5,
+                blend: 1.5.into(),
                 ..to(Target::Joints(GOAL.into()))
             };
             refusal(&cx, &mcs, wrong).await
@@ -667,6 +668,15 @@ fn nine_joints_move_as_six_do_by_joints_by_line_and_by_text() {
                 text,
                 "EXEC along takes 9 floats for each of 1 to 8 positions, not 10 in all"
             );
+            // A flavor's position has as many numbers as the arm has joints.
+            told(
+                &cx,
+                "mvpos.home CTRL -to 0 0 0 0.1 0.8 -2.6 0.2 0.7 0.1 -speed 0.5",
+            )
+            .await?;
+            let home = told(&cx, "mvpos.home EXEC").await?;
+            assert!(home.is_ok(), "{:?}", home.reports);
+            assert!((home.floats[4] - 0.8).abs() < 1e-3, "{home:?}");
             let wrong = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 0 0").await?;
             let text = &wrong.reports[0].text;
             assert!(

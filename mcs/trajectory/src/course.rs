@@ -1,6 +1,6 @@
 //! Where one joint is over time: phases of constant jerk, as plain numbers.
 //!
-//! Also the progress along a straight line, from 0 to 1. Without a limit of jerk the acceleration jumps between phases,
+//! Also the progress along a path of the tool, from 0 to 1. Without a limit of jerk the acceleration jumps between phases,
 //! and the course from rest to rest is a trapezoid of speed.
 
 use crate::timing::{JointBounds, JointState};
@@ -75,12 +75,22 @@ impl Ranges {
     }
 }
 
-/// The course of one joint. The default stands at 0 for no time.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Course {
-    phases: [Phase; PHASES],
+/// The course of one joint, in at most so many phases. The default stands at 0 for no time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Course<const N: usize = PHASES> {
+    phases: [Phase; N],
     duration: f64,
     end: JointState,
+}
+
+impl<const N: usize> Default for Course<N> {
+    fn default() -> Self {
+        Self {
+            phases: [Phase::default(); N],
+            duration: 0.0,
+            end: JointState::default(),
+        }
+    }
 }
 
 impl Course {
@@ -163,7 +173,9 @@ impl Course {
         };
         course
     }
+}
 
+impl<const N: usize> Course<N> {
     /// A course of given phases, each with its begin (s), its state there and its jerk, to a state at `duration` (s).
     pub(crate) fn of_phases(
         duration: f64,
@@ -178,6 +190,20 @@ impl Course {
             phases,
             duration,
             end,
+        }
+    }
+
+    /// The same course with room for more phases.
+    pub(crate) fn widened<const M: usize>(&self) -> Course<M> {
+        let spare = Phase {
+            begin: self.duration,
+            state: self.end,
+            jerk: 0.0,
+        };
+        Course {
+            phases: std::array::from_fn(|index| self.phases.get(index).copied().unwrap_or(spare)),
+            duration: self.duration,
+            end: self.end,
         }
     }
 
@@ -211,9 +237,14 @@ impl Course {
             return self.end;
         }
         let t = t.max(0.0);
-        // The first one begins at 0.
-        let begun = self.phases.iter().rev().find(|phase| phase.begin <= t);
+        let begun = self.phases.get(self.phase_at(t));
         begun.map_or(self.end, |phase| phase.at(t))
+    }
+
+    /// The number of the phase under way at time `t`, s. The first one begins at 0.
+    fn phase_at(&self, t: f64) -> usize {
+        let begun = self.phases.partition_point(|phase| phase.begin <= t);
+        begun.saturating_sub(1)
     }
 
     /// The phases and when they end.
@@ -243,7 +274,12 @@ impl Course {
     /// What speed and acceleration are between two times, s.
     pub(crate) fn ranges(&self, from: f64, to: f64) -> Ranges {
         let mut ranges = Ranges::NONE;
-        for (phase, end) in self.lasting() {
+        // One that has just ended is at its end, too.
+        let before = self.phases.partition_point(|phase| phase.begin < from);
+        for (phase, end) in self.lasting().skip(before.saturating_sub(1)) {
+            if phase.begin > to {
+                break;
+            }
             let (first, last) = (from.max(phase.begin), to.min(end));
             if first > last {
                 continue;

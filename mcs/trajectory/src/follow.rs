@@ -32,14 +32,14 @@ pub struct Follower {
     most: usize,
     /// Servo period, s.
     period: f64,
-    /// Servo periods between two solved poses of a line.
+    /// Servo periods between two solved poses of a path of the tool.
     every: u32,
     clock: Clock,
     /// Whether the first setpoint has been given.
     begun: bool,
     /// How many segments were left over a bridge.
     passed: u64,
-    /// What lies between the last three solved poses of the line under way, and the line's time at the last of them.
+    /// What lies between the last three solved poses of the path under way, and the path's time at the last of them.
     between: Option<[Interpolator; 2]>,
     solved: f64,
 }
@@ -77,24 +77,24 @@ struct Clock {
 const REST_STEPS: f64 = 16.0;
 const LONGEST_REST_STEP: f64 = 0.25;
 const MOST_REST_STEPS: u32 = 64;
-/// How much farther than it seems a line is taken to go until rest.
-const LINE_CAUTION: f64 = 1.05;
+/// How much farther than it seems a path of the tool is taken to go until rest.
+const PATH_CAUTION: f64 = 1.05;
 
 /// How segments would come to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rest {
     /// The time from when it brakes until then at most, s.
     pub time: f64,
-    /// Where all joints rest, rad or m; `None` on a straight line.
+    /// Where all joints rest, rad or m; `None` on a path of the tool.
     pub joints: Option<Joints>,
-    /// `base_t_tool` at rest, on a straight line.
+    /// `base_t_tool` at rest, on a path of the tool.
     pub tool: Option<Isometry3<f64>>,
-    /// The travel from now until rest on a straight line: so many seconds at the present pace.
+    /// The travel from now until rest on a path of the tool: so many seconds at the present pace.
     pub lead: f64,
 }
 
 impl Follower {
-    /// One that follows nothing, with room for so many segments, for setpoints every `period` (s). Poses on a line are
+    /// One that follows nothing, with room for so many segments, for setpoints every `period` (s). Poses on a path of the tool are
     /// solved every so many periods (at least 1) and interpolated between.
     #[must_use]
     pub fn new(most: usize, period: f64, every: u32) -> Self {
@@ -117,15 +117,27 @@ impl Follower {
         if self.queue.len() >= self.most {
             return false;
         }
-        let last = self.queue.len().wrapping_sub(1);
-        let on_last = self.clock.part == Part::segment(last);
-        let next = self.clock.time + self.period;
-        let in_time = |bridge: &Bridge| last != usize::MAX && !(on_last && bridge.leave <= next);
+        let next = self.next_on_last();
         self.queue.push_back(Entry {
             segment,
-            bridge: bridge.filter(in_time),
+            bridge: bridge.filter(|bridge| next.is_some_and(|next| next < bridge.leave)),
         });
         true
+    }
+
+    /// The last segment's time in the next period, s, which is announced already; before its start where the arm has not
+    /// come to it. `None` when there is no segment.
+    fn next_on_last(&self) -> Option<f64> {
+        let last = self.queue.len().checked_sub(1)?;
+        let Clock { part, time, .. } = self.clock;
+        let next = time + self.period;
+        if part.entry != last {
+            return Some(f64::NEG_INFINITY);
+        }
+        match self.queue.get(last)?.bridge.as_ref() {
+            Some(bridge) if part.is_bridge => Some(bridge.join + next - bridge.duration()),
+            _ => Some(next),
+        }
     }
 
     /// Leaves the segment at whose end the arm rests for the next one in the queue; whether there is one.
@@ -200,7 +212,7 @@ impl Follower {
     /// mean until the one after it, for which torques are held.
     ///
     /// # Errors
-    /// [`SegmentError`] for a line through a pose that cannot be followed.
+    /// [`SegmentError`] for a path through a pose that cannot be followed.
     pub fn next(&mut self, solver: &mut Solver, near: &[f64]) -> Result<Setpoint, SegmentError> {
         if self.begun {
             self.clock = self.after(&self.clock, self.period, solver);
@@ -295,14 +307,14 @@ impl Follower {
         let courses = match (part.is_bridge, &entry.bridge, entry.segment.path()) {
             (true, Some(bridge), _) => &bridge.courses,
             (_, _, Path::Joint(courses)) => courses,
-            (_, _, Path::Line(line)) => {
-                let then = line.progress.at(at).position;
-                let now = line.progress.at(self.clock.time);
-                rest.tool = Some(line.pose(then));
+            (_, _, Path::Tool(path)) => {
+                let then = path.along.at(at).position;
+                let now = path.along.at(self.clock.time);
+                rest.tool = Some(path.pose(then));
                 if part == self.clock.part {
                     // The joints may bear less braking farther on than where the poses are solved.
-                    let then = now.position + (then - now.position) * LINE_CAUTION;
-                    rest.tool = Some(line.pose(then.min(1.0)));
+                    let then = now.position + (then - now.position) * PATH_CAUTION;
+                    rest.tool = Some(path.pose(then.min(1.0)));
                     let pace = now.velocity + now.acceleration.max(0.0) * self.period;
                     if pace > 0.0 {
                         rest.lead = (then - now.position) / pace;
@@ -416,8 +428,15 @@ impl Follower {
         let courses = match (part.is_bridge, &entry.bridge, entry.segment.path()) {
             (true, Some(bridge), _) => &bridge.courses,
             (_, _, Path::Joint(courses)) => courses,
-            (_, _, Path::Line(line)) => {
-                let tool = room(&line.progress.ranges(from, until), line.braking);
+            (_, _, Path::Tool(path)) => {
+                let tool = room(
+                    &path.along.ranges(from, until),
+                    path.along.braking(from, until),
+                );
+                if part.entry > 0 {
+                    // A look far ahead: no pose of it is solved yet.
+                    return tool;
+                }
                 let middle = 0.5 * (from + until);
                 return joints.fold(tool, |least, (index, joint)| {
                     // Within a period the cubics hardly bend.
@@ -445,8 +464,8 @@ impl Follower {
         match (part.is_bridge, &entry.bridge, entry.segment.path()) {
             (true, Some(bridge), _) => on(&bridge.courses),
             (_, _, Path::Joint(courses)) => on(courses),
-            (_, _, Path::Line(line)) => {
-                let along = line.progress.at(time);
+            (_, _, Path::Tool(path)) => {
+                let along = path.along.at(time);
                 // Its poses are solved before anybody asks: a bridge takes longer than a period.
                 let Some([older, newer]) = &self.between else {
                     return JointState::default();
@@ -457,24 +476,22 @@ impl Follower {
                 };
                 // Who looks farther ahead sees the arm go on as at the last solved pose.
                 let solved = along.position.min(newer.end().progress);
-                let [position, slope, bend] = between.at(joint, solved);
-                JointState {
-                    position,
-                    velocity: slope * along.velocity,
-                    acceleration: bend * along.velocity * along.velocity
-                        + slope * along.acceleration,
-                }
+                let place = JointState {
+                    position: solved,
+                    ..along
+                };
+                between.state(joint, place)
             }
         }
     }
 
-    /// Sees that the poses of the line under way, or of that to which the bridge under way leads, are solved as far as the
+    /// Sees that the poses of the path under way, or of that to which the bridge under way leads, are solved as far as the
     /// arm has come.
     fn solve(&mut self, solver: &mut Solver, near: &[f64]) -> Result<(), SegmentError> {
         let Some(Entry { segment, bridge }) = self.queue.front() else {
             return Ok(());
         };
-        let Path::Line(line) = segment.path() else {
+        let Path::Tool(path) = segment.path() else {
             return Ok(());
         };
         let coming = bridge.as_ref().filter(|_| self.clock.part.is_bridge);
@@ -482,17 +499,18 @@ impl Follower {
         let mut last = match &self.between {
             Some([_, between]) => *between.end(),
             None => {
-                self.solved = time;
-                let end = coming.map(Bridge::end);
-                let near = end.as_deref().unwrap_or(near);
-                line.knot(solver, line.progress.at(time).position, near)?
+                // As if it had been followed from its start, so that it is what was planned.
+                let apart = self.period * f64::from(self.every);
+                self.solved = (time / apart).floor() * apart;
+                let near = coming.map_or(near, |bridge| &bridge.near);
+                path.knot(solver, path.along.at(self.solved).position, near)?
             }
         };
         // One period ahead, because the speed there is announced.
         while self.between.is_none() || self.solved < time + self.period {
             self.solved += self.period * f64::from(self.every);
-            let progress = line.progress.at(self.solved).position;
-            let next = line.knot(solver, progress, &last.position)?;
+            let progress = path.along.at(self.solved).position;
+            let next = path.knot(solver, progress, &last.position)?;
             let newer = Interpolator::new(last, next);
             let older = self.between.map_or(newer, |[_, between]| between);
             self.between = Some([older, newer]);

@@ -1,14 +1,19 @@
-//! Joint positions between two poses of a line, of which only every so many are solved.
+//! Joint positions between two poses of a path of the tool, of which only every so many are solved.
 //!
-//! Each joint follows the cubic through both positions and slopes over the progress along the line. It says nothing of
+//! Each joint follows the cubic through both positions and slopes over the progress along the path. It says nothing of
 //! time: an acceleration that jumps between two solved poses leaves no trace in it.
 
 use mcs_model::Joints;
 
-/// A solved pose of a line.
+use super::timing::JointState;
+
+/// Between knots as near as this to one another there is nothing but rounding.
+const NO_WAY: f64 = 1e-9;
+
+/// A solved pose of a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Knot {
-    /// Progress along the line, 0 to 1.
+    /// Progress along the path, 0 to 1.
     pub progress: f64,
     /// Joint positions, rad or m.
     pub position: Joints,
@@ -48,7 +53,7 @@ impl Interpolator {
         let h = self.to.progress - self.from.progress;
         let (p0, v0) = (self.from.position[joint], self.from.slope[joint]);
         let (p1, v1) = (self.to.position[joint], self.to.slope[joint]);
-        if h <= 0.0 {
+        if h <= NO_WAY {
             return [p1, v1, 0.0];
         }
         let t = progress - self.from.progress;
@@ -60,6 +65,17 @@ impl Interpolator {
             v0 + t * (2.0 * square + 3.0 * cube * x),
             2.0 * square + 6.0 * cube * x,
         ]
+    }
+
+    /// A joint's state while the tool is `along` the path.
+    #[must_use]
+    pub fn state(&self, joint: usize, along: JointState) -> JointState {
+        let [position, slope, bend] = self.at(joint, along.position);
+        JointState {
+            position,
+            velocity: slope * along.velocity,
+            acceleration: bend * along.velocity * along.velocity + slope * along.acceleration,
+        }
     }
 }
 

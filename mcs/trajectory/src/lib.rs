@@ -4,8 +4,10 @@
 //! Knows the arm, but no servo, task or hardware. Positions are in rad of joints that turn and in m of
 //! joints that slide; speeds and accelerations are per s and s^2.
 
+pub mod along;
 pub mod bridge;
 pub mod course;
+pub mod curve;
 pub mod follow;
 pub mod interpolate;
 pub mod passage;
@@ -15,8 +17,9 @@ pub mod segment;
 pub mod solver;
 pub mod timing;
 
-pub use bridge::Bridge;
+pub use bridge::{Blend, Bridge};
 pub use course::Course;
+pub use curve::{Curve, CurveError};
 pub use follow::{Follower, Rest};
 pub use passage::Passage;
 pub use plan::{CartesianLimits, PlanError, Planner};

@@ -1,15 +1,18 @@
 //! The planner: turns a target into a checked segment, or into a refusal that names what is wrong.
 //!
-//! Everything that could stop a motion half way (a limit, a pose out of reach, a joint that would have
-//! to turn too fast near a singularity) is found here, before anything moves.
+//! Everything that could stop a motion half way (a limit, a pose out of reach, a singularity) is found here, before
+//! anything moves. A path of the tool goes more slowly where a joint could not follow it otherwise.
 
+use std::f64::consts::FRAC_1_SQRT_2;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
 
+use super::along::{Along, SECTIONS, Sections, section_of};
 use super::course::Course;
+use super::curve::{Curve, CurveError};
 use super::interpolate::{Interpolator, Knot};
-use super::segment::{Courses, Line, SegmentError};
+use super::segment::{Courses, SegmentError, ToolPath};
 use super::timing::{JointBounds, JointState};
 use super::{Pace, Path, Segment, Solver};
 use mcs_model::inverse::{Elbow, IkError};
@@ -21,12 +24,20 @@ mod tests;
 
 /// The least speed fraction accepted; slower motions would take hours.
 pub const SLOWEST: f64 = 1e-3;
-/// A line shorter than this (m, and rad of turn) is no motion.
+/// A path shorter than this (m, and rad of turn) is no motion.
 const NO_WAY: f64 = 1e-9;
-/// Most checks along one line.
+/// Most checks along one path.
 const MOST_CHECKS: f64 = 20_000.0;
+/// How often a path is slowed down, and followed again in thought, before it is given up.
+const ROUNDS: u32 = 30;
+/// A path that would take so many times as long as the tool's limits want it is refused.
+const MOST_SLOWING: f64 = 20.0;
+/// How much of their limits joints use on a path that is slowed down for them: what is between two checks stays unseen.
+const USED: f64 = 0.98;
+/// So little progress before the end shows no accelerations, only rounding.
+const LAST: f64 = 1e-5;
 
-/// Limits of the tool's motion along a straight line.
+/// Limits of the tool's motion along a line, an arc or an arch.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CartesianLimits {
@@ -69,6 +80,18 @@ pub enum PlanError {
         /// What was given.
         given: f64,
     },
+    /// A blend that is no share.
+    #[error("a blend is 0 to 1, not {given}")]
+    Share {
+        /// What was given.
+        given: f64,
+    },
+    /// A blend that is no distance.
+    #[error("the radius of a blend is 0 or more, not {given}")]
+    Distance {
+        /// What was given, rad or m.
+        given: f64,
+    },
     /// A joint target holds a NaN or an infinity.
     #[error("the target of joint {joint} is not a finite number")]
     NotFinite {
@@ -94,19 +117,32 @@ pub enum PlanError {
     /// The target itself is out of reach or beyond a joint's limits.
     #[error("{0}; choose another target")]
     Target(IkError),
-    /// The line leaves what the arm can reach.
+    /// There is no such path.
+    #[error(transparent)]
+    Curve(#[from] CurveError),
+    /// The path leaves what the arm can reach.
     #[error(
-        "the straight line cannot be followed at {percent:.0} % of its length: {reason}; move joint-interpolated or through another pose"
+        "the path cannot be followed at {percent:.0} % of its length: {reason}; move joint-interpolated or through another pose"
     )]
-    Line {
-        /// Where on the line, percent of its length.
+    Path {
+        /// Where on the path, percent of its length.
         percent: f64,
         /// What is wrong there.
         reason: SegmentError,
     },
-    /// A joint would have to move too fast to follow the line.
+    /// The path leads through a singularity, or so near one that joints could follow it only at a crawl.
     #[error(
-        "joint {joint} would have to move at {value:.3} {unit}/s at {percent:.0} % of the straight line, its limit is {limit:.3} {unit}/s; slow down or move joint-interpolated",
+        "the path leads through a singularity of the arm, or too near it: joints could follow it only in more than {MOST_SLOWING} times its time; the smallest singular value along it is {smallest:.2e}, at {percent:.0} % of its length; move joint-interpolated or through another pose"
+    )]
+    Singular {
+        /// The smallest singular value of the tool's Jacobian.
+        smallest: f64,
+        /// Where on the path that is, percent of its length.
+        percent: f64,
+    },
+    /// A joint would have to move too fast to follow the path.
+    #[error(
+        "joint {joint} would have to move at {value:.3} {unit}/s at {percent:.0} % of the path, its limit is {limit:.3} {unit}/s; slow down or move joint-interpolated",
         unit = .kind.unit()
     )]
     JointSpeed {
@@ -118,12 +154,12 @@ pub enum PlanError {
         value: f64,
         /// Limit, rad/s or m/s.
         limit: f64,
-        /// Where on the line, percent of its length.
+        /// Where on the path, percent of its length.
         percent: f64,
     },
-    /// A joint would have to accelerate (or brake in a protective stop) too hard to stay on the line.
+    /// A joint would have to accelerate (or brake in a protective stop) too hard to stay on the path.
     #[error(
-        "joint {joint} would have to accelerate at {value:.3} {unit}/s^2 at {percent:.0} % of the straight line, its limit is {limit:.3} {unit}/s^2; slow down or move joint-interpolated",
+        "joint {joint} would have to accelerate at {value:.3} {unit}/s^2 at {percent:.0} % of the path, its limit is {limit:.3} {unit}/s^2; slow down or move joint-interpolated",
         unit = .kind.unit()
     )]
     JointAcceleration {
@@ -135,9 +171,40 @@ pub enum PlanError {
         value: f64,
         /// Limit, rad/s^2 or m/s^2.
         limit: f64,
-        /// Where on the line, percent of its length.
+        /// Where on the path, percent of its length.
         percent: f64,
     },
+}
+
+/// What a section of a path asks of the joints per progress, as the hardest of them has it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Need {
+    /// Slope of the positions, in speed limits: s.
+    speed: f64,
+    /// The same, in acceleration limits: s^2.
+    pull: f64,
+    /// Slope of the slope, in acceleration limits: s^2.
+    bend: f64,
+}
+
+impl Need {
+    /// Speed (1/s) and acceleration (1/s^2) of the progress that joints can follow, within those of the tool. The
+    /// acceleration of a joint comes half from its speed along a path that bends and half from the tool's acceleration.
+    fn within(&self, (speed, acceleration): (f64, f64)) -> (f64, f64) {
+        let half = 0.5 * USED;
+        let speed = speed.min(USED / self.speed).min((half / self.bend).sqrt());
+        (speed, acceleration.min(half / self.pull))
+    }
+}
+
+/// What following a path in thought found.
+struct Walk {
+    /// The joint positions at its end, rad or m.
+    end: Joints,
+    /// The smallest singular value of the tool's Jacobian, and where it is, percent of the length.
+    smallest: (f64, f64),
+    /// What first was beyond a limit.
+    beyond: Option<PlanError>,
 }
 
 /// Plans segments for one manipulator, whose tool is the tip of its model.
@@ -150,7 +217,7 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// A planner for `model`; lines of its tip are checked every `check_period` seconds of their motion (the time in
+    /// A planner for `model`; paths of its tip are checked every `check_period` seconds of their motion (the time in
     /// which the servo solves one pose is the right one).
     ///
     /// # Errors
@@ -169,7 +236,7 @@ impl Planner {
     }
 
     /// Whether joint-interpolated motions keep the limits of jerk that the model's joints have. They do not unless this is
-    /// set: their accelerations jump. Lines and stops know no limit of jerk.
+    /// set: their accelerations jump. Paths of the tool and stops know no limit of jerk.
     #[must_use]
     pub fn limiting_jerk(mut self, limits: bool) -> Self {
         self.limits_jerk = limits;
@@ -278,8 +345,8 @@ impl Planner {
     }
 
     /// A straight line of the tool to `base_t_tool`, turning about one axis. An arm with a closed form keeps its posture;
-    /// another moves its joints as little as it can. The line is followed in thought, point by point, before it is
-    /// accepted.
+    /// another moves its joints as little as it can. The path is followed in thought, point by point, before it is
+    /// accepted, and is slowed down where a joint could not follow.
     ///
     /// # Errors
     /// The first thing that is wrong on it.
@@ -289,82 +356,237 @@ impl Planner {
         base_t_tool: &Isometry3<f64>,
         pace: impl Into<Pace>,
     ) -> Result<Segment, PlanError> {
-        let pace = pace.into().check()?;
+        let from = self.tool_pose(start).translation.vector;
+        let curve = Curve::line(from, base_t_tool.translation.vector);
+        self.along(start, (curve, base_t_tool), pace.into())
+    }
+
+    /// The arc of a circle through a point (base frame, m) to `base_t_tool`, else as [`Self::line`].
+    ///
+    /// # Errors
+    /// [`PlanError::Curve`], and as [`Self::line`].
+    pub fn arc_through(
+        &mut self,
+        start: &Joints,
+        (via, base_t_tool): (Vector3<f64>, &Isometry3<f64>),
+        pace: impl Into<Pace>,
+    ) -> Result<Segment, PlanError> {
+        let from = self.tool_pose(start).translation.vector;
+        let curve = Curve::through(from, via, base_t_tool.translation.vector)?;
+        self.along(start, (curve, base_t_tool), pace.into())
+    }
+
+    /// The arc of a circle about a centre (base frame, m) to `base_t_tool`, the shorter way round or the longer one, else
+    /// as [`Self::line`].
+    ///
+    /// # Errors
+    /// [`PlanError::Curve`], and as [`Self::line`].
+    pub fn arc_about(
+        &mut self,
+        start: &Joints,
+        (centre, longer, base_t_tool): (Vector3<f64>, bool, &Isometry3<f64>),
+        pace: impl Into<Pace>,
+    ) -> Result<Segment, PlanError> {
+        let from = self.tool_pose(start).translation.vector;
+        let curve = Curve::about(from, centre, base_t_tool.translation.vector, longer)?;
+        self.along(start, (curve, base_t_tool), pace.into())
+    }
+
+    /// Up, across and down to `base_t_tool`, over an obstacle that the base's z axis points away from: the tool is `height`
+    /// (m) above the higher end while it goes across. Corners are rounded with a radius, m, or as wide as there is room.
+    /// Else as [`Self::line`].
+    ///
+    /// # Errors
+    /// [`PlanError::Curve`], and as [`Self::line`].
+    pub fn arch(
+        &mut self,
+        start: &Joints,
+        (height, corner, base_t_tool): (f64, Option<f64>, &Isometry3<f64>),
+        pace: impl Into<Pace>,
+    ) -> Result<Segment, PlanError> {
+        let from = self.tool_pose(start).translation.vector;
+        let curve = Curve::arch(from, base_t_tool.translation.vector, height, corner)?;
+        self.along(start, (curve, base_t_tool), pace.into())
+    }
+
+    /// The tool along a curve, turning about one axis: first as fast as the tool's limits have it, then more slowly in the
+    /// sections where a joint cannot follow, until all can.
+    fn along(
+        &mut self,
+        start: &Joints,
+        (curve, base_t_tool): (Curve, &Isometry3<f64>),
+        pace: Pace,
+    ) -> Result<Segment, PlanError> {
+        let pace = pace.check()?;
         let start_pose = self.tool_pose(start);
-        let travel = base_t_tool.translation.vector - start_pose.translation.vector;
         let turn = base_t_tool.rotation * start_pose.rotation.inverse();
         let (axis, angle) = turn.axis_angle().unwrap_or((Vector3::z_axis(), 0.0));
         let branch = self.solver.branch_of(start);
-        // The end first: a target out of reach is a clearer refusal than a line that leaves the reach.
+        // The end first: a target out of reach is a clearer refusal than a path that leaves the reach.
         let end_joints = match branch {
             Some(_) => self.solver.follow(base_t_tool, branch, start),
             None => self.solver.nearest(base_t_tool, start, None),
         }
         .map_err(PlanError::Target)?;
-        let limits = &self.cartesian;
-        let scale = |linear: f64, angular: f64| (linear / travel.norm()).min(angular / angle);
-        let velocity = scale(limits.linear_speed, limits.angular_speed);
-        let acceleration = scale(limits.linear_acceleration, limits.angular_acceleration);
-        if travel.norm() < NO_WAY && angle < NO_WAY {
+        if curve.length() < NO_WAY && angle < NO_WAY {
             return Ok(Segment::hold(*start));
         }
-        let along = JointBounds {
-            velocity: velocity * pace.speed,
-            acceleration: acceleration * pace.acceleration,
-            jerk: 0.0,
+        let width = 1.0 / SECTIONS as f64;
+        let own: Sections = std::array::from_fn(|index| {
+            let (from, to) = (index as f64 * width, (index + 1) as f64 * width);
+            self.tool_limits(curve.length(), angle, curve.curvature(from, to), pace)
+        });
+        let along = match (curve.is_even(), own[0]) {
+            (true, (velocity, acceleration)) => Along::even(&JointBounds {
+                velocity,
+                acceleration,
+                jerk: 0.0,
+            }),
+            (false, _) => Along::within(&own),
         };
-        let mut line = Line {
-            start: start_pose,
-            travel,
+        let wanted = along.duration();
+        let mut path = ToolPath {
+            curve,
+            orientation: start_pose.rotation,
             axis,
             angle,
             branch,
+            start_joints: *start,
             end_joints,
-            progress: Course::rest_to_rest(0.0, 1.0, &along),
-            braking: along.acceleration,
+            along,
+            smallest_singular_value: f64::INFINITY,
+            slowed: 1.0,
         };
-        line.end_joints = self.check_line(&line, start)?;
-        Ok(Segment::new(Path::Line(line)))
+        let mut needs = [Need::default(); SECTIONS];
+        for _ in 0..ROUNDS {
+            let walk = self.walk(&path, start, &mut needs)?;
+            path.end_joints = walk.end;
+            let (smallest, percent) = walk.smallest;
+            path.smallest_singular_value = smallest;
+            if walk.beyond.is_none() {
+                return Ok(Segment::new(Path::Tool(path)));
+            }
+            path.along = Along::within(&std::array::from_fn(|index| {
+                needs[index].within(own[index])
+            }));
+            path.slowed = path.along.duration() / wanted;
+            if path.slowed.is_nan() || path.slowed > MOST_SLOWING {
+                return Err(PlanError::Singular { smallest, percent });
+            }
+        }
+        let walk = self.walk(&path, start, &mut needs)?;
+        let segment = Segment::new(Path::Tool(path));
+        walk.beyond.map_or(Ok(segment), Err)
     }
 
-    /// Follows the line in thought, as planned and as braked from every point of it, to the joint positions at its end.
+    /// Speed (1/s) and acceleration (1/s^2) of the progress that the tool's limits allow on a path of some length (m), turn
+    /// (rad) and curvature (1/m). On an arc the acceleration along it and the one towards its centre get the same share.
+    fn tool_limits(&self, length: f64, angle: f64, curvature: f64, pace: Pace) -> (f64, f64) {
+        let limits = &self.cartesian;
+        let scale = |linear: f64, angular: f64| (linear / length).min(angular / angle);
+        let speed = scale(limits.linear_speed, limits.angular_speed) * pace.speed;
+        let acceleration = scale(limits.linear_acceleration, limits.angular_acceleration);
+        let acceleration = acceleration * pace.acceleration;
+        if curvature <= 0.0 {
+            return (speed, acceleration);
+        }
+        let share = FRAC_1_SQRT_2 * limits.linear_acceleration * pace.acceleration / length;
+        let inward = (share / (curvature * length)).sqrt();
+        (speed.min(inward), acceleration.min(share))
+    }
+
+    /// Follows a path in thought, as planned and as braked from every point of it, to the joint positions at its end.
     /// Poses are solved and joined by cubics as the servo does it, whose accelerations are those that count: without a
     /// closed form they are not the least ones of each pose.
-    fn check_line(&mut self, line: &Line, start: &Joints) -> Result<Joints, PlanError> {
-        let duration = line.progress.duration();
+    fn walk(
+        &mut self,
+        path: &ToolPath,
+        start: &Joints,
+        needs: &mut [Need; SECTIONS],
+    ) -> Result<Walk, PlanError> {
+        let duration = path.along.duration();
         let step = self.check_period.max(duration / MOST_CHECKS);
-        let mut last = self.knot(line, 0.0, start)?;
+        let mut last = self.knot(path, 0.0, start)?;
+        let mut walk = Walk {
+            end: last.position,
+            smallest: (self.solver.smallest_singular_value(&last.position), 0.0),
+            beyond: None,
+        };
         let mut time = 0.0;
         while time < duration {
-            let progress = line.progress.at(time + step).position;
-            let next = self.knot(line, progress, &last.position)?;
-            let between = Interpolator::new(last, next);
-            let moving = line.progress.ranges(time, time + step);
-            for share in [0.0, 0.5, 1.0] {
-                let along = line.progress.at(time + share * step);
-                let hardest = [
-                    moving.acceleration.least,
-                    moving.acceleration.most,
-                    -line.braking,
-                ];
-                self.check_joints_on(&between, along, hardest)?;
+            let progress = path.along.at(time + step).position;
+            let next = self.knot(path, progress, &last.position)?;
+            let smallest = self.solver.smallest_singular_value(&next.position);
+            if smallest < walk.smallest.0 {
+                walk.smallest = (smallest, 100.0 * progress);
             }
-            self.check_step(&last.position, &next.position, step, 100.0 * last.progress)?;
+            if time + step < duration || progress - last.progress > LAST {
+                let between = Interpolator::new(last, next);
+                self.need_of(&between, needs);
+                let beyond = self.check_between(path, &between, (time, step));
+                walk.beyond = walk.beyond.or(beyond.err());
+            }
             last = next;
             time += step;
         }
-        Ok(last.position)
+        walk.end = last.position;
+        Ok(walk)
     }
 
-    fn knot(&mut self, line: &Line, progress: f64, near: &[f64]) -> Result<Knot, PlanError> {
-        let knot = line.knot(&mut self.solver, progress, near);
-        knot.map_err(|reason| PlanError::Line {
+    fn knot(&mut self, path: &ToolPath, progress: f64, near: &[f64]) -> Result<Knot, PlanError> {
+        let knot = path.knot(&mut self.solver, progress, near);
+        knot.map_err(|reason| PlanError::Path {
             percent: 100.0 * progress,
             reason,
         })
     }
 
-    /// Checks what the joints do between two solved poses while the tool is `along` the line, under some accelerations of
+    /// Adds what the joints do between two solved poses to what the sections there need.
+    fn need_of(&self, between: &Interpolator, needs: &mut [Need; SECTIONS]) {
+        let (from, to) = (between.start(), between.end());
+        let way = to.progress - from.progress;
+        let mut need = Need::default();
+        for (index, joint) in self.model().joints().iter().enumerate() {
+            let limits = &joint.limits;
+            let mean = (to.position[index] - from.position[index]) / way;
+            need.speed = need.speed.max(mean.abs() / limits.velocity);
+            for share in [0.0, 0.5, 1.0] {
+                let [_, slope, bend] = between.at(index, from.progress + share * way);
+                need.speed = need.speed.max(slope.abs() / limits.velocity);
+                need.pull = need.pull.max(slope.abs() / limits.acceleration);
+                need.bend = need.bend.max(bend.abs() / limits.acceleration);
+            }
+        }
+        let touched = section_of(from.progress)..=section_of(to.progress);
+        for section in needs.get_mut(touched).unwrap_or_default() {
+            section.speed = section.speed.max(need.speed);
+            section.pull = section.pull.max(need.pull);
+            section.bend = section.bend.max(need.bend);
+        }
+    }
+
+    /// Checks what the joints do from one solved pose to the next, at some time (s) of a path and for so long (s).
+    fn check_between(
+        &self,
+        path: &ToolPath,
+        between: &Interpolator,
+        (time, step): (f64, f64),
+    ) -> Result<(), PlanError> {
+        let moving = path.along.ranges(time, time + step);
+        let hardest = [
+            moving.acceleration.least,
+            moving.acceleration.most,
+            -path.along.braking(time, time + step),
+        ];
+        for share in [0.0, 0.5, 1.0] {
+            let along = path.along.at(time + share * step);
+            self.check_joints_on(between, along, hardest)?;
+        }
+        let (from, to) = (between.start(), between.end());
+        self.check_step(&from.position, &to.position, step, 100.0 * from.progress)
+    }
+
+    /// Checks what the joints do between two solved poses while the tool is `along` the path, under some accelerations of
     /// the progress, 1/s^2.
     fn check_joints_on(
         &self,

@@ -10,7 +10,7 @@ use mcs_model::Joints;
 use mcs_model::inverse::Elbow;
 
 /// Which way to take.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub enum PathKind {
     /// Every joint on a course of its own, all in the time of the slowest: fast, always possible between two positions
     /// within limits.
@@ -18,6 +18,25 @@ pub enum PathKind {
     Joint,
     /// The tool along a straight line, turning about one axis.
     StraightLine,
+    /// The tool along the arc of a circle from where it is, turning about one axis.
+    Arc {
+        /// A point on the way, m, in the base frame.
+        through: [f64; 3],
+    },
+    /// The same about a centre.
+    ArcAbout {
+        /// The centre, m, in the base frame. Start and target are equally far from it.
+        centre: [f64; 3],
+        /// Whether it goes the longer way round.
+        longer: bool,
+    },
+    /// The tool over an obstacle: up along the base's z axis, across and down, turning about one axis.
+    Arch {
+        /// How far above the higher end it goes across, m.
+        height: f64,
+        /// The radius of the corners, m; as large as there is room when it is left out.
+        corner: Option<f64>,
+    },
 }
 
 /// How fast: fractions of full speed and of full acceleration. A number alone is both.
@@ -108,18 +127,39 @@ impl Planner {
                 let joints = self.joints_for(pose, start, route.elbow)?;
                 self.joint(start, &joints, pace)?
             }
-            (PathKind::StraightLine, Goal::Joints(joints)) => {
-                self.check_joints(joints)?;
-                let pose = self.tool_pose(joints);
-                self.line(start, &pose, pace)?
+            (path, goal) => {
+                let goal = match goal {
+                    Goal::Joints(joints) => {
+                        self.check_joints(joints)?;
+                        self.tool_pose(joints)
+                    }
+                    Goal::Pose(pose) => *pose,
+                };
+                self.tool_path(start, (path, &goal), pace)?
             }
-            (PathKind::StraightLine, Goal::Pose(pose)) => self.line(start, pose, pace)?,
         };
         let end = segment.end(&mut self.solver);
-        let end = end.map_err(|reason| PlanError::Line {
+        let end = end.map_err(|reason| PlanError::Path {
             percent: 100.0,
             reason,
         })?;
         Ok((segment, end))
+    }
+
+    /// The tool along a path of a kind to a pose.
+    fn tool_path(
+        &mut self,
+        start: &Joints,
+        (path, goal): (PathKind, &Isometry3<f64>),
+        pace: Pace,
+    ) -> Result<Segment, PlanError> {
+        match path {
+            PathKind::Joint | PathKind::StraightLine => self.line(start, goal, pace),
+            PathKind::Arc { through } => self.arc_through(start, (through.into(), goal), pace),
+            PathKind::ArcAbout { centre, longer } => {
+                self.arc_about(start, (centre.into(), longer, goal), pace)
+            }
+            PathKind::Arch { height, corner } => self.arch(start, (height, corner, goal), pace),
+        }
     }
 }

@@ -2,7 +2,9 @@
 
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3, Vector6};
 
+use super::along::Along;
 use super::course::Course;
+use super::curve::Curve;
 use super::interpolate::Knot;
 use super::timing::JointState;
 use super::{Setpoint, Solver};
@@ -18,8 +20,8 @@ use mcs_model::{Joints, MAX_SLOTS};
 pub enum Path {
     /// Every joint on a course of its own.
     Joint(Courses),
-    /// The tool along a straight line while it turns about one fixed axis.
-    Line(Line),
+    /// The tool along a line, an arc or an arch while it turns about one fixed axis.
+    Tool(ToolPath),
 }
 
 /// The courses of all joints, which begin and end together.
@@ -64,36 +66,38 @@ impl Courses {
     }
 }
 
-/// A straight line of the tool frame in the base frame.
+/// A path of the tool frame in the base frame: its origin goes along a curve while it turns about one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Line {
-    /// `base_t_tool` at the start.
-    pub start: Isometry3<f64>,
-    /// From start to end, m, base frame.
-    pub travel: Vector3<f64>,
+pub struct ToolPath {
+    /// Where the origin goes.
+    pub curve: Curve,
+    /// The tool's orientation at the start.
+    pub orientation: UnitQuaternion<f64>,
     /// Axis of the turn, base frame.
     pub axis: Unit<Vector3<f64>>,
     /// Angle of the turn, rad.
     pub angle: f64,
     /// The posture kept all along, of an arm with a closed form.
     pub branch: Option<Branch>,
-    /// Joint positions at the end, rad or m, as solved when the line was planned.
+    /// Joint positions at the start, rad or m, and at the end as solved when the path was planned.
+    pub start_joints: Joints,
+    /// The end.
     pub end_joints: Joints,
-    /// The progress along it over time, from 0 to 1.
-    pub progress: Course,
-    /// The hardest braking allowed along it, 1/s^2.
-    pub braking: f64,
+    /// The progress along it over time.
+    pub along: Along,
+    /// The smallest singular value of the tool's Jacobian on the way, of m and rad per rad or m of the joints.
+    pub smallest_singular_value: f64,
+    /// How many times as long it takes as the tool's own limits would have it, for the sake of the joints' limits.
+    pub slowed: f64,
 }
 
-impl Line {
+impl ToolPath {
     /// `base_t_tool` at progress `s`.
     #[must_use]
     pub fn pose(&self, s: f64) -> Isometry3<f64> {
         let turn = UnitQuaternion::from_axis_angle(&self.axis, self.angle * s);
-        Isometry3::from_parts(
-            (self.start.translation.vector + self.travel * s).into(),
-            turn * self.start.rotation,
-        )
+        let [place, ..] = self.curve.at(s);
+        Isometry3::from_parts(place.into(), turn * self.orientation)
     }
 
     pub(super) fn evaluate(
@@ -106,11 +110,11 @@ impl Line {
         if along.velocity == 0.0 && along.acceleration == 0.0 {
             return Ok(Setpoint::at_rest(position));
         }
-        let direction = self.direction();
+        let [direction, bend] = self.directions(along.position);
         let rates = solver.rates(
             &position,
             &(direction * along.velocity),
-            &(direction * along.acceleration),
+            &(direction * along.acceleration + bend * along.velocity.powi(2)),
         );
         let (velocity, acceleration) = rates.ok_or(SegmentError::Singular)?;
         Ok(Setpoint {
@@ -128,7 +132,8 @@ impl Line {
         near: &[f64],
     ) -> Result<Knot, SegmentError> {
         let position = solver.follow(&self.pose(progress), self.branch, near)?;
-        let rates = solver.rates(&position, &self.direction(), &Vector6::zeros());
+        let [direction, _] = self.directions(progress);
+        let rates = solver.rates(&position, &direction, &Vector6::zeros());
         let slope = match rates {
             Some((slope, _)) => slope,
             None if progress >= 1.0 => Joints::zeros(position.len()),
@@ -141,28 +146,26 @@ impl Line {
         })
     }
 
-    /// How the tool moves and turns per progress, m and rad, base frame.
-    fn direction(&self) -> Vector6<f64> {
+    /// How the tool moves and turns per progress, m and rad, base frame; and how that changes.
+    fn directions(&self, progress: f64) -> [Vector6<f64>; 2] {
+        let [_, travel, bend] = self.curve.at(progress);
         let spin = self.axis.into_inner() * self.angle;
-        Vector6::new(
-            self.travel.x,
-            self.travel.y,
-            self.travel.z,
-            spin.x,
-            spin.y,
-            spin.z,
-        )
+        let both = |linear: Vector3<f64>, angular: Vector3<f64>| {
+            let (v, w) = (linear, angular);
+            Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
+        };
+        [both(travel, spin), both(bend, Vector3::zeros())]
     }
 }
 
 /// Why a segment has no setpoint at some time. A planned segment has been checked against this.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum SegmentError {
-    /// No joint positions for a pose of the line.
+    /// No joint positions for a pose of the path.
     #[error(transparent)]
     Unreachable(#[from] IkError),
-    /// The line passes through a singularity, where no joint speeds follow it.
-    #[error("the line passes through a singularity of the arm")]
+    /// The path passes through a singularity, where no joint speeds follow it.
+    #[error("the path passes through a singularity of the arm")]
     Singular,
 }
 
@@ -177,7 +180,7 @@ impl Segment {
     pub(super) fn new(path: Path) -> Self {
         let duration = match &path {
             Path::Joint(courses) => courses.duration(),
-            Path::Line(line) => line.progress.duration(),
+            Path::Tool(path) => path.along.duration(),
         };
         Self { path, duration }
     }
@@ -195,6 +198,16 @@ impl Segment {
         self.duration
     }
 
+    /// The smallest singular value of the tool's Jacobian along a path of the tool, and how many times as long that takes
+    /// for the sake of the joints' limits.
+    #[must_use]
+    pub fn singularity(&self) -> Option<(f64, f64)> {
+        match &self.path {
+            Path::Joint(_) => None,
+            Path::Tool(path) => Some((path.smallest_singular_value, path.slowed)),
+        }
+    }
+
     /// The path's shape.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -205,11 +218,11 @@ impl Segment {
     /// setpoint before, by which whole turns are chosen and from which a search begins.
     ///
     /// # Errors
-    /// [`SegmentError`] for a line through a pose that cannot be followed.
+    /// [`SegmentError`] for a path through a pose that cannot be followed.
     pub fn at(&self, solver: &mut Solver, t: f64, near: &[f64]) -> Result<Setpoint, SegmentError> {
         match &self.path {
             Path::Joint(courses) => Ok(courses.setpoint(t)),
-            Path::Line(line) => line.evaluate(solver, line.progress.at(t), near),
+            Path::Tool(path) => path.evaluate(solver, path.along.at(t), near),
         }
     }
 
@@ -221,7 +234,7 @@ impl Segment {
         match &self.path {
             Path::Joint(courses) => Ok(courses.setpoint(self.duration).position),
             // Asked for near its planned end, so that whole turns come out the same.
-            Path::Line(line) => Ok(self.at(solver, self.duration, &line.end_joints)?.position),
+            Path::Tool(path) => Ok(self.at(solver, self.duration, &path.end_joints)?.position),
         }
     }
 }

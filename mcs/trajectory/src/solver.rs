@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use mcs_model::inverse::{Branch, ClosedForm, Elbow, IkError, Preferences, Search};
 use mcs_model::{Data, Model, Placement};
@@ -16,6 +16,8 @@ pub struct Solver {
     data: Data,
     closed: Option<ClosedForm>,
     search: Search,
+    /// How many joints carry the tip.
+    carriers: usize,
 }
 
 /// Six positions for the closed form; what is missing counts as NaN.
@@ -33,6 +35,7 @@ impl Solver {
         let tip = model.tip();
         Ok(Self {
             data: model.data(),
+            carriers: model.chain(tip).len(),
             closed: ClosedForm::of(&model, tip),
             search: Search::new(&model, tip, true, Preferences::default()),
             model,
@@ -116,5 +119,22 @@ impl Solver {
         self.search
             .rates(&self.model, q, wanted, (&mut speeds, &mut rates))?;
         Some((speeds, rates))
+    }
+
+    /// The smallest singular value of the tip's Jacobian at positions `q`: how little the joint that moves the tip least
+    /// moves it, m and rad together, per rad or m. Zero where the arm is singular.
+    pub fn smallest_singular_value(&mut self, q: &[f64]) -> f64 {
+        let tip = self.model.tip();
+        let jacobian = self.model.jacobian(&mut self.data, q, tip);
+        let mut square = Matrix6::zeros();
+        for column in jacobian.column_iter() {
+            let column = column.fixed_rows::<6>(0).into_owned();
+            square += column * column.transpose();
+        }
+        // Fewer joints than six leave directions in which the tip cannot move anyway.
+        let mut values = square.symmetric_eigenvalues();
+        values.as_mut_slice().sort_by(|a, b| b.total_cmp(a));
+        let last = self.carriers.clamp(1, 6) - 1;
+        values[last].max(0.0).sqrt()
     }
 }

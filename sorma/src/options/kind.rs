@@ -1,15 +1,18 @@
 //! The kinds of option: how each reads its words, shows its value and describes itself.
 
-use super::clipped;
+use super::{begins_option, clipped};
 use crate::description::{OptionInfo, OptionKind};
 use crate::name::suggestion;
-use crate::words;
+use crate::words::{self, Word};
 use std::fmt::Debug;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 pub(super) type Field<T, V> = fn(&mut T) -> &mut V;
 pub(super) type Act<T> = fn(&mut T, &[String]) -> Result<String, String>;
+
+/// Among the parameters of an option with floats: it takes as many as come before the next option, at least one.
+const MANY: &str = "..";
 
 /// One or several numbers within a range.
 #[derive(Clone)]
@@ -35,10 +38,17 @@ pub(super) enum Bound<'a> {
 }
 
 impl Bound<'_> {
-    /// How many words the option takes, when `next` comes after it.
-    pub(super) fn count(&self, next: Option<&str>) -> usize {
+    /// How many words the option takes of those that come after it.
+    pub(super) fn count(&self, rest: &[Word]) -> usize {
         match self {
-            Self::Flag(_) => usize::from(matches!(next, Some("on" | "off"))),
+            Self::Flag(_) => {
+                let next = rest.first().map(|word| word.text.as_str());
+                usize::from(matches!(next, Some("on" | "off")))
+            }
+            Self::Floats(_, parameters, _) if parameters.contains(&MANY) => {
+                let own = rest.iter().take_while(|word| !begins_option(word));
+                own.count().max(1)
+            }
             Self::Floats(_, parameters, _)
             | Self::Ints(_, parameters, _)
             | Self::Action(parameters, _) => parameters.len(),
@@ -173,10 +183,14 @@ impl<N: Number> Numbers<N> {
     }
 
     fn read_all(&self, words: &[String], names: &[&str]) -> Result<Vec<N>, String> {
-        let pairs = words.iter().zip(names);
-        pairs
-            .map(|(word, name)| self.read(word, &format!("{name} ")))
-            .collect()
+        let named = words.iter().enumerate().map(|(index, word)| {
+            let name = match names.get(index) {
+                Some(name) if !names.contains(&MANY) => (*name).to_owned(),
+                _ => format!("number {}", index + 1),
+            };
+            self.read(word, &format!("{name} "))
+        });
+        named.collect()
     }
 
     /// The least and the largest, as texts, and the unit.

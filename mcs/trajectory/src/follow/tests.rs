@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+mod paths;
+
 use super::*;
 use crate::{CartesianLimits, Pace, Planner};
 use mcs_model::{Model, built_in, file::Inertias};

@@ -46,7 +46,7 @@ pub async fn go(arm: &Manipulator, target: Target, path: PathKind) {
         speed: 0.5,
         acceleration: None,
         elbow: None,
-        blend: 0.0,
+        blend: 0.0.into(),
         guards: Vec::new(),
     };
     arm.go(to, Duration::from_secs(60)).await.unwrap();
