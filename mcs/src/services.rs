@@ -1,7 +1,7 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
 //! `kin`, `dyn` and `traj` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
-//! app one that the process holds for itself; `wspc` holds recipes of guards for the app's. Their texts and numbers are a fixed interface
+//! app one that the process holds for itself, and `slots` shows its joints; `wspc` holds recipes of guards for the app's. Their texts and numbers are a fixed interface
 //! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
 //! under joint 1 and frame 6 as the DH table has it.
 
@@ -11,6 +11,7 @@ mod kinematics;
 mod local;
 mod mvpos;
 mod pino;
+mod slots;
 mod traj;
 mod wspc;
 
@@ -79,13 +80,18 @@ pub fn register(sorm: &Sorm) {
     let arm = SharedArm::new();
     let own = arm.clone();
     let mvpos = Class::new("mvpos", VERSION, move |_, _| Ok(Box::new(MvPos::new(&own))));
+    let seen = arm.clone();
+    let slots = Class::new("slots", VERSION, move |_, _| {
+        Ok(Box::new(slots::Slots::new(&seen)))
+    });
+    let slots = slots.waits().any_flavor();
     let pino = Class::new("pino", VERSION, move |_, _| Ok(Box::new(Pino::new(&arm))));
     // A flavor of one's own has options of one's own.
     let mvpos = mvpos.waits().any_flavor();
     let pino = pino.waits().any_flavor();
     let wspc = Class::new("wspc", VERSION, |_, _| Ok(Box::new(Wspc::default())));
     let wspc = wspc.waits().any_flavor();
-    let all = [kin, dynamics, mvpos, pino, traj, wspc];
+    let all = [kin, dynamics, mvpos, pino, slots, traj, wspc];
     for (class, info) in all.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
@@ -99,6 +105,7 @@ pub fn classes() -> Vec<ClassInfo> {
         dynamics::TABLE.class("dyn", VERSION),
         mvpos::TABLE.class("mvpos", VERSION),
         pino::TABLE.class("pino", VERSION),
+        slots::TABLE.class("slots", VERSION),
         traj::TABLE.class("traj", VERSION),
         wspc::TABLE.class("wspc", VERSION),
     ]

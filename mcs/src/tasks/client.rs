@@ -16,8 +16,8 @@ use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
     Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Plan, Position, ReadControl,
-    ReadGuards, ReadPosition, ReadSensors, RecordStates, Release, RemoveGuard, Reset, Resume,
-    SetControl, SetGuard, SetLaw, Status, StatusReport, Stop,
+    ReadGuards, ReadPosition, ReadSensors, ReadSlots, RecordStates, Release, RemoveGuard, Reset,
+    Resume, SetControl, SetGuard, SetLaw, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -42,6 +42,7 @@ pub(super) fn register(registry: &mut Registry) {
         SetControl::INFO,
         SetLaw::INFO,
         ReadSensors::INFO,
+        ReadSlots::INFO,
         Cancel::INFO,
         Resume::INFO,
         SetGuard::INFO,
@@ -243,6 +244,10 @@ impl EventHandler for ClientTask {
             }
             ReadSensors::CODE => {
                 let (request, reply) = message.open::<ReadSensors>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            ReadSlots::CODE => {
+                let (request, reply) = message.open::<ReadSlots>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             SetLaw::CODE => {

@@ -15,10 +15,11 @@ use serde::{Deserialize, Serialize};
 use super::args::{self, RecipeArgs, ServoArgs};
 use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
+use super::slots::{self, LastStop};
 use super::{Link, SERVO, rows};
 use crate::client::{
-    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, RecordStates, RemoveGuard,
-    SensorReport, SetControl, SetGuard, SetLaw,
+    ControlReport, GuardsReport, ReadControl, ReadGuards, ReadSensors, ReadSlots, RecordStates,
+    RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::{DriverRegistry, Sensor};
@@ -71,7 +72,7 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 11] = [
+const COMMANDS: [CommandInfo; 12] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
@@ -83,6 +84,7 @@ const COMMANDS: [CommandInfo; 11] = [
     ReadGuards::INFO,
     SetLaw::INFO,
     ReadSensors::INFO,
+    ReadSlots::INFO,
 ];
 
 pub(super) fn register(
@@ -208,6 +210,7 @@ struct ServoTask {
     model: Arc<Model>,
     args: ServoArgs,
     sensors: Vec<Sensor>,
+    last_stop: LastStop,
 }
 
 impl ServoTask {
@@ -264,11 +267,13 @@ impl ServoTask {
             model,
             args,
             sensors,
+            last_stop: LastStop::default(),
         })
     }
 
     fn report(&mut self) -> ServoReport {
         let status = self.link.port.status();
+        self.last_stop.see(&status, self.link.fault());
         ServoReport {
             status,
             fault: self.link.fault(),
@@ -373,12 +378,22 @@ impl EventHandler for ServoTask {
             }
             StopServo::CODE => {
                 let (StopServo { kind }, reply) = message.open::<StopServo>()?;
-                let port = &self.link.port;
+                let (port, stop) = (&self.link.port, &mut self.last_stop);
                 match kind {
-                    StopKind::Protective => port.order(ServoCommand::Stop)?,
+                    StopKind::Protective => {
+                        port.order(ServoCommand::Stop)?;
+                        stop.asked("a protective stop was asked for");
+                    }
+                    // The next motion may begin at once: it is no stop to be told of.
                     StopKind::Cancel => port.order(ServoCommand::Cancel)?,
-                    StopKind::Controlled => port.order(ServoCommand::ControlledStop)?,
-                    StopKind::Emergency => port.emergency_stop(),
+                    StopKind::Controlled => {
+                        port.order(ServoCommand::ControlledStop)?;
+                        stop.asked("a controlled stop was asked for");
+                    }
+                    StopKind::Emergency => {
+                        port.emergency_stop();
+                        stop.asked("emergency stop was asked for");
+                    }
                 }
                 self.confirm(cx, reply, move |status| match kind {
                     StopKind::Protective => status.stopped || status.fault.is_some(),
@@ -432,6 +447,17 @@ impl EventHandler for ServoTask {
                     sensors: self.sensors.clone(),
                     numbers: self.link.port.status().sensors.to_vec(),
                 })
+            }
+            ReadSlots::CODE => {
+                let (ReadSlots {}, reply) = message.open::<ReadSlots>()?;
+                let status = self.link.port.status();
+                let last_stop = self.last_stop.see(&status, self.link.fault());
+                reply.ok(slots::report(
+                    &self.model,
+                    &status,
+                    &self.sensors,
+                    last_stop,
+                ))
             }
             SetLaw::CODE => {
                 let (SetLaw { law }, reply) = message.open::<SetLaw>()?;
