@@ -13,6 +13,7 @@ pub mod doctor;
 pub mod explain;
 pub mod keys;
 pub mod log;
+pub mod motion;
 pub mod net;
 pub mod new;
 pub mod replay;
@@ -113,6 +114,12 @@ pub enum Command {
     Move(move_task::MoveArgs),
     /// Watch the tasks of an app, busiest first
     Top(top::TopArgs),
+    /// Watch the manipulators of an app
+    ///
+    /// For each: its state and owner, why it was stopped last, every joint with its place between its limits, its distance
+    /// from its setpoint and its torque, and what the sensors read. Keys: arrows scroll, `Esc` or Ctrl-C leaves. Without a
+    /// terminal on standard output it prints the same again and again.
+    Motion(motion::MotionArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -156,6 +163,7 @@ pub fn main(mut registry: Registry) -> ExitCode {
         Command::Restart(args) => restart::run(&args),
         Command::Move(args) => move_task::run(&args),
         Command::Top(args) => top::run(&args),
+        Command::Motion(args) => motion::run(&args),
         Command::Completions(args) => completions::run(&args, &mut Cli::command()),
         Command::Chassis(args) => chassis::run(&args, registry),
     };

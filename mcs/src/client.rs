@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 pub use crate::driver::{Sensor, SensorKind};
 use crate::guard::{GuardReport, Reaction};
 use crate::joints::Joints;
+use crate::model::JointKind;
 use crate::model::inverse::Elbow;
 use crate::servo::MotionPhase;
 pub use crate::servo::StreamKind;
@@ -420,6 +421,43 @@ ctos::command! {
     /// Reads the slots that are no joints.
     #[derive(Debug, Clone, PartialEq)]
     pub struct ReadSensors => SensorReport, 0x0313, "read_sensors"
+}
+/// A joint as the servo's latest tick left it: rad, rad/s and N m of one that turns, m, m/s and N of one that slides.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JointReport {
+    /// Its name in the model.
+    pub name: String,
+    /// Whether it turns or slides.
+    pub kind: JointKind,
+    /// Where it is.
+    pub position: f64,
+    /// How fast it moves.
+    pub velocity: f64,
+    /// Where it should be.
+    pub setpoint: f64,
+    /// What was written to its drive.
+    pub torque: f64,
+    /// Its smallest and its largest position, which may be infinite.
+    pub range: [f64; 2],
+    /// The most of its drive, which may be infinite.
+    pub most_torque: f64,
+}
+
+/// All slots of a manipulator, for those who watch it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SlotsReport {
+    /// The joints, in the model's order.
+    pub joints: Vec<JointReport>,
+    /// What the slots read that are no joints.
+    pub sensors: SensorReport,
+    /// Why the arm was stopped last, since the servo's task was built; also after a reset or a resume.
+    pub last_stop: Option<String>,
+}
+
+ctos::command! {
+    /// Reads all slots, with the limits of the joints.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadSlots => SlotsReport, 0x0346, "read_slots"
 }
 ctos::command! {
     /// Sets an output, until power goes off. Only the task that holds the manipulator may ask.

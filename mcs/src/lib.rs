@@ -26,6 +26,7 @@ mod tasks;
 pub use mcs_model::{self as model, Joints, MAX_SLOTS, joints};
 pub use mcs_trajectory as trajectory;
 pub use tasks::{
+    CLIENT,
     args::{arm, manipulator},
     register,
 };

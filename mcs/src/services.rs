@@ -1,9 +1,9 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
 //! `kin`, `dyn` and `traj` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
-//! app one that the process holds for itself; `setpoint` and `torque` stream to the app's, and `wspc` holds recipes of guards
-//! for it. Their texts and numbers are a fixed interface that other programs lean on: SI units, rad, matrices row by row, the
-//! base frame on the floor under joint 1 and frame 6 as the DH table has it.
+//! app one that the process holds for itself, and `slots` shows its joints; `setpoint` and `torque` stream to the app's, and
+//! `wspc` holds recipes of guards for it. Their texts and numbers are a fixed interface that other programs lean on: SI units,
+//! rad, matrices row by row, the base frame on the floor under joint 1 and frame 6 as the DH table has it.
 
 mod arm;
 mod dynamics;
@@ -11,6 +11,7 @@ mod kinematics;
 mod local;
 mod mvpos;
 mod pino;
+mod slots;
 mod streaming;
 mod traj;
 mod wspc;
@@ -81,6 +82,11 @@ pub fn register(sorm: &Sorm) {
     let arm = SharedArm::new();
     let own = arm.clone();
     let mvpos = Class::new("mvpos", VERSION, move |_, _| Ok(Box::new(MvPos::new(&own))));
+    let seen = arm.clone();
+    let slots = Class::new("slots", VERSION, move |_, _| {
+        Ok(Box::new(slots::Slots::new(&seen)))
+    });
+    let slots = slots.waits().any_flavor();
     let pino = Class::new("pino", VERSION, move |_, _| Ok(Box::new(Pino::new(&arm))));
     // A flavor of one's own has options of one's own.
     let mvpos = mvpos.waits().any_flavor();
@@ -92,7 +98,9 @@ pub fn register(sorm: &Sorm) {
     });
     let torque = Class::new("torque", VERSION, |_, _| Ok(Box::new(Streaming::torques())));
     let (setpoint, torque) = (setpoint.waits().any_flavor(), torque.waits().any_flavor());
-    let all = [kin, dynamics, mvpos, pino, setpoint, torque, traj, wspc];
+    let all = [
+        kin, dynamics, mvpos, pino, setpoint, slots, torque, traj, wspc,
+    ];
     for (class, info) in all.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
@@ -107,6 +115,7 @@ pub fn classes() -> Vec<ClassInfo> {
         mvpos::TABLE.class("mvpos", VERSION),
         pino::TABLE.class("pino", VERSION),
         streaming::SETPOINTS.class("setpoint", VERSION),
+        slots::TABLE.class("slots", VERSION),
         streaming::TORQUES.class("torque", VERSION),
         traj::TABLE.class("traj", VERSION),
         wspc::TABLE.class("wspc", VERSION),

@@ -11,6 +11,7 @@ pub mod planner;
 mod records;
 mod retreat;
 pub mod servo;
+mod slots;
 pub mod state;
 mod streams;
 

@@ -263,12 +263,33 @@ async fn ask(
     };
     match (turn, workers) {
         (Some(_turn), _) if slot.waits() && method == Method::Exec => {
+            let _noted = Noted::new(slot, sorm, method, io);
             slot.exec_waiting(sorm, comm, outer, io).await;
         }
         (Some(_turn), Some(workers)) => call_on(workers, slot, (sorm, comm), method, io).await,
-        (None, Some(_)) if !slot.waits() => slot.refuse_busy(sorm, io),
+        (None, _) if slot.waits() || workers.is_some() => slot.refuse_busy(sorm, io),
         // Without a turn the object is still in a call, which this finds.
         _ => slot.call_unseen(sorm, outer, method, io),
+    }
+}
+
+/// The call of an object that waits is told of for as long as this is kept, also when nobody waits for it any more.
+struct Noted<'a>(&'a Slot);
+
+impl<'a> Noted<'a> {
+    fn new(slot: &'a Slot, sorm: &Sorm, method: Method, io: &Transport) -> Self {
+        *slot.call.lock() = Some(Call {
+            from: io.from.clone(),
+            method,
+            since: sorm.now(),
+        });
+        Self(slot)
+    }
+}
+
+impl Drop for Noted<'_> {
+    fn drop(&mut self) {
+        *self.0.call.lock() = None;
     }
 }
 

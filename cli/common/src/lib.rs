@@ -1,10 +1,11 @@
 //! What the programs `ctos` and `scott` share: what a person sees, exit codes, tables, how a running app is reached,
-//! how a page is served, and the names of forms of nets. Knows no command, no net and no service object.
+//! how a page is served, the files of records, and the names of forms of nets. Knows no command, no net and no service object.
 
 pub mod client;
 pub mod exit;
 pub mod form;
 pub mod page;
+pub mod records;
 pub mod remote;
 pub mod show;
 pub mod table;

@@ -7,6 +7,7 @@ use std::{
     sync::Arc,
 };
 
+use cli_common::records;
 use ctos::record::{Filter, ReadError, scan_only};
 use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
 use serde::Deserialize;
@@ -58,8 +59,8 @@ impl Recorded {
     /// A file cannot be read at all. One that breaks off is read as far as it goes, and told.
     pub(crate) fn read(paths: &[PathBuf]) -> Result<Self, ReadError> {
         let mut recorded = Self::default();
-        for path in paths {
-            recorded.file(path)?;
+        for path in records::files(paths) {
+            recorded.file(&path)?;
         }
         if recorded.nets.is_empty() {
             let text = "no net stands in these records: they are of an app without nets, or of an older version";

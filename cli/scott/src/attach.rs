@@ -60,7 +60,8 @@ pub enum AttachError {
     Client(#[from] ClientError),
     /// It has nobody to ask.
     #[error(
-        "app `{0}` has no daemon of service objects; give it a task with `handler = \"sorma.daemon\"`"
+        "app `{0}` has no daemon of service objects; give it a task with `handler = \"sorma.daemon\"`, or boot it with a \
+         profile that has one, as `--profile objects` of the calibration does"
     )]
     NoDaemon(String),
     /// It has others.

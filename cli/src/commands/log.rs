@@ -8,7 +8,7 @@ use ctos::{
     time::Instant,
 };
 
-use cli_common::{exit, show};
+use cli_common::{exit, records, show};
 
 /// Look into records (MCAP) of apps
 ///
@@ -145,7 +145,7 @@ pub fn run(args: &LogCommandArgs) -> u8 {
 }
 
 fn info(files: &[PathBuf], json: bool) -> Result<(), ReadError> {
-    for (index, file) in files.iter().enumerate() {
+    for (index, file) in records::files(files).iter().enumerate() {
         // Counted, not shown.
         let nothing = Filter {
             topics: vec![String::new()],
@@ -226,7 +226,7 @@ fn info_text(run: &Run) -> String {
 }
 
 fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), ReadError> {
-    let record = Record::read(&record_files(files), filter)?;
+    let record = Record::read(&records::files(files), filter)?;
     warn_torn(&record);
     for entry in &record.entries {
         let text = if json {
@@ -253,7 +253,7 @@ fn line_json(entry: &Entry) -> String {
 }
 
 fn rewrite(files: &[PathBuf], filter: &Filter, out: &Path) -> Result<(), ReadError> {
-    let record = Record::read(&record_files(files), filter)?;
+    let record = Record::read(&records::files(files), filter)?;
     warn_torn(&record);
     record.write(out)?;
     let lines = record.entries.len();
@@ -272,34 +272,9 @@ fn warn_torn(record: &Record) {
     }
 }
 
-/// The files in the order of their names and parts, so that lines of one moment keep theirs.
-pub(crate) fn record_files(files: &[PathBuf]) -> Vec<PathBuf> {
-    let mut files = files.to_vec();
-    files.sort_by_key(|file| {
-        let name = file.to_string_lossy().into_owned();
-        let (stem, part) = match name.rsplit_once(".part") {
-            Some((stem, rest)) => {
-                let number = rest.split('.').next().and_then(|part| part.parse().ok());
-                (stem.to_owned(), number.unwrap_or(0_u64))
-            }
-            None => (name.trim_end_matches(".mcap").to_owned(), 1),
-        };
-        (stem, part)
-    });
-    files
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn parts_come_in_the_order_of_their_numbers() {
-        let given = ["r.b.mcap", "r.a.part10.mcap", "r.a.part2.mcap", "r.a.mcap"];
-        let sorted = record_files(&given.map(PathBuf::from));
-        let expected = ["r.a.mcap", "r.a.part2.mcap", "r.a.part10.mcap", "r.b.mcap"];
-        assert_eq!(sorted, expected.map(PathBuf::from));
-    }
 
     #[test]
     fn a_moment_is_a_number_of_seconds_that_is_not_negative() {

@@ -9,12 +9,9 @@ use ctos::{
     registry::Registry,
 };
 
-use cli_common::{exit, show};
+use cli_common::{exit, records, show};
 
-use crate::{
-    commands::{args::AppArgs, log::record_files},
-    program,
-};
+use crate::{commands::args::AppArgs, program};
 
 /// Let one task do again what it did in a record, and compare
 ///
@@ -54,7 +51,7 @@ pub fn run(args: &ReplayArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    let record = match Record::read(&record_files(&args.files), &Filter::default()) {
+    let record = match Record::read(&records::files(&args.files), &Filter::default()) {
         Ok(record) => record,
         Err(error) => {
             show::say(&format!("error: {error}"));

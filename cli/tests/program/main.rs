@@ -21,6 +21,7 @@ mod hello_example;
 mod lines;
 mod lsp;
 mod made;
+mod motion;
 mod nets;
 mod offline;
 mod panel;

@@ -10,7 +10,7 @@ use super::arm::Which;
 use super::code;
 use crate::client::{PlanReport, Target};
 use crate::joints::Joints;
-use crate::model::file::Inertias;
+use crate::model::{Model, file::Inertias};
 use crate::trajectory::{Blend, CartesianLimits, Goal, PlanError, Planner, Route};
 
 /// Where it begins, rad: the elbow bent, with room on all sides.
@@ -69,6 +69,11 @@ impl LocalArm {
             control: CONTROL,
             motions: 0,
         })
+    }
+
+    /// What it is.
+    pub(super) fn model(&self) -> &Model {
+        self.planner.model()
     }
 
     /// `base_t_6`.

@@ -87,6 +87,32 @@ fn forward_kinematics_are_the_published_ones() {
 }
 
 #[test]
+fn the_joints_of_an_arm_are_told_with_their_names_units_and_limits() {
+    let sorm = manager();
+    let joint = |index: usize| {
+        let slots = ask(&sorm, "slots.any EXEC");
+        assert_eq!(slots.floats.len(), 36);
+        slots.floats[6 * index..][..6].to_vec()
+    };
+    let named = ask(&sorm, "slots.any EXEC").text;
+    assert_eq!(named.lines().count(), 6);
+    assert!(
+        named.lines().all(|line| line.ends_with(", rad, N m")),
+        "{named}"
+    );
+    let before = joint(0);
+    assert!(ask(&sorm, "mvpos EXEC by FMSG 6 0.25 0 0 0 0 0").is_ok());
+    near(&joint(0)[..1], &[before[0] + 0.25], 1e-12);
+    let [.., lower, upper, most] = joint(0)[..] else {
+        panic!("six numbers");
+    };
+    // The waist of a PUMA 560 turns through 320 degrees.
+    near(&[upper - lower], &[320_f64.to_radians()], 1e-9);
+    assert!(most > 0.0);
+    assert!(!ask(&sorm, "slots EXEC now").is_ok());
+}
+
+#[test]
 fn dynamics_are_the_published_ones() {
     let sorm = manager();
     let gravity = floats(&sorm, "dyn.puma560 EXEC TMSG gravity", &POSE);

@@ -16,9 +16,9 @@ use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
     Acquire, Cancel, ControlledStop, EmergencyStop, MotionError, Move, Outcome, Plan, Position,
-    ReadControl, ReadGuards, ReadPosition, ReadSensors, ReadStream, RecordStates, Release,
-    RemoveGuard, Reset, Resume, SetControl, SetGuard, SetLaw, SetOutput, Status, StatusReport,
-    Stop, StreamReport, StreamSetpoints, StreamValue,
+    ReadControl, ReadGuards, ReadPosition, ReadSensors, ReadSlots, ReadStream, RecordStates,
+    Release, RemoveGuard, Reset, Resume, SetControl, SetGuard, SetLaw, SetOutput, Status,
+    StatusReport, Stop, StreamReport, StreamSetpoints, StreamValue,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -43,6 +43,7 @@ pub(super) fn register(registry: &mut Registry) {
         SetControl::INFO,
         SetLaw::INFO,
         ReadSensors::INFO,
+        ReadSlots::INFO,
         Cancel::INFO,
         Resume::INFO,
         SetGuard::INFO,
@@ -284,6 +285,10 @@ impl EventHandler for ClientTask {
             }
             ReadSensors::CODE => {
                 let (request, reply) = message.open::<ReadSensors>()?;
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
+            }
+            ReadSlots::CODE => {
+                let (request, reply) = message.open::<ReadSlots>()?;
                 reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             SetLaw::CODE => {

@@ -15,12 +15,13 @@ use serde::{Deserialize, Serialize};
 use super::args::{self, RecipeArgs, ServoArgs};
 use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
+use super::slots::{self, LastStop};
 use super::streams::Streams;
 use super::{Link, SERVO, rows};
 use crate::client::{
     ControlReport, GuardsReport, MotionError, Outcome, ReadControl, ReadGuards, ReadSensors,
-    ReadStream, RecordStates, RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw, SetOutput,
-    StreamSetpoints, StreamValue,
+    ReadSlots, ReadStream, RecordStates, RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw,
+    SetOutput, StreamSetpoints, StreamValue,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::{DriverRegistry, Sensor, SensorKind};
@@ -73,7 +74,7 @@ ctos::command! {
 }
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 15] = [
+const COMMANDS: [CommandInfo; 16] = [
     ReadServo::INFO,
     StopServo::INFO,
     ResumeServo::INFO,
@@ -89,6 +90,7 @@ const COMMANDS: [CommandInfo; 15] = [
     StreamValue::INFO,
     ReadStream::INFO,
     SetOutput::INFO,
+    ReadSlots::INFO,
 ];
 
 pub(super) fn register(
@@ -217,6 +219,7 @@ struct ServoTask {
     streams: Streams,
     /// The number of the chassis of the client interface that last asked for a stream.
     streamed_from: Option<u8>,
+    last_stop: LastStop,
 }
 
 impl ServoTask {
@@ -275,11 +278,13 @@ impl ServoTask {
             sensors,
             streams: Streams::default(),
             streamed_from: None,
+            last_stop: LastStop::default(),
         })
     }
 
     fn report(&mut self) -> ServoReport {
         let status = self.link.port.status();
+        self.last_stop.see(&status, self.link.fault());
         ServoReport {
             status,
             fault: self.link.fault(),
@@ -420,12 +425,22 @@ impl EventHandler for ServoTask {
             }
             StopServo::CODE => {
                 let (StopServo { kind }, reply) = message.open::<StopServo>()?;
-                let port = &self.link.port;
+                let (port, stop) = (&self.link.port, &mut self.last_stop);
                 match kind {
-                    StopKind::Protective => port.order(ServoCommand::Stop)?,
+                    StopKind::Protective => {
+                        port.order(ServoCommand::Stop)?;
+                        stop.asked("a protective stop was asked for");
+                    }
+                    // The next motion may begin at once: it is no stop to be told of.
                     StopKind::Cancel => port.order(ServoCommand::Cancel)?,
-                    StopKind::Controlled => port.order(ServoCommand::ControlledStop)?,
-                    StopKind::Emergency => port.emergency_stop(),
+                    StopKind::Controlled => {
+                        port.order(ServoCommand::ControlledStop)?;
+                        stop.asked("a controlled stop was asked for");
+                    }
+                    StopKind::Emergency => {
+                        port.emergency_stop();
+                        stop.asked("emergency stop was asked for");
+                    }
                 }
                 self.confirm(cx, reply, move |status| match kind {
                     StopKind::Protective => status.stopped || status.fault.is_some(),
@@ -501,6 +516,17 @@ impl EventHandler for ServoTask {
             SetOutput::CODE => {
                 let (request, reply) = message.open::<SetOutput>()?;
                 reply.ok(self.set_output(&request))
+            }
+            ReadSlots::CODE => {
+                let (ReadSlots {}, reply) = message.open::<ReadSlots>()?;
+                let status = self.link.port.status();
+                let last_stop = self.last_stop.see(&status, self.link.fault());
+                reply.ok(slots::report(
+                    &self.model,
+                    &status,
+                    &self.sensors,
+                    last_stop,
+                ))
             }
             SetLaw::CODE => {
                 let (SetLaw { law }, reply) = message.open::<SetLaw>()?;

@@ -96,7 +96,11 @@ impl Dictionary {
     /// There is no file, or one cannot be written; the text says which.
     pub fn save(&mut self) -> Result<(), String> {
         let Some(last) = self.files.len().checked_sub(1) else {
-            return Err("no file to save to: the dictionary was not read from one".to_owned());
+            return Err(
+                "no file to save to: the dictionary was not read from one; name one in `args.dictionary` of the daemon, or \
+                 with `scott --local --dict FILE`"
+                    .to_owned(),
+            );
         };
         let texts: Vec<String> = (0..=last).map(|index| self.text_of(index, last)).collect();
         let mut files = Vec::new();

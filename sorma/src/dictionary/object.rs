@@ -36,6 +36,18 @@ fn index(words: &[String]) -> &str {
     words.first().map_or("", String::as_str)
 }
 
+/// The entries whose index words begin so, a line each.
+fn found(dictionary: &Dictionary, beginning: &str) -> String {
+    let index = dictionary.index();
+    let lines = index
+        .filter(|index| index.starts_with(beginning))
+        .map(|index| {
+            let words = dictionary.entry(index).unwrap_or_default();
+            words::join(std::iter::once(index).chain(words.iter().map(String::as_str)))
+        });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
 fn unknown(dictionary: &Dictionary, index: &str) -> String {
     let hint = suggestion(index, dictionary.index());
     format!("`{index}` is not in the dictionary{hint}")
@@ -85,6 +97,12 @@ static OPTIONS: LazyLock<OptionTable<Edit>> = LazyLock::new(|| {
             Ok(words::join(edit.dictionary.index()))
         })
         .action(
+            "find",
+            &["BEGINNING"],
+            "answers the entries whose word begins so, a line each",
+            |edit, words| Ok(found(&edit.dictionary, index(words))),
+        )
+        .action(
             "reload",
             &[],
             "reads its files again; what was not saved is lost",
@@ -124,11 +142,6 @@ impl ServiceObject for DictionaryObject {
     }
 
     fn dump(&self) -> String {
-        let dictionary = self.dictionary.read();
-        let lines = dictionary.index().map(|index| {
-            let words = dictionary.entry(index).unwrap_or_default();
-            words::join(std::iter::once(index).chain(words.iter().map(String::as_str)))
-        });
-        lines.collect::<Vec<_>>().join("\n")
+        found(&self.dictionary.read(), "")
     }
 }

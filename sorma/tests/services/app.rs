@@ -131,8 +131,8 @@ impl ServiceObject for Count {
     }
 }
 
-/// Takes its time.
-struct Nap;
+/// Takes its time, s.
+struct Nap(f64);
 
 impl ServiceObject for Nap {
     fn exec_waiting<'a>(
@@ -141,7 +141,7 @@ impl ServiceObject for Nap {
         _io: &'a mut Transport,
     ) -> Option<LocalBoxFuture<'a, Outcome>> {
         Some(Box::pin(async move {
-            cx.sleep(Duration::from_secs(5)).await;
+            cx.sleep(seconds(self.0)).await;
             Ok(())
         }))
     }
@@ -159,7 +159,8 @@ impl ServiceObject for Nap {
 pub fn classes(sorm: &Sorm) {
     sorma::asynchronous::register(sorm);
     sorm.register(Class::new("count", "1.0", |_, _| Ok(Box::new(Count(0)))));
-    sorm.register(Class::new("nap", "1.0", |_, _| Ok(Box::new(Nap))).waits());
+    sorm.register(Class::new("nap", "1.0", |_, _| Ok(Box::new(Nap(5.0)))).waits());
+    sorm.register(Class::new("doze", "1.0", |_, _| Ok(Box::new(Nap(200.0)))).waits());
     sorm.register(Class::new("scale", "1.0", |_, _| {
         Ok(Box::new(Scale::default()))
     }));

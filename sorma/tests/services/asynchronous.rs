@@ -112,6 +112,38 @@ fn a_one_way_request_is_done_and_one_that_fails_troubles_nobody() {
 }
 
 #[test]
+fn a_daemon_goes_on_beside_an_object_that_waits_which_is_named_to_who_asks_and_to_who_wants_it() {
+    passes(|cx, sorm| {
+        Box::pin(async move {
+            for at in BOTH {
+                let comm = Tasks::of(&cx).deadline(seconds(120.0));
+                let doze = format!("doze{at} EXEC");
+                sorm.tell_only(&comm, request(&doze)).await.unwrap();
+                let asked = cx.now();
+                let count = ask(&sorm, &cx, &format!("count{at} EXEC")).await;
+                assert_eq!(count.body.ints, [1], "{at}");
+                let busy = ask(&sorm, &cx, &format!("sorm{at} CTRL -busy")).await.body;
+                assert!(busy.text.starts_with("doze: EXEC of `"), "{}", busy.text);
+                assert!(cx.now().since(asked) < seconds(1.0));
+                // Another call of it does not wait for ever.
+                for line in [doze, format!("doze{at} CTRL -dump")] {
+                    let late = sorm.ask(&comm, request(&line)).await.body;
+                    assert_eq!(late.code, code::BUSY);
+                    let text = &late.reports[0].text;
+                    assert!(text.starts_with("`doze` is in EXEC of `"), "{text}");
+                    assert!(text.contains("`ctos restart "), "{text}");
+                }
+                // When it is over, it is not named any more.
+                cx.sleep(seconds(100.0)).await;
+                let busy = ask(&sorm, &cx, &format!("sorm{at} CTRL -busy")).await.body;
+                assert_eq!(busy.text, "");
+            }
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
 fn a_callback_gets_the_answer_errors_and_all() {
     passes(|cx, sorm| {
         Box::pin(async move {

@@ -135,6 +135,10 @@ fn the_carry_example_works_as_printed_with_a_demo_class() {
         ask(&sorm, "dict CTRL -query foo.slow").text,
         "-SUBST foo -transferSpeed 0.2"
     );
+    assert_eq!(
+        ask(&sorm, "dict CTRL -find foo.s").text,
+        "foo.slow -SUBST foo -transferSpeed 0.2"
+    );
     let list = ask(&sorm, "dict CTRL -remove foo.slow -list").text;
     assert_eq!(list, "bar foo foo.a foo.b");
 }

@@ -192,22 +192,42 @@ impl Browser {
         self.ask(&format!("{find}.click()"));
     }
 
-    /// Drags what is at the middle of an element by so many px, with a mouse.
+    /// The middle of an element, px.
     #[track_caller]
-    pub fn drag(&mut self, selector: &str, (dx, dy): (f64, f64)) {
+    fn middle(&mut self, selector: &str) -> (f64, f64) {
         let middle = format!(
             "(() => {{ const box = document.querySelector({selector:?}).getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; }})()"
         );
         let middle = self.ask(&middle);
-        let (x, y) = (middle[0].as_f64().unwrap(), middle[1].as_f64().unwrap());
-        let mut mouse = |kind: &str, buttons: u8, (x, y): (f64, f64)| {
-            let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1 });
-            self.order("Input.dispatchMouseEvent", event);
-        };
-        mouse("mousePressed", 1, (x, y));
-        mouse("mouseMoved", 1, (x + dx / 2.0, y + dy / 2.0));
-        mouse("mouseMoved", 1, (x + dx, y + dy));
-        mouse("mouseReleased", 0, (x + dx, y + dy));
+        (middle[0].as_f64().unwrap(), middle[1].as_f64().unwrap())
+    }
+
+    fn mouse(&mut self, kind: &str, buttons: u8, (x, y): (f64, f64)) {
+        let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1 });
+        self.order("Input.dispatchMouseEvent", event);
+    }
+
+    /// Presses the mouse on an element, or lets it go there.
+    #[track_caller]
+    pub fn press(&mut self, selector: &str, pressed: bool) {
+        let scrolled =
+            format!("document.querySelector({selector:?}).scrollIntoView({{ block: 'center' }})");
+        self.ask(&scrolled);
+        let at = self.middle(selector);
+        match pressed {
+            true => self.mouse("mousePressed", 1, at),
+            false => self.mouse("mouseReleased", 0, at),
+        }
+    }
+
+    /// Drags what is at the middle of an element by so many px, with a mouse.
+    #[track_caller]
+    pub fn drag(&mut self, selector: &str, (dx, dy): (f64, f64)) {
+        let (x, y) = self.middle(selector);
+        self.mouse("mousePressed", 1, (x, y));
+        self.mouse("mouseMoved", 1, (x + dx / 2.0, y + dy / 2.0));
+        self.mouse("mouseMoved", 1, (x + dx, y + dy));
+        self.mouse("mouseReleased", 0, (x + dx, y + dy));
     }
 
     /// Clicks at a point of an element, px from its upper left corner, with a mouse.

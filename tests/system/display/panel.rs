@@ -99,7 +99,8 @@ fn a_panel_without_its_token_shows_the_objects_and_changes_nothing() {
     browser.wait("document.querySelector('#why').textContent !== ''");
     // What it reads is read: the plot goes on.
     browser.wait("document.querySelectorAll('svg.plot path[d]').length === 6");
-    let free = "[...document.querySelectorAll('main button, main input, main select')].filter((one) => !one.disabled).length";
+    // A name in a legend hides its line, and asks nothing.
+    let free = "[...document.querySelectorAll('main :is(button:not(.shows), input, select)')].filter((one) => !one.disabled).length";
     assert_eq!(browser.ask(free), 0);
     assert_eq!(
         browser.ask("document.querySelector('#line')"),
@@ -111,4 +112,80 @@ fn a_panel_without_its_token_shows_the_objects_and_changes_nothing() {
     // On a narrow screen nothing has to be pushed sideways.
     browser.resize((360, 800));
     browser.wait("document.documentElement.scrollWidth <= innerWidth");
+}
+
+/// The number that the first joint of the pendant shows, rad.
+const FIRST: &str = "Number(document.querySelector('.axis-row .number').textContent.split(' ')[0])";
+
+#[test]
+#[ignore = "needs Chromium"]
+fn a_teach_pendant_jogs_while_a_button_is_held_records_poses_goes_to_them_and_stops() {
+    let scratch = Scratch::short();
+    let (_run, page) = boot(&scratch);
+    let mut browser = Browser::open(&page.replace("/#", "/?n=2#"), SIZE);
+    browser.wait("document.querySelector('#title').textContent === 'Teach pendant: arm'");
+    browser.wait("document.querySelectorAll('.axis-row').length === 12");
+    let fact = |name: &str, value: &str| {
+        format!(
+            "[...document.querySelectorAll('.fact')].some((one) => one.textContent.startsWith('{name}') && one.querySelector('.shown').textContent === '{value}')"
+        )
+    };
+    browser.wait(&fact("State", "cold"));
+    browser.wait(&fact("Owner", "nobody"));
+
+    // Held, the joint moves on; let go, it ends within a step.
+    let before = browser.ask(FIRST).as_f64().unwrap();
+    let on = "[aria-label=\"joint1 on\"]";
+    browser.press(on, true);
+    browser.wait(&format!("{FIRST} > {before} + 0.05"));
+    browser.press(on, false);
+    let then = browser.ask(FIRST).as_f64().unwrap();
+    browser.wait("!document.querySelector('.held')");
+    let still = format!(
+        "(() => {{ const now = {FIRST}; if (window.was !== now) {{ window.was = now; window.since = performance.now(); }} return performance.now() - window.since > 1500; }})()"
+    );
+    browser.wait(&still);
+    let jogged = browser.ask(FIRST).as_f64().unwrap();
+    assert!(jogged - then < 0.065, "{then} {jogged}");
+    browser.wait(&fact("Owner", "objects"));
+
+    // What each tick left is drawn, and a line is hidden by a click on its name.
+    let line = "document.querySelector('[aria-label=\"Position\"] path').getAttribute('d')";
+    browser.wait(&format!("{line}?.length > 100"));
+    browser.ask("document.querySelector('.legend button').click()");
+    browser.wait(&format!("{line} === ''"));
+
+    // A pose is kept in a file, shown, and gone to.
+    set(&mut browser, "name of a pose", "here");
+    browser.click("Record");
+    browser.wait("document.querySelector('.poses .here .to').textContent === 'here'");
+    let kept = scratch.read("configs/pendant.dict");
+    assert!(
+        kept.contains("position.arm.here ") && kept.starts_with("# For the teach pendant"),
+        "{kept}"
+    );
+    pictures(&mut browser, "pendant");
+    browser.click("Home");
+    browser.wait(&format!("Math.abs({FIRST}) < 0.005"));
+    browser.click("here");
+    browser.wait(&format!("Math.abs({FIRST} - {jogged}) < 0.005"));
+
+    // The stops are seen wherever the page is.
+    browser.ask("scrollTo(0, document.body.scrollHeight)");
+    let seen = "[...document.querySelectorAll('#stops button')].filter((one) => { const box = one.getBoundingClientRect(); return box.top >= 0 && box.bottom <= innerHeight; }).length === 3";
+    browser.wait(seen);
+    browser.ask("document.querySelector('#stops button').click()");
+    browser.wait("document.querySelector('.stopped').textContent === 'last stop: a protective stop was asked for'");
+    browser.press(on, true);
+    browser.wait("document.querySelector('#log .bad')?.textContent.includes('resume')");
+    browser.press(on, false);
+    browser.click("Resume");
+    browser.ask("document.querySelector('#stops button:last-child').click()");
+    browser.wait(&fact("State", "estopped"));
+    browser.wait("document.querySelector('.jog').closest('section').inert");
+    browser.click("Reset");
+    browser.wait(&fact("State", "cold"));
+    browser.resize((360, 800));
+    browser.wait("document.documentElement.scrollWidth <= innerWidth");
+    assert_eq!(browser.complaints, Vec::<String>::new());
 }

@@ -9,7 +9,7 @@ use ctos::{
 use serde::Deserialize;
 use sorma::{ObjectName, daemon};
 
-use super::script::Panel;
+use super::script::{Panel, SOME_ARM, for_arms};
 use cli_common::page;
 
 /// The handler's name.
@@ -36,6 +36,9 @@ pub(super) struct PanelArgs {
     /// Files of panels, relative to the configuration's folder.
     #[serde(default)]
     pub(super) panels: Vec<String>,
+    /// The flavors for which a panel stands that says `{arm}`, as in `pino.{arm}`; one panel for each.
+    #[serde(default = "arms")]
+    pub(super) arms: Vec<String>,
     /// Objects whose options are shown, each on a panel of its own.
     #[serde(default)]
     pub(super) objects: Vec<String>,
@@ -47,16 +50,19 @@ fn listen() -> SocketAddr {
     DEFAULT_LISTEN
 }
 
+fn arms() -> Vec<String> {
+    vec![SOME_ARM.to_owned()]
+}
+
 impl PanelArgs {
     /// The panels; what is wrong in a file is left out and said.
     pub(super) fn read(&self, app: &App, findings: &mut Findings) -> Vec<Panel> {
         let files = self.panels.iter();
-        let mut panels: Vec<Panel> = files
-            .filter_map(|file| {
-                let source = findings.keep(app.read(file))?;
-                Panel::read(&source, findings)
-            })
-            .collect();
+        let mut panels = Vec::new();
+        for source in files.filter_map(|file| app.read(file).ok()) {
+            let sources = for_arms(&source, &self.arms).into_iter();
+            panels.extend(sources.filter_map(|source| Panel::read(&source, findings)));
+        }
         panels.extend(self.objects.iter().map(|object| Panel::of_object(object)));
         panels
     }
@@ -79,7 +85,11 @@ pub(super) fn check(args: &PanelArgs, task: &TaskConfig, app: &App, findings: &m
     let name = &task.name;
     for file in &args.panels {
         match app.read(file) {
-            Ok(source) => drop(Panel::read(&source, findings)),
+            // What is wrong for one arm is so for all.
+            Ok(source) => for_arms(&source, &args.arms)
+                .iter()
+                .take(1)
+                .for_each(|source| drop(Panel::read(source, findings))),
             Err(finding) => findings.push(at(finding, "panels")),
         }
     }

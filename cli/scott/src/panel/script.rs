@@ -35,9 +35,12 @@ pub enum Widget {
         label: String,
         /// The line.
         ask: String,
-        /// It stops something: it stands out, and Escape presses it.
+        /// It stops something: it stands above everything else, wherever the page is, and Escape presses the first one.
         #[serde(default)]
         stop: bool,
+        /// What it does, in some words.
+        #[serde(default)]
+        help: String,
         /// The condition under which it can be pressed.
         when: Option<String>,
     },
@@ -67,6 +70,16 @@ pub enum Widget {
         every_s: f64,
         /// The first float and the last, from 1.
         floats: [usize; 2],
+        /// As many other floats, of which the first ones are taken away: an error is a setpoint less a position.
+        less: Option<[usize; 2]>,
+        /// Whether the answer is that of `shmem_r`: records of a snapshot buffer, each with all floats and its time.
+        #[serde(default)]
+        records: bool,
+        /// A line that a page that may change something asks first, for there to be something to show.
+        begin: Option<String>,
+        /// What each is multiplied by, to be in its unit.
+        #[serde(default = "one")]
+        scale: f64,
         /// Their names.
         #[serde(default)]
         names: Vec<String>,
@@ -107,6 +120,46 @@ pub enum Widget {
         /// The condition under which it can be used.
         when: Option<String>,
     },
+    /// Two buttons for each joint or axis, which is moved on by a small step again and again while one is held.
+    Jog {
+        /// What stands above it.
+        label: String,
+        /// The line, in which `{by}` stands for how many numbers there are and the numbers: 0 but for what is moved.
+        ask: String,
+        /// A line that the page asks before the first step: what makes the steps follow each other soon.
+        begin: Option<String>,
+        /// A line that is answered as `slots EXEC` is: it names the joints, and shows each within its limits.
+        slots: Option<String>,
+        /// The axes, where no joints are meant.
+        #[serde(default)]
+        axes: Vec<Axis>,
+        /// A line whose floats the axes show.
+        from: Option<String>,
+        /// How far a step goes: of what turns, rad, and of what slides, m.
+        #[serde(default = "step")]
+        step: Step,
+        /// The condition under which it can be used.
+        when: Option<String>,
+    },
+    /// Positions with names, which are kept in the files of a dictionary.
+    Poses {
+        /// What stands above them.
+        label: String,
+        /// What their words in the dictionary begin with, as in `position.left.`.
+        #[serde(default = "beginning")]
+        beginning: String,
+        /// The dictionary.
+        #[serde(default = "dictionary")]
+        dictionary: String,
+        /// The line that goes to one, with `{name}`.
+        ask: String,
+        /// A line whose first floats are the positions now.
+        from: String,
+        /// How many.
+        joints: usize,
+        /// The condition under which one can be gone to.
+        when: Option<String>,
+    },
     /// What follows from the panel's values: a number, a text, or whether a condition is met.
     Value {
         /// What stands before it.
@@ -141,8 +194,49 @@ pub struct Slider {
     pub unit: String,
 }
 
+/// What a jog moves that is no joint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// Its name.
+    pub name: String,
+    /// Its unit: a step is as long as that of what turns, if this is rad.
+    pub unit: String,
+    /// Which float of `from` it shows, from 1.
+    pub float: Option<usize>,
+}
+
+/// How far a step of a jog goes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Step {
+    /// Of what turns, rad.
+    pub turn: f64,
+    /// Of what slides, m.
+    pub slide: f64,
+}
+
 fn often() -> f64 {
     0.25
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn step() -> Step {
+    Step {
+        turn: 0.02,
+        slide: 0.005,
+    }
+}
+
+fn beginning() -> String {
+    "position.".to_owned()
+}
+
+fn dictionary() -> String {
+    "dict".to_owned()
 }
 
 /// How often something may be asked, s.
@@ -159,6 +253,22 @@ struct File {
     values_every_s: f64,
     #[serde(default, rename = "widget")]
     _widgets: Vec<IgnoredAny>,
+}
+
+/// What stands for the arm in the file of a panel that is the same for several.
+const ARM: &str = "{arm}";
+
+/// The arm of such a panel, where nobody says which.
+pub const SOME_ARM: &str = "arm";
+
+/// The text of a panel for each of the arms; one, when it names no arm.
+pub(super) fn for_arms(source: &Source, arms: &[String]) -> Vec<Source> {
+    let text = source.text();
+    if !text.contains(ARM) {
+        return vec![source.clone()];
+    }
+    let of = |arm: &String| Source::new(source.name(), text.replace(ARM, arm));
+    arms.iter().map(of).collect()
 }
 
 impl Panel {
@@ -233,15 +343,29 @@ impl Panel {
 }
 
 impl Widget {
-    /// The line by which it shows how it stands; such a line changes nothing.
-    pub(super) fn look(&self) -> Option<&str> {
+    /// The lines by which it shows how it stands; such a line changes nothing.
+    pub(super) fn looks(&self) -> Vec<String> {
         match self {
-            Self::Plot { ask, .. } | Self::Readout { ask, .. } => Some(ask),
-            Self::Sliders { from, .. } => from.as_deref(),
+            Self::Plot { ask, .. } | Self::Readout { ask, .. } => vec![ask.clone()],
+            Self::Sliders { from, .. } => from.iter().cloned().collect(),
+            Self::Jog { slots, from, .. } => slots.iter().chain(from).cloned().collect(),
+            Self::Poses { from, .. } => vec![from.clone(), self.finds().unwrap_or_default()],
             Self::Button { .. }
             | Self::Joystick { .. }
             | Self::Options { .. }
-            | Self::Value { .. } => None,
+            | Self::Value { .. } => Vec::new(),
+        }
+    }
+
+    /// The line by which a dictionary tells the poses.
+    pub(super) fn finds(&self) -> Option<String> {
+        match self {
+            Self::Poses {
+                dictionary,
+                beginning,
+                ..
+            } => Some(format!("{dictionary} CTRL -find {beginning}")),
+            _ => None,
         }
     }
 
@@ -250,6 +374,8 @@ impl Widget {
         match self {
             Self::Button { when, .. }
             | Self::Sliders { when, .. }
+            | Self::Jog { when, .. }
+            | Self::Poses { when, .. }
             | Self::Joystick { when, .. } => (when.as_deref(), None),
             Self::Value { is, .. } => (None, Some(is)),
             Self::Plot { .. } | Self::Readout { .. } | Self::Options { .. } => (None, None),
@@ -305,14 +431,28 @@ impl Widget {
                 label,
                 ask,
                 every_s,
-                floats: [first, last],
+                floats,
+                less,
+                begin,
                 ..
             } => {
-                if *first == 0 || last < first {
+                for [first, last] in [Some(floats), less.as_ref()].into_iter().flatten() {
+                    if *first == 0 || last < first {
+                        return Err(format!(
+                            "widget `{label}`: floats are counted from 1, the first and then the last, not [{first}, {last}]"
+                        ));
+                    }
+                }
+                let count = |[first, last]: &[usize; 2]| last - first;
+                if less
+                    .as_ref()
+                    .is_some_and(|less| count(less) != count(floats))
+                {
                     return Err(format!(
-                        "widget `{label}`: floats are counted from 1, the first and then the last, not [{first}, {last}]"
+                        "widget `{label}`: `less` has as many floats as `floats`"
                     ));
                 }
+                is_request(label, begin.as_deref())?;
                 (label, ask, Vec::new(), *every_s)
             }
             Self::Readout {
@@ -327,6 +467,37 @@ impl Widget {
                 every_s,
                 ..
             } => (label, ask, vec!["x", "y"], *every_s),
+            Self::Jog {
+                label,
+                ask,
+                begin,
+                slots,
+                axes,
+                from,
+                step,
+                ..
+            } => {
+                if slots.is_none() == axes.is_empty() {
+                    return Err(format!(
+                        "widget `{label}`: it jogs either the joints that `slots` tells of, or `axes`"
+                    ));
+                }
+                if !(step.turn > 0.0 && step.slide > 0.0) {
+                    return Err(format!("widget `{label}`: a step is above 0"));
+                }
+                for line in [begin, slots, from] {
+                    is_request(label, line.as_deref())?;
+                }
+                (label, ask, vec!["by"], 1.0)
+            }
+            Self::Poses {
+                label, ask, from, ..
+            } => {
+                for line in [Some(from.clone()), self.finds()] {
+                    is_request(label, line.as_deref())?;
+                }
+                (label, ask, vec!["name"], 1.0)
+            }
             Self::Options { .. } | Self::Value { .. } => return Ok(()),
         };
         if !EVERY_S.contains(&every_s) {
@@ -343,13 +514,18 @@ impl Widget {
             ));
         }
         let filled = names.iter().fold(ask.clone(), |line, name| {
-            line.replace(&format!("{{{name}}}"), "0")
+            // As many numbers as are said.
+            let example = if *name == "by" { "1 0" } else { "0" };
+            line.replace(&format!("{{{name}}}"), example)
         });
-        filled
-            .parse::<sorma::Request>()
-            .map(|_| ())
-            .map_err(|error| format!("widget `{label}`: `{ask}` is no request: {error}"))
+        is_request(label, Some(&filled))
     }
+}
+
+fn is_request(label: &str, line: Option<&str>) -> Result<(), String> {
+    let Some(line) = line else { return Ok(()) };
+    let request = line.parse::<sorma::Request>().map(|_| ());
+    request.map_err(|error| format!("widget `{label}`: `{line}` is no request: {error}"))
 }
 
 #[cfg(test)]
@@ -358,7 +534,8 @@ mod tests {
 
     fn read(text: &str) -> (Option<Panel>, Vec<String>) {
         let mut findings = Findings::new();
-        let panel = Panel::read(&Source::new("p.toml", text), &mut findings);
+        let source = Source::new("p.toml", text.replace(ARM, SOME_ARM));
+        let panel = Panel::read(&source, &mut findings);
         (panel, findings.iter().map(ToString::to_string).collect())
     }
 
@@ -367,12 +544,25 @@ mod tests {
         for text in [
             include_str!("../../../../configs/panels/puma560.toml"),
             include_str!("../../../../configs/panels/vss.toml"),
+            include_str!("../../../../configs/panels/pendant.toml"),
         ] {
             let (panel, findings) = read(text);
             assert_eq!(findings, Vec::<String>::new());
             let panel = panel.unwrap();
             assert!(panel.widgets.len() > 1, "{}", panel.title);
         }
+    }
+
+    #[test]
+    fn a_panel_that_names_an_arm_stands_once_for_each_and_any_other_one_once() {
+        let arms = ["left".to_owned(), "right".to_owned()];
+        let titles = |text: &str| {
+            let panels = for_arms(&Source::new("p.toml", text), &arms).into_iter();
+            let panels = panels.filter_map(|source| Panel::read(&source, &mut Findings::new()));
+            panels.map(|panel| panel.title).collect::<Vec<_>>()
+        };
+        assert_eq!(titles("title = \"{arm} arm\""), ["left arm", "right arm"]);
+        assert_eq!(titles("title = \"no arm\""), ["no arm"]);
     }
 
     #[test]
@@ -390,6 +580,10 @@ mod tests {
             "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nwhen = \"te > 1\"",
             "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nwhen = \"tea > 1\"\nstop = true",
             "kind = \"value\"\nlabel = \"v\"\nis = \"tea +\"",
+            "kind = \"jog\"\nlabel = \"j\"\nask = \"foo.a EXEC FMSG {by}\"",
+            "kind = \"jog\"\nlabel = \"j\"\nask = \"foo.a EXEC\"\nslots = \"slots EXEC\"",
+            "kind = \"poses\"\nlabel = \"p\"\nask = \"foo.a EXEC home\"\nfrom = \"pino EXEC\"\njoints = 6",
+            "kind = \"plot\"\nlabel = \"p\"\nask = \"foo.a EXEC\"\nfloats = [1, 3]\nless = [4, 7]",
             "kind = \"value\"\nlabel = \"good too\"\nis = \"tea * 2\"",
         ];
         let text = widgets.map(|widget| format!("[[widget]]\n{widget}\n"));
@@ -412,11 +606,15 @@ mod tests {
             "did you mean `tea`?",
             "can always be pressed",
             "`tea +`",
+            "the joints that `slots` tells of, or `axes`",
+            "no {by}",
+            "no {name}",
+            "as many floats as",
         ] {
             let said = |finding: &String| finding.contains(part) && finding.contains("p.toml:");
             assert!(findings.iter().any(said), "{part}: {findings:?}");
         }
-        assert_eq!(findings.len(), 12, "{findings:?}");
+        assert_eq!(findings.len(), 16, "{findings:?}");
         let (panel, findings) = read("titel = \"t\"");
         assert!(
             panel.is_none() && findings.concat().contains("titel"),

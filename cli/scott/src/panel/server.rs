@@ -29,7 +29,13 @@ pub(super) async fn serve(pages: Pages, service: Service, stop: impl Future) -> 
     let router = Router::new()
         .route("/", get(index))
         .route("/panel.css", get(style))
-        .route("/panel.js", get(script))
+        .route("/panel.js", get(|| script(include_str!("page/panel.js"))))
+        .route("/base.js", get(|| script(include_str!("page/base.js"))))
+        .route("/plot.js", get(|| script(include_str!("page/plot.js"))))
+        .route(
+            "/pendant.js",
+            get(|| script(include_str!("page/pendant.js"))),
+        )
         .route("/panel.json", get(panel))
         .route("/follows.json", get(follows))
         .route("/ask", post(ask))
@@ -45,8 +51,8 @@ async fn style() -> Response {
     page::file("text/css", include_str!("page/panel.css"))
 }
 
-async fn script() -> Response {
-    page::file("text/javascript", include_str!("page/panel.js"))
+async fn script(text: &'static str) -> Response {
+    page::file("text/javascript", text)
 }
 
 #[derive(Deserialize)]

@@ -33,7 +33,7 @@ pub(super) struct Service {
 impl Service {
     pub(super) fn new(name: &str, panels: Vec<Panel>, door: Door, objects: impl Objects) -> Self {
         let looks = panels.iter().flat_map(|panel| &panel.widgets);
-        let looks = looks.filter_map(Widget::look).map(str::to_owned).collect();
+        let looks = looks.flat_map(Widget::looks).collect();
         Self {
             name: name.to_owned(),
             panels,
@@ -94,6 +94,7 @@ impl Service {
         let mut widgets = Vec::new();
         for widget in &panel.widgets {
             let mut value = serde_json::to_value(widget).unwrap_or_default();
+            value["finds"] = json!(widget.finds());
             if let Widget::Options { object, .. } = widget {
                 if classes.is_none() {
                     classes = Some(self.classes().await);
@@ -133,6 +134,7 @@ impl Service {
 
 #[cfg(test)]
 mod tests {
+    use super::super::script::for_arms;
     use super::*;
     use futures_util::FutureExt as _;
 
@@ -148,9 +150,11 @@ mod tests {
 
     #[test]
     fn what_shows_how_it_stands_is_told_from_what_changes_it() {
-        let panels = ["puma560.toml", "vss.toml"].map(|name| {
+        let panels = ["puma560.toml", "vss.toml", "pendant.toml"].map(|name| {
             let path = format!("{}/../../configs/panels/{name}", env!("CARGO_MANIFEST_DIR"));
             let source = ctos::diagnostic::Source::read(path.as_ref()).unwrap();
+            let arm = ["arm".to_owned()];
+            let source = for_arms(&source, &arm).pop().unwrap();
             Panel::read(&source, &mut ctos::diagnostic::Findings::new()).unwrap()
         });
         let door = Door {
@@ -160,7 +164,13 @@ mod tests {
         let service = Service::new("cell", panels.to_vec(), door, Echo);
         assert!(service.is_look("pino EXEC state"));
         assert!(service.is_look("pino EXEC control"));
+        assert!(service.is_look("slots.arm EXEC"));
+        assert!(service.is_look("dict CTRL -find position.arm."));
         for line in [
+            "pino.arm EXEC records",
+            "mvpos.arm CTRL -keep on",
+            "mvpos.arm EXEC by FMSG 6 0.02 0 0 0 0 0",
+            "dict CTRL -add position.arm.a '1 2 3 4 5 6' -save",
             "pino EXEC stop",
             "mvpos EXEC home",
             "pino EXEC state ",
@@ -173,11 +183,11 @@ mod tests {
         let described = service.described(1, Right::Look).now_or_never().flatten();
         let described = described.unwrap();
         assert_eq!(described["control"], false);
-        assert_eq!(described["panels"].as_array().unwrap().len(), 2);
+        assert_eq!(described["panels"].as_array().unwrap().len(), 3);
         assert_eq!(described["widgets"][0]["dump"], "spot CTRL -dump");
         assert!(
             service
-                .described(2, Right::Look)
+                .described(3, Right::Look)
                 .now_or_never()
                 .flatten()
                 .is_none()

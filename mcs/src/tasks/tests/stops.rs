@@ -57,6 +57,40 @@ fn a_protective_stop_holds_through_release_and_acquisition_until_somebody_resume
 }
 
 #[test]
+fn who_watches_is_told_of_every_joint_with_its_limits_and_why_the_arm_was_stopped_last() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            let stop = async |words: &str| -> Result<(), HandlerError> {
+                let slots = asked(&cx, &mcs, ReadSlots {}).await?;
+                assert_eq!(slots.last_stop.unwrap_or_default(), words);
+                Ok(())
+            };
+            stop("").await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            disturbed(&cx, &mcs, Stop {}).await?;
+            stop("a protective stop was asked for").await?;
+            let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+            let slots = asked(&cx, &mcs, ReadSlots {}).await?;
+            assert_eq!(slots.joints.len(), 6);
+            for (joint, position) in slots.joints.iter().zip(&stands.joints) {
+                assert!((joint.position - position).abs() < 1e-3, "{joint:?}");
+                assert!((joint.setpoint - position).abs() < 1e-2, "{joint:?}");
+                let [lower, upper] = joint.range;
+                assert!(lower < *position && *position < upper, "{joint:?}");
+                assert!(joint.most_torque.is_finite() && joint.torque.abs() <= joint.most_torque);
+            }
+            // What ended it is told of after it has ended, too.
+            asked(&cx, &mcs, Resume {}).await?;
+            stop("a protective stop was asked for").await?;
+            asked(&cx, &mcs, EmergencyStop {}).await?;
+            done(&cx, &mcs, Reset {}).await?;
+            stop("emergency stop was asked for").await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
 fn a_stop_of_an_arm_that_stands_holds_too_and_a_reset_ends_it() {
     text_of(|cx, mcs, _| {
         Box::pin(async move {

@@ -1,86 +1,8 @@
 // A panel: every control asks one line of text. What stands on it comes from panel.json.
 
-const token = location.hash.slice(1);
-const $ = (id) => document.getElementById(id);
-
-/** Makes an element. */
-function el(tag, attributes = {}, ...children) {
-  const node = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
-    else if (value !== false && value != null) node.setAttribute(name, value === true ? "" : value);
-  }
-  node.append(...children);
-  return node;
-}
-
-/** Asks a line; the reply. */
-async function ask(line) {
-  const response = await fetch("ask", { method: "POST", body: line, headers: { "x-scott-token": token } });
-  if (!response.ok) throw new Error(await response.text());
-  return response.json();
-}
-
-/** Says how it stands with the app. */
-function state(text, bad = false) {
-  $("state").textContent = text;
-  $("state").className = bad ? "bad" : "";
-}
-
-/** A reply in words. */
-function words(reply) {
-  const parts = [reply.text, (reply.floats ?? []).map(short).join(" "), (reply.ints ?? []).join(" ")];
-  return parts.filter((part) => part).join("  ");
-}
-
-/** A number as a person reads it. */
-function short(number) {
-  if (typeof number !== "number") return String(number);
-  return Number.isInteger(number) ? String(number) : number.toFixed(Math.abs(number) < 10 ? 4 : 2);
-}
-
-/** Asks a line that a person wants asked, and notes what comes of it. */
-async function order(line) {
-  const answer = el("span", { class: "answer" }, "…");
-  const entry = el("li", {}, line + "\n", answer);
-  $("log").prepend(entry);
-  while ($("log").children.length > 30) $("log").lastChild.remove();
-  try {
-    const reply = await ask(line);
-    const reports = (reply.reports ?? []).map((report) => report.text).join("; ");
-    answer.textContent = reply.ret === 0 ? words(reply) || "done" : "";
-    if (reports) answer.append(el("span", { class: "bad" }, (reply.ret === 0 ? "  " : "") + reports));
-    return reply;
-  } catch (error) {
-    answer.replaceChildren(el("span", { class: "bad" }, error.message));
-    state(error.message, true);
-    return null;
-  }
-}
-
-/** Asks a line again and again, one at a time, as long as the page is seen. */
-function poll(line, every, take) {
-  const next = async () => {
-    if (!document.hidden) {
-      try {
-        const reply = await ask(line);
-        if (reply.ret === 0) { take(reply); state("connected"); }
-        else state((reply.reports?.[0] ?? {}).text ?? "an error", true);
-      } catch (error) { state(error.message, true); }
-    }
-    setTimeout(next, every * 1000);
-  };
-  next();
-}
-
-/** Puts values into a line. */
-function filled(line, values) {
-  return line.replace(/\{(\w+)\}/g, (all, name) => (name in values ? String(values[name]) : all));
-}
-
-function card(title, small, ...children) {
-  return el("section", {}, el("h2", {}, title, small ? el("small", {}, small) : ""), ...children);
-}
+import { $, ask, card, el, filled, get, order, poll, short, state } from "./base.js";
+import { jog, poses } from "./pendant.js";
+import { plot } from "./plot.js";
 
 /** A slider with its number; `moved` is called with the value while it moves, `done` when it has been moved. */
 function slider({ name, range, value, unit }, done) {
@@ -99,15 +21,19 @@ function slider({ name, range, value, unit }, done) {
 }
 
 const makers = {
-  button({ label, ask: line, stop }) {
-    const button = el("button", { type: "button", class: stop ? "stop" : "" }, label);
+  jog,
+  plot,
+  poses,
+
+  button({ label, ask: line, stop, help }) {
+    const button = el("button", { type: "button", class: stop ? "stop" : "", title: stop ? false : help }, label);
+    if (stop && help) button.append(el("small", {}, help));
     button.addEventListener("click", async () => {
       // What stops must never wait for what it stops.
       if (!stop) button.disabled = true;
       await order(line);
       button.disabled = false;
     });
-    if (stop) document.addEventListener("keydown", (event) => { if (event.key === "Escape") button.click(); });
     return button;
   },
 
@@ -140,49 +66,8 @@ const makers = {
   },
 
   value({ label, unit }) {
-    return card(label, "", el("div", { class: "readout" }, el("span", { class: "numbers shown" }, "–"), el("span", { class: "unit" }, ` ${unit}`)));
-  },
-
-  plot({ label, ask: line, every_s, floats: [first, last], names, unit }) {
-    const NS = "http://www.w3.org/2000/svg";
-    const svg = (tag, attributes) => {
-      const node = document.createElementNS(NS, tag);
-      for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-      return node;
-    };
-    const count = last - first + 1;
-    const area = svg("svg", { class: "plot", role: "img", "aria-label": label });
-    const paths = Array.from({ length: count }, (_, i) => svg("path", { class: `s${(i % 6) + 1}` }));
-    const zero = svg("line", { class: "axis" });
-    const top = svg("text", { x: 4, y: 12 });
-    const bottom = svg("text", { x: 4 });
-    area.append(zero, ...paths, top, bottom);
-    const shown = Array.from({ length: count }, () => el("span"));
-    const legend = el("ul", { class: "legend" }, ...shown.map((span, i) =>
-      el("li", {}, el("i", { class: `s${(i % 6) + 1}` }), `${names[i] ?? i + 1} `, span)));
-    const seconds = 30;
-    const points = [];
-    poll(line, every_s, (reply) => {
-      const now = performance.now() / 1000;
-      points.push([now, reply.floats.slice(first - 1, last)]);
-      while (points.length && points[0][0] < now - seconds) points.shift();
-      const { width, height } = area.getBoundingClientRect();
-      const all = points.flatMap((point) => point[1]);
-      const low = Math.min(...all), high = Math.max(...all);
-      const margin = Math.max((high - low) * 0.08, 0.02);
-      const y = (value) => height - 4 - ((value - low + margin) / (high - low + 2 * margin)) * (height - 8);
-      const x = (time) => width - ((now - time) / seconds) * width;
-      paths.forEach((path, i) => path.setAttribute("d", points.map((point, n) =>
-        `${n ? "L" : "M"}${x(point[0]).toFixed(1)} ${y(point[1][i]).toFixed(1)}`).join("")));
-      for (const [name, value] of Object.entries({ x1: 0, x2: width, y1: y(0), y2: y(0) })) zero.setAttribute(name, value);
-      top.textContent = `${short(high + margin)} ${unit}`;
-      bottom.textContent = `${short(low - margin)} ${unit}`;
-      bottom.setAttribute("y", height - 6);
-      shown.forEach((span, i) => { span.textContent = short(reply.floats[first - 1 + i]); });
-    });
-    const section = card(label, `${seconds} s`, area, legend);
-    section.classList.add("wide");
-    return section;
+    return el("div", { class: "fact" }, el("h2", {}, label),
+      el("span", { class: "numbers shown" }, "–"), el("span", { class: "unit" }, ` ${unit}`));
   },
 
   joystick({ label, ask: line, span, every_s, unit }) {
@@ -292,7 +177,7 @@ function follow(nodes, { number, every_s, widgets, control }) {
     if (!document.hidden) {
       let told = [];
       try {
-        const response = await fetch(`follows.json?n=${number}`, { headers: { "x-scott-token": token } });
+        const response = await get(`follows.json?n=${number}`);
         if (!response.ok) throw new Error(await response.text());
         told = await response.json();
       } catch (error) { state(error.message, true); }
@@ -317,13 +202,13 @@ function follow(nodes, { number, every_s, widgets, control }) {
 function lookOn(why) {
   document.body.classList.add("look");
   $("line").remove();
-  for (const node of document.querySelectorAll("main button, main input, main select")) node.disabled = true;
+  for (const node of document.querySelectorAll("#stops button, main :is(button:not(.shows), input, select)")) node.disabled = true;
   for (const stick of document.querySelectorAll(".stick")) { stick.removeAttribute("tabindex"); stick.inert = true; }
   $("why").textContent = why;
 }
 
 const number = Number(new URLSearchParams(location.search).get("n")) || 0;
-const response = await fetch(`panel.json?n=${number}`, { headers: { "x-scott-token": token } });
+const response = await get(`panel.json?n=${number}`);
 if (!response.ok) {
   state(await response.text(), true);
 } else {
@@ -332,16 +217,21 @@ if (!response.ok) {
   document.title = `${panel.title} · ${panel.name}`;
   state("connected");
   tabs(panel);
-  let bar = null;
+  // Widgets of these kinds that follow each other stand in one row.
+  const rows = { button: "bar", value: "bar facts" };
+  let row = null;
   const nodes = [];
   for (const widget of panel.widgets) {
-    const node = makers[widget.kind](widget);
+    const node = makers[widget.kind](widget, panel);
     nodes.push(node);
-    if (widget.kind !== "button") { bar = null; $("widgets").append(node); continue; }
-    // Buttons that follow each other stand in one row.
-    if (!bar) $("widgets").append(bar = el("section", { class: "bar" }));
-    bar.append(node);
+    // What stops something is always seen.
+    if (widget.stop) { $("stops").append(node); continue; }
+    const kind = rows[widget.kind];
+    if (!kind) { row = null; $("widgets").append(node); continue; }
+    if (row?.className !== kind) $("widgets").append(row = el("section", { class: kind }));
+    row.append(node);
   }
+  document.addEventListener("keydown", (event) => { if (event.key === "Escape") $("stops").firstElementChild?.click(); });
   if (!panel.control) lookOn(panel.why);
   if (panel.follows) follow(nodes, panel);
 }
