@@ -10,7 +10,8 @@
 //!
 //! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
 //! registers it in a [`driver::DriverRegistry`]. A control law of one's own goes into a [`control::LawRegistry`], a
-//! guard into a [`guard::GuardRegistry`].
+//! guard into a [`guard::GuardRegistry`], a path planner or a solver of inverse kinematics into a
+//! [`trajectory::PlanningRegistry`].
 
 pub mod client;
 pub mod control;
@@ -28,7 +29,7 @@ pub use mcs_trajectory as trajectory;
 pub use tasks::{
     CLIENT,
     args::{arm, manipulator},
-    register,
+    register, register_with,
 };
 
 /// The pages of the book whose examples must run.

@@ -321,6 +321,11 @@ impl Servo {
         self.shown = Some(board);
     }
 
+    /// From now on finds joint positions in this way, for the same arm.
+    pub fn solve_by(&mut self, solver: Solver) {
+        self.solver = solver;
+    }
+
     /// What the last tick left.
     #[must_use]
     pub fn status(&self) -> &ServoStatus {

@@ -33,7 +33,7 @@ use crate::control::LawRegistry;
 use crate::driver::{DriverRegistry, Power};
 use crate::guard::GuardRegistry;
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
-use crate::trajectory::Planner;
+use crate::trajectory::{Planner, PlanningRegistry};
 
 /// Registered name of the servo's event handler.
 pub const SERVO: &str = "mcs.servo";
@@ -52,11 +52,23 @@ pub fn register(
     laws: LawRegistry,
     guards: GuardRegistry,
 ) {
+    register_with(registry, drivers, laws, guards, PlanningRegistry::new());
+}
+
+/// As [`register`], with path planners and solvers of inverse kinematics of one's own.
+pub fn register_with(
+    registry: &mut Registry,
+    drivers: DriverRegistry,
+    laws: LawRegistry,
+    guards: GuardRegistry,
+    planning: PlanningRegistry,
+) {
     servo::register(
         registry,
         Arc::new(drivers.with_testbed()),
         Arc::new(laws),
         Arc::new(guards),
+        Arc::new(planning),
     );
     state::register(registry);
     planner::register(registry);

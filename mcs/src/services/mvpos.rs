@@ -21,6 +21,7 @@ use crate::joints::Joints;
 use crate::model::inverse::Elbow;
 use crate::servo::QUEUE;
 use crate::state::State;
+use crate::trajectory::registry::NameTooLong;
 use crate::trajectory::{Blend, Goal, Pace, Route};
 
 /// A motion is answered at its end.
@@ -174,6 +175,8 @@ pub(super) struct Options {
     acceleration: Vec<f64>,
     reference: Vec<f64>,
     elbow: String,
+    planner: String,
+    with: Vec<f64>,
     corner: Vec<f64>,
     longer: bool,
     blend: f64,
@@ -195,6 +198,8 @@ impl Default for Options {
             acceleration: Vec::new(),
             reference: Vec::new(),
             elbow: "nearest".to_owned(),
+            planner: String::new(),
+            with: Vec::new(),
             corner: Vec::new(),
             longer: false,
             blend: 0.0,
@@ -261,6 +266,20 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "what -blend counts: a share of both halves, the distance of the tool from the position before, m, or the largest \
              distance of a joint from it, rad or m; never more than both halves",
             |options| &mut options.blend_by,
+        )
+        .word(
+            "planner",
+            "NAME",
+            "a path planner that the program registers, instead of -path: joint, line, arc, about, arch or one of its own",
+            |options| &mut options.planner,
+        )
+        .floats(
+            "with",
+            &["N1", "..", "NN"],
+            -1e6..=1e6,
+            "",
+            "the numbers that -planner takes",
+            |options| &mut options.with,
         )
         .floats(
             "corner",
@@ -336,12 +355,13 @@ impl MvPos {
     }
 
     /// The way that a form with these numbers takes.
-    fn path(&self, form: &str, numbers: &[f64]) -> PathKind {
+    fn path(&self, form: &str, numbers: &[f64]) -> Result<PathKind, Report> {
         let given = six(numbers);
         let [x, y, z, ..] = given;
         let point = self.reference() * Point3::new(x, y, z);
         let point = [point.x, point.y, point.z];
-        match (form, self.options.path.as_str()) {
+        let planner = self.options.planner.trim();
+        Ok(match (form, self.options.path.as_str()) {
             ("arc", _) => PathKind::Arc { through: point },
             ("about", _) => PathKind::ArcAbout {
                 centre: point,
@@ -351,9 +371,19 @@ impl MvPos {
                 height: given[0],
                 corner: self.options.corner.first().copied(),
             },
+            _ if !planner.is_empty() => {
+                let wrong = |error: String| Report::error(sorma::report::code::VALUE, error);
+                let numbers = Joints::try_from(&self.options.with[..]);
+                PathKind::Named {
+                    name: planner
+                        .parse()
+                        .map_err(|error: NameTooLong| wrong(error.to_string()))?,
+                    numbers: numbers.map_err(|error| wrong(format!("-with: {error}")))?,
+                }
+            }
             (_, "line") => PathKind::StraightLine,
             _ => PathKind::Joint,
-        }
+        })
     }
 
     fn blend(&self) -> Blend {
@@ -423,7 +453,7 @@ impl MvPos {
                 Ok(String::new())
             }
             _ => {
-                let path = self.path(text, &io.floats);
+                let path = self.path(text, &io.floats)?;
                 let goals = match text {
                     "along" => self.goals(cx, io).await?,
                     _ => vec![self.goal(text, cx, io).await?],

@@ -41,7 +41,7 @@ pub struct ServoArgs {
     /// Servo period, ms.
     #[serde(default = "period_ms")]
     pub period_ms: f64,
-    /// A pose on a straight line is solved every so many periods, and interpolated between.
+    /// A pose on a path of the tool is solved every so many periods, and interpolated between.
     #[serde(default = "setpoint_every")]
     pub setpoint_every: u32,
     /// Registered name of the control law.
@@ -87,10 +87,13 @@ pub struct ServoArgs {
     pub velocity: Option<Vec<f64>>,
     /// Joint acceleration limits, one for each joint, rad/s^2 or m/s^2; at most the arm's own.
     pub acceleration: Option<Vec<f64>>,
-    /// Whether joint-interpolated motions keep the limits of jerk that the model's joints have.
+    /// Registered name of the solver of inverse kinematics: `closed_form` where the arm has one, else `search`, unless it is
+    /// given.
+    pub inverse: Option<String>,
+    /// Whether motions keep the limits of jerk that the model's joints have.
     #[serde(default)]
     pub limit_jerk: bool,
-    /// Tool speeds on straight lines.
+    /// The tool's limits on lines, arcs and arches.
     #[serde(default)]
     pub cartesian: CartesianLimits,
     /// Origin of the tool in the frame of the tip, m.

@@ -258,6 +258,8 @@ fn unplanned(error: PlanError) -> MotionError {
         | PlanError::Acceleration { .. }
         | PlanError::NotFinite { .. }
         | PlanError::Count { .. }
+        | PlanError::UnknownPath { .. }
+        | PlanError::Numbers { .. }
         | PlanError::Share { .. }
         | PlanError::Distance { .. }
         | PlanError::Curve(_)
@@ -266,6 +268,7 @@ fn unplanned(error: PlanError) -> MotionError {
         | PlanError::Path { .. }
         | PlanError::Singular { .. }
         | PlanError::JointSpeed { .. }
+        | PlanError::JointJerk { .. }
         | PlanError::JointAcceleration { .. } => Outcome::Unreachable,
     };
     MotionError::new(outcome, error)

@@ -28,7 +28,7 @@ use crate::driver::{DriverRegistry, Sensor, SensorKind};
 use crate::guard::GuardRegistry;
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
-use crate::trajectory::Planner;
+use crate::trajectory::{Planner, PlanningRegistry, Solver};
 
 /// The servo's status with what only its own task knows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -98,15 +98,22 @@ pub(super) fn register(
     drivers: Arc<DriverRegistry>,
     laws: Arc<LawRegistry>,
     guards: Arc<GuardRegistry>,
+    planning: Arc<PlanningRegistry>,
 ) {
+    let offered = Arc::clone(&planning);
     let (known, known_laws) = (Arc::clone(&drivers), Arc::clone(&laws));
     let kinds = Arc::clone(&guards);
     registry
         .handler(SERVO, &COMMANDS, move |cx| {
-            ServoTask::new(cx, &drivers, &laws, &guards)
+            ServoTask::new(cx, &drivers, &laws, (&guards, &planning))
         })
         .checked_args::<ServoArgs>(move |args, task, app, findings| {
             check(args, (task, app), (&known, &known_laws, &kinds), findings);
+            if let Some(model) = args.check(task, app, &mut Findings::new())
+                && let Err(finding) = solver((args, task), Arc::new(model), &offered)
+            {
+                findings.push(finding);
+            }
         });
 }
 
@@ -200,6 +207,34 @@ fn law(
     }
 }
 
+/// The solver of inverse kinematics that the arguments name.
+fn solver(
+    (args, task): (&ServoArgs, &TaskConfig),
+    model: Arc<Model>,
+    planning: &PlanningRegistry,
+) -> Result<Solver, Finding> {
+    let wrong = |code: &'static str, text: String| {
+        Finding::error(code, format!("task `{}`: {text}", task.name)).at(place(task, "inverse"))
+    };
+    let found = match &args.inverse {
+        None => Solver::new(model),
+        Some(name) => match planning.solver(name, &model) {
+            Some(Some(inverse)) => Solver::by(model, inverse),
+            Some(None) => {
+                let text = format!("the solver `{name}` is not for the arm `{}`", model.name());
+                let finding = wrong("mcs::servo::inverse", text);
+                return Err(finding.help("name another one, or leave `inverse` out"));
+            }
+            None => {
+                let text = format!("nobody registered the solver of inverse kinematics `{name}`");
+                let finding = wrong("mcs::servo::unknown_inverse", text);
+                return Err(finding.suggest(name, planning.solvers()));
+            }
+        },
+    };
+    found.map_err(|error| wrong("mcs::servo::inverse", error.to_string()))
+}
+
 struct ServoTask {
     link: Arc<Link>,
     /// Knows where the tool is.
@@ -227,7 +262,7 @@ impl ServoTask {
         cx: &Context,
         drivers: &DriverRegistry,
         laws: &Arc<LawRegistry>,
-        guards: &Arc<GuardRegistry>,
+        (guards, planning): (&Arc<GuardRegistry>, &Arc<PlanningRegistry>),
     ) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         let mut findings = Findings::new();
@@ -241,6 +276,8 @@ impl ServoTask {
         let law = law(&args.law, (&args, task), &model, laws)?;
         let (mut servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
         servo.show_on(guards::board(cx, &model));
+        let solver = solver((&args, task), Arc::clone(&model), planning)?;
+        servo.solve_by(solver.clone());
         let guards = Maker {
             kinds: Arc::clone(guards),
             model: Arc::clone(&model),
@@ -249,7 +286,8 @@ impl ServoTask {
         };
         let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
         let planner = Planner::new(Arc::clone(&model), args.cartesian, setpoint_period)?;
-        let planner = planner.limiting_jerk(args.limit_jerk);
+        let planner = planner.limiting_jerk(args.limit_jerk).solving_by(solver);
+        let planner = planner.offering(Arc::clone(planning));
         let link = Arc::new(Link {
             port,
             planner: planner.clone(),

@@ -75,6 +75,14 @@ impl Along {
         }
     }
 
+    /// The same in `factor` times the time, at least 1.
+    pub(super) fn stretched(&self, factor: f64) -> Self {
+        Self {
+            course: self.course.stretched(factor),
+            braking: self.braking.map(|hardest| hardest / (factor * factor)),
+        }
+    }
+
     /// How long it takes, s.
     #[must_use]
     pub fn duration(&self) -> f64 {

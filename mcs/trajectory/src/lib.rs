@@ -12,6 +12,7 @@ pub mod follow;
 pub mod interpolate;
 pub mod passage;
 pub mod plan;
+pub mod registry;
 pub mod route;
 pub mod segment;
 pub mod solver;
@@ -23,9 +24,10 @@ pub use curve::{Curve, CurveError};
 pub use follow::{Follower, Rest};
 pub use passage::Passage;
 pub use plan::{CartesianLimits, PlanError, Planner};
+pub use registry::{Name, PathRequest, PlanningRegistry};
 pub use route::{Goal, Pace, PathKind, Route};
 pub use segment::{Path, Segment};
-pub use solver::Solver;
+pub use solver::{Inverse, Solver};
 
 use mcs_model::Joints;
 

@@ -14,7 +14,7 @@ use super::curve::{Curve, CurveError};
 use super::interpolate::{Interpolator, Knot};
 use super::segment::{Courses, SegmentError, ToolPath};
 use super::timing::{JointBounds, JointState};
-use super::{Pace, Path, Segment, Solver};
+use super::{Name, Pace, Path, PlanningRegistry, Segment, Solver};
 use mcs_model::inverse::{Elbow, IkError};
 use mcs_model::{JointKind, Model};
 use mcs_model::{Joints, MAX_SLOTS, TooManyJoints};
@@ -34,6 +34,10 @@ const ROUNDS: u32 = 30;
 const MOST_SLOWING: f64 = 20.0;
 /// How much of their limits joints use on a path that is slowed down for them: what is between two checks stays unseen.
 const USED: f64 = 0.98;
+/// At so many moments between two solved poses jerk is seen, which is as often as the servo sees it.
+const MOMENTS: u32 = 4;
+/// How much more than needed a path with limits of jerk is stretched: what is between two moments stays unseen.
+const CAUTION: f64 = 1.02;
 /// So little progress before the end shows no accelerations, only rounding.
 const LAST: f64 = 1e-5;
 
@@ -49,6 +53,10 @@ pub struct CartesianLimits {
     pub angular_speed: f64,
     /// Turning acceleration, rad/s^2.
     pub angular_acceleration: f64,
+    /// Jerk along the path, m/s^3, where jerk is limited.
+    pub linear_jerk: f64,
+    /// Turning jerk, rad/s^3, where jerk is limited.
+    pub angular_jerk: f64,
 }
 
 impl Default for CartesianLimits {
@@ -59,6 +67,8 @@ impl Default for CartesianLimits {
             linear_acceleration: 1.5,
             angular_speed: 1.0,
             angular_acceleration: 3.0,
+            linear_jerk: 15.0,
+            angular_jerk: 30.0,
         }
     }
 }
@@ -79,6 +89,22 @@ pub enum PlanError {
     Acceleration {
         /// What was given.
         given: f64,
+    },
+    /// No path planner has this name.
+    #[error(
+        "there is no path planner `{name}`; register it, or ask for joint, line, arc, about or arch"
+    )]
+    UnknownPath {
+        /// The name.
+        name: Name,
+    },
+    /// A path planner takes another count of numbers.
+    #[error("the path takes {needed} numbers, not {given}")]
+    Numbers {
+        /// How many it takes.
+        needed: usize,
+        /// How many were given.
+        given: usize,
     },
     /// A blend that is no share.
     #[error("a blend is 0 to 1, not {given}")]
@@ -157,6 +183,23 @@ pub enum PlanError {
         /// Where on the path, percent of its length.
         percent: f64,
     },
+    /// A joint's acceleration would have to change too fast.
+    #[error(
+        "the acceleration of joint {joint} would have to change at {value:.3} {unit}/s^3 at {percent:.0} % of the path, its limit is {limit:.3} {unit}/s^3; slow down or move joint-interpolated",
+        unit = .kind.unit()
+    )]
+    JointJerk {
+        /// Joint number, from 1.
+        joint: usize,
+        /// Whether it turns or slides.
+        kind: JointKind,
+        /// Jerk needed, rad/s^3 or m/s^3.
+        value: f64,
+        /// Limit, rad/s^3 or m/s^3.
+        limit: f64,
+        /// Where on the path, percent of its length.
+        percent: f64,
+    },
     /// A joint would have to accelerate (or brake in a protective stop) too hard to stay on the path.
     #[error(
         "joint {joint} would have to accelerate at {value:.3} {unit}/s^2 at {percent:.0} % of the path, its limit is {limit:.3} {unit}/s^2; slow down or move joint-interpolated",
@@ -205,6 +248,10 @@ struct Walk {
     smallest: (f64, f64),
     /// What first was beyond a limit.
     beyond: Option<PlanError>,
+    /// How many times as long all of it must take for every limit to be kept.
+    excess: f64,
+    /// The mean accelerations of the joints in the last period that was looked at.
+    accelerations: Joints,
 }
 
 /// Plans segments for one manipulator, whose tool is the tip of its model.
@@ -214,6 +261,7 @@ pub struct Planner {
     cartesian: CartesianLimits,
     pub(super) check_period: f64,
     pub(super) limits_jerk: bool,
+    pub(super) planning: Arc<PlanningRegistry>,
 }
 
 impl Planner {
@@ -232,11 +280,32 @@ impl Planner {
             cartesian,
             check_period,
             limits_jerk: false,
+            planning: Arc::default(),
         })
     }
 
-    /// Whether joint-interpolated motions keep the limits of jerk that the model's joints have. They do not unless this is
-    /// set: their accelerations jump. Paths of the tool and stops know no limit of jerk.
+    /// With the path planners of a program.
+    #[must_use]
+    pub fn offering(mut self, planning: Arc<PlanningRegistry>) -> Self {
+        self.planning = planning;
+        self
+    }
+
+    /// With a way to find joint positions, for the same arm.
+    #[must_use]
+    pub fn solving_by(mut self, solver: Solver) -> Self {
+        self.solver = solver;
+        self
+    }
+
+    /// How joint positions are found.
+    #[must_use]
+    pub fn solver(&self) -> &Solver {
+        &self.solver
+    }
+
+    /// Whether motions keep the limits of jerk that the model's joints have, and those of the tool along its path. They do
+    /// not unless this is set: their accelerations jump. Stops know no limit of jerk.
     #[must_use]
     pub fn limiting_jerk(mut self, limits: bool) -> Self {
         self.limits_jerk = limits;
@@ -436,13 +505,23 @@ impl Planner {
             let (from, to) = (index as f64 * width, (index + 1) as f64 * width);
             self.tool_limits(curve.length(), angle, curve.curvature(from, to), pace)
         });
-        let along = match (curve.is_even(), own[0]) {
-            (true, (velocity, acceleration)) => Along::even(&JointBounds {
-                velocity,
-                acceleration,
-                jerk: 0.0,
-            }),
-            (false, _) => Along::within(&own),
+        let least = |(speed, acceleration): (f64, f64), own: &(f64, f64)| {
+            (speed.min(own.0), acceleration.min(own.1))
+        };
+        let (velocity, acceleration) = own.iter().fold((f64::INFINITY, f64::INFINITY), least);
+        let limits = &self.cartesian;
+        let jerk = (limits.linear_jerk / curve.length()).min(limits.angular_jerk / angle);
+        let even = Along::even(&JointBounds {
+            velocity,
+            acceleration,
+            jerk: match self.limits_jerk {
+                true => jerk * pace.acceleration,
+                false => 0.0,
+            },
+        });
+        let along = match self.limits_jerk || curve.is_even() {
+            true => even,
+            false => Along::within(&own),
         };
         let wanted = along.duration();
         let mut path = ToolPath {
@@ -466,9 +545,13 @@ impl Planner {
             if walk.beyond.is_none() {
                 return Ok(Segment::new(Path::Tool(path)));
             }
-            path.along = Along::within(&std::array::from_fn(|index| {
-                needs[index].within(own[index])
-            }));
+            path.along = match self.limits_jerk {
+                // Sections would begin and end with a jump of the acceleration.
+                true => path.along.stretched(walk.excess.max(CAUTION)),
+                false => Along::within(&std::array::from_fn(|index| {
+                    needs[index].within(own[index])
+                })),
+            };
             path.slowed = path.along.duration() / wanted;
             if path.slowed.is_nan() || path.slowed > MOST_SLOWING {
                 return Err(PlanError::Singular { smallest, percent });
@@ -511,6 +594,8 @@ impl Planner {
             end: last.position,
             smallest: (self.solver.smallest_singular_value(&last.position), 0.0),
             beyond: None,
+            excess: 1.0,
+            accelerations: Joints::zeros(start.len()),
         };
         let mut time = 0.0;
         while time < duration {
@@ -525,12 +610,64 @@ impl Planner {
                 self.need_of(&between, needs);
                 let beyond = self.check_between(path, &between, (time, step));
                 walk.beyond = walk.beyond.or(beyond.err());
+                if self.limits_jerk {
+                    self.check_jerk(path, &between, (time, step), &mut walk);
+                }
             }
             last = next;
             time += step;
         }
         walk.end = last.position;
         Ok(walk)
+    }
+
+    /// Sees how much longer a path would have to take for every limit of the joints to be kept, that of jerk among them,
+    /// as they are seen at a few moments between two solved poses.
+    fn check_jerk(
+        &self,
+        path: &ToolPath,
+        between: &Interpolator,
+        (time, step): (f64, f64),
+        walk: &mut Walk,
+    ) {
+        let apart = step / f64::from(MOMENTS);
+        for moment in 0..MOMENTS {
+            let now = time + f64::from(moment) * apart;
+            let [along, then] = [now, now + apart].map(|time| path.along.at(time));
+            for (index, joint) in self.model().joints().iter().enumerate() {
+                let limits = &joint.limits;
+                let state = between.state(index, along);
+                // Means of the periods, as the servo announces them.
+                let mean = (between.state(index, then).velocity - state.velocity) / apart;
+                let value = (mean - walk.accelerations[index]).abs() / apart;
+                walk.accelerations[index] = mean;
+                let braked = JointState {
+                    acceleration: -path.along.braking(time, time + step),
+                    ..along
+                };
+                let braked = between.state(index, braked);
+                let hardest = state.acceleration.abs().max(braked.acceleration.abs());
+                let jerk = match limits.jerk > 0.0 {
+                    true => value / limits.jerk,
+                    false => 0.0,
+                };
+                let times = (state.velocity.abs() / limits.velocity)
+                    .max((hardest / limits.acceleration).sqrt())
+                    .max(jerk.cbrt());
+                if times * CAUTION > 1.0 {
+                    // A little more, so that it is not looked for in ever smaller steps.
+                    walk.excess = walk.excess.max(times * CAUTION * CAUTION);
+                    let limit = limits.jerk;
+                    walk.beyond = walk.beyond.or(Some(PlanError::JointJerk {
+                        joint: index + 1,
+                        kind: joint.kind,
+                        value,
+                        limit,
+                        percent: 100.0 * along.position,
+                    }));
+                }
+            }
+        }
     }
 
     fn knot(&mut self, path: &ToolPath, progress: f64, near: &[f64]) -> Result<Knot, PlanError> {

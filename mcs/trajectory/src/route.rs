@@ -5,7 +5,7 @@ use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 use super::plan::SLOWEST;
-use super::{PlanError, Planner, Segment};
+use super::{Name, PathRequest, PlanError, Planner, Segment};
 use mcs_model::Joints;
 use mcs_model::inverse::Elbow;
 
@@ -36,6 +36,13 @@ pub enum PathKind {
         height: f64,
         /// The radius of the corners, m; as large as there is room when it is left out.
         corner: Option<f64>,
+    },
+    /// As a path planner has it that the program registers in a [`PlanningRegistry`](super::PlanningRegistry).
+    Named {
+        /// Its name.
+        name: Name,
+        /// What it asks for.
+        numbers: Joints,
     },
 }
 
@@ -120,24 +127,19 @@ impl Planner {
         start: &Joints,
         route: &Route,
     ) -> Result<(Segment, Joints), PlanError> {
-        let pace = route.pace;
-        let segment = match (route.path, &route.goal) {
-            (PathKind::Joint, Goal::Joints(joints)) => self.joint(start, joints, pace)?,
-            (PathKind::Joint, Goal::Pose(pose)) => {
-                let joints = self.joints_for(pose, start, route.elbow)?;
-                self.joint(start, &joints, pace)?
-            }
-            (path, goal) => {
-                let goal = match goal {
-                    Goal::Joints(joints) => {
-                        self.check_joints(joints)?;
-                        self.tool_pose(joints)
-                    }
-                    Goal::Pose(pose) => *pose,
-                };
-                self.tool_path(start, (path, &goal), pace)?
-            }
+        let (name, numbers) = route.path.named();
+        let plan = self.planning.planner(name);
+        let plan = plan.ok_or_else(|| PlanError::UnknownPath {
+            name: name.parse().unwrap_or_default(),
+        })?;
+        let request = PathRequest {
+            start,
+            goal: &route.goal,
+            pace: route.pace,
+            elbow: route.elbow,
+            numbers: &numbers,
         };
+        let segment = plan(self, &request)?;
         let end = segment.end(&mut self.solver);
         let end = end.map_err(|reason| PlanError::Path {
             percent: 100.0,
@@ -145,21 +147,29 @@ impl Planner {
         })?;
         Ok((segment, end))
     }
+}
 
-    /// The tool along a path of a kind to a pose.
-    fn tool_path(
-        &mut self,
-        start: &Joints,
-        (path, goal): (PathKind, &Isometry3<f64>),
-        pace: Pace,
-    ) -> Result<Segment, PlanError> {
-        match path {
-            PathKind::Joint | PathKind::StraightLine => self.line(start, goal, pace),
-            PathKind::Arc { through } => self.arc_through(start, (through.into(), goal), pace),
-            PathKind::ArcAbout { centre, longer } => {
-                self.arc_about(start, (centre.into(), longer, goal), pace)
-            }
-            PathKind::Arch { height, corner } => self.arch(start, (height, corner, goal), pace),
+impl PathKind {
+    /// The path planner that is meant, and its numbers.
+    fn named(&self) -> (&str, Joints) {
+        let none = Joints::default();
+        match self {
+            Self::Joint => ("joint", none),
+            Self::StraightLine => ("line", none),
+            Self::Arc { through } => ("arc", (*through).into()),
+            Self::ArcAbout {
+                centre: [x, y, z],
+                longer,
+            } => ("about", [*x, *y, *z, f64::from(*longer)].into()),
+            Self::Arch {
+                height,
+                corner: None,
+            } => ("arch", [*height].into()),
+            Self::Arch {
+                height,
+                corner: Some(corner),
+            } => ("arch", [*height, *corner].into()),
+            Self::Named { name, numbers } => (name.as_str(), *numbers),
         }
     }
 }

@@ -9,12 +9,150 @@ use mcs_model::inverse::{Branch, ClosedForm, Elbow, IkError, Preferences, Search
 use mcs_model::{Data, Model, Placement};
 use mcs_model::{Joints, TooManyJoints};
 
+/// Finds joint positions for poses of a model's tip. One that is built allocates nothing: the servo asks it in its ticks.
+pub trait Inverse: std::fmt::Debug + Send + Sync {
+    /// See [`Solver::nearest`].
+    ///
+    /// # Errors
+    /// [`IkError`].
+    fn nearest(
+        &mut self,
+        model: &Model,
+        base_t_tip: &Isometry3<f64>,
+        near: &[f64],
+        elbow: Option<Elbow>,
+    ) -> Result<Joints, IkError>;
+
+    /// See [`Solver::follow`].
+    ///
+    /// # Errors
+    /// [`IkError`].
+    fn follow(
+        &mut self,
+        model: &Model,
+        base_t_tip: &Isometry3<f64>,
+        branch: Option<Branch>,
+        near: &[f64],
+    ) -> Result<Joints, IkError>;
+
+    /// The posture that joint positions are in, where there are some to be told apart.
+    fn branch_of(&self, q: &[f64]) -> Option<Branch> {
+        let _ = q;
+        None
+    }
+
+    /// Another one with scratch of its own.
+    fn another(&self) -> Box<dyn Inverse>;
+}
+
+impl Clone for Box<dyn Inverse> {
+    fn clone(&self) -> Self {
+        self.another()
+    }
+}
+
+/// The closed form of an arm with a spherical wrist and a PUMA's geometry.
+#[derive(Debug, Clone)]
+pub struct ByClosedForm(ClosedForm);
+
+impl ByClosedForm {
+    /// That of a model, if it has one.
+    #[must_use]
+    pub fn of(model: &Model) -> Option<Self> {
+        ClosedForm::of(model, model.tip()).map(Self)
+    }
+}
+
+impl Inverse for ByClosedForm {
+    fn nearest(
+        &mut self,
+        _: &Model,
+        base_t_tip: &Isometry3<f64>,
+        near: &[f64],
+        elbow: Option<Elbow>,
+    ) -> Result<Joints, IkError> {
+        let near = six(near);
+        let found = self.0.inverse(&Placement::from(base_t_tip), &near)?;
+        let best = found.nearest_within(self.0.limits(), &near, elbow)?;
+        Ok(best.joints.into())
+    }
+
+    fn follow(
+        &mut self,
+        _: &Model,
+        base_t_tip: &Isometry3<f64>,
+        branch: Option<Branch>,
+        near: &[f64],
+    ) -> Result<Joints, IkError> {
+        let (goal, near) = (Placement::from(base_t_tip), six(near));
+        let branch = branch.unwrap_or_else(|| self.0.branch_of(&near));
+        Ok(self.0.inverse_branch(&goal, branch, &near)?.into())
+    }
+
+    fn branch_of(&self, q: &[f64]) -> Option<Branch> {
+        Some(self.0.branch_of(&six(q)))
+    }
+
+    fn another(&self) -> Box<dyn Inverse> {
+        Box::new(self.clone())
+    }
+}
+
+/// A search, for any arm.
+#[derive(Debug, Clone)]
+pub struct BySearch(Search);
+
+impl BySearch {
+    /// One for a model's tip.
+    #[must_use]
+    pub fn of(model: &Model) -> Self {
+        Self(Search::new(
+            model,
+            model.tip(),
+            true,
+            Preferences::default(),
+        ))
+    }
+}
+
+impl Inverse for BySearch {
+    fn nearest(
+        &mut self,
+        model: &Model,
+        base_t_tip: &Isometry3<f64>,
+        near: &[f64],
+        elbow: Option<Elbow>,
+    ) -> Result<Joints, IkError> {
+        if elbow.is_some() {
+            return Err(IkError::NoElbow);
+        }
+        let found = self.0.solve(model, &Placement::from(base_t_tip), near)?;
+        Ok(Joints::from_fn(found.len(), |index| found[index]))
+    }
+
+    fn follow(
+        &mut self,
+        model: &Model,
+        base_t_tip: &Isometry3<f64>,
+        _: Option<Branch>,
+        near: &[f64],
+    ) -> Result<Joints, IkError> {
+        let found = self.0.follow(model, &Placement::from(base_t_tip), near)?;
+        Ok(Joints::from_fn(found.len(), |index| found[index]))
+    }
+
+    fn another(&self) -> Box<dyn Inverse> {
+        Box::new(self.clone())
+    }
+}
+
 /// Kinematics of one model's tip.
 #[derive(Debug, Clone)]
 pub struct Solver {
     model: Arc<Model>,
     data: Data,
-    closed: Option<ClosedForm>,
+    inverse: Box<dyn Inverse>,
+    /// Gives speeds and accelerations.
     search: Search,
     /// How many joints carry the tip.
     carriers: usize,
@@ -26,17 +164,29 @@ fn six(q: &[f64]) -> [f64; 6] {
 }
 
 impl Solver {
-    /// A solver for the tip of `model`.
+    /// A solver for the tip of `model`: by the closed form where it has one, else by search.
     ///
     /// # Errors
     /// [`TooManyJoints`].
     pub fn new(model: Arc<Model>) -> Result<Self, TooManyJoints> {
+        let inverse: Box<dyn Inverse> = match ByClosedForm::of(&model) {
+            Some(closed) => Box::new(closed),
+            None => Box::new(BySearch::of(&model)),
+        };
+        Self::by(model, inverse)
+    }
+
+    /// A solver that finds joint positions in a given way.
+    ///
+    /// # Errors
+    /// [`TooManyJoints`].
+    pub fn by(model: Arc<Model>, inverse: Box<dyn Inverse>) -> Result<Self, TooManyJoints> {
         TooManyJoints::check(model.dof())?;
         let tip = model.tip();
         Ok(Self {
             data: model.data(),
             carriers: model.chain(tip).len(),
-            closed: ClosedForm::of(&model, tip),
+            inverse,
             search: Search::new(&model, tip, true, Preferences::default()),
             model,
         })
@@ -66,24 +216,13 @@ impl Solver {
         near: &[f64],
         elbow: Option<Elbow>,
     ) -> Result<Joints, IkError> {
-        let goal = Placement::from(base_t_tip);
-        if let Some(closed) = &self.closed {
-            let near = six(near);
-            let found = closed.inverse(&goal, &near)?;
-            let best = found.nearest_within(closed.limits(), &near, elbow)?;
-            return Ok(best.joints.into());
-        }
-        if elbow.is_some() {
-            return Err(IkError::NoElbow);
-        }
-        let found = self.search.solve(&self.model, &goal, near)?;
-        Ok(Joints::from_fn(found.len(), |index| found[index]))
+        self.inverse.nearest(&self.model, base_t_tip, near, elbow)
     }
 
     /// The posture that joint positions `q` (rad) are in, of an arm with a closed form.
     #[must_use]
     pub fn branch_of(&self, q: &[f64]) -> Option<Branch> {
-        self.closed.as_ref().map(|closed| closed.branch_of(&six(q)))
+        self.inverse.branch_of(q)
     }
 
     /// Joint positions (rad or m) that put the tip at `base_t_tip`, next to `near`: for following a path. An arm with a
@@ -97,12 +236,7 @@ impl Solver {
         branch: Option<Branch>,
         near: &[f64],
     ) -> Result<Joints, IkError> {
-        let goal = Placement::from(base_t_tip);
-        if let (Some(closed), Some(branch)) = (&self.closed, branch) {
-            return Ok(closed.inverse_branch(&goal, branch, &six(near))?.into());
-        }
-        let found = self.search.follow(&self.model, &goal, near)?;
-        Ok(Joints::from_fn(found.len(), |index| found[index]))
+        self.inverse.follow(&self.model, base_t_tip, branch, near)
     }
 
     /// Joint speeds and accelerations at positions `q` that move the tip with `velocity` (m/s, then rad/s) and

@@ -50,7 +50,8 @@ fn arcs_and_arches_end_where_they_are_told_to_and_say_how_near_a_singularity_the
         assert!(smallest > 0.0 && smallest < 1.0, "{smallest}");
         let (there, turned) = tool(&sorm);
         assert!((there - to).norm() < 1e-8, "{form}");
-        assert!(turned.angle_to(&turn) < 1e-6, "{form}");
+        let off = (turned.matrix() - turn.matrix()).amax();
+        assert!(off < 1e-7, "{form}: {off}");
         done(&sorm, "mvpos EXEC joints FMSG 6 0 0.8 -3 0 0.7 0");
     }
     // A straight line says it too, a motion of the joints does not.
@@ -168,4 +169,19 @@ fn a_flavors_position_has_as_many_numbers_as_are_given_and_is_shown_as_it_was() 
             "{wrong}"
         );
     }
+}
+
+#[test]
+fn a_path_planner_is_asked_for_by_its_name() {
+    let sorm = manager();
+    let target = beside(&sorm, [0.05, 0.1, 0.0]);
+    tell(&sorm, "mvpos CTRL -plan -planner arch -with 0.05");
+    let named = done(&sorm, &format!("mvpos EXEC place {}", angles(&target)));
+    tell(&sorm, "mvpos CTRL -planner ''");
+    let (arch, _) = along(&sorm, "arch", &[0.05], &target);
+    near(&named, &arch, 1e-12);
+    tell(&sorm, "mvpos CTRL -planner guess");
+    let reply = tell(&sorm, &format!("mvpos EXEC place {}", angles(&target)));
+    let text = &reply.reports.last().unwrap().text;
+    assert!(text.contains("no path planner `guess`"), "{text}");
 }

@@ -68,3 +68,15 @@ fn the_client_moves_in_arcs_and_arches_and_is_told_of_the_smallest_singular_valu
     });
     assert_eq!(text, "the height of an arch is above 0 m, not 0");
 }
+
+#[test]
+fn a_solver_that_nobody_has_and_one_for_other_arms_are_findings() {
+    let sets = |inverse: &str| findings_of(&[&format!("task.servo.args.inverse={inverse}")]);
+    assert_eq!(sets("search"), "");
+    assert_eq!(sets("closed_form"), "");
+    let found = sets("closed-form");
+    assert!(found.contains("did you mean `closed_form`?"), "{found}");
+    let inverse = "task.servo.args.inverse=closed_form";
+    let found = findings_of(&[ON_CART[0], ON_CART[1], inverse]);
+    assert!(found.contains("is not for the arm `testbed9`"), "{found}");
+}
