@@ -32,7 +32,7 @@ enum Then {
     Ends,
     /// It goes on: it says something, and then it is interrupted.
     GoesOn,
-    /// It boots an app: that comes up, and then it is interrupted.
+    /// It boots an app: that comes up, and then it is interrupted, unless it has come to its breakpoint before.
     ComesUp,
     /// It cannot do what it is asked for as the app stands: its exit code, and a word of what it says.
     Refused(i32, &'static str),
@@ -517,8 +517,12 @@ fn run(mut command: Command, then: &Then) -> Option<String> {
     let (out, err) = (rest(&out), begun + &rest(&err));
     let status = child.wait().unwrap();
     let well = match then {
-        // As Ctrl-C ends it.
-        ComesUp => status.code() == Some(130),
+        // As Ctrl-C ends it, or a breakpoint.
+        ComesUp => {
+            let said = out.contains("is at breakpoint") || err.contains("is at breakpoint");
+            let at_breakpoint = status.code() == Some(7) && said;
+            status.code() == Some(130) || at_breakpoint
+        }
         Refused(code, what) => {
             status.code() == Some(*code) && (out.contains(what) || err.contains(what))
         }
