@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{
-    Body, JointKind, Model, Placement, built_in,
+    Body, FrameId, JointKind, Model, Placement, built_in,
     file::{self, Inertias},
     urdf,
 };
@@ -19,7 +19,7 @@ use super::{
 use crate::{
     camera::truth::{CameraTruth, Distortion},
     shapes::{self, Shape, Solid},
-    wrist::{Electronics, Load},
+    wrist::Electronics,
 };
 
 /// As [`Cell::parse_with`].
@@ -133,6 +133,8 @@ struct SensorText {
     link: Option<Spanned<String>>,
     load: Option<LoadText>,
     compensates: Option<LoadText>,
+    #[serde(default)]
+    compensates_hand: bool,
     bias: Option<Spanned<[f64; 6]>>,
     noise: Option<Spanned<[f64; 2]>>,
     filter_hz: Option<Spanned<f64>>,
@@ -374,7 +376,7 @@ impl Check<'_> {
         Some(Mount { arm: index, frame })
     }
 
-    fn frame(&mut self, model: &Model, link: &Spanned<String>) -> Option<mcs::model::FrameId> {
+    fn frame(&mut self, model: &Model, link: &Spanned<String>) -> Option<FrameId> {
         let found = model.frame(link.get_ref());
         if found.is_none() {
             let message = format!("model `{}` has no frame `{}`", model.name(), link.get_ref());
@@ -471,13 +473,14 @@ impl CellText {
         let mut sensors = Vec::new();
         for sensor in &self.force_torque {
             let name = check.name("a sensor", &sensor.name, &mut names);
-            let Some(spec) = sensor.check(name, &arms, check) else {
-                continue;
-            };
-            if let Some(arm) = arms.get_mut(spec.mount.arm) {
-                arm.model = loaded(&arm.model, &spec);
+            sensors.extend(sensor.check(name, &mut arms, check));
+        }
+        // A load may hang on other sensors besides its own.
+        for sensor in &mut sensors {
+            if let Some(arm) = arms.get(sensor.mount.arm) {
+                let frame = sensor.mount.frame;
+                sensor.hanging.extend(hanging(&arm.model, frame));
             }
-            sensors.push(spec);
         }
         let mut cell = Cell {
             bodies: bodies(&arms, &objects, &mounts),
@@ -566,7 +569,8 @@ impl ArmText {
             own
         };
         // What is heavier has more inertia, too.
-        let model = model.moved(&base).falsified(|body, motor| {
+        let nominal = model.moved(&base);
+        let model = nominal.clone().falsified(|body, motor| {
             body.mass *= mass;
             body.inertia *= mass * inertia;
             motor.friction.viscous *= friction;
@@ -576,6 +580,7 @@ impl ArmText {
         Some(ArmSpec {
             name,
             model,
+            nominal,
             base: base.isometry(),
             start,
             friction: self.friction,
@@ -627,7 +632,7 @@ impl ArmText {
         Some(start)
     }
 
-    fn shapes(&self, model: &Model, check: &mut Check<'_>) -> Vec<(mcs::model::FrameId, Shape)> {
+    fn shapes(&self, model: &Model, check: &mut Check<'_>) -> Vec<(FrameId, Shape)> {
         let mut all = Vec::new();
         for capsule in &self.capsule {
             let solid = Solid::Capsule {
@@ -685,37 +690,33 @@ impl LampText {
     }
 }
 
-/// The model with what hangs behind a sensor.
-fn loaded(model: &Model, sensor: &SensorSpec) -> Model {
-    let frame = model.at(sensor.mount.frame).clone();
-    let Load { mass, centre } = sensor.load;
-    let body = Body::diagonal(mass, centre.into(), [0.0; 3]).seen_from(&frame.placement);
-    model.clone().with_joints(|index, joint| {
-        if frame.carrier == Some(index) && mass > 0.0 {
-            joint.body = joint.body.joined(&body);
-        }
-    })
+/// The frames that hang on a frame, each with what is fixed to it.
+fn hanging(model: &Model, frame: FrameId) -> impl Iterator<Item = (FrameId, Body)> {
+    let all = model.hanging(frame);
+    all.map(|(frame, body)| (frame, *body))
 }
 
 impl LoadText {
-    fn check(&self, check: &mut Check<'_>) -> Load {
-        Load {
-            mass: check.number(&self.mass, "the mass behind a sensor", "kg", [0.0, 100.0]),
-            centre: check.point(
-                &self.centre,
-                "the centre of what hangs behind a sensor",
-                1.0,
-            ),
-        }
+    fn check(&self, check: &mut Check<'_>) -> Body {
+        let mass = check.number(&self.mass, "the mass behind a sensor", "kg", [0.0, 100.0]);
+        let what = "the centre of what hangs behind a sensor";
+        let centre = check.point(&self.centre, what, 1.0);
+        Body::diagonal(mass, centre.into(), [0.0; 3])
     }
 }
 
 impl SensorText {
-    fn check(&self, name: String, arms: &[ArmSpec], check: &mut Check<'_>) -> Option<SensorSpec> {
+    /// The sensor, of what hangs on it only its load; that becomes part of its arm.
+    fn check(
+        &self,
+        name: String,
+        arms: &mut [ArmSpec],
+        check: &mut Check<'_>,
+    ) -> Option<SensorSpec> {
         let usual = Electronics::default();
         let mut load = |text: &Option<LoadText>| {
             let text = text.as_ref();
-            text.map_or_else(Load::default, |text| text.check(check))
+            text.map_or_else(Body::default, |text| text.check(check))
         };
         let (load, compensates) = (load(&self.load), load(&self.compensates));
         let bias = self.bias.as_ref();
@@ -730,12 +731,18 @@ impl SensorText {
             check.number(corner, "the filter of a sensor", "Hz", [0.01, 1e6])
         });
         let mount = check.mount(arms, Some(&self.arm), self.link.as_ref())?;
+        let arm = arms.get_mut(mount.arm)?;
+        arm.model = arm.model.clone().with_body(mount.frame, &load);
+        let mut known = vec![(mount.frame, compensates)];
+        if self.compensates_hand {
+            known.extend(hanging(&arm.nominal, mount.frame));
+        }
         Some(SensorSpec {
             name,
             mount,
-            load,
+            hanging: vec![(mount.frame, load)],
+            known,
             electronics: Electronics {
-                compensates,
                 bias,
                 noise,
                 filter_hz,
