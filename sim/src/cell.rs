@@ -9,15 +9,10 @@ mod text;
 use std::path::Path;
 
 use ctos::diagnostic::{Finding, Findings, Source};
-use mcs::model::{FrameId, Model};
+use mcs::model::{Body, FrameId, Model};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
-use crate::{
-    camera::truth::CameraTruth,
-    scene::SceneState,
-    shapes::Shape,
-    wrist::{Electronics, Load},
-};
+use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape, wrist::Electronics};
 
 /// How the file of a model is read that the cell names, relative to the cell's file.
 pub type ReadModel<'a> = &'a dyn Fn(&str) -> Result<Source, Finding>;
@@ -50,6 +45,8 @@ pub struct ArmSpec {
     pub name: String,
     /// Its joints and bodies, on its base in the world.
     pub model: Model,
+    /// The same as its file says, nothing of it false.
+    pub nominal: Model,
     /// Pose of its base frame, `world_T_base`, m.
     pub base: Isometry3<f64>,
     /// Joint positions at the start, rad or m.
@@ -141,17 +138,28 @@ pub struct ObjectSpec {
     pub start: Isometry3<f64>,
 }
 
-/// A force-torque sensor. Behind it hang its load, and every form that its frame carries.
+/// A force-torque sensor. On it hang its load, every form that its frame carries, and all that was set on that frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorSpec {
     /// Its name.
     pub name: String,
     /// Where it is.
     pub mount: Mount,
-    /// What hangs behind it in truth; part of the arm's mass.
-    pub load: Load,
+    /// The frames of the arm that it feels, and what is fixed to each in truth, in the frame's axes.
+    pub hanging: Vec<(FrameId, Body)>,
+    /// What it knows of that, and takes off.
+    pub known: Vec<(FrameId, Body)>,
     /// What it makes of what acts on it.
     pub electronics: Electronics,
+}
+
+impl SensorSpec {
+    /// Whether it feels what touches that frame.
+    #[must_use]
+    pub fn feels(&self, mount: Mount) -> bool {
+        let mut frames = self.hanging.iter();
+        mount.arm == self.mount.arm && frames.any(|(frame, _)| *frame == mount.frame)
+    }
 }
 
 /// A camera with its sensor.

@@ -186,9 +186,9 @@ impl Simulation {
     /// Samples the sensors, `period` after the time before.
     fn feel(&mut self, period: Duration) {
         for (sensor, wrist) in self.wrists.iter_mut().enumerate() {
-            let (wrench, world) = self.world.wrench(sensor);
-            self.port
-                .show_sensed(sensor, wrist.sample(&wrench, &world, period));
+            let (wrench, world, known) = self.world.wrench(sensor);
+            let read = wrist.sample(&wrench, &world, &known, period);
+            self.port.show_sensed(sensor, read);
         }
     }
 

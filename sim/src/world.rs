@@ -31,7 +31,7 @@ use crate::{
     engine::{self, isometry, ours, pose, vector},
     scene::SceneState,
     shapes::Shape,
-    wrist::Wrench,
+    wrist::{Load, Wrench},
 };
 
 /// The longest time step, s; a period of the world is divided into equal steps.
@@ -108,15 +108,23 @@ type Spatial = [Vector3<f64>; 2];
 
 const NOTHING: Spatial = [Vector3::new(0.0, 0.0, 0.0); 2];
 
+/// Adds what is at a point to what is about the origin.
+fn add_at(sum: &mut Spatial, point: &Point3<f64>, [linear, angular]: Spatial) {
+    sum[0] += linear;
+    sum[1] += angular + point.coords.cross(&linear);
+}
+
 /// What acts on a force-torque sensor.
 #[derive(Debug, Clone)]
 struct Sensing {
-    /// Speed of the centre of its load, m/s, at the end of the last step.
-    speed: Vector3<f64>,
+    /// Momentum of what hangs on it, about the world's origin, at the end of the last step.
+    momentum: Spatial,
     /// The sum over the steps of the present advance, sensor's frame, and how many there were.
     sum: Wrench,
     steps: u32,
     world: Rotation3<f64>,
+    /// What it knows of what hangs on it, sensor's frame.
+    known: Load,
 }
 
 /// An impulse that the step gave a link: at which point, N s and N m s; world.
@@ -158,6 +166,9 @@ impl World {
         parameters.num_solver_iterations = SUBSTEPS;
         parameters.contact_softness.natural_frequency = CONTACT_HZ;
         parameters.static_contact_softness.natural_frequency = CONTACT_HZ;
+        // The engine would keep where two solids touch, and which way, until they have moved by 50 mm: a fingertip then
+        // presses on a piece as it stood to it 50 mm before.
+        parameters.contact_recycling = false;
         let arms = cell
             .arms
             .iter()
@@ -171,10 +182,11 @@ impl World {
             objects: Vec::new(),
             sensing: vec![
                 Sensing {
-                    speed: Vector3::zeros(),
+                    momentum: NOTHING,
                     sum: [0.0; 6],
                     steps: 0,
                     world: Rotation3::identity(),
+                    known: Load::default(),
                 };
                 cell.sensors.len()
             ],
@@ -258,15 +270,16 @@ impl World {
         Ok(())
     }
 
-    /// The mean of what acted on a sensor in the last advance (sensor's frame), and how it stands in the world; nothing
-    /// acts on one that is not there.
+    /// The mean of what acted on a sensor in the last advance, how it stands in the world, and what it knows to hang on
+    /// it; forces and places in its frame. Nothing acts on one that is not there.
     #[must_use]
-    pub fn wrench(&self, sensor: usize) -> (Wrench, Rotation3<f64>) {
+    pub fn wrench(&self, sensor: usize) -> (Wrench, Rotation3<f64>, Load) {
         let Some(sensing) = self.sensing.get(sensor) else {
-            return ([0.0; 6], Rotation3::identity());
+            return ([0.0; 6], Rotation3::identity(), Load::default());
         };
         let steps = f64::from(sensing.steps.max(1));
-        (sensing.sum.map(|sum| sum / steps), sensing.world)
+        let mean = sensing.sum.map(|sum| sum / steps);
+        (mean, sensing.world, sensing.known)
     }
 
     /// What there is to see; stamp and tick are its caller's.
@@ -337,38 +350,67 @@ impl World {
         }
     }
 
-    /// Adds what acts on each sensor at the end of a step of `h` seconds, or in no time.
+    /// Adds what acts on each sensor at the end of a step of `h` seconds, or in no time: weight and contact of all that
+    /// hangs on it, less what becomes its momentum.
     fn sense(&mut self, h: Option<f64>, blows: &[Blow]) {
+        let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
         for (sensing, spec) in self.sensing.iter_mut().zip(&self.cell.sensors) {
             let mount = spec.mount;
             let pose = link_pose(&self.cell, &mut self.arms, mount);
-            let Some(arm) = self.arms.get_mut(mount.arm) else {
-                continue;
-            };
-            let [speed, _] = arm.velocity(mount.frame, &(pose * Point3::from(spec.load.centre)));
-            let rate = h.map_or_else(Vector3::zeros, |h| (speed - sensing.speed) / h);
-            sensing.speed = speed;
-            let world = pose.rotation.to_rotation_matrix();
-            let own = |vector: Vector3<f64>| world.inverse() * vector;
-            let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
-            let mut acts = spec.load.wrench(&own(gravity), &own(rate));
-            for blow in blows.iter().filter(|blow| blow.mount == mount) {
-                let [force, turn] = blow
-                    .impulse
-                    .map(|impulse| impulse / h.unwrap_or(f64::INFINITY));
-                let moment = turn + (blow.at - Point3::from(pose.translation.vector)).cross(&force);
-                let both = [own(force), own(moment)];
-                for (sum, number) in acts
-                    .iter_mut()
-                    .zip(both.iter().flat_map(|part| part.iter()))
-                {
-                    *sum += number;
+            // About the world's origin, of what hangs there and of what touches it.
+            let (mut momentum, mut acts) = (NOTHING, NOTHING);
+            for (frame, body) in &spec.hanging {
+                let mount = Mount {
+                    frame: *frame,
+                    ..mount
+                };
+                let pose = link_pose(&self.cell, &mut self.arms, mount);
+                let (Some(arm), true) = (self.arms.get_mut(mount.arm), body.mass > 0.0) else {
+                    continue;
+                };
+                let centre = pose * Point3::from(body.centre);
+                let [speed, turning] = arm.velocity(*frame, &centre);
+                let spin = pose.rotation * (body.inertia * (pose.rotation.inverse() * turning));
+                add_at(&mut momentum, &centre, [speed * body.mass, spin]);
+                add_at(&mut acts, &centre, [gravity * body.mass, Vector3::zeros()]);
+            }
+            for blow in blows.iter().filter(|blow| spec.feels(blow.mount)) {
+                let force = blow.impulse.map(|part| part / h.unwrap_or(f64::INFINITY));
+                add_at(&mut acts, &blow.at, force);
+            }
+            if let Some(h) = h {
+                let gained = momentum.iter().zip(sensing.momentum);
+                for (acts, (now, before)) in acts.iter_mut().zip(gained) {
+                    *acts -= (now - before) / h;
                 }
             }
-            for (sum, number) in sensing.sum.iter_mut().zip(acts) {
+            sensing.momentum = momentum;
+            let [force, moment] = acts;
+            let moment = moment - pose.translation.vector.cross(&force);
+            let own = [force, moment].map(|part| pose.rotation.inverse() * part);
+            let own = own.iter().flat_map(|part| part.iter());
+            for (sum, number) in sensing.sum.iter_mut().zip(own) {
                 *sum += number;
             }
-            (sensing.steps, sensing.world) = (sensing.steps + 1, world);
+            (sensing.steps, sensing.world) =
+                (sensing.steps + 1, pose.rotation.to_rotation_matrix());
+            let known = spec.known.iter().map(|(frame, body)| {
+                let mount = Mount {
+                    frame: *frame,
+                    ..mount
+                };
+                let there = link_pose(&self.cell, &mut self.arms, mount);
+                let centre = pose.inverse() * there * Point3::from(body.centre);
+                (body.mass, centre.coords * body.mass)
+            });
+            let sum = known.fold((0.0, Vector3::zeros()), |sum, own| {
+                (sum.0 + own.0, sum.1 + own.1)
+            });
+            let (mass, moment): (f64, Vector3<f64>) = sum;
+            sensing.known = Load {
+                mass,
+                centre: if mass > 0.0 { moment / mass } else { moment },
+            };
         }
     }
 

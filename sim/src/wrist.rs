@@ -34,10 +34,10 @@ impl Default for Load {
 }
 
 impl Load {
-    /// The wrench of a load that is accelerated by `acceleration` (m/s^2, sensor's frame) where things fall with `gravity`.
+    /// The wrench of a load at rest where things fall with `gravity` (m/s^2, sensor's frame).
     #[must_use]
-    pub fn wrench(&self, gravity: &Vector3<f64>, acceleration: &Vector3<f64>) -> Wrench {
-        let force = (gravity - acceleration) * self.mass;
+    pub fn weight(&self, gravity: &Vector3<f64>) -> Wrench {
+        let force = gravity * self.mass;
         let moment = self.centre.cross(&force);
         [force.x, force.y, force.z, moment.x, moment.y, moment.z]
     }
@@ -46,8 +46,6 @@ impl Load {
 /// What the electronics of a sensor do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Electronics {
-    /// What is taken off as the weight of what hangs behind it.
-    pub compensates: Load,
     /// Read with nothing on it, N and N m.
     pub bias: Wrench,
     /// Standard deviation of the noise of each sample, N and N m.
@@ -61,7 +59,6 @@ pub struct Electronics {
 impl Default for Electronics {
     fn default() -> Self {
         Self {
-            compensates: Load::default(),
             bias: [0.0; 6],
             noise: [0.0; 2],
             filter_hz: f64::INFINITY,
@@ -89,11 +86,17 @@ impl Wrist {
         }
     }
 
-    /// What it reads `period` after the sample before, when `wrench` acts on it and it stands so in the world.
-    pub fn sample(&mut self, wrench: &Wrench, world: &Rotation3<f64>, period: Duration) -> Wrench {
+    /// What it reads `period` after the sample before, when `wrench` acts on it and it stands so in the world. The weight
+    /// of what it knows to hang on it is taken off.
+    pub fn sample(
+        &mut self,
+        wrench: &Wrench,
+        world: &Rotation3<f64>,
+        known: &Load,
+        period: Duration,
+    ) -> Wrench {
         let gravity = world.inverse() * Vector3::new(0.0, 0.0, -GRAVITY);
-        let still = Vector3::zeros();
-        let own = self.electronics.compensates.wrench(&gravity, &still);
+        let own = known.weight(&gravity);
         let sample: Wrench = std::array::from_fn(|axis| {
             let unit: f64 = StandardNormal.sample(&mut self.random);
             let noise = unit * self.electronics.noise[axis / 3];
@@ -127,16 +130,13 @@ mod tests {
         for turn in [[0.0, 0.0, 0.0], [1.2, -0.4, 2.0], [3.1, 0.2, -1.0]] {
             let world = Rotation3::from_euler_angles(turn[0], turn[1], turn[2]);
             let gravity = world.inverse() * Vector3::new(0.0, 0.0, -GRAVITY);
-            let acts = load.wrench(&gravity, &Vector3::zeros());
-            let read = Wrist::new(Electronics::default()).sample(&acts, &world, PERIOD);
+            let acts = load.weight(&gravity);
+            let mut wrist = Wrist::new(Electronics::default());
+            let read = wrist.sample(&acts, &world, &Load::default(), PERIOD);
             let force = world * Vector3::new(read[0], read[1], read[2]);
             assert!((force - Vector3::new(0.0, 0.0, -2.0 * GRAVITY)).norm() < 1e-12);
             // What is taken off leaves nothing.
-            let electronics = Electronics {
-                compensates: load,
-                ..Electronics::default()
-            };
-            let read = Wrist::new(electronics).sample(&acts, &world, PERIOD);
+            let read = wrist.sample(&acts, &world, &load, PERIOD);
             assert!(read.iter().all(|number| number.abs() < 1e-12), "{read:?}");
         }
     }
@@ -155,7 +155,7 @@ mod tests {
             });
             let level = Rotation3::identity();
             (0..4000)
-                .map(|_| wrist.sample(&[0.0; 6], &level, PERIOD))
+                .map(|_| wrist.sample(&[0.0; 6], &level, &Load::default(), PERIOD))
                 .collect()
         };
         let one = sample(7);
@@ -180,7 +180,10 @@ mod tests {
         let mut wrist = Wrist::new(Electronics::default());
         let level = Rotation3::identity();
         for (count, period) in [(0.0, Duration::ZERO), (1.0, PERIOD), (2.0, Duration::ZERO)] {
-            assert_eq!(wrist.sample(&[count; 6], &level, period), [count; 6]);
+            assert_eq!(
+                wrist.sample(&[count; 6], &level, &Load::default(), period),
+                [count; 6]
+            );
         }
     }
 
@@ -191,9 +194,9 @@ mod tests {
             ..Electronics::default()
         });
         let level = Rotation3::identity();
-        wrist.sample(&[0.0; 6], &level, PERIOD);
+        wrist.sample(&[0.0; 6], &level, &Load::default(), PERIOD);
         for count in 1..100 {
-            let read = wrist.sample(&[1.0; 6], &level, PERIOD);
+            let read = wrist.sample(&[1.0; 6], &level, &Load::default(), PERIOD);
             let expected = 1.0 - (-TAU * 10.0 * 4.5e-3 * f64::from(count)).exp();
             assert!((read[2] - expected).abs() < 1e-12);
         }

@@ -156,8 +156,10 @@ impl ModelBuilder {
         let base = base.into();
         let frame = Frame {
             name: base.clone(),
+            parent: None,
             carrier: None,
             placement: Placement::identity(),
+            body: Body::default(),
         };
         Self {
             model: Model {
@@ -205,8 +207,10 @@ impl ModelBuilder {
         let on = self.model.at(parent);
         let frame = Frame {
             name,
+            parent: Some(parent),
             carrier: on.carrier,
             placement: on.placement.then(placement),
+            body: Body::default(),
         };
         self.put(frame)
     }
@@ -259,17 +263,19 @@ impl ModelBuilder {
         };
         let on = self.model.at(parent);
         let placement = on.placement.then(&before).then(&along);
-        let parent = on.carrier;
+        let carrier = on.carrier;
         let frame = self.put(Frame {
             name: link.into(),
+            parent: Some(parent),
             carrier: Some(index),
             placement: along.inverse().then(&after),
+            body: Body::default(),
         })?;
         self.joints.insert(name.clone(), index);
         self.model.joints.push(Joint {
             name,
             kind,
-            parent,
+            parent: carrier,
             placement,
             body: Body::default(),
             limits,
@@ -283,15 +289,8 @@ impl ModelBuilder {
     /// # Errors
     /// [`ModelError::NegativeMass`], [`ModelError::Inertia`], [`ModelError::NotFinite`].
     pub fn body(&mut self, frame: FrameId, body: &Body) -> Result<(), ModelError> {
-        let on = self.model.at(frame);
-        check_body(body, &on.name)?;
-        let seen = body.seen_from(&on.placement);
-        if let Some(joint) = on
-            .carrier
-            .and_then(|carrier| self.model.joints.get_mut(carrier))
-        {
-            joint.body = joint.body.joined(&seen);
-        }
+        check_body(body, &self.model.at(frame).name)?;
+        self.model.fix(frame, body);
         Ok(())
     }
 
@@ -369,8 +368,10 @@ impl ModelBuilder {
             self.model.joints.push(joint);
         }
         for frame in &part.frames {
+            let on = frame.parent.map(|on| FrameId(on.0 + first_frame));
             let mut frame = Frame {
                 name: prefixed(&frame.name),
+                parent: on.or(Some(parent)),
                 ..frame.clone()
             };
             match &mut frame.carrier {

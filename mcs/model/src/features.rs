@@ -213,10 +213,14 @@ pub struct FrameId(pub(super) usize);
 pub struct Frame {
     /// Its name.
     pub name: String,
+    /// The frame that it was set on, of a link the frame under its joint; `None` of the base frame.
+    pub parent: Option<FrameId>,
     /// The joint that carries it, by index; `None` when it stands on the ground.
     pub carrier: Option<usize>,
     /// Where it stands in the frame of that joint, or in the base frame.
     pub placement: Placement,
+    /// What is fixed to it, in its own axes: a part of its joint's body.
+    pub body: Body,
 }
 
 /// A tree of joints and bodies, which never changes. Made by a [`ModelBuilder`](super::ModelBuilder).
@@ -319,8 +323,10 @@ impl Model {
         let on = self.at(self.tip());
         let tool = Frame {
             name: "tool".to_owned(),
+            parent: Some(self.tip()),
             carrier: on.carrier,
             placement: on.placement.then(tip_t_tool),
+            body: Body::default(),
         };
         self.tip = self.frames.len();
         self.frames.push(tool);
@@ -354,13 +360,51 @@ impl Model {
         self
     }
 
-    /// The same model with the bodies and motors that `change` makes of them: what an arm is in truth.
+    /// The same model with the bodies and motors that `change` makes of them: what an arm is in truth. What is fixed to a
+    /// frame is changed as the joint's whole body is, so `change` may scale, and not add.
     #[must_use]
     pub fn falsified(mut self, mut change: impl FnMut(&mut Body, &mut Motor)) -> Self {
         for joint in &mut self.joints {
             change(&mut joint.body, &mut joint.motor);
         }
+        for frame in &mut self.frames {
+            change(&mut frame.body, &mut Motor::default());
+        }
         self
+    }
+
+    /// The same model with one more body fixed to a frame, given in that frame's axes.
+    #[must_use]
+    pub fn with_body(mut self, frame: FrameId, body: &Body) -> Self {
+        self.fix(frame, body);
+        self
+    }
+
+    /// Fixes a body to a frame, and so to the joint that carries it.
+    pub(super) fn fix(&mut self, frame: FrameId, body: &Body) {
+        let Some(on) = self.frames.get_mut(frame.0) else {
+            return;
+        };
+        on.body = on.body.joined(body);
+        let seen = body.seen_from(&on.placement);
+        let carrier = on.carrier;
+        if let Some(joint) = carrier.and_then(|carrier| self.joints.get_mut(carrier)) {
+            joint.body = joint.body.joined(&seen);
+        }
+    }
+
+    /// Whether a frame hangs on another one: was set on it, or on what hangs on it.
+    #[must_use]
+    pub fn hangs_on(&self, frame: FrameId, other: FrameId) -> bool {
+        let mut on = std::iter::successors(self.at(frame).parent, |on| self.at(*on).parent);
+        on.any(|on| on == other)
+    }
+
+    /// The frames that hang on a frame, and what is fixed to each, in its axes; not what is fixed to the frame itself.
+    pub fn hanging(&self, frame: FrameId) -> impl Iterator<Item = (FrameId, &Body)> {
+        let all = self.frames.iter().enumerate();
+        all.map(|(index, own)| (FrameId(index), &own.body))
+            .filter(move |(own, _)| self.hangs_on(*own, frame))
     }
 
     /// The joints between the base and a frame, nearest to the base first.

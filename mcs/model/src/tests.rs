@@ -18,6 +18,54 @@ static ALL: LazyLock<Vec<Model>> = LazyLock::new(|| {
     built_in.chain([way.model]).collect()
 });
 
+#[test]
+fn what_is_fixed_to_the_frames_of_a_joint_is_its_body_and_all_of_it_hangs_on_the_base() {
+    for model in all() {
+        let base = FrameId(0);
+        let (mut bodies, mut hanging) = (vec![Body::default(); model.dof()], 1);
+        for (frame, body) in model.hanging(base) {
+            let on = model.at(frame);
+            hanging += 1;
+            if let Some(joint) = on.carrier {
+                bodies[joint] = bodies[joint].joined(&body.seen_from(&on.placement));
+            }
+        }
+        assert_eq!(hanging, model.frames().len(), "{}", model.name());
+        for (joint, body) in model.joints().iter().zip(bodies) {
+            assert!(
+                (joint.body.mass - body.mass).abs() < 1e-12,
+                "{}",
+                joint.name
+            );
+            assert!((joint.body.centre - body.centre).norm() < 1e-12);
+            assert!((joint.body.inertia - body.inertia).amax() < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn what_hangs_on_the_flange_of_an_arm_is_its_hand_and_nothing_of_the_arm() {
+    let model = built_in::model("puma560_hand", Inertias::Engine);
+    let model = model.unwrap().unwrap();
+    let hand = built_in::model("hand", Inertias::Engine).unwrap().unwrap();
+    let flange = model.frame("arm.flange").unwrap();
+    let names = model
+        .hanging(flange)
+        .map(|(frame, _)| &model.at(frame).name);
+    assert!(names.clone().all(|name| name.starts_with("hand.")));
+    assert_eq!(names.count(), hand.frames().len());
+    // The prism, and three fingers of three links each.
+    let mass: f64 = model.hanging(flange).map(|(_, body)| body.mass).sum();
+    assert!((mass - (0.9 + 3.0 * 0.09)).abs() < 1e-12, "{mass} kg");
+    let link6 = model.frame("arm.link6").unwrap();
+    assert!(model.hangs_on(flange, link6) && !model.hangs_on(link6, flange));
+    // Of two arms, neither hangs on the other.
+    let both = built_in::model("testbed18", Inertias::Engine);
+    let both = both.unwrap().unwrap();
+    let [left, right] = ["left_arm.link1", "right"].map(|name| both.frame(name).unwrap());
+    assert!(!both.hangs_on(right, left) && !both.hangs_on(left, right));
+}
+
 /// Kinetic energy from the velocities of the bodies' centres, by a way of its own.
 fn kinetic_energy(model: &Model, q: &[f64], qd: &[f64]) -> f64 {
     let (mut data, mut energy) = (model.data(), 0.0);

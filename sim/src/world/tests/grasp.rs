@@ -11,6 +11,7 @@ use mcs::{
 use mcs_hand::grip::GripLaw;
 
 use super::*;
+use crate::wrist::{Electronics, Wrist};
 
 /// The gripper straight down, some 0.75 m before the arm, degrees.
 const DOWN: [f64; 6] = [0.0, 30.0, -150.0, 0.0, -60.0, 0.0];
@@ -45,7 +46,8 @@ impl Cell {
         let text = format!(
             "{arm}\
              [[object]]\nname = 'box'\nshape = 'box'\nsize = {SIZE:?}\nmass = {mass:?}\nfriction = 0.8\ngrey = 90\nposition = [{x:?}, {y:?}, {z:?}]\n\
-             [[furniture]]\ncentre = [{x:?}, {y:?}, {:?}]\nsize = [0.2, 0.2, 0.1]\ngrey = 40\n",
+             [[furniture]]\ncentre = [{x:?}, {y:?}, {:?}]\nsize = [0.2, 0.2, 0.1]\ngrey = 40\n\
+             [[force_torque]]\nname = 'wrist'\narm = 'puma'\nlink = 'arm.flange'\ncompensates_hand = true\n",
             table - 0.05
         );
         let gripper = built_in::model("gripper", Inertias::Engine);
@@ -118,6 +120,21 @@ impl Cell {
         let scene = self.world.scene();
         let pose = |name: &str| scene.body(name).unwrap().pose;
         pose("puma.gripper.housing").inverse() * pose("box")
+    }
+
+    /// What the sensor between flange and gripper reads of what is held, on the mean over a tenth of a second.
+    fn sensed(&mut self) -> [f64; 6] {
+        let mut wrist = Wrist::new(Electronics::default());
+        let mut sum = [0.0; 6];
+        for _ in 0..22 {
+            self.tick();
+            let (wrench, world, known) = self.world.wrench(0);
+            let read = wrist.sample(&wrench, &world, &known, PERIOD);
+            for (sum, number) in sum.iter_mut().zip(read) {
+                *sum += number / 22.0;
+            }
+        }
+        sum
     }
 
     /// Forces on the pads along the axis of the jaws, N.
@@ -206,5 +223,34 @@ fn what_a_gripper_holds_weighs_on_the_arm() {
             (found - expected).abs() < 0.02 * expected,
             "{found} N of {expected}"
         );
+    }
+}
+
+#[test]
+fn the_wrist_feels_the_weight_of_what_jaws_hold_and_how_far_it_is_from_the_sensor() {
+    for mass in [0.2, 0.5, 1.5] {
+        let mut cell = Cell::new(mass, 30.0);
+        cell.close();
+        cell.lift();
+        // Straight down, and tilted.
+        for tilt in [0.0, 0.6] {
+            cell.go([0.0, 0.0, 0.0, 0.0, tilt, 0.0, 0.0, 0.0], 1.0);
+            cell.wait(1.0);
+            let read = cell.sensed();
+            let frame = cell.world.arms[0].model().frame("arm.flange").unwrap();
+            let flange = cell.world.arms[0].pose(frame);
+            let weight = Vector3::new(0.0, 0.0, -mass * GRAVITY);
+            let force = flange.rotation * Vector3::new(read[0], read[1], read[2]);
+            let off = (force - weight).norm();
+            assert!(off < 0.01 * weight.norm(), "{force} of {weight}");
+            let way = cell.box_in_world().translation.vector - flange.translation.vector;
+            let moment = flange.rotation * Vector3::new(read[3], read[4], read[5]);
+            let expected = way.cross(&weight);
+            let off = (moment - expected).norm();
+            assert!(
+                off < 0.01 * way.norm() * weight.norm(),
+                "{moment} of {expected}"
+            );
+        }
     }
 }
