@@ -154,14 +154,16 @@ impl Rig {
 
     /// Ticks until nothing moves.
     fn rest(&mut self) {
-        for _ in 0..40_000 {
+        let mut waited = 0;
+        loop {
             self.tick();
             let status = self.port.status();
             if status.at_rest && status.motion.phase.is_over() {
                 return;
             }
+            waited += 1;
+            assert!(waited < 40_000, "it never rests");
         }
-        panic!("it never rests");
     }
 
     fn release(&mut self) {

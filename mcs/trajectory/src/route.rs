@@ -11,6 +11,10 @@ use mcs_model::inverse::Elbow;
 
 /// Which way to take.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a path is copied as it is; one is made for a motion"
+)]
 pub enum PathKind {
     /// Every joint on a course of its own, all in the time of the slowest: fast, always possible between two positions
     /// within limits.
