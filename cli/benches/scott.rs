@@ -112,6 +112,7 @@ fn main() {
     drop(bytes);
     peer.wait().unwrap();
     let mut stop = command(env!("CARGO_BIN_EXE_ctos"), folder);
-    assert!(stop.args(["stop", "scripted"]).status().unwrap().success());
+    let stopped = stop.args(["stop", "scripted"]).stderr(Stdio::null());
+    assert!(stopped.status().unwrap().success());
     app.wait().unwrap();
 }
