@@ -20,8 +20,8 @@ use super::streams::Streams;
 use super::{Link, SERVO, rows};
 use crate::client::{
     ControlReport, GuardsReport, MotionError, Outcome, ReadControl, ReadGuards, ReadSensors,
-    ReadSlots, ReadStream, RecordStates, RemoveGuard, SensorReport, SetControl, SetGuard, SetLaw,
-    SetOutput, StreamSetpoints, StreamValue,
+    ReadSlots, ReadStream, RecordStates, RemoveGuard, SetControl, SetGuard, SetLaw, SetOutput,
+    StreamSetpoints, StreamValue,
 };
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::{DriverRegistry, Sensor, SensorKind};
@@ -529,13 +529,7 @@ impl EventHandler for ServoTask {
             ReadSensors::CODE => {
                 let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
                 let status = self.link.port.status();
-                let named = self.sensors.iter().enumerate();
-                let stale = named.filter(|(index, _)| status.stale >> index & 1 == 1);
-                reply.ok(SensorReport {
-                    sensors: self.sensors.clone(),
-                    numbers: status.sensors.to_vec(),
-                    stale: stale.map(|(_, sensor)| sensor.name.clone()).collect(),
-                })
+                reply.ok(slots::sensor_report(&status, &self.sensors))
             }
             StreamSetpoints::CODE => {
                 self.streamed_from = Some(message.from().chassis());

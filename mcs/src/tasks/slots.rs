@@ -27,11 +27,19 @@ pub fn report(
     });
     SlotsReport {
         joints: joints.collect(),
-        sensors: SensorReport {
-            sensors: sensors.to_vec(),
-            numbers: status.sensors.to_vec(),
-        },
+        sensors: sensor_report(status, sensors),
         last_stop,
+    }
+}
+
+/// What the sensors read last, and which of them are stale.
+pub fn sensor_report(status: &ServoStatus, sensors: &[Sensor]) -> SensorReport {
+    let named = sensors.iter().enumerate();
+    let stale = named.filter(|(index, _)| status.stale >> index & 1 == 1);
+    SensorReport {
+        sensors: sensors.to_vec(),
+        numbers: status.sensors.to_vec(),
+        stale: stale.map(|(_, sensor)| sensor.name.clone()).collect(),
     }
 }
 
