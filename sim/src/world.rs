@@ -166,6 +166,9 @@ impl World {
         parameters.num_solver_iterations = SUBSTEPS;
         parameters.contact_softness.natural_frequency = CONTACT_HZ;
         parameters.static_contact_softness.natural_frequency = CONTACT_HZ;
+        // The engine would keep where two solids touch, and which way, until they have moved by 50 mm: a fingertip then
+        // presses on a piece as it stood to it 50 mm before.
+        parameters.contact_recycling = false;
         let arms = cell
             .arms
             .iter()

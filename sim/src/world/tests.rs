@@ -1,5 +1,6 @@
 mod contacts;
 mod grasp;
+mod hand;
 mod puma;
 mod wrist;
 
