@@ -312,10 +312,14 @@ fn check_cameras(app: &App, findings: &mut Findings) {
         };
         let args = task.args.get("args").cloned().unwrap_or_else(Node::table);
         check_camera(camera, app, &args, findings);
-        let Ok(CameraArgs { world, .. }) = args.parse() else {
+        let Ok(CameraArgs { world, scenes, .. }) = args.parse() else {
             continue;
         };
-        if app.task(&world).is_none_or(|task| task.handler != WORLD) {
+        let owner = app.task(&world).filter(|task| task.handler == WORLD);
+        if let (Some(buffer), Some(owner)) = (&scenes, owner) {
+            check_scenes((camera, buffer), (task, &args), owner, app, findings);
+        }
+        if owner.is_none() {
             let finding = Finding::error(
                 "sim::camera::no_world",
                 format!(
@@ -327,6 +331,51 @@ fn check_cameras(app: &App, findings: &mut Findings) {
             ));
             findings.push(finding.at(task.place.clone()));
         }
+    }
+}
+
+/// Checks that the world `owner` leaves scenes in `buffer`, on the host of the camera's task.
+fn check_scenes(
+    (camera, buffer): (&str, &str),
+    (task, args): (&TaskConfig, &Node),
+    owner: &TaskConfig,
+    app: &App,
+    findings: &mut Findings,
+) {
+    let place = args.locate("scenes").unwrap_or_else(|| task.place.clone());
+    let left = owner.args.get("scenes").and_then(Node::as_str);
+    if left != Some(buffer) {
+        let text = format!(
+            "camera `{camera}` reads snapshot buffer `{buffer}`, in which world `{}` leaves nothing",
+            owner.name
+        );
+        let help = format!(
+            "say `scenes = \"{buffer}\"` in the arguments of `{}`, too",
+            owner.name
+        );
+        findings.push(
+            Finding::error("sim::camera::no_scenes", text)
+                .at(place)
+                .help(help),
+        );
+        return;
+    }
+    let host = |task: &TaskConfig| {
+        let mut chassis = app.chassis.iter();
+        let own = chassis.find(|chassis| chassis.name == task.chassis);
+        own.and_then(|chassis| chassis.host.clone())
+    };
+    if host(task) != host(owner) {
+        let text = format!(
+            "camera `{camera}` and world `{}` are on different hosts, which share no memory",
+            owner.name
+        );
+        let help = "leave `scenes` out there: the camera then asks the world by message";
+        findings.push(
+            Finding::error("sim::camera::other_host", text)
+                .at(place)
+                .help(help),
+        );
     }
 }
 

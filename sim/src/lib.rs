@@ -13,6 +13,7 @@ mod engine;
 pub mod handlers;
 pub mod port;
 pub mod scene;
+pub mod scenes;
 pub mod served;
 pub mod shapes;
 pub mod simulation;

@@ -1,4 +1,5 @@
-//! A camera of the cell as a source of frames: asks the world's task for the scene, then renders here.
+//! A camera of the cell as a source of frames: takes the scene from the world's snapshot buffer, or asks its task for it,
+//! then renders here.
 
 use ctos::{Context, config::Node, task::HandlerError};
 use futures_util::future::LocalBoxFuture;
@@ -9,7 +10,9 @@ use vss::{
     source::FrameSource,
 };
 
-use crate::{camera::Renderer, cell::Cell, world_task::GetScene};
+use crate::{
+    camera::Renderer, cell::Cell, scene::SceneState, scenes::SceneReader, world_task::GetScene,
+};
 
 /// Arguments of a camera.
 #[derive(Debug, Clone, Deserialize)]
@@ -20,6 +23,8 @@ pub struct CameraArgs {
     /// The task that owns the world.
     #[serde(default = "world_task")]
     pub world: String,
+    /// The snapshot buffer in which the world leaves scenes, on this host; its task is asked when none is named.
+    pub scenes: Option<String>,
 }
 
 /// The world's task when nobody says which.
@@ -32,6 +37,7 @@ pub fn world_task() -> String {
 pub struct SimCamera {
     name: String,
     world: String,
+    scenes: Option<SceneReader>,
     renderer: Renderer,
     taken: u64,
 }
@@ -42,13 +48,18 @@ impl SimCamera {
     /// # Errors
     /// Bad arguments, a bad cell file or a camera that it does not have.
     pub fn new(cx: &Context, name: &str, args: &Node) -> Result<Self, HandlerError> {
-        let CameraArgs { cell, world } = args.parse()?;
+        let CameraArgs {
+            cell,
+            world,
+            scenes,
+        } = args.parse()?;
         let cell = Cell::read(&cx.app().file_at(&cell))?;
         let camera = cell.camera(name)?;
         let seed = cx.rng("image noise").next_u64();
         Ok(Self {
             name: name.to_owned(),
             world,
+            scenes: scenes.map(|buffer| SceneReader::new(&cx.app().name, &buffer)),
             renderer: Renderer::new(&cell, camera, seed),
             taken: 0,
         })
@@ -57,20 +68,12 @@ impl SimCamera {
     /// Takes a picture of the world as it is now; its stamp is that of the scene.
     ///
     /// # Errors
-    /// When the world's task does not answer.
+    /// When the world's task does not answer, or leaves no scenes.
     pub async fn take(&mut self, cx: &Context) -> Result<Frame, FrameError> {
-        let fault = |reason: String| FrameError::Fault {
+        let scene = self.scene(cx).await.map_err(|reason| FrameError::Fault {
             camera: self.name.clone(),
             reason,
-        };
-        let world = cx
-            .task(&self.world)
-            .await
-            .map_err(|error| fault(error.to_string()))?;
-        let scene = cx
-            .call(&world, GetScene {})
-            .await
-            .map_err(|error| fault(error.to_string()))?;
+        })?;
         let number = self.taken;
         self.taken += 1;
         let (width, height) = {
@@ -86,6 +89,18 @@ impl SimCamera {
             stamp: scene.stamp,
             number,
         })
+    }
+
+    /// The world as it is now. A record holds it, wherever it comes from.
+    async fn scene(&mut self, cx: &Context) -> Result<SceneState, String> {
+        if let Some(scenes) = &mut self.scenes {
+            let read = || scenes.latest().map_err(|error| error.to_string());
+            return cx.outside("the latest scene", read);
+        }
+        let world = cx.task(&self.world).await;
+        let world = world.map_err(|error| error.to_string())?;
+        let scene = cx.call(&world, GetScene {}).await;
+        scene.map_err(|error| error.to_string())
     }
 }
 

@@ -13,7 +13,9 @@ use mcs_hand::command::{ReadTouch, Touch};
 use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
-use crate::{cell::Cell, port::Port, scene::SceneState, simulation::Simulation};
+use crate::{
+    cell::Cell, port::Port, scene::SceneState, scenes::SceneWriter, simulation::Simulation,
+};
 
 /// Name of the world's event handler.
 pub const WORLD: &str = "sim.world";
@@ -51,6 +53,8 @@ pub struct WorldArgs {
     /// Period of the world, ms. A servo's period should be a multiple of it.
     #[serde(default = "period_ms")]
     pub period_ms: f64,
+    /// The snapshot buffer in which it leaves a scene after every tick; none, when none is named.
+    pub scenes: Option<String>,
 }
 
 fn period_ms() -> f64 {
@@ -78,6 +82,9 @@ struct WorldTask {
     period: Duration,
     /// Shared with the synchronous function, which runs on the same thread and never within a message.
     simulation: Rc<RefCell<Simulation>>,
+    /// The name of the buffer, and what writes it.
+    buffer: Option<String>,
+    scenes: Rc<RefCell<Option<SceneWriter>>>,
     cyclic: Option<CyclicHandle>,
 }
 
@@ -92,6 +99,8 @@ impl WorldTask {
                 args.period_ms.clamp(PERIODS_MS[0], PERIODS_MS[1]) / 1e3,
             ),
             simulation: Rc::new(RefCell::new(Simulation::new(&cell, port))),
+            scenes: Rc::default(),
+            buffer: args.scenes,
             cell,
             cyclic: None,
         })
@@ -100,7 +109,7 @@ impl WorldTask {
     /// The synchronous function. A world that cannot go on stands still, and the app is told.
     fn ticker(&self, cx: &Context) -> impl FnMut(&Tick) + 'static {
         let (cx, period) = (cx.clone(), self.period);
-        let simulation = Rc::clone(&self.simulation);
+        let (simulation, scenes) = (Rc::clone(&self.simulation), Rc::clone(&self.scenes));
         let mut failed = false;
         move |tick: &Tick| {
             if failed {
@@ -112,7 +121,16 @@ impl WorldTask {
                 failed = true;
                 cx.fail(&error.to_string());
             }
+            leave_scene(&mut simulation.borrow_mut(), &mut scenes.borrow_mut());
         }
+    }
+
+    /// Switches a lamp, or all; what has switched is seen at once.
+    fn switch(&self, lamp: Option<&str>, on: bool) -> bool {
+        let mut simulation = self.simulation.borrow_mut();
+        let any = simulation.switch(lamp, on, &self.cell);
+        leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+        any
     }
 
     /// What touches the links of an arm, by index.
@@ -133,6 +151,15 @@ impl WorldTask {
     }
 }
 
+/// Leaves a scene for whoever reads the buffer. Without it the world goes on all the same.
+fn leave_scene(simulation: &mut Simulation, scenes: &mut Option<SceneWriter>) {
+    let Some(writer) = scenes else { return };
+    if let Err(error) = writer.write(&simulation.scene()) {
+        tracing::warn!("no more scenes are left: {error}");
+        *scenes = None;
+    }
+}
+
 impl EventHandler for WorldTask {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         // What drivers said came through memory that no recorder sees.
@@ -144,13 +171,12 @@ impl EventHandler for WorldTask {
             }
             SetLamp::CODE => {
                 let (SetLamp { on }, reply) = message.open::<SetLamp>()?;
-                self.simulation.borrow_mut().switch(None, on, &self.cell);
+                self.switch(None, on);
                 reply.ok(())
             }
             SwitchLamp::CODE => {
                 let (SwitchLamp { lamp, on }, reply) = message.open::<SwitchLamp>()?;
-                let mut simulation = self.simulation.borrow_mut();
-                if simulation.switch(Some(&lamp), on, &self.cell) {
+                if self.switch(Some(&lamp), on) {
                     reply.ok(())
                 } else {
                     reply.fail(format!("the cell has no lamp `{lamp}`"))
@@ -173,6 +199,13 @@ impl EventHandler for WorldTask {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Create {
+            // Not before: until now a world before this one may have written it.
+            if let Some(buffer) = &self.buffer {
+                let place = (cx.app().name.as_str(), buffer.as_str());
+                let scene = self.simulation.borrow_mut().scene();
+                let writer = SceneWriter::create(place, &scene, cx.chassis().clock())?;
+                *self.scenes.borrow_mut() = Some(writer);
+            }
             self.cyclic = Some(cx.cyclic(self.period, self.ticker(cx)));
         }
         Ok(())

@@ -133,12 +133,17 @@ fn launcher() -> Launcher {
     }
 }
 
-/// Runs an app with world and servo on one chassis and the eye on another, in virtual time.
+/// Runs an app with world and servo on one chassis and the eye on another, in virtual time; scenes by message.
 fn run(camera: &str, seed: u64) -> (End, Seen) {
+    run_by("look", "", camera, seed)
+}
+
+/// The same, the arguments `by` given to both world and eye.
+fn run_by(name: &str, by: &str, camera: &str, seed: u64) -> (End, Seen) {
     let text = format!(
         r#"
         [app]
-        name = "look"
+        name = "{name}"
         seed = {seed}
         until = "eye"
         [time]
@@ -151,11 +156,11 @@ fn run(camera: &str, seed: u64) -> (End, Seen) {
         [task.world]
         handler = "sim.world"
         on = "motion"
-        args = {{ cell = '{CELL}' }}
+        args = {{ cell = '{CELL}' {by} }}
         [task.eye]
         handler = "test.eye"
         on = "vision"
-        args = {{ cell = '{CELL}' }}
+        args = {{ cell = '{CELL}' {by} }}
         "#
     );
     let app = load_texts(&[("app.toml", text.as_str())], &[], &[]).unwrap();
@@ -222,6 +227,28 @@ fn a_frame_has_the_stamp_of_its_scene() {
         assert!(soon, "{tick} {later:?}");
     }
     assert!(seen.scenes[1].1 > 60, "{:?}", seen.scenes);
+}
+
+#[test]
+fn a_camera_that_reads_the_worlds_snapshot_buffer_sees_what_one_sees_that_asks_the_world() {
+    // No other app of this host has the name, and so the buffer.
+    let name = format!("look-{}", std::process::id());
+    let (end, read) = run_by(&name, ", scenes = \"scenes\"", "ceiling_west", 1);
+    assert!(matches!(end, End::Finished(_)), "{end:?}");
+    let (_, asked) = run("ceiling_west", 1);
+    assert_eq!((&read.scenes, &read.lamps), (&asked.scenes, &asked.lamps));
+    for (read, asked) in read.frames.iter().zip(&asked.frames) {
+        // By message it takes a moment, in which the world may go on by a tick.
+        let apart = read.stamp.abs_diff(asked.stamp);
+        assert!(apart <= Duration::from_micros(1500), "{apart:?}");
+        let pixels = read.pixels.iter().zip(asked.pixels.iter());
+        let other = pixels.filter(|(read, asked)| read.abs_diff(**asked) > 3);
+        assert!(other.count() < 500);
+    }
+    for (frame, (stamp, _)) in read.frames.iter().zip(&read.scenes) {
+        let later = stamp.checked_sub(frame.stamp);
+        assert!(later.is_some_and(|later| later <= Duration::from_micros(1500)));
+    }
 }
 
 #[test]
@@ -393,6 +420,23 @@ fn a_camera_whose_world_or_name_is_not_in_the_app_is_found_before_anything_start
         &check("ceiling_north", "world"),
         &["no camera `ceiling_north`", "app.toml:13:"],
     );
+}
+
+#[test]
+fn a_camera_that_reads_a_buffer_in_which_its_world_leaves_nothing_is_found_before_anything_starts()
+{
+    let check = |world: &str| {
+        let task = format!(
+            "[task.vm]\nhandler = \"vss.vm_snap\"\non = \"two\"\n[task.vm.args]\ncamera = \"ceiling_west\"\nsource = \"sim.camera\"\nargs = {{ cell = '{CELL}', scenes = \"scenes\" }}\n"
+        );
+        found(&format!("{}{world}", sound()), &task)
+    };
+    assert_eq!(check(", scenes = \"scenes\""), "");
+    for world in ["", ", scenes = \"others\""] {
+        let words = ["reads snapshot buffer `scenes`, in which world `world` leaves nothing"];
+        says(&check(world), &words);
+        says(&check(world), &["app.toml:13:"]);
+    }
 }
 
 #[test]
