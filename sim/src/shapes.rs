@@ -211,6 +211,7 @@ mod tests {
             ("transporter", 0),
             ("testbed9", 9),
             ("testbed18", 18),
+            ("testbed9_gripper", 12),
             ("gripper", 3),
             ("puma560_gripper", 12),
             ("puma560_hand", 19),

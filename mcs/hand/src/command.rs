@@ -120,3 +120,26 @@ command! {
         pub stiffness: f64,
     } => Result<(), MotionError>, 0x038d, "set_stiffness"
 }
+
+/// How hard two tips press on what they carry between them, along the line between them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Squeeze {
+    /// How hard they shall press, N; below 0 they pull. None while they carry nothing.
+    pub wanted_n: Option<f64>,
+    /// How hard the wrists felt them press in the last tick, N.
+    pub felt_n: f64,
+}
+
+command! {
+    /// Says how hard two tips shall press on what they carry between them, from now on, or that they carry nothing.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetSqueeze {
+        /// N; below 0 they pull. None when they carry nothing.
+        pub force_n: Option<f64>,
+    } => Result<(), String>, 0x0390, "set_squeeze"
+}
+command! {
+    /// Tells how hard they shall press, and how hard they do.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadSqueeze => Squeeze, 0x0391, "read_squeeze"
+}

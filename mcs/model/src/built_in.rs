@@ -6,24 +6,26 @@ use super::features::Model;
 use super::file::{self, Inertias};
 
 /// Their names.
-pub const NAMES: [&str; 9] = [
+pub const NAMES: [&str; 10] = [
     "puma560",
     "puma600",
     "transporter",
     "testbed9",
     "testbed18",
+    "testbed9_gripper",
     "gripper",
     "hand",
     "puma560_gripper",
     "puma560_hand",
 ];
 
-const TEXTS: [&str; 9] = [
+const TEXTS: [&str; 10] = [
     include_str!("../../../configs/models/puma560.toml"),
     include_str!("../../../configs/models/puma600.toml"),
     include_str!("../../../configs/models/transporter.toml"),
     include_str!("../../../configs/models/testbed9.toml"),
     include_str!("../../../configs/models/testbed18.toml"),
+    include_str!("../../../configs/models/testbed9_gripper.toml"),
     include_str!("../../../configs/models/gripper.toml"),
     include_str!("../../../configs/models/hand.toml"),
     include_str!("../../../configs/models/puma560_gripper.toml"),
@@ -52,7 +54,7 @@ mod tests {
 
     #[test]
     fn every_file_is_a_model_with_as_many_joints_as_its_name_says() {
-        for (name, joints) in NAMES.into_iter().zip([6, 6, 3, 9, 18, 2, 9, 8, 15]) {
+        for (name, joints) in NAMES.into_iter().zip([6, 6, 3, 9, 18, 11, 2, 9, 8, 15]) {
             for inertias in [Inertias::Identified, Inertias::Engine] {
                 let model = model(name, inertias).unwrap().unwrap();
                 assert_eq!((model.name(), model.dof()), (name, joints));

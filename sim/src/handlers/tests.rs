@@ -1,3 +1,4 @@
+mod bar;
 mod grasp;
 mod hand;
 mod two_arms;

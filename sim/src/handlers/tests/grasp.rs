@@ -1,10 +1,11 @@
 //! The app of `configs/grasp.toml` in virtual time: its arm picks the box up with the gripper, and places it elsewhere.
 
-use ctos::config::Selection;
+use ctos::config::{Expander, Selection};
 use futures_util::future::LocalBoxFuture;
 use mcs::{
     client::{Move, Target},
     control::LawRegistry,
+    partition::McsExpander,
 };
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld, SwitchOff};
 use nalgebra::Vector3;
@@ -146,12 +147,17 @@ pub fn run_app<T: Clone + Send + 'static>(
         "puma560",
         "puma560_carrying_gripper",
         "puma560_carrying_hand",
+        "testbed18_carrying_grippers",
+        "transporter",
     ] {
         let file = format!("models/{model}.toml");
         write(&file, read(&file));
     }
     let app = Selection::new(folder.path().join("app.toml"));
-    let app = app.load(&[]).unwrap_or_else(|found| panic!("{found}"));
+    let expanders: [(&str, &dyn Expander); 1] = [("mcs", &McsExpander)];
+    let app = app
+        .load(&expanders)
+        .unwrap_or_else(|found| panic!("{found}"));
     let log = Log::<T>::default();
     let (mut registry, mut laws) = (Registry::new(), LawRegistry::new());
     let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
