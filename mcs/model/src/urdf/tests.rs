@@ -390,6 +390,59 @@ fn a_model_that_is_written_and_read_again_moves_as_before() {
 }
 
 #[test]
+fn the_form_of_a_model_that_is_written_and_read_again_stands_where_it_stood() {
+    let mut boxed = ModelBuilder::new("boxed", "base");
+    let base = boxed.base();
+    let at = Placement::from_degrees([0.1, -0.2, 0.3], [10.0, 20.0, 30.0]);
+    let half = nalgebra::Vector3::new(0.1, 0.2, 0.3);
+    boxed.shape(base, &Solid::Block { at, half }).unwrap();
+    let spec = JointSpec {
+        before: at,
+        axis: nalgebra::Vector3::new(0.3, 0.4, -0.5),
+        after: at.inverse(),
+        ..JointSpec::new("joint", JointKind::Revolute, base)
+    };
+    let link = boxed.joint(spec, "link").unwrap();
+    boxed.shape(link, &Solid::Block { at, half }).unwrap();
+    let on_it = boxed.frame("on_it", link, &at).unwrap();
+    boxed.shape(on_it, &Solid::sphere(half, 0.05)).unwrap();
+    let built_in = ["puma560", "puma600", "testbed9"]
+        .map(|name| built_in::model(name, Inertias::Engine).unwrap().unwrap());
+    for model in built_in.into_iter().chain([boxed.build()]) {
+        let again = written(&model, Some(&model.at(model.tip()).name));
+        let q: Vec<f64> = (0..model.dof())
+            .map(|joint| 0.3 * joint as f64 - 0.7)
+            .collect();
+        let stands = |model: &Model| {
+            let mut data = model.data();
+            model.forward(&mut data, &q);
+            let shapes = model.shapes().iter();
+            let mut all: Vec<(Option<usize>, [nalgebra::Vector3<f64>; 2])> = shapes
+                .map(|shape| {
+                    let solid = shape.solid.seen_from(&data.carrier(shape.carrier));
+                    let ends = match solid {
+                        Solid::Capsule { a, b, radius } => [a, b + half * radius],
+                        Solid::Block { at, half } => [at.point(&half), at.origin],
+                    };
+                    (shape.carrier, ends)
+                })
+                .collect();
+            all.sort_by_key(|(carrier, _)| *carrier);
+            all
+        };
+        let (before, after) = (stands(&model), stands(&again));
+        assert!(!before.is_empty());
+        assert_eq!(before.len(), after.len(), "{}", model.name());
+        for ((carrier, before), (found, after)) in before.iter().zip(&after) {
+            assert_eq!(carrier, found);
+            for (before, after) in before.iter().zip(after) {
+                assert!((before - after).norm() < 1e-12, "{before} {after}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_tree_that_is_written_has_all_its_arms() {
     let model = built_in::model("testbed18", Inertias::Engine)
         .unwrap()

@@ -1,16 +1,17 @@
 //! A model as a URDF text, which this program and others read.
 //!
 //! A link of a URDF has the frame of the joint that carries it. So each moving joint has a link of its own, which holds the
-//! joint's body, and the model's frames are links that are fixed to it. What URDF has no word for is lost: limits of
-//! acceleration and jerk, Coulomb friction that differs by direction (the mean is written), and gravity. The inertia of a
+//! joint's body and the form of all that it carries, and the model's frames are links that are fixed to it. A form is a
+//! `<collision>`: boxes, spheres and the capsules of URDF 1.2. What URDF has no word for is lost: limits of acceleration and jerk, Coulomb friction that differs by direction (the mean is written), and gravity. The inertia of a
 //! rotor stands as `rotorInertia` in the joint's `<transmission>`; others pass over it.
 
 use std::fmt::Write as _;
 
 use nalgebra::Matrix3;
 
-use crate::features::{Joint, JointKind, Limits, Model};
+use crate::features::{Body, Joint, JointKind, Limits, Model};
 use crate::placement::Placement;
+use crate::shapes::Solid;
 
 /// Two frames so near are one, m and parts of a direction.
 const SAME: f64 = 1e-12;
@@ -32,14 +33,13 @@ pub fn write(model: &Model) -> String {
     );
     for frame in model.frames() {
         if !bodies.contains(&frame.name) {
-            line(
-                out,
-                format_args!("  <link name=\"{}\"/>", Escaped(&frame.name)),
-            );
+            // What stands on the ground is the base's form; the base is a link of its own.
+            let carrier = (frame.parent.is_none()).then_some(None);
+            write_link(out, &Body::default(), &frame.name, (model, carrier));
         }
     }
-    for (joint, link) in model.joints().iter().zip(&bodies) {
-        write_link(out, joint, link);
+    for (index, (joint, link)) in model.joints().iter().zip(&bodies).enumerate() {
+        write_link(out, &joint.body, link, (model, Some(Some(index))));
     }
     for (joint, link) in model.joints().iter().zip(&bodies) {
         let (parent, origin) = parent_of(model, joint, &bodies);
@@ -111,13 +111,31 @@ fn are_same(one: &Placement, other: &Placement) -> bool {
     (one.origin - other.origin).amax() <= SAME && (one.rotation - other.rotation).amax() <= SAME
 }
 
-fn write_link(out: &mut String, joint: &Joint, link: &str) {
-    let body = &joint.body;
-    if body.is_nothing() {
+/// A link with its body, and with the form of all that `carrier` carries.
+fn write_link(
+    out: &mut String,
+    body: &Body,
+    link: &str,
+    (model, carrier): (&Model, Option<Option<usize>>),
+) {
+    let shapes = model.shapes().iter();
+    let own = shapes.filter(|shape| Some(shape.carrier) == carrier);
+    let form: Vec<&Solid> = own.map(|shape| &shape.solid).collect();
+    if body.is_nothing() && form.is_empty() {
         return line(out, format_args!("  <link name=\"{}\"/>", Escaped(link)));
     }
-    let ([x, y, z], i) = (<[f64; 3]>::from(body.centre), &body.inertia);
     line(out, format_args!("  <link name=\"{}\">", Escaped(link)));
+    if !body.is_nothing() {
+        write_body(out, body);
+    }
+    for solid in form {
+        write_solid(out, solid);
+    }
+    line(out, format_args!("  </link>"));
+}
+
+fn write_body(out: &mut String, body: &Body) {
+    let ([x, y, z], i) = (<[f64; 3]>::from(body.centre), &body.inertia);
     line(out, format_args!("    <inertial>"));
     line(
         out,
@@ -132,7 +150,35 @@ fn write_link(out: &mut String, joint: &Joint, link: &str) {
         ),
     );
     line(out, format_args!("    </inertial>"));
-    line(out, format_args!("  </link>"));
+}
+
+fn write_solid(out: &mut String, solid: &Solid) {
+    let (at, form) = match solid {
+        Solid::Capsule { a, b, radius } => {
+            let (way, origin) = (b - a, (a + b) * 0.5);
+            let length = way.norm();
+            let at = match length > 0.0 {
+                true => Placement {
+                    origin,
+                    ..Placement::along(&way)
+                },
+                false => Placement::shifted(origin.x, origin.y, origin.z),
+            };
+            let form = match length > 0.0 {
+                true => format!("<capsule radius=\"{radius:?}\" length=\"{length:?}\"/>"),
+                false => format!("<sphere radius=\"{radius:?}\"/>"),
+            };
+            (at, form)
+        }
+        Solid::Block { at, half } => {
+            let [x, y, z] = (half * 2.0).into();
+            (*at, format!("<box size=\"{x:?} {y:?} {z:?}\"/>"))
+        }
+    };
+    line(out, format_args!("    <collision>"));
+    write_origin(out, "      ", &at);
+    line(out, format_args!("      <geometry>{form}</geometry>"));
+    line(out, format_args!("    </collision>"));
 }
 
 fn write_joint(out: &mut String, joint: &Joint, parent: (&str, &Placement), link: &str) {
@@ -183,12 +229,7 @@ fn write_joint(out: &mut String, joint: &Joint, parent: (&str, &Placement), link
 }
 
 fn write_ends(out: &mut String, (parent, origin): (&str, &Placement), child: &str) {
-    let [x, y, z] = origin.origin.into();
-    let [roll, pitch, yaw] = turns(&origin.rotation);
-    line(
-        out,
-        format_args!("    <origin xyz=\"{x:?} {y:?} {z:?}\" rpy=\"{roll:?} {pitch:?} {yaw:?}\"/>"),
-    );
+    write_origin(out, "    ", origin);
     line(
         out,
         format_args!("    <parent link=\"{}\"/>", Escaped(parent)),
@@ -196,6 +237,17 @@ fn write_ends(out: &mut String, (parent, origin): (&str, &Placement), child: &st
     line(
         out,
         format_args!("    <child link=\"{}\"/>", Escaped(child)),
+    );
+}
+
+fn write_origin(out: &mut String, indent: &str, at: &Placement) {
+    let [x, y, z] = at.origin.into();
+    let [roll, pitch, yaw] = turns(&at.rotation);
+    line(
+        out,
+        format_args!(
+            "{indent}<origin xyz=\"{x:?} {y:?} {z:?}\" rpy=\"{roll:?} {pitch:?} {yaw:?}\"/>"
+        ),
     );
 }
 
