@@ -155,6 +155,8 @@ struct Judge {
     model: Arc<Model>,
     data: mcs::model::Data,
     pairs: Vec<(usize, usize)>,
+    /// The pair that was nearest the last time: it probably is again, and then few others are looked at.
+    nearest: usize,
 }
 
 impl Judge {
@@ -180,6 +182,7 @@ impl Judge {
             data: model.data(),
             model,
             pairs,
+            nearest: 0,
         }
     }
 
@@ -212,9 +215,21 @@ impl Judge {
     /// The least distance of the pairs that are apart in both of these positions, and else of any use: the carriage
     /// and the floor are always near one another, and so are the links at the wrist.
     fn least(&mut self, positions: [&Joints; 2], counts: &[bool]) -> f64 {
-        let all = self.distances(positions);
-        let counted = all.into_iter().zip(counts).filter(|(_, counts)| **counts);
-        counted.fold(f64::INFINITY, |least, (distance, _)| least.min(distance))
+        let solids = self.solids(positions);
+        let balls: Vec<_> = solids.iter().map(Solid::ball).collect();
+        let (mut least, mut nearest) = (f64::INFINITY, self.nearest);
+        for index in [self.nearest].into_iter().chain(0..self.pairs.len()) {
+            let (one, other) = self.pairs[index];
+            // What is around a pair is nearer than the pair is.
+            if counts[index] && apart(&balls[one], &balls[other]) < least {
+                let distance = elsewhere(&solids[one], &solids[other]);
+                if distance < least {
+                    (least, nearest) = (distance, index);
+                }
+            }
+        }
+        self.nearest = nearest;
+        least
     }
 
     /// The pairs that are not always nearer than the margin.
@@ -232,9 +247,13 @@ impl Judge {
     }
 }
 
+/// How far two balls are from one another, m.
+fn apart(one: &(nalgebra::Vector3<f64>, f64), other: &(nalgebra::Vector3<f64>, f64)) -> f64 {
+    (one.0 - other.0).norm() - one.1 - other.1
+}
+
 fn elsewhere(one: &Solid, other: &Solid) -> f64 {
-    let ((centre, radius), (middle, thick)) = (one.ball(), other.ball());
-    let at_least = (centre - middle).norm() - radius - thick;
+    let at_least = apart(&one.ball(), &other.ball());
     if at_least > 0.1 {
         return at_least;
     }
