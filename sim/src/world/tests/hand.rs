@@ -174,9 +174,9 @@ fn three_fingertips_lift_a_round_piece_hold_it_for_seconds_place_it_and_let_it_g
     let start = cell.piece().translation.vector;
     cell.close(2.0);
     for [across, along] in cell.felt() {
-        // Nothing but the sides of the piece is touched: it is pressed straight inwards.
-        assert!((across - 2.0).abs() < 0.1, "{across} N");
-        assert!(along.abs() < 0.4, "{along} N");
+        // Nothing but the sides of the piece is touched: it is pressed inwards, and friction bears a little along it.
+        assert!((across - 2.0).abs() < 0.2, "{across} N");
+        assert!(along.abs() < 0.5, "{along} N");
     }
     let grasped = cell.piece_in_hand();
     cell.lift(1.0);
