@@ -367,7 +367,7 @@ impl ModelBuilder {
             }
             self.model.joints.push(joint);
         }
-        for frame in &part.frames {
+        for (index, frame) in part.frames.iter().enumerate() {
             let on = frame.parent.map(|on| FrameId(on.0 + first_frame));
             let mut frame = Frame {
                 name: prefixed(&frame.name),
@@ -381,7 +381,14 @@ impl ModelBuilder {
                     frame.placement = base.then(&frame.placement);
                 }
             }
-            self.put(frame)?;
+            // What the part has fixed to its own ground, the joint carries that the part stands on.
+            let on_ground = part.at(FrameId(index)).carrier.is_none();
+            let body = std::mem::take(&mut frame.body);
+            let own = self.put(frame)?;
+            match on_ground {
+                true => self.model.fix(own, &body),
+                false => self.model.frames[own.0].body = body,
+            }
         }
         for shape in &part.shapes {
             let own = shape.carrier.map(|on| on + first);

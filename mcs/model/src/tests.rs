@@ -49,11 +49,12 @@ fn what_hangs_on_the_flange_of_an_arm_is_its_hand_and_nothing_of_the_arm() {
     let model = model.unwrap().unwrap();
     let hand = built_in::model("hand", Inertias::Engine).unwrap().unwrap();
     let flange = model.frame("arm.flange").unwrap();
-    let names = model
-        .hanging(flange)
-        .map(|(frame, _)| &model.at(frame).name);
-    assert!(names.clone().all(|name| name.starts_with("hand.")));
-    assert_eq!(names.count(), hand.frames().len());
+    let hanging = model.hanging(flange);
+    let names: Vec<&str> = hanging
+        .map(|(frame, _)| model.at(frame).name.as_str())
+        .collect();
+    assert!(names.iter().all(|name| name.starts_with("hand.")));
+    assert_eq!(names.len(), hand.frames().len());
     // The prism, and three fingers of three links each.
     let mass: f64 = model.hanging(flange).map(|(_, body)| body.mass).sum();
     assert!((mass - (0.9 + 3.0 * 0.09)).abs() < 1e-12, "{mass} kg");
