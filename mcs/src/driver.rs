@@ -84,6 +84,16 @@ impl SensorKind {
         }
     }
 
+    /// The unit of its numbers; empty where they have none.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::ForceTorque => "N, N m",
+            Self::HandJoint => "rad or m",
+            _ => "",
+        }
+    }
+
     /// Whether it is set, and not read.
     #[must_use]
     pub fn is_output(self) -> bool {

@@ -8,7 +8,7 @@ use cli_common::{
     table::fitted,
 };
 use ctos::{control::protocol::ErrorCode, diagnostic::Finding};
-use mcs::client::{JointReport, ReadSlots, SensorKind, SlotsReport, Status, StatusReport};
+use mcs::client::{JointReport, ReadSlots, SlotsReport, Status, StatusReport};
 use serde::Serialize;
 
 /// A manipulator answers at once, or something keeps its tasks.
@@ -86,6 +86,8 @@ struct Sensor {
     name: String,
     unit: &'static str,
     numbers: Vec<f64>,
+    /// Whether they are too old to go by.
+    stale: bool,
 }
 
 /// A line, and how it stands out.
@@ -204,12 +206,11 @@ impl Line {
 impl Seen {
     fn new(status: &StatusReport, slots: SlotsReport) -> Self {
         let mut numbers = slots.sensors.numbers.into_iter();
+        let stale = slots.sensors.stale;
         let sensors = slots.sensors.sensors.into_iter().map(|sensor| Sensor {
+            stale: stale.contains(&sensor.name),
             name: sensor.name,
-            unit: match sensor.kind {
-                SensorKind::ForceTorque => "N, N m",
-                SensorKind::DigitalInput => "",
-            },
+            unit: sensor.kind.unit(),
             numbers: numbers.by_ref().take(sensor.kind.width()).collect(),
         });
         Self {
@@ -248,7 +249,10 @@ impl Seen {
         for sensor in &self.sensors {
             let numbers = sensor.numbers.iter().map(|number| format!("{number:.2}"));
             let numbers: Vec<String> = numbers.collect();
-            let text = format!("  {}: {} {}", sensor.name, numbers.join("  "), sensor.unit);
+            let mut text = format!("  {}: {} {}", sensor.name, numbers.join("  "), sensor.unit);
+            if sensor.stale {
+                text.push_str(" (stale)");
+            }
             lines.push(Line::new(Kind::Plain, text.trim_end(), width));
         }
     }
@@ -331,7 +335,7 @@ fn drawn_load(part: f64) -> String {
 
 #[cfg(test)]
 pub mod tests {
-    use mcs::client::{Sensor as Slot, SensorReport};
+    use mcs::client::{Sensor as Slot, SensorKind, SensorReport};
     use mcs::{model::JointKind, servo::MotionPhase, state::State};
 
     use super::*;
@@ -377,6 +381,7 @@ pub mod tests {
                     kind: SensorKind::ForceTorque,
                 }],
                 numbers: vec![1.0, 2.0, -3.5, 0.0, 0.0, 0.1],
+                stale: Vec::new(),
             },
             last_stop: Some("a protective stop was asked for".to_owned()),
         };

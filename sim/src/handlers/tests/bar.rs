@@ -106,7 +106,7 @@ async fn carry(cx: Context, log: Arc<Mutex<Vec<Sample>>>) {
             speed,
             acceleration: None,
             elbow: None,
-            blend: 0.0,
+            blend: 0.0.into(),
             guards: Vec::new(),
         };
         both.go(to, Duration::from_secs(60)).await.unwrap();
