@@ -20,7 +20,7 @@ static ALL: LazyLock<Vec<Model>> = LazyLock::new(|| {
 
 #[test]
 fn what_is_fixed_to_the_frames_of_a_joint_is_its_body_and_all_of_it_hangs_on_the_base() {
-    for model in all() {
+    for model in ALL.iter() {
         let base = FrameId(0);
         let (mut bodies, mut hanging) = (vec![Body::default(); model.dof()], 1);
         for (frame, body) in model.hanging(base) {
