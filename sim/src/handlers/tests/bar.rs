@@ -242,7 +242,7 @@ fn two_arms_as_one_manipulator_lift_a_bar_and_move_it_and_press_on_it_as_hard_as
         ("held there", lies + up + along),
         ("placed", lies),
     ] {
-        let last = of(stage).last().unwrap();
+        let last = of(stage).next_back().unwrap();
         let off = (last.at - place).norm();
         assert!(off < 2e-3, "{stage}: {off} m");
     }
