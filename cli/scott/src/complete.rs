@@ -378,7 +378,7 @@ mod tests {
         assert_eq!(of("repeat 10 dyn.puma560 EXEC g"), ["gravity"]);
         assert_eq!(of("time dyn.puma560 CTRL -ro"), ["-rotor"]);
         assert_eq!(of("resect CTRL -model "), ["none", "k1", "k1k2", "brown5"]);
-        assert_eq!(of("resect CTRL -model k1 -s"), ["-size", "-seed"]);
+        assert_eq!(of("resect CTRL -model k1 -s"), ["-size", "-seed", "-sd"]);
         assert_eq!(of("resect CTRL -size "), Vec::<String>::new());
         assert_eq!(of("spot CTRL -threshold "), ["auto"]);
         assert!(of("dyn CTRL -rotor ").starts_with(&["on".to_owned(), "off".to_owned()]));

@@ -34,7 +34,7 @@ const FORMS: &[Form] = &[
         takes: "",
         gives: "4 floats a row: position (m), velocity (m/s) and acceleration (m/s^2) after it, and the position predicted \
                 before it (m)",
-        results: "* x: m; v: m/s; a: m/s^2; predicted: m",
+        results: "* x v a predicted",
         help: "filters a table t,z; the first row sets the position, at rest; each row has the gains of its own interval",
     },
 ];

@@ -15,7 +15,7 @@ const FORMS: &[Form] = &[Form {
             centres at whole numbers), second central moments mu20, mu11, mu02 (means, px^2), umin, vmin, umax, vmax \
             (inclusive, px), eccentricity sqrt(1 - l2/l1) of the moments' eigenvalues, Euler number (1 less the holes); 1 int: \
             their number",
-    results: "* area u v: px; mu20 mu11 mu02: px^2; umin vmin umax vmax: px; eccentricity euler; ints components",
+    results: "* area u v mu20 mu11 mu02 umin vmin umax vmax eccentricity euler; ints components",
     help: "finds the connected components of a picture (PNG)",
 }];
 
