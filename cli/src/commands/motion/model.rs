@@ -16,10 +16,10 @@ const SOON: Duration = Duration::from_secs(2);
 /// A joint this near to a limit, as part of its range, stands out.
 const NEAR: f64 = 0.05;
 /// How wide the range of a joint is drawn, and its torque.
-const RANGE: usize = 21;
-const LOAD: usize = 8;
+const RANGE: usize = 11;
+const LOAD: usize = 4;
 /// The longest name of a joint that is not cut.
-const NAME: usize = 12;
+const NAME: usize = 17;
 
 /// One look.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -285,7 +285,7 @@ impl Joint {
         let load = (self.torque / self.most_torque).abs();
         let load = if load.is_finite() { load.min(1.0) } else { 0.0 };
         let text = format!(
-            "  {:<longest$}  {:>8.4} {:<3}  {}  {:>8.3} m{:<3}  {:>8.2} {:<3}  {}",
+            "  {:<longest$}  {:>8.4} {:<3}  {}  {:>7.3} m{:<3}  {:>8.2} {:<3}  {}",
             fitted(&self.name, longest),
             self.position,
             self.unit,
@@ -414,9 +414,9 @@ pub mod tests {
                 "left · motion · held by objects · motion: stopped · 1234 ticks, 1 missed",
                 "  stopped until `pino EXEC resume`",
                 "  last stop: a protective stop was asked for",
-                "  waist     0.0000 rad  ├─────────●─────────┤     1.000 mrad    -25.00 N m  ██░░░░░░",
-                "  track     0.9900 m    ├───────────────────!     1.000 mm      -25.00 N    ██░░░░░░",
-                "  flange    7.0000 rad        no limits           1.000 mrad    -25.00 N m  ██░░░░░░",
+                "  waist     0.0000 rad  ├────●────┤    1.000 mrad    -25.00 N m  █░░░",
+                "  track     0.9900 m    ├─────────!    1.000 mm      -25.00 N    █░░░",
+                "  flange    7.0000 rad   no limits     1.000 mrad    -25.00 N m  █░░░",
                 "  wrist: 1.00  2.00  -3.50  0.00  0.00  0.10 N, N m",
                 "",
                 "right",
