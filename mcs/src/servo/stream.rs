@@ -2,7 +2,7 @@
 //! be followed, and then the arm comes to rest.
 //!
 //! Between two values a joint goes along a line, or with speeds along a cubic, in the time that lay between them in whole
-//! servo periods. A joint goes after that point within its limits ([`chase`](super::chase)), so that a jump of the stream is none
+//! servo periods. A joint goes after that point within its limits (`servo::chase`), so that a jump of the stream is none
 //! of the arm. Allocates nothing in a tick.
 
 use std::f64::consts::PI;
