@@ -1,10 +1,10 @@
 //! Camera calibration from a moving light: resection of one camera from world positions and their pixels.
 //!
 //! The order is: check the table; start from a normalised direct linear transform inside RANSAC; fit 10, 12, then
-//! 15 parameters with a Cauchy loss; reject what lies beyond 3.5 standard deviations (first from the median absolute
-//! residual of all points, then from the residuals of those used, so that points of a second noise level come back) until
-//! the set stays; fit plain least squares; drop distortion terms that the data do not
-//! support; report every uncertainty. Tables from which no camera follows are refused with the reason.
+//! 15 parameters with a Cauchy loss; reject what lies beyond 3.5 standard deviations until the set stays. Then fit plain
+//! least squares; drop distortion terms that the data do not support; report every uncertainty. The first limit of the
+//! rejection comes from the residuals of all points. Later ones come from those used, so that points of a second noise
+//! level come back. Tables from which no camera follows are refused with the reason.
 //! This module knows numbers only: no pictures, no tasks, no simulator, and never the true camera.
 
 mod design;

@@ -621,8 +621,8 @@ impl Planner {
         Ok(walk)
     }
 
-    /// Sees how much longer a path would have to take for every limit of the joints to be kept, that of jerk among them,
-    /// as they are seen at a few moments between two solved poses.
+    /// Sees how much longer a path would have to take, so that the joints keep their limits, that of jerk among them. It
+    /// looks at a few moments between two solved poses.
     fn check_jerk(
         &self,
         path: &ToolPath,

@@ -91,17 +91,15 @@ impl Psom {
         weights: &[f64],
         search: &Search,
     ) -> Result<Completion<'s>, Unknown> {
-        let mut scale = 0.0;
-        for (index, ((x, p), span)) in known.iter().zip(weights).zip(&self.spans).enumerate() {
+        for (index, (x, p)) in known.iter().zip(weights).enumerate() {
             if !(p.is_finite() && *p >= 0.0) || (*p > 0.0 && !x.is_finite()) {
                 return Err(Unknown::Number(index + 1));
             }
-            scale += 0.5 * p * span * span;
         }
         if weights.iter().all(|p| *p == 0.0) {
             return Err(Unknown::Nothing);
         }
-        let good = scale * search.good * search.good;
+        let good = self.good_error(weights, search);
         self.rank(scratch, known, weights, search.restarts);
         let mut best = (f64::INFINITY, [0.0; MOST_PARAMETERS]);
         for start in 0..scratch.starts.len() {
@@ -125,6 +123,13 @@ impl Psom {
             error: best.0,
             good: best.0 <= good,
         })
+    }
+
+    /// The largest E that is good: that of [`Search::good`] of the spans of the known components.
+    pub(super) fn good_error(&self, weights: &[f64], search: &Search) -> f64 {
+        let pairs = weights.iter().zip(&self.spans);
+        let scale: f64 = pairs.map(|(p, span)| 0.5 * p * span * span).sum();
+        scale * search.good * search.good
     }
 
     /// Notes the nodes that are nearest in the known components.

@@ -125,7 +125,8 @@ impl Psom {
 
     /// Completes a vector in the part of `size` nodes a side that is about the answer (a local PSOM, Walter 1996,
     /// section 6.2). With an even size the answer lies in the part's middle interval, and the map is continuous.
-    /// Allocates the parts it looks at. Answers the values, the parameters and E.
+    /// Allocates the parts it looks at. Answers the values, the parameters, E, and
+    /// whether that is good.
     ///
     /// # Errors
     /// As [`Psom::complete`].
@@ -135,7 +136,7 @@ impl Psom {
         known: &[f64],
         weights: &[f64],
         search: &Search,
-    ) -> Result<(Vec<f64>, Vec<f64>, f64), Unknown> {
+    ) -> Result<(Vec<f64>, Vec<f64>, f64, bool), Unknown> {
         let mut scratch = self.scratch();
         let whole = self.complete(&mut scratch, known, weights, search)?;
         let mut about = whole.parameters;
@@ -156,7 +157,8 @@ impl Psom {
                 .all(|((nodes, s), start)| first_of_part(nodes, s, size) == *start);
             if same || turn == 8 {
                 let parameters = found.parameters[..self.axes.len()].to_vec();
-                return Ok((found.values.to_vec(), parameters, found.error));
+                let good = found.error <= self.good_error(weights, search);
+                return Ok((found.values.to_vec(), parameters, found.error, good));
             }
             about = found.parameters;
         }

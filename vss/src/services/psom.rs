@@ -220,10 +220,10 @@ impl Map {
         let wrong = |why: crate::psom::Unknown| Report::error(code::NO_MAP, why.to_string());
         let (answer, good) = if local > 1 {
             let found = map.complete_locally(local, known, weights, &search);
-            let (mut answer, parameters, error) = found.map_err(wrong)?;
+            let (mut answer, parameters, error, good) = found.map_err(wrong)?;
             answer.extend(parameters);
             answer.push(error);
-            (answer, true)
+            (answer, good)
         } else {
             let found = map
                 .complete(scratch, known, weights, &search)

@@ -128,6 +128,10 @@ fn a_table_that_is_no_map_is_told_and_the_map_that_was_there_stays() {
     assert!(said.contains("takes 2 floats here"), "{said}");
     let far = ask(&sorm, "psom EXEC complete FMSG 2 9 1");
     assert_eq!(far.reports[0].code, code::NO_MAP, "{far:?}");
+    // A local map says so as well.
+    ask(&sorm, "psom CTRL -local 2");
+    let far = ask(&sorm, "psom EXEC complete FMSG 2 9 1");
+    assert_eq!(far.reports[0].code, code::NO_MAP, "{far:?}");
 }
 
 #[test]
