@@ -2,6 +2,8 @@
 //!
 //! Pixel centres are at whole numbers, the first pixel is (0, 0), u runs right and v down.
 
+pub mod buffer;
+
 use std::{borrow::Cow, time::Duration};
 
 use ctos::Blob;
@@ -160,6 +162,39 @@ fn luma([red, green, blue]: &[u8; 3]) -> u8 {
     ((2126 * red + 7152 * green + 722 * blue + 5000) / 10_000) as u8
 }
 
+/// What is wrong with a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Doubt {
+    /// Its frames have new numbers and the same pixels.
+    Frozen,
+    /// A frame comes again, or an earlier one.
+    Repeated,
+    /// Its stamps do not go on as time does.
+    TimeJump,
+    /// Its pictures have another size or format than at first.
+    Size,
+    /// Nothing shines.
+    Black,
+    /// There is nothing to see but one even grey.
+    Covered,
+}
+
+impl Doubt {
+    /// Its name in logs.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Frozen => "frozen",
+            Self::Repeated => "repeated",
+            Self::TimeJump => "time_jump",
+            Self::Size => "size",
+            Self::Black => "black",
+            Self::Covered => "covered",
+        }
+    }
+}
+
 /// Why no picture came.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
@@ -171,6 +206,16 @@ pub enum FrameError {
         /// What it says.
         reason: String,
     },
+    /// The camera does what no good camera does: what is measured in its pictures may be wrong.
+    #[error("camera `{camera}` is not to be believed ({}): {reason}", doubt.name())]
+    Doubtful {
+        /// The camera's name.
+        camera: String,
+        /// What it does.
+        doubt: Doubt,
+        /// In words.
+        reason: String,
+    },
 }
 
 #[cfg(test)]
@@ -180,7 +225,13 @@ mod tests {
     #[test]
     fn a_colour_is_as_bright_as_bt_709_says_and_grey_stays_grey() {
         // Item 3.2 of the recommendation: 0.2126 R + 0.7152 G + 0.0722 B.
-        let colours = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255; 3], [90, 20, 200]];
+        let colours = [
+            [255, 0, 0],
+            [0, 255, 0],
+            [0, 0, 255],
+            [255; 3],
+            [90, 20, 200],
+        ];
         let frame = Frame::rgb8(5, 1, colours.concat());
         assert_eq!(*frame.grey(), [54, 182, 18, 255, 48]);
         for grey in 0..=255 {
@@ -190,7 +241,10 @@ mod tests {
         assert_eq!(frame.rgb(4, 0), Some([90, 20, 200]));
         assert_eq!((frame.get(5, 0), frame.get(0, 1)), (None, None));
         let grey = frame.clone().into_grey();
-        assert_eq!((grey.format, &*grey.pixels), (PixelFormat::Grey8, &*frame.grey()));
+        assert_eq!(
+            (grey.format, &*grey.pixels),
+            (PixelFormat::Grey8, &*frame.grey())
+        );
         assert_eq!(grey.rgb(0, 0), Some([54; 3]));
     }
 

@@ -21,6 +21,7 @@ pub mod components;
 pub mod frame;
 pub mod handeye;
 pub mod png;
+pub mod pose;
 pub mod psom;
 pub mod service;
 pub mod services;
