@@ -39,6 +39,8 @@ pub(super) struct CameraText {
     read_noise: Spanned<f64>,
     shot_noise: Spanned<f64>,
     exposure_ms: Option<Spanned<f64>>,
+    #[serde(default)]
+    colour: bool,
 }
 
 impl CameraText {
@@ -96,6 +98,7 @@ impl CameraText {
                 [0.0, 64.0],
             ),
             blur: check.number(&self.blur, "the blur", "px", [0.3, 10.0]),
+            colour: self.colour,
             exposure: self
                 .exposure_ms
                 .as_ref()
