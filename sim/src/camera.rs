@@ -13,9 +13,12 @@ pub mod truth;
 use std::time::Duration;
 
 pub use lamp::LampView;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 pub use noise::Noise;
-use vss::frame::{Carried, PixelFormat};
+use vss::{
+    frame::{Carried, PixelFormat},
+    laser::Beam,
+};
 
 use self::{
     lamp::Spot,
@@ -25,7 +28,7 @@ use self::{
 };
 use crate::{
     cell::{CameraSpec, Cell},
-    scene::{SceneLamp, SceneState},
+    scene::{SceneBeam, SceneLamp, SceneState},
     shapes::{Paint, Shape},
 };
 
@@ -189,7 +192,54 @@ impl Renderer {
             let picture = (now.light.as_mut_slice(), self.format().bytes());
             spot.add(picture, &self.camera, &lamp.centre, self.solids.iter());
         }
+        for beam in &scene.beams {
+            self.shine(beam, &mut now.light);
+        }
         self.now = now;
+    }
+
+    /// Adds the spot of a beam to a picture, where it meets the first thing.
+    fn shine(&self, beam: &SceneBeam, light: &mut [f32]) {
+        let Some(place) = self.meets(&beam.beam) else {
+            return;
+        };
+        let spot = Spot {
+            brightness: beam.brightness,
+            radius: beam.radius,
+            blur: self.spec.blur,
+        };
+        // What it lies on does not hide it.
+        let eye = self.camera.position();
+        let near = place + (eye - place).normalize() * (2.0 * beam.radius);
+        let centre = self.camera.camera_t_world * near;
+        let distance = centre.coords.norm();
+        let hidden = |solid: &Seen| {
+            let hit = solid.hit(&(centre.coords / distance));
+            hit.is_some_and(|hit| hit < distance)
+        };
+        if !self.solids.iter().any(hidden) {
+            let picture = (light, self.format().bytes());
+            spot.add(picture, &self.camera, &place, std::iter::empty());
+        }
+    }
+
+    /// Where a beam meets the first thing that this camera knows of: floor or solid; `None` when it meets nothing.
+    fn meets(&self, beam: &Beam) -> Option<Point3<f64>> {
+        // A camera that looks along the beam from its origin.
+        let helper = if beam.direction.x.abs() < 0.9 {
+            Vector3::x()
+        } else {
+            Vector3::y()
+        };
+        let ahead = beam.origin + beam.direction.into_inner();
+        let along = CameraTruth::pose(&beam.origin, &ahead, &helper)?;
+        let back = along * self.camera.camera_t_world.inverse();
+        let floor = Floor::new(&along);
+        let hits = self.solids.iter().filter_map(|solid| solid.hit_from(&back));
+        let nearest = hits
+            .chain(floor.hit(&Vector3::z()))
+            .min_by(f64::total_cmp)?;
+        Some(beam.origin + beam.direction.into_inner() * nearest)
     }
 
     fn view<'a>(&'a self, floor: &'a Floor) -> View<'a> {

@@ -11,6 +11,7 @@ use std::{path::Path, time::Duration};
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{Body, FrameId, Model};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use vss::laser::Scanner;
 
 use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape, wrist::Electronics};
 
@@ -34,6 +35,8 @@ pub struct Cell {
     pub objects: Vec<ObjectSpec>,
     /// The cameras.
     pub cameras: Vec<CameraSpec>,
+    /// The laser scanners.
+    pub lasers: Vec<LaserSpec>,
     /// The force-torque sensors.
     pub sensors: Vec<SensorSpec>,
     /// What can be seen and may move: links of the arms, then objects.
@@ -138,6 +141,19 @@ pub struct ObjectSpec {
     pub friction: f64,
     /// Its pose at the start, `world_T_object`, m.
     pub start: Isometry3<f64>,
+}
+
+/// A laser scanner with two mirrors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LaserSpec {
+    /// Its name.
+    pub name: String,
+    /// Its exact geometry.
+    pub scanner: Scanner,
+    /// Radius of the spot that it makes, m.
+    pub radius: f64,
+    /// Grey levels of the spot; the peak of a blurred one is lower.
+    pub brightness: f64,
 }
 
 /// A force-torque sensor. On it hang its load, every form that its frame carries, and all that was set on that frame.

@@ -8,9 +8,9 @@ use std::{sync::Arc, time::Duration};
 use nalgebra::Vector3;
 
 use crate::{
-    cell::Cell,
+    cell::{Cell, LaserSpec},
     port::{Claim, Port},
-    scene::{CameraFault, SceneState},
+    scene::{CameraFault, LaserOrder, SceneState},
     world::{World, WorldError},
     wrist::Wrist,
 };
@@ -42,6 +42,7 @@ pub struct Simulation {
     drivers: Vec<Driver>,
     lamps: Vec<bool>,
     camera_faults: Vec<Option<CameraFault>>,
+    lasers: Vec<(LaserSpec, LaserOrder)>,
     wrists: Vec<Wrist>,
     tick: u64,
     stamp: Duration,
@@ -58,6 +59,11 @@ impl Simulation {
             drivers: Vec::new(),
             lamps: cell.lamps.iter().map(|lamp| lamp.on).collect(),
             camera_faults: vec![None; cell.cameras.len()],
+            lasers: cell
+                .lasers
+                .iter()
+                .map(|laser| (laser.clone(), LaserOrder::Off))
+                .collect(),
             wrists: cell
                 .sensors
                 .iter()
@@ -84,6 +90,11 @@ impl Simulation {
         }
         SceneState {
             camera_faults: self.camera_faults.clone(),
+            beams: self
+                .lasers
+                .iter()
+                .flat_map(|(spec, order)| order.beams(spec))
+                .collect(),
             stamp: self.stamp,
             tick: self.tick,
             ..scene
@@ -106,6 +117,12 @@ impl Simulation {
             }
         }
         any
+    }
+
+    /// From now on a laser does that. False when there is no such laser.
+    pub fn order_laser(&mut self, name: &str, order: LaserOrder) -> bool {
+        let found = self.lasers.iter_mut().find(|(spec, _)| spec.name == name);
+        found.map(|(_, own)| *own = order).is_some()
     }
 
     /// From now on a camera has that fault, or none. False when there is no such camera.

@@ -16,7 +16,7 @@ use vss::command::{NamedCamera, TrueCameras};
 use crate::{
     cell::Cell,
     port::Port,
-    scene::{CameraFault, SceneState},
+    scene::{CameraFault, LaserOrder, SceneState},
     scenes::SceneWriter,
     simulation::Simulation,
 };
@@ -59,6 +59,17 @@ ctos::command! {
     } => (), 0x0504, "fail_camera"
 }
 
+ctos::command! {
+    /// Has a laser scanner point, draw a line, or be off.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct OrderLaser {
+        /// Its name in the cell.
+        pub laser: String,
+        /// What it does.
+        pub order: LaserOrder,
+    } => (), 0x0505, "order_laser"
+}
+
 /// Arguments of the world's task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -86,6 +97,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         SetLamp::INFO,
         SwitchLamp::INFO,
         FailCamera::INFO,
+        OrderLaser::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
     ];
@@ -209,6 +221,17 @@ impl EventHandler for WorldTask {
                     reply.fail(format!("the cell has no camera `{camera}`"))
                 }
             }
+            OrderLaser::CODE => {
+                let (OrderLaser { laser, order }, reply) = message.open::<OrderLaser>()?;
+                let mut simulation = self.simulation.borrow_mut();
+                let any = simulation.order_laser(&laser, order);
+                leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+                if any {
+                    reply.ok(())
+                } else {
+                    reply.fail(format!("the cell has no laser `{laser}`"))
+                }
+            }
             TrueCameras::CODE => {
                 let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;
                 reply.ok(self.cameras())
@@ -230,7 +253,8 @@ impl EventHandler for WorldTask {
             if let Some(buffer) = &self.buffer {
                 let place = (cx.app().name.as_str(), buffer.as_str());
                 let scene = self.simulation.borrow_mut().scene();
-                let writer = SceneWriter::create(place, &scene, cx.chassis().clock())?;
+                let (lasers, clock) = (self.cell.lasers.len(), cx.chassis().clock());
+                let writer = SceneWriter::create(place, &scene, lasers, clock)?;
                 *self.scenes.borrow_mut() = Some(writer);
             }
             self.cyclic = Some(cx.cyclic(self.period, self.ticker(cx)));

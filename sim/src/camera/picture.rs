@@ -16,17 +16,25 @@ const FLOOR: u16 = 1;
 /// The first solid.
 const SOLID: u16 = 2;
 
-/// Points of a pixel at which is looked on edges, in eighths of a pixel off its first corner, less a sixteenth: one in each
-/// column and row. The first four are near the corners.
-const POINTS: [[f64; 2]; 8] = [
-    [0.0, 6.0],
-    [1.0, 1.0],
-    [7.0, 2.0],
-    [6.0, 7.0],
+/// Points of a pixel at which is looked on edges, in sixteenths of a pixel: one in each column and row (van der Corput's
+/// sequence). The first four are near the corners.
+const POINTS: [[f64; 2]; 16] = [
+    [0.0, 0.0],
+    [15.0, 15.0],
+    [3.0, 12.0],
+    [12.0, 3.0],
+    [1.0, 8.0],
     [2.0, 4.0],
-    [3.0, 0.0],
-    [4.0, 5.0],
-    [5.0, 3.0],
+    [4.0, 2.0],
+    [5.0, 10.0],
+    [6.0, 6.0],
+    [7.0, 14.0],
+    [8.0, 1.0],
+    [9.0, 9.0],
+    [10.0, 5.0],
+    [11.0, 13.0],
+    [13.0, 11.0],
+    [14.0, 7.0],
 ];
 
 /// After so many points that all show what the centre shows, a pixel counts as no edge.
@@ -215,7 +223,7 @@ impl Picture {
         let rows = (around[7] - around[4]) / view.camera.width;
         let down = (view.rays[around[7]] - view.rays[around[4]]) / rows as f64;
         for (turn, [u, v]) in POINTS.iter().enumerate() {
-            let [u, v] = [u, v].map(|eighth| (eighth + 0.5) / 8.0 - 0.5);
+            let [u, v] = [u, v].map(|sixteenth| (sixteenth + 0.5) / 16.0 - 0.5);
             let ray = (view.rays[own] + across * u + down * v).normalize();
             let mut nearest = (f64::INFINITY, None);
             for (index, (shown, ..)) in sides.iter().enumerate() {

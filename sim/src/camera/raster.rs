@@ -156,6 +156,57 @@ impl Seen {
         }
     }
 
+    /// Distance to the first point of the solid along the z axis of another frame, `frame_t_camera`.
+    pub(super) fn hit_from(&self, frame_t_camera: &Isometry3<f64>) -> Option<f64> {
+        let form = match &self.form {
+            Form::Ball { centre, radius } => Form::Ball {
+                centre: (frame_t_camera * Point3::from(*centre)).coords,
+                radius: *radius,
+            },
+            Form::Capsule { a, b, radius } => Form::Capsule {
+                a: (frame_t_camera * Point3::from(*a)).coords,
+                b: (frame_t_camera * Point3::from(*b)).coords,
+                radius: *radius,
+            },
+            Form::Block { turn, eye, half } => {
+                let (turn, eye) = seen_from(frame_t_camera, turn, eye);
+                Form::Block {
+                    turn,
+                    eye,
+                    half: *half,
+                }
+            }
+            Form::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => {
+                let (turn, eye) = seen_from(frame_t_camera, turn, eye);
+                Form::Cylinder {
+                    turn,
+                    eye,
+                    half: *half,
+                    radius: *radius,
+                }
+            }
+            Form::Disc {
+                centre,
+                normal,
+                radius,
+            } => Form::Disc {
+                centre: (frame_t_camera * Point3::from(*centre)).coords,
+                normal: frame_t_camera * normal,
+                radius: *radius,
+            },
+        };
+        let moved = Self {
+            form,
+            ..self.clone()
+        };
+        moved.hit(&Vector3::z())
+    }
+
     /// Tells `found` for each of `rays` that hits: its index and the distance.
     pub(super) fn hits(&self, rays: &[Vector3<f64>], found: impl FnMut(usize, f64)) {
         // The form is looked at once, not for each ray.
@@ -274,6 +325,17 @@ impl Seen {
             _ => Some(whole),
         }
     }
+}
+
+/// The turn and the place of the origin of a solid, by those that a camera has of it, for another frame.
+fn seen_from(
+    frame_t_camera: &Isometry3<f64>,
+    turn: &Matrix3<f64>,
+    eye: &Vector3<f64>,
+) -> (Matrix3<f64>, Vector3<f64>) {
+    let back = frame_t_camera.inverse();
+    let rotation = back.rotation.to_rotation_matrix().into_inner();
+    (turn * rotation, eye + turn * back.translation.vector)
 }
 
 /// Tells `found` for each of `rays` that `hit` says a distance of.
@@ -489,8 +551,11 @@ fn hit_disc(
     let t = normal.dot(centre) / normal.dot(ray);
     // In its own plane a disc is a line without width: t is no number, and nothing is seen.
     let off = (ray * t - centre).norm_squared();
-    (t > 0.0 && off <= radius * radius).then_some(t)
+    (t > PAINT && off <= radius * radius).then_some(t - PAINT)
 }
+
+/// A disc is painted on something, and is seen by so much before it, m.
+const PAINT: f64 = 1e-4;
 
 /// Where a ray is between the planes at plus and minus `half`, by one coordinate.
 fn slab(eye: f64, ray: f64, half: f64) -> Option<[f64; 2]> {

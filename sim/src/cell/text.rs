@@ -4,6 +4,7 @@ mod arm;
 mod camera;
 mod check;
 mod lamp;
+mod laser;
 mod sensor;
 mod thing;
 
@@ -16,6 +17,7 @@ use self::{
     camera::CameraText,
     check::{Check, GREY},
     lamp::LampText,
+    laser::LaserText,
     sensor::{SensorText, hanging},
     thing::{FurnitureText, MarkText, ObjectText},
 };
@@ -72,6 +74,8 @@ struct CellText {
     furniture: Vec<FurnitureText>,
     #[serde(default)]
     mark: Vec<MarkText>,
+    #[serde(default)]
+    laser: Vec<LaserText>,
     #[serde(default)]
     object: Vec<ObjectText>,
     #[serde(default)]
@@ -135,6 +139,12 @@ impl CellText {
             cameras.push(camera.check(check));
         }
         let mut names = Vec::new();
+        let mut lasers = Vec::new();
+        for laser in &self.laser {
+            let name = check.name("a laser", &laser.name, &mut names);
+            lasers.push(laser.check(name, check));
+        }
+        let mut names = Vec::new();
         let mut sensors = Vec::new();
         for sensor in &self.force_torque {
             let name = check.name("a sensor", &sensor.name, &mut names);
@@ -157,6 +167,7 @@ impl CellText {
             marks,
             objects,
             cameras,
+            lasers,
         };
         // A camera that is carried was described in the frame of what carries it.
         let start = cell.start();
