@@ -21,6 +21,9 @@ pub const MOST_PLACES: usize = 14;
 /// A light may be beside its place by so many pixels before the fit.
 const BESIDE_PX: f64 = 6.0;
 
+/// After the fit the lights may be beside their places by this root of a mean square: more is another thing.
+const MOST_RMS_PX: f64 = 2.0;
+
 /// The second best choice must be worse by this factor, as a root of the mean square.
 const CLEARLY: f64 = 2.0;
 
@@ -134,7 +137,7 @@ pub fn find_target(
     let nowhere = NoPose::Nowhere(lights.len(), places.len());
     let best = fits
         .first()
-        .filter(|fit| fit.rms_px < BESIDE_PX)
+        .filter(|fit| fit.rms_px < MOST_RMS_PX)
         .ok_or(nowhere)?;
     let mut others = fits.iter().skip(1);
     let other = others.find(|other| {
