@@ -7,6 +7,7 @@
 
 pub mod dispatcher;
 pub mod dom;
+pub mod hand_eye;
 pub mod motion;
 pub mod objects;
 mod observations;
@@ -41,6 +42,7 @@ pub fn register(registry: &mut Registry) {
     vision::register(registry);
     operator::register(registry);
     referee::register(registry);
+    hand_eye::register(registry);
     pnt::task::check_nets(registry);
 }
 

@@ -6,11 +6,12 @@
 mod overlap;
 mod text;
 
-use std::path::Path;
+use std::{path::Path, time::Duration};
 
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{Body, FrameId, Model};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use vss::laser::Scanner;
 
 use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape, wrist::Electronics};
 
@@ -28,10 +29,14 @@ pub struct Cell {
     pub floor_grey: f64,
     /// What stands in the room, world frame.
     pub room: Vec<Shape>,
+    /// What is painted on it, world frame: it can be seen and not be touched.
+    pub marks: Vec<Shape>,
     /// What can be moved.
     pub objects: Vec<ObjectSpec>,
     /// The cameras.
     pub cameras: Vec<CameraSpec>,
+    /// The laser scanners.
+    pub lasers: Vec<LaserSpec>,
     /// The force-torque sensors.
     pub sensors: Vec<SensorSpec>,
     /// What can be seen and may move: links of the arms, then objects.
@@ -138,6 +143,19 @@ pub struct ObjectSpec {
     pub start: Isometry3<f64>,
 }
 
+/// A laser scanner with two mirrors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LaserSpec {
+    /// Its name.
+    pub name: String,
+    /// Its exact geometry.
+    pub scanner: Scanner,
+    /// Radius of the spot that it makes, m.
+    pub radius: f64,
+    /// Grey levels of the spot; the peak of a blurred one is lower.
+    pub brightness: f64,
+}
+
 /// A force-torque sensor. On it hang its load, every form that its frame carries, and all that was set on that frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorSpec {
@@ -175,6 +193,10 @@ pub struct CameraSpec {
     pub shot_noise: f64,
     /// Standard deviation of the point spread (lens and pixel area), px.
     pub blur: f64,
+    /// Whether its pictures are in colour.
+    pub colour: bool,
+    /// How long the shutter is open. What moves meanwhile is seen as it was in the middle.
+    pub exposure: Duration,
 }
 
 impl Cell {

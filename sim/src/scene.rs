@@ -6,8 +6,10 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
+use vss::laser::Beam;
+
 use crate::{
-    cell::{Cell, Origin},
+    cell::{Cell, LaserSpec, Origin},
     shapes::Shape,
 };
 
@@ -22,6 +24,75 @@ pub struct SceneState {
     pub bodies: Vec<SceneBody>,
     /// The lamps, in the order of the cell's file.
     pub lamps: Vec<SceneLamp>,
+    /// Beams of the laser scanners that shine, several for a line.
+    pub beams: Vec<SceneBeam>,
+    /// What is wrong with each camera of the cell's file, in its order.
+    pub camera_faults: Vec<Option<CameraFault>>,
+}
+
+/// A beam of light in the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SceneBeam {
+    /// The light.
+    pub beam: Beam,
+    /// Radius of the spot that it makes, m.
+    pub radius: f64,
+    /// Grey levels of the spot.
+    pub brightness: f64,
+}
+
+/// What a laser scanner does.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub enum LaserOrder {
+    /// It is off.
+    #[default]
+    Off,
+    /// A spot at a command for both mirrors.
+    Spot([f64; 2]),
+    /// A line between two commands, drawn faster than any exposure.
+    Line([f64; 2], [f64; 2]),
+}
+
+impl LaserOrder {
+    /// The beams of a scanner that does so.
+    pub fn beams(self, spec: &LaserSpec) -> impl Iterator<Item = SceneBeam> {
+        let (from, to, count) = match self {
+            Self::Off => ([0.0; 2], [0.0; 2], 0),
+            Self::Spot(at) => (at, at, 1),
+            Self::Line(from, to) => (from, to, LINE),
+        };
+        let share = if count > 1 { LINE_SHARE } else { 1.0 };
+        (0..count).map(move |step| {
+            let t = f64::from(step) / f64::from(count.max(2) - 1);
+            let command = std::array::from_fn(|k| from[k] + t * (to[k] - from[k]));
+            SceneBeam {
+                beam: spec.scanner.beam(command),
+                radius: spec.radius,
+                brightness: spec.brightness * share,
+            }
+        })
+    }
+}
+
+/// Spots that a line is made of, and what each has of the brightness of a spot that stands.
+pub const LINE: u32 = 160;
+const LINE_SHARE: f64 = 0.6;
+
+/// What a camera can be told to do wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CameraFault {
+    /// New frames have the pixels of the last one before.
+    Freeze,
+    /// The last frame before comes again and again.
+    Repeat,
+    /// Stamps are an hour ahead.
+    Jump,
+    /// Pictures have half of their rows.
+    Shrink,
+    /// Pictures are black.
+    Black,
+    /// A hand covers the lens.
+    Cover,
 }
 
 /// A body in the scene.
@@ -72,6 +143,7 @@ impl SceneState {
         });
         Self {
             lamps: lamps.collect(),
+            camera_faults: vec![None; cell.cameras.len()],
             bodies,
             ..Self::default()
         }

@@ -7,13 +7,16 @@
 use ctos::time::Clock;
 use sorma_snapshot::{Layout, Place, Reader, Snapshot, SnapshotError, Writer, WriterState};
 
-use crate::scene::SceneState;
+use crate::scene::{LINE, SceneState};
 
 /// How many scenes a buffer keeps.
 const SLOTS: usize = 64;
 
-/// The numbers of a scene grow by so many bytes at most: its stamp and its tick.
+/// The numbers of a scene grow by so many bytes at most: its stamp and its tick. A fault of a camera takes one more.
 const GROWTH: usize = 32;
+
+/// Bytes of a beam: eight numbers.
+const BEAM: usize = 64;
 
 /// What a float of each body is.
 const POSE: [&str; 7] = ["x m", "y m", "z m", "qx", "qy", "qz", "qw"];
@@ -58,19 +61,21 @@ pub struct SceneWriter {
 }
 
 impl SceneWriter {
-    /// The buffer `buffer` of the app, with `scene` as its first record.
+    /// The buffer `buffer` of the app, with `scene` as its first record; it has room for the lines of that many `lasers`.
     ///
     /// # Errors
     /// Another process writes it, the name cannot be, or the system refuses.
     pub fn create(
         (app, buffer): (&str, &str),
         scene: &SceneState,
+        lasers: usize,
         clock: &Clock,
     ) -> Result<Self, ScenesError> {
         let foreign = |error: postcard::Error| foreign(buffer, error);
         let bytes = postcard::to_stdvec(scene).map_err(foreign)?;
         let layout = Layout::new(SLOTS, POSE.len() * scene.bodies.len());
-        let layout = layout.bytes(bytes.len() + GROWTH);
+        let growth = GROWTH + scene.camera_faults.len() + lasers * LINE as usize * BEAM;
+        let layout = layout.bytes(bytes.len() + growth);
         let layout = layout.described(description(scene));
         let mut own = Self {
             buffer: buffer.to_owned(),
@@ -187,7 +192,7 @@ mod tests {
         let (app, clock, mut scene) = (app("whole"), Clock::real(), scene());
         let mut reader = SceneReader::new(&app, "scenes");
         assert!(reader.latest().is_err());
-        let mut writer = SceneWriter::create((&app, "scenes"), &scene, &clock).unwrap();
+        let mut writer = SceneWriter::create((&app, "scenes"), &scene, 0, &clock).unwrap();
         assert_eq!(reader.latest().unwrap(), scene);
         for tick in [1, 1000, u64::MAX] {
             scene.tick = tick;
@@ -207,14 +212,14 @@ mod tests {
     #[test]
     fn a_reader_goes_on_with_the_buffer_of_the_next_world() {
         let (app, clock, mut scene) = (app("next"), Clock::real(), scene());
-        let writer = SceneWriter::create((&app, "scenes"), &scene, &clock).unwrap();
+        let writer = SceneWriter::create((&app, "scenes"), &scene, 0, &clock).unwrap();
         let mut reader = SceneReader::new(&app, "scenes");
         assert_eq!(reader.latest().unwrap().tick, 0);
         drop(writer);
         assert!(reader.latest().is_err(), "nobody leaves scenes any more");
         scene.bodies.pop();
         scene.tick = 7;
-        let _writer = SceneWriter::create((&app, "scenes"), &scene, &clock).unwrap();
+        let _writer = SceneWriter::create((&app, "scenes"), &scene, 0, &clock).unwrap();
         assert_eq!(reader.latest().unwrap(), scene);
     }
 

@@ -8,9 +8,9 @@ use std::{sync::Arc, time::Duration};
 use nalgebra::Vector3;
 
 use crate::{
-    cell::Cell,
+    cell::{Cell, LaserSpec},
     port::{Claim, Port},
-    scene::SceneState,
+    scene::{CameraFault, LaserOrder, SceneState},
     world::{World, WorldError},
     wrist::Wrist,
 };
@@ -41,6 +41,8 @@ pub struct Simulation {
     changes: u64,
     drivers: Vec<Driver>,
     lamps: Vec<bool>,
+    camera_faults: Vec<Option<CameraFault>>,
+    lasers: Vec<(LaserSpec, LaserOrder)>,
     wrists: Vec<Wrist>,
     tick: u64,
     stamp: Duration,
@@ -56,6 +58,12 @@ impl Simulation {
             changes: 0,
             drivers: Vec::new(),
             lamps: cell.lamps.iter().map(|lamp| lamp.on).collect(),
+            camera_faults: vec![None; cell.cameras.len()],
+            lasers: cell
+                .lasers
+                .iter()
+                .map(|laser| (laser.clone(), LaserOrder::Off))
+                .collect(),
             wrists: cell
                 .sensors
                 .iter()
@@ -81,6 +89,12 @@ impl Simulation {
             lamp.on = *on;
         }
         SceneState {
+            camera_faults: self.camera_faults.clone(),
+            beams: self
+                .lasers
+                .iter()
+                .flat_map(|(spec, order)| order.beams(spec))
+                .collect(),
             stamp: self.stamp,
             tick: self.tick,
             ..scene
@@ -103,6 +117,19 @@ impl Simulation {
             }
         }
         any
+    }
+
+    /// From now on a laser does that. False when there is no such laser.
+    pub fn order_laser(&mut self, name: &str, order: LaserOrder) -> bool {
+        let found = self.lasers.iter_mut().find(|(spec, _)| spec.name == name);
+        found.map(|(_, own)| *own = order).is_some()
+    }
+
+    /// From now on a camera has that fault, or none. False when there is no such camera.
+    pub fn fail_camera(&mut self, name: &str, fault: Option<CameraFault>, cell: &Cell) -> bool {
+        let mut cameras = self.camera_faults.iter_mut().zip(&cell.cameras);
+        let found = cameras.find(|(_, spec)| spec.truth.name == name);
+        found.map(|(own, _)| *own = fault).is_some()
     }
 
     /// Goes on by `period`, and makes up for the ticks that were `missed` before it as far as a driver has spoken

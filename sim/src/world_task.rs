@@ -14,7 +14,11 @@ use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
 use crate::{
-    cell::Cell, port::Port, scene::SceneState, scenes::SceneWriter, simulation::Simulation,
+    cell::Cell,
+    port::Port,
+    scene::{CameraFault, LaserOrder, SceneState},
+    scenes::SceneWriter,
+    simulation::Simulation,
 };
 
 /// Name of the world's event handler.
@@ -44,6 +48,28 @@ ctos::command! {
     } => (), 0x0503, "switch_lamp"
 }
 
+ctos::command! {
+    /// Has a camera fail from now on, or be well again.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct FailCamera {
+        /// Its name in the cell.
+        pub camera: String,
+        /// What it does; nothing wrong when there is none.
+        pub fault: Option<CameraFault>,
+    } => (), 0x0504, "fail_camera"
+}
+
+ctos::command! {
+    /// Has a laser scanner point, draw a line, or be off.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct OrderLaser {
+        /// Its name in the cell.
+        pub laser: String,
+        /// What it does.
+        pub order: LaserOrder,
+    } => (), 0x0505, "order_laser"
+}
+
 /// Arguments of the world's task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -70,6 +96,8 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         GetScene::INFO,
         SetLamp::INFO,
         SwitchLamp::INFO,
+        FailCamera::INFO,
+        OrderLaser::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
     ];
@@ -182,6 +210,28 @@ impl EventHandler for WorldTask {
                     reply.fail(format!("the cell has no lamp `{lamp}`"))
                 }
             }
+            FailCamera::CODE => {
+                let (FailCamera { camera, fault }, reply) = message.open::<FailCamera>()?;
+                let mut simulation = self.simulation.borrow_mut();
+                let any = simulation.fail_camera(&camera, fault, &self.cell);
+                leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+                if any {
+                    reply.ok(())
+                } else {
+                    reply.fail(format!("the cell has no camera `{camera}`"))
+                }
+            }
+            OrderLaser::CODE => {
+                let (OrderLaser { laser, order }, reply) = message.open::<OrderLaser>()?;
+                let mut simulation = self.simulation.borrow_mut();
+                let any = simulation.order_laser(&laser, order);
+                leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+                if any {
+                    reply.ok(())
+                } else {
+                    reply.fail(format!("the cell has no laser `{laser}`"))
+                }
+            }
             TrueCameras::CODE => {
                 let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;
                 reply.ok(self.cameras())
@@ -203,7 +253,8 @@ impl EventHandler for WorldTask {
             if let Some(buffer) = &self.buffer {
                 let place = (cx.app().name.as_str(), buffer.as_str());
                 let scene = self.simulation.borrow_mut().scene();
-                let writer = SceneWriter::create(place, &scene, cx.chassis().clock())?;
+                let (lasers, clock) = (self.cell.lasers.len(), cx.chassis().clock());
+                let writer = SceneWriter::create(place, &scene, lasers, clock)?;
                 *self.scenes.borrow_mut() = Some(writer);
             }
             self.cyclic = Some(cx.cyclic(self.period, self.ticker(cx)));

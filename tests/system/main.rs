@@ -9,6 +9,7 @@
 )]
 
 mod bad_input;
+mod cameras;
 mod control;
 mod determinism;
 mod display;

@@ -8,6 +8,7 @@ mod abg;
 mod blobs;
 mod clockfit;
 mod handeye;
+mod laser;
 mod picture;
 mod psom;
 mod resect;
@@ -50,7 +51,7 @@ sorma::prototypes! {
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 8] = [
+    let made: [Class; 9] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -63,6 +64,9 @@ pub fn register(sorm: &Sorm) {
             Ok(Box::new(stereo::Stereo::default()))
         }),
         Class::new("handeye", VERSION, |_, _| Ok(Box::new(handeye::HandEye))),
+        Class::new("laser", VERSION, |_, _| {
+            Ok(Box::new(laser::Laser::default()))
+        }),
         Class::new("psom", VERSION, |_, _| Ok(Box::new(psom::Map::default()))),
         Class::new("abg", VERSION, |_, _| Ok(Box::new(abg::Filter::default()))),
         Class::new("clockfit", VERSION, |_, _| {
@@ -83,6 +87,7 @@ pub fn classes() -> Vec<ClassInfo> {
         resect::TABLE.class("resect", VERSION),
         stereo::TABLE.class("stereo", VERSION),
         handeye::TABLE.class("handeye", VERSION),
+        laser::TABLE.class("laser", VERSION),
         psom::TABLE.class("psom", VERSION),
         abg::TABLE.class("abg", VERSION),
         clockfit::TABLE.class("clockfit", VERSION),

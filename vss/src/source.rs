@@ -15,6 +15,12 @@ use crate::frame::{Frame, FrameError};
 
 /// Something that takes pictures. It may ask other tasks and wait for them.
 pub trait FrameSource {
+    /// Whether it takes pictures of what is now, by a sensor: then their stamps are of the app's clock, and no two have the
+    /// same pixels. A Vision Module watches such a source for more.
+    fn is_live(&self) -> bool {
+        false
+    }
+
     /// Takes one picture.
     fn snap<'a>(&'a mut self, cx: &'a Context) -> LocalBoxFuture<'a, Result<Frame, FrameError>>;
 }

@@ -63,7 +63,10 @@ impl ModuleManager {
         };
         let turn = self.arbiter.borrow_mut().acquire(hardware, from, reply);
         match turn {
-            Some(turn) => grant(turn),
+            Some(turn) => {
+                tracing::debug!(hardware, grant = turn.grant, "granted");
+                grant(turn);
+            }
             None => self.watch(cx, hardware.clone()),
         }
         Ok(())
@@ -129,6 +132,7 @@ impl EventHandler for ModuleManager {
             .iter()
             .position(|config| config.name == chassis);
         if let Some(index) = position.and_then(|position| u8::try_from(position + 1).ok()) {
+            tracing::debug!(chassis, "what it held is taken back");
             self.revoke(index);
         }
         Ok(())

@@ -31,7 +31,9 @@ use vss::{
     calibrate::LightPoint,
     camera::{Camera, Distortion, Intrinsics},
     catalog::VssExpander,
-    command::{AcquireVm, Calibrate, Outcome, SpotFind, SpotReport, VisionError, WhatIsShown},
+    command::{
+        AcquireVm, Calibrate, FindPair, Outcome, SpotFind, SpotReport, VisionError, WhatIsShown,
+    },
     frame::{Frame, FrameError},
     source::{FrameSource, FrameSources},
 };
@@ -77,11 +79,10 @@ impl FrameSource for TestCamera {
                 });
             }
             Ok(Frame {
-                width: 100,
-                height: 80,
-                pixels: self.picture(cx).into(),
-                stamp: cx.now().since_start(),
+                camera: self.name.clone(),
                 number: self.taken - 1,
+                stamp: cx.now().since_start(),
+                ..Frame::grey8(100, 80, self.picture(cx))
             })
         })
     }
@@ -115,7 +116,7 @@ handler = "test.client"
 on = "ws1"
 [vss]
 on = "cage_vision"
-services = ["SpotFind", "Calibrate"]
+services = ["SpotFind", "PairFind", "Calibrate"]
 hold_limit_s = 3.0
 [vss.cameras.left]
 source = "test.camera"
@@ -338,6 +339,28 @@ fn two_cameras_work_at_the_same_time_and_one_camera_in_turn() {
         assert_eq!(frames, [1, 2, 3, 4]);
         let took = (cx.now() - begin).as_secs_f64();
         assert!((4.0..4.5).contains(&took), "{took}");
+        Ok(String::new())
+    });
+}
+
+#[test]
+fn a_pair_of_cameras_sees_at_the_same_moment() {
+    run(|cx| async move {
+        let begin = cx.now();
+        let pair = |left: &str, right: &str| FindPair {
+            cameras: [left.to_owned(), right.to_owned()],
+        };
+        let [left, right] = ask(&cx, "vsm", pair("left", "right")).await??;
+        assert_eq!(
+            (left.camera.as_str(), right.camera.as_str()),
+            ("left", "right")
+        );
+        assert!((left.u - 41.3).abs() < 0.1 && (right.u - 12.25).abs() < 0.1);
+        assert!(left.stamp.abs_diff(right.stamp) < Duration::from_millis(10));
+        let took = (cx.now() - begin).as_secs_f64();
+        assert!((1.0..1.5).contains(&took), "{took}");
+        let refused = ask(&cx, "vsm", pair("left", "dark")).await?;
+        assert_eq!(refused.unwrap_err().outcome, Outcome::Unseen);
         Ok(String::new())
     });
 }

@@ -4,6 +4,7 @@ mod arm;
 mod camera;
 mod check;
 mod lamp;
+mod laser;
 mod sensor;
 mod thing;
 
@@ -16,8 +17,9 @@ use self::{
     camera::CameraText,
     check::{Check, GREY},
     lamp::LampText,
+    laser::LaserText,
     sensor::{SensorText, hanging},
-    thing::{FurnitureText, ObjectText},
+    thing::{FurnitureText, MarkText, ObjectText},
 };
 use super::{ArmSpec, BodySpec, Cell, Mount, ObjectSpec, Origin, ReadModel, overlap};
 use crate::shapes::{self, Shape};
@@ -71,6 +73,10 @@ struct CellText {
     #[serde(default)]
     furniture: Vec<FurnitureText>,
     #[serde(default)]
+    mark: Vec<MarkText>,
+    #[serde(default)]
+    laser: Vec<LaserText>,
+    #[serde(default)]
     object: Vec<ObjectText>,
     #[serde(default)]
     force_torque: Vec<SensorText>,
@@ -117,6 +123,7 @@ impl CellText {
             .iter()
             .map(|item| item.check(check))
             .collect();
+        let marks = self.mark.iter().map(|mark| mark.check(check)).collect();
         let mut names = Vec::new();
         let mut objects = Vec::new();
         for object in &self.object {
@@ -130,6 +137,12 @@ impl CellText {
             check.name("a camera", &camera.name, &mut names);
             mounts.push(check.mount(&arms, camera.arm.as_ref(), camera.link.as_ref()));
             cameras.push(camera.check(check));
+        }
+        let mut names = Vec::new();
+        let mut lasers = Vec::new();
+        for laser in &self.laser {
+            let name = check.name("a laser", &laser.name, &mut names);
+            lasers.push(laser.check(name, check));
         }
         let mut names = Vec::new();
         let mut sensors = Vec::new();
@@ -151,8 +164,10 @@ impl CellText {
             lamps,
             floor_grey,
             room,
+            marks,
             objects,
             cameras,
+            lasers,
         };
         // A camera that is carried was described in the frame of what carries it.
         let start = cell.start();

@@ -1,0 +1,96 @@
+//! Five cameras under one manager, and the one that the arm carries.
+
+use serde_json::Value;
+
+use crate::harness::{CTOS, Run, SCOTT, Scratch};
+
+const FIVE: [&str; 5] = [
+    "ceiling_west",
+    "ceiling_east",
+    "side_south",
+    "side_front",
+    "wrist",
+];
+
+/// Boots the app under a name that no other test has: its snapshot buffers are of the whole host.
+fn up<'a>(scratch: &'a Scratch, name: &str, more: &[&str]) -> Run<'a> {
+    let name = format!("app.name=\"{name}\"");
+    let all = [&["boot", "configs/cameras.toml", "--set", &name], more].concat();
+    let mut run = scratch.start(CTOS, &all, &[]);
+    run.wait_for("phase 3");
+    run
+}
+
+fn spot(camera: &str) -> String {
+    format!("spot EXEC camera {camera}")
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    let all = value.as_array().unwrap().iter();
+    all.map(|number| number.as_f64().unwrap()).collect()
+}
+
+#[test]
+fn five_cameras_see_the_lamp_at_once_each_by_its_own_number() {
+    let scratch = Scratch::new();
+    let name = format!("five-{}", std::process::id());
+    let _run = up(&scratch, &name, &[]);
+    // The noise makes small things that are no lamps.
+    let set = "spot CTRL -threshold 90 -min-area 5 -most 10000";
+    scratch.scott(&[&name, "-c", set]).must_exit_leaving(0);
+    let asked = FIVE.map(|camera| {
+        let line = spot(camera);
+        scratch.start(SCOTT, &[&name, "--json", "-c", &line], &[])
+    });
+    for (camera, run) in FIVE.iter().zip(asked) {
+        let ended = run.end();
+        ended.must_exit_leaving(0);
+        let answer = ended.json();
+        let spot = numbers(&answer["floats"]);
+        assert!(spot.len() >= 3, "{camera}: {answer}");
+        assert!((0.0..500.0).contains(&spot[0]) && (0.0..500.0).contains(&spot[1]));
+        assert_eq!(answer["ints"][1], 0, "{camera}: {answer}");
+    }
+}
+
+#[test]
+fn what_a_killed_chassis_held_of_a_camera_is_taken_back() {
+    let scratch = Scratch::new();
+    // A picture takes five seconds, and whoever holds a camera may do so for ten minutes.
+    let cell = scratch.read("configs/cameras-cell.toml");
+    let slow = cell.replacen("exposure_ms = 8.0", "exposure_ms = 5000.0", 1);
+    scratch.write("configs/cameras-cell.toml", slow);
+    let name = format!("killed-{}", std::process::id());
+    let more = ["--set", "vss.hold_limit_s=600.0", "--log", "vss=debug"];
+    let mut run = up(&scratch, &name, &more);
+    let line = spot("ceiling_west");
+    let first = scratch.start(SCOTT, &[&name, "-c", &line], &[]);
+    run.wait_for("granted");
+    run.kill("cage_tools");
+    assert_ne!(first.end().code, Some(0));
+    run.wait_for("taken back");
+    run.wait_for("cage_tools is up again");
+    let set = "spot CTRL -threshold 90 -min-area 5 -most 10000";
+    scratch.scott(&[&name, "-c", set]).must_exit_leaving(0);
+    // Had it not been taken back, nobody would get it for ten minutes, and the harness ends this after two.
+    let again = scratch.scott(&[&name, "--json", "-c", &line]);
+    again.must_exit_leaving(0);
+    assert!(numbers(&again.json()["floats"]).len() >= 3);
+}
+
+#[test]
+fn the_camera_on_the_arm_is_calibrated_within_its_own_standard_deviations() {
+    let scratch = Scratch::new();
+    let ended = scratch.ctos(&["sim", "configs/handeye.toml", "--json"]);
+    ended.must_exit(0);
+    let result = &ended.json()["result"];
+    assert_eq!(result["link"], "puma.link6");
+    assert!(result["samples"].as_u64().unwrap() >= 12, "{result}");
+    let (error, sd) = (numbers(&result["error"]), numbers(&result["sd"]));
+    for (error, sd) in error.iter().zip(&sd) {
+        assert!(error.abs() < 3.5 * sd, "{result}");
+    }
+    // Good to a mrad and a mm, and not by saying nothing.
+    assert!(sd[..3].iter().all(|sd| *sd < 1e-3), "{result}");
+    assert!(sd[3..].iter().all(|sd| *sd < 1e-3), "{result}");
+}
