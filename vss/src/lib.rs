@@ -20,7 +20,6 @@ pub mod command;
 pub mod components;
 pub mod frame;
 pub mod handeye;
-pub mod png;
 pub mod psom;
 pub mod service;
 pub mod services;
@@ -37,3 +36,4 @@ mod concurrent;
 mod register;
 
 pub use register::register;
+pub use vss_image::{self as image, png};

@@ -1,25 +1,39 @@
 //! Pictures in files, as the classes read them.
 
-use std::{fs::File, io::BufReader, time::Duration};
+use std::{fs, time::Duration};
 
-use sorma::Report;
+use sorma::{Report, Transport};
+use vss_image::{FILE_MOST, Picture};
 
 use super::{check_file, code};
 use crate::frame::Frame;
 
-/// The picture in a file, as grey values.
-pub(super) fn read(path: &str) -> Result<Frame, Report> {
-    check_file(path)?;
+/// What a class says of the files it reads.
+pub(super) const FORMATS: &str = "PNG, JPEG, PNM, BMP";
+
+/// The picture in a file. What a reader of numbers should know of it is reported as warnings.
+pub(super) fn opened(path: &str, io: &mut Transport) -> Result<Picture, Report> {
+    check_file(path, FILE_MOST)?;
     let wrong = |why: &dyn std::fmt::Display| {
-        let text = format!("`{path}` is no picture that can be read (PNG): {why}");
+        let text = format!("`{path}` is no picture that can be read ({FORMATS}): {why}");
         Report::error(code::FILE, text)
     };
-    let file = File::open(path).map_err(|error| wrong(&error))?;
-    let grey = crate::png::read(BufReader::new(file)).map_err(|error| wrong(&error))?;
+    let bytes = fs::read(path).map_err(|error| wrong(&error))?;
+    let picture = vss_image::read(&bytes).map_err(|error| wrong(&error))?;
+    for note in &picture.notes {
+        let text = format!("`{path}`: {note}");
+        io.report(Report::warning(code::PICTURE, text));
+    }
+    Ok(picture)
+}
+
+/// The picture in a file, as grey values.
+pub(super) fn read(path: &str, io: &mut Transport) -> Result<Frame, Report> {
+    let picture = opened(path, io)?;
     Ok(Frame {
-        width: grey.width,
-        height: grey.height,
-        pixels: grey.pixels.into(),
+        width: picture.width,
+        height: picture.height,
+        pixels: picture.into_grey().into(),
         stamp: Duration::ZERO,
         number: 0,
     })
