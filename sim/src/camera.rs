@@ -1,24 +1,36 @@
 //! Pictures of the scene: what a ceiling camera with a real lens and a noisy sensor would give.
 //!
-//! [`truth`] is the exact projection, `raster` what a ray meets, `lamp` the bright spot, `noise` the
-//! sensor. This module knows no physics: a picture is made from a [`SceneState`] alone,
+//! [`truth`] is the exact projection, `raster` what a ray meets, `picture` what each pixel shows of it, `lamp` the bright
+//! spot, `noise` the sensor. This module knows no physics: a picture is made from a [`SceneState`] alone,
 //! so it can be made in another process than the world's.
 
 mod lamp;
 mod noise;
+mod picture;
 mod raster;
 pub mod truth;
+
+use std::time::Duration;
 
 pub use lamp::LampView;
 use nalgebra::{Isometry3, Vector3};
 pub use noise::Noise;
+use vss::frame::{Carried, PixelFormat};
 
-use self::{lamp::Spot, raster::Seen, truth::CameraTruth};
+use self::{
+    lamp::Spot,
+    picture::{Picture, View},
+    raster::{Floor, Seen},
+    truth::CameraTruth,
+};
 use crate::{
     cell::{CameraSpec, Cell},
     scene::{SceneLamp, SceneState},
-    shapes::Shape,
+    shapes::{Paint, Shape},
 };
+
+/// What little light comes through what covers a lens, grey levels.
+const COVERED: f32 = 18.0;
 
 impl CameraSpec {
     /// The camera as it truly is in `scene`.
@@ -46,14 +58,12 @@ pub struct Renderer {
     rays: Vec<Vector3<f64>>,
     /// What never moves, each with the pose of its frame in the world.
     still_shapes: Vec<(Shape, Isometry3<f64>)>,
-    still_light: Vec<f32>,
-    still_depth: Vec<f32>,
-    still: Vec<Seen>,
+    still: Picture,
     /// Which bodies of a scene move.
     moving_bodies: Vec<usize>,
-    moving: Vec<Seen>,
-    light: Vec<f32>,
-    depth: Vec<f32>,
+    /// All that can be seen, what never moves first.
+    solids: Vec<Seen>,
+    now: Picture,
     noise: Noise,
 }
 
@@ -71,22 +81,16 @@ impl Renderer {
                 moving_bodies.push(index);
             }
         }
-        let room = cell
-            .room
-            .iter()
-            .map(|shape| (*shape, Isometry3::identity()));
-        still_shapes.extend(room);
+        let room = cell.room.iter().chain(&cell.marks);
+        still_shapes.extend(room.map(|shape| (*shape, Isometry3::identity())));
         let mut renderer = Self {
             rays: rays(&truth),
             floor_grey: cell.floor_grey,
             still_shapes,
-            still_light: Vec::new(),
-            still_depth: Vec::new(),
-            still: Vec::new(),
+            still: Picture::default(),
             moving_bodies,
-            moving: Vec::new(),
-            light: Vec::new(),
-            depth: Vec::new(),
+            solids: Vec::new(),
+            now: Picture::default(),
             noise: Noise::new(seed, &truth.name, camera.read_noise, camera.shot_noise),
             camera: truth,
             spec: camera.clone(),
@@ -95,36 +99,73 @@ impl Renderer {
         renderer
     }
 
+    /// What the bytes of its pictures are.
+    #[must_use]
+    pub fn format(&self) -> PixelFormat {
+        if self.spec.colour {
+            PixelFormat::Rgb8
+        } else {
+            PixelFormat::Grey8
+        }
+    }
+
     /// The camera as it truly was at the last picture.
     #[must_use]
     pub fn truth(&self) -> &CameraTruth {
         &self.camera
     }
 
-    /// Frame `number` of `scene`: `width * height` grey values, first row first.
+    /// How long the shutter is open.
+    #[must_use]
+    pub fn exposure(&self) -> Duration {
+        self.spec.exposure
+    }
+
+    /// The link that carries the camera, where it is in `scene`; `None` in the room.
+    #[must_use]
+    pub fn carrier(&self, scene: &SceneState) -> Option<Carried> {
+        let (body, _) = self.spec.mount?;
+        let body = scene.bodies.get(body)?;
+        Some(Carried {
+            link: body.name.clone(),
+            world_t_link: body.pose,
+        })
+    }
+
+    /// Frame `number` of `scene`: `width * height` grey values, or three times as many of red, green and blue, first row
+    /// first.
     pub fn render(&mut self, scene: &SceneState, number: u64) -> Vec<u8> {
-        let mut pixels = vec![0; self.rays.len()];
+        let mut pixels = vec![0; self.rays.len() * self.format().bytes()];
         self.render_into(scene, number, &mut pixels);
         pixels
     }
 
-    /// [`Self::render`] into memory of somebody else's, of `width * height` bytes.
+    /// [`Self::render`] into memory of somebody else's, of as many bytes.
     pub fn render_into(&mut self, scene: &SceneState, number: u64, pixels: &mut [u8]) {
         self.draw(scene);
-        self.noise.expose(number, &self.light, pixels);
+        self.noise.expose(number, &self.now.light, pixels);
     }
 
-    /// The picture before the sensor: grey levels without noise or rounding.
+    /// Frame `number` of a camera whose lens is covered: noise on an even grey.
+    #[must_use]
+    pub fn covered(&self, number: u64) -> Vec<u8> {
+        let light = vec![COVERED; self.rays.len() * self.format().bytes()];
+        let mut pixels = vec![0; light.len()];
+        self.noise.clone().expose(number, &light, &mut pixels);
+        pixels
+    }
+
+    /// The picture before the sensor: levels without noise or rounding, in the order of [`Self::render`].
     pub fn light(&mut self, scene: &SceneState) -> &[f32] {
         self.draw(scene);
-        &self.light
+        &self.now.light
     }
 
     /// How this camera sees a lamp (by index), lit or not; `None` when its centre is outside the picture.
     pub fn lamp_view(&mut self, scene: &SceneState, lamp: usize) -> Option<LampView> {
         self.place(scene);
         let lamp = scene.lamps.get(lamp)?;
-        let solids = self.still.iter().chain(&self.moving);
+        let solids = self.solids.iter();
         self.spot(lamp).view(&self.camera, &lamp.centre, solids)
     }
 
@@ -138,21 +179,26 @@ impl Renderer {
 
     fn draw(&mut self, scene: &SceneState) {
         self.place(scene);
-        self.light.clone_from(&self.still_light);
-        self.depth.clone_from(&self.still_depth);
-        for solid in &self.moving {
-            draw_solid(
-                solid,
-                &self.camera,
-                &self.rays,
-                &mut self.light,
-                &mut self.depth,
-            );
-        }
+        let mut now = std::mem::take(&mut self.now);
+        now.begin_with(&self.still);
+        let floor = Floor::new(&self.camera.camera_t_world);
+        let still = self.still_shapes.len();
+        now.draw(&self.view(&floor), still);
         for lamp in scene.lamps.iter().filter(|lamp| lamp.on) {
             let spot = self.spot(lamp);
-            let solids = self.still.iter().chain(&self.moving);
-            spot.add(&mut self.light, &self.camera, &lamp.centre, solids);
+            let picture = (now.light.as_mut_slice(), self.format().bytes());
+            spot.add(picture, &self.camera, &lamp.centre, self.solids.iter());
+        }
+        self.now = now;
+    }
+
+    fn view<'a>(&'a self, floor: &'a Floor) -> View<'a> {
+        View {
+            camera: &self.camera,
+            rays: &self.rays,
+            floor,
+            solids: &self.solids,
+            channels: self.format().bytes(),
         }
     }
 
@@ -162,41 +208,30 @@ impl Renderer {
             self.camera = self.spec.at(scene);
             self.draw_still();
         }
-        let pose = self.camera.camera_t_world;
-        self.moving.clear();
+        let (pose, colour) = (self.camera.camera_t_world, self.spec.colour);
+        self.solids.truncate(self.still_shapes.len());
         for body in self
             .moving_bodies
             .iter()
             .filter_map(|index| scene.bodies.get(*index))
         {
-            let seen = |shape| Seen::new(shape, &(pose * body.pose), &pose);
-            self.moving.extend(body.shapes.iter().map(seen));
+            let seen = |shape| Seen::new(shape, &(pose * body.pose), &pose, colour);
+            self.solids.extend(body.shapes.iter().map(seen));
         }
     }
 
     fn draw_still(&mut self) {
-        let pose = self.camera.camera_t_world;
+        let (pose, colour) = (self.camera.camera_t_world, self.spec.colour);
         let shapes = self.still_shapes.iter();
-        self.still.clear();
-        self.still
-            .extend(shapes.map(|(shape, at)| Seen::new(shape, &(pose * at), &pose)));
-        self.still_light.clear();
-        self.still_depth.clear();
-        for ray in &self.rays {
-            let floor = raster::floor(&pose, ray, self.floor_grey);
-            let (depth, grey) = floor.unwrap_or((f64::INFINITY, self.floor_grey / 2.0));
-            self.still_light.push(grey as f32);
-            self.still_depth.push(depth as f32);
-        }
-        for solid in &self.still {
-            draw_solid(
-                solid,
-                &self.camera,
-                &self.rays,
-                &mut self.still_light,
-                &mut self.still_depth,
-            );
-        }
+        self.solids.clear();
+        self.solids
+            .extend(shapes.map(|(shape, at)| Seen::new(shape, &(pose * at), &pose, colour)));
+        let mut still = std::mem::take(&mut self.still);
+        let floor = Floor::new(&pose);
+        let view = self.view(&floor);
+        still.empty(&view, raster::tone(Paint::Grey(self.floor_grey), colour));
+        still.draw(&view, 0);
+        self.still = still;
     }
 }
 
@@ -212,37 +247,6 @@ fn rays(camera: &CameraTruth) -> Vec<Vector3<f64>> {
                 .map_or_else(Vector3::z, |ray| ray.normalize())
         })
         .collect()
-}
-
-fn draw_solid(
-    solid: &Seen,
-    camera: &CameraTruth,
-    rays: &[Vector3<f64>],
-    light: &mut [f32],
-    depth: &mut [f32],
-) {
-    let Some(window) = solid.window(camera) else {
-        return;
-    };
-    for row in window.rows[0]..window.rows[1] {
-        let start = row * camera.width;
-        let run = start + window.columns[0]..start + window.columns[1];
-        let (Some(rays), Some(light), Some(depth)) = (
-            rays.get(run.clone()),
-            light.get_mut(run.clone()),
-            depth.get_mut(run),
-        ) else {
-            return;
-        };
-        for ((ray, light), depth) in rays.iter().zip(light).zip(depth) {
-            if let Some(distance) = solid.hit(ray)
-                && (distance as f32) < *depth
-            {
-                *depth = distance as f32;
-                *light = solid.shade(ray, distance) as f32;
-            }
-        }
-    }
 }
 
 #[cfg(test)]

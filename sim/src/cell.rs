@@ -6,7 +6,7 @@
 mod overlap;
 mod text;
 
-use std::path::Path;
+use std::{path::Path, time::Duration};
 
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{Body, FrameId, Model};
@@ -28,6 +28,8 @@ pub struct Cell {
     pub floor_grey: f64,
     /// What stands in the room, world frame.
     pub room: Vec<Shape>,
+    /// What is painted on it, world frame: it can be seen and not be touched.
+    pub marks: Vec<Shape>,
     /// What can be moved.
     pub objects: Vec<ObjectSpec>,
     /// The cameras.
@@ -175,6 +177,10 @@ pub struct CameraSpec {
     pub shot_noise: f64,
     /// Standard deviation of the point spread (lens and pixel area), px.
     pub blur: f64,
+    /// Whether its pictures are in colour.
+    pub colour: bool,
+    /// How long the shutter is open. What moves meanwhile is seen as it was in the middle.
+    pub exposure: Duration,
 }
 
 impl Cell {

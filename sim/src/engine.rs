@@ -57,8 +57,25 @@ pub fn shape(solid: &Solid) -> (SharedShape, Isometry3<f64>) {
                 Isometry3::from_parts(Translation3::identity(), turn),
             )
         }
+        Solid::Disc {
+            centre,
+            normal,
+            radius,
+        } => {
+            let turn = UnitQuaternion::rotation_between(&Vector3::y(), normal);
+            let turn = turn.unwrap_or_else(|| {
+                UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+            });
+            (
+                SharedShape::cylinder(THINNEST, *radius),
+                Isometry3::from_parts(centre.coords.into(), turn),
+            )
+        }
     }
 }
+
+/// Half the thickness of what has none, m.
+const THINNEST: f64 = 1e-4;
 
 fn at(point: &Point3<f64>) -> Isometry3<f64> {
     Translation3::from(point.coords).into()

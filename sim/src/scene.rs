@@ -22,6 +22,25 @@ pub struct SceneState {
     pub bodies: Vec<SceneBody>,
     /// The lamps, in the order of the cell's file.
     pub lamps: Vec<SceneLamp>,
+    /// What is wrong with each camera of the cell's file, in its order.
+    pub camera_faults: Vec<Option<CameraFault>>,
+}
+
+/// What a camera can be told to do wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CameraFault {
+    /// New frames have the pixels of the last one before.
+    Freeze,
+    /// The last frame before comes again and again.
+    Repeat,
+    /// Stamps are an hour ahead.
+    Jump,
+    /// Pictures have half of their rows.
+    Shrink,
+    /// Pictures are black.
+    Black,
+    /// A hand covers the lens.
+    Cover,
 }
 
 /// A body in the scene.
@@ -72,6 +91,7 @@ impl SceneState {
         });
         Self {
             lamps: lamps.collect(),
+            camera_faults: vec![None; cell.cameras.len()],
             bodies,
             ..Self::default()
         }

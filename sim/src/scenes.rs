@@ -12,7 +12,7 @@ use crate::scene::SceneState;
 /// How many scenes a buffer keeps.
 const SLOTS: usize = 64;
 
-/// The numbers of a scene grow by so many bytes at most: its stamp and its tick.
+/// The numbers of a scene grow by so many bytes at most: its stamp and its tick. A fault of a camera takes one more.
 const GROWTH: usize = 32;
 
 /// What a float of each body is.
@@ -70,7 +70,7 @@ impl SceneWriter {
         let foreign = |error: postcard::Error| foreign(buffer, error);
         let bytes = postcard::to_stdvec(scene).map_err(foreign)?;
         let layout = Layout::new(SLOTS, POSE.len() * scene.bodies.len());
-        let layout = layout.bytes(bytes.len() + GROWTH);
+        let layout = layout.bytes(bytes.len() + GROWTH + scene.camera_faults.len());
         let layout = layout.described(description(scene));
         let mut own = Self {
             buffer: buffer.to_owned(),

@@ -31,15 +31,53 @@ pub enum Solid {
         /// Radius, m.
         radius: f64,
     },
+    /// A flat disc without thickness, the same from both sides.
+    Disc {
+        /// Its centre.
+        centre: Point3<f64>,
+        /// A unit vector at right angles to it.
+        normal: Vector3<f64>,
+        /// Radius, m.
+        radius: f64,
+    },
 }
 
-/// A solid with the grey it reflects.
+/// What a surface reflects when it is lit from straight above, each 0 to 255.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum Paint {
+    /// Grey level.
+    Grey(f64),
+    /// Levels of red, green and blue.
+    Colour([f64; 3]),
+}
+
+impl Paint {
+    /// As a grey camera sees it: a colour by ITU-R BT.709.
+    #[must_use]
+    pub fn grey(self) -> f64 {
+        match self {
+            Self::Grey(grey) => grey,
+            Self::Colour([red, green, blue]) => 0.2126 * red + 0.7152 * green + 0.0722 * blue,
+        }
+    }
+
+    /// Red, green and blue.
+    #[must_use]
+    pub fn rgb(self) -> [f64; 3] {
+        match self {
+            Self::Grey(grey) => [grey; 3],
+            Self::Colour(rgb) => rgb,
+        }
+    }
+}
+
+/// A solid with what it reflects.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Shape {
     /// Its form.
     pub solid: Solid,
-    /// Grey level when lit from straight above, 0 to 255.
-    pub grey: f64,
+    /// Its colour.
+    pub paint: Paint,
 }
 
 /// A capsule of a PUMA or a finger: the last word of the frame that carries it, the ends of its axis, radius, grey.
@@ -141,7 +179,10 @@ fn capsule((_, a, b, radius, grey): &Part) -> Shape {
         b: (*b).into(),
         radius: *radius,
     };
-    Shape { solid, grey: *grey }
+    Shape {
+        solid,
+        paint: Paint::Grey(*grey),
+    }
 }
 
 fn block((_, centre, half, grey): &Block) -> Shape {
@@ -149,7 +190,10 @@ fn block((_, centre, half, grey): &Block) -> Shape {
         centre: (*centre).into(),
         half: (*half).into(),
     };
-    Shape { solid, grey: *grey }
+    Shape {
+        solid,
+        paint: Paint::Grey(*grey),
+    }
 }
 
 /// The rod from the flange of a PUMA to a lamp at `lamp` (m, frame 6); `None` on another frame, or when there is no room.
@@ -164,7 +208,7 @@ pub fn rod(frame: &str, lamp: &Point3<f64>, lamp_radius: f64) -> Option<Shape> {
             b: FLANGE + rod.normalize() * length,
             radius: ROD_RADIUS,
         },
-        grey: ROD_GREY,
+        paint: Paint::Grey(ROD_GREY),
     })
 }
 

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use crate::{
     cell::Cell,
     port::{Claim, Port},
-    scene::SceneState,
+    scene::{CameraFault, SceneState},
     world::{World, WorldError},
     wrist::Wrist,
 };
@@ -41,6 +41,7 @@ pub struct Simulation {
     changes: u64,
     drivers: Vec<Driver>,
     lamps: Vec<bool>,
+    camera_faults: Vec<Option<CameraFault>>,
     wrists: Vec<Wrist>,
     tick: u64,
     stamp: Duration,
@@ -56,6 +57,7 @@ impl Simulation {
             changes: 0,
             drivers: Vec::new(),
             lamps: cell.lamps.iter().map(|lamp| lamp.on).collect(),
+            camera_faults: vec![None; cell.cameras.len()],
             wrists: cell
                 .sensors
                 .iter()
@@ -81,6 +83,7 @@ impl Simulation {
             lamp.on = *on;
         }
         SceneState {
+            camera_faults: self.camera_faults.clone(),
             stamp: self.stamp,
             tick: self.tick,
             ..scene
@@ -103,6 +106,13 @@ impl Simulation {
             }
         }
         any
+    }
+
+    /// From now on a camera has that fault, or none. False when there is no such camera.
+    pub fn fail_camera(&mut self, name: &str, fault: Option<CameraFault>, cell: &Cell) -> bool {
+        let mut cameras = self.camera_faults.iter_mut().zip(&cell.cameras);
+        let found = cameras.find(|(_, spec)| spec.truth.name == name);
+        found.map(|(own, _)| *own = fault).is_some()
     }
 
     /// Goes on by `period`, and makes up for the ticks that were `missed` before it as far as a driver has spoken

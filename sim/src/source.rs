@@ -1,6 +1,8 @@
 //! A camera of the cell as a source of frames: takes the scene from the world's snapshot buffer, or asks its task for it,
 //! then renders here.
 
+use std::time::Duration;
+
 use ctos::{Context, config::Node, task::HandlerError};
 use futures_util::future::LocalBoxFuture;
 use rand::Rng;
@@ -11,7 +13,11 @@ use vss::{
 };
 
 use crate::{
-    camera::Renderer, cell::Cell, scene::SceneState, scenes::SceneReader, world_task::GetScene,
+    camera::Renderer,
+    cell::Cell,
+    scene::{CameraFault, SceneState},
+    scenes::SceneReader,
+    world_task::GetScene,
 };
 
 /// Arguments of a camera.
@@ -27,6 +33,9 @@ pub struct CameraArgs {
     pub scenes: Option<String>,
 }
 
+/// By how much the stamps of a camera are ahead that jumps in time.
+const JUMP: Duration = Duration::from_secs(3600);
+
 /// The world's task when nobody says which.
 pub fn world_task() -> String {
     "world".to_owned()
@@ -40,6 +49,10 @@ pub struct SimCamera {
     scenes: Option<SceneReader>,
     renderer: Renderer,
     taken: u64,
+    /// Which camera of the cell it is.
+    index: usize,
+    /// The last frame without a fault.
+    last: Option<Frame>,
 }
 
 impl SimCamera {
@@ -55,6 +68,9 @@ impl SimCamera {
         } = args.parse()?;
         let cell = Cell::read(&cx.app().file_at(&cell))?;
         let camera = cell.camera(name)?;
+        let mut cameras = cell.cameras.iter();
+        let index = cameras.position(|camera| camera.truth.name == name);
+        let index = index.unwrap_or(usize::MAX);
         let seed = cx.rng("image noise").next_u64();
         Ok(Self {
             name: name.to_owned(),
@@ -62,33 +78,83 @@ impl SimCamera {
             scenes: scenes.map(|buffer| SceneReader::new(&cx.app().name, &buffer)),
             renderer: Renderer::new(&cell, camera, seed),
             taken: 0,
+            index,
+            last: None,
         })
     }
 
-    /// Takes a picture of the world as it is now; its stamp is that of the scene.
+    /// Takes a picture of the world as it is in the middle of the exposure, which begins now; its stamp is that of the
+    /// scene.
     ///
     /// # Errors
     /// When the world's task does not answer, or leaves no scenes.
     pub async fn take(&mut self, cx: &Context) -> Result<Frame, FrameError> {
+        let exposure = self.renderer.exposure();
+        if !exposure.is_zero() {
+            cx.sleep(exposure / 2).await;
+        }
         let scene = self.scene(cx).await.map_err(|reason| FrameError::Fault {
             camera: self.name.clone(),
             reason,
         })?;
+        if !exposure.is_zero() {
+            cx.sleep(exposure / 2).await;
+        }
         let number = self.taken;
         self.taken += 1;
         let (width, height) = {
             let truth = self.renderer.truth();
             (truth.width, truth.height)
         };
-        let mut pixels = vec![0; width * height];
-        self.renderer.render_into(&scene, number, &mut pixels);
-        Ok(Frame {
-            width,
-            height,
-            pixels: pixels.into(),
-            stamp: scene.stamp,
+        let pixels = self.renderer.render(&scene, number);
+        let frame = Frame {
+            camera: self.name.clone(),
             number,
+            stamp: scene.stamp,
+            exposure,
+            carrier: self.renderer.carrier(&scene),
+            format: self.renderer.format(),
+            ..Frame::grey8(width, height, pixels)
+        };
+        let fault = scene.camera_faults.get(self.index).copied().flatten();
+        Ok(match (fault, &self.last) {
+            (Some(fault), Some(last)) => self.spoilt(fault, frame, last),
+            (Some(fault), None) => self.spoilt(fault, frame.clone(), &frame),
+            (None, _) => self.last.insert(frame).clone(),
         })
+    }
+
+    /// What a camera with a fault makes of a frame; `last` is the last one before the fault.
+    fn spoilt(&self, fault: CameraFault, frame: Frame, last: &Frame) -> Frame {
+        match fault {
+            CameraFault::Freeze => Frame {
+                pixels: last.pixels.clone(),
+                ..frame
+            },
+            CameraFault::Repeat => last.clone(),
+            CameraFault::Jump => Frame {
+                stamp: frame.stamp + JUMP,
+                ..frame
+            },
+            CameraFault::Shrink => {
+                let height = frame.height / 2;
+                let bytes = frame.width * height * frame.format.bytes();
+                let kept = frame.pixels.iter().take(bytes).copied();
+                Frame {
+                    height,
+                    pixels: kept.collect(),
+                    ..frame
+                }
+            }
+            CameraFault::Black => Frame {
+                pixels: vec![0; frame.pixels.len()].into(),
+                ..frame
+            },
+            CameraFault::Cover => Frame {
+                pixels: self.renderer.covered(frame.number).into(),
+                ..frame
+            },
+        }
     }
 
     /// The world as it is now. A record holds it, wherever it comes from.
@@ -105,6 +171,10 @@ impl SimCamera {
 }
 
 impl FrameSource for SimCamera {
+    fn is_live(&self) -> bool {
+        true
+    }
+
     fn snap<'a>(&'a mut self, cx: &'a Context) -> LocalBoxFuture<'a, Result<Frame, FrameError>> {
         Box::pin(self.take(cx))
     }

@@ -14,7 +14,11 @@ use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
 use crate::{
-    cell::Cell, port::Port, scene::SceneState, scenes::SceneWriter, simulation::Simulation,
+    cell::Cell,
+    port::Port,
+    scene::{CameraFault, SceneState},
+    scenes::SceneWriter,
+    simulation::Simulation,
 };
 
 /// Name of the world's event handler.
@@ -44,6 +48,17 @@ ctos::command! {
     } => (), 0x0503, "switch_lamp"
 }
 
+ctos::command! {
+    /// Has a camera fail from now on, or be well again.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct FailCamera {
+        /// Its name in the cell.
+        pub camera: String,
+        /// What it does; nothing wrong when there is none.
+        pub fault: Option<CameraFault>,
+    } => (), 0x0504, "fail_camera"
+}
+
 /// Arguments of the world's task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -70,6 +85,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         GetScene::INFO,
         SetLamp::INFO,
         SwitchLamp::INFO,
+        FailCamera::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
     ];
@@ -180,6 +196,17 @@ impl EventHandler for WorldTask {
                     reply.ok(())
                 } else {
                     reply.fail(format!("the cell has no lamp `{lamp}`"))
+                }
+            }
+            FailCamera::CODE => {
+                let (FailCamera { camera, fault }, reply) = message.open::<FailCamera>()?;
+                let mut simulation = self.simulation.borrow_mut();
+                let any = simulation.fail_camera(&camera, fault, &self.cell);
+                leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+                if any {
+                    reply.ok(())
+                } else {
+                    reply.fail(format!("the cell has no camera `{camera}`"))
                 }
             }
             TrueCameras::CODE => {

@@ -73,7 +73,7 @@ struct VssTable {
     hold_limit_s: Option<f64>,
 }
 
-/// One camera of the table. Its source reads `args` itself.
+/// One camera of the table. Its source reads `args` itself, its Vision Module the rest.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CameraTable {
@@ -81,6 +81,10 @@ struct CameraTable {
     _source: String,
     #[serde(default, rename = "args")]
     _args: serde::de::IgnoredAny,
+    #[serde(default, rename = "watch")]
+    _watch: serde::de::IgnoredAny,
+    #[serde(default, rename = "buffer")]
+    _buffer: serde::de::IgnoredAny,
 }
 
 /// Turns `[vss]` into tasks.

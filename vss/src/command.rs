@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 use crate::{
     calibrate::{Calibration, LightPoint},
     camera::Camera,
-    frame::Frame,
+    frame::{Carried, Frame},
+    pose::TargetPose,
     spot::{NoSpot, Spot, SpotFlags},
 };
 
@@ -38,6 +39,27 @@ ctos::command! {
         /// Seeds the random samples of the start; same table and seed, same result.
         pub seed: u64,
     } => Calibration, 0x0402, "calibrate"
+
+    /// Takes a picture with each of two cameras at once and finds the bright spot in both.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct FindPair {
+        /// The cameras' names.
+        pub cameras: [String; 2],
+    } => Result<[SpotReport; 2], VisionError>, 0x0460, "find_pair"
+
+    /// Takes a picture and finds in it where the target of known lights stands.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct FindTarget {
+        /// The camera's name.
+        pub camera: String,
+    } => Result<TargetReport, VisionError>, 0x0461, "find_target"
+
+    /// Tool: computes where the target of known lights stands in a picture.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LocateTarget {
+        /// The picture.
+        pub frame: Frame,
+    } => Result<TargetPose, VisionError>, 0x0462, "locate_target"
 
     /// Asks the manager for the hardware behind a Vision Module; answered when it is free.
     #[derive(Debug, Clone, PartialEq)]
@@ -207,7 +229,7 @@ pub struct SpotReport {
     pub area: u64,
     /// What is doubtful about it.
     pub flags: SpotFlags,
-    /// When the picture's exposure ended, since the start of the app.
+    /// The middle of the picture's exposure, since the start of the app.
     pub stamp: Duration,
     /// The number of the picture.
     pub frame: u64,
@@ -215,6 +237,21 @@ pub struct SpotReport {
     pub width: usize,
     /// Picture height, px.
     pub height: usize,
+}
+
+/// The target that the Service TargetFind found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TargetReport {
+    /// The camera's name.
+    pub camera: String,
+    /// Where the target is.
+    pub pose: TargetPose,
+    /// The middle of the picture's exposure, since the start of the app.
+    pub stamp: Duration,
+    /// The number of the picture.
+    pub frame: u64,
+    /// What carried the camera then.
+    pub carrier: Option<Carried>,
 }
 
 /// A marker on a picture.

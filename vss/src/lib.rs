@@ -20,6 +20,7 @@ pub mod command;
 pub mod components;
 pub mod frame;
 pub mod handeye;
+pub mod pose;
 pub mod psom;
 pub mod service;
 pub mod services;

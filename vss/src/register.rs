@@ -33,6 +33,20 @@ fn services(registry: &mut Registry) {
             service::SpotFindService::new,
         )
         .args::<service::SpotFindArgs>();
+    registry
+        .handler(
+            "vss.svc_pair_find",
+            service::PAIR_FIND_COMMANDS,
+            service::PairFindService::new,
+        )
+        .args::<service::SpotFindArgs>();
+    registry
+        .handler(
+            "vss.svc_target_find",
+            service::TARGET_FIND_COMMANDS,
+            service::TargetFindService::new,
+        )
+        .args::<service::TargetFindArgs>();
     registry.handler("vss.svc_calibrate", service::CALIBRATE_COMMANDS, |_| {
         Ok(service::CalibrateService)
     });
@@ -58,6 +72,13 @@ fn tools(registry: &mut Registry) {
         .args::<SpotOptions>();
     registry
         .handler(
+            "vss.tool_target_find",
+            tool::TARGET_FIND_COMMANDS,
+            tool::TargetFindTool::new,
+        )
+        .args::<tool::TargetFindArgs>();
+    registry
+        .handler(
             "vss.tool_spot_disp",
             tool::SPOT_DISP_COMMANDS,
             tool::SpotDispTool::new,
@@ -71,7 +92,7 @@ fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
         .handler("vss.vm_snap", vm::SNAP_COMMANDS, move |cx| {
             vm::SnapModule::new(cx, &building)
         })
-        .keys(&["camera", "source", "args"])
+        .keys(&["camera", "source", "args", "watch", "buffer"])
         .check_in_app(move |task, _, findings| snap_arguments(task, &checking, findings));
     registry.handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| {
         Ok(vm::ImageDispModule)
@@ -91,7 +112,7 @@ fn snap_arguments(task: &TaskConfig, sources: &FrameSources, findings: &mut Find
         Finding::error("vss::args::camera", text).at(place)
     };
     match vm::snap_args(&task.args) {
-        Ok((camera, source, own)) => sources.check(&source, &camera, &own, findings),
+        Ok(args) => sources.check(&args.source, &args.camera, &args.own, findings),
         Err(error) => findings.push(refuse(error.to_string(), task.args.place())),
     }
     if let Some(own) = task

@@ -5,19 +5,25 @@ use ctos::{
     message::{Command, CommandInfo, Message},
     task::{Context, EventHandler, Handled, HandlerError},
 };
+use futures_util::future::join;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::Deserialize;
 
 use crate::{
     calibrate::calibrate,
     command::{
-        Calibrate, LocateSpot, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport, VisionError,
+        Calibrate, FindPair, FindTarget, LocateSpot, LocateTarget, Mark, MarkSpot, ShowImage, Snap,
+        SpotFind, SpotReport, TargetReport, VisionError,
     },
     concurrent::answer,
 };
 
 /// The commands of `vss.svc_spot_find`.
 pub const SPOT_FIND_COMMANDS: &[CommandInfo] = &[SpotFind::INFO];
+/// The commands of `vss.svc_pair_find`.
+pub const PAIR_FIND_COMMANDS: &[CommandInfo] = &[FindPair::INFO];
+/// The commands of `vss.svc_target_find`.
+pub const TARGET_FIND_COMMANDS: &[CommandInfo] = &[FindTarget::INFO];
 /// The commands of `vss.svc_calibrate`.
 pub const CALIBRATE_COMMANDS: &[CommandInfo] = &[Calibrate::INFO];
 
@@ -115,6 +121,88 @@ async fn find_spot(
         frame: number,
         width,
         height,
+    })
+}
+
+/// The Service PairFind: SpotFind with two cameras at once.
+#[derive(Debug)]
+pub struct PairFindService {
+    args: SpotFindArgs,
+}
+
+impl PairFindService {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self { args: cx.args()? })
+    }
+}
+
+impl EventHandler for PairFindService {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != FindPair::CODE {
+            return cx.default_processing(message);
+        }
+        let tools = self.args.clone();
+        answer::<FindPair, _, _>(cx, message, |cx, FindPair { cameras }| async move {
+            let [left, right] = cameras.map(|camera| find_spot(cx.clone(), tools.clone(), camera));
+            let (left, right) = join(left, right).await;
+            Ok(left.and_then(|left| Ok([left, right?])))
+        })
+    }
+}
+
+/// The tasks of the two Tools of TargetFind; the catalog writes them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TargetFindArgs {
+    snap: String,
+    target: String,
+}
+
+/// The Service TargetFind: toolSnap, toolTargetFind.
+#[derive(Debug)]
+pub struct TargetFindService {
+    args: TargetFindArgs,
+}
+
+impl TargetFindService {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self { args: cx.args()? })
+    }
+}
+
+impl EventHandler for TargetFindService {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != FindTarget::CODE {
+            return cx.default_processing(message);
+        }
+        let tools = self.args.clone();
+        answer::<FindTarget, _, _>(cx, message, |cx, FindTarget { camera }| async move {
+            Ok(find_target(cx, tools, camera).await)
+        })
+    }
+}
+
+async fn find_target(
+    cx: Context,
+    tools: TargetFindArgs,
+    camera: String,
+) -> Result<TargetReport, VisionError> {
+    let snap = Snap {
+        camera: camera.clone(),
+    };
+    let frame = ask(&cx, &tools.snap, snap).await??;
+    let (stamp, number, carrier) = (frame.stamp, frame.number, frame.carrier.clone());
+    let located = ask(&cx, &tools.target, LocateTarget { frame }).await?;
+    let pose = located.map_err(|error| {
+        let reason = format!("camera `{camera}`: {error}");
+        VisionError { reason, ..error }
+    })?;
+    Ok(TargetReport {
+        camera,
+        pose,
+        stamp,
+        frame: number,
+        carrier,
     })
 }
 

@@ -1,6 +1,8 @@
 //! Frame sources: what a Vision Module takes pictures with. The seam to simulators, files and real cameras,
 //! which register here under a name and are otherwise unknown to this crate.
 
+pub mod kinds;
+
 use std::{collections::BTreeMap, sync::Arc};
 
 use ctos::{
@@ -15,6 +17,12 @@ use crate::frame::{Frame, FrameError};
 
 /// Something that takes pictures. It may ask other tasks and wait for them.
 pub trait FrameSource {
+    /// Whether it takes pictures of what is now, by a sensor: then their stamps are of the app's clock, and no two have the
+    /// same pixels. A Vision Module watches such a source for more.
+    fn is_live(&self) -> bool {
+        false
+    }
+
     /// Takes one picture.
     fn snap<'a>(&'a mut self, cx: &'a Context) -> LocalBoxFuture<'a, Result<Frame, FrameError>>;
 }

@@ -4,19 +4,24 @@
 use std::collections::BTreeMap;
 
 use ctos::{
+    diagnostic::Source,
     message::{Command, CommandInfo, Message},
     task::{Context, EventHandler, Handled, HandlerError},
 };
+use nalgebra::{Point3, Vector2};
 use serde::Deserialize;
 
 use crate::{
+    camera_info::CameraInfo,
     command::{
-        AcquireVm, DisplayImage, DisplayMark, LocateSpot, MarkSpot, Outcome, ReleaseVm, ShowImage,
-        Snap, SnapNow, VisionError,
+        AcquireVm, DisplayImage, DisplayMark, LocateSpot, LocateTarget, MarkSpot, Outcome,
+        ReleaseVm, ShowImage, Snap, SnapNow, VisionError,
     },
     concurrent::answer,
+    frame::Frame,
+    pose::{TargetPose, find_target},
     service::ask,
-    spot::{SpotOptions, find_spot},
+    spot::{SpotOptions, SpotsOptions, find_spot, find_spots},
 };
 
 /// The commands of `vss.tool_snap`.
@@ -25,6 +30,8 @@ pub const SNAP_COMMANDS: &[CommandInfo] = &[Snap::INFO];
 pub const IMAGE_DISP_COMMANDS: &[CommandInfo] = &[ShowImage::INFO];
 /// The commands of `vss.tool_spot_find`.
 pub const SPOT_FIND_COMMANDS: &[CommandInfo] = &[LocateSpot::INFO];
+/// The commands of `vss.tool_target_find`.
+pub const TARGET_FIND_COMMANDS: &[CommandInfo] = &[LocateTarget::INFO];
 /// The commands of `vss.tool_spot_disp`.
 pub const SPOT_DISP_COMMANDS: &[CommandInfo] = &[MarkSpot::INFO];
 
@@ -134,7 +141,86 @@ impl EventHandler for SpotFindTool {
             return cx.default_processing(message);
         }
         let (LocateSpot { frame }, reply) = message.open::<LocateSpot>()?;
-        reply.ok(find_spot(&frame, &self.options).map_err(VisionError::from))
+        let found = find_spot(&frame.into_grey(), &self.options);
+        reply.ok(found.map_err(VisionError::from))
+    }
+}
+
+/// Arguments of toolTargetFind.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TargetFindArgs {
+    /// Places of the target's lights in its own frame, m; they lie in the plane z = 0.
+    lights: Vec<[f64; 2]>,
+    /// The lens of each camera that looks for it: camera to a `camera_info` file, relative to the configuration's folder.
+    cameras: BTreeMap<String, String>,
+    /// Grey value from which a pixel is of a light.
+    threshold: u8,
+    /// Fewest pixels of a light.
+    #[serde(default = "least_area")]
+    min_area: u64,
+}
+
+fn least_area() -> u64 {
+    4
+}
+
+/// toolTargetFind: where a target of known lights stands. Computes only, so it needs no Vision Module.
+#[derive(Debug)]
+pub struct TargetFindTool {
+    lights: Vec<Point3<f64>>,
+    lenses: BTreeMap<String, CameraInfo>,
+    spots: SpotsOptions,
+}
+
+impl TargetFindTool {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let args: TargetFindArgs = cx.args()?;
+        let mut lenses = BTreeMap::new();
+        for (camera, file) in &args.cameras {
+            let source = Source::read(&cx.app().file_at(file))?;
+            let lens = CameraInfo::from_yaml(source.text());
+            let lens = lens.map_err(|error| HandlerError::new(format!("`{file}`: {error}")))?;
+            lenses.insert(camera.clone(), lens);
+        }
+        let lights = args.lights.iter();
+        Ok(Self {
+            lights: lights.map(|[x, y]| Point3::new(*x, *y, 0.0)).collect(),
+            lenses,
+            spots: SpotsOptions {
+                threshold: Some(args.threshold),
+                min_area: args.min_area,
+                border: false,
+                ..SpotsOptions::default()
+            },
+        })
+    }
+
+    fn locate(&self, frame: Frame) -> Result<TargetPose, VisionError> {
+        let Some(lens) = self.lenses.get(&frame.camera) else {
+            let known: Vec<&str> = self.lenses.keys().map(String::as_str).collect();
+            let text = format!(
+                "the lens of camera `{}` is not known; those are of: {}",
+                frame.camera,
+                known.join(", ")
+            );
+            return Err(VisionError::new(Outcome::Refused, text));
+        };
+        let found = find_spots(&frame.into_grey(), &self.spots)?;
+        let spots = found.spots.iter();
+        let places: Vec<Vector2<f64>> = spots.map(|spot| Vector2::new(spot.u, spot.v)).collect();
+        find_target(&self.lights, &places, &lens.intrinsics, &lens.distortion)
+            .map_err(|error| VisionError::new(Outcome::Unseen, error))
+    }
+}
+
+impl EventHandler for TargetFindTool {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != LocateTarget::CODE {
+            return cx.default_processing(message);
+        }
+        let (LocateTarget { frame }, reply) = message.open::<LocateTarget>()?;
+        reply.ok(self.locate(frame))
     }
 }
 

@@ -1,6 +1,8 @@
 //! Vision Modules: each drives one piece of hardware, for one caller at a time. Here: a camera (any frame source) and
 //! the stand-in for a monitor, which keeps what it shows and can write it as a PNG file.
 
+mod watch;
+
 use std::{
     collections::BTreeMap,
     fs::File,
@@ -18,9 +20,11 @@ use serde::Deserialize;
 
 use crate::{
     command::{DisplayImage, DisplayMark, InitializeVm, Mark, Shown, SnapNow, WhatIsShown},
-    frame::Frame,
+    frame::{Doubt, Frame, FrameError, buffer::FrameWriter},
     source::{FrameSource, FrameSources},
 };
+
+use watch::{Watch, WatchArgs};
 
 /// The commands of `vss.vm_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, SnapNow::INFO];
@@ -35,21 +39,46 @@ const MONITOR: &str = "vss.monitor";
 /// Half the length of a marker's arms, px.
 const ARM: i64 = 7;
 
-/// Reads the arguments of a camera's Vision Module: `camera`, `source` and the source's own `args`.
-pub(crate) fn snap_args(args: &Node) -> Result<(String, Node, Node), HandlerError> {
+/// The arguments of a camera's Vision Module.
+pub(crate) struct SnapArgs {
+    /// The camera's name.
+    pub(crate) camera: String,
+    /// What its frame source is called.
+    pub(crate) source: Node,
+    /// The source's own.
+    pub(crate) own: Node,
+    watch: WatchArgs,
+    /// The snapshot buffer in which it leaves its frames; none, when none is named.
+    buffer: Option<String>,
+}
+
+/// Reads the arguments of a camera's Vision Module: `camera`, `source`, the source's own `args`, `watch` and `buffer`.
+pub(crate) fn snap_args(args: &Node) -> Result<SnapArgs, HandlerError> {
     let text = |key: &str| -> Result<&Node, HandlerError> {
         let node = args.get(key).filter(|node| node.as_str().is_some());
         node.ok_or_else(|| HandlerError::new(format!("`{key}` is missing or not a string")))
     };
-    let camera = text("camera")?.as_str().unwrap_or_default().to_owned();
-    let own = args.get("args").cloned().unwrap_or_else(Node::table);
-    Ok((camera, text("source")?.clone(), own))
+    let word = |key: &str| -> Result<String, HandlerError> {
+        Ok(text(key)?.as_str().unwrap_or_default().to_owned())
+    };
+    let watch = args.get("watch").map(Node::parse::<WatchArgs>);
+    Ok(SnapArgs {
+        camera: word("camera")?,
+        source: text("source")?.clone(),
+        own: args.get("args").cloned().unwrap_or_else(Node::table),
+        watch: watch.transpose()?.unwrap_or_default(),
+        buffer: args.get("buffer").map(|_| word("buffer")).transpose()?,
+    })
 }
 
 /// vmSnap: one camera.
 pub struct SnapModule {
     camera: String,
     source: Box<dyn FrameSource>,
+    watch: Watch,
+    /// What was wrong with the last frame.
+    doubt: Option<Doubt>,
+    frames: Option<FrameWriter>,
 }
 
 impl SnapModule {
@@ -57,9 +86,56 @@ impl SnapModule {
         let args = cx
             .config()
             .map_or_else(Node::table, |config| config.args.clone());
-        let (camera, source, own) = snap_args(&args)?;
-        let source = sources.build(source.as_str().unwrap_or_default(), cx, &camera, &own)?;
-        Ok(Self { camera, source })
+        let args = snap_args(&args)?;
+        let name = args.source.as_str().unwrap_or_default();
+        let source = sources.build(name, cx, &args.camera, &args.own)?;
+        let frames = |buffer: String| {
+            let place = (cx.app().name.as_str(), buffer.as_str());
+            FrameWriter::new(place, cx.chassis().clock())
+        };
+        Ok(Self {
+            watch: Watch::new(args.watch, source.is_live()),
+            doubt: None,
+            frames: args.buffer.map(frames),
+            camera: args.camera,
+            source,
+        })
+    }
+
+    /// A picture that is to be believed; it is left in the buffer, too.
+    async fn snap(&mut self, cx: &Context) -> Result<Frame, FrameError> {
+        let frame = self.source.snap(cx).await?;
+        let seen = self.watch.look(&frame, cx.now().since_start());
+        let (camera, number) = (&self.camera, frame.number);
+        let doubt = seen.as_ref().map(|(doubt, _)| *doubt);
+        if doubt != self.doubt {
+            match &seen {
+                Some((doubt, text)) => {
+                    tracing::warn!(camera, doubt = doubt.name(), frame = number, "{text}");
+                }
+                None => tracing::info!(camera, frame = number, "to be believed again"),
+            }
+            self.doubt = doubt;
+        }
+        if let Some((doubt, reason)) = seen {
+            let camera = camera.clone();
+            return Err(FrameError::Doubtful {
+                camera,
+                doubt,
+                reason,
+            });
+        }
+        if let Some(frames) = &mut self.frames {
+            // A replay writes nothing. A buffer that cannot be written must not cost a measurement.
+            let write = || frames.write(&frame).map_err(|error| error.to_string());
+            let left = cx.outside("the buffer of frames", write);
+            if let Err(error) = left {
+                tracing::warn!(camera, "no more frames are left: {error}");
+                self.frames = None;
+            }
+        }
+        tracing::debug!(camera, frame = number, "snapped");
+        Ok(frame)
     }
 }
 
@@ -69,11 +145,8 @@ impl EventHandler for SnapModule {
             InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
             SnapNow::CODE => {
                 let (SnapNow {}, reply) = message.open::<SnapNow>()?;
-                match self.source.snap(cx).await {
-                    Ok(frame) => {
-                        tracing::debug!(camera = self.camera, frame = frame.number, "snapped");
-                        reply.ok(frame)
-                    }
+                match self.snap(cx).await {
+                    Ok(frame) => reply.ok(frame),
                     Err(error) => reply.fail(error),
                 }
             }
@@ -204,13 +277,8 @@ fn write_png(shown: &Shown, file: &Path) -> Result<(), HandlerError> {
 
 /// The pixels with a cross around each marked place; the middle stays visible.
 fn marked(shown: &Shown) -> Vec<u8> {
-    let Frame {
-        width,
-        height,
-        pixels,
-        ..
-    } = &shown.frame;
-    let mut pixels = pixels.to_vec();
+    let Frame { width, height, .. } = &shown.frame;
+    let mut pixels = shown.frame.grey().into_owned();
     let mut paint = |u: i64, v: i64| {
         let (Ok(u), Ok(v)) = (usize::try_from(u), usize::try_from(v)) else {
             return;

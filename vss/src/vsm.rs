@@ -11,13 +11,18 @@ use ctos::{
 use serde::Deserialize;
 
 use crate::{
-    command::{Calibrate, InitializeVm, SpotFind, VisionError},
+    command::{Calibrate, FindPair, FindTarget, InitializeVm, SpotFind, VisionError},
     concurrent::answer,
     service::ask,
 };
 
 /// The commands it takes.
-pub const COMMANDS: &[CommandInfo] = &[SpotFind::INFO, Calibrate::INFO];
+pub const COMMANDS: &[CommandInfo] = &[
+    SpotFind::INFO,
+    Calibrate::INFO,
+    FindPair::INFO,
+    FindTarget::INFO,
+];
 
 /// Its arguments; the catalog writes them.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -72,6 +77,8 @@ impl EventHandler for ServicesManager {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
             SpotFind::CODE => self.route::<SpotFind>(cx, message, |error| Ok(Err(error))),
+            FindPair::CODE => self.route::<FindPair>(cx, message, |error| Ok(Err(error))),
+            FindTarget::CODE => self.route::<FindTarget>(cx, message, |error| Ok(Err(error))),
             Calibrate::CODE => self.route::<Calibrate>(cx, message, |error| Err(error.into())),
             _ => cx.default_processing(message),
         }

@@ -56,10 +56,10 @@ impl Spot {
         })
     }
 
-    /// Adds the spot to a picture, in grey levels.
+    /// Adds the spot to a picture with that many channels, in grey levels: the light is white.
     pub(super) fn add<'a>(
         &self,
-        light: &mut [f32],
+        (light, channels): (&mut [f32], usize),
         camera: &CameraTruth,
         centre: &Point3<f64>,
         solids: impl Iterator<Item = &'a Seen> + Clone,
@@ -73,7 +73,7 @@ impl Spot {
             if let Some(place) = place
                 && is_free(&point, solids.clone())
             {
-                self.spread(light, camera, place, share);
+                self.spread((light, channels), camera, place, share);
             }
         }
     }
@@ -111,7 +111,13 @@ impl Spot {
         Some(PI * (a.0 * b.1 - a.1 * b.0).abs())
     }
 
-    fn spread(&self, light: &mut [f32], camera: &CameraTruth, place: (f64, f64), amount: f64) {
+    fn spread(
+        &self,
+        (light, channels): (&mut [f32], usize),
+        camera: &CameraTruth,
+        place: (f64, f64),
+        amount: f64,
+    ) {
         let reach = (5.0 * self.blur).ceil();
         let peak = amount / (TAU * self.blur * self.blur);
         let bell = |distance: f64| (-0.5 * (distance / self.blur).powi(2)).exp();
@@ -125,9 +131,11 @@ impl Spot {
             let across = peak * bell(row as f64 - place.1);
             let start = row * camera.width;
             let columns = span(place.0, camera.width);
-            let pixels = light.get_mut(start + columns.start..start + columns.end);
-            for (column, pixel) in columns.zip(pixels.into_iter().flatten()) {
-                *pixel += (across * bell(column as f64 - place.0)) as f32;
+            let run = channels * (start + columns.start)..channels * (start + columns.end);
+            let pixels = light.get_mut(run).unwrap_or_default();
+            for (column, pixel) in columns.zip(pixels.chunks_exact_mut(channels)) {
+                let level = (across * bell(column as f64 - place.0)) as f32;
+                pixel.iter_mut().for_each(|pixel| *pixel += level);
             }
         }
     }

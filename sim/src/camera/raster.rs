@@ -3,10 +3,12 @@
 //! Everything here is in the camera frame (origin at the camera's centre), so a ray is a direction.
 //! The tests are analytic; no ray goes through the physics engine.
 
+use std::ops::Range;
+
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 use super::truth::CameraTruth;
-use crate::shapes::{Shape, Solid};
+use crate::shapes::{Paint, Shape, Solid};
 
 /// Light from the lamps of the room, world frame: mostly from above.
 const LIGHT: [f64; 3] = [0.25, 0.35, 0.9];
@@ -18,12 +20,17 @@ const AMBIENT: f64 = 0.75;
 #[derive(Debug, Clone)]
 pub(super) struct Seen {
     form: Form,
-    grey: f64,
+    /// What it reflects in each channel of the picture.
+    pub(super) tone: [f32; 3],
     light: Vector3<f64>,
 }
 
 #[derive(Debug, Clone)]
 enum Form {
+    Ball {
+        centre: Vector3<f64>,
+        radius: f64,
+    },
     Capsule {
         a: Vector3<f64>,
         b: Vector3<f64>,
@@ -44,6 +51,21 @@ enum Form {
         half: f64,
         radius: f64,
     },
+    Disc {
+        centre: Vector3<f64>,
+        normal: Vector3<f64>,
+        radius: f64,
+    },
+}
+
+/// What a colour is in each channel of a picture, which has one (grey) or three.
+pub(super) fn tone(paint: Paint, colour: bool) -> [f32; 3] {
+    let tone = if colour {
+        paint.rgb()
+    } else {
+        [paint.grey(), 0.0, 0.0]
+    };
+    tone.map(|level| level as f32)
 }
 
 /// Columns and rows `[first, end)` of a picture.
@@ -53,14 +75,28 @@ pub(super) struct Window {
     pub rows: [usize; 2],
 }
 
+impl Window {
+    /// Its pixels, a run for each row, in a picture of that width.
+    pub(super) fn runs(&self, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+        let [first, end] = self.columns;
+        (self.rows[0]..self.rows[1]).map(move |row| row * width + first..row * width + end)
+    }
+}
+
 impl Seen {
-    /// A shape in a frame with pose `camera_t_frame`, lit in the world behind `camera_t_world`.
+    /// A shape in a frame with pose `camera_t_frame`, lit in the world behind `camera_t_world`, for a picture that is in
+    /// colour or not.
     pub(super) fn new(
         shape: &Shape,
         camera_t_frame: &Isometry3<f64>,
         camera_t_world: &Isometry3<f64>,
+        colour: bool,
     ) -> Self {
         let form = match shape.solid {
+            Solid::Capsule { a, b, radius } if a == b => Form::Ball {
+                centre: (camera_t_frame * a).coords,
+                radius,
+            },
             Solid::Capsule { a, b, radius } => Form::Capsule {
                 a: (camera_t_frame * a).coords,
                 b: (camera_t_frame * b).coords,
@@ -83,10 +119,19 @@ impl Seen {
                     radius,
                 }
             }
+            Solid::Disc {
+                centre,
+                normal,
+                radius,
+            } => Form::Disc {
+                centre: (camera_t_frame * centre).coords,
+                normal: camera_t_frame * normal,
+                radius,
+            },
         };
         Self {
             form,
-            grey: shape.grey,
+            tone: tone(shape.paint, colour),
             light: camera_t_world * Vector3::from(LIGHT).normalize(),
         }
     }
@@ -94,6 +139,7 @@ impl Seen {
     /// Distance along the unit direction `ray` to the first point of the solid.
     pub(super) fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
         match &self.form {
+            Form::Ball { centre, radius } => hit_ball(centre, *radius, ray),
             Form::Capsule { a, b, radius } => hit_capsule(a, b, *radius, ray),
             Form::Block { turn, eye, half } => hit_block(eye, half, &(turn * ray)),
             Form::Cylinder {
@@ -102,13 +148,48 @@ impl Seen {
                 half,
                 radius,
             } => hit_cylinder(eye, *half, *radius, &(turn * ray)),
+            Form::Disc {
+                centre,
+                normal,
+                radius,
+            } => hit_disc(centre, normal, *radius, ray),
         }
     }
 
-    /// Grey of the point at `distance` along `ray`, by Lambert's law.
+    /// Tells `found` for each of `rays` that hits: its index and the distance.
+    pub(super) fn hits(&self, rays: &[Vector3<f64>], found: impl FnMut(usize, f64)) {
+        // The form is looked at once, not for each ray.
+        match &self.form {
+            Form::Ball { centre, radius } => {
+                each(rays, found, |ray| hit_ball(centre, *radius, ray));
+            }
+            Form::Capsule { a, b, radius } => {
+                each(rays, found, |ray| hit_capsule(a, b, *radius, ray));
+            }
+            Form::Block { turn, eye, half } => {
+                each(rays, found, |ray| hit_block(eye, half, &(turn * ray)));
+            }
+            Form::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => each(rays, found, |ray| {
+                hit_cylinder(eye, *half, *radius, &(turn * ray))
+            }),
+            Form::Disc {
+                centre,
+                normal,
+                radius,
+            } => each(rays, found, |ray| hit_disc(centre, normal, *radius, ray)),
+        }
+    }
+
+    /// How much of its tone the point at `distance` along `ray` shows, by Lambert's law.
     pub(super) fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
         let point = ray * distance;
         let normal = match &self.form {
+            Form::Ball { centre, .. } => (point - centre).normalize(),
             Form::Capsule { a, b, .. } => {
                 let axis = b - a;
                 let length = axis.norm_squared();
@@ -141,8 +222,10 @@ impl Seen {
                 };
                 turn.transpose() * normal
             }
+            // The side that the camera sees.
+            Form::Disc { normal, .. } => normal * -normal.dot(ray).signum(),
         };
-        lambert(self.grey, normal.dot(&self.light))
+        lambert(1.0, normal.dot(&self.light))
     }
 
     /// The part of the picture outside which the solid cannot be seen; `None` when it cannot be
@@ -152,12 +235,21 @@ impl Seen {
             columns: [0, camera.width],
             rows: [0, camera.height],
         };
-        // Ends and radius of a capsule that holds the solid.
-        let (a, b, radius) = match &self.form {
-            Form::Capsule { a, b, radius } => (*a, *b, *radius),
+        let mut extent = Extent::default();
+        match &self.form {
+            Form::Ball { centre, radius } => extent.ball(centre, *radius),
+            Form::Capsule { a, b, radius } => {
+                extent.ball(a, *radius);
+                extent.ball(b, *radius);
+            }
             Form::Block { turn, eye, half } => {
                 let centre = -turn.tr_mul(eye);
-                (centre, centre, half.norm())
+                for corner in 0..8_u32 {
+                    let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+                    let signs = Vector3::new(sign(0), sign(1), sign(2));
+                    let point = centre + turn.tr_mul(&half.component_mul(&signs));
+                    extent.ball(&point, 0.0);
+                }
             }
             Form::Cylinder {
                 turn,
@@ -165,37 +257,87 @@ impl Seen {
                 half,
                 radius,
             } => {
-                let (centre, axis) = (-turn.tr_mul(eye), turn.row(2).transpose() * *half);
-                (centre - axis, centre + axis, *radius)
-            }
-        };
-        let mut low = [f64::INFINITY; 2];
-        let mut high = [f64::NEG_INFINITY; 2];
-        let mut behind = 0;
-        // The solid lies in the hull of the cubes about its two ends, and so does its ideal image.
-        for corner in 0..16_u32 {
-            let sign = |bit: u32| {
-                if corner >> bit & 1 == 0 {
-                    -radius
-                } else {
-                    radius
+                let (centre, axis) = (-turn.tr_mul(eye), turn.row(2).transpose());
+                for end in [centre - axis * *half, centre + axis * *half] {
+                    extent.disc(&end, &axis, *radius);
                 }
-            };
-            let end = if corner >> 3 == 0 { a } else { b };
-            let p = end + Vector3::new(sign(0), sign(1), sign(2));
-            if p.z < 1e-3 {
-                behind += 1;
-                continue;
             }
-            for (axis, value) in [p.x / p.z, p.y / p.z].into_iter().enumerate() {
-                low[axis] = low[axis].min(value);
-                high[axis] = high[axis].max(value);
-            }
+            Form::Disc {
+                centre,
+                normal,
+                radius,
+            } => extent.disc(centre, normal, *radius),
         }
-        match behind {
-            0 => distorted(camera, low, high, whole),
-            16 => None,
+        match extent.of {
+            [_, 0] => distorted(camera, extent.low, extent.high, whole),
+            [0, _] => None,
             _ => Some(whole),
+        }
+    }
+}
+
+/// Tells `found` for each of `rays` that `hit` says a distance of.
+fn each(
+    rays: &[Vector3<f64>],
+    mut found: impl FnMut(usize, f64),
+    hit: impl Fn(&Vector3<f64>) -> Option<f64>,
+) {
+    for (index, ray) in rays.iter().enumerate() {
+        if let Some(distance) = hit(ray) {
+            found(index, distance);
+        }
+    }
+}
+
+/// The ideal rectangle (focal length 1) that the hull of balls and discs lies in.
+#[derive(Debug)]
+struct Extent {
+    low: [f64; 2],
+    high: [f64; 2],
+    /// How many of them are wholly before the camera, and how many are not.
+    of: [u32; 2],
+}
+
+impl Default for Extent {
+    fn default() -> Self {
+        Self {
+            low: [f64::INFINITY; 2],
+            high: [f64::NEG_INFINITY; 2],
+            of: [0; 2],
+        }
+    }
+}
+
+impl Extent {
+    fn ball(&mut self, centre: &Vector3<f64>, radius: f64) {
+        self.rim(centre, radius, &Matrix3::identity());
+    }
+
+    fn disc(&mut self, centre: &Vector3<f64>, normal: &Vector3<f64>, radius: f64) {
+        // What is across the normal.
+        let across = Matrix3::identity() - normal * normal.transpose();
+        self.rim(centre, radius, &across);
+    }
+
+    /// A ball, or what of it `across` (a projection) leaves. The plane x = m z touches it where the distance of its centre is the
+    /// radius seen across that plane: a quadratic in m.
+    fn rim(&mut self, centre: &Vector3<f64>, radius: f64, across: &Matrix3<f64>) {
+        let square = radius * radius;
+        let deep = radius * across.m33.max(0.0).sqrt();
+        if centre.z - deep < 1e-3 {
+            self.of[1] += 1;
+            // The part before the camera counts, wherever it is seen.
+            self.of[0] += u32::from(centre.z + deep >= 1e-3);
+            return;
+        }
+        self.of[0] += 1;
+        for axis in 0..2 {
+            let a = centre.z * centre.z - square * across.m33;
+            let b = centre[axis] * centre.z - square * across[(axis, 2)];
+            let c = centre[axis] * centre[axis] - square * across[(axis, axis)];
+            let root = (b * b - a * c).max(0.0).sqrt();
+            self.low[axis] = self.low[axis].min((b - root) / a);
+            self.high[axis] = self.high[axis].max((b + root) / a);
         }
     }
 }
@@ -237,28 +379,45 @@ fn lambert(grey: f64, cosine: f64) -> f64 {
     grey * (AMBIENT + (1.0 - AMBIENT) * cosine.max(0.0))
 }
 
-/// The floor, z = 0 in the world, with the joints between its tiles; `None` above the horizon.
-pub(super) fn floor(
-    camera_t_world: &Isometry3<f64>,
-    ray: &Vector3<f64>,
-    grey: f64,
-) -> Option<(f64, f64)> {
-    let eye = camera_t_world.inverse() * Point3::origin();
-    let down = camera_t_world.inverse() * ray;
-    let distance = -eye.z / down.z;
-    if down.z >= -1e-9 || distance <= 0.0 {
-        return None;
-    }
-    let point = eye + down * distance;
-    let joint = |x: f64| ((x / TILE).rem_euclid(1.0) - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
-    let grey = if joint(point.x) || joint(point.y) {
-        grey * 0.93
-    } else {
-        grey
-    };
-    let up = Vector3::from(LIGHT).normalize().z;
-    Some((distance, lambert(grey, up)))
+/// The floor, z = 0 in the world, with the joints between its tiles.
+#[derive(Debug, Clone)]
+pub(super) struct Floor {
+    world_t_camera: Isometry3<f64>,
+    /// Upwards, camera frame.
+    up: Vector3<f64>,
 }
+
+impl Floor {
+    pub(super) fn new(camera_t_world: &Isometry3<f64>) -> Self {
+        Self {
+            world_t_camera: camera_t_world.inverse(),
+            up: camera_t_world * Vector3::z(),
+        }
+    }
+
+    /// Distance along the unit direction `ray`; `None` above the horizon.
+    pub(super) fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
+        let rise = self.up.dot(ray);
+        let distance = -self.world_t_camera.translation.vector.z / rise;
+        (rise < -1e-9 && distance > 0.0).then_some(distance)
+    }
+
+    /// How much of its tone the point at `distance` along `ray` shows.
+    pub(super) fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
+        let point = self.world_t_camera * Point3::from(ray * distance);
+        let joint =
+            |x: f64| ((x / TILE).rem_euclid(1.0) - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
+        let tone = if joint(point.x) || joint(point.y) {
+            JOINT
+        } else {
+            1.0
+        };
+        lambert(tone, Vector3::from(LIGHT).normalize().z)
+    }
+}
+
+/// Tone of the joints against that of the tiles.
+const JOINT: f64 = 0.93;
 
 /// Edge of a floor tile and width of the joints, m.
 const TILE: f64 = 0.5;
@@ -319,6 +478,18 @@ fn hit_cylinder(eye: &Vector3<f64>, half: f64, radius: f64, ray: &Vector3<f64>) 
         leave = leave.min(last);
     }
     (enter <= leave && enter > 0.0).then_some(enter)
+}
+
+fn hit_disc(
+    centre: &Vector3<f64>,
+    normal: &Vector3<f64>,
+    radius: f64,
+    ray: &Vector3<f64>,
+) -> Option<f64> {
+    let t = normal.dot(centre) / normal.dot(ray);
+    // In its own plane a disc is a line without width: t is no number, and nothing is seen.
+    let off = (ray * t - centre).norm_squared();
+    (t > 0.0 && off <= radius * radius).then_some(t)
 }
 
 /// Where a ray is between the planes at plus and minus `half`, by one coordinate.
@@ -442,9 +613,9 @@ mod tests {
             };
             let shape = Shape {
                 solid: Solid::Capsule { a: a.into(), b: b.into(), radius },
-                grey: 100.0,
+                paint: Paint::Grey(100.0),
             };
-            let seen = Seen::new(&shape, &Isometry3::identity(), &Isometry3::identity());
+            let seen = Seen::new(&shape, &Isometry3::identity(), &Isometry3::identity(), false);
             let window = seen.window(&camera);
             for row in 0..camera.height {
                 for column in 0..camera.width {

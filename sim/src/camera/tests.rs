@@ -183,21 +183,190 @@ fn a_picture_shows_at_every_pixel_the_nearest_solid_of_the_scene() {
     let scene = dark(&cell.scene(&[&joints]));
     let picture = renderer.light(&scene).to_vec();
     // The slow way: every solid for every (sampled) pixel, no windows, no depth buffer.
-    let solids: Vec<_> = renderer.still.iter().chain(&renderer.moving).collect();
-    let mut of_the_arm = 0;
-    for (index, ray) in renderer.rays.iter().enumerate().step_by(7) {
-        let pose = renderer.camera.camera_t_world;
-        let floor = raster::floor(&pose, ray, cell.floor_grey);
-        let nearest = solids
-            .iter()
-            .filter_map(|solid| Some((solid.hit(ray)?, solid.shade(ray, solid.hit(ray)?))))
-            .chain(floor)
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        let expected = nearest.map_or(cell.floor_grey / 2.0, |(_, grey)| grey);
-        assert!((f64::from(picture[index]) - expected).abs() < 1e-3);
-        of_the_arm += usize::from(floor.is_some_and(|floor| Some(floor) != nearest));
+    let floor = Floor::new(&renderer.camera.camera_t_world);
+    let grey = cell.floor_grey as f32;
+    let solids = &renderer.solids;
+    let (mut of_the_arm, mut edges) = (0, 0);
+    for row in 1..499 {
+        for column in (1 + row % 7..499).step_by(7) {
+            let (here, expected) =
+                nearest(solids, &floor, grey, &renderer.rays[row * 500 + column]);
+            let mut inside = true;
+            for at in [-501_isize, -500, -499, -1, 1, 499, 500, 501] {
+                let at = (row * 500 + column).checked_add_signed(at).unwrap();
+                inside &= nearest(solids, &floor, grey, &renderer.rays[at]).0 == here;
+            }
+            of_the_arm += usize::from(here.is_some());
+            if inside {
+                let seen = picture[row * 500 + column];
+                assert!(
+                    (seen - expected).abs() < 2e-3,
+                    "{row} {column}: {seen} {expected}"
+                );
+            } else {
+                edges += 1;
+            }
+        }
     }
-    assert!(of_the_arm > 500, "{of_the_arm}");
+    assert!(of_the_arm > 500 && edges > 50, "{of_the_arm} {edges}");
+}
+
+/// What a ray meets first, a solid by index or nothing but floor and sky, and its grey.
+fn nearest(
+    solids: &[Seen],
+    floor: &Floor,
+    floor_grey: f32,
+    ray: &Vector3<f64>,
+) -> (Option<usize>, f32) {
+    let mut best = match floor.hit(ray) {
+        Some(distance) => (
+            distance,
+            None,
+            floor_grey * floor.shade(ray, distance) as f32,
+        ),
+        None => (f64::INFINITY, None, floor_grey / 2.0),
+    };
+    for (index, solid) in solids.iter().enumerate() {
+        if let Some(distance) = solid.hit(ray)
+            && distance < best.0
+        {
+            let grey = solid.tone[0] * solid.shade(ray, distance) as f32;
+            best = (distance, Some(index), grey);
+        }
+    }
+    (best.1, best.2)
+}
+
+/// One shape of each kind that can lie on the floor, bright on a black floor, under a camera that looks straight down.
+fn on_the_floor(shape: &str, place: [f64; 2]) -> Cell {
+    let [x, y] = place;
+    let text = format!(
+        "
+        [room]
+        floor_grey = 0.0
+        [[camera]]
+        name = 'above'
+        width = 64
+        height = 64
+        fx = 200.0
+        fy = 200.0
+        cx = 31.5
+        cy = 31.5
+        k1 = -0.1
+        k2 = 0.02
+        p1 = 5e-4
+        p2 = -4e-4
+        k3 = 0.0
+        position = [0.02, 0.01, 1.0]
+        look_at = [0.0, 0.0, 0.0]
+        up = [0.0, 1.0, 0.0]
+        blur = 1.0
+        read_noise = 0.0
+        shot_noise = 0.0
+        {shape}
+        "
+    );
+    let text = text.replace("PLACE", &format!("{x:?}, {y:?}"));
+    Cell::parse(&Source::new("cell.toml", text)).unwrap()
+}
+
+/// Centroid of the light.
+fn centroid(light: &[f64], width: usize) -> (f64, f64) {
+    let (centre, ..) = moments(light, width);
+    centre
+}
+
+#[test]
+fn edges_lie_between_pixels_so_that_centroids_do() {
+    let thing = "mass = 1.0\ngrey = 200\n";
+    let shapes = [
+        format!(
+            "[[object]]\nname = 'a'\nshape = 'sphere'\nradius = 0.05\nposition = [PLACE, 0.05]\n{thing}"
+        ),
+        format!(
+            "[[object]]\nname = 'a'\nshape = 'cylinder'\nradius = 0.04\nheight = 0.02\nposition = [PLACE, 0.01]\n{thing}"
+        ),
+        format!(
+            "[[object]]\nname = 'a'\nshape = 'box'\nsize = [0.08, 0.06, 0.02]\nposition = [PLACE, 0.01]\nrpy = [0.0, 0.0, 20.0]\n{thing}"
+        ),
+        "[[mark]]\ncentre = [PLACE, 0.0]\nnormal = [0.0, 0.0, 1.0]\nradius = 0.05\ngrey = 200\n"
+            .to_owned(),
+    ];
+    for shape in &shapes {
+        for step in 0..5 {
+            // By thirds of a pixel or so.
+            let off = f64::from(step) * 0.0017;
+            let cell = on_the_floor(shape, [0.011 + off, -0.007 - 0.6 * off]);
+            let mut renderer = renderer(&cell, 0);
+            let seen: Vec<f64> = renderer
+                .light(&cell.start())
+                .iter()
+                .map(|x| f64::from(*x))
+                .collect();
+            // Each pixel by 16 x 16 rays through its square.
+            let floor = Floor::new(&renderer.camera.camera_t_world);
+            let mut exact = Vec::new();
+            for pixel in 0..64 * 64 {
+                let (u, v) = ((pixel % 64) as f64, (pixel / 64) as f64);
+                let part = |k: usize| (k as f64 + 0.5) / 16.0 - 0.5;
+                let rays = (0..256).map(|k| {
+                    let ray = renderer
+                        .camera
+                        .direction(u + part(k % 16), v + part(k / 16));
+                    ray.unwrap().normalize()
+                });
+                let greys = rays.map(|ray| nearest(&renderer.solids, &floor, 0.0, &ray).1);
+                exact.push(greys.map(f64::from).sum::<f64>() / 256.0);
+            }
+            let (u, v) = centroid(&seen, 64);
+            let (eu, ev) = centroid(&exact, 64);
+            assert!(
+                (u - eu).hypot(v - ev) < 0.02,
+                "{u} {v} against {eu} {ev} of {shape}"
+            );
+            let (area, true_area): (f64, f64) = (seen.iter().sum(), exact.iter().sum());
+            assert!(
+                (area / true_area - 1.0).abs() < 0.01,
+                "{area} {true_area} of {shape}"
+            );
+            // The same without a look at edges would be off by more.
+            let hard = (0..64 * 64)
+                .map(|k| f64::from(nearest(&renderer.solids, &floor, 0.0, &renderer.rays[k]).1));
+            let hard: Vec<f64> = hard.collect();
+            let off = |light: &[f64]| {
+                let pairs = light.iter().zip(&exact);
+                pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+            };
+            assert!(
+                off(&seen) < 0.5 * off(&hard),
+                "{} {}",
+                off(&seen),
+                off(&hard)
+            );
+        }
+    }
+}
+
+#[test]
+fn a_colour_camera_sees_colours_that_a_grey_one_sees_by_bt_709() {
+    let shape = "[[mark]]\ncentre = [PLACE, 0.0]\nnormal = [0.0, 0.0, 1.0]\nradius = 0.05\ncolour = [200.0, 100.0, 50.0]\n";
+    let mut cell = on_the_floor(shape, [0.02, 0.01]);
+    let scene = cell.start();
+    let grey = renderer(&cell, 0).light(&scene).to_vec();
+    cell.cameras[0].colour = true;
+    let mut renderer = renderer(&cell, 0);
+    assert_eq!(renderer.format(), PixelFormat::Rgb8);
+    let rgb = renderer.light(&scene).to_vec();
+    assert_eq!(rgb.len(), 3 * grey.len());
+    for (rgb, grey) in rgb.chunks(3).zip(&grey) {
+        let luma = 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
+        assert!((luma - grey).abs() < 1e-3);
+        assert!((rgb[0] - 2.0 * rgb[1]).abs() < 1e-3 && (rgb[1] - 2.0 * rgb[2]).abs() < 1e-3);
+    }
+    let frame = renderer.render(&scene, 1);
+    let frame = vss::frame::Frame::rgb8(64, 64, frame);
+    assert!(frame.is_whole());
+    assert_eq!(frame.rgb(31, 31).map(|rgb| rgb[0] / rgb[2]), Some(4));
 }
 
 #[test]

@@ -17,7 +17,7 @@ use self::{
     check::{Check, GREY},
     lamp::LampText,
     sensor::{SensorText, hanging},
-    thing::{FurnitureText, ObjectText},
+    thing::{FurnitureText, MarkText, ObjectText},
 };
 use super::{ArmSpec, BodySpec, Cell, Mount, ObjectSpec, Origin, ReadModel, overlap};
 use crate::shapes::{self, Shape};
@@ -71,6 +71,8 @@ struct CellText {
     #[serde(default)]
     furniture: Vec<FurnitureText>,
     #[serde(default)]
+    mark: Vec<MarkText>,
+    #[serde(default)]
     object: Vec<ObjectText>,
     #[serde(default)]
     force_torque: Vec<SensorText>,
@@ -117,6 +119,7 @@ impl CellText {
             .iter()
             .map(|item| item.check(check))
             .collect();
+        let marks = self.mark.iter().map(|mark| mark.check(check)).collect();
         let mut names = Vec::new();
         let mut objects = Vec::new();
         for object in &self.object {
@@ -151,6 +154,7 @@ impl CellText {
             lamps,
             floor_grey,
             room,
+            marks,
             objects,
             cameras,
         };

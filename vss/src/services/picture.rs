@@ -1,9 +1,9 @@
 //! Pictures in files, as the classes read them.
 
-use std::{fs, time::Duration};
+use std::fs;
 
 use sorma::{Report, Transport};
-use vss_image::{FILE_MOST, Picture};
+use vss_image::{FILE_MOST, Format, Picture};
 
 use super::{check_file, code};
 use crate::frame::Frame;
@@ -27,14 +27,16 @@ pub(super) fn opened(path: &str, io: &mut Transport) -> Result<Picture, Report> 
     Ok(picture)
 }
 
-/// The picture in a file, as grey values.
+/// The picture in a file, as a grey frame.
 pub(super) fn read(path: &str, io: &mut Transport) -> Result<Frame, Report> {
     let picture = opened(path, io)?;
-    Ok(Frame {
-        width: picture.width,
-        height: picture.height,
-        pixels: picture.into_grey().into(),
-        stamp: Duration::ZERO,
-        number: 0,
-    })
+    Ok(frame(picture).into_grey())
+}
+
+/// A picture that no camera took.
+fn frame(picture: Picture) -> Frame {
+    match picture.format {
+        Format::Grey8 => Frame::grey8(picture.width, picture.height, picture.pixels),
+        Format::Rgb8 => Frame::rgb8(picture.width, picture.height, picture.pixels),
+    }
 }

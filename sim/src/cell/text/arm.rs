@@ -9,7 +9,7 @@ use super::{
     super::ArmSpec,
     check::{Check, FRICTION, GREY},
 };
-use crate::shapes::{self, Shape, Solid};
+use crate::shapes::{self, Paint, Shape, Solid};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -148,8 +148,9 @@ impl ArmText {
                 radius: check.number(&capsule.radius, "the radius of a capsule", "m", [1e-3, 1.0]),
             };
             let grey = check.number(&capsule.grey, "the grey of a capsule", "grey levels", GREY);
+            let paint = Paint::Grey(grey);
             let frame = check.frame(model, &capsule.link);
-            all.extend(frame.map(|frame| (frame, Shape { solid, grey })));
+            all.extend(frame.map(|frame| (frame, Shape { solid, paint })));
         }
         all
     }

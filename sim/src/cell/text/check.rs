@@ -12,6 +12,7 @@ use nalgebra::Vector3;
 use toml::Spanned;
 
 use super::super::{ArmSpec, Mount, ReadModel};
+use crate::shapes::Paint;
 
 pub(super) const GREY: [f64; 2] = [0.0, 255.0];
 
@@ -112,6 +113,40 @@ impl Check<'_> {
     /// A factor on what the model says: 1 when nothing is said.
     pub(super) fn factor(&mut self, value: Option<&Spanned<f64>>, what: &str) -> f64 {
         value.map_or(1.0, |value| self.number(value, what, "", [0.01, 100.0]))
+    }
+
+    /// What something is painted with: `grey` or `colour`, one of them. `span` is said where both are missing.
+    pub(super) fn paint(
+        &mut self,
+        grey: Option<&Spanned<f64>>,
+        colour: Option<&Spanned<[f64; 3]>>,
+        what: &str,
+        span: Range<usize>,
+    ) -> Paint {
+        const HELP: &str = "give one of `grey`, a level, and `colour`, levels of red, green and blue, each from 0 to 255";
+        match (grey, colour) {
+            (Some(grey), None) => {
+                let grey = self.number(grey, &format!("the grey of {what}"), "grey levels", GREY);
+                Paint::Grey(grey)
+            }
+            (None, Some(colour)) => {
+                let [low, high] = GREY;
+                if !colour.get_ref().iter().all(|x| (low..=high).contains(x)) {
+                    let message = format!("the colour of {what} is {:?}", colour.get_ref());
+                    self.refuse(colour.span(), message, HELP);
+                }
+                Paint::Colour(*colour.get_ref())
+            }
+            (None, None) => {
+                self.refuse(span, format!("{what} has no colour"), HELP);
+                Paint::Grey(0.0)
+            }
+            (Some(_), Some(colour)) => {
+                let message = format!("{what} has both a grey and a colour");
+                self.refuse(colour.span(), message, HELP);
+                Paint::Grey(0.0)
+            }
+        }
     }
 
     /// Refuses a name that is empty or taken.

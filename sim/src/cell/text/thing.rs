@@ -1,4 +1,4 @@
-//! What lies and stands in the cell: `[[object]]` and `[[furniture]]`.
+//! What lies and stands in the cell: `[[object]]`, `[[furniture]]` and `[[mark]]`.
 
 use mcs::model::Placement;
 use nalgebra::{Point3, Vector3};
@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use super::{
     super::ObjectSpec,
-    check::{Check, FRICTION, GREY},
+    check::{Check, FRICTION},
 };
 use crate::shapes::{Shape, Solid};
 
@@ -21,7 +21,8 @@ pub(super) struct ObjectText {
     height: Option<Spanned<f64>>,
     mass: Spanned<f64>,
     friction: Option<Spanned<f64>>,
-    grey: Spanned<f64>,
+    grey: Option<Spanned<f64>>,
+    colour: Option<Spanned<[f64; 3]>>,
     pub(super) position: Spanned<[f64; 3]>,
     rpy: Option<Spanned<[f64; 3]>>,
 }
@@ -39,7 +40,18 @@ enum FormText {
 pub(super) struct FurnitureText {
     centre: Spanned<[f64; 3]>,
     size: Spanned<[f64; 3]>,
-    grey: Spanned<f64>,
+    grey: Option<Spanned<f64>>,
+    colour: Option<Spanned<[f64; 3]>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MarkText {
+    centre: Spanned<[f64; 3]>,
+    normal: Spanned<[f64; 3]>,
+    radius: Spanned<f64>,
+    grey: Option<Spanned<f64>>,
+    colour: Option<Spanned<[f64; 3]>>,
 }
 
 /// What each form needs.
@@ -51,7 +63,12 @@ impl ObjectText {
         ObjectSpec {
             shape: Shape {
                 solid: self.solid(check),
-                grey: check.number(&self.grey, "the grey of an object", "grey levels", GREY),
+                paint: check.paint(
+                    self.grey.as_ref(),
+                    self.colour.as_ref(),
+                    "an object",
+                    self.shape.span(),
+                ),
             },
             mass: check.number(&self.mass, "the mass of an object", "kg", [1e-4, 1000.0]),
             friction: self.friction.as_ref().map_or(FRICTION, |friction| {
@@ -121,11 +138,40 @@ impl FurnitureText {
                 centre: centre.into(),
                 half: size / 2.0,
             },
-            grey: check.number(
-                &self.grey,
-                "the grey of a piece of furniture",
-                "grey levels",
-                GREY,
+            paint: check.paint(
+                self.grey.as_ref(),
+                self.colour.as_ref(),
+                "a piece of furniture",
+                self.size.span(),
+            ),
+        }
+    }
+}
+
+impl MarkText {
+    pub(super) fn check(&self, check: &mut Check<'_>) -> Shape {
+        let centre = check.point(&self.centre, "the centre of a mark", 10.0);
+        let normal = check.point(&self.normal, "the direction of a mark", 10.0);
+        let normal = normal.try_normalize(1e-9).unwrap_or_else(|| {
+            let message = "the direction of a mark has no length".to_owned();
+            check.refuse(
+                self.normal.span(),
+                message,
+                "give a vector at right angles to the disc",
+            );
+            Vector3::z()
+        });
+        Shape {
+            solid: Solid::Disc {
+                centre: centre.into(),
+                normal,
+                radius: check.number(&self.radius, "the radius of a mark", "m", [1e-4, 10.0]),
+            },
+            paint: check.paint(
+                self.grey.as_ref(),
+                self.colour.as_ref(),
+                "a mark",
+                self.radius.span(),
             ),
         }
     }

@@ -1,0 +1,278 @@
+//! Frames through a snapshot buffer: a Vision Module leaves each of its frames there, and any process of the host reads
+//! them. The pixels are copied once into the buffer and once out of it, and neither side waits for the other (SORMA
+//! technical report, section 1.7.2). Knows no task.
+//!
+//! The opaque bytes of a record are the pixels. Its floats are [`FLOATS`]; the lines `camera NAME` and `link NAME` follow
+//! them in the buffer's description.
+
+use std::time::Duration;
+
+use ctos::time::Clock;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use sorma::snapshot::{Layout, Place, Reader, Snapshot, SnapshotError, Writer, WriterState};
+
+use super::{Carried, Frame, PixelFormat};
+
+/// How many frames a buffer keeps.
+const SLOTS: usize = 4;
+
+/// The floats of a record, by name and unit. The pose is that of the link, where there is one; else it is 0.
+pub const FLOATS: [&str; 13] = [
+    "number",
+    "width px",
+    "height px",
+    "channels",
+    "stamp ns",
+    "exposure ns",
+    "x m",
+    "y m",
+    "z m",
+    "qx",
+    "qy",
+    "qz",
+    "qw",
+];
+
+/// Why a frame cannot be left or read.
+#[derive(Debug, thiserror::Error)]
+pub enum BufferError {
+    /// Of the buffer.
+    #[error(transparent)]
+    Buffer(#[from] SnapshotError),
+    /// There is no frame, and why.
+    #[error("snapshot buffer `{buffer}` has no frame: {reason}")]
+    None {
+        /// The buffer's name.
+        buffer: String,
+        /// Why.
+        reason: &'static str,
+    },
+}
+
+/// Leaves frames in a buffer.
+#[derive(Debug)]
+pub struct FrameWriter {
+    app: String,
+    buffer: String,
+    clock: Clock,
+    /// What the buffer is for: bytes of a picture and description.
+    writer: Option<(usize, String, Writer)>,
+}
+
+impl FrameWriter {
+    /// The buffer `buffer` of an app, which the first frame makes.
+    #[must_use]
+    pub fn new((app, buffer): (&str, &str), clock: &Clock) -> Self {
+        Self {
+            app: app.to_owned(),
+            buffer: buffer.to_owned(),
+            clock: clock.clone(),
+            writer: None,
+        }
+    }
+
+    /// Leaves a frame. A larger picture than before, or another link, makes the buffer anew.
+    ///
+    /// # Errors
+    /// Another process writes it, the name cannot be, or the system refuses.
+    pub fn write(&mut self, frame: &Frame) -> Result<(), BufferError> {
+        let link = frame.carrier.as_ref().map_or("", |carrier| &carrier.link);
+        let names = format!("camera {}\nlink {link}\n", frame.camera);
+        let bytes = frame.pixels.len();
+        let fits = |(most, known, _): &(usize, String, Writer)| *most >= bytes && *known == names;
+        let (.., writer) = match &mut self.writer {
+            Some(there) if fits(there) => there,
+            there => {
+                // The buffer has one writer at a time.
+                *there = None;
+                let layout = Layout::new(SLOTS, FLOATS.len()).bytes(bytes);
+                let layout = layout.described(FLOATS.join("\n") + "\n" + &names);
+                let place = Place::of_app(&self.app)?;
+                let writer = Writer::create(&place, &self.buffer, layout, &self.clock)?;
+                there.insert((bytes, names, writer))
+            }
+        };
+        let mut floats = [0.0; FLOATS.len()];
+        let (head, pose) = floats.split_at_mut(6);
+        head.copy_from_slice(&[
+            frame.number as f64,
+            frame.width as f64,
+            frame.height as f64,
+            frame.format.bytes() as f64,
+            frame.stamp.as_nanos() as f64,
+            frame.exposure.as_nanos() as f64,
+        ]);
+        if let Some(Carried { world_t_link, .. }) = &frame.carrier {
+            let (place, turn) = (&world_t_link.translation, &world_t_link.rotation);
+            pose.copy_from_slice(&[place.x, place.y, place.z, turn.i, turn.j, turn.k, turn.w]);
+        }
+        writer.write(&floats, &frame.pixels)?;
+        Ok(())
+    }
+}
+
+/// Reads frames from a buffer, also from one that is made anew meanwhile.
+#[derive(Debug)]
+pub struct FrameReader {
+    app: String,
+    buffer: String,
+    reader: Option<Reader>,
+    record: Snapshot,
+}
+
+impl FrameReader {
+    /// A reader of the buffer `buffer` of an app, which need not be there yet.
+    #[must_use]
+    pub fn new(app: &str, buffer: &str) -> Self {
+        Self {
+            app: app.to_owned(),
+            buffer: buffer.to_owned(),
+            reader: None,
+            record: Snapshot::default(),
+        }
+    }
+
+    /// The latest frame.
+    ///
+    /// # Errors
+    /// There is none, nobody leaves one any more, or what is there is none.
+    pub fn latest(&mut self) -> Result<Frame, BufferError> {
+        let buffer = self.buffer.clone();
+        let none = |reason| BufferError::None {
+            buffer: buffer.clone(),
+            reason,
+        };
+        let written = |reader: &Reader| matches!(reader.writer(), WriterState::Writing(_));
+        let reader = match self.reader.take().filter(written) {
+            Some(reader) => reader,
+            None => Reader::open(&Place::of_app(&self.app)?, &self.buffer)?,
+        };
+        if !written(&reader) {
+            return Err(none("the process that left frames there has ended"));
+        }
+        let reader = self.reader.insert(reader);
+        if !reader.latest(&mut self.record)? {
+            return Err(none("nobody has left one yet"));
+        }
+        let description = reader.layout().description.clone();
+        // The pixels move out of the record: they are not copied again.
+        let pixels = std::mem::take(&mut self.record.opaque);
+        frame(&description, &self.record.floats, pixels)
+            .filter(Frame::is_whole)
+            .ok_or_else(|| none("the records are of another kind"))
+    }
+}
+
+/// A frame of a record.
+fn frame(description: &str, floats: &[f64], pixels: Vec<u8>) -> Option<Frame> {
+    let &[
+        number,
+        width,
+        height,
+        channels,
+        stamp,
+        exposure,
+        x,
+        y,
+        z,
+        qx,
+        qy,
+        qz,
+        qw,
+    ] = floats
+    else {
+        return None;
+    };
+    let name = |key: &str| {
+        let mut lines = description.lines().skip(FLOATS.len());
+        lines.find_map(|line| line.strip_prefix(key))
+    };
+    let (camera, link) = (name("camera ")?.to_owned(), name("link ")?);
+    let turn = UnitQuaternion::try_new(Quaternion::new(qw, qx, qy, qz), 1e-9);
+    let carrier = turn.filter(|_| !link.is_empty()).map(|turn| Carried {
+        link: link.to_owned(),
+        world_t_link: Isometry3::from_parts(Translation3::new(x, y, z), turn),
+    });
+    let format = match channels {
+        1.0 => PixelFormat::Grey8,
+        3.0 => PixelFormat::Rgb8,
+        _ => return None,
+    };
+    // A float becomes an integer with saturation; a size that is none does not fit the pixels.
+    let time = |ns: f64| Duration::from_nanos(ns as u64);
+    Some(Frame {
+        camera,
+        number: number as u64,
+        format,
+        stamp: time(stamp),
+        exposure: time(exposure),
+        carrier,
+        ..Frame::grey8(width as usize, height as usize, pixels)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    fn carried() -> Frame {
+        Frame {
+            camera: "wrist".into(),
+            number: 7,
+            stamp: Duration::new(3, 141_592_653),
+            exposure: Duration::from_millis(8),
+            carrier: Some(Carried {
+                link: "puma.link6".into(),
+                world_t_link: Isometry3::new(
+                    Vector3::new(0.1, -0.2, 0.3),
+                    Vector3::new(0.4, 0.5, -0.6),
+                ),
+            }),
+            ..Frame::rgb8(3, 2, (0..18).collect::<Vec<u8>>())
+        }
+    }
+
+    #[test]
+    fn a_frame_comes_out_of_the_buffer_as_it_went_in() {
+        let app = format!("vss-frames-{}", std::process::id());
+        let mut reader = FrameReader::new(&app, "left");
+        assert!(reader.latest().is_err());
+        let mut writer = FrameWriter::new((&app, "left"), &Clock::real());
+        let grey = Frame {
+            camera: "left".into(),
+            stamp: Duration::from_secs(5),
+            ..Frame::grey8(2, 2, vec![1, 2, 3, 4])
+        };
+        for frame in [&grey, &carried(), &grey] {
+            writer.write(frame).unwrap();
+            let read = reader.latest().unwrap();
+            let poses = [&read, frame].map(|frame| frame.carrier.as_ref().map(|c| c.world_t_link));
+            if let [Some(read), Some(written)] = poses {
+                assert!((read.inverse() * written).rotation.angle() < 1e-12);
+            }
+            let without = |frame: &Frame| Frame {
+                carrier: None,
+                ..frame.clone()
+            };
+            assert_eq!(without(&read), without(frame));
+        }
+        drop(writer);
+        assert!(reader.latest().is_err(), "nobody leaves frames any more");
+    }
+
+    #[test]
+    fn what_is_no_frame_is_told_by_the_buffers_name() {
+        let app = format!("vss-foreign-{}", std::process::id());
+        let place = Place::of_app(&app).unwrap();
+        let mut writer =
+            Writer::create(&place, "left", Layout::new(2, 1).bytes(8), &Clock::real()).unwrap();
+        let mut reader = FrameReader::new(&app, "left");
+        let none = reader.latest().unwrap_err().to_string();
+        assert!(none.contains("`left` has no frame: nobody"), "{none}");
+        writer.write(&[1.0], &[255; 8]).unwrap();
+        let foreign = reader.latest().unwrap_err().to_string();
+        assert!(foreign.contains("of another kind"), "{foreign}");
+    }
+}
