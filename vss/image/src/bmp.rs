@@ -158,7 +158,7 @@ impl Header {
         })
     }
 
-    /// The rows as they are stored, each as long as its pixels.
+    /// The rows from the top, each as long as its pixels.
     fn rows<'a>(&self, data: &'a [u8]) -> Result<Vec<&'a [u8]>, ReadError> {
         let length = (self.width * self.bits).div_ceil(8);
         let stored = length.div_ceil(4) * 4;
@@ -171,7 +171,11 @@ impl Header {
             )));
         }
         let rows = data.chunks(stored).take(self.height);
-        Ok(rows.filter_map(|row| row.get(..length)).collect())
+        let mut rows: Vec<&[u8]> = rows.filter_map(|row| row.get(..length)).collect();
+        if !self.downwards {
+            rows.reverse();
+        }
+        Ok(rows)
     }
 }
 
@@ -186,24 +190,23 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Picture, ReadError> {
         (Compression::RunLengths, _) => indexed(&header, bytes, &runs(&header, data)?)?,
         (_, ..=8) => {
             let rows = header.rows(data)?;
-            let indices = rows
-                .iter()
-                .flat_map(|row| unpacked(row, header.bits, header.width));
-            indexed(&header, bytes, &indices.collect::<Vec<u8>>())?
+            // Memory for all pixels is taken once: growing would take twice as much.
+            let mut indices = Vec::with_capacity(header.width * header.height);
+            for row in rows {
+                indices.extend(unpacked(row, header.bits, header.width));
+            }
+            indexed(&header, bytes, &indices)?
         }
         (_, 24) => {
-            let rows = header.rows(data)?;
-            let pixels = rows.iter().flat_map(|row| row.chunks_exact(3));
-            let pixels = pixels.flat_map(|bgr| [bgr[2], bgr[1], bgr[0]]);
-            (Format::Rgb8, pixels.collect())
+            let mut pixels = Vec::with_capacity(header.width * header.height * 3);
+            for row in header.rows(data)? {
+                let colours = row.chunks_exact(3);
+                pixels.extend(colours.flat_map(|bgr| [bgr[2], bgr[1], bgr[0]]));
+            }
+            (Format::Rgb8, pixels)
         }
         _ => (Format::Rgb8, fields(&header, &header.rows(data)?)?),
     };
-    if !header.downwards {
-        let row = header.width * format.bytes();
-        let rows = pixels.chunks_exact(row).rev();
-        pixels = rows.flatten().copied().collect();
-    }
     if format == Format::Rgb8 && header.bits <= 8 && is_grey(&pixels) {
         pixels = pixels.iter().step_by(3).copied().collect();
         format = Format::Grey8;
@@ -241,12 +244,7 @@ fn indexed(header: &Header, bytes: &[u8], indices: &[u8]) -> Result<(Format, Vec
     let mut pixels = Vec::with_capacity(indices.len() * 3);
     for (nth, index) in indices.iter().enumerate() {
         let colour = palette.get(usize::from(*index)).ok_or_else(|| {
-            let (u, row) = (nth % header.width, nth / header.width);
-            let v = if header.downwards {
-                row
-            } else {
-                header.height - 1 - row
-            };
+            let (u, v) = (nth % header.width, nth / header.width);
             broken(format!(
                 "pixel {u}, {v} has colour {index} of a palette of {count} colours"
             ))
@@ -292,7 +290,9 @@ fn runs(header: &Header, data: &[u8]) -> Result<Vec<u8>, ReadError> {
     loop {
         let (count, value) = (next()?, next()?);
         let mut put = |index: u8| {
-            let place = (u < header.width && row < header.height).then(|| row * header.width + u);
+            // Rows are counted from below.
+            let inside = u < header.width && row < header.height;
+            let place = inside.then(|| (header.height - 1 - row) * header.width + u);
             let place = place.and_then(|place| indices.get_mut(place));
             *place.ok_or_else(|| broken("a run leaves the picture"))? = u16::from(index);
             u += 1;

@@ -83,25 +83,27 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Picture, ReadError> {
     let rows = stored.chunks_exact(frame.line_size.max(1));
     let channels = frame.color_type.samples();
     let count = width * channels;
-    let samples: Vec<u8> = match frame.bit_depth {
-        BitDepth::Sixteen => {
-            let wide = rows.flat_map(|row| row.chunks_exact(2).take(count));
-            wide.map(|two| scaled(u32::from(two[0]) << 8 | u32::from(two[1]), 65_535))
-                .collect()
-        }
-        depth => {
-            let bits = depth as usize;
-            let narrow = rows.flat_map(|row| unpacked(row, bits, count));
-            if bits == 8 || frame.color_type == ColorType::Indexed {
-                narrow.collect()
-            } else {
-                let most = (1 << bits) - 1;
-                narrow
-                    .map(|sample| scaled(u32::from(sample), most))
-                    .collect()
+    // Memory for all of them is taken once: growing would take twice as much.
+    let mut samples = Vec::with_capacity(count * height);
+    for row in rows {
+        match frame.bit_depth {
+            BitDepth::Sixteen => {
+                let wide = row.chunks_exact(2).take(count);
+                let numbers = wide.map(|two| u32::from(two[0]) << 8 | u32::from(two[1]));
+                samples.extend(numbers.map(|number| scaled(number, 65_535)));
+            }
+            depth => {
+                let bits = depth as usize;
+                let narrow = unpacked(row, bits, count);
+                if bits == 8 || frame.color_type == ColorType::Indexed {
+                    samples.extend(narrow);
+                } else {
+                    let most = (1 << bits) - 1;
+                    samples.extend(narrow.map(|sample| scaled(u32::from(sample), most)));
+                }
             }
         }
-    };
+    }
     drop(stored);
     let (format, pixels) = match frame.color_type {
         ColorType::Grayscale => (Format::Grey8, samples),
@@ -111,8 +113,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Picture, ReadError> {
             (Format::Grey8, pixels.collect())
         }
         ColorType::Rgba => {
-            let pixels = samples.chunks_exact(4).flat_map(|pixel| &pixel[..3]);
-            (Format::Rgb8, pixels.copied().collect())
+            let mut pixels = Vec::with_capacity(width * height * 3);
+            for pixel in samples.chunks_exact(4) {
+                pixels.extend_from_slice(&pixel[..3]);
+            }
+            (Format::Rgb8, pixels)
         }
         ColorType::Indexed => {
             let palette = palette.ok_or_else(|| broken("it has no palette"))?;

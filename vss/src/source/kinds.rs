@@ -23,15 +23,27 @@ use crate::frame::{Frame, FrameError};
 /// Registers the frame sources `vss.directory`, `vss.stream`, `vss.recording` and `vss.buffer`.
 pub fn register(sources: &mut FrameSources) {
     let made = sources.source("vss.directory", |cx, camera, args| {
-        Ok(Box::new(directory::Directory::new(cx, camera, read(args)?)?))
+        Ok(Box::new(directory::Directory::new(
+            cx,
+            camera,
+            read(args)?,
+        )?))
     });
     made.check(check::<directory::DirectoryArgs>);
     let made = sources.source("vss.stream", |cx, camera, args| {
-        Ok(Box::new(stream::PictureStream::new(cx, camera, read(args)?)?))
+        Ok(Box::new(stream::PictureStream::new(
+            cx,
+            camera,
+            read(args)?,
+        )?))
     });
     made.check(check::<stream::StreamArgs>);
     let made = sources.source("vss.recording", |cx, camera, args| {
-        Ok(Box::new(recording::Recording::new(cx, camera, read(args)?)?))
+        Ok(Box::new(recording::Recording::new(
+            cx,
+            camera,
+            read(args)?,
+        )?))
     });
     made.check(check::<recording::RecordingArgs>);
     let made = sources.source("vss.buffer", |cx, camera, args| {
@@ -124,6 +136,3 @@ impl Camera {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -150,7 +150,9 @@ impl Board {
             return None;
         }
         // Dark squares beside a black disc change less than light ones: by roots they count nearly the same.
-        let roots = changes.iter().map(|change| change.signum() * change.abs().sqrt());
+        let roots = changes
+            .iter()
+            .map(|change| change.signum() * change.abs().sqrt());
         Some((roots.sum::<f64>() / PLACES as f64).abs())
     }
 

@@ -51,8 +51,12 @@ impl Args for DirectoryArgs {
             return Some(why);
         }
         match (&self.stamps, self.period_s, self.repeat) {
-            (Some(_), Some(_), _) => Some("`stamps` and `period_s` say the same: give one".to_owned()),
-            (Some(_), _, true) => Some("`repeat` would bring the same `stamps` again: give `period_s`".to_owned()),
+            (Some(_), Some(_), _) => {
+                Some("`stamps` and `period_s` say the same: give one".to_owned())
+            }
+            (Some(_), _, true) => {
+                Some("`repeat` would bring the same `stamps` again: give `period_s`".to_owned())
+            }
             _ => None,
         }
     }
@@ -71,7 +75,11 @@ pub(super) struct Directory {
 }
 
 impl Directory {
-    pub(super) fn new(cx: &Context, camera: &str, args: DirectoryArgs) -> Result<Self, HandlerError> {
+    pub(super) fn new(
+        cx: &Context,
+        camera: &str,
+        args: DirectoryArgs,
+    ) -> Result<Self, HandlerError> {
         let mut own = Self {
             camera: Camera::new(camera),
             folder: cx.path(&args.folder),
@@ -87,7 +95,10 @@ impl Directory {
     fn list(&self) -> Result<Vec<Listed>, String> {
         let folder = self.folder.display();
         let listed = match self.args.stamps.as_deref() {
-            None => named(&self.folder)?.into_iter().map(|path| (path, None)).collect(),
+            None => named(&self.folder)?
+                .into_iter()
+                .map(|path| (path, None))
+                .collect(),
             Some(NAMES) => {
                 let paths = named(&self.folder)?.into_iter();
                 let stamped = paths.map(|path| {
@@ -102,7 +113,10 @@ impl Directory {
             Some(table) => from_table(&self.folder, table)?,
         };
         if listed.is_empty() {
-            return Err(format!("no pictures are in `{folder}` ({})", ENDINGS.join(", ")));
+            return Err(format!(
+                "no pictures are in `{folder}` ({})",
+                ENDINGS.join(", ")
+            ));
         }
         Ok(listed)
     }
@@ -115,7 +129,11 @@ impl Directory {
         };
         let listed = self.listed.insert(listed);
         let nth = usize::try_from(self.camera.taken).unwrap_or(usize::MAX);
-        let nth = if self.args.repeat { nth % listed.len().max(1) } else { nth };
+        let nth = if self.args.repeat {
+            nth % listed.len().max(1)
+        } else {
+            nth
+        };
         let Some((path, stamp)) = listed.get(nth) else {
             let (count, folder) = (listed.len(), self.folder.display());
             return Err(format!(
@@ -124,7 +142,9 @@ impl Directory {
         };
         let picture = opened(path)?;
         let exposure = seconds("exposure_s", self.args.exposure_s)?;
-        let frame = self.camera.frame(picture, stamp.unwrap_or_default(), exposure);
+        let frame = self
+            .camera
+            .frame(picture, stamp.unwrap_or_default(), exposure);
         Ok((frame, stamp.is_some()))
     }
 
@@ -146,12 +166,20 @@ impl FrameSource for Directory {
 
 /// Pictures of a folder, by name.
 fn named(folder: &Path) -> Result<Vec<PathBuf>, String> {
-    let wrong = |error: std::io::Error| format!("cannot read the folder `{}`: {error}", folder.display());
+    let wrong =
+        |error: std::io::Error| format!("cannot read the folder `{}`: {error}", folder.display());
     let mut paths = Vec::new();
     for entry in fs::read_dir(folder).map_err(wrong)? {
         let path = entry.map_err(wrong)?.path();
-        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-        if ENDINGS.iter().any(|known| known.eq_ignore_ascii_case(ending)) && path.is_file() {
+        let ending = path
+            .extension()
+            .and_then(|ending| ending.to_str())
+            .unwrap_or_default();
+        if ENDINGS
+            .iter()
+            .any(|known| known.eq_ignore_ascii_case(ending))
+            && path.is_file()
+        {
             paths.push(path);
         }
     }
@@ -161,9 +189,14 @@ fn named(folder: &Path) -> Result<Vec<PathBuf>, String> {
 
 /// The last number in a file's name: seconds if it has a point, else nanoseconds, as common data sets have it.
 fn stamp_of(path: &Path) -> Result<Duration, String> {
-    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    let stem = path
+        .file_stem()
+        .and_then(|stem| stem.to_str())
+        .unwrap_or_default();
     let numbers = stem.split(|letter: char| !(letter.is_ascii_digit() || letter == '.'));
-    let last = numbers.map(|number| number.trim_matches('.')).rfind(|number| !number.is_empty());
+    let last = numbers
+        .map(|number| number.trim_matches('.'))
+        .rfind(|number| !number.is_empty());
     let stamp = last.and_then(|number| match number.contains('.') {
         true => Duration::try_from_secs_f64(number.parse().ok()?).ok(),
         false => number.parse().ok().map(Duration::from_nanos),
@@ -183,7 +216,9 @@ fn ascending(stamped: &[Listed]) -> Result<(), String> {
             && stamp <= before
         {
             let (one, other) = (one.display(), other.display());
-            return Err(format!("`{other}` has no later stamp than `{one}`: {stamp:?} after {before:?}"));
+            return Err(format!(
+                "`{other}` has no later stamp than `{one}`: {stamp:?} after {before:?}"
+            ));
         }
     }
     Ok(())
@@ -207,22 +242,33 @@ fn from_table(folder: &Path, table: &str) -> Result<Vec<Listed>, String> {
         };
         if !headed {
             if text != "name,stamp_s" {
-                return wrong(format!("the first line must be `name,stamp_s`, not `{text}`"));
+                return wrong(format!(
+                    "the first line must be `name,stamp_s`, not `{text}`"
+                ));
             }
             headed = true;
             continue;
         }
-        let fields = text.split_once(',').map(|(name, stamp)| (name.trim(), stamp.trim()));
-        let stamp = fields.and_then(|(_, stamp)| Duration::try_from_secs_f64(stamp.parse().ok()?).ok());
+        let fields = text
+            .split_once(',')
+            .map(|(name, stamp)| (name.trim(), stamp.trim()));
+        let stamp =
+            fields.and_then(|(_, stamp)| Duration::try_from_secs_f64(stamp.parse().ok()?).ok());
         let (Some((name, _)), Some(stamp)) = (fields, stamp) else {
-            return wrong(format!("a line is the name of a picture and its stamp in s, not `{text}`"));
+            return wrong(format!(
+                "a line is the name of a picture and its stamp in s, not `{text}`"
+            ));
         };
         let path = folder.join(name);
         if !path.is_file() {
             return wrong(format!("there is no file `{}`", path.display()));
         }
         listed.push((path, Some(stamp)));
-        if let Err(why) = ascending(listed.get(listed.len().saturating_sub(2)..).unwrap_or_default()) {
+        if let Err(why) = ascending(
+            listed
+                .get(listed.len().saturating_sub(2)..)
+                .unwrap_or_default(),
+        ) {
             return wrong(why);
         }
     }

@@ -48,7 +48,11 @@ pub(super) struct Recording {
 }
 
 impl Recording {
-    pub(super) fn new(cx: &Context, camera: &str, args: RecordingArgs) -> Result<Self, HandlerError> {
+    pub(super) fn new(
+        cx: &Context,
+        camera: &str,
+        args: RecordingArgs,
+    ) -> Result<Self, HandlerError> {
         let mut own = Self {
             camera: Camera::new(camera),
             recorded: args.camera.unwrap_or_else(|| camera.to_owned()),
@@ -94,7 +98,10 @@ impl Recording {
                 [] => "of no camera".to_owned(),
                 others => format!("of {}", others.join(", ")),
             };
-            return Err(format!("`{shown}` has no frames of camera `{}`, but {others}", self.recorded));
+            return Err(format!(
+                "`{shown}` has no frames of camera `{}`, but {others}",
+                self.recorded
+            ));
         }
         Ok(frames)
     }
@@ -104,9 +111,10 @@ impl Recording {
             Some(frames) => frames,
             None => self.read()?,
         };
-        let recorded = self.frames.insert(frames).pop_front().ok_or_else(|| {
-            format!("all recorded frames of `{}` are taken", self.path.display())
-        })?;
+        let recorded =
+            self.frames.insert(frames).pop_front().ok_or_else(|| {
+                format!("all recorded frames of `{}` are taken", self.path.display())
+            })?;
         self.camera.taken += 1;
         Ok(Frame {
             camera: self.camera.name.clone(),
