@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use super::light::Light;
 
 /// So many of the strongest corners are tried as the first.
-const SEEDS: usize = 40;
+const SEEDS: usize = 150;
 
 /// So many of a corner's nearest are tried as its neighbours.
 const NEAREST: usize = 10;

@@ -22,6 +22,9 @@ const MARKED: f64 = 0.35;
 /// Places in a square that are not alike by this part are no disc and no empty square.
 const ALIKE: f64 = 0.7;
 
+/// A reading with a smaller margin is none.
+const MARGIN_LEAST: f64 = 0.15;
+
 /// Places a side of a square that are looked at.
 const GRID: i32 = 9;
 
@@ -121,7 +124,8 @@ impl Board {
                 None => self.by_light(file, rank),
                 Some((classes, roles)) => self.by_colour(picture, classes, roles, file, rank),
             };
-            *field = read.unwrap_or(UNKNOWN);
+            let sure = read.filter(|read| read.confidence >= MARGIN_LEAST);
+            *field = sure.unwrap_or(UNKNOWN);
         }
         fields
     }
