@@ -83,7 +83,7 @@ impl Header {
     }
 
     fn channels(self) -> usize {
-        if self.kind % 3 == 0 { 3 } else { 1 }
+        if self.kind.is_multiple_of(3) { 3 } else { 1 }
     }
 
     fn sample_bytes(self) -> usize {
