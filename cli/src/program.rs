@@ -19,6 +19,7 @@ pub fn registry() -> Registry {
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
     sim::register(&mut registry, &mut drivers, &mut sources);
+    vss::source::kinds::register(&mut sources);
     mcs_remote::register(&mut drivers);
     let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
     mcs_hand::register(&mut registry, &mut laws);

@@ -21,7 +21,6 @@ pub mod components;
 pub mod frame;
 pub mod handeye;
 pub mod laser;
-pub mod png;
 pub mod pose;
 pub mod psom;
 pub mod service;
@@ -40,3 +39,4 @@ mod concurrent;
 mod register;
 
 pub use register::register;
+pub use vss_image::{self as image, png};

@@ -6,7 +6,9 @@
 
 mod abg;
 mod blobs;
+mod board;
 mod clockfit;
+mod colour;
 mod handeye;
 mod laser;
 mod picture;
@@ -24,7 +26,7 @@ use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 /// Version of the classes.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// The largest file that is read, bytes.
+/// The largest table that is read, bytes.
 const LARGEST_FILE: u64 = 256 << 20;
 
 sorma::prototypes! {
@@ -46,12 +48,20 @@ sorma::prototypes! {
             "the text says what is missing: CTRL -train FILE -params P, known components, or training nearby";
         CLOCKS = 147, Warning, "exchanges contradict one another",
             "a clock was set meanwhile, or drifts faster than -max-drift";
+        PICTURE = 148, Warning, "a picture is not taken as its file means it to be shown",
+            "the text says what was scaled, ignored or not rotated; convert the file if that matters";
+        COLOURS = 149, Error, "there are no colour classes, or none can be learned",
+            "CTRL -train FILE needs samples of two classes or more, each with several; the text says what is missing";
+        DRIFT = 150, Warning, "colours are not what they should be",
+            "train anew under today's light, mend the white balance, or give samples that differ more";
+        BOARD = 151, Error, "there is no board in a picture",
+            "the text says what was seen of it: take it from above, whole, sharp and lit, with nothing over most of its corners";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 9] = [
+    let made: [Class; 11] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -72,6 +82,12 @@ pub fn register(sorm: &Sorm) {
         Class::new("clockfit", VERSION, |_, _| {
             Ok(Box::new(clockfit::ClockFit::default()))
         }),
+        Class::new("colour", VERSION, |_, _| {
+            Ok(Box::new(colour::Colour::default()))
+        }),
+        Class::new("board", VERSION, |_, _| {
+            Ok(Box::new(board::Board::default()))
+        }),
     ];
     for (class, info) in made.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
@@ -91,6 +107,8 @@ pub fn classes() -> Vec<ClassInfo> {
         psom::TABLE.class("psom", VERSION),
         abg::TABLE.class("abg", VERSION),
         clockfit::TABLE.class("clockfit", VERSION),
+        colour::TABLE.class("colour", VERSION),
+        board::TABLE.class("board", VERSION),
     ]
 }
 
@@ -99,7 +117,7 @@ const MOST_TOLD: usize = 20;
 
 /// The text of a file that a request names.
 fn opened(path: &str) -> Result<Source, Report> {
-    check_file(path)?;
+    check_file(path, LARGEST_FILE)?;
     Source::read(Path::new(path)).map_err(|finding| Report::error(code::FILE, finding.to_string()))
 }
 
@@ -119,7 +137,7 @@ fn told(findings: Findings) -> Report {
 }
 
 /// Refuses what no request should wait for or fill the memory with: folders, devices, huge files.
-fn check_file(path: &str) -> Outcome {
+fn check_file(path: &str, most: u64) -> Outcome {
     let wrong = |text: String| Err(Report::error(code::FILE, text));
     let about = match File::open(Path::new(path)).and_then(|file| file.metadata()) {
         Ok(about) => about,
@@ -132,10 +150,10 @@ fn check_file(path: &str) -> Outcome {
     if !about.is_file() {
         return wrong(format!("`{path}` is no file"));
     }
-    if about.len() > LARGEST_FILE {
+    if about.len() > most {
         let size = about.len();
         return wrong(format!(
-            "`{path}` has {size} bytes; files up to {LARGEST_FILE} bytes are read"
+            "`{path}` has {size} bytes; files up to {most} bytes are read"
         ));
     }
     Ok(())

@@ -1,6 +1,8 @@
 //! Frame sources: what a Vision Module takes pictures with. The seam to simulators, files and real cameras,
 //! which register here under a name and are otherwise unknown to this crate.
 
+pub mod kinds;
+
 use std::{collections::BTreeMap, sync::Arc};
 
 use ctos::{

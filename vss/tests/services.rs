@@ -571,8 +571,8 @@ fn a_marked_picture_is_written_where_the_configuration_says() {
         matches!(outcome.end, End::Finished(AppResult { ok: true, .. })),
         "{outcome:?}"
     );
-    let file = std::fs::File::open(folder.path().join("out/left.png")).unwrap();
-    let picture = vss::png::read(std::io::BufReader::new(file)).unwrap();
+    let bytes = std::fs::read(folder.path().join("out/left.png")).unwrap();
+    let picture = vss::image::read(&bytes).unwrap();
     assert_eq!((picture.width, picture.height), (100, 80));
     let arm = picture.pixels[31 * 100 + 41 + 5];
     assert_eq!(arm, 255, "the marker's right arm");

@@ -16,7 +16,7 @@ const FORMS: &[Form] = &[Form {
             (inclusive, px), eccentricity sqrt(1 - l2/l1) of the moments' eigenvalues, Euler number (1 less the holes); 1 int: \
             their number",
     results: "* area u v mu20 mu11 mu02 umin vmin umax vmax eccentricity euler; ints components",
-    help: "finds the connected components of a picture (PNG)",
+    help: "finds the connected components of a picture (PNG, JPEG, PNM, BMP)",
 }];
 
 #[derive(Debug, Clone)]
@@ -100,7 +100,7 @@ impl ServiceObject for Blobs {
 impl Blobs {
     fn find(&self, io: &mut Transport) -> Outcome {
         let path = io.text.trim().to_owned();
-        let mut frame = picture::read(&path)?;
+        let mut frame = picture::read(&path, io)?;
         // Dark foreground is bright in the negative: grey < T there is 255 - grey > 255 - T.
         let mut above = u8::try_from(self.0.threshold).unwrap_or(u8::MAX);
         if self.0.dark {

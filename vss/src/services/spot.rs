@@ -34,7 +34,7 @@ const FORMS: &[Form] = &[
         gives: "3 n floats: u, v (px, pixel centres at whole numbers) and area (px) of each spot, \
                 in the order of their first pixels, row by row; 1 int: n",
         results: "* u v area: px; ints spots",
-        help: "finds the spots of a picture (PNG)",
+        help: "finds the spots of a picture (PNG, JPEG, PNM, BMP)",
     },
 ];
 
@@ -181,7 +181,7 @@ impl Spot {
                 io.ints.extend([number, stamp_ns]);
                 Ok(())
             }
-            _ => self.find(&format!("`{text}`"), &picture::read(&text)?, io),
+            _ => self.find(&format!("`{text}`"), &picture::read(&text, io)?, io),
         }
     }
 

@@ -136,7 +136,7 @@ pub(super) fn read(source: &Source, columns: &Columns) -> Result<Table, Findings
 }
 
 /// The place of a whole row.
-fn whole(source: &Source, fields: &[Field<'_>]) -> ctos::diagnostic::Place {
+pub(super) fn whole(source: &Source, fields: &[Field<'_>]) -> ctos::diagnostic::Place {
     let start = fields.first().map_or(0, |(at, _)| *at);
     let end = fields.last().map_or(start, |(at, text)| at + text.len());
     source.at(start..end)
@@ -178,7 +178,7 @@ fn header(
 }
 
 /// The fields of every line that is neither empty nor a comment.
-fn rows(text: &str) -> impl Iterator<Item = Vec<Field<'_>>> {
+pub(super) fn rows(text: &str) -> impl Iterator<Item = Vec<Field<'_>>> {
     let mut end = 0;
     text.split_inclusive('\n').filter_map(move |line| {
         let mut start = end;

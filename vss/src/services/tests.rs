@@ -407,7 +407,9 @@ fn a_file_that_is_no_picture_is_refused_and_so_is_no_file() {
     let (folder, path) = file("a.png", b"not a picture");
     let (code, text) = refused(&sorm, &format!("spot EXEC {path}"));
     assert_eq!(code, code::FILE);
-    assert!(text.starts_with(&format!("`{path}` is no picture that can be read (PNG): ")));
+    assert!(text.starts_with(&format!(
+        "`{path}` is no picture that can be read (PNG, JPEG, PNM, BMP): "
+    )));
     let mut cut = spots_png(&[(30.0, 30.0)], false);
     cut.truncate(cut.len() / 2);
     fs::write(&path, cut).unwrap();
@@ -455,4 +457,5 @@ proptest! {
 }
 
 mod maps;
+mod pictures;
 mod rigs;

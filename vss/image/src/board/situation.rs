@@ -1,0 +1,257 @@
+//! What stands on the 32 playing squares, from what each looks like inside the circle that a disc covers.
+
+use super::{Board, SQUARES};
+use crate::{Picture, colour::Classes};
+
+/// Playing squares.
+const FIELDS: usize = 32;
+
+/// Discs cover at least this radius about the middle of a square, squares.
+const RADIUS: f64 = 0.3;
+
+/// Within this radius kings have their mark, squares; beyond [`RIM`] it is over.
+const MARK: f64 = 0.1;
+const RIM: f64 = 0.17;
+
+/// Differences of light below this part of that of light and dark squares are none.
+const SAME: f64 = 0.1;
+
+/// The mark of a king differs from its disc by this part.
+const MARKED: f64 = 0.35;
+
+/// Places in a square that are not alike by this part are no disc and no empty square.
+const ALIKE: f64 = 0.7;
+
+/// A reading with a smaller margin is none.
+const MARGIN_LEAST: f64 = 0.15;
+
+/// Places a side of a square that are looked at.
+const GRID: i32 = 9;
+
+/// What stands on a playing square.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Piece {
+    /// Something covers it, or it is no piece.
+    Unknown,
+    /// Nothing.
+    Empty,
+    /// A white man.
+    WhiteMan,
+    /// A black man.
+    BlackMan,
+    /// A white king: its middle is marked.
+    WhiteKing,
+    /// A black king.
+    BlackKing,
+}
+
+impl Piece {
+    /// -1 unknown, 0 empty, 1 and 2 white and black man, 3 and 4 kings.
+    #[must_use]
+    pub fn code(self) -> i64 {
+        match self {
+            Self::Unknown => -1,
+            Self::Empty => 0,
+            Self::WhiteMan => 1,
+            Self::BlackMan => 2,
+            Self::WhiteKing => 3,
+            Self::BlackKing => 4,
+        }
+    }
+}
+
+/// A playing square.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Field {
+    /// What stands on it.
+    pub piece: Piece,
+    /// Margin to the second best reading, 0 to 1.
+    pub confidence: f64,
+}
+
+const UNKNOWN: Field = Field {
+    piece: Piece::Unknown,
+    confidence: 0.0,
+};
+
+/// What trained colour classes are on a board.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Roles {
+    /// The class of white discs, of black ones, and of dark squares, by number.
+    white: usize,
+    black: usize,
+    dark: usize,
+}
+
+impl Roles {
+    /// The classes `white`, `black` and `dark` (squares). All others are neither: light squares, hands, background.
+    ///
+    /// # Errors
+    /// The name of the one that is missing.
+    pub fn of(classes: &Classes) -> Result<Self, &'static str> {
+        let named = |name: &'static str| {
+            let place = classes.names().iter().position(|class| class == name);
+            place.ok_or(name)
+        };
+        Ok(Self {
+            white: named("white")?,
+            black: named("black")?,
+            dark: named("dark")?,
+        })
+    }
+}
+
+/// The playing squares in the order of PDN: 1 is b8, 4 is h8, 29 is a1, 32 is g1. File and rank from 0.
+fn playing() -> impl Iterator<Item = (i32, i32)> {
+    (0..SQUARES).rev().flat_map(|rank| {
+        let files = (0..SQUARES).filter(move |file| (file + rank) % 2 == 0);
+        files.map(move |file| (file, rank))
+    })
+}
+
+impl Board {
+    /// What stands on the playing squares, by how light discs are against the dark square around them: white ones lighter,
+    /// black ones darker. With trained colours it is told by these.
+    #[must_use]
+    pub fn situation(
+        &self,
+        picture: &Picture,
+        colours: Option<(&Classes, &Roles)>,
+    ) -> [Field; FIELDS] {
+        let mut fields = [UNKNOWN; FIELDS];
+        for (field, (file, rank)) in fields.iter_mut().zip(playing()) {
+            let read = match colours {
+                None => self.by_light(file, rank),
+                Some((classes, roles)) => self.by_colour(picture, classes, roles, file, rank),
+            };
+            let sure = read.filter(|read| read.confidence >= MARGIN_LEAST);
+            *field = sure.unwrap_or(UNKNOWN);
+        }
+        fields
+    }
+
+    /// The light of the dark square at its corners, and how much lighter light squares are there. Nothing where the pattern is
+    /// not seen at most of them: something lies over the square.
+    pub(super) fn surroundings(&self, file: i32, rank: i32) -> Option<(f64, f64)> {
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| (file + x, rank + y));
+        let (mut looked_at, mut seen) = (0, Vec::new());
+        for (x, y) in corners {
+            // Only one square meets the board's own corners.
+            if x % SQUARES == 0 && y % SQUARES == 0 {
+                continue;
+            }
+            looked_at += 1;
+            let vertex = self.vertex(x, y);
+            seen.extend(vertex.filter(|(contrast, _)| *contrast > 0.35 * self.contrast));
+        }
+        let mean =
+            |of: fn(&(f64, f64)) -> f64| seen.iter().map(of).sum::<f64>() / seen.len() as f64;
+        (seen.len() * 4 >= looked_at * 3 - 1 && seen.len() >= 2)
+            .then(|| (mean(|one| one.1), mean(|one| one.0)))
+    }
+
+    /// Places in a square, from its middle.
+    fn places(file: i32, rank: i32) -> impl Iterator<Item = ([f64; 2], f64)> {
+        let offset = |step: i32| RADIUS * f64::from(2 * step) / f64::from(GRID - 1) - RADIUS;
+        let steps = (0..GRID).flat_map(|x| (0..GRID).map(move |y| (x, y)));
+        let places = steps.map(move |(x, y)| {
+            let (dx, dy) = (offset(x), offset(y));
+            let at = [f64::from(file) + 0.5 + dx, f64::from(rank) + 0.5 + dy];
+            (at, dx.hypot(dy))
+        });
+        places.filter(|(_, far)| *far <= RADIUS + 1e-9)
+    }
+
+    fn by_light(&self, file: i32, rank: i32) -> Option<Field> {
+        let (dark, contrast) = self.surroundings(file, rank)?;
+        let (mut rim, mut mark) = (Vec::new(), Vec::new());
+        for ([x, y], far) in Self::places(file, rank) {
+            let difference = (self.at(x, y)? - dark) / contrast;
+            if far >= RIM {
+                rim.push(difference);
+            } else if far <= MARK {
+                mark.push(difference);
+            }
+        }
+        let middle = median(&mut rim)?;
+        let share = |of: &dyn Fn(f64) -> bool| {
+            rim.iter().filter(|one| of(**one)).count() as f64 / rim.len() as f64
+        };
+        if middle.abs() <= SAME {
+            let alike = share(&|one| one.abs() < 2.0 * SAME);
+            let margin = 1.0 - middle.abs() / SAME;
+            return (alike >= ALIKE).then_some(Field {
+                piece: Piece::Empty,
+                confidence: margin * alike,
+            });
+        }
+        let alike = share(&|one| one * middle > 0.0 && one.abs() > SAME);
+        let margin = ((middle.abs() - SAME) / SAME).min(1.0);
+        let marked = (median(&mut mark)? - middle).abs() > MARKED;
+        (alike >= ALIKE).then_some(Field {
+            piece: piece(middle > 0.0, marked),
+            confidence: margin * alike,
+        })
+    }
+
+    fn by_colour(
+        &self,
+        picture: &Picture,
+        classes: &Classes,
+        roles: &Roles,
+        file: i32,
+        rank: i32,
+    ) -> Option<Field> {
+        self.surroundings(file, rank)?;
+        let (mut all, mut rim) = (0.0, [0.0; 3]);
+        let (mut marks, mut mark) = (0.0, [0.0; 3]);
+        for ([x, y], far) in Self::places(file, rank) {
+            let at = self.pixel(x, y).map(f64::round);
+            if at[0] < 0.0 || at[1] < 0.0 {
+                return None;
+            }
+            let found = classes.of(picture.rgb(at[0] as usize, at[1] as usize)?);
+            let role = [roles.dark, roles.white, roles.black]
+                .iter()
+                .position(|role| found.class == Some(*role));
+            let (count, shares) = match far {
+                far if far >= RIM => (&mut all, &mut rim),
+                far if far <= MARK => (&mut marks, &mut mark),
+                _ => continue,
+            };
+            *count += 1.0;
+            if let Some(role) = role {
+                shares[role] += 1.0;
+            }
+        }
+        let rim = rim.map(|count| count / f64::max(all, 1.0));
+        let best = (0..3).max_by(|a, b| rim[*a].total_cmp(&rim[*b]))?;
+        let second = (0..3)
+            .filter(|other| *other != best)
+            .map(|other| rim[other])
+            .fold(0.0, f64::max);
+        // The middle of a king is of another colour than its rim.
+        let marked = mark[best] < 0.5 * marks;
+        (rim[best] >= ALIKE).then(|| Field {
+            piece: match best {
+                0 => Piece::Empty,
+                _ => piece(best == 1, marked),
+            },
+            confidence: rim[best] - second,
+        })
+    }
+}
+
+fn piece(white: bool, marked: bool) -> Piece {
+    match (white, marked) {
+        (true, false) => Piece::WhiteMan,
+        (false, false) => Piece::BlackMan,
+        (true, true) => Piece::WhiteKing,
+        (false, true) => Piece::BlackKing,
+    }
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
