@@ -9,6 +9,7 @@
 )]
 
 mod bad_input;
+mod carry;
 mod control;
 mod determinism;
 mod display;
