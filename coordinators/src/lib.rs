@@ -5,6 +5,8 @@
 //! They reach the Execution Level only by messages to the client interface of MCS and the Services
 //! Manager of VSS; no simulator is named here.
 
+mod arm;
+pub mod carry;
 pub mod dispatcher;
 pub mod dom;
 pub mod hand_eye;
@@ -43,6 +45,7 @@ pub fn register(registry: &mut Registry) {
     operator::register(registry);
     referee::register(registry);
     hand_eye::register(registry);
+    carry::register(registry);
     pnt::task::check_nets(registry);
 }
 
@@ -101,6 +104,18 @@ pub(crate) fn check_seconds(task: &TaskConfig, key: &str, value: f64, findings: 
             Finding::error("coordinators::args::seconds", format!("`{key}` is {value}"))
                 .at(place)
                 .help("give a number of seconds, 0 or more"),
+        );
+    }
+}
+
+/// A finding when a fraction of full speed in `task`'s arguments is none.
+pub(crate) fn check_speed(task: &TaskConfig, key: &str, value: f64, findings: &mut Findings) {
+    if !(value > 0.0 && value <= 1.0) {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        findings.push(
+            Finding::error("coordinators::motion::speed", format!("`{key}` is {value}"))
+                .at(place)
+                .help("give a fraction of full speed, above 0 and up to 1"),
         );
     }
 }

@@ -3,17 +3,14 @@
 //! It knows more than one way to take a pose: the elbow posture nearest to the present joints first,
 //! the others when that one is refused. Only what none of them solves is passed up.
 
-use std::{rc::Rc, time::Duration};
+use std::rc::Rc;
 
 use ctos::{
-    diagnostic::Finding,
     registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
 use mcs::{
-    client::{
-        Manipulator, MotionError, Move, Outcome as Motion, PathKind, Plan, PlanReport, Target,
-    },
+    client::{Manipulator, MotionError, Move, PathKind, Plan, PlanReport, Target},
     model::inverse::Elbow,
     state::State,
 };
@@ -25,6 +22,7 @@ use pnt::{
 use serde::Deserialize;
 
 use crate::{
+    arm::Arm,
     dom::DomStore,
     objects::{
         DESTINATION, Destination, GIVEN_PATH, GivenPath, MOTIONS, MotionLog, PATH, POSITION,
@@ -35,12 +33,6 @@ use crate::{
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.motion";
-
-/// How much longer than planned a motion may take, to settle and to be waited for.
-const MOVE_MARGIN_S: f64 = 10.0;
-
-/// How often it is looked whether somebody has resumed.
-const LOOK: Duration = Duration::from_millis(200);
 
 /// The transition that gives the manipulator back.
 pub(crate) const RELEASE: &str = "do_release_robot";
@@ -67,11 +59,21 @@ pub(crate) struct MotionArgs {
     service_within_s: f64,
 }
 
-fn resume_within_s() -> f64 {
+impl MotionArgs {
+    fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
+        Arm {
+            cx,
+            mcs: &self.mcs,
+            within_s: self.service_within_s,
+        }
+    }
+}
+
+pub(crate) fn resume_within_s() -> f64 {
     60.0
 }
 
-fn mcs_task() -> String {
+pub(crate) fn mcs_task() -> String {
     "mcs".to_owned()
 }
 
@@ -119,17 +121,7 @@ pub(crate) fn register(registry: &mut Registry) {
             ] {
                 crate::check_seconds(task, key, value, findings);
             }
-            if !(args.speed > 0.0 && args.speed <= 1.0) {
-                let place = task.args.locate("speed");
-                findings.push(
-                    Finding::error(
-                        "coordinators::motion::speed",
-                        format!("`speed` is {}", args.speed),
-                    )
-                    .at(place.unwrap_or_else(|| task.place.clone()))
-                    .help("give a fraction of full speed, above 0 and up to 1"),
-                );
-            }
+            crate::check_speed(task, "speed", args.speed, findings);
         });
 }
 
@@ -195,12 +187,7 @@ async fn ask<T, F: Future<Output = Result<T, MotionError>>>(
     args: &MotionArgs,
     request: impl Fn(Manipulator) -> F,
 ) -> Result<T, Failure> {
-    let within = Duration::try_from_secs_f64(args.service_within_s).unwrap_or(Duration::MAX);
-    let is_lost = |error: &MotionError| error.outcome == Motion::Lost;
-    let asked = crate::patiently(cx, within, is_lost, || async {
-        request(Manipulator::find(cx, &args.mcs).await?).await
-    });
-    Ok(asked.await?)
+    args.arm(cx).ask(request).await
 }
 
 /// Sees whether a path to this destination was given beforehand.
@@ -342,7 +329,6 @@ async fn move_manip(action: Act) -> Acted {
 async fn drive(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let path: PathSpec = store.fetch(&cx, PATH).await?;
-    let arm = Manipulator::find(&cx, &args.mcs).await?;
     let request = Move {
         target: path.target,
         path: path.kind,
@@ -352,19 +338,7 @@ async fn drive(action: &Act) -> Result<(), Failure> {
         guards: Vec::new(),
         blend: 0.0.into(),
     };
-    let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S);
-    let limit = limit.map_err(|error| Failure::new(Outcome::Fault, error))?;
-    let report = match arm.go(request, limit).await {
-        Ok(report) => report,
-        Err(error) => {
-            if error.outcome == Motion::Lost
-                && let Err(also) = arm.cancel().await
-            {
-                tracing::warn!(%error, %also, "whether the arm still moves is not known");
-            }
-            return Err(error.into());
-        }
-    };
+    let report = args.arm(&cx).go(request, path.duration_s).await?;
     let log = action.with_state(|state| {
         let log = &mut state.log;
         log.moves += 1;
@@ -385,33 +359,9 @@ async fn await_resume(action: Act) -> Acted {
 
 async fn resumed(action: &Act) -> Result<(), Failure> {
     let (cx, args, _) = parts(action);
-    let within = Duration::try_from_secs_f64(args.resume_within_s).unwrap_or(Duration::MAX);
-    let until = cx.now() + within;
-    let mut told = false;
-    loop {
-        if action.is_stopping() {
-            return Err(Failure::new(Outcome::Stopped, "the app is being stopped"));
-        }
-        cx.sleep(LOOK).await;
-        let status = ask(&cx, &args, |arm| async move { arm.status().await }).await?;
-        if !status.stopped {
-            return Ok(());
-        }
-        if !std::mem::replace(&mut told, true) {
-            tracing::warn!(
-                within_s = args.resume_within_s,
-                "a protective stop holds; it is waited for somebody to resume"
-            );
-        }
-        if cx.now() >= until {
-            let ended = action.with_state(|state| state.ended.clone());
-            let reason = ended.map_or_else(String::new, |ended| ended.reason);
-            return Err(Failure::new(
-                Outcome::Stopped,
-                format!("{reason}; nobody resumed within {} s", args.resume_within_s),
-            ));
-        }
-    }
+    let ended = action.with_state(|state| state.ended.clone());
+    let reason = ended.map_or_else(String::new, |ended| ended.reason);
+    args.arm(&cx).resumed(args.resume_within_s, &reason).await
 }
 
 /// Reads the joints back and stores where the tool is by forward kinematics.

@@ -1,5 +1,5 @@
-//! The operator: stands in for the Organization Level. Puts one command on a Dispatcher's input tape,
-//! waits for the answer on its output tape, and ends the app with it.
+//! The operator: stands in for the Organization Level. Puts one command on a Dispatcher's input tape, or one after the other
+//! from a list, waits for each answer on its output tape, and ends the app with the last.
 
 use std::time::Duration;
 
@@ -35,6 +35,12 @@ struct OperatorArgs {
     /// What goes along with it.
     #[serde(default)]
     arguments: Vec<String>,
+    /// A file, relative to the configuration's folder, of commands with other arguments: those of one on each line, with
+    /// spaces between them. What is empty or begins with `#` is none. The first that does not succeed is the last.
+    list: Option<String>,
+    /// It commands nothing: others do, until somebody stops the app.
+    #[serde(default)]
+    waits: bool,
     /// The output tape symbol that means success.
     success: String,
     /// How long the command may take.
@@ -76,6 +82,12 @@ pub(crate) fn register(registry: &mut Registry) {
                     .at(place.unwrap_or_else(|| task.place.clone()))
                     .help("give a positive number of seconds"),
                 );
+            }
+            if let Some(list) = &args.list
+                && let Err(finding) = app.read(list)
+            {
+                let place = task.args.locate("list");
+                findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
             }
             // What is wrong with a net by itself is told of its own task.
             let dispatcher = app.task(&args.dispatcher);
@@ -121,6 +133,7 @@ impl EventHandler for Operator {
             Phase::Connect => {
                 cx.task(&self.args.dispatcher).await?;
             }
+            Phase::Run if self.args.waits => {}
             Phase::Run => {
                 let (child, args) = (cx.clone(), self.args.clone());
                 cx.spawn(async move {
@@ -141,23 +154,57 @@ fn failure(reason: &str) -> AppResult {
     }
 }
 
+/// The arguments of each command, in their order.
+fn orders(cx: &Context, args: &OperatorArgs) -> Result<Vec<Vec<String>>, HandlerError> {
+    let Some(list) = &args.list else {
+        return Ok(vec![args.arguments.clone()]);
+    };
+    let source = cx.app().read(list);
+    let source = source.map_err(|finding| HandlerError::new(finding.to_string()))?;
+    let lines = source.text().lines().map(str::trim);
+    let orders: Vec<Vec<String>> = lines
+        .filter(|line| !line.is_empty() && !line.starts_with('#'))
+        .map(|line| line.split_whitespace().map(ToOwned::to_owned).collect())
+        .collect();
+    if orders.is_empty() {
+        return Err(HandlerError::new(format!("`{list}` names no command")));
+    }
+    Ok(orders)
+}
+
 async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, HandlerError> {
     let began = cx.now();
     // It asks once in the life of an app, also when it is started again in it. What a durable Dispatcher
     // remembers of an earlier boot is another request.
     let boot = cx.started_ns();
-    let put = PutOnce {
-        request: RequestId {
-            from: format!("{} {boot:016x}", cx.name()),
-            number: 1,
-        },
-        symbol: args.command.clone(),
-        arguments: args.arguments.clone(),
-    };
-    let answered = put_once(cx, &args.dispatcher, &put, args.within_s).await?;
-    let TapeAnswer { symbol, text, .. } = answered;
-    if symbol != args.success {
-        return Ok(failure(&format!("{symbol}: {text}")));
+    let orders = orders(cx, args)?;
+    let (mut symbol, mut text) = (String::new(), String::new());
+    for (number, arguments) in (1..).zip(&orders) {
+        let put = PutOnce {
+            request: RequestId {
+                from: format!("{} {boot:016x}", cx.name()),
+                number,
+            },
+            symbol: args.command.clone(),
+            arguments: arguments.clone(),
+        };
+        let answered = put_once(cx, &args.dispatcher, &put, args.within_s).await?;
+        TapeAnswer { symbol, text, .. } = answered;
+        if symbol != args.success {
+            let which = match orders.len() {
+                1 => String::new(),
+                count => format!("command {number} of {count}, `{}`: ", arguments.join(" ")),
+            };
+            return Ok(failure(&format!("{which}{symbol}: {text}")));
+        }
+        if orders.len() > 1 {
+            cx.progress(
+                number,
+                orders.len() as u64,
+                &args.command,
+                &arguments.join(" "),
+            );
+        }
     }
     let Some(judge) = &args.judge else {
         let json = serde_json::json!({ "ok": true, "answer": symbol }).to_string();

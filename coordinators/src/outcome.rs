@@ -27,6 +27,10 @@ pub enum Outcome {
     Lost,
     /// The request does not fit what it was made to.
     Refused,
+    /// What was to be taken is not there.
+    Absent,
+    /// Something stands already where a thing was to be set down.
+    Occupied,
 }
 
 impl fmt::Display for Outcome {
@@ -40,6 +44,8 @@ impl fmt::Display for Outcome {
             Self::Fault => "fault",
             Self::Lost => "lost",
             Self::Refused => "refused",
+            Self::Absent => "absent",
+            Self::Occupied => "occupied",
         })
     }
 }

@@ -9,7 +9,7 @@ use ctos::{
     sync::{CyclicHandle, Tick},
     task::{EventHandler, Handled, HandlerError, Phase},
 };
-use mcs_hand::command::{ReadTouch, Touch};
+use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
 use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
@@ -100,6 +100,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         OrderLaser::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
+        ReadBodies::INFO,
     ];
     registry.handler(WORLD, &commands, WorldTask::new)
 }
@@ -169,6 +170,21 @@ impl WorldTask {
             force_n: force.into(),
         });
         touches.collect()
+    }
+
+    /// Where everything is.
+    fn bodies(&self) -> Vec<Body> {
+        let scene = self.simulation.borrow_mut().scene();
+        let bodies = scene.bodies.into_iter().map(|body| {
+            let matrix = body.pose.to_homogeneous().transpose();
+            let mut world_t_body = [0.0; 16];
+            world_t_body.copy_from_slice(matrix.as_slice());
+            Body {
+                name: body.name,
+                world_t_body,
+            }
+        });
+        bodies.collect()
     }
 
     /// The cameras as they truly are, those that are carried where they are now.
@@ -242,6 +258,10 @@ impl EventHandler for WorldTask {
                     Ok(arm) => reply.ok(self.touches(arm)),
                     Err(finding) => reply.fail(finding.message),
                 }
+            }
+            ReadBodies::CODE => {
+                let (ReadBodies {}, reply) = message.open::<ReadBodies>()?;
+                reply.ok(self.bodies())
             }
             _ => cx.default_processing(message),
         }

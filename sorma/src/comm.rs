@@ -15,7 +15,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 /// Work that goes on while whoever began it does something else; it is given a carrier of its own.
-pub type Job = Box<dyn FnOnce(Rc<dyn Comm>) -> LocalBoxFuture<'static, ()>>;
+pub type Job = Box<dyn FnOnce(Rc<dyn Comm>) -> LocalBoxFuture<'static, ()> + Send>;
 
 /// What a daemon answers, or why it does not.
 pub type Answer<'a, T> = LocalBoxFuture<'a, Result<T, Report>>;

@@ -106,7 +106,7 @@ impl Sorm {
         &self,
         comm: &dyn Comm,
         request: Request,
-        then: impl FnOnce(Reply) + 'static,
+        then: impl FnOnce(Reply) + Send + 'static,
     ) -> Outcome {
         let sorm = self.clone();
         comm.spawn(Box::new(move |comm| {
@@ -225,10 +225,10 @@ async fn forked<F: Future<Output = Reply>>(
     replies.into_iter().map(|(_, reply)| reply).collect()
 }
 
-fn defer<T: 'static, F: Future<Output = T> + 'static>(
+fn defer<T: Send + 'static, F: Future<Output = T> + 'static>(
     comm: &dyn Comm,
     instead: T,
-    work: impl FnOnce(Rc<dyn Comm>) -> F + 'static,
+    work: impl FnOnce(Rc<dyn Comm>) -> F + Send + 'static,
 ) -> Result<Deferred<T>, Report> {
     let (sender, answer) = oneshot::channel();
     comm.spawn(Box::new(move |comm| {

@@ -40,6 +40,7 @@ pub mod object;
 pub mod opaque;
 pub mod options;
 mod plant;
+mod relay;
 pub mod report;
 pub mod request;
 mod reserve;

@@ -8,6 +8,7 @@ use crate::meter;
 use crate::name::{Location, ObjectName};
 use crate::object::{Call, Context, Outcome, Slot, Waiting, unsupported};
 use crate::raise;
+use crate::relay::relay;
 use crate::report::{Report, code};
 use crate::request::{Method, Reply, Request};
 use crate::slot::{self, Handle};
@@ -16,7 +17,7 @@ use crate::transport::Transport;
 use crate::workers::{Work, Workers};
 use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
-use futures_util::future::{Either, LocalBoxFuture, select};
+use futures_util::future::{Either, LocalBoxFuture, join, pending, select};
 use std::panic::{AssertUnwindSafe, resume_unwind};
 use std::pin::pin;
 use std::sync::Arc;
@@ -262,11 +263,11 @@ async fn ask(
         Either::Right(_) => None,
     };
     match (turn, workers) {
-        (Some(_turn), _) if slot.waits() && method == Method::Exec => {
+        (Some(_turn), Some(workers)) => call_on(workers, slot, (sorm, comm), method, io).await,
+        (Some(_turn), None) if slot.waits() && method == Method::Exec => {
             let _noted = Noted::new(slot, sorm, method, io);
             slot.exec_waiting(sorm, comm, outer, io).await;
         }
-        (Some(_turn), Some(workers)) => call_on(workers, slot, (sorm, comm), method, io).await,
         (None, _) if slot.waits() || workers.is_some() => slot.refuse_busy(sorm, io),
         // Without a turn the object is still in a call, which this finds.
         _ => slot.call_unseen(sorm, outer, method, io),
@@ -293,7 +294,7 @@ impl Drop for Noted<'_> {
     }
 }
 
-/// Has an object called on a thread of its own.
+/// Has an object called on a thread of its own. What it asks there goes through `comm` here.
 async fn call_on(
     workers: &'static Workers,
     slot: &Arc<Slot>,
@@ -313,11 +314,25 @@ async fn call_on(
     };
     *slot.call.lock() = Some(call);
     let (object, manager) = (Arc::clone(slot), sorm.clone());
+    let waits = slot.waits() && method == Method::Exec;
+    let (relay, orders) = relay(comm);
     let called = workers.call(work, sorm.process(), std::mem::take(io), move |io| {
-        object.call_unseen(&manager, None, method, io);
+        if waits {
+            relay.run(object.exec_waiting(&manager, &relay, None, io));
+        } else {
+            object.call_unseen(&manager, None, method, io);
+        }
         *object.call.lock() = None;
     });
-    let called = match select(pin!(called), comm.sleep(slot::PATIENCE)).await {
+    let called = join(called, orders.serve(comm)).map(|(called, ())| called);
+    // How long a call lasts that waits for others is not its own doing.
+    let patience = async {
+        match waits {
+            true => pending().await,
+            false => comm.sleep(slot::PATIENCE).await,
+        }
+    };
+    let called = match select(pin!(called), pin!(patience)).await {
         Either::Left((done, _)) => done,
         Either::Right(((), called)) => {
             let call = slot.call.lock().clone();

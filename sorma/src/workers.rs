@@ -13,7 +13,7 @@ use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 
 /// So many objects of a process may be at work at once; the next one waits for one of them.
-const MOST: usize = 64;
+const MOST: usize = 256;
 
 /// How long a thread without work is kept.
 const KEPT: Duration = Duration::from_secs(60);
@@ -147,7 +147,7 @@ mod tests {
     use crate::class::Class;
     use crate::comm::{Alone, Answer, Comm, Job};
     use crate::name::Location;
-    use crate::object::{Context, Outcome, ServiceObject};
+    use crate::object::{Context, Later, Outcome, ServiceObject, Waiting};
     use crate::report::{Report, code};
     use crate::request::{Reply, Request};
     use crate::transport::Transport;
@@ -197,9 +197,33 @@ mod tests {
         fn exec(&mut self, _: &Context<'_>, io: &mut Transport) -> Outcome {
             assert_ne!(io.text, "break");
             self.begun.send(()).unwrap();
-            self.may_end.recv().unwrap();
+            self.may_end.recv_timeout(Duration::from_secs(60)).unwrap();
             io.text = "ground".to_owned();
             Ok(())
+        }
+
+        fn ctrl(&mut self, _: &Context<'_>, _: &mut Transport) -> Outcome {
+            Ok(())
+        }
+
+        fn dump(&self) -> String {
+            String::new()
+        }
+    }
+
+    /// A [`Mill`] whose EXEC may wait for others; it does not give back its thread while it grinds.
+    struct Waits(Mill);
+
+    impl ServiceObject for Waits {
+        fn exec_waiting<'a>(&'a mut self, cx: &'a Waiting<'a>, io: &'a mut Transport) -> Later<'a> {
+            Some(Box::pin(async move {
+                // Asked where its daemon is.
+                cx.comm().back(&Location::Alias("far".to_owned())).await?;
+                self.0.exec(cx.here(), io)?;
+                let line = "bar CTRL -dump".parse().unwrap();
+                io.text = cx.ask(line).await.body.text;
+                Ok(())
+            }))
         }
 
         fn ctrl(&mut self, _: &Context<'_>, _: &mut Transport) -> Outcome {
@@ -225,6 +249,23 @@ mod tests {
                 .ok_or_else(gone)
         });
         sorm.register(class.any_flavor());
+        (sorm, turns, end)
+    }
+
+    /// A manager with a mill that waits for others, and panics when it is told to.
+    fn waiting_mill() -> (Sorm, Receiver<()>, Sender<()>) {
+        let (begun, turns) = channel();
+        let (end, may_end) = channel();
+        let once = parking_lot::Mutex::new(Some(Waits(Mill { begun, may_end })));
+        let sorm = Sorm::new(Dictionary::new());
+        demo::register(&sorm);
+        let class = Class::new("mill", "1.0", move |_, _| {
+            let mill = once.lock().take();
+            let gone = || Report::error(code::VALUE, "there is only one");
+            mill.map(|mill| Box::new(mill) as Box<dyn ServiceObject>)
+                .ok_or_else(gone)
+        });
+        sorm.register(class.any_flavor().waits());
         (sorm, turns, end)
     }
 
@@ -364,6 +405,37 @@ mod tests {
             "all 2 calls that the objects of chassis `cage` may be in at once take long: `kiln.a` is in EXEC of `anna` \
              for 1.0 s, `mill` is in EXEC of `bert` for 1.0 s; `ctos restart cage` ends them"
         );
+    }
+
+    #[test]
+    fn an_object_that_asks_others_and_loops_between_its_waits_keeps_nobody_from_others() {
+        let (sorm, turns, end) = waiting_mill();
+        let grinds = asked(&sorm, Patience::Endless, "mill.a EXEC");
+        let meanwhile = async {
+            // It gets this far on its own thread, and on this one only when it is done.
+            while turns.try_recv().is_err() {
+                tokio::task::yield_now().await;
+            }
+            let other = asked(&sorm, Patience::Endless, "bar CTRL -tea 1").await;
+            let busy = asked(&sorm, Patience::Endless, "sorm CTRL -busy").await;
+            let second = asked(&sorm, Patience::None, "mill.a EXEC").await;
+            end.send(()).unwrap();
+            (other, busy, second)
+        };
+        let (ground, (other, busy, second)) = run(join(grinds, meanwhile));
+        assert!(other.body.is_ok());
+        let text = &busy.body.text;
+        assert!(text.starts_with("mill.a: EXEC of `anna` for "), "{text}");
+        assert_eq!(second.body.code, code::BUSY);
+        assert!(ground.body.text.contains("-tea"), "{}", ground.body.text);
+    }
+
+    #[test]
+    fn a_panic_of_an_object_that_asks_others_is_a_report_and_the_object_is_gone() {
+        let (sorm, ..) = waiting_mill();
+        let reply = run(asked(&sorm, Patience::Endless, "mill.a EXEC break"));
+        assert_eq!(reply.body.code, code::PANIC);
+        assert!(sorm.find("mill.a").is_none());
     }
 
     #[test]

@@ -10,6 +10,7 @@
 
 mod bad_input;
 mod cameras;
+mod carry;
 mod control;
 mod determinism;
 mod display;

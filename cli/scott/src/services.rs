@@ -18,6 +18,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(mcs::services::classes());
     classes.extend(mcs_hand::services::classes());
     classes.extend(vss::services::classes());
+    classes.extend(coordinators::carry::service::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
     classes
 });
@@ -64,6 +65,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     mcs::services::register(sorm);
     mcs_hand::services::register(sorm);
     vss::services::register(sorm);
+    coordinators::carry::service::register(sorm);
 }
 
 fn of_one(finding: Finding) -> Findings {

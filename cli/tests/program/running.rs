@@ -167,6 +167,25 @@ const GRASP: &[(&str, Then)] = &[
     ("ctos stop", Ends),
 ];
 
+/// Lines about the task `carry`, in this order.
+const CARRY: &[(&str, Then)] = &[
+    ("ctos boot configs/carry.toml", ComesUp),
+    (
+        "ctos boot configs/carry.toml --set task.operator.args.list=\"carry/short_tour.txt\"",
+        ComesUp,
+    ),
+    (
+        "ctos boot --detach --profile waiting configs/carry.toml",
+        Ends,
+    ),
+    ("scott carry -c carry EXEC FMSG 6 3 4 0 4 5 0", Ends),
+    (
+        "scott carry -c dict CTRL -add carry.slow '-SUBST carry -transferSpeed 0.2' -c carry.slow EXEC FMSG 6 4 5 0 3 4 0",
+        Ends,
+    ),
+    ("ctos stop", Ends),
+];
+
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.
 const REMOTE: [&[(&str, Then)]; 2] = [
     &[("ctos boot configs/remote.toml", ComesUp)],
@@ -374,6 +393,7 @@ fn every_command_line_is_run_by_a_test() {
         MAKES_RECORD,
         RECORD,
         GRASP,
+        CARRY,
         REMOTE[0],
         REMOTE[1],
         MOVING,
@@ -752,6 +772,12 @@ fn editor() -> String {
 fn the_lines_about_an_arm_with_a_gripper_are_run_and_go_well() {
     let folder = configurations();
     run_all(GRASP, CTOS.as_ref(), folder.path());
+}
+
+#[test]
+fn the_lines_about_carrying_are_run_and_go_well() {
+    let folder = configurations();
+    run_all(CARRY, CTOS.as_ref(), folder.path());
 }
 
 /// Another process of the test, which ends with this.

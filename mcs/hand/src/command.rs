@@ -143,3 +143,18 @@ command! {
     #[derive(Debug, Clone, PartialEq)]
     pub struct ReadSqueeze => Squeeze, 0x0391, "read_squeeze"
 }
+
+/// A body of the world.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Body {
+    /// Its name: that of an object, or `ARM.LINK`.
+    pub name: String,
+    /// `world_t_body`, 4 by 4, row by row, m.
+    pub world_t_body: [f64; 16],
+}
+
+command! {
+    /// Asks a stand-in for the world where its bodies truly are. For those who judge, and for nobody who plans.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadBodies => Vec<Body>, 0x0392, "read_bodies"
+}

@@ -1,12 +1,12 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
 //! `gripper` closes and opens the gripper of an app, through its task with the handler `mcs.gripper`. `manus` moves the hand
-//! of an app, through its task with the handler `mcs.hand`, or one that the process holds for itself. `carry` says how hard two
+//! of an app, through its task with the handler `mcs.hand`, or one that the process holds for itself. `squeeze` says how hard two
 //! arms press on what they carry, through the task with the handler `mcs.carry`.
 
-mod carry;
 mod gripper;
 mod manus;
+mod squeeze;
 #[cfg(test)]
 mod tests;
 
@@ -47,11 +47,11 @@ pub fn register(sorm: &Sorm) {
         Ok(Box::new(manus::Manus::new(&own)))
     });
     let manus = manus.waits().any_flavor();
-    let carry = Class::new("carry", VERSION, |_, _| {
-        Ok(Box::new(carry::Carry::default()))
+    let squeeze = Class::new("squeeze", VERSION, |_, _| {
+        Ok(Box::new(squeeze::Squeezing::default()))
     });
-    let carry = carry.waits().any_flavor();
-    for (class, info) in [gripper, manus, carry].into_iter().zip(classes()) {
+    let squeeze = squeeze.waits().any_flavor();
+    for (class, info) in [gripper, manus, squeeze].into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
 }
@@ -62,7 +62,7 @@ pub fn classes() -> Vec<ClassInfo> {
     vec![
         gripper::TABLE.class("gripper", VERSION),
         manus::TABLE.class("manus", VERSION),
-        carry::TABLE.class("carry", VERSION),
+        squeeze::TABLE.class("squeeze", VERSION),
     ]
 }
 

@@ -8,8 +8,7 @@ use ctos::time::Instant;
 use sorma::daemon::Tasks;
 use sorma::report::code;
 use sorma::{Keep, Sorm};
-use std::cell::RefCell;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 
 /// Where an object may be.
 const BOTH: [&str; 2] = ["", "@d1"];
@@ -149,15 +148,16 @@ fn a_callback_gets_the_answer_errors_and_all() {
         Box::pin(async move {
             for at in BOTH {
                 let comm = Tasks::of(&cx);
-                let heard: Rc<RefCell<Vec<i32>>> = Rc::default();
+                let heard: Arc<Mutex<Vec<i32>>> = Arc::default();
                 for line in ["scale.two@ EXEC FMSG 1 21", "scale.two@ EXEC"] {
                     let line = line.replace('@', at);
-                    let heard = Rc::clone(&heard);
-                    let then = move |reply: sorma::Reply| heard.borrow_mut().push(reply.body.code);
+                    let heard = Arc::clone(&heard);
+                    let then =
+                        move |reply: sorma::Reply| heard.lock().unwrap().push(reply.body.code);
                     sorm.ask_then(&comm, request(&line), then).unwrap();
                 }
                 cx.sleep(seconds(1.0)).await;
-                assert_eq!(*heard.borrow(), [0, code::VALUE], "{at}");
+                assert_eq!(*heard.lock().unwrap(), [0, code::VALUE], "{at}");
             }
             Ok(String::new())
         })

@@ -1,4 +1,4 @@
-//! The class `carry`: says how hard two arms of an app press on what they carry between them.
+//! The class `squeeze`: says how hard two arms of an app press on what they carry between them.
 
 use std::{sync::LazyLock, time::Duration};
 
@@ -64,13 +64,13 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         )
 });
 
-/// An object of class `carry`.
+/// An object of class `squeeze`.
 #[derive(Default)]
-pub(super) struct Carry {
+pub(super) struct Squeezing {
     options: Options,
 }
 
-impl Carry {
+impl Squeezing {
     async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
         let form = TABLE.form(io)?.text;
         if !cx.is_in_app() {
@@ -93,7 +93,7 @@ impl Carry {
     }
 }
 
-impl ServiceObject for Carry {
+impl ServiceObject for Squeezing {
     fn exec_waiting<'a>(
         &'a mut self,
         cx: &'a Waiting<'a>,

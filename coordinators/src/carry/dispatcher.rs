@@ -1,0 +1,268 @@
+//! The Dispatcher of `carry`: the functions of `nets/carry/dispatcher.net`, which turns a command in board coordinates into
+//! an errand, and tells what became of it.
+
+use std::rc::Rc;
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::{Registry, Vocabulary},
+    task::{Context, HandlerError},
+};
+use pnt::{
+    check::FunctionNames,
+    library::{Acted, Action, Library},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
+};
+use serde::Deserialize;
+
+use super::{
+    board::{Board, Field},
+    errand::{ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS},
+    thing::Thing,
+};
+use crate::{
+    dom::DomStore,
+    outcome::{Failure, Outcome},
+};
+
+/// The handler's name.
+pub const HANDLER: &str = "coordinators.carry";
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CarryArgs {
+    /// The file of the thing that is carried, relative to the configuration's folder.
+    thing: String,
+    /// Where the board stands.
+    pub(super) board: Board,
+    /// How far above the fields the gripper goes to and fro, m.
+    #[serde(default = "clearance_m")]
+    clearance_m: f64,
+    /// The data object manager.
+    #[serde(default = "crate::dom_task")]
+    dom: String,
+}
+
+fn clearance_m() -> f64 {
+    0.1
+}
+
+/// What the functions share.
+struct Dispatcher {
+    args: Rc<CarryArgs>,
+    store: DomStore,
+    /// Number of the command in work, from 1.
+    command: u32,
+}
+
+/// Registers the handler.
+pub(super) fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &COMMANDS, |cx| {
+            let args: CarryArgs = args_of(cx)?;
+            let store = DomStore::new(&args.dom);
+            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
+        })
+        .speaks(|task| match net_args::<CarryArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
+        })
+        .keys(&KEYS)
+        .checked_args(check);
+}
+
+fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    crate::need_task(task, app, "dom", &args.dom, findings);
+    let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
+    if let Err((key, help)) = args.board.check() {
+        let key = format!("board.{key}");
+        let finding = Finding::error(
+            "coordinators::carry::board",
+            format!("`{key}` makes no sense"),
+        );
+        findings.push(finding.at(place(&key)).help(help));
+    }
+    if !(0.0..=2.0).contains(&args.clearance_m) {
+        let text = format!("`clearance_m` is {}", args.clearance_m);
+        let finding = Finding::error("coordinators::carry::board", text);
+        findings.push(finding.at(place("clearance_m")).help("give from 0 to 2 m"));
+    }
+    match app.read(&args.thing) {
+        Ok(source) => {
+            if let Err(found) = Thing::parse(&source) {
+                findings.extend(found);
+            }
+        }
+        Err(finding) => findings.push(finding.at(place("thing"))),
+    }
+    check_args(task, app, &names(args), findings);
+}
+
+fn names(args: &CarryArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
+}
+
+fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
+    let state = Dispatcher {
+        args: Rc::new(args),
+        store,
+        command: 0,
+    };
+    Library::new(state)
+        .kept(
+            |state| state.command,
+            |state, command| state.command = command,
+        )
+        .action("begin", begin)
+        .action("report", report)
+        .action("refuse", refuse)
+}
+
+type Act = Action<Dispatcher>;
+
+fn parts(action: &Act) -> (Context, Rc<CarryArgs>, DomStore) {
+    let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
+    (action.cx().clone(), args, store)
+}
+
+/// Reads `FROM TO`, two fields of the board, and makes the errand of them.
+async fn begin(action: Act) -> Acted {
+    let (cx, args, store) = parts(&action);
+    let command = action.with_state(|state| state.command.wrapping_add(1));
+    let began = match begun(command, action.arguments(), &cx, &args) {
+        Ok(errand) => store.store(&cx, ERRAND, &errand).await,
+        Err(error) => Err(error),
+    };
+    // What an action changes, it changes at its end: a process that dies before that begins it again.
+    action.with_state(|state| state.command = command);
+    began
+}
+
+fn begun(
+    command: u32,
+    arguments: &[String],
+    cx: &Context,
+    args: &CarryArgs,
+) -> Result<Errand, HandlerError> {
+    let ([from, to], speed) = order(arguments, &args.board)?;
+    let source = cx.app().read(&args.thing);
+    let source = source.map_err(|finding| HandlerError::new(finding.to_string()))?;
+    let thing = Thing::parse(&source).map_err(|found| HandlerError::new(found.to_string()))?;
+    Ok(Errand {
+        command,
+        from,
+        to,
+        points: [from, to].map(|field| args.board.point(&field, thing.height_m)),
+        yaw: args.board.yaw(),
+        clearance_m: args.clearance_m,
+        speed,
+        thing,
+    })
+}
+
+/// The two fields that a command names, and how fast.
+fn order(arguments: &[String], board: &Board) -> Result<([Field; 2], Option<f64>), HandlerError> {
+    let is_speed = |word: &&String| word.starts_with("speed=");
+    let (speeds, ends): (Vec<&String>, Vec<&String>) = arguments.iter().partition(is_speed);
+    let [from, to] = ends.as_slice() else {
+        return Err(HandlerError::new(format!(
+            "`carry` takes FROM and TO, such as 3,4,0 4,5,0, and was given {} fields",
+            ends.len()
+        )));
+    };
+    let field = |text: &str| -> Result<Field, HandlerError> {
+        let field: Field = text.parse()?;
+        if board.has(&field) {
+            return Ok(field);
+        }
+        Err(HandlerError::new(format!(
+            "`{text}` is not on the board: columns and rows are from 1 to {}, heights from 0",
+            board.fields
+        )))
+    };
+    let speed = match speeds.as_slice() {
+        [] => None,
+        [word, ..] => {
+            let number = word
+                .strip_prefix("speed=")
+                .and_then(|text| text.parse().ok());
+            let speed = number.filter(|speed| *speed > 0.0 && *speed <= 1.0);
+            Some(speed.ok_or_else(|| {
+                HandlerError::new(format!(
+                    "`{word}`: give a fraction of full speed, above 0 and up to 1"
+                ))
+            })?)
+        }
+    };
+    Ok(([field(from)?, field(to)?], speed))
+}
+
+/// Notes, for the answer, what was not done and why, in the order of time, and where the thing is.
+async fn report(action: Act) -> Acted {
+    let (cx, _, store) = parts(&action);
+    let command = action.with_state(|state| state.command);
+    let mut all = Vec::new();
+    for object in [ROBOT_PROBLEMS, HAND_PROBLEMS] {
+        if let Ok(found) = store.fetch::<Problems>(&cx, object).await
+            && found.command == command
+        {
+            all.extend(found.problems);
+        }
+    }
+    all.sort_by_key(|problem| problem.at);
+    for Problem {
+        request, failure, ..
+    } in all
+    {
+        // A stop that somebody ended is no reason.
+        let Failure { outcome, reason } = failure;
+        match outcome {
+            Outcome::Stopped => action.note(format!("{request} was stopped: {reason}")),
+            _ => action.note(format!("{request}: {reason}")),
+        }
+    }
+    Ok(())
+}
+
+/// Says why a hand that is full takes nothing.
+async fn refuse(action: Act) -> Acted {
+    action.note(
+        "the hand still holds what it could not put down: `put_back` puts it where it was taken",
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOARD: Board = Board {
+        at: [0.5, 0.0, 0.42],
+        yaw_deg: 0.0,
+        field_m: 0.06,
+        fields: 8,
+    };
+
+    #[test]
+    fn a_command_names_two_fields_of_the_board_or_is_refused_in_words() {
+        let ends = |words: &[&str]| {
+            let words: Vec<String> = words.iter().map(ToString::to_string).collect();
+            super::order(&words, &BOARD).map_err(|error| error.to_string())
+        };
+        let ([from, to], speed) = ends(&["3,4,0", "4,5", "speed=0.2"]).unwrap();
+        assert_eq!(speed, Some(0.2));
+        assert_eq!((from.column, from.row, to.row), (3.0, 4.0, 5.0));
+        for (words, text) in [
+            (&["3,4"][..], "FROM and TO"),
+            (&["3,4", "4,5", "5,6"], "3 fields"),
+            (&["3,4", "4,5", "speed=2"], "fraction of full speed"),
+            (&["3,4", "x"], "is no field"),
+            (&["3,4", "9,5"], "not on the board"),
+        ] {
+            let error = ends(words).unwrap_err();
+            assert!(error.contains(text), "{words:?}: {error}");
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! The Hand Coordinator: the functions of `nets/carry/hand.net`, which open and close the gripper, and see what it holds.
+
+use std::{future::Future, rc::Rc, time::Duration};
+
+use ctos::{
+    message::Command,
+    registry::{Registry, Vocabulary},
+    task::Context,
+};
+use mcs::client::{MotionError, Outcome as Motion};
+use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
+use pnt::{
+    check::FunctionNames,
+    library::{Acted, Action, Library},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
+};
+use serde::Deserialize;
+
+use super::errand::{ERRAND, Errand, HAND_PROBLEMS};
+use crate::{
+    dom::DomStore,
+    outcome::{Failure, Outcome},
+};
+
+/// The handler's name.
+pub const HANDLER: &str = "coordinators.carry_hand";
+
+/// How long the jaws may take.
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HandArgs {
+    /// The task of the gripper.
+    #[serde(default = "gripper_task")]
+    gripper: String,
+    /// The data object manager.
+    #[serde(default = "crate::dom_task")]
+    dom: String,
+    /// Fraction of full speed of the jaws.
+    #[serde(default = "speed")]
+    speed: f64,
+    /// How long a gripper that is gone, and may be started again, is waited for, s.
+    #[serde(default = "crate::service_within_s")]
+    service_within_s: f64,
+}
+
+fn gripper_task() -> String {
+    "gripper".to_owned()
+}
+
+fn speed() -> f64 {
+    0.5
+}
+
+/// What the functions share.
+struct Coordinator {
+    args: Rc<HandArgs>,
+    store: DomStore,
+}
+
+/// Registers the handler.
+pub(super) fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &COMMANDS, |cx| {
+            let args: HandArgs = args_of(cx)?;
+            let store = DomStore::new(&args.dom);
+            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
+        })
+        .speaks(|task| match net_args::<HandArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
+        })
+        .keys(&KEYS)
+        .checked_args::<HandArgs>(|args, task, app, findings| {
+            check_args(task, app, &names(args), findings);
+            crate::need_task(task, app, "gripper", &args.gripper, findings);
+            crate::need_task(task, app, "dom", &args.dom, findings);
+            crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
+            crate::check_speed(task, "speed", args.speed, findings);
+        });
+}
+
+fn names(args: &HandArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
+}
+
+fn library(args: HandArgs, store: DomStore) -> Library<Coordinator> {
+    Library::new(Coordinator {
+        args: Rc::new(args),
+        store,
+    })
+    .action("preshape", |action| done(action, "preshape", preshape))
+    .action("grasp", |action| done(action, "grasp", grasp))
+    .action("check", |action| done(action, "check", check))
+    .action("let_go", |action| done(action, "let_go", preshape))
+}
+
+type Act = Action<Coordinator>;
+
+/// Does one thing for the errand, and tells the Dispatcher why when that fails.
+async fn done<F: Future<Output = Result<(), Failure>>>(
+    action: Act,
+    request: &'static str,
+    act: impl Fn(Hand, Errand) -> F,
+) -> Acted {
+    let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
+    let hand = Hand {
+        cx: action.cx().clone(),
+        args,
+    };
+    let acted = async {
+        let errand: Errand = store.fetch(action.cx(), ERRAND).await?;
+        act(hand, errand).await
+    };
+    let acted: Result<(), Failure> = acted.await;
+    if let Err(failure) = acted {
+        super::errand::note_problem(action.cx(), &store, HAND_PROBLEMS, request, &failure).await;
+        return Err(failure.into());
+    }
+    Ok(())
+}
+
+/// The gripper, as one action asks it.
+struct Hand {
+    cx: Context,
+    args: Rc<HandArgs>,
+}
+
+impl Hand {
+    /// Asks, again while the gripper's task is gone and may be started again: each request may be made twice.
+    async fn ask<C>(&self, request: C) -> Result<Held, Failure>
+    where
+        C: Command<Reply = Result<Held, MotionError>> + Clone,
+    {
+        let within = Duration::try_from_secs_f64(self.args.service_within_s);
+        let within = within.unwrap_or(Duration::MAX);
+        let is_lost = |error: &MotionError| error.outcome == Motion::Lost;
+        let asked = crate::patiently(&self.cx, within, is_lost, || async {
+            let gripper = self.cx.task(&self.args.gripper).await?;
+            let call = self.cx.call(&gripper, request.clone());
+            call.deadline(LIMIT).await?
+        });
+        Ok(asked.await?)
+    }
+}
+
+/// Opens as far as goes round the thing and between its neighbours, which also lets go of it.
+async fn preshape(hand: Hand, errand: Errand) -> Result<(), Failure> {
+    let open = Open {
+        width_m: Some(errand.thing.grasp.open_m),
+        speed: hand.args.speed,
+    };
+    hand.ask(open).await.map(|_| ())
+}
+
+/// Closes on the thing, and sees that it is that.
+async fn grasp(hand: Hand, errand: Errand) -> Result<(), Failure> {
+    let close = Grasp {
+        force_n: Some(errand.thing.grasp.force_n),
+        speed: hand.args.speed,
+    };
+    is_it(&hand.ask(close).await?, &errand)
+}
+
+/// Sees that the thing is still held.
+async fn check(hand: Hand, errand: Errand) -> Result<(), Failure> {
+    is_it(&hand.ask(ReadHeld {}).await?, &errand)
+}
+
+/// Whether what is held is the thing of the errand.
+fn is_it(held: &Held, errand: &Errand) -> Result<(), Failure> {
+    let thing = &errand.thing;
+    if !held.holds {
+        let text = format!("no {} is between the jaws", thing.name);
+        return Err(Failure::new(Outcome::Absent, text));
+    }
+    if (held.width_m - thing.width_m).abs() > thing.tolerance_m {
+        let text = format!(
+            "what is between the jaws is {:.1} mm wide, and a {} is {:.1} mm",
+            held.width_m * 1e3,
+            thing.name,
+            thing.width_m * 1e3
+        );
+        return Err(Failure::new(Outcome::Absent, text));
+    }
+    Ok(())
+}

@@ -1,0 +1,545 @@
+//! The Robot Coordinator: the functions of `nets/carry/robot.net`, which move the arm on the way of an errand.
+//!
+//! It knows several turns of the gripper about the vertical, and takes the first with which the arm reaches both ends of the
+//! way. What ends a motion at a touch is an end of it where something is set down, and a failure elsewhere.
+
+use std::rc::Rc;
+
+use ctos::{
+    diagnostic::Finding,
+    registry::{Registry, Vocabulary},
+    task::Context,
+};
+use mcs::{
+    Joints,
+    client::{Move, MoveReport, PathKind, Plan, PlanReport, Target},
+};
+use nalgebra::{Isometry3, Matrix4, Translation3, Vector3};
+use pnt::{
+    check::FunctionNames,
+    library::{Acted, Action, Library},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
+};
+use serde::{Deserialize, Serialize};
+
+use super::errand::{ERRAND, End, Errand, ROBOT_PROBLEMS, WAY, Way};
+use crate::{
+    arm::Arm,
+    dom::DomStore,
+    motion::{mcs_task, resume_within_s},
+    outcome::{Failure, Outcome},
+};
+
+/// The handler's name.
+pub const HANDLER: &str = "coordinators.carry_robot";
+
+/// The most of the thing's height by which it may stand too high when the arm feels that it has been set down.
+const EARLY: f64 = 0.5;
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotArgs {
+    /// The client interface of MCS.
+    #[serde(default = "mcs_task")]
+    mcs: String,
+    /// The data object manager.
+    #[serde(default = "crate::dom_task")]
+    dom: String,
+    /// Fraction of full speed to and fro.
+    #[serde(default = "speed")]
+    speed: f64,
+    /// The same down to near the board and up from it.
+    #[serde(default = "slow")]
+    slow: f64,
+    /// The same on the last of the ways down, where a touch ends them.
+    #[serde(default = "gentle")]
+    gentle: f64,
+    /// How long that last part is, m.
+    #[serde(default = "gentle_m")]
+    gentle_m: f64,
+    /// How far above the higher end the arch to the target goes, m.
+    #[serde(default = "arch_m")]
+    arch_m: f64,
+    /// Recipes of guards that watch the ways down.
+    #[serde(default)]
+    touch: Vec<String>,
+    /// Where the arm waits, degrees of its joints.
+    park_deg: Vec<f64>,
+    /// How long a protective stop is waited out before the request fails, s.
+    #[serde(default = "resume_within_s")]
+    resume_within_s: f64,
+    /// How long an MCS that is gone, and may be started again, is waited for, s.
+    #[serde(default = "crate::service_within_s")]
+    service_within_s: f64,
+}
+
+fn speed() -> f64 {
+    0.5
+}
+
+fn slow() -> f64 {
+    0.2
+}
+
+fn gentle() -> f64 {
+    0.03
+}
+
+fn gentle_m() -> f64 {
+    0.015
+}
+
+fn arch_m() -> f64 {
+    0.05
+}
+
+impl RobotArgs {
+    fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
+        Arm {
+            cx,
+            mcs: &self.mcs,
+            within_s: self.service_within_s,
+        }
+    }
+}
+
+/// A part of the way, as the Dispatcher asks for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+enum Leg {
+    /// To above the thing, with the turn that reaches all.
+    Approach,
+    /// Down around the thing.
+    Descend,
+    /// Up with it.
+    Lift,
+    /// To above the target.
+    Transfer,
+    /// Down, until it stands.
+    SetDown,
+    /// Up without it.
+    Withdraw,
+    /// Back to where it was taken, and down until it stands.
+    GoBack,
+    /// To where the arm waits; there it is given back.
+    Park,
+}
+
+impl Leg {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Approach => "approach",
+            Self::Descend => "descend",
+            Self::Lift => "lift",
+            Self::Transfer => "transfer",
+            Self::SetDown => "set_down",
+            Self::Withdraw => "withdraw",
+            Self::GoBack => "go_back",
+            Self::Park => "park",
+        }
+    }
+}
+
+/// What the functions share.
+struct Coordinator {
+    args: Rc<RobotArgs>,
+    store: DomStore,
+    /// The part of the way that is asked for.
+    leg: Leg,
+    /// What ended the latest motion before its end.
+    ended: Option<Failure>,
+}
+
+/// Registers the handler.
+pub(super) fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &COMMANDS, |cx| {
+            let args: RobotArgs = args_of(cx)?;
+            let store = DomStore::new(&args.dom);
+            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
+        })
+        .speaks(|task| match net_args::<RobotArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
+        })
+        .keys(&KEYS)
+        .checked_args::<RobotArgs>(|args, task, app, findings| {
+            check_args(task, app, &names(args), findings);
+            crate::need_task(task, app, "mcs", &args.mcs, findings);
+            crate::need_task(task, app, "dom", &args.dom, findings);
+            for (key, value) in [
+                ("resume_within_s", args.resume_within_s),
+                ("service_within_s", args.service_within_s),
+            ] {
+                crate::check_seconds(task, key, value, findings);
+            }
+            for (key, value) in [
+                ("speed", args.speed),
+                ("slow", args.slow),
+                ("gentle", args.gentle),
+            ] {
+                crate::check_speed(task, key, value, findings);
+            }
+            let mut wrong = |key: &str, text: String| {
+                let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+                findings.push(Finding::error("coordinators::carry::robot", text).at(place));
+            };
+            for (key, value) in [("arch_m", args.arch_m), ("gentle_m", args.gentle_m)] {
+                if !(0.0..=2.0).contains(&value) {
+                    wrong(key, format!("`{key}` is {value}; give from 0 to 2 m"));
+                }
+            }
+            if let Some(model) = mcs::manipulator(app)
+                && model.dof() != args.park_deg.len()
+            {
+                let (given, count) = (args.park_deg.len(), model.dof());
+                let text = format!("`park_deg` has {given} numbers, and the arm {count} joints");
+                wrong("park_deg", text);
+            }
+        });
+}
+
+fn names(args: &RobotArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
+}
+
+fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
+    let state = Coordinator {
+        args: Rc::new(args),
+        store,
+        leg: Leg::Park,
+        ended: None,
+    };
+    let save = |state: &Coordinator| (state.leg, state.ended.clone());
+    let mut library = Library::new(state)
+        .kept(save, |state, (leg, ended)| {
+            (state.leg, state.ended) = (leg, ended);
+        })
+        .enabling("stopped", |state: &Coordinator| {
+            let ended = state.ended.as_ref();
+            ended.is_some_and(|failure| failure.outcome == Outcome::Stopped)
+        })
+        .action("again", |action: Act| async move {
+            let leg = action.with_state(|state| state.leg);
+            go(action, leg).await
+        })
+        .action("await_resume", await_resume);
+    for leg in [
+        Leg::Approach,
+        Leg::Descend,
+        Leg::Lift,
+        Leg::Transfer,
+        Leg::SetDown,
+        Leg::Withdraw,
+        Leg::GoBack,
+        Leg::Park,
+    ] {
+        library = library.action(leg.name(), move |action: Act| go(action, leg));
+    }
+    library
+}
+
+type Act = Action<Coordinator>;
+
+/// Goes a part of the way. Why that ended is kept, and passed up when it is given up.
+async fn go(action: Act, leg: Leg) -> Acted {
+    let ride = Ride::of(&action).await;
+    let gone = match &ride {
+        Ok(ride) => ride.go(leg).await,
+        Err(failure) => Err(failure.clone()),
+    };
+    action.with_state(|state| {
+        state.leg = leg;
+        state.ended = gone.as_ref().err().cloned();
+    });
+    pass_up(&action, gone).await
+}
+
+/// Waits until somebody ends the protective stop that ended the motion; the part of the way is then begun anew.
+async fn await_resume(action: Act) -> Acted {
+    let (args, ended) = action.with_state(|state| (state.args.clone(), state.ended.clone()));
+    let reason = ended.map_or_else(String::new, |ended| ended.reason);
+    let arm = args.arm(action.cx());
+    let resumed = arm.resumed(args.resume_within_s, &reason).await;
+    pass_up(&action, resumed).await
+}
+
+/// Tells the Dispatcher why a request could not be done. A protective stop is told only when nobody ends it.
+async fn pass_up(action: &Act, acted: Result<(), Failure>) -> Acted {
+    let Err(failure) = acted else { return Ok(()) };
+    let (store, leg) = action.with_state(|state| (state.store.clone(), state.leg));
+    let (cx, request) = (action.cx(), leg.name().to_owned());
+    super::errand::note_problem(cx, &store, ROBOT_PROBLEMS, &request, &failure).await;
+    Err(failure.into())
+}
+
+/// An errand, and the arm that goes its way.
+struct Ride<'a> {
+    cx: &'a Context,
+    args: Rc<RobotArgs>,
+    store: DomStore,
+    errand: Errand,
+}
+
+impl<'a> Ride<'a> {
+    async fn of(action: &'a Act) -> Result<Self, Failure> {
+        let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
+        let cx = action.cx();
+        let errand = store.fetch(cx, ERRAND).await?;
+        Ok(Self {
+            cx,
+            args,
+            store,
+            errand,
+        })
+    }
+
+    async fn go(&self, leg: Leg) -> Result<(), Failure> {
+        self.ask_arm().await?;
+        match leg {
+            Leg::Approach => self.approach().await,
+            Leg::Descend => {
+                let down = self.errand.pose(End::From, self.turn().await?);
+                self.guarded(down)
+                    .await
+                    .map_err(|failure| match failure.outcome {
+                        Outcome::Guard => Failure::new(
+                            Outcome::Guard,
+                            format!("something is in the way down: {}", failure.reason),
+                        ),
+                        _ => failure,
+                    })
+            }
+            Leg::Lift => {
+                let up = self.errand.above(End::From, self.turn().await?);
+                self.line(up, self.args.slow, &[]).await.map(|_| ())
+            }
+            Leg::Transfer => self.arch_to(End::To).await,
+            Leg::SetDown => self.set_down(End::To).await,
+            Leg::Withdraw => self.withdraw().await,
+            Leg::GoBack => {
+                self.arch_to(End::From).await?;
+                self.set_down(End::From).await
+            }
+            Leg::Park => self.park().await,
+        }
+    }
+
+    /// Fraction of full speed to and fro.
+    fn speed(&self) -> f64 {
+        self.errand.speed.unwrap_or(self.args.speed)
+    }
+
+    /// Reserves the arm, or sees that it is still reserved.
+    async fn ask_arm(&self) -> Result<(), Failure> {
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| async move { arm.acquire().await }).await?;
+        Ok(())
+    }
+
+    /// The turn that was chosen for this errand.
+    async fn turn(&self) -> Result<f64, Failure> {
+        let way: Way = self.store.fetch(self.cx, WAY).await?;
+        if way.command == self.errand.command {
+            return Ok(way.turn);
+        }
+        Err(Failure::new(
+            Outcome::Fault,
+            "no way was chosen for this errand",
+        ))
+    }
+
+    /// To above the thing, with the first turn that reaches both ends of the way and what is above them.
+    async fn approach(&self) -> Result<(), Failure> {
+        let mut first = None;
+        for turn in &self.errand.thing.grasp.turns_deg {
+            let turn = turn.to_radians();
+            match self.plan_all(turn).await {
+                Ok(planned) => {
+                    let way = Way {
+                        command: self.errand.command,
+                        turn,
+                    };
+                    self.store.store(self.cx, WAY, &way).await?;
+                    let target = Target::Joints(planned.joints);
+                    let order = self.order(target, PathKind::Joint, self.speed(), &[]);
+                    return self.moved(order, planned.duration_s).await.map(|_| ());
+                }
+                Err(failure) if failure.outcome == Outcome::Unreachable => {
+                    first.get_or_insert(failure);
+                }
+                Err(failure) => return Err(failure),
+            }
+        }
+        let none = || Failure::new(Outcome::Fault, "the thing's file names no turn");
+        Err(first.unwrap_or_else(none))
+    }
+
+    /// Whether the arm reaches all of the way with this turn; the plan to its beginning.
+    async fn plan_all(&self, turn: f64) -> Result<PlanReport, Failure> {
+        for (end, name) in [(End::From, "from"), (End::To, "to")] {
+            for pose in [self.errand.pose(end, turn), self.errand.above(end, turn)] {
+                let planned = self.plan(pose, PathKind::Joint).await;
+                planned.map_err(|failure| match failure.outcome {
+                    Outcome::Unreachable => Failure::new(
+                        Outcome::Unreachable,
+                        format!("`{name}` cannot be reached: {}", failure.reason),
+                    ),
+                    _ => failure,
+                })?;
+            }
+        }
+        let above = self.errand.above(End::From, turn);
+        self.plan(above, PathKind::Joint).await
+    }
+
+    async fn plan(&self, pose: Isometry3<f64>, path: PathKind) -> Result<PlanReport, Failure> {
+        self.plan_to(Target::Pose(rows(&pose)), path, self.speed())
+            .await
+    }
+
+    async fn plan_to(
+        &self,
+        target: Target,
+        path: PathKind,
+        speed: f64,
+    ) -> Result<PlanReport, Failure> {
+        let request = Plan {
+            target,
+            path,
+            speed,
+            acceleration: None,
+            elbow: None,
+        };
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| {
+            let request = request.clone();
+            async move { arm.plan(request).await }
+        })
+        .await
+    }
+
+    fn order(&self, target: Target, path: PathKind, speed: f64, guards: &[String]) -> Move {
+        Move {
+            target,
+            path,
+            speed,
+            acceleration: None,
+            elbow: None,
+            guards: guards.to_vec(),
+            blend: 0.0.into(),
+        }
+    }
+
+    async fn moved(&self, order: Move, planned_s: f64) -> Result<MoveReport, Failure> {
+        self.args.arm(self.cx).go(order, planned_s).await
+    }
+
+    /// Straight to a pose.
+    async fn line(
+        &self,
+        pose: Isometry3<f64>,
+        speed: f64,
+        guards: &[String],
+    ) -> Result<MoveReport, Failure> {
+        self.along(pose, PathKind::StraightLine, speed, guards)
+            .await
+    }
+
+    async fn along(
+        &self,
+        pose: Isometry3<f64>,
+        path: PathKind,
+        speed: f64,
+        guards: &[String],
+    ) -> Result<MoveReport, Failure> {
+        let target = Target::Pose(rows(&pose));
+        let planned = self.plan_to(target, path, speed).await?;
+        let order = self.order(target, path, speed, guards);
+        self.moved(order, planned.duration_s).await
+    }
+
+    /// Straight down to a pose, the last of it gently. The guards of the ways down end it when they feel something.
+    async fn guarded(&self, pose: Isometry3<f64>) -> Result<(), Failure> {
+        let touch = &self.args.touch;
+        let near = Translation3::new(0.0, 0.0, self.args.gentle_m) * pose;
+        if self.height().await? > near.translation.z {
+            self.line(near, self.args.slow, touch).await?;
+        }
+        self.line(pose, self.args.gentle, touch).await.map(|_| ())
+    }
+
+    /// Up, across and down to above an end of the way.
+    async fn arch_to(&self, end: End) -> Result<(), Failure> {
+        let above = self.errand.above(end, self.turn().await?);
+        let arch = PathKind::Arch {
+            height: self.args.arch_m,
+            corner: None,
+        };
+        self.along(above, arch, self.speed(), &[]).await.map(|_| ())
+    }
+
+    /// Down until the thing stands. What is felt earlier than that stands there already.
+    async fn set_down(&self, end: End) -> Result<(), Failure> {
+        let pose = self.errand.pose(end, self.turn().await?);
+        match self.guarded(pose).await {
+            Err(failure) if failure.outcome == Outcome::Guard => {
+                let early = self.height().await? - pose.translation.z;
+                if early <= EARLY * self.errand.thing.height_m {
+                    return Ok(());
+                }
+                Err(Failure::new(
+                    Outcome::Occupied,
+                    format!("something stands there already, {:.0} mm high", early * 1e3),
+                ))
+            }
+            ended => ended,
+        }
+    }
+
+    /// How high the tool is in the base frame, m.
+    async fn height(&self) -> Result<f64, Failure> {
+        Ok(self.tool().await?.translation.z)
+    }
+
+    async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
+        let arm = self.args.arm(self.cx);
+        let position = arm.ask(|arm| async move { arm.position().await }).await?;
+        let matrix = Matrix4::from_row_slice(&position.base_t_tool);
+        nalgebra::try_convert(matrix)
+            .ok_or_else(|| Failure::new(Outcome::Fault, "the arm's pose is none"))
+    }
+
+    /// Straight up from wherever it is to where the gripper goes to and fro.
+    async fn withdraw(&self) -> Result<(), Failure> {
+        let now = self.tool().await?;
+        let [from, to] = [End::From, End::To].map(|end| self.errand.above(end, 0.0).translation.z);
+        let up = from.max(to) - now.translation.z;
+        if up <= 0.0 {
+            return Ok(());
+        }
+        let mut above = now;
+        above.translation.vector += Vector3::z() * up;
+        self.line(above, self.args.slow, &[]).await.map(|_| ())
+    }
+
+    /// To where the arm waits; there it is given back.
+    async fn park(&self) -> Result<(), Failure> {
+        let park = &self.args.park_deg;
+        let joints = Joints::from_fn(park.len(), |joint| park[joint].to_radians());
+        let target = Target::Joints(joints);
+        let planned = self.plan_to(target, PathKind::Joint, self.speed()).await?;
+        let order = self.order(target, PathKind::Joint, self.speed(), &[]);
+        self.moved(order, planned.duration_s).await?;
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| async move { arm.release().await }).await?;
+        Ok(())
+    }
+}
+
+fn rows(pose: &Isometry3<f64>) -> [f64; 16] {
+    let matrix = pose.to_homogeneous().transpose();
+    let mut rows = [0.0; 16];
+    rows.copy_from_slice(matrix.as_slice());
+    rows
+}

@@ -1,0 +1,169 @@
+//! The class `carry`: has a thing carried, by the Dispatcher of an app (SORMA technical report, section 2.1.4).
+
+use std::{sync::LazyLock, time::Duration};
+
+use futures_util::future::LocalBoxFuture;
+use pnt::task::PutTape;
+use sorma::{
+    Class, ClassInfo, Context, Form, OptionTable, Outcome, Report, ServiceObject, Sorm, Transport,
+    Waiting,
+};
+
+use super::board::Field;
+
+/// Version of the class.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// No errand lasts longer.
+const LONGEST: Duration = Duration::from_secs(1800);
+
+sorma::prototypes! {
+    /// The codes of the reports of this class.
+    pub mod code {
+        NOT_CARRIED = 170, Error, "the thing was not carried", "the text says why, and where it is";
+        NO_CARRIER = 171, Error, "nobody carries outside an app", "attach to an app that has a Dispatcher for it: `scott carry`";
+    }
+}
+
+const FORMS: &[Form] = &[
+    Form {
+        text: "",
+        floats: 6,
+        takes: "from and to on the board: column, row (from 1) and height, in things that lie beneath",
+        gives: "",
+        results: "",
+        help: "carries what lies at the one to the other, and answers when that is done",
+    },
+    Form {
+        text: "putBack",
+        floats: 0,
+        takes: "",
+        gives: "",
+        results: "",
+        help: "has a hand that could not put something down bring it back to where it was taken",
+    },
+];
+
+/// What an object of the class keeps.
+#[derive(Debug, Clone)]
+struct Options {
+    task: String,
+    speed: Vec<f64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            task: "dispatcher".to_owned(),
+            speed: Vec::new(),
+        }
+    }
+}
+
+static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    OptionTable::new("carries a thing from one field of a board to another")
+        .exec(FORMS)
+        .word(
+            "task",
+            "TASK",
+            "the app's task with the handler coordinators.carry",
+            |options: &mut Options| &mut options.task,
+        )
+        .floats(
+            "transferSpeed",
+            &["SPEED"],
+            0.001..=1.0,
+            "",
+            "fraction of full speed to and fro; as the Robot Coordinator has it unless it is set",
+            |options| &mut options.speed,
+        )
+});
+
+/// Makes the class known to a manager.
+pub fn register(sorm: &Sorm) {
+    let class = Class::new("carry", VERSION, |_, _| Ok(Box::new(Carry::default())));
+    let class = class.waits().any_flavor();
+    for (class, info) in [class].into_iter().zip(classes()) {
+        sorm.register(class.codes(code::PROTOTYPES).described(info));
+    }
+}
+
+/// What a program may know about the class.
+#[must_use]
+pub fn classes() -> Vec<ClassInfo> {
+    vec![TABLE.class("carry", VERSION)]
+}
+
+/// An object of class `carry`.
+#[derive(Default)]
+struct Carry {
+    options: Options,
+}
+
+impl Carry {
+    async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        let form = TABLE.form(io)?.text;
+        if !cx.is_in_app() {
+            let text = format!("`{}` has an app carry, and here is none", cx.name());
+            return Err(Report::error(code::NO_CARRIER, text));
+        }
+        let (put, success) = match (form, io.floats.as_slice()) {
+            ("", &[column, row, height, to_column, to_row, to_height]) => {
+                let field = |column, row, height| {
+                    let field = Field {
+                        column,
+                        row,
+                        height,
+                    };
+                    field.to_string()
+                };
+                let mut arguments = vec![
+                    field(column, row, height),
+                    field(to_column, to_row, to_height),
+                ];
+                let speed = self.options.speed.first();
+                arguments.extend(speed.map(|speed| format!("speed={speed}")));
+                (("carry", arguments), "carried")
+            }
+            _ => (("put_back", Vec::new()), "put_down"),
+        };
+        let (symbol, arguments) = put;
+        let put = PutTape {
+            symbol: symbol.to_owned(),
+            arguments,
+        };
+        let answer = cx.call_task(&self.options.task, put, LONGEST).await?;
+        if answer.symbol == success {
+            io.text = answer.text;
+            return Ok(());
+        }
+        let text = format!("{}: {}", answer.symbol, answer.text.replace('\n', "; "));
+        Err(Report::error(code::NOT_CARRIED, text))
+    }
+}
+
+impl ServiceObject for Carry {
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = self.job(cx, io).await;
+            io.floats.clear();
+            if outcome.is_err() {
+                io.text.clear();
+            }
+            outcome
+        }))
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        TABLE.ctrl(&mut self.options, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        TABLE.dump(&self.options)
+    }
+}

@@ -1,0 +1,134 @@
+//! What is carried: one file with all that is to be said of a new object.
+
+use std::ops::RangeInclusive;
+
+use ctos::{
+    config::Node,
+    diagnostic::{Finding, Findings, Source},
+};
+use serde::{Deserialize, Serialize};
+
+/// A thing to be carried, from its file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Thing {
+    /// Its name.
+    pub name: String,
+    /// How wide it is between the pads that hold it, m.
+    pub width_m: f64,
+    /// What is wider or narrower by more than this is another thing, m.
+    pub tolerance_m: f64,
+    /// How high it is, m.
+    pub height_m: f64,
+    /// How it is grasped.
+    pub grasp: Grasping,
+}
+
+/// How a thing is grasped.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Grasping {
+    /// How hard each jaw presses, N.
+    pub force_n: f64,
+    /// How far the pads are apart on the way down, m: room for the thing, and between its neighbours.
+    pub open_m: f64,
+    /// The middle between the pads above the bottom of the thing, m.
+    pub above_m: f64,
+    /// How the gripper may be turned about the vertical of the board, degrees: the first turn with which the arm reaches
+    /// all there is to do is taken.
+    pub turns_deg: Vec<f64>,
+}
+
+impl Thing {
+    /// Reads the text of a thing's file.
+    ///
+    /// # Errors
+    /// Everything that is wrong in it, each with its place.
+    pub fn parse(source: &Source) -> Result<Self, Findings> {
+        let mut findings = Findings::new();
+        let file = Node::from_toml(source, &mut findings);
+        if !findings.is_empty() {
+            return Err(findings);
+        }
+        let thing: Self = file.parse()?;
+        let mut wrong = |key: &str, text: String| {
+            let place = file.locate(key).or_else(|| file.place().cloned());
+            let finding = Finding::error("coordinators::carry::thing", text);
+            findings.push(match place {
+                Some(place) => finding.at(place),
+                None => finding,
+            });
+        };
+        let grasp = &thing.grasp;
+        let ranges: [(&str, f64, RangeInclusive<f64>); 6] = [
+            ("width_m", thing.width_m, 1e-3..=0.5),
+            ("tolerance_m", thing.tolerance_m, 1e-4..=0.1),
+            ("height_m", thing.height_m, 1e-3..=0.5),
+            ("grasp.force_n", grasp.force_n, 0.1..=500.0),
+            ("grasp.open_m", grasp.open_m, 1e-3..=0.5),
+            ("grasp.above_m", grasp.above_m, 0.0..=0.5),
+        ];
+        for (key, value, range) in ranges {
+            if !range.contains(&value) {
+                let (least, most) = (range.start(), range.end());
+                wrong(
+                    key,
+                    format!("`{key}` is {value}; give from {least} to {most}"),
+                );
+            }
+        }
+        if grasp.open_m <= thing.width_m {
+            let text = format!(
+                "pads {} m apart do not go round a thing {} m wide: give a larger `grasp.open_m`",
+                grasp.open_m, thing.width_m
+            );
+            wrong("grasp.open_m", text);
+        }
+        let turns = &grasp.turns_deg;
+        if turns.is_empty() || turns.iter().any(|turn| !(turn.abs() <= 360.0)) {
+            let text = "`grasp.turns_deg` needs at least one turn from -360 to 360 degrees";
+            wrong("grasp.turns_deg", text.to_owned());
+        }
+        if findings.is_empty() {
+            Ok(thing)
+        } else {
+            Err(findings)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DISC: &str = include_str!("../../../configs/carry/disc.toml");
+
+    fn parse(text: &str) -> Result<Thing, Findings> {
+        Thing::parse(&Source::new("disc.toml", text))
+    }
+
+    #[test]
+    fn the_thing_that_is_delivered_reads() {
+        let disc = parse(DISC).unwrap();
+        assert_eq!(disc.name, "disc");
+        assert!(disc.grasp.open_m > disc.width_m);
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_found_at_its_place() {
+        let broken = [
+            ("width_m = 0.036", "width_m = -1.0", "`width_m` is -1"),
+            ("open_m = 0.05", "open_m = 0.03", "do not go round"),
+            ("height_m = 0.01", "heigth_m = 0.01", "heigth_m"),
+            ("turns_deg = [", "turns_deg = [] # [", "at least one turn"),
+            ("force_n = 15.0", "force_n = \"much\"", "force_n"),
+            ("name = \"disc\"", "name = ", "disc.toml"),
+        ];
+        for (whole, wrong, text) in broken {
+            assert!(DISC.contains(whole), "{whole}");
+            let found = parse(&DISC.replace(whole, wrong)).unwrap_err().to_string();
+            assert!(found.contains(text), "{wrong}: {found}");
+            assert!(found.contains("disc.toml:"), "{found}");
+        }
+    }
+}
