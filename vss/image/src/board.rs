@@ -1,8 +1,8 @@
 //! A draughts board in a picture: where it is, what stands on it, and where one disc is.
 //!
 //! The board is found by the 49 inner corners of its chequer pattern, for its border may look like anything: corners where
-//! two dark and two light squares meet ([`corners`]), those of them that form a lattice ([`lattice`]), and the homography
-//! from the board to the picture. The pattern itself says which squares are dark, and so, with the side on which White
+//! two dark and two light squares meet, those of them that form a lattice, and the homography from the board to the
+//! picture. The pattern itself says which squares are dark, and so, with the side on which White
 //! sits, where a1 is: dark, at each player's lower left. Knows no lens: straight lines must be straight.
 //!
 //! Places on the board are counted in squares: files from the left edge of a (0) to the right edge of h (8), ranks from the

@@ -31,10 +31,10 @@ const WEAKEST: f32 = 0.1;
 /// Corners of less difference than some grey values are noise.
 const LEAST: f32 = 30.0;
 
-/// No more are looked at: the strongest.
+/// No more are looked at.
 const MOST: usize = 800;
 
-/// Corners with their places, the strongest first.
+/// The places of corners, the sharpest first.
 pub(super) fn find(light: &Light) -> Vec<[f64; 2]> {
     let (width, height) = (light.width, light.height);
     if width <= 2 * RADIUS || height <= 2 * RADIUS {
@@ -53,7 +53,9 @@ pub(super) fn find(light: &Light) -> Vec<[f64; 2]> {
         for u in RADIUS..width - RADIUS {
             let here = responses[v * width + u];
             if here >= least && is_highest(&responses, width, height, (u, v)) {
-                found.push((here, refined(&responses, width, (u, v))));
+                // For the same difference of light, squares respond more than what is smooth.
+                let sharpness = here / spread(&ring(light, u, v)).max(1.0);
+                found.push((sharpness, refined(&responses, width, (u, v))));
             }
         }
     }
@@ -62,13 +64,21 @@ pub(super) fn find(light: &Light) -> Vec<[f64; 2]> {
     found.into_iter().map(|(_, at)| at).collect()
 }
 
+/// The values on the ring about a pixel.
+fn ring(light: &Light, u: usize, v: usize) -> [f32; 16] {
+    RING.map(|(du, dv)| light.value(u.saturating_add_signed(du), v.saturating_add_signed(dv)))
+}
+
+/// The difference of the largest and the smallest value.
+fn spread(values: &[f32; 16]) -> f32 {
+    let most = values.iter().copied().fold(f32::MIN, f32::max);
+    most - values.iter().copied().fold(f32::MAX, f32::min)
+}
+
 /// How much the ring about a pixel looks like four squares: sums across against one another, less what differs between
 /// opposite places, less what differs between ring and middle.
 fn response(light: &Light, u: usize, v: usize) -> f32 {
-    let mut ring = [0.0_f32; 16];
-    for (value, (du, dv)) in ring.iter_mut().zip(RING) {
-        *value = light.value(u.saturating_add_signed(du), v.saturating_add_signed(dv));
-    }
+    let ring = ring(light, u, v);
     let sums = (0..4).map(|n| (ring[n] + ring[n + 8] - ring[n + 4] - ring[n + 12]).abs());
     let differences = (0..8).map(|n| (ring[n] - ring[n + 8]).abs());
     let middle = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]

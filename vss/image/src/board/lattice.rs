@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use super::light::Light;
 
-/// So many of the strongest corners are tried as the first.
+/// So many of the sharpest corners are tried as the first.
 const SEEDS: usize = 150;
 
 /// So many of a corner's nearest are tried as its neighbours.
@@ -103,7 +103,7 @@ fn edge(light: &Light, p: [f64; 2], q: [f64; 2]) -> f64 {
     sum / 3.0
 }
 
-/// The largest lattice among the corners, which come with the strongest first.
+/// The largest lattice among the corners, which come with the sharpest first.
 pub(super) fn largest(light: &Light, corners: &[[f64; 2]]) -> Option<Lattice> {
     let mut best: Option<Lattice> = None;
     for seed in corners.iter().take(SEEDS) {

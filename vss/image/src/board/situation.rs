@@ -1,6 +1,6 @@
 //! What stands on the 32 playing squares, from what each looks like inside the circle that a disc covers.
 
-use super::{Board, SQUARES};
+use super::{Board, PATCH, SQUARES};
 use crate::{Picture, colour::Classes};
 
 /// Playing squares.
@@ -18,6 +18,12 @@ const SAME: f64 = 0.1;
 
 /// The mark of a king differs from its disc by this part.
 const MARKED: f64 = 0.35;
+
+/// A disc whose colour differs from its square by this part, light left out, has another colour.
+const TINTED: f64 = 0.4;
+
+/// Discs of another colour that are darker than this part are black: red ones.
+const PALE: f64 = 0.5;
 
 /// Places in a square that are not alike by this part are no disc and no empty square.
 const ALIKE: f64 = 0.7;
@@ -111,7 +117,7 @@ fn playing() -> impl Iterator<Item = (i32, i32)> {
 
 impl Board {
     /// What stands on the playing squares, by how light discs are against the dark square around them: white ones lighter,
-    /// black ones darker. With trained colours it is told by these.
+    /// black ones darker, or of another colour and not pale. With trained colours it is told by these.
     #[must_use]
     pub fn situation(
         &self,
@@ -121,7 +127,7 @@ impl Board {
         let mut fields = [UNKNOWN; FIELDS];
         for (field, (file, rank)) in fields.iter_mut().zip(playing()) {
             let read = match colours {
-                None => self.by_light(file, rank),
+                None => self.by_light(picture, file, rank),
                 Some((classes, roles)) => self.by_colour(picture, classes, roles, file, rank),
             };
             let sure = read.filter(|read| read.confidence >= MARGIN_LEAST);
@@ -162,13 +168,40 @@ impl Board {
         places.filter(|(_, far)| *far <= RADIUS + 1e-9)
     }
 
-    fn by_light(&self, file: i32, rank: i32) -> Option<Field> {
+    /// The colour at a place.
+    fn colour(&self, picture: &Picture, x: f64, y: f64) -> Option<[f64; 3]> {
+        let [u, v] = self.pixel(x, y).map(f64::round);
+        let inside = u >= 0.0 && v >= 0.0;
+        let rgb = inside.then(|| picture.rgb(u as usize, v as usize))??;
+        Some(rgb.map(f64::from))
+    }
+
+    /// The mean colour of a square near its corners.
+    fn square(&self, picture: &Picture, file: i32, rank: i32) -> Option<[f64; 3]> {
+        let mut mean = [0.0; 3];
+        for (x, y) in [
+            (PATCH, PATCH),
+            (1.0 - PATCH, PATCH),
+            (PATCH, 1.0 - PATCH),
+            (1.0 - PATCH, 1.0 - PATCH),
+        ] {
+            let colour = self.colour(picture, f64::from(file) + x, f64::from(rank) + y)?;
+            for (mean, one) in mean.iter_mut().zip(colour) {
+                *mean += one / 4.0;
+            }
+        }
+        Some(mean)
+    }
+
+    fn by_light(&self, picture: &Picture, file: i32, rank: i32) -> Option<Field> {
         let (dark, contrast) = self.surroundings(file, rank)?;
-        let (mut rim, mut mark) = (Vec::new(), Vec::new());
+        let square = self.square(picture, file, rank)?;
+        let (mut rim, mut mark, mut tints) = (Vec::new(), Vec::new(), Vec::new());
         for ([x, y], far) in Self::places(file, rank) {
             let difference = (self.at(x, y)? - dark) / contrast;
             if far >= RIM {
                 rim.push(difference);
+                tints.push(tint(self.colour(picture, x, y)?, square) / contrast);
             } else if far <= MARK {
                 mark.push(difference);
             }
@@ -177,6 +210,17 @@ impl Board {
         let share = |of: &dyn Fn(f64) -> bool| {
             rim.iter().filter(|one| of(**one)).count() as f64 / rim.len() as f64
         };
+        // Of places that have another colour most are clearly so.
+        let tinted =
+            tints.iter().filter(|tint| **tint > 0.5 * TINTED).count() as f64 / tints.len() as f64;
+        let colour = median(&mut tints)?;
+        if colour > TINTED && (-SAME..PALE).contains(&middle) {
+            let marked = (median(&mut mark)? - middle).abs() > MARKED;
+            return (tinted >= ALIKE).then(|| Field {
+                piece: piece(false, marked),
+                confidence: ((colour - TINTED) / TINTED).min(1.0) * tinted,
+            });
+        }
         if middle.abs() <= SAME {
             let alike = share(&|one| one.abs() < 2.0 * SAME);
             let margin = 1.0 - middle.abs() / SAME;
@@ -240,6 +284,14 @@ impl Board {
             confidence: rim[best] - second,
         })
     }
+}
+
+/// How far two colours are from one another, their light left out, grey values.
+fn tint(one: [f64; 3], other: [f64; 3]) -> f64 {
+    let apart: [f64; 3] = std::array::from_fn(|nth| one[nth] - other[nth]);
+    let light = 0.2126 * apart[0] + 0.7152 * apart[1] + 0.0722 * apart[2];
+    let rest = apart.iter().map(|one| (one - light).powi(2));
+    rest.sum::<f64>().sqrt()
 }
 
 fn piece(white: bool, marked: bool) -> Piece {

@@ -400,7 +400,7 @@ fn situation_place(nth: i32) -> (f64, f64) {
 }
 
 #[test]
-fn trained_colours_read_red_discs_that_are_as_light_as_their_squares() {
+fn red_discs_that_are_as_light_as_their_squares_are_read_with_trained_colours_and_without() {
     let mut scene = Scene::default();
     scene.pieces[5] = 4;
     let mut picture = scene.drawn();
@@ -432,6 +432,8 @@ fn trained_colours_read_red_discs_that_are_as_light_as_their_squares() {
     let board = Board::find(&picture, Side::Bottom).unwrap();
     let found = board.situation(&picture, Some((&classes, &roles)));
     assert_eq!(found.map(|field| field.piece.code()), scene.pieces);
+    // Without training their colour still tells that they are there.
+    assert_eq!(codes(&board, &picture), scene.pieces);
     let other = Classes::train(
         &["white".to_owned(), "table".to_owned()],
         &[(0, WHITE), (0, LIGHT), (1, TABLE), (1, DARK)],
