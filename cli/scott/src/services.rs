@@ -24,10 +24,14 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
 });
 
 /// The dictionaries that are shipped with the classes.
-const SHIPPED: [(&str, &str); 3] = [
+const SHIPPED: [(&str, &str); 4] = [
     ("the demo classes' dictionary", demo::DICTIONARY),
     ("the arm's dictionary", mcs::services::DICTIONARY),
     ("the hand's dictionary", mcs_hand::services::DICTIONARY),
+    (
+        "the dictionary of carry",
+        coordinators::carry::service::DICTIONARY,
+    ),
 ];
 
 /// A manager with all classes, the shipped dictionary, and the given files over it.

@@ -25,6 +25,9 @@ sorma::prototypes! {
     }
 }
 
+/// The recipe that is shipped with the class, from which others are derived.
+pub const DICTIONARY: &str = "carry -task dispatcher\n";
+
 const FORMS: &[Form] = &[
     Form {
         text: "",
