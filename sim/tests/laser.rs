@@ -51,7 +51,7 @@ fn cell() -> Cell {
         name = 'scanner'
         position = [0.5, 0.0, 1.8]
         look_at = [0.0, 0.0, 0.0]
-        up = [0.0, 1.0, 0.0]
+        up = [1.0, 0.0, 0.0]
         mirror_offset = 0.018
         gain = [4.0, -3.6]
         zero = [0.3, -0.4]
@@ -128,7 +128,7 @@ fn the_spot_is_seen_where_the_beam_was_sent() {
         assert!((met.place - target).norm() < 2e-3, "{target}: {met:?}");
         assert!(met.gap < 1.5e-3, "{target}: {met:?}");
         // Of another beam it is no spot.
-        let other = scanner.beam([command[0], command[1] + 2.0]);
+        let other = scanner.beam([command[0] + 2.0, command[1]]);
         let wrong = laser::on_beam(&bench.camera, pixel, &other);
         assert!(wrong.is_err() || wrong.unwrap().gap > 0.02);
     }
@@ -150,25 +150,28 @@ fn what_stands_in_the_way_has_the_spot() {
 #[test]
 fn a_line_is_triangulated_by_a_plane_of_light_that_was_found_on_two_planes() {
     let mut bench = Bench::new();
-    // Across the way from the camera to the scanner: along it the plane of light would hold the camera.
-    let [a, _] = bench.cell.lasers[0]
+    // The first mirror alone draws a plane of light. It lies across the way from the camera to the scanner: along that it
+    // would hold the camera.
+    let [_, b] = bench.cell.lasers[0]
         .scanner
         .aim(&Point3::new(0.45, 0.0, 0.3))
         .unwrap();
-    let frame = bench.picture(LaserOrder::Line([a, -7.0], [a, 7.0]));
+    let frame = bench.picture(LaserOrder::Line([-7.0, b], [7.0, b]));
     let dark = bench.picture(LaserOrder::Off);
     // Each row's brightest place, by weight: a line has no spots.
     let mut points = Vec::new();
     for v in (10..490).step_by(4) {
-        let mut sums = (0.0, 0.0);
-        for u in 0..500 {
-            let rise = f64::from(frame.get(u, v).unwrap()) - f64::from(dark.get(u, v).unwrap());
-            if rise > 12.0 {
-                sums = (sums.0 + rise, sums.1 + rise * u as f64);
-            }
-        }
-        if sums.0 > 60.0 {
-            points.push(Vector2::new(sums.1 / sums.0, v as f64));
+        let rise =
+            |u: usize| f64::from(frame.get(u, v).unwrap()) - f64::from(dark.get(u, v).unwrap());
+        let peak = (6..494)
+            .max_by(|a, b| rise(*a).total_cmp(&rise(*b)))
+            .unwrap();
+        // Noise alone rises by a dozen grey levels somewhere in a row.
+        if rise(peak) > 20.0 {
+            let near = || (peak - 5..=peak + 5).map(|u| (rise(u), u as f64));
+            let weight: f64 = near().map(|(rise, _)| rise).sum();
+            let u = near().map(|(rise, u)| rise * u).sum::<f64>() / weight;
+            points.push(Vector2::new(u, v as f64));
         }
     }
     assert!(points.len() > 30, "{}", points.len());
