@@ -182,7 +182,7 @@ fn a_line_is_triangulated_by_a_plane_of_light_that_was_found_on_two_planes() {
             .place
     };
     let above = |p: &Point3<f64>| (0.21..0.69).contains(&p.x) && p.y.abs() < 0.52;
-    let below = |p: &Point3<f64>| p.y.abs() > 0.6;
+    let below = |p: &Point3<f64>| p.y.abs() > 0.69;
     let mut seen = Vec::new();
     for pixel in &points {
         let (high, low) = (on(pixel, 0.3), on(pixel, 0.0));
