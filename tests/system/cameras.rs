@@ -33,7 +33,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 #[test]
 fn five_cameras_see_the_lamp_at_once_each_by_its_own_number() {
     let scratch = Scratch::new();
-    let name = format!("five-{}", std::process::id());
+    let name = format!("five_{}", std::process::id());
     let _run = up(&scratch, &name, &[]);
     // The noise makes small things that are no lamps.
     let set = "spot CTRL -threshold 90 -min-area 5 -most 10000";
@@ -60,7 +60,7 @@ fn what_a_killed_chassis_held_of_a_camera_is_taken_back() {
     let cell = scratch.read("configs/cameras-cell.toml");
     let slow = cell.replacen("exposure_ms = 8.0", "exposure_ms = 5000.0", 1);
     scratch.write("configs/cameras-cell.toml", slow);
-    let name = format!("killed-{}", std::process::id());
+    let name = format!("killed_{}", std::process::id());
     let more = ["--set", "vss.hold_limit_s=600.0", "--log", "vss=debug"];
     let mut run = up(&scratch, &name, &more);
     let line = spot("ceiling_west");

@@ -209,6 +209,9 @@ mod tests {
 
     const PERIOD: Duration = Duration::from_millis(40);
 
+    /// What a camera makes of a good frame, by its number.
+    type Lie = dyn Fn(u64, Frame) -> Frame;
+
     /// Frame `number` of a good camera: a bright half, and noise.
     fn good(number: u64) -> Frame {
         picture(number, |u| if u < 32 { 40.0 } else { 70.0 })
@@ -243,7 +246,7 @@ mod tests {
     #[test]
     fn each_lie_is_named_within_five_frames_and_a_good_camera_never() {
         assert_eq!(noticed(true, |_, frame| frame), None);
-        let lies: [(Doubt, &dyn Fn(u64, Frame) -> Frame); 9] = [
+        let lies: [(Doubt, &Lie); 9] = [
             (Doubt::Frozen, &|_, frame| Frame {
                 pixels: good(19).pixels,
                 ..frame
