@@ -2,9 +2,13 @@
 //!
 //! The order is: check the table; start from a normalised direct linear transform inside RANSAC; fit 10, 12, then
 //! 15 parameters with a Cauchy loss; reject what lies beyond 3.5 standard deviations until the set stays. Then fit plain
-//! least squares; drop distortion terms that the data do not support; report every uncertainty. The first limit of the
-//! rejection comes from the residuals of all points. Later ones come from those used, so that points of a second noise
-//! level come back. Tables from which no camera follows are refused with the reason.
+//! least squares, and report every uncertainty. The first limit of the rejection comes from the residuals of all points.
+//! Later ones come from those used, so that points of a second noise level come back. Tables from which no camera follows
+//! are refused with the reason.
+//!
+//! Every distortion term that the number of points allows is kept. Terms that the data hardly show cost little when they
+//! are kept, and much when they are dropped: p1 and p2 turn the camera, and a standard deviation of the smaller model
+//! knows nothing of that (over many simulated cameras the error of the rotation was 1.13 of it).
 //! This module knows numbers only: no pictures, no tasks, no simulator, and never the true camera.
 
 mod design;
@@ -73,7 +77,7 @@ impl LightPoint {
 pub enum LensModel {
     /// No distortion: 10 parameters.
     None,
-    /// Radial, its first term only: 11 parameters. Chosen only when asked for.
+    /// Radial, its first term only: 11 parameters. Taken only when asked for.
     K1,
     /// Radial: 12 parameters.
     K1K2,
@@ -84,7 +88,7 @@ pub enum LensModel {
 }
 
 impl LensModel {
-    /// The models that a calibration chooses from by itself.
+    /// The models of which a calibration takes the largest that the points support.
     const CHOSEN: [Self; 4] = [Self::None, Self::K1K2, Self::K1K2P1P2, Self::Brown5];
 
     /// Number of free parameters, pose and pinhole included. They are the first so many of
@@ -97,17 +101,6 @@ impl LensModel {
             Self::K1K2 => 12,
             Self::K1K2P1P2 => 14,
             Self::Brown5 => 15,
-        }
-    }
-
-    /// The model without this one's last terms, and the names of those terms.
-    fn simpler(self) -> Option<(Self, &'static str)> {
-        match self {
-            Self::None => None,
-            Self::K1 => Some((Self::None, "k1")),
-            Self::K1K2 => Some((Self::None, "k1, k2")),
-            Self::K1K2P1P2 => Some((Self::K1K2, "p1, p2")),
-            Self::Brown5 => Some((Self::K1K2P1P2, "k3")),
         }
     }
 
@@ -129,20 +122,6 @@ impl LensModel {
             .copied()
             .unwrap_or(Self::None)
     }
-}
-
-/// A decision about distortion terms.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ModelStep {
-    /// The terms in question.
-    pub terms: String,
-    /// Their Wald statistic: the squared ratio of value and standard deviation, for two terms with their
-    /// correlation.
-    pub wald: f64,
-    /// What it would have to reach for the terms to stay (two standard deviations: 4 for one term, 6.18 for two).
-    pub needed: f64,
-    /// Whether they were kept.
-    pub kept: bool,
 }
 
 /// A point of the table that was not used.
@@ -183,8 +162,6 @@ pub struct Calibration {
     pub camera: Camera,
     /// Which distortion terms it has; the others are exactly 0.
     pub model: LensModel,
-    /// Why it has these.
-    pub model_steps: Vec<ModelStep>,
     /// Whether the distortion can be undone over the whole picture.
     pub monotonic: bool,
     /// Root of the mean over the used points of du² + dv², px.
@@ -256,16 +233,13 @@ pub fn calibrate(
     rng: &mut ChaCha8Rng,
 ) -> Result<Calibration, CalibrationError> {
     table::check(table, width, height)?;
-    let start = start::find(table, width, height, rng)?;
     let largest = LensModel::largest_for(table.len());
-    let robust = robust_fit(table, start, largest)?;
-    let sifted = reject(table, robust)?;
-    let chosen = choose_model(table, sifted)?;
-    assemble(table, width, height, &chosen)
+    let start = start::find(table, width, height, rng)?;
+    let stand = reject(table, robust_fit(table, start, largest)?)?;
+    assemble(table, width, height, &stand)
 }
 
-/// Estimates the camera with just the distortion terms of `model`: none is dropped that the data do not
-/// support, and none is added. Otherwise as [`calibrate`].
+/// Estimates the camera with just the distortion terms of `model`. Otherwise as [`calibrate`].
 ///
 /// # Errors
 /// [`CalibrationError`] with its reason if no camera follows from the table, or not one of that model.
@@ -290,15 +264,9 @@ pub fn calibrate_as(
     };
     enough(table.len())?;
     let start = start::find(table, width, height, rng)?;
-    let robust = robust_fit(table, start, model)?;
-    let stand = reject(table, robust)?;
+    let stand = reject(table, robust_fit(table, start, model)?)?;
     enough(stand.used.len())?;
-    let choice = Choice {
-        full: stand.camera,
-        stand,
-        steps: Vec::new(),
-    };
-    assemble(table, width, height, &choice)
+    assemble(table, width, height, &stand)
 }
 
 /// A camera with the points that it stands on.
@@ -367,47 +335,12 @@ fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationEr
     Ok(stand)
 }
 
-/// A stand, the larger one that it was chosen from, and why.
-struct Choice {
-    stand: Stand,
-    /// The fit of the largest model, whose difference shows what the choice of a model may cost.
-    full: Camera,
-    steps: Vec<ModelStep>,
-}
-
-/// Drops distortion terms that are not two standard deviations from 0, the highest first.
-fn choose_model(table: &[LightPoint], mut stand: Stand) -> Result<Choice, CalibrationError> {
-    let full = stand.camera;
-    let mut steps = Vec::new();
-    while let Some((simpler, terms)) = stand.model.simpler() {
-        let covariance = uncertainty::covariance(table, &stand)?;
-        let (from, to) = (simpler.parameters(), stand.model.parameters());
-        let wald = uncertainty::wald(&stand.camera, &covariance, from..to)?;
-        let needed = if to - from == 1 { 4.0 } else { 6.18 };
-        let kept = wald >= needed;
-        steps.push(ModelStep {
-            terms: terms.to_owned(),
-            wald,
-            needed,
-            kept,
-        });
-        if kept {
-            break;
-        }
-        stand.model = simpler;
-        stand.camera = fit::without_terms_beyond(stand.camera, simpler);
-        stand.camera = fit::fit(table, &stand.used, stand.camera, simpler, None)?;
-    }
-    Ok(Choice { stand, full, steps })
-}
-
 fn assemble(
     table: &[LightPoint],
     width: usize,
     height: usize,
-    choice: &Choice,
+    stand: &Stand,
 ) -> Result<Calibration, CalibrationError> {
-    let stand = &choice.stand;
     let camera = stand.camera;
     table::check_camera(&camera)?;
     let residual = |point| -> [f64; 2] { fit::residual(&camera, point).into() };
@@ -430,13 +363,12 @@ fn assemble(
             },
         }
     });
-    let summary = uncertainty::summarise(table, stand, &camera.change_to(&choice.full))?;
+    let summary = uncertainty::summarise(table, stand)?;
     Ok(Calibration {
         width,
         height,
         camera,
         model: stand.model,
-        model_steps: choice.steps.clone(),
         monotonic: camera.is_monotonic_over(width, height),
         rms_px: summary.rms_px,
         leave_out_rms_px: summary.leave_out_rms_px,

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::time::Duration;
 
-fn frame(width: usize, height: usize, pixels: Vec<u8>) -> Frame {
+pub(super) fn frame(width: usize, height: usize, pixels: Vec<u8>) -> Frame {
     Frame {
         width,
         height,
