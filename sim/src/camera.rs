@@ -9,9 +9,12 @@ mod noise;
 mod raster;
 pub mod truth;
 
+use std::time::Duration;
+
 pub use lamp::LampView;
 use nalgebra::{Isometry3, Vector3};
 pub use noise::Noise;
+use vss::frame::Carried;
 
 use self::{lamp::Spot, raster::Seen, truth::CameraTruth};
 use crate::{
@@ -99,6 +102,23 @@ impl Renderer {
     #[must_use]
     pub fn truth(&self) -> &CameraTruth {
         &self.camera
+    }
+
+    /// How long the shutter is open.
+    #[must_use]
+    pub fn exposure(&self) -> Duration {
+        self.spec.exposure
+    }
+
+    /// The link that carries the camera, where it is in `scene`; `None` in the room.
+    #[must_use]
+    pub fn carrier(&self, scene: &SceneState) -> Option<Carried> {
+        let (body, _) = self.spec.mount?;
+        let body = scene.bodies.get(body)?;
+        Some(Carried {
+            link: body.name.clone(),
+            world_t_link: body.pose,
+        })
     }
 
     /// Frame `number` of `scene`: `width * height` grey values, first row first.

@@ -6,7 +6,7 @@
 mod overlap;
 mod text;
 
-use std::path::Path;
+use std::{path::Path, time::Duration};
 
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::model::{Body, FrameId, Model};
@@ -175,6 +175,8 @@ pub struct CameraSpec {
     pub shot_noise: f64,
     /// Standard deviation of the point spread (lens and pixel area), px.
     pub blur: f64,
+    /// How long the shutter is open. What moves meanwhile is seen as it was in the middle.
+    pub exposure: Duration,
 }
 
 impl Cell {

@@ -65,15 +65,23 @@ impl SimCamera {
         })
     }
 
-    /// Takes a picture of the world as it is now; its stamp is that of the scene.
+    /// Takes a picture of the world as it is in the middle of the exposure, which begins now; its stamp is that of the
+    /// scene.
     ///
     /// # Errors
     /// When the world's task does not answer, or leaves no scenes.
     pub async fn take(&mut self, cx: &Context) -> Result<Frame, FrameError> {
+        let exposure = self.renderer.exposure();
+        if !exposure.is_zero() {
+            cx.sleep(exposure / 2).await;
+        }
         let scene = self.scene(cx).await.map_err(|reason| FrameError::Fault {
             camera: self.name.clone(),
             reason,
         })?;
+        if !exposure.is_zero() {
+            cx.sleep(exposure / 2).await;
+        }
         let number = self.taken;
         self.taken += 1;
         let (width, height) = {
@@ -83,11 +91,12 @@ impl SimCamera {
         let mut pixels = vec![0; width * height];
         self.renderer.render_into(&scene, number, &mut pixels);
         Ok(Frame {
-            width,
-            height,
-            pixels: pixels.into(),
-            stamp: scene.stamp,
+            camera: self.name.clone(),
             number,
+            stamp: scene.stamp,
+            exposure,
+            carrier: self.renderer.carrier(&scene),
+            ..Frame::grey8(width, height, pixels)
         })
     }
 

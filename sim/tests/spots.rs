@@ -1,8 +1,6 @@
 //! The simulated cameras against the spot finder that will look through them: the numbers that the
 //! shipped cell promises.
 
-use std::time::Duration;
-
 use ctos::diagnostic::Source;
 use sim::{camera::Renderer, cell::Cell};
 use vss::{
@@ -36,13 +34,7 @@ fn found_spots_scatter_by_about_0_15_px_around_the_true_projection() {
             seen += 1;
             let errors: Vec<[f64; 2]> = (0..FRAMES)
                 .map(|number| {
-                    let frame = Frame {
-                        width: 500,
-                        height: 500,
-                        pixels: renderer.render(&scene, number).into(),
-                        stamp: Duration::ZERO,
-                        number,
-                    };
+                    let frame = Frame::grey8(500, 500, renderer.render(&scene, number));
                     let spot = find_spot(&frame, &SpotOptions::default()).unwrap();
                     [spot.u - view.centre.0, spot.v - view.centre.1]
                 })

@@ -1,7 +1,5 @@
 //! Finding a spot in a 500x500 picture, and its parts.
 
-use std::time::Duration;
-
 use divan::{Bencher, black_box};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -29,13 +27,7 @@ fn picture(noise: f64, lamp: f64) -> Frame {
             (value + deviates.map_or(0.0, |d| d.sample(&mut rng))).clamp(0.0, 255.0) as u8
         })
         .collect();
-    Frame {
-        width: SIZE,
-        height: SIZE,
-        pixels: pixels.into(),
-        stamp: Duration::ZERO,
-        number: 0,
-    }
+    Frame::grey8(SIZE, SIZE, pixels)
 }
 
 #[divan::bench]

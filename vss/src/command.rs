@@ -207,7 +207,7 @@ pub struct SpotReport {
     pub area: u64,
     /// What is doubtful about it.
     pub flags: SpotFlags,
-    /// When the picture's exposure ended, since the start of the app.
+    /// The middle of the picture's exposure, since the start of the app.
     pub stamp: Duration,
     /// The number of the picture.
     pub frame: u64,

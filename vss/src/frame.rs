@@ -2,38 +2,162 @@
 //!
 //! Pixel centres are at whole numbers, the first pixel is (0, 0), u runs right and v down.
 
-use std::time::Duration;
+use std::{borrow::Cow, time::Duration};
 
 use ctos::Blob;
+use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-/// A grey picture, 8 bit, row after row.
+/// How the bytes of a picture are pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum PixelFormat {
+    /// A byte for each pixel.
+    #[default]
+    Grey8,
+    /// Red, green and blue, a byte each.
+    Rgb8,
+}
+
+impl PixelFormat {
+    /// Bytes of a pixel.
+    #[must_use]
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::Grey8 => 1,
+            Self::Rgb8 => 3,
+        }
+    }
+}
+
+/// The link that carried a camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Carried {
+    /// Its name, with that of its arm: `puma.link6`.
+    pub link: String,
+    /// Its pose at the stamp of the picture, m.
+    pub world_t_link: Isometry3<f64>,
+}
+
+/// A picture, 8 bit, row after row.
 ///
 /// Cloning shares the pixels. Inside a chassis a frame moves between tasks as a pointer; between chassis that
 /// share memory its pixels are read where they stand.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
+    /// The camera's name; empty when no camera took it.
+    pub camera: String,
+    /// Counts the frames of this source from 0.
+    pub number: u64,
     /// Width, px.
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// `width * height` grey values, first row first.
+    /// What the bytes of `pixels` are.
+    pub format: PixelFormat,
+    /// `width * height` pixels, first row first.
     pub pixels: Blob,
-    /// When the exposure ended, since the start of the app.
+    /// The middle of the exposure, since the start of the app.
     pub stamp: Duration,
-    /// Counts the frames of this source from 0.
-    pub number: u64,
+    /// How long the exposure was.
+    pub exposure: Duration,
+    /// What carried the camera, if a link did and its pose is known.
+    pub carrier: Option<Carried>,
 }
 
 impl Frame {
+    /// A grey picture that no camera took, with the number 0 and the stamp 0.
+    #[must_use]
+    pub fn grey8(width: usize, height: usize, pixels: impl Into<Blob>) -> Self {
+        Self {
+            camera: String::new(),
+            number: 0,
+            width,
+            height,
+            format: PixelFormat::Grey8,
+            pixels: pixels.into(),
+            stamp: Duration::ZERO,
+            exposure: Duration::ZERO,
+            carrier: None,
+        }
+    }
+
+    /// A picture in colour that no camera took, with the number 0 and the stamp 0.
+    #[must_use]
+    pub fn rgb8(width: usize, height: usize, pixels: impl Into<Blob>) -> Self {
+        Self {
+            format: PixelFormat::Rgb8,
+            ..Self::grey8(width, height, pixels)
+        }
+    }
+
+    /// Whether there are as many bytes as width, height and format say.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        let pixels = self.width.checked_mul(self.height);
+        let bytes = pixels.and_then(|pixels| pixels.checked_mul(self.format.bytes()));
+        bytes == Some(self.pixels.len())
+    }
+
+    /// The grey values, first row first: those of the picture, or of its colours by ITU-R BT.709.
+    #[must_use]
+    pub fn grey(&self) -> Cow<'_, [u8]> {
+        match self.format {
+            PixelFormat::Grey8 => Cow::Borrowed(&self.pixels),
+            PixelFormat::Rgb8 => {
+                let (pixels, _) = self.pixels.as_chunks();
+                Cow::Owned(pixels.iter().map(luma).collect())
+            }
+        }
+    }
+
+    /// The same as a grey picture. One that is grey keeps its pixels where they stand.
+    #[must_use]
+    pub fn into_grey(mut self) -> Self {
+        if let Cow::Owned(grey) = self.grey() {
+            self.pixels = grey.into();
+            self.format = PixelFormat::Grey8;
+        }
+        self
+    }
+
     /// The grey value at column `u` and row `v`, or `None` outside the picture.
     #[must_use]
     pub fn get(&self, u: usize, v: usize) -> Option<u8> {
+        let bytes = self.at(u, v)?;
+        match self.format {
+            PixelFormat::Grey8 => bytes.first().copied(),
+            PixelFormat::Rgb8 => bytes.first_chunk().map(luma),
+        }
+    }
+
+    /// Red, green and blue at column `u` and row `v`, or `None` outside the picture. In a grey picture they are equal.
+    #[must_use]
+    pub fn rgb(&self, u: usize, v: usize) -> Option<[u8; 3]> {
+        let bytes = self.at(u, v)?;
+        match self.format {
+            PixelFormat::Grey8 => bytes.first().map(|grey| [*grey; 3]),
+            PixelFormat::Rgb8 => bytes.first_chunk().copied(),
+        }
+    }
+
+    /// The bytes of a pixel.
+    fn at(&self, u: usize, v: usize) -> Option<&[u8]> {
         if u >= self.width {
             return None;
         }
-        self.pixels.get(v.checked_mul(self.width)? + u).copied()
+        let bytes = self.format.bytes();
+        let start = v
+            .checked_mul(self.width)?
+            .checked_add(u)?
+            .checked_mul(bytes)?;
+        self.pixels.get(start..start.checked_add(bytes)?)
     }
+}
+
+/// The luma of a colour (ITU-R BT.709, item 3.2), rounded.
+fn luma([red, green, blue]: &[u8; 3]) -> u8 {
+    let [red, green, blue] = [red, green, blue].map(|value| u32::from(*value));
+    ((2126 * red + 7152 * green + 722 * blue + 5000) / 10_000) as u8
 }
 
 /// Why no picture came.
@@ -47,4 +171,45 @@ pub enum FrameError {
         /// What it says.
         reason: String,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_colour_is_as_bright_as_bt_709_says_and_grey_stays_grey() {
+        // Item 3.2 of the recommendation: 0.2126 R + 0.7152 G + 0.0722 B.
+        let colours = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255; 3], [90, 20, 200]];
+        let frame = Frame::rgb8(5, 1, colours.concat());
+        assert_eq!(*frame.grey(), [54, 182, 18, 255, 48]);
+        for grey in 0..=255 {
+            assert_eq!(luma(&[grey; 3]), grey);
+        }
+        assert_eq!(frame.get(1, 0), Some(182));
+        assert_eq!(frame.rgb(4, 0), Some([90, 20, 200]));
+        assert_eq!((frame.get(5, 0), frame.get(0, 1)), (None, None));
+        let grey = frame.clone().into_grey();
+        assert_eq!((grey.format, &*grey.pixels), (PixelFormat::Grey8, &*frame.grey()));
+        assert_eq!(grey.rgb(0, 0), Some([54; 3]));
+    }
+
+    #[test]
+    fn a_grey_picture_is_not_copied() {
+        let frame = Frame::grey8(2, 2, vec![1, 2, 3, 4]);
+        assert!(matches!(frame.grey(), Cow::Borrowed(_)));
+        let place = frame.pixels.as_ptr();
+        assert_eq!(frame.into_grey().pixels.as_ptr(), place);
+    }
+
+    #[test]
+    fn a_frame_knows_whether_it_is_whole_whatever_its_size_says() {
+        assert!(Frame::grey8(2, 2, vec![0; 4]).is_whole());
+        assert!(Frame::rgb8(2, 2, vec![0; 12]).is_whole());
+        assert!(!Frame::rgb8(2, 2, vec![0; 4]).is_whole());
+        let huge = Frame::rgb8(usize::MAX, usize::MAX, vec![0; 3]);
+        assert!(!huge.is_whole());
+        assert_eq!(huge.get(1, usize::MAX), None);
+        assert_eq!(Frame::grey8(0, 0, Vec::new()).get(0, 0), None);
+    }
 }

@@ -134,7 +134,8 @@ impl EventHandler for SpotFindTool {
             return cx.default_processing(message);
         }
         let (LocateSpot { frame }, reply) = message.open::<LocateSpot>()?;
-        reply.ok(find_spot(&frame, &self.options).map_err(VisionError::from))
+        let found = find_spot(&frame.into_grey(), &self.options);
+        reply.ok(found.map_err(VisionError::from))
     }
 }
 

@@ -77,11 +77,10 @@ impl FrameSource for TestCamera {
                 });
             }
             Ok(Frame {
-                width: 100,
-                height: 80,
-                pixels: self.picture(cx).into(),
-                stamp: cx.now().since_start(),
+                camera: self.name.clone(),
                 number: self.taken - 1,
+                stamp: cx.now().since_start(),
+                ..Frame::grey8(100, 80, self.picture(cx))
             })
         })
     }

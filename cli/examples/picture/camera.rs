@@ -1,6 +1,6 @@
 //! The left half: a frame of a ceiling camera, and the spots of all positions.
 
-use std::{error::Error, path::Path, time::Duration};
+use std::{error::Error, path::Path};
 
 use base64::Engine as _;
 use mcs::model::{Placement, built_in, file::Inertias, inverse::ClosedForm};
@@ -47,13 +47,8 @@ impl View {
         for (number, goal) in (1..).zip(&positions) {
             let solutions = arm.inverse(&Placement::from(&goal.pose), &near)?;
             near = solutions.nearest_within(arm.limits(), &near, None)?.joints;
-            let frame = Frame {
-                width: renderer.truth().width,
-                height: renderer.truth().height,
-                pixels: renderer.render(&cell.scene(&[&near]), number).into(),
-                stamp: Duration::ZERO,
-                number,
-            };
+            let pixels = renderer.render(&cell.scene(&[&near]), number);
+            let frame = Frame::grey8(renderer.truth().width, renderer.truth().height, pixels);
             spots.push(find_spot(&frame, &SpotOptions::default()).ok());
             if spots.len() == position {
                 kept = Some(frame);

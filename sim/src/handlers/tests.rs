@@ -67,6 +67,8 @@ impl EventHandler for Servo {
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Seen {
     frames: Vec<Frame>,
+    /// When each frame was asked for, and when it came.
+    asked: Vec<[Duration; 2]>,
     /// Stamp and tick of the scene just after each frame.
     scenes: Vec<(Duration, u64)>,
     lamps: Vec<bool>,
@@ -104,7 +106,9 @@ impl EventHandler for Eye {
                     let lamp = "wrist".to_owned();
                     child.call(&world, SwitchLamp { lamp, on }).await.unwrap();
                 }
+                let asked = child.now().since_start();
                 all.frames.push(camera.take(&child).await.unwrap());
+                all.asked.push([asked, child.now().since_start()]);
                 let scene = child.call(&world, GetScene {}).await.unwrap();
                 all.scenes.push((scene.stamp, scene.tick));
                 all.lamps.push(scene.lamps[0].on);
@@ -141,6 +145,11 @@ fn run(camera: &str, seed: u64) -> (End, Seen) {
 
 /// The same, the arguments `by` given to both world and eye.
 fn run_by(name: &str, by: &str, camera: &str, seed: u64) -> (End, Seen) {
+    run_in(CELL, (name, by), camera, seed)
+}
+
+/// The same in a cell's file.
+fn run_in(cell: &str, (name, by): (&str, &str), camera: &str, seed: u64) -> (End, Seen) {
     let text = format!(
         r#"
         [app]
@@ -157,11 +166,11 @@ fn run_by(name: &str, by: &str, camera: &str, seed: u64) -> (End, Seen) {
         [task.world]
         handler = "sim.world"
         on = "motion"
-        args = {{ cell = '{CELL}' {by} }}
+        args = {{ cell = '{cell}' {by} }}
         [task.eye]
         handler = "test.eye"
         on = "vision"
-        args = {{ cell = '{CELL}' {by} }}
+        args = {{ cell = '{cell}' {by} }}
         "#
     );
     let app = load_texts(&[("app.toml", text.as_str())], &[], &[]).unwrap();
@@ -250,6 +259,65 @@ fn a_camera_that_reads_the_worlds_snapshot_buffer_sees_what_one_sees_that_asks_t
         let later = stamp.checked_sub(frame.stamp);
         assert!(later.is_some_and(|later| later <= Duration::from_micros(1500)));
     }
+}
+
+/// The shipped cell with another text for its first camera.
+fn cell_with(folder: &tempfile::TempDir, edits: &[(&str, &str)]) -> String {
+    let mut text = std::fs::read_to_string(CELL).unwrap();
+    for (from, to) in edits {
+        assert!(text.contains(from), "{from}");
+        text = text.replacen(from, to, 1);
+    }
+    let path = folder.path().join("cell.toml");
+    std::fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn a_frame_is_stamped_in_the_middle_of_its_exposure() {
+    let folder = tempfile::tempdir().unwrap();
+    let cell = cell_with(
+        &folder,
+        &[(
+            "name = \"ceiling_west\"",
+            "name = \"ceiling_west\"\nexposure_ms = 40.0",
+        )],
+    );
+    let (_, seen) = run_in(&cell, ("look", ""), "ceiling_west", 1);
+    for (frame, [asked, came]) in seen.frames.iter().zip(&seen.asked) {
+        assert_eq!(frame.exposure, Duration::from_millis(40));
+        assert!(*came >= *asked + frame.exposure);
+        // The scene is that of the last tick of the world before the middle.
+        let early = (*asked + frame.exposure / 2).checked_sub(frame.stamp);
+        let early = early.unwrap();
+        assert!(early <= Duration::from_micros(1500), "{early:?}");
+        assert_eq!(frame.camera, "ceiling_west");
+        assert_eq!(frame.carrier, None);
+    }
+    assert_eq!(seen.frames.len(), 2);
+}
+
+#[test]
+fn a_frame_of_a_carried_camera_has_the_pose_of_its_link_at_the_stamp() {
+    let folder = tempfile::tempdir().unwrap();
+    let mount = "name = \"ceiling_west\"\narm = \"puma\"\nlink = \"link6\"";
+    let cell = cell_with(
+        &folder,
+        &[
+            ("name = \"ceiling_west\"", mount),
+            ("position = [-0.52, 0.06, 2.91]", "position = [0.05, 0.0, 0.05]"),
+            ("look_at = [0.05, -0.02, 0.8]", "look_at = [0.05, 0.0, 1.0]"),
+        ],
+    );
+    let (end, seen) = run_in(&cell, ("look", ""), "ceiling_west", 1);
+    assert!(matches!(end, End::Finished(_)), "{end:?}");
+    let carriers: Vec<_> = seen.frames.iter().map(|frame| frame.carrier.clone().unwrap()).collect();
+    let cell = Cell::read(Path::new(&cell)).unwrap();
+    // The lamp is fixed to the same link: where the link is, the lamp is seen from the camera's own place.
+    let lamp = cell.lamps[0].offset;
+    assert!(carriers.iter().all(|carrier| carrier.link == "puma.link6"));
+    let places: Vec<_> = carriers.iter().map(|carrier| carrier.world_t_link * lamp).collect();
+    assert!((places[1] - places[0]).norm() > 0.02, "{places:?}");
 }
 
 #[test]

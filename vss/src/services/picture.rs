@@ -1,6 +1,6 @@
 //! Pictures in files, as the classes read them.
 
-use std::{fs::File, io::BufReader, time::Duration};
+use std::{fs::File, io::BufReader};
 
 use sorma::Report;
 
@@ -16,11 +16,5 @@ pub(super) fn read(path: &str) -> Result<Frame, Report> {
     };
     let file = File::open(path).map_err(|error| wrong(&error))?;
     let grey = crate::png::read(BufReader::new(file)).map_err(|error| wrong(&error))?;
-    Ok(Frame {
-        width: grey.width,
-        height: grey.height,
-        pixels: grey.pixels.into(),
-        stamp: Duration::ZERO,
-        number: 0,
-    })
+    Ok(Frame::grey8(grey.width, grey.height, grey.pixels))
 }

@@ -23,7 +23,7 @@ const FORMS: &[Form] = &[
         text: "camera NAME",
         floats: 0,
         takes: "",
-        gives: "as FILE; two ints more: the picture's number, and when its exposure ended, ns of the app's time",
+        gives: "as FILE; two ints more: the picture's number, and the middle of its exposure, ns of the app's time",
         results: "",
         help: "has a camera of the app take a picture and finds its spots",
     },
@@ -213,7 +213,9 @@ impl Spot {
         let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
         let taken = cx.call_task(tool, request, SOON).await;
         let taken = taken.map_err(|report| nothing(&report.text))?;
-        taken.map_err(|error| nothing(&error.reason))
+        taken
+            .map(Frame::into_grey)
+            .map_err(|error| nothing(&error.reason))
     }
 
     /// Answers with the spots of a picture that is called `what`.

@@ -615,7 +615,6 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;
-    use std::time::Duration;
 
     /// A picture whose grey value at a point is `grey(u, v)`, each pixel the mean over its square.
     fn picture(width: usize, height: usize, noise: f64, grey: impl Fn(f64, f64) -> f64) -> Frame {
@@ -633,13 +632,7 @@ mod tests {
                 .round()
                 .clamp(0.0, 255.0) as u8
         });
-        Frame {
-            width,
-            height,
-            pixels: pixels.collect(),
-            stamp: Duration::ZERO,
-            number: 0,
-        }
+        Frame::grey8(width, height, pixels.collect::<Vec<u8>>())
     }
 
     fn gaussian(u: f64, v: f64, at: (f64, f64), sigma: f64) -> f64 {
@@ -791,8 +784,8 @@ mod tests {
             threshold in prop::option::of(any::<u8>()),
         ) {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let pixels = (0..width * height).map(|_| rng.random()).collect();
-            let frame = Frame { width, height, pixels, stamp: Duration::ZERO, number: 0 };
+            let pixels: Vec<u8> = (0..width * height).map(|_| rng.random()).collect();
+            let frame = Frame::grey8(width, height, pixels);
             let options = SpotsOptions { threshold, dark, ..SpotsOptions::default() };
             for spot in found(&frame, &options) {
                 prop_assert!(spot.u.is_finite() && spot.v.is_finite() && spot.area > 0);

@@ -5,16 +5,9 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use std::time::Duration;
 
 pub(super) fn frame(width: usize, height: usize, pixels: Vec<u8>) -> Frame {
-    Frame {
-        width,
-        height,
-        pixels: pixels.into(),
-        stamp: Duration::ZERO,
-        number: 0,
-    }
+    Frame::grey8(width, height, pixels)
 }
 
 struct Scene {

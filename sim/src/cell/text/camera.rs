@@ -1,5 +1,7 @@
 //! A camera of the cell: `[[camera]]`.
 
+use std::time::Duration;
+
 use nalgebra::Isometry3;
 use serde::Deserialize;
 use toml::Spanned;
@@ -9,6 +11,9 @@ use crate::camera::truth::{CameraTruth, Distortion};
 
 /// Largest picture side, px: a picture stays within a few megabytes.
 const LARGEST_SIDE: u32 = 4096;
+
+/// Longest exposure, ms.
+const LONGEST_MS: f64 = 10_000.0;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -33,6 +38,7 @@ pub(super) struct CameraText {
     blur: Spanned<f64>,
     read_noise: Spanned<f64>,
     shot_noise: Spanned<f64>,
+    exposure_ms: Option<Spanned<f64>>,
 }
 
 impl CameraText {
@@ -90,6 +96,13 @@ impl CameraText {
                 [0.0, 64.0],
             ),
             blur: check.number(&self.blur, "the blur", "px", [0.3, 10.0]),
+            exposure: self
+                .exposure_ms
+                .as_ref()
+                .map_or(Duration::ZERO, |exposure| {
+                    let ms = check.number(exposure, "the exposure", "ms", [0.0, LONGEST_MS]);
+                    Duration::from_secs_f64(ms.clamp(0.0, LONGEST_MS) / 1e3)
+                }),
         };
         // The lens can only be judged when the numbers it is made of are sound.
         if check.findings.iter().count() == before && !spec.truth.covers_picture() {
