@@ -8,9 +8,11 @@
 //!
 //! Every distortion term that the number of points allows is kept. Terms that the data hardly show cost little when they
 //! are kept, and much when they are dropped: p1 and p2 turn the camera, and a standard deviation of the smaller model
-//! knows nothing of that (over many simulated cameras the error of the rotation was 1.13 of it).
+//! knows nothing of that (over many simulated cameras the error of the rotation was 1.13 of it). Where no model is asked
+//! for, p1 and p2 are held about 0 as tightly as those of real lenses are small.
 //! This module knows numbers only: no pictures, no tasks, no simulator, and never the true camera.
 
+mod curve;
 mod design;
 mod fit;
 mod start;
@@ -221,6 +223,8 @@ impl Calibration {
 
 /// Estimates the camera that saw the lights of `table` in pictures of `width` x `height` px.
 ///
+/// It has all distortion terms that the number of points allows; tangential ones are expected to be small (3e-3).
+///
 /// The generator drives the random samples of the start only; the same table and generator give the same
 /// result, bit for bit.
 ///
@@ -234,8 +238,7 @@ pub fn calibrate(
 ) -> Result<Calibration, CalibrationError> {
     table::check(table, width, height)?;
     let largest = LensModel::largest_for(table.len());
-    let start = start::find(table, width, height, rng)?;
-    let stand = reject(table, robust_fit(table, start, largest)?)?;
+    let stand = estimate(table, width, height, largest, true, rng)?;
     assemble(table, width, height, &stand)
 }
 
@@ -263,10 +266,32 @@ pub fn calibrate_as(
             })
     };
     enough(table.len())?;
-    let start = start::find(table, width, height, rng)?;
-    let stand = reject(table, robust_fit(table, start, model)?)?;
+    let stand = estimate(table, width, height, model, false, rng)?;
     enough(stand.used.len())?;
     assemble(table, width, height, &stand)
+}
+
+/// The camera without outliers, its tangential terms held as lenses have them or free; unless the points lie on a curve that many cameras see alike.
+fn estimate(
+    table: &[LightPoint],
+    width: usize,
+    height: usize,
+    model: LensModel,
+    hold: bool,
+    rng: &mut ChaCha8Rng,
+) -> Result<Stand, CalibrationError> {
+    let found = start::find(table, width, height, rng)
+        .and_then(|start| robust_fit(table, start, model))
+        .and_then(|robust| reject(table, robust, hold));
+    let used = found.as_ref().ok().map(|stand| stand.used.as_slice());
+    let is_used = |row: &usize| used.is_none_or(|used| used.binary_search(row).is_ok());
+    let rows = table.iter().enumerate().filter(|(row, _)| is_used(row));
+    let positions: Vec<Point3<f64>> = rows.map(|(_, point)| point.position()).collect();
+    match (curve::Curve::of(&positions), found) {
+        (Some(curve), Ok(stand)) if !curve.passes(&stand.camera.centre) => Ok(stand),
+        (Some(_), _) => Err(CalibrationError::Curve),
+        (None, found) => found,
+    }
 }
 
 /// A camera with the points that it stands on.
@@ -276,6 +301,8 @@ struct Stand {
     used: Vec<usize>,
     /// Limit of the rejection, px.
     limit_px: f64,
+    /// Noise with which tangential terms were held, px.
+    expected: Option<f64>,
 }
 
 /// Fits 10, then 12, then up to 15 parameters, each on a Cauchy loss whose scale comes from the residuals so far.
@@ -292,7 +319,7 @@ fn robust_fit(
         let model = model.min(largest);
         for _ in 0..2 {
             let noise = fit::noise_of(&camera, table, &used, model.parameters());
-            camera = fit::fit(table, &used, camera, model, Some(CAUCHY_SD * noise))?;
+            camera = fit::fit(table, &used, camera, model, Some(CAUCHY_SD * noise), None)?;
         }
         used.clone_from(&all);
     }
@@ -301,12 +328,13 @@ fn robust_fit(
         model: largest,
         used,
         limit_px: 0.0,
+        expected: None,
     })
 }
 
 /// Removes points beyond the limit and fits again, until the set of used points does not change. Points may come
 /// back.
-fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationError> {
+fn reject(table: &[LightPoint], mut stand: Stand, hold: bool) -> Result<Stand, CalibrationError> {
     for round in 0..REJECTION_ROUNDS {
         // The median of those used would fall each time that points are rejected, and the limit with it.
         let noise = if round == 0 {
@@ -323,14 +351,17 @@ fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationEr
         };
         let used: Vec<usize> = (0..table.len()).filter(fits).collect();
         table::check_used(table, &used, stand.limit_px)?;
-        let unchanged = used == stand.used && round > 0;
+        // A fit that holds terms by the noise is made with the noise of the points used.
+        let unchanged = used == stand.used && round > usize::from(hold);
         stand.used = used;
         if unchanged {
             break;
         }
         stand.model = stand.model.min(LensModel::largest_for(stand.used.len()));
         stand.camera = fit::without_terms_beyond(stand.camera, stand.model);
-        stand.camera = fit::fit(table, &stand.used, stand.camera, stand.model, None)?;
+        stand.expected = hold.then_some(noise);
+        let (used, camera, model) = (&stand.used, stand.camera, stand.model);
+        stand.camera = fit::fit(table, used, camera, model, None, stand.expected)?;
     }
     Ok(stand)
 }

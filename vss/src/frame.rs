@@ -180,7 +180,13 @@ mod tests {
     #[test]
     fn a_colour_is_as_bright_as_bt_709_says_and_grey_stays_grey() {
         // Item 3.2 of the recommendation: 0.2126 R + 0.7152 G + 0.0722 B.
-        let colours = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255; 3], [90, 20, 200]];
+        let colours = [
+            [255, 0, 0],
+            [0, 255, 0],
+            [0, 0, 255],
+            [255; 3],
+            [90, 20, 200],
+        ];
         let frame = Frame::rgb8(5, 1, colours.concat());
         assert_eq!(*frame.grey(), [54, 182, 18, 255, 48]);
         for grey in 0..=255 {
@@ -190,7 +196,10 @@ mod tests {
         assert_eq!(frame.rgb(4, 0), Some([90, 20, 200]));
         assert_eq!((frame.get(5, 0), frame.get(0, 1)), (None, None));
         let grey = frame.clone().into_grey();
-        assert_eq!((grey.format, &*grey.pixels), (PixelFormat::Grey8, &*frame.grey()));
+        assert_eq!(
+            (grey.format, &*grey.pixels),
+            (PixelFormat::Grey8, &*frame.grey())
+        );
         assert_eq!(grey.rgb(0, 0), Some([54; 3]));
     }
 

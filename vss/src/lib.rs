@@ -16,10 +16,12 @@ pub mod calibrate;
 pub mod camera;
 pub mod camera_info;
 pub mod catalog;
+pub mod chequer;
 pub mod command;
 pub mod components;
 pub mod frame;
 pub mod handeye;
+pub mod plane;
 pub mod png;
 pub mod psom;
 pub mod service;
@@ -33,6 +35,7 @@ pub mod vm;
 pub mod vmm;
 pub mod vsm;
 
+mod adjust;
 mod concurrent;
 mod register;
 

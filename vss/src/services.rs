@@ -7,8 +7,10 @@
 mod abg;
 mod blobs;
 mod clockfit;
+mod corners;
 mod handeye;
 mod picture;
+mod planecal;
 mod psom;
 mod resect;
 mod spot;
@@ -45,12 +47,14 @@ sorma::prototypes! {
             "the text says what is missing: CTRL -train FILE -params P, known components, or training nearby";
         CLOCKS = 147, Warning, "exchanges contradict one another",
             "a clock was set meanwhile, or drifts faster than -max-drift";
+        NO_CORNERS = 152, Error, "a picture shows no chequer pattern of the size that was asked for",
+            "the text says what was found: all of the pattern must be in view, and -inner counts its inner corners";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 8] = [
+    let made: [Class; 10] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -58,6 +62,12 @@ pub fn register(sorm: &Sorm) {
         }),
         Class::new("resect", VERSION, |_, _| {
             Ok(Box::new(resect::Resect::default()))
+        }),
+        Class::new("corners", VERSION, |_, _| {
+            Ok(Box::new(corners::Corners::default()))
+        }),
+        Class::new("planecal", VERSION, |_, _| {
+            Ok(Box::new(planecal::PlaneCal::default()))
         }),
         Class::new("stereo", VERSION, |_, _| {
             Ok(Box::new(stereo::Stereo::default()))
@@ -81,6 +91,8 @@ pub fn classes() -> Vec<ClassInfo> {
         spot::TABLE.class("spot", VERSION),
         blobs::TABLE.class("blobs", VERSION),
         resect::TABLE.class("resect", VERSION),
+        corners::TABLE.class("corners", VERSION),
+        planecal::TABLE.class("planecal", VERSION),
         stereo::TABLE.class("stereo", VERSION),
         handeye::TABLE.class("handeye", VERSION),
         psom::TABLE.class("psom", VERSION),

@@ -305,18 +305,28 @@ fn a_frame_of_a_carried_camera_has_the_pose_of_its_link_at_the_stamp() {
         &folder,
         &[
             ("name = \"ceiling_west\"", mount),
-            ("position = [-0.52, 0.06, 2.91]", "position = [0.05, 0.0, 0.05]"),
+            (
+                "position = [-0.52, 0.06, 2.91]",
+                "position = [0.05, 0.0, 0.05]",
+            ),
             ("look_at = [0.05, -0.02, 0.8]", "look_at = [0.05, 0.0, 1.0]"),
         ],
     );
     let (end, seen) = run_in(&cell, ("look", ""), "ceiling_west", 1);
     assert!(matches!(end, End::Finished(_)), "{end:?}");
-    let carriers: Vec<_> = seen.frames.iter().map(|frame| frame.carrier.clone().unwrap()).collect();
+    let carriers: Vec<_> = seen
+        .frames
+        .iter()
+        .map(|frame| frame.carrier.clone().unwrap())
+        .collect();
     let cell = Cell::read(Path::new(&cell)).unwrap();
     // The lamp is fixed to the same link: where the link is, the lamp is seen from the camera's own place.
     let lamp = cell.lamps[0].offset;
     assert!(carriers.iter().all(|carrier| carrier.link == "puma.link6"));
-    let places: Vec<_> = carriers.iter().map(|carrier| carrier.world_t_link * lamp).collect();
+    let places: Vec<_> = carriers
+        .iter()
+        .map(|carrier| carrier.world_t_link * lamp)
+        .collect();
     assert!((places[1] - places[0]).norm() > 0.02, "{places:?}");
 }
 

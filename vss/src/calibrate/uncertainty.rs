@@ -54,11 +54,13 @@ pub(super) struct Summary {
     pub uncertainty: Uncertainty,
 }
 
-/// (JᵀJ)⁻¹ of the first `free` parameters over `points`, and the condition number of J with its columns scaled.
+/// (JᵀJ)⁻¹ of the first `free` parameters over `points`, and the condition number of J with its columns scaled. With
+/// `expected`, the noise in px, with what is known of tangential terms beforehand.
 pub(super) fn unit_covariance(
     camera: &Camera,
     points: &[Point3<f64>],
     free: usize,
+    expected: Option<f64>,
 ) -> Result<(Covariance, f64), CalibrationError> {
     let undetermined = |condition| CalibrationError::Undetermined { condition };
     let mut normal = DMatrix::zeros(free, free);
@@ -69,6 +71,7 @@ pub(super) fn unit_covariance(
         let block = block.columns(0, free);
         normal += block.transpose() * block;
     }
+    fit::held_beforehand(&mut normal, free, expected);
     let scale = DVector::from_iterator(free, normal.diagonal().iter().map(|d| 1.0 / d.sqrt()));
     let scaled = DMatrix::from_fn(free, free, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     if !scaled.iter().all(|entry| entry.is_finite()) {
@@ -119,7 +122,12 @@ pub(super) fn noise_variance(table: &[LightPoint], stand: &Stand) -> (f64, f64) 
 /// Everything that is reported about a fit.
 pub(super) fn summarise(table: &[LightPoint], stand: &Stand) -> Result<Summary, CalibrationError> {
     let points = positions(table, &stand.used);
-    let (unit, condition) = unit_covariance(&stand.camera, &points, stand.model.parameters())?;
+    let (unit, condition) = unit_covariance(
+        &stand.camera,
+        &points,
+        stand.model.parameters(),
+        stand.expected,
+    )?;
     let (squares, variance) = noise_variance(table, stand);
     let n = stand.used.len() as f64;
     let mut left_out = 0.0;

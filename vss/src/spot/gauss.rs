@@ -1,7 +1,7 @@
 //! Least-squares fit of a round Gaussian to the pixels around a spot, on the background that is there.
 //!
-//! Three backgrounds are fitted with it: a constant, a plane, and an edge (a constant on either side of a straight
-//! line). The centre is their mean, each weighted by how well it explains the pixels (Akaike's weights), and its
+//! Three backgrounds are fitted with it: a constant, a plane, and an edge (a constant on either side of a line
+//! that may bend). The centre is their mean, each weighted by how well it explains the pixels (Akaike's weights), and its
 //! variance holds what they disagree on (K. Burnham and D. Anderson, Sociological Methods and Research 33, 2004).
 
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
@@ -16,11 +16,15 @@ const PATIENCE: usize = 10;
 /// Parameters of the Gaussian on a constant.
 const CONSTANT: usize = 5;
 /// Most parameters.
-const MOST: usize = 9;
+const MOST: usize = 10;
 /// A lamp's picture is not quite a Gaussian: what that leaves, as a part of its height, is no background.
 const SHAPE: f64 = 0.03;
 /// How sharp an edge is expected to be, px (the σ of its blur), and how far, as a factor's logarithm, it may differ.
 const EDGE_BLUR: (f64, f64) = (0.7, 0.7);
+/// How much an edge is expected to bend, 1/px.
+const EDGE_BEND: f64 = 0.1;
+/// By how much an edge must beat the other backgrounds to be named, in variances of the noise.
+const NAMED: f64 = 4.0;
 /// Directions and distances at which an edge is looked for.
 const EDGE_STARTS: (usize, usize) = (8, 9);
 
@@ -113,7 +117,7 @@ enum Background {
     Constant,
     /// Slopes along u and v, grey values per px.
     Plane,
-    /// Height (grey values), direction (rad), distance from the window's middle (px), logarithm of its blur (px).
+    /// Height (grey values), direction (rad), distance from the window's middle (px), logarithm of its blur (px), bend (1/px).
     Edge,
 }
 
@@ -122,7 +126,7 @@ impl Background {
         match self {
             Self::Constant => CONSTANT,
             Self::Plane => CONSTANT + 2,
-            Self::Edge => CONSTANT + 4,
+            Self::Edge => CONSTANT + 5,
         }
     }
 
@@ -132,7 +136,7 @@ impl Background {
         match self {
             Self::Constant => 0.0,
             Self::Plane => 4.0,
-            Self::Edge => 11.0,
+            Self::Edge => 14.0,
         }
     }
 }
@@ -156,7 +160,7 @@ struct Problem {
     /// Those that are not saturated.
     pixels: Vec<Pixel>,
     saturated: usize,
-    /// Weight of what is expected of an edge's blur, grey values.
+    /// Weight of what is expected of an edge, grey values.
     expected: f64,
 }
 
@@ -247,18 +251,25 @@ impl Problem {
     fn behind(&self, from_middle: &Vector2<f64>) -> (f64, [f64; MOST - CONSTANT]) {
         let p = |k: usize| self.parameters.get(CONSTANT + k).copied().unwrap_or(0.0);
         match self.background {
-            Background::Constant => (0.0, [0.0; 4]),
+            Background::Constant => (0.0, [0.0; 5]),
             Background::Plane => {
                 let value = p(0) * from_middle.x + p(1) * from_middle.y;
-                (value, [from_middle.x, from_middle.y, 0.0, 0.0])
+                (value, [from_middle.x, from_middle.y, 0.0, 0.0, 0.0])
             }
             Background::Edge => {
-                let (height, (sine, cosine), blur) = (p(0), p(1).sin_cos(), p(3).exp());
-                let across = (from_middle.x * cosine + from_middle.y * sine - p(2)) / blur;
+                let (height, (sine, cosine), blur, bend) = (p(0), p(1).sin_cos(), p(3).exp(), p(4));
+                let normal = from_middle.x * cosine + from_middle.y * sine;
                 let along = from_middle.y * cosine - from_middle.x * sine;
+                let across = (normal - p(2) + 0.5 * bend * along * along) / blur;
                 let (part, slope) = edge(across);
                 let steep = height * slope / blur;
-                let slopes = [part, steep * along, -steep, -steep * blur * across];
+                let slopes = [
+                    part,
+                    steep * along * (1.0 - bend * normal),
+                    -steep,
+                    -steep * blur * across,
+                    0.5 * steep * along * along,
+                ];
                 (height * part, slopes)
             }
         }
@@ -292,14 +303,18 @@ impl Problem {
         }
     }
 
-    /// What is expected of an edge's blur, as one more residual, and its derivative by the last parameter.
-    fn blur_residual(&self) -> Option<(f64, f64)> {
-        (self.background == Background::Edge).then(|| {
-            let (usual, spread) = EDGE_BLUR;
-            let log = self.parameters.get(MOST - 1).copied().unwrap_or(0.0);
-            let weight = self.expected / spread;
-            (weight * (log - usual.ln()), weight)
-        })
+    /// What is expected of an edge's blur and bend, as more residuals: each with its parameter and its derivative by that.
+    fn expectations(&self) -> Vec<(usize, f64, f64)> {
+        if self.background != Background::Edge {
+            return Vec::new();
+        }
+        let p = |k: usize| self.parameters.get(k).copied().unwrap_or(0.0);
+        let (usual, spread) = EDGE_BLUR;
+        let (blur, bend) = (self.expected / spread, self.expected / EDGE_BEND);
+        vec![
+            (MOST - 2, blur * (p(MOST - 2) - usual.ln()), blur),
+            (MOST - 1, bend * p(MOST - 1), bend),
+        ]
     }
 
     fn solved(self) -> Self {
@@ -338,8 +353,8 @@ impl Problem {
                 }
             }
         });
-        if let Some((_, weight)) = self.blur_residual() {
-            normal[(MOST - 1, MOST - 1)] += weight * weight;
+        for (index, _, weight) in self.expectations() {
+            normal[(index, index)] += weight * weight;
         }
         let normal = normal.view((0, 0), (free, free)).into_owned();
         let inverse = normal.try_inverse()?;
@@ -357,6 +372,15 @@ impl Problem {
             && inside(v, self.window.v)
             && amplitude > 0.0
             && log.exp().is_finite()
+    }
+
+    /// Whether it has stayed about where it started, and about as wide.
+    fn is_near(&self, guess: &Guess) -> bool {
+        let [u, v, _, log, _] = self.own();
+        let sigma = log.exp();
+        self.is_spot()
+            && (u - guess.u).hypot(v - guess.v) < 1.0 + 0.5 * guess.sigma
+            && sigma < 1.7 * guess.sigma + 0.5
     }
 
     /// The parameters of the Gaussian on a constant.
@@ -405,19 +429,19 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        let mut residuals = Vec::with_capacity(self.used() + 1);
+        let mut residuals = Vec::with_capacity(self.used() + 2);
         self.for_each(|value, model, _| residuals.push(model - value));
-        residuals.extend(self.blur_residual().map(|(residual, _)| residual));
+        residuals.extend(self.expectations().iter().map(|(_, residual, _)| residual));
         let finite = residuals.iter().all(|r| r.is_finite());
         finite.then(|| DVector::from_vec(residuals))
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
         let free = self.background.parameters();
-        let mut rows = Vec::with_capacity(free * (self.used() + 1));
+        let mut rows = Vec::with_capacity(free * (self.used() + 2));
         self.for_each(|_, _, slope| rows.extend(slope));
-        if let Some((_, weight)) = self.blur_residual() {
-            rows.extend(std::iter::repeat_n(0.0, free - 1).chain([weight]));
+        for (index, _, weight) in self.expectations() {
+            rows.extend((0..free).map(|column| if column == index { weight } else { 0.0 }));
         }
         let finite = rows.iter().all(|r| r.is_finite());
         finite.then(|| DMatrix::from_row_slice(rows.len() / free, free, &rows))
@@ -426,7 +450,8 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
 
 /// What a background would lower the sum of squares of a fit on a constant by, to first order, without fitting it.
 struct Scores {
-    /// The derivatives of the fit on a constant, pixel by pixel, and what it left (seen minus model).
+    /// The derivatives of the fit on a constant, pixel by pixel, and what it cannot explain (seen minus model, to first
+    /// order).
     rows: Vec<([f64; CONSTANT], f64)>,
     inverse: SMatrix<f64, CONSTANT, CONSTANT>,
 }
@@ -435,6 +460,7 @@ impl Scores {
     fn of(constant: &Problem) -> Option<Self> {
         let mut rows = Vec::with_capacity(constant.used());
         let mut normal = SMatrix::<f64, CONSTANT, CONSTANT>::zeros();
+        let mut right = SVector::<f64, CONSTANT>::zeros();
         constant.for_each(|value, model, slope| {
             let slope: [f64; CONSTANT] =
                 std::array::from_fn(|k| slope.get(k).copied().unwrap_or(0.0));
@@ -442,10 +468,15 @@ impl Scores {
                 for (j, b) in slope.iter().enumerate() {
                     normal[(i, j)] += a * b;
                 }
+                right[i] += a * (value - model);
             }
             rows.push((slope, value - model));
         });
         let inverse = normal.try_inverse()?;
+        let step = inverse * right;
+        for (slope, left) in &mut rows {
+            *left -= slope.iter().zip(&step).map(|(a, b)| a * b).sum::<f64>();
+        }
         Some(Self { rows, inverse })
     }
 
@@ -475,10 +506,10 @@ impl Scores {
     }
 
     /// The best place of an edge: what it lowers the sum by, and its parameters.
-    fn of_edge(&self, pixels: &[Pixel], reach: f64) -> (f64, [f64; 4]) {
+    fn of_edge(&self, pixels: &[Pixel], reach: f64) -> (f64, [f64; 5]) {
         let (directions, distances) = EDGE_STARTS;
         let blur = EDGE_BLUR.0;
-        let mut best = (0.0, [0.0; 4]);
+        let mut best = (0.0, [0.0; 5]);
         for turn in 0..directions {
             let angle = std::f64::consts::PI * turn as f64 / directions as f64;
             let (sine, cosine) = angle.sin_cos();
@@ -493,7 +524,7 @@ impl Scores {
                 });
                 let (lowered, height) = self.lowered(form);
                 if lowered > best.0 {
-                    best = (lowered, [height, angle, distance, blur.ln()]);
+                    best = (lowered, [height, angle, distance, blur.ln(), 0.0]);
                 }
             }
         }
@@ -506,45 +537,57 @@ impl Scores {
 /// # Errors
 /// A clause that says what went wrong, with "it" for the spot.
 pub(super) fn fit(picture: &Picture<'_>, guess: Guess, noise: f64) -> Result<Fit, String> {
-    let first = Problem::new(picture, guess)?.solved();
-    let [u, v, _, log, _] = first.own();
-    let better = Guess {
-        u,
-        v,
-        sigma: log.exp().clamp(0.3, 2.0 * guess.sigma + 1.0),
-    };
-    let moved = u.is_finite() && v.is_finite() && Window::around(picture, better) != first.window;
-    let constant = if moved && first.is_spot() {
-        Problem::new(picture, better)?.solved()
+    let initial = Problem::new(picture, guess)?;
+    let constant = initial.clone().solved();
+    // Before something large, a Gaussian on a constant takes that for its own, and runs away.
+    let (found, better) = if constant.is_near(&guess) {
+        let [u, v, _, log, _] = constant.own();
+        let sigma = log.exp();
+        (Err(constant), Guess { u, v, sigma })
     } else {
-        first
+        let fit = on_backgrounds(&initial, constant, noise)?;
+        let (u, v, sigma) = (fit.u, fit.v, fit.sigma);
+        (Ok(fit), Guess { u, v, sigma })
     };
-    on_backgrounds(constant, noise)
+    let better = Guess {
+        sigma: better.sigma.clamp(0.3, 2.0 * guess.sigma + 1.0),
+        ..better
+    };
+    if Window::around(picture, better) == initial.window {
+        return found.or_else(|constant| on_backgrounds(&initial, constant, noise));
+    }
+    let initial = Problem::new(picture, better)?;
+    let constant = initial.clone().solved();
+    on_backgrounds(&initial, constant, noise)
 }
 
 /// The fit on a constant and those on the backgrounds that may explain more, as one.
-fn on_backgrounds(constant: Problem, picture_noise: f64) -> Result<Fit, String> {
+fn on_backgrounds(initial: &Problem, constant: Problem, picture_noise: f64) -> Result<Fit, String> {
     let rms = |problem: &Problem| (problem.squares() / problem.degrees_of_freedom()).sqrt();
-    let mut tried = vec![constant];
-    if let [constant] = tried.as_slice()
-        && let Some(scores) = Scores::of(constant)
-    {
-        let [_, _, amplitude, log, _] = constant.own();
+    let [u, v, _, log, _] = initial.own();
+    let sigma = log.exp();
+    let base = if constant.is_near(&Guess { u, v, sigma }) {
+        &constant
+    } else {
+        initial
+    };
+    let mut more = Vec::new();
+    if let Some(scores) = Scores::of(base) {
+        let [_, _, amplitude, log, _] = base.own();
         let spread = picture_noise.powi(2) + (SHAPE * amplitude).powi(2);
-        let worth = |background: Background, lowered: f64| {
-            lowered > (background.price() - 2.0).max(2.0) * spread
-        };
-        let mut more = Vec::new();
-        if worth(Background::Plane, scores.of_plane(&constant.pixels)) {
-            more.push(constant.on(Background::Plane, &[0.0, 0.0], 0.0));
+        let worth =
+            |background: Background, lowered: f64| lowered > (background.price() - 2.0) * spread;
+        if worth(Background::Plane, scores.of_plane(&base.pixels)) {
+            more.push(base.on(Background::Plane, &[0.0, 0.0], 0.0));
         }
-        let reach = (REACH * log.exp()).min(constant.window.middle().1);
-        let (lowered, place) = scores.of_edge(&constant.pixels, reach);
+        let reach = (REACH * log.exp()).min(base.window.middle().1);
+        let (lowered, place) = scores.of_edge(&base.pixels, reach);
         if worth(Background::Edge, lowered) {
-            more.push(constant.on(Background::Edge, &place, picture_noise));
+            more.push(base.on(Background::Edge, &place, picture_noise));
         }
-        tried.extend(more.into_iter().map(Problem::solved));
     }
+    let mut tried = vec![constant];
+    tried.extend(more.into_iter().map(Problem::solved));
     tried.retain(Problem::is_spot);
     let residuals: Vec<f64> = tried.iter().map(rms).collect();
     let least = residuals.iter().copied().fold(f64::INFINITY, f64::min);
@@ -559,6 +602,7 @@ fn on_backgrounds(constant: Problem, picture_noise: f64) -> Result<Fit, String> 
             problem,
             residual,
             noise: picture_noise.max(residual),
+            spread: effective_noise(picture_noise, residual, problem),
             centre: Vector2::new(u, v),
             unit: unit.diagonal(),
             cost: problem.squares() / spread + problem.background.price(),
@@ -567,11 +611,23 @@ fn on_backgrounds(constant: Problem, picture_noise: f64) -> Result<Fit, String> 
     average(&members).ok_or_else(|| "its fit left the window, or is not determined".to_owned())
 }
 
+/// The noise that the centre is uncertain by. What a fit leaves beyond the picture's noise is no noise: it holds together over
+/// patches as large as the spot, and so counts as many times as that has pixels.
+fn effective_noise(noise: f64, residual: f64, problem: &Problem) -> f64 {
+    let [_, _, _, log, _] = problem.own();
+    let by_chance = 1.0 + 3.0 * (2.0 / problem.degrees_of_freedom()).sqrt();
+    let structure = (residual.powi(2) - noise.powi(2) * by_chance).max(0.0);
+    let patch = (std::f64::consts::TAU * log.exp().powi(2)).max(1.0);
+    (noise.max(residual).powi(2) + structure * patch).sqrt()
+}
+
 /// A fit on one background.
 struct Member<'a> {
     problem: &'a Problem,
     residual: f64,
     noise: f64,
+    /// Noise that the centre is uncertain by.
+    spread: f64,
     centre: Vector2<f64>,
     /// Variances of the centre for a noise of 1.
     unit: Vector2<f64>,
@@ -590,13 +646,17 @@ fn average(members: &[Member<'_>]) -> Option<Fit> {
     let mut variance = Vector2::zeros();
     for member in members {
         let off = member.centre - centre;
-        let own = member.unit * member.noise.powi(2) + off.component_mul(&off);
+        let own = member.unit * member.spread.powi(2) + off.component_mul(&off);
         variance += own * (weight(member) / all);
     }
     let problem = best.problem;
     let [u, v, amplitude, log, constant] = problem.own();
     let (middle, _) = problem.window.middle();
     let (behind, _) = problem.behind(&(Vector2::new(u, v) - middle));
+    let others = members
+        .iter()
+        .filter(|one| one.problem.background != Background::Edge);
+    let beaten = others.fold(f64::INFINITY, |least, one| least.min(one.cost)) - best.cost;
     let finite = variance.iter().all(|one| one.is_finite());
     finite.then(|| Fit {
         u: centre.x,
@@ -611,7 +671,7 @@ fn average(members: &[Member<'_>]) -> Option<Fit> {
         residual: best.residual,
         degrees_of_freedom: problem.degrees_of_freedom(),
         saturated: problem.saturated,
-        structured: problem.background == Background::Edge,
+        structured: problem.background == Background::Edge && beaten > NAMED,
         window: problem.window,
     })
 }
@@ -624,17 +684,17 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_right_on_every_background() {
-        let pixels = (0..441).map(|k| (k * 37 % 200) as u8).collect();
-        let picture = frame(21, 21, pixels);
+        let pixels = (0..169).map(|k| (k * 37 % 200) as u8).collect();
+        let picture = frame(13, 13, pixels);
         let picture = Picture::of(&picture);
         let guess = Guess {
-            u: 10.2,
-            v: 9.7,
-            sigma: 1.6,
+            u: 6.2,
+            v: 5.7,
+            sigma: 1.3,
         };
         let constant = Problem::new(&picture, guess).unwrap();
         let plane = constant.on(Background::Plane, &[0.7, -0.4], 0.0);
-        let edge = constant.on(Background::Edge, &[20.0, 0.6, 1.3, 0.2], 3.0);
+        let edge = constant.on(Background::Edge, &[20.0, 0.6, 1.3, 0.2, 0.05], 3.0);
         for mut problem in [constant, plane, edge] {
             let numeric = differentiate_numerically(&mut problem).unwrap();
             let exact = problem.jacobian().unwrap();

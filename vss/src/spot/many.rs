@@ -704,6 +704,100 @@ mod tests {
     }
 
     #[test]
+    fn a_tilted_background_makes_no_spots() {
+        for (slope, noise) in [(0.3, 0.0), (0.3, 3.0), (-0.4, 2.0), (0.15, 8.0)] {
+            let frame = picture(300, 200, noise, |u, v| {
+                let lamp = 90.0 * gaussian(u, v, (201.3, 88.7), 2.0);
+                90.0 + slope * (u - 150.0) + 0.1 * v + lamp
+            });
+            let spots = found(&frame, &SpotsOptions::default());
+            assert_eq!(spots.len(), 1, "{slope} {noise}: {spots:?}");
+            let (du, dv) = (spots[0].u - 201.3, spots[0].v - 88.7);
+            assert!(
+                du.hypot(dv) < 0.02 + 0.05 * noise / 3.0,
+                "{slope} {noise}: {spots:?}"
+            );
+            assert_eq!(spots[0].flags.sum(), 0, "{slope} {noise}: {spots:?}");
+        }
+        // Without a lamp, there is nothing.
+        let frame = picture(300, 200, 3.0, |u, v| 60.0 + 0.3 * u + 0.1 * v);
+        assert!(found(&frame, &SpotsOptions::default()).is_empty());
+    }
+
+    #[test]
+    fn spots_that_touch_are_parted_or_flagged() {
+        let noise_free = |apart: f64| {
+            let frame = picture(60, 50, 0.0, |u, v| {
+                let one = gaussian(u, v, (25.3, 24.6), 2.0);
+                let other = gaussian(u, v, (25.3 + 0.8 * apart, 24.6 + 0.6 * apart), 2.0);
+                30.0 + 120.0 * one + 100.0 * other
+            });
+            found(&frame, &SpotsOptions::default())
+        };
+        for apart in [8.0, 10.0, 13.0] {
+            let spots = noise_free(apart);
+            assert_eq!(spots.len(), 2, "{apart}: {spots:?}");
+            let places = [(25.3, 24.6), (25.3 + 0.8 * apart, 24.6 + 0.6 * apart)];
+            for (spot, (u, v)) in spots.iter().zip(places) {
+                let off = (spot.u - u).hypot(spot.v - v);
+                assert!(off < 0.02 && spot.flags.second, "{apart}: {off} {spot:?}");
+            }
+        }
+        for apart in [4.0, 6.5] {
+            let merged = noise_free(apart);
+            assert_eq!(merged.len(), 1);
+            assert!(merged[0].flags.elongated, "{merged:?}");
+        }
+        assert!(!noise_free(20.0)[0].flags.second);
+    }
+
+    #[test]
+    fn spots_are_answered_with_width_height_and_flags() {
+        let places = [
+            (20.3, 20.6, 1.5, 100.0, 0),
+            (60.2, 1.3, 1.5, 100.0, 1),
+            (100.4, 20.7, 2.0, 400.0, 2),
+            (20.8, 70.4, 0.45, 230.0, 0),
+        ];
+        let frame = picture(130, 90, 1.0, |u, v| {
+            let spots =
+                places.map(|(x, y, sigma, height, _)| height * gaussian(u, v, (x, y), sigma));
+            let long = 100.0
+                * (-0.5 * ((u - 80.4) / 4.0).powi(2) - 0.5 * ((v - 70.2) / 1.6).powi(2)).exp();
+            30.0 + spots.iter().sum::<f64>() + long
+        });
+        let options = SpotsOptions {
+            min_area: 1,
+            ..SpotsOptions::default()
+        };
+        let spots = found(&frame, &options);
+        assert_eq!(spots.len(), 5, "{spots:?}");
+        for (u, v, sigma, height, flags) in places {
+            let near = spots
+                .iter()
+                .find(|spot| (spot.u - u).hypot(spot.v - v) < 0.5);
+            let spot = near.unwrap();
+            assert_eq!(spot.flags.sum(), flags, "{spot:?}");
+            assert!(
+                spot.gaussian && (spot.sigma / sigma - 1.0).abs() < 0.1,
+                "{spot:?}"
+            );
+            assert!((spot.amplitude / height - 1.0).abs() < 0.15, "{spot:?}");
+            let off = (spot.u - u).hypot(spot.v - v);
+            assert!(off < 5.0 * spot.sd_u.hypot(spot.sd_v), "{off} {spot:?}");
+        }
+        let long = spots
+            .iter()
+            .find(|spot| (spot.u - 80.4).abs() < 1.0)
+            .unwrap();
+        assert!(
+            long.flags.elongated && !long.flags.touches_border,
+            "{long:?}"
+        );
+        assert!((long.u - 80.4).hypot(long.v - 70.2) < 0.1, "{long:?}");
+    }
+
+    #[test]
     fn options_say_what_counts() {
         let frame = picture(80, 40, 0.0, |u, v| {
             let small = (u - 10.0).hypot(v - 20.0) < 2.0;
