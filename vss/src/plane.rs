@@ -84,7 +84,7 @@ pub enum PlaneError {
     Parallel(f64),
     /// No pinhole follows from the homographies.
     #[error(
-        "no camera sees these views: are the corners of all in the same order, X right and Y down or up alike?"
+        "no camera follows from these views: is the plane tilted by 30 to 45 degrees, and are the corners of all in the same order?"
     )]
     NoCamera,
     /// Mirrored corners: the plane would be seen from behind.

@@ -137,15 +137,9 @@ fn views_from_which_no_camera_follows_are_refused_with_their_reason() {
     }
     assert_eq!(refused(&mirrored), PlaneError::Mirrored(2));
     let (level, _) = views(5, 0.0, 1e-9, &mut rng(4));
-    let level = refused(&level);
-    assert!(
-        matches!(level, PlaneError::Parallel(_) | PlaneError::Undetermined(_)),
-        "{level}"
-    );
-    let same = vec![good[0].clone(); 5];
-    let same = refused(&same);
-    assert!(
-        matches!(same, PlaneError::Parallel(_) | PlaneError::Undetermined(_)),
-        "{same}"
-    );
+    // Through a lens that bends lines, level views differ a little.
+    for useless in [level, vec![good[0].clone(); 5]] {
+        let told = refused(&useless).to_string();
+        assert!(told.contains("tilt"), "{told}");
+    }
 }

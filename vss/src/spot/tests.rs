@@ -10,6 +10,9 @@ pub(super) fn frame(width: usize, height: usize, pixels: Vec<u8>) -> Frame {
     Frame::grey8(width, height, pixels)
 }
 
+/// A grey value for each place.
+type Behind = fn(f64, f64) -> f64;
+
 struct Scene {
     size: usize,
     background: f64,
@@ -19,7 +22,7 @@ struct Scene {
     /// Grey value of a large bright box in the lower left corner.
     wall: f64,
     /// What else is behind: a grey value for each place.
-    behind: fn(f64, f64) -> f64,
+    behind: Behind,
 }
 
 impl Scene {
@@ -211,7 +214,7 @@ fn spots_of_4_0_px_are_within_1_15_of_the_bound_at_a_thousand_places() {
 /// The edge of an arm, a tilted sheet, and a round end, behind the lamp at each of many places.
 #[test]
 fn noise_free_spots_before_structures_are_within_0_02_px_and_edges_are_named() {
-    let behind: [(fn(f64, f64) -> f64, f64, bool); 4] = [
+    let behind: [(Behind, f64, bool); 4] = [
         (
             |u, v| if 0.8 * u + 0.6 * v > 44.0 { 30.0 } else { 0.0 },
             0.02,
