@@ -46,3 +46,4 @@ mod stepped_clock;
 mod structure;
 mod testbed;
 mod traces;
+mod vision;

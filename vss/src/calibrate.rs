@@ -2,11 +2,17 @@
 //!
 //! The order is: check the table; start from a normalised direct linear transform inside RANSAC; fit 10, 12, then
 //! 15 parameters with a Cauchy loss; reject what lies beyond 3.5 standard deviations until the set stays. Then fit plain
-//! least squares; drop distortion terms that the data do not support; report every uncertainty. The first limit of the
-//! rejection comes from the residuals of all points. Later ones come from those used, so that points of a second noise
-//! level come back. Tables from which no camera follows are refused with the reason.
+//! least squares, and report every uncertainty. The first limit of the rejection comes from the residuals of all points.
+//! Later ones come from those used, so that points of a second noise level come back. Tables from which no camera follows
+//! are refused with the reason.
+//!
+//! Every distortion term that the number of points allows is kept. Terms that the data hardly show cost little when they
+//! are kept, and much when they are dropped: p1 and p2 turn the camera, and a standard deviation of the smaller model
+//! knows nothing of that (over many simulated cameras the error of the rotation was 1.13 of it). Where no model is asked
+//! for, p1 and p2 are held about 0 as tightly as those of real lenses are small.
 //! This module knows numbers only: no pictures, no tasks, no simulator, and never the true camera.
 
+mod curve;
 mod design;
 mod fit;
 mod start;
@@ -73,7 +79,7 @@ impl LightPoint {
 pub enum LensModel {
     /// No distortion: 10 parameters.
     None,
-    /// Radial, its first term only: 11 parameters. Chosen only when asked for.
+    /// Radial, its first term only: 11 parameters. Taken only when asked for.
     K1,
     /// Radial: 12 parameters.
     K1K2,
@@ -84,7 +90,7 @@ pub enum LensModel {
 }
 
 impl LensModel {
-    /// The models that a calibration chooses from by itself.
+    /// The models of which a calibration takes the largest that the points support.
     const CHOSEN: [Self; 4] = [Self::None, Self::K1K2, Self::K1K2P1P2, Self::Brown5];
 
     /// Number of free parameters, pose and pinhole included. They are the first so many of
@@ -97,17 +103,6 @@ impl LensModel {
             Self::K1K2 => 12,
             Self::K1K2P1P2 => 14,
             Self::Brown5 => 15,
-        }
-    }
-
-    /// The model without this one's last terms, and the names of those terms.
-    fn simpler(self) -> Option<(Self, &'static str)> {
-        match self {
-            Self::None => None,
-            Self::K1 => Some((Self::None, "k1")),
-            Self::K1K2 => Some((Self::None, "k1, k2")),
-            Self::K1K2P1P2 => Some((Self::K1K2, "p1, p2")),
-            Self::Brown5 => Some((Self::K1K2P1P2, "k3")),
         }
     }
 
@@ -129,20 +124,6 @@ impl LensModel {
             .copied()
             .unwrap_or(Self::None)
     }
-}
-
-/// A decision about distortion terms.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ModelStep {
-    /// The terms in question.
-    pub terms: String,
-    /// Their Wald statistic: the squared ratio of value and standard deviation, for two terms with their
-    /// correlation.
-    pub wald: f64,
-    /// What it would have to reach for the terms to stay (two standard deviations: 4 for one term, 6.18 for two).
-    pub needed: f64,
-    /// Whether they were kept.
-    pub kept: bool,
 }
 
 /// A point of the table that was not used.
@@ -183,8 +164,6 @@ pub struct Calibration {
     pub camera: Camera,
     /// Which distortion terms it has; the others are exactly 0.
     pub model: LensModel,
-    /// Why it has these.
-    pub model_steps: Vec<ModelStep>,
     /// Whether the distortion can be undone over the whole picture.
     pub monotonic: bool,
     /// Root of the mean over the used points of du² + dv², px.
@@ -244,6 +223,8 @@ impl Calibration {
 
 /// Estimates the camera that saw the lights of `table` in pictures of `width` x `height` px.
 ///
+/// It has all distortion terms that the number of points allows; tangential ones are expected to be small (3e-3).
+///
 /// The generator drives the random samples of the start only; the same table and generator give the same
 /// result, bit for bit.
 ///
@@ -256,16 +237,12 @@ pub fn calibrate(
     rng: &mut ChaCha8Rng,
 ) -> Result<Calibration, CalibrationError> {
     table::check(table, width, height)?;
-    let start = start::find(table, width, height, rng)?;
     let largest = LensModel::largest_for(table.len());
-    let robust = robust_fit(table, start, largest)?;
-    let sifted = reject(table, robust)?;
-    let chosen = choose_model(table, sifted)?;
-    assemble(table, width, height, &chosen)
+    let stand = estimate(table, width, height, largest, true, rng)?;
+    assemble(table, width, height, &stand)
 }
 
-/// Estimates the camera with just the distortion terms of `model`: none is dropped that the data do not
-/// support, and none is added. Otherwise as [`calibrate`].
+/// Estimates the camera with just the distortion terms of `model`. Otherwise as [`calibrate`].
 ///
 /// # Errors
 /// [`CalibrationError`] with its reason if no camera follows from the table, or not one of that model.
@@ -289,16 +266,32 @@ pub fn calibrate_as(
             })
     };
     enough(table.len())?;
-    let start = start::find(table, width, height, rng)?;
-    let robust = robust_fit(table, start, model)?;
-    let stand = reject(table, robust)?;
+    let stand = estimate(table, width, height, model, false, rng)?;
     enough(stand.used.len())?;
-    let choice = Choice {
-        full: stand.camera,
-        stand,
-        steps: Vec::new(),
-    };
-    assemble(table, width, height, &choice)
+    assemble(table, width, height, &stand)
+}
+
+/// The camera without outliers, its tangential terms held as lenses have them or free; unless the points lie on a curve that many cameras see alike.
+fn estimate(
+    table: &[LightPoint],
+    width: usize,
+    height: usize,
+    model: LensModel,
+    hold: bool,
+    rng: &mut ChaCha8Rng,
+) -> Result<Stand, CalibrationError> {
+    let found = start::find(table, width, height, rng)
+        .and_then(|start| robust_fit(table, start, model))
+        .and_then(|robust| reject(table, robust, hold));
+    let used = found.as_ref().ok().map(|stand| stand.used.as_slice());
+    let is_used = |row: &usize| used.is_none_or(|used| used.binary_search(row).is_ok());
+    let rows = table.iter().enumerate().filter(|(row, _)| is_used(row));
+    let positions: Vec<Point3<f64>> = rows.map(|(_, point)| point.position()).collect();
+    match (curve::Curve::of(&positions), found) {
+        (Some(curve), Ok(stand)) if !curve.passes(&stand.camera.centre) => Ok(stand),
+        (Some(_), _) => Err(CalibrationError::Curve),
+        (None, found) => found,
+    }
 }
 
 /// A camera with the points that it stands on.
@@ -308,6 +301,8 @@ struct Stand {
     used: Vec<usize>,
     /// Limit of the rejection, px.
     limit_px: f64,
+    /// Noise with which tangential terms were held, px.
+    expected: Option<f64>,
 }
 
 /// Fits 10, then 12, then up to 15 parameters, each on a Cauchy loss whose scale comes from the residuals so far.
@@ -324,7 +319,7 @@ fn robust_fit(
         let model = model.min(largest);
         for _ in 0..2 {
             let noise = fit::noise_of(&camera, table, &used, model.parameters());
-            camera = fit::fit(table, &used, camera, model, Some(CAUCHY_SD * noise))?;
+            camera = fit::fit(table, &used, camera, model, Some(CAUCHY_SD * noise), None)?;
         }
         used.clone_from(&all);
     }
@@ -333,12 +328,13 @@ fn robust_fit(
         model: largest,
         used,
         limit_px: 0.0,
+        expected: None,
     })
 }
 
 /// Removes points beyond the limit and fits again, until the set of used points does not change. Points may come
 /// back.
-fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationError> {
+fn reject(table: &[LightPoint], mut stand: Stand, hold: bool) -> Result<Stand, CalibrationError> {
     for round in 0..REJECTION_ROUNDS {
         // The median of those used would fall each time that points are rejected, and the limit with it.
         let noise = if round == 0 {
@@ -355,59 +351,27 @@ fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationEr
         };
         let used: Vec<usize> = (0..table.len()).filter(fits).collect();
         table::check_used(table, &used, stand.limit_px)?;
-        let unchanged = used == stand.used && round > 0;
+        // A fit that holds terms by the noise is made with the noise of the points used.
+        let unchanged = used == stand.used && round > usize::from(hold);
         stand.used = used;
         if unchanged {
             break;
         }
         stand.model = stand.model.min(LensModel::largest_for(stand.used.len()));
         stand.camera = fit::without_terms_beyond(stand.camera, stand.model);
-        stand.camera = fit::fit(table, &stand.used, stand.camera, stand.model, None)?;
+        stand.expected = hold.then_some(noise);
+        let (used, camera, model) = (&stand.used, stand.camera, stand.model);
+        stand.camera = fit::fit(table, used, camera, model, None, stand.expected)?;
     }
     Ok(stand)
-}
-
-/// A stand, the larger one that it was chosen from, and why.
-struct Choice {
-    stand: Stand,
-    /// The fit of the largest model, whose difference shows what the choice of a model may cost.
-    full: Camera,
-    steps: Vec<ModelStep>,
-}
-
-/// Drops distortion terms that are not two standard deviations from 0, the highest first.
-fn choose_model(table: &[LightPoint], mut stand: Stand) -> Result<Choice, CalibrationError> {
-    let full = stand.camera;
-    let mut steps = Vec::new();
-    while let Some((simpler, terms)) = stand.model.simpler() {
-        let covariance = uncertainty::covariance(table, &stand)?;
-        let (from, to) = (simpler.parameters(), stand.model.parameters());
-        let wald = uncertainty::wald(&stand.camera, &covariance, from..to)?;
-        let needed = if to - from == 1 { 4.0 } else { 6.18 };
-        let kept = wald >= needed;
-        steps.push(ModelStep {
-            terms: terms.to_owned(),
-            wald,
-            needed,
-            kept,
-        });
-        if kept {
-            break;
-        }
-        stand.model = simpler;
-        stand.camera = fit::without_terms_beyond(stand.camera, simpler);
-        stand.camera = fit::fit(table, &stand.used, stand.camera, simpler, None)?;
-    }
-    Ok(Choice { stand, full, steps })
 }
 
 fn assemble(
     table: &[LightPoint],
     width: usize,
     height: usize,
-    choice: &Choice,
+    stand: &Stand,
 ) -> Result<Calibration, CalibrationError> {
-    let stand = &choice.stand;
     let camera = stand.camera;
     table::check_camera(&camera)?;
     let residual = |point| -> [f64; 2] { fit::residual(&camera, point).into() };
@@ -430,13 +394,12 @@ fn assemble(
             },
         }
     });
-    let summary = uncertainty::summarise(table, stand, &camera.change_to(&choice.full))?;
+    let summary = uncertainty::summarise(table, stand)?;
     Ok(Calibration {
         width,
         height,
         camera,
         model: stand.model,
-        model_steps: choice.steps.clone(),
         monotonic: camera.is_monotonic_over(width, height),
         rms_px: summary.rms_px,
         leave_out_rms_px: summary.leave_out_rms_px,

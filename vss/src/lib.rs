@@ -16,11 +16,13 @@ pub mod calibrate;
 pub mod camera;
 pub mod camera_info;
 pub mod catalog;
+pub mod chequer;
 pub mod command;
 pub mod components;
 pub mod frame;
 pub mod handeye;
 pub mod laser;
+pub mod plane;
 pub mod pose;
 pub mod psom;
 pub mod service;
@@ -35,6 +37,7 @@ pub mod vm;
 pub mod vmm;
 pub mod vsm;
 
+mod adjust;
 mod concurrent;
 mod register;
 

@@ -9,9 +9,11 @@ mod blobs;
 mod board;
 mod clockfit;
 mod colour;
+mod corners;
 mod handeye;
 mod laser;
 mod picture;
+mod planecal;
 mod psom;
 mod resect;
 mod spot;
@@ -56,12 +58,14 @@ sorma::prototypes! {
             "train anew under today's light, mend the white balance, or give samples that differ more";
         BOARD = 151, Error, "there is no board in a picture",
             "the text says what was seen of it: take it from above, whole, sharp and lit, with nothing over most of its corners";
+        NO_CORNERS = 152, Error, "a picture shows no chequer pattern of the size that was asked for",
+            "the text says what was found: all of the pattern must be in view, and -inner counts its inner corners";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 11] = [
+    let made: [Class; 13] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -69,6 +73,12 @@ pub fn register(sorm: &Sorm) {
         }),
         Class::new("resect", VERSION, |_, _| {
             Ok(Box::new(resect::Resect::default()))
+        }),
+        Class::new("corners", VERSION, |_, _| {
+            Ok(Box::new(corners::Corners::default()))
+        }),
+        Class::new("planecal", VERSION, |_, _| {
+            Ok(Box::new(planecal::PlaneCal::default()))
         }),
         Class::new("stereo", VERSION, |_, _| {
             Ok(Box::new(stereo::Stereo::default()))
@@ -101,6 +111,8 @@ pub fn classes() -> Vec<ClassInfo> {
         spot::TABLE.class("spot", VERSION),
         blobs::TABLE.class("blobs", VERSION),
         resect::TABLE.class("resect", VERSION),
+        corners::TABLE.class("corners", VERSION),
+        planecal::TABLE.class("planecal", VERSION),
         stereo::TABLE.class("stereo", VERSION),
         handeye::TABLE.class("handeye", VERSION),
         laser::TABLE.class("laser", VERSION),

@@ -6,7 +6,8 @@
 //! spot. So something large and bright (a lit wall) does not hide a lamp, and is not taken for one.
 //! The centre then comes from a least-squares fit of a Gaussian to the picture as taken, which reaches the
 //! bound that the noise sets: a standard deviation of sqrt(2/π) noise/amplitude per coordinate for a
-//! well-sampled spot, whatever its width. This module knows pictures and no tasks.
+//! well-sampled spot, whatever its width. What stands behind the spot is part of the fit: a constant, a plane or the
+//! edge of something else. This module knows pictures and no tasks.
 
 mod gauss;
 mod many;
@@ -20,6 +21,7 @@ use crate::{
 };
 use gauss::{Fit, Guess};
 pub use many::{FoundSpot, Spots, SpotsOptions, find_spots};
+use picture::Picture;
 pub use picture::noise_sd;
 
 /// Thresholds that are tried, as parts of the way from the background to the brightest value.
@@ -96,6 +98,29 @@ pub struct SpotFlags {
     pub saturated: bool,
     /// It is not round: motion, or two spots, or partly covered.
     pub elongated: bool,
+    /// Another spot is so near that its light reaches this one's window.
+    pub second: bool,
+    /// The edge of something else lies behind it; the standard deviations hold what that leaves open.
+    pub structured: bool,
+}
+
+impl SpotFlags {
+    /// As a sum: 1 cut by the border, 2 saturated, 4 elongated, 8 a second spot near, 16 an edge behind it.
+    #[must_use]
+    pub fn sum(&self) -> i64 {
+        let flags = [
+            self.touches_border,
+            self.saturated,
+            self.elongated,
+            self.second,
+            self.structured,
+        ];
+        let values = flags.iter().zip([1, 2, 4, 8, 16]);
+        values
+            .filter(|(set, _)| **set)
+            .map(|(_, value)| value)
+            .sum()
+    }
 }
 
 /// Why there is no spot.
@@ -249,7 +274,14 @@ impl Search<'_> {
             for component in found.iter().take(CANDIDATES) {
                 candidates += 1;
                 match self.examine(component, threshold) {
-                    Ok(spot) => return Ok(spot),
+                    Ok(mut spot) => {
+                        let reach = 2.0 * gauss::REACH * spot.sigma;
+                        spot.flags.second = found.iter().any(|other| {
+                            let (u, v) = other.centroid();
+                            other.first != component.first && (u - spot.u).hypot(v - spot.v) < reach
+                        });
+                        return Ok(spot);
+                    }
                     Err(reason) => first_reason = first_reason.or(Some(reason)),
                 }
             }
@@ -288,7 +320,8 @@ impl Search<'_> {
             });
         }
         let guess = self.guess(component, threshold);
-        let fit = gauss::fit(self.frame, guess, self.noise).map_err(NotASpot::BadFit)?;
+        let picture = Picture::of(self.frame);
+        let fit = gauss::fit(&picture, guess, self.noise).map_err(NotASpot::BadFit)?;
         self.judge(&fit, component).map_err(NotASpot::BadFit)?;
         Ok(Spot {
             u: fit.u,
@@ -304,6 +337,8 @@ impl Search<'_> {
                 touches_border: fit.window.cut,
                 saturated: fit.saturated > 0,
                 elongated: ratio > self.options.elongated_ratio,
+                second: false,
+                structured: fit.structured,
             },
         })
     }
@@ -363,6 +398,13 @@ impl Search<'_> {
         if contrast < needed.max(1.0) {
             return Err(format!(
                 "it stands out by {contrast:.1} only, needed {needed:.1}"
+            ));
+        }
+        // On a background of its own, a Gaussian fits the end of an arm well enough, too.
+        if fit.amplitude < fit.variation {
+            return Err(format!(
+                "what is behind it changes by {:.1} grey values, and it stands out by {:.1}",
+                fit.variation, fit.amplitude
             ));
         }
         if fit.sd_u.max(fit.sd_v) > options.max_sd_px {

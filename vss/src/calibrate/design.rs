@@ -19,7 +19,7 @@ pub fn design(
     sd_px: f64,
     model: LensModel,
 ) -> Result<Uncertainty, CalibrationError> {
-    let (unit, condition) = unit_covariance(camera, positions, model.parameters())?;
+    let (unit, condition) = unit_covariance(camera, positions, model.parameters(), None)?;
     Ok(describe(
         camera,
         positions,

@@ -100,6 +100,11 @@ pub enum CalibrationError {
         /// Third over first singular value.
         ratio: f64,
     },
+    /// All lights on a curve of the third order that passes through the camera.
+    #[error(
+        "the light positions lie on one curve (a twisted cubic) that passes through the camera, or nearly: many cameras see such points alike; spread them over the work volume"
+    )]
+    Curve,
     /// All pixels at one place or on a line.
     #[error(
         "the spots are all at one point or on one line of the picture (extents {long_px:.2} and {short_px:.2} px); is the spot really the moving light?"

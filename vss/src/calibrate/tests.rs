@@ -107,7 +107,7 @@ fn the_bound_agrees_with_the_published_table() {
         for seed in 0..20 {
             let lights = volume(n, &mut rng(seed));
             let (unit, condition) =
-                uncertainty::unit_covariance(&truth, &lights, PARAMETERS).unwrap();
+                uncertainty::unit_covariance(&truth, &lights, PARAMETERS, None).unwrap();
             let bound = uncertainty::describe(&truth, &corners, &(unit * 0.25), condition);
             error += bound.volume_error_px / 20.0;
             sd += bound.parameter_sd[6] / 20.0;
@@ -139,13 +139,14 @@ fn a_fit_reaches_the_bound() {
 
 #[test]
 fn the_reported_uncertainty_covers_the_truth() {
-    let (mut ratios_seen, mut beyond) = (0, Vec::<f64>::new());
+    let sets: u64 = std::env::var("CTOS_SETS").map_or(60, |sets| sets.parse().unwrap());
+    let (mut ratios_seen, mut beyond) = (0_u32, Vec::<f64>::new());
     for (truth, size, sd) in [
         (ceiling_camera(), (500, 500), 0.15),
         (table_camera(), (640, 480), 0.5),
     ] {
         let (mut within_two, mut total) = (0, 0);
-        for seed in 0..60 {
+        for seed in 0..sets {
             let mut rng = rng(1000 + seed);
             let positions: Vec<_> = volume(70, &mut rng)
                 .iter()
@@ -171,7 +172,7 @@ fn the_reported_uncertainty_covers_the_truth() {
                 error.rotation_rad / found.rotation_sd_rad(),
                 error.focal_rel / found.focal_sd_rel(),
             ];
-            ratios_seen += ratios.len();
+            ratios_seen += 3;
             beyond.extend(ratios.iter().filter(|ratio| **ratio > 3.0));
             assert!(
                 (0.75..1.3).contains(&(found.noise_px / sd)),
@@ -182,37 +183,46 @@ fn the_reported_uncertainty_covers_the_truth() {
         let part = f64::from(u32::try_from(within_two).unwrap()) / f64::from(total);
         assert!((0.91..0.985).contains(&part), "{part}");
     }
-    // A normal deviate is beyond 3 standard deviations with 0.27 %.
+    // A normal deviate is beyond 3 standard deviations with 0.27 %. The count scatters by its root.
+    let most = 0.01 * f64::from(ratios_seen);
     assert!(
-        100 * beyond.len() <= ratios_seen,
+        beyond.len() as f64 <= most + 2.0 * most.sqrt(),
         "of {ratios_seen}: {beyond:?}"
     );
 }
 
 #[test]
-fn a_third_of_wrong_points_changes_nothing() {
+fn with_wrong_points_the_fit_is_that_of_the_right_ones() {
     let truth = table_camera();
-    let (mut robust, mut clean) = (0.0, 0.0);
-    for seed in 0..20 {
-        let mut rng = rng(seed);
-        let positions = volume(100, &mut rng);
-        let good = seen_by(&truth, &positions, 0.5, &mut rng);
-        let mut table = good.clone();
-        for point in table.iter_mut().take(30) {
-            point.u = rng.random_range(0.0..639.0);
-            point.v = rng.random_range(0.0..479.0);
+    for wrong in [1, 5, 10, 20, 30] {
+        let (mut robust, mut clean, mut same) = (0.0, 0.0, 0);
+        let trials = 10;
+        for seed in 0..trials {
+            let mut rng = rng(seed);
+            let positions = volume(100, &mut rng);
+            let good = seen_by(&truth, &positions, 0.5, &mut rng);
+            let mut table = good.clone();
+            for point in table.iter_mut().take(wrong) {
+                point.u = rng.random_range(0.0..639.0);
+                point.v = rng.random_range(0.0..479.0);
+            }
+            let found = run(&table).unwrap();
+            assert!(
+                found.rejected.len() + 1 >= wrong,
+                "{wrong} {seed}: {:?}",
+                found.rejected
+            );
+            let inliers = run(&good[wrong..]).unwrap();
+            robust += projection_error(&found.camera, &truth).powi(2);
+            clean += projection_error(&inliers.camera, &truth).powi(2);
+            let apart = projection_error(&found.camera, &inliers.camera);
+            same += usize::from(apart < 5e-3);
         }
-        let found = run(&table).unwrap();
-        assert!(
-            found.rejected.len() >= 29,
-            "seed {seed}: {}",
-            found.rejected.len()
-        );
-        let inliers = run(&good[30..]).unwrap();
-        robust += projection_error(&found.camera, &truth).powi(2);
-        clean += projection_error(&inliers.camera, &truth).powi(2);
+        let ratio = (robust / clean).sqrt();
+        assert!(ratio < 1.1, "{wrong}: {ratio}");
+        // A wrong point may lie right by chance, and a right one at the limit be in or out.
+        assert!(2 * same >= trials as usize, "{wrong}: {same}");
     }
-    assert!((robust / clean).sqrt() < 1.1, "{}", (robust / clean).sqrt());
 }
 
 /// Two halves of a table, one measured ten times as well as the other: 3.5 of their common standard deviation are 2.3 of
@@ -250,6 +260,58 @@ fn points_of_a_second_noise_level_are_no_outliers() {
     }
 }
 
+/// A twisted cubic through the camera's centre, of which the lights are a part.
+#[test]
+fn points_on_a_curve_through_the_camera_are_refused_as_such() {
+    let truth = table_camera();
+    let place = |t: f64| {
+        let away = 1.0 - t / 3.0;
+        Point3::new(
+            0.45 * t * away,
+            0.35 * (1.0 - 2.0 * t * t) * away,
+            2.2 * t * t * t / 27.0,
+        )
+    };
+    assert!((place(3.0) - truth.centre).norm() < 1e-12);
+    for (seed, noise) in (0..).zip([0.0, 0.1, 0.5]) {
+        let mut random = rng(seed);
+        let lights: Vec<_> = (0..60).map(|k| place(f64::from(k) / 30.0 - 1.0)).collect();
+        let table = seen_by(&truth, &lights, noise, &mut random);
+        let refused = run(&table).unwrap_err();
+        assert_eq!(refused, CalibrationError::Curve, "noise {noise}");
+        assert!(refused.to_string().contains("twisted cubic"));
+    }
+}
+
+#[test]
+fn points_behind_the_camera_are_told_or_refused() {
+    let truth = table_camera();
+    let mut random = rng(31);
+    let mut positions = volume(60, &mut random);
+    let beyond = |p: &Point3<f64>| Point3::new(p.x, p.y, 4.4 - p.z);
+    let behind: Vec<_> = volume(5, &mut random).iter().map(beyond).collect();
+    let see = |p: &Point3<f64>| {
+        let pixel = truth.project_unchecked(p).unwrap();
+        LightPoint {
+            x: p.x,
+            y: p.y,
+            z: p.z,
+            u: pixel.x,
+            v: pixel.y,
+        }
+    };
+    positions.extend(behind);
+    let table: Vec<_> = positions.iter().map(see).collect();
+    let found = run(&table).unwrap();
+    let reasons = found.rejected.iter().map(|point| (point.row, point.reason));
+    let expected: Vec<_> = (60..65).map(|row| (row, RejectReason::Behind)).collect();
+    assert_eq!(reasons.collect::<Vec<_>>(), expected);
+    // All of them behind: as a mirrored table.
+    let all = positions[..60].iter().map(|p| see(&beyond(p)));
+    let all: Vec<_> = all.collect();
+    assert_eq!(run(&all).unwrap_err(), CalibrationError::Mirrored);
+}
+
 #[test]
 fn positions_in_millimetres_are_refused_as_such() {
     let mut table = good_table(50);
@@ -263,29 +325,32 @@ fn positions_in_millimetres_are_refused_as_such() {
     );
 }
 
+/// Weak tangential terms turn the camera: a calibration that drops them when they do not show is off by more than it says.
 #[test]
-fn distortion_that_is_not_there_is_dropped_and_the_report_says_so() {
-    let truth = Camera {
-        distortion: Distortion::default(),
-        ..table_camera()
-    };
-    let mut none = 0;
-    for seed in 0..20 {
-        let mut rng = rng(seed);
-        let positions = volume(100, &mut rng);
-        let found = run(&seen_by(&truth, &positions, 0.5, &mut rng)).unwrap();
-        assert!(!found.model_steps.is_empty());
-        if found.model == LensModel::None {
-            none += 1;
-            assert_eq!(found.camera.distortion, Distortion::default());
-            assert_eq!(
-                found.model_steps.iter().map(|s| s.kept).collect::<Vec<_>>(),
-                [false; 3]
-            );
+fn terms_that_hardly_show_are_kept_and_the_predicted_errors_hold() {
+    let truth = ceiling_camera();
+    let trials = 200;
+    let mut squares = [0.0; 3];
+    for seed in 0..trials {
+        let mut rng = rng(4000 + seed);
+        let place = |p: &Point3<f64>| Point3::new(p.x * 1.2, p.y * 1.5, p.z * 1.6 + 0.9);
+        let positions: Vec<_> = volume(74, &mut rng).iter().map(place).collect();
+        let table = seen_by(&truth, &positions, 0.15, &mut rng);
+        let found = calibrate(&table, 500, 500, &mut rng).unwrap();
+        assert_eq!(found.model, LensModel::Brown5);
+        let error = found.camera.error_against(&truth);
+        let ratios = [
+            error.position_m / found.position_sd_m(),
+            error.rotation_rad / found.rotation_sd_rad(),
+            error.focal_rel / found.focal_sd_rel(),
+        ];
+        for (sum, ratio) in squares.iter_mut().zip(ratios) {
+            *sum += ratio * ratio / trials as f64;
         }
     }
-    // Each of three tests keeps a term wrongly with 4.5 %.
-    assert!(none >= 14, "{none}");
+    for square in squares {
+        assert!((0.9..1.1).contains(&square.sqrt()), "{squares:?}");
+    }
 }
 
 #[test]

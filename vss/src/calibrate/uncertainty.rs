@@ -1,7 +1,5 @@
 //! How good an estimated camera is: covariance, standard deviations, condition, expected error in the work volume.
 
-use std::ops::Range;
-
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, SMatrix};
 use serde::{Deserialize, Serialize};
 
@@ -15,14 +13,11 @@ const GRID: usize = 5;
 
 pub(super) type Covariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// Standard deviations of an estimated camera.
-///
-/// They hold the noise of the pixels and, by the squared difference between the model chosen and the largest one,
-/// what dropping distortion terms may have cost (Buckland, Burnham and Augustin, Biometrics 53, 1997).
+/// Standard deviations of an estimated camera, from the noise of the pixels.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Uncertainty {
     /// Standard deviation of each parameter: rotation vector in the camera frame (3, rad), centre (3, m), fx, fy,
-    /// cx, cy (px), k1, k2, p1, p2, k3; 0 for terms that are not in the model and would not have mattered.
+    /// cx, cy (px), k1, k2, p1, p2, k3; 0 for terms that are not in the model.
     pub parameter_sd: [f64; PARAMETERS],
     /// Covariance of the centre in the world frame, m².
     pub position_covariance: [[f64; 3]; 3],
@@ -59,11 +54,13 @@ pub(super) struct Summary {
     pub uncertainty: Uncertainty,
 }
 
-/// (JᵀJ)⁻¹ of the first `free` parameters over `points`, and the condition number of J with its columns scaled.
+/// (JᵀJ)⁻¹ of the first `free` parameters over `points`, and the condition number of J with its columns scaled. With
+/// `expected`, the noise in px, with what is known of tangential terms beforehand.
 pub(super) fn unit_covariance(
     camera: &Camera,
     points: &[Point3<f64>],
     free: usize,
+    expected: Option<f64>,
 ) -> Result<(Covariance, f64), CalibrationError> {
     let undetermined = |condition| CalibrationError::Undetermined { condition };
     let mut normal = DMatrix::zeros(free, free);
@@ -74,6 +71,7 @@ pub(super) fn unit_covariance(
         let block = block.columns(0, free);
         normal += block.transpose() * block;
     }
+    fit::held_beforehand(&mut normal, free, expected);
     let scale = DVector::from_iterator(free, normal.diagonal().iter().map(|d| 1.0 / d.sqrt()));
     let scaled = DMatrix::from_fn(free, free, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     if !scaled.iter().all(|entry| entry.is_finite()) {
@@ -121,54 +119,15 @@ pub(super) fn noise_variance(table: &[LightPoint], stand: &Stand) -> (f64, f64) 
     (squares, squares / spare as f64)
 }
 
-/// σ² (JᵀJ)⁻¹ of a fit.
-pub(super) fn covariance(
-    table: &[LightPoint],
-    stand: &Stand,
-) -> Result<Covariance, CalibrationError> {
-    let free = stand.model.parameters();
-    let (unit, _) = unit_covariance(&stand.camera, &positions(table, &stand.used), free)?;
-    Ok(unit * noise_variance(table, stand).1)
-}
-
-/// The Wald statistic xᵀ Cov⁻¹ x of the parameters in `range`.
-pub(super) fn wald(
-    camera: &Camera,
-    covariance: &Covariance,
-    range: Range<usize>,
-) -> Result<f64, CalibrationError> {
-    let d = &camera.distortion;
-    let terms = [d.k1, d.k2, d.p1, d.p2, d.k3];
-    let first = PARAMETERS - terms.len();
-    let values = DVector::from_iterator(
-        range.len(),
-        terms
-            .iter()
-            .skip(range.start - first)
-            .take(range.len())
-            .copied(),
-    );
-    let block = covariance
-        .view((range.start, range.start), (range.len(), range.len()))
-        .into_owned();
-    // Without any noise the covariance is 0 and every term that is not 0 counts infinitely.
-    let inverse = match block.try_inverse() {
-        Some(inverse) => inverse,
-        None if values.amax() > 0.0 => return Ok(f64::MAX),
-        None => return Ok(0.0),
-    };
-    Ok(values.dot(&(inverse * &values)))
-}
-
-/// Everything that is reported about a fit. `choice` is the change of the parameters from the fit to the one of
-/// the largest model.
-pub(super) fn summarise(
-    table: &[LightPoint],
-    stand: &Stand,
-    choice: &[f64; PARAMETERS],
-) -> Result<Summary, CalibrationError> {
+/// Everything that is reported about a fit.
+pub(super) fn summarise(table: &[LightPoint], stand: &Stand) -> Result<Summary, CalibrationError> {
     let points = positions(table, &stand.used);
-    let (unit, condition) = unit_covariance(&stand.camera, &points, stand.model.parameters())?;
+    let (unit, condition) = unit_covariance(
+        &stand.camera,
+        &points,
+        stand.model.parameters(),
+        stand.expected,
+    )?;
     let (squares, variance) = noise_variance(table, stand);
     let n = stand.used.len() as f64;
     let mut left_out = 0.0;
@@ -182,8 +141,7 @@ pub(super) fn summarise(
                 .map_or(f64::INFINITY, |inverse| (inverse * r).norm_squared());
         }
     }
-    let shift = SMatrix::<f64, PARAMETERS, 1>::from_column_slice(choice);
-    let covariance = unit * variance + shift * shift.transpose();
+    let covariance = unit * variance;
     Ok(Summary {
         rms_px: (squares / n).sqrt(),
         leave_out_rms_px: (left_out / n).sqrt(),

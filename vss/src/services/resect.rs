@@ -68,6 +68,17 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
 
 /// Adds what every calibration from a table is asked with.
 pub(super) fn options(table: OptionTable<Options>) -> OptionTable<Options> {
+    lens_options(table).int(
+        "seed",
+        0..=i64::MAX,
+        "",
+        "seed of the random samples that the start value comes from; one seed, one result",
+        |options| &mut options.seed,
+    )
+}
+
+/// Adds the size of the pictures and the lens model.
+pub(super) fn lens_options(table: OptionTable<Options>) -> OptionTable<Options> {
     table
         .ints(
             "size",
@@ -82,13 +93,6 @@ pub(super) fn options(table: OptionTable<Options>) -> OptionTable<Options> {
             &["none", "k1", "k1k2", "brown5"],
             "distortion terms that are fitted; the others are 0",
             |options| &mut options.model,
-        )
-        .int(
-            "seed",
-            0..=i64::MAX,
-            "",
-            "seed of the random samples that the start value comes from; one seed, one result",
-            |options| &mut options.seed,
         )
 }
 

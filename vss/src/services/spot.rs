@@ -23,8 +23,8 @@ const FORMS: &[Form] = &[
         text: "camera NAME",
         floats: 0,
         takes: "",
-        gives: "as FILE; 3 ints: n, the picture's number, and the middle of its exposure, ns of the app's time",
-        results: "* u v area: px; ints spots picture; ints exposed: ns",
+        gives: "as FILE; two ints more: the picture's number, and the middle of its exposure, ns of the app's time",
+        results: "",
         help: "has a camera of the app take a picture and finds its spots",
     },
     Form {
@@ -32,8 +32,11 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "3 n floats: u, v (px, pixel centres at whole numbers) and area (px) of each spot, \
-                in the order of their first pixels, row by row; 1 int: n",
-        results: "* u v area: px; ints spots",
+                in the order of their first pixels, row by row; 1 int: n. With -fit on 6 n floats: u, v (px), sigma of the \
+                Gaussian (px), its amplitude (grey values), standard deviations of u and v (px); 1 + n ints: n, and the sum of \
+                the flags of each spot: 1 cut by the border, 2 saturated pixels (left out), 4 elongated, 8 a second spot near, \
+                16 an edge of something behind it, 32 no Gaussian (then centre and sd are those of a centroid)",
+        results: "",
         help: "finds the spots of a picture (PNG, JPEG, PNM, BMP)",
     },
 ];
@@ -47,6 +50,7 @@ pub(super) struct Options {
     max_ratio: f64,
     border: bool,
     most: i64,
+    fit: bool,
     tool: String,
 }
 
@@ -61,6 +65,7 @@ impl Default for Options {
             max_ratio: spots.max_ratio,
             border: spots.border,
             most: 10_000,
+            fit: false,
             tool: "toolSnap".to_owned(),
         }
     }
@@ -68,6 +73,9 @@ impl Default for Options {
 
 /// The word that stands for a threshold found from the picture.
 const AUTO: &str = "auto";
+
+/// Flag of a spot that is no Gaussian.
+const NO_GAUSSIAN: i64 = 32;
 
 impl Options {
     fn spots(&self) -> SpotsOptions {
@@ -132,6 +140,11 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "",
             "most spots that are answered; more are an error, for then the options are wrong",
             |options| &mut options.most,
+        )
+        .flag(
+            "fit",
+            "width, height, standard deviations and flags of each spot are answered, too",
+            |options| &mut options.fit,
         )
         .word(
             "tool",
@@ -228,11 +241,20 @@ impl Spot {
             io.report(Report::warning(code::NO_SPOT, text));
         }
         io.floats.clear();
-        for spot in &found.spots {
-            io.floats.extend([spot.u, spot.v, spot.area as f64]);
-        }
         io.ints.clear();
         io.ints.push(i64::try_from(count).unwrap_or(i64::MAX));
+        for spot in &found.spots {
+            io.floats.extend([spot.u, spot.v]);
+            if self.0.fit {
+                let sd = [spot.sd_u, spot.sd_v];
+                io.floats.extend([spot.sigma, spot.amplitude]);
+                io.floats.extend(sd);
+                io.ints
+                    .push(spot.flags.sum() + if spot.gaussian { 0 } else { NO_GAUSSIAN });
+            } else {
+                io.floats.push(spot.area as f64);
+            }
+        }
         Ok(())
     }
 }

@@ -167,7 +167,21 @@ fn header(
             }
         }
     }
-    if !missing.is_empty() {
+    // `X (mm)` and `X [mm]`: a unit that is not read must not be believed.
+    let with_unit = fields.iter().find_map(|(at, text)| {
+        let (name, unit) = text.split_once(['(', '['])?;
+        let known = |one: &&&str| one.eq_ignore_ascii_case(name.trim());
+        let name = missing.iter().find(known)?;
+        let unit = unit.trim_end_matches([')', ']']);
+        Some((source.at(*at..at + text.len()), *name, unit))
+    });
+    if let Some((place, name, unit)) = with_unit {
+        let text = format!(
+            "the header names the unit `{unit}`: write `{name}` alone, and its values in the table's unit"
+        );
+        let finding = Finding::error("vss::table::header", text);
+        findings.push(finding.at(place).help(columns.help));
+    } else if !missing.is_empty() {
         let names: Vec<&str> = fields.iter().map(|(_, text)| *text).collect();
         let given: String = names.join(",").chars().take(80).collect();
         let text = format!("the header lacks {}: it is `{given}`", missing.join(", "));

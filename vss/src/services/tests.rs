@@ -340,6 +340,137 @@ fn tables_from_which_no_camera_follows_are_refused_with_the_reason() {
     );
 }
 
+/// Each way in which a table can be wrong without being no table, by the word that names it.
+#[test]
+fn every_degenerate_table_is_named() {
+    let sorm = manager();
+    ask(&sorm, "resect CTRL -size 640 480");
+    let good = table(&camera(LENS), 60, 0.1, 3);
+    let rows: Vec<[f64; 5]> = good
+        .lines()
+        .skip(1)
+        .map(|row| {
+            let numbers: Vec<f64> = row.split(',').map(|x| x.parse().unwrap()).collect();
+            numbers.try_into().unwrap()
+        })
+        .collect();
+    let changed = |change: &dyn Fn(usize, &mut [f64; 5])| {
+        let mut text = String::from("X,Y,Z,u,v\n");
+        for (index, row) in rows.iter().enumerate() {
+            let mut row = *row;
+            change(index, &mut row);
+            let [x, y, z, u, v] = row;
+            writeln!(text, "{x},{y},{z},{u},{v}").unwrap();
+        }
+        text
+    };
+    let lens = camera(LENS);
+    let curve = |t: f64| {
+        let (away, eye) = (1.0 - t / 3.0, lens.centre);
+        Point3::new(
+            0.45 * t * away + eye.x * t / 3.0,
+            0.3 * (1.0 - 2.0 * t * t) * away + eye.y * t / 3.0,
+            eye.z * t * t * t / 27.0,
+        )
+    };
+    let cases: [(&str, String, &str); 13] = [
+        ("coplanar", changed(&|_, r| r[2] = 0.1), "lie in one plane"),
+        (
+            "collinear",
+            changed(&|_, r| (r[1], r[2]) = (r[0], 0.5 * r[0])),
+            "lie on one line",
+        ),
+        (
+            "one point",
+            changed(&|_, r| (r[0], r[1], r[2]) = (0.1, 0.2, 0.3)),
+            "are one point",
+        ),
+        (
+            "mirrored world",
+            changed(&|_, r| r[0] = -r[0]),
+            "is mirrored",
+        ),
+        (
+            "v upwards",
+            changed(&|_, r| r[4] = 479.0 - r[4]),
+            "v counted upwards",
+        ),
+        (
+            "shuffled",
+            changed(&|k, r| (r[3], r[4]) = (rows[(7 * k + 3) % 60][3], rows[(7 * k + 3) % 60][4])),
+            "of the same lights in the same rows",
+        ),
+        (
+            "millimetres",
+            changed(&|_, r| (0..3).for_each(|k| r[k] *= 1e3)),
+            "are these millimetres",
+        ),
+        (
+            "NaN",
+            good.replacen("0.", "nan", 1),
+            "must be a finite number",
+        ),
+        (
+            "too few",
+            good.lines().take(7).collect::<Vec<_>>().join("\n"),
+            "needs at least 8",
+        ),
+        (
+            "off the image",
+            changed(&|k, r| {
+                if k == 5 {
+                    r[3] = 700.0
+                }
+            }),
+            ":7:1: the point is seen at (700.0",
+        ),
+        (
+            "empty cell",
+            format!("{good}1,2,,4,5\n"),
+            ":62:5: error: Z must be a finite number, not ``",
+        ),
+        (
+            "unit in a cell",
+            format!("{good}1,2,3 mm,4,5\n"),
+            ":62:5: error: Z must be a finite number, not `3 mm`",
+        ),
+        (
+            "unit in the header",
+            good.replacen("X,", "X [mm],", 1),
+            ":1:1: error: the header names the unit `mm`",
+        ),
+    ];
+    for (name, text, named) in cases {
+        let (_folder, path) = file("a.csv", text.as_bytes());
+        let (_, told) = refused(&sorm, &format!("resect EXEC {path}"));
+        assert!(told.contains(named), "{name}: {told}");
+    }
+    // A picture that is as high as wide, or swapping would put some off it.
+    ask(&sorm, "resect CTRL -size 640 640");
+    let swapped = changed(&|_, r| r.swap(3, 4));
+    let (_folder, path) = file("a.csv", swapped.as_bytes());
+    let (_, told) = refused(&sorm, &format!("resect EXEC {path}"));
+    assert!(told.contains("swapped u and v"), "{told}");
+    let mut text = String::from("X,Y,Z,u,v\n");
+    for k in 0..60 {
+        let p = curve(f64::from(k) / 30.0 - 1.0);
+        let seen = lens.project(&p).unwrap();
+        writeln!(text, "{},{},{},{},{}", p.x, p.y, p.z, seen.x, seen.y).unwrap();
+    }
+    let (_folder, path) = file("a.csv", text.as_bytes());
+    let (_, told) = refused(&sorm, &format!("resect EXEC {path}"));
+    assert!(told.contains("twisted cubic"), "{told}");
+    // What lies behind the camera is left out, by its line.
+    ask(&sorm, "resect CTRL -size 640 480");
+    let behind = Point3::new(0.1, 0.1, 4.5);
+    let seen = lens.project_unchecked(&behind).unwrap();
+    let text = format!("{good}0.1,0.1,4.5,{},{}\n", seen.x, seen.y);
+    let (_folder, path) = file("a.csv", text.as_bytes());
+    let reply = ask(&sorm, &format!("resect EXEC {path}"));
+    let told = &reply.reports[0].text;
+    assert!(told.contains(":62:1 lies behind the camera"), "{told}");
+}
+
 /// A PNG of Gaussian spots with the given heights over a background of 20 (or under one of 220).
 fn spots_png(places: &[(f64, f64)], dark: bool) -> Vec<u8> {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -402,6 +533,38 @@ fn spots_of_a_picture_are_found_to_a_fraction_of_a_pixel() {
 }
 
 #[test]
+fn a_fit_answers_six_numbers_and_the_flags_of_each_spot() {
+    let places = [(30.25, 40.5), (90.75, 20.125)];
+    let (_folder, path) = file("a.png", &spots_png(&places, false));
+    let sorm = manager();
+    assert!(ask(&sorm, "spot CTRL -fit on").is_ok());
+    let reply = ask(&sorm, &format!("spot EXEC TMSG {path}"));
+    assert_eq!(
+        (reply.floats.len(), reply.ints.as_slice()),
+        (12, &[2, 0, 0][..])
+    );
+    for (u, v) in places {
+        let near = reply
+            .floats
+            .chunks(6)
+            .find(|spot| (spot[0] - u).hypot(spot[1] - v) < 0.2);
+        let [_, _, sigma, amplitude, sd_u, sd_v] = near.unwrap() else {
+            panic!("{:?}", reply.floats);
+        };
+        assert!(*sigma > 0.5 && *amplitude > 10.0, "{near:?}");
+        assert!(
+            (0.0..0.1).contains(sd_u) && (0.0..0.1).contains(sd_v),
+            "{near:?}"
+        );
+    }
+    ask(&sorm, "spot CTRL -fit off");
+    assert_eq!(
+        ask(&sorm, &format!("spot EXEC TMSG {path}")).floats.len(),
+        6
+    );
+}
+
+#[test]
 fn a_file_that_is_no_picture_is_refused_and_so_is_no_file() {
     let sorm = manager();
     let (folder, path) = file("a.png", b"not a picture");
@@ -458,4 +621,5 @@ proptest! {
 
 mod maps;
 mod pictures;
+mod planes;
 mod rigs;

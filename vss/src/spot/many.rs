@@ -1,16 +1,18 @@
 //! Finds all spots of a picture, bright or dark, each to a fraction of a pixel.
 //!
-//! Without a threshold the picture is smoothed and what stands out of its noise makes regions; each
-//! spot is then what lies above half of its own height, so that the area of a spot depends neither on its
-//! brightness nor on that of the others. With a threshold, spots are what lies at or above it. The
-//! centre comes from a fitted Gaussian where one fits, and else from the centroid of grey values.
+//! Without a threshold the picture is smoothed, a tilt of its background is taken out, and what stands out of its noise
+//! makes regions; each spot is then what lies above half of its own height, so that the area of a spot depends neither on
+//! its brightness nor on that of the others. With a threshold, spots are what lies at or above it. The centre
+//! comes from a fitted Gaussian where one fits, and else from the centroid of grey values. Spots whose light reaches one
+//! another are fitted in turns, each on the picture without the others.
 
 use std::collections::VecDeque;
 
 use super::{
-    Guess, NoSpot, SMOOTHED_NOISE,
+    Guess, NoSpot, SMOOTHED_NOISE, SpotFlags,
     gauss::{self, Fit},
-    noise_sd, picture,
+    noise_sd,
+    picture::{self, Bell, Picture, Tilt},
 };
 use crate::frame::Frame;
 
@@ -26,6 +28,12 @@ const RIM: usize = 5;
 const HALF_WIDTH: f64 = 1.177_410_022_515_474_7;
 /// What a fitted Gaussian may leave, as a part of its height.
 const MISFIT: f64 = 0.05;
+/// Ratio of the axes above which a spot is flagged as elongated.
+const ELONGATED: f64 = 1.3;
+/// Where the rim of a spot lies, out of which it must stand, px from its edge.
+const SURROUNDINGS: (usize, usize) = (2, 3);
+/// How often spots that reach one another are fitted in turns: at three widths apart, a turn leaves a tenth of the error.
+const TURNS: usize = 4;
 
 /// What counts as a spot.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,6 +74,18 @@ pub struct FoundSpot {
     pub v: f64,
     /// Number of its pixels.
     pub area: u64,
+    /// Width of the Gaussian (its σ), or of the one with the same area at half height, px.
+    pub sigma: f64,
+    /// Height above the background (dark spots: depth below it), grey values.
+    pub amplitude: f64,
+    /// Predicted standard deviation of `u`, px.
+    pub sd_u: f64,
+    /// Predicted standard deviation of `v`, px.
+    pub sd_v: f64,
+    /// What is doubtful about it.
+    pub flags: SpotFlags,
+    /// Whether it is a Gaussian; else centre and standard deviations are those of a centroid.
+    pub gaussian: bool,
 }
 
 /// What a picture holds.
@@ -121,21 +141,37 @@ impl Search<'_> {
             let under = self.background(&map, region).unwrap_or(background);
             self.judge(&map, region, under)
         });
-        collected(judged.collect())
+        let judged = judged.collect();
+        self.fitted(judged)
     }
 
     /// Spots by what stands out of the noise.
     fn standing_out(&self) -> Spots {
-        let smooth = picture::smooth(&self.frame.pixels, self.frame.width);
-        let histogram = picture::histogram(&smooth);
-        let background = f64::from(picture::median(&histogram));
-        let brightest = histogram.iter().rposition(|count| *count > 0).unwrap_or(0) as f64;
+        let raw = &self.frame.pixels;
+        let smooth = picture::smooth(raw, self.frame.width);
+        let tilt = Tilt::of(raw, self.frame.width);
+        let background = f64::from(picture::median(&picture::histogram(&smooth)));
+        let place = |at: usize| (at % self.frame.width, at / self.frame.width);
+        let level = |at: usize| {
+            let (u, v) = place(at);
+            if tilt.is_level() {
+                background
+            } else {
+                tilt.at(u, v)
+            }
+        };
+        let height = |at: usize| {
+            smooth
+                .get(at)
+                .map_or(0.0, |grey| f64::from(*grey) - level(at))
+        };
+        let highest = (0..smooth.len()).map(height).fold(0.0, f64::max);
         // Rounding the smoothed values adds half a grey value at most, which matters in noiseless pictures.
-        let lowest = background + (CONTRAST_SD * self.noise * SMOOTHED_NOISE).max(1.5);
-        if brightest < lowest {
+        let least = (CONTRAST_SD * self.noise * SMOOTHED_NOISE).max(1.5);
+        if highest < least {
             let nothing = NoSpot::Dark {
-                brightest,
-                threshold: lowest,
+                brightest: background + highest,
+                threshold: background + least,
                 background,
                 noise: self.noise,
             };
@@ -145,18 +181,14 @@ impl Search<'_> {
                 nothing: Some(nothing),
             };
         }
-        let threshold = lowest.max(background + FAINTEST * (brightest - background));
+        let needed = least.max(FAINTEST * highest);
         let mut coarse = Map::new(self.frame);
-        let regions = coarse.regions(|at| {
-            smooth
-                .get(at)
-                .is_some_and(|grey| f64::from(*grey) >= threshold)
-        });
+        let regions = coarse.regions(|at| at < smooth.len() && height(at) >= needed);
         let mut fine = Map::new(self.frame);
-        let mut judged = Vec::new();
-        let raw = &self.frame.pixels;
+        let mut parts = Vec::new();
         for region in &regions {
-            let under = self.background(&coarse, region).unwrap_or(background);
+            let here = region.first().map_or(background, |at| level(*at));
+            let under = self.background(&coarse, region).unwrap_or(here);
             let greys = region.iter().filter_map(|at| raw.get(*at));
             let peak = f64::from(greys.max().copied().unwrap_or_default());
             let half = 0.5 * (under + peak);
@@ -169,14 +201,18 @@ impl Search<'_> {
             starts.sort_unstable();
             for start in starts {
                 if let Some(part) = fine.flood(start, inside) {
-                    judged.push((part, under));
+                    parts.push((part, under));
                 }
             }
         }
-        let judged = judged
-            .iter()
-            .map(|(part, under)| self.judge(&fine, part, *under));
-        collected(judged.collect())
+        let judged = parts.iter().map(|(part, under)| {
+            let stands_out = stands_out(&fine, part, &smooth, least);
+            stands_out
+                .then(|| self.judge(&fine, part, *under))
+                .flatten()
+        });
+        let judged = judged.collect();
+        self.fitted(judged)
     }
 
     /// The median around a region, its neighbours left out; `None` when there is nothing around it.
@@ -190,72 +226,236 @@ impl Search<'_> {
         greys.get(greys.len() / 2).map(|grey| f64::from(*grey))
     }
 
-    /// The spot that a region is, or `None`.
+    /// The spot that a region is, before it is fitted, or `None`.
     fn judge(&self, map: &Map, region: &Region, background: f64) -> Option<(usize, FoundSpot)> {
         let area = region.len() as u64;
         let sized = (self.options.min_area..=self.options.max_area).contains(&area);
-        if !sized || !self.options.border && map.touches_border(region) {
+        let touches_border = map.touches_border(region);
+        if !sized || !self.options.border && touches_border {
             return None;
         }
         let shape = Shape::of(map, region);
         if shape.ratio > self.options.max_ratio {
             return None;
         }
-        let (u, v) = self
-            .fitted(&shape, area)
-            .or_else(|| self.centroid(map, region, background))
-            .unwrap_or((shape.u, shape.v));
-        let first = region.iter().min().copied()?;
-        Some((first, FoundSpot { u, v, area }))
-    }
-
-    /// The centre of the Gaussian, where one fits.
-    fn fitted(&self, shape: &Shape, area: u64) -> Option<(f64, f64)> {
-        let sigma = (area as f64 / std::f64::consts::PI).sqrt() / HALF_WIDTH;
-        let guess = Guess {
+        let greys = region.iter().filter_map(|at| self.frame.pixels.get(*at));
+        let peak = greys.max().copied().unwrap_or_default();
+        let centroid = self.centroid(map, region, background);
+        let centroid = centroid.unwrap_or(Centroid {
             u: shape.u,
             v: shape.v,
-            sigma: sigma.max(0.3),
-        };
-        let fit: Fit = gauss::fit(self.frame, guess, self.noise).ok()?;
-        let allowed = (MISFIT * fit.amplitude).powi(2) + 2.0 * self.noise.powi(2);
-        let stayed = (fit.u - shape.u).hypot(fit.v - shape.v) < 1.0 + 0.5 * sigma;
-        let fits = stayed && fit.amplitude > 0.0 && fit.residual.powi(2) <= allowed;
-        (fits && !fit.window.cut).then_some((fit.u, fit.v))
+            sd_u: shape.sd_u,
+            sd_v: shape.sd_v,
+            ratio: shape.ratio,
+        });
+        let first = region.iter().min().copied()?;
+        let width = (area as f64 / std::f64::consts::PI).sqrt() / HALF_WIDTH;
+        Some((
+            first,
+            FoundSpot {
+                u: centroid.u,
+                v: centroid.v,
+                area,
+                sigma: width.max(0.3),
+                amplitude: (f64::from(peak) - background).max(0.0),
+                sd_u: centroid.sd_u,
+                sd_v: centroid.sd_v,
+                flags: SpotFlags {
+                    touches_border,
+                    saturated: peak == super::SATURATED,
+                    elongated: centroid.ratio > ELONGATED,
+                    ..SpotFlags::default()
+                },
+                gaussian: false,
+            },
+        ))
     }
 
     /// The centroid of the grey values above the background, over the region and a margin around it.
-    fn centroid(&self, map: &Map, region: &Region, background: f64) -> Option<(f64, f64)> {
+    fn centroid(&self, map: &Map, region: &Region, background: f64) -> Option<Centroid> {
         let own = region.first().map(|at| map.of(*at))?;
         let (mut sum, mut sum_u, mut sum_v) = (0.0, 0.0, 0.0);
         let others = |at: &usize| map.of(*at) == 0 || map.of(*at) == own;
-        for at in map.around(region, MARGIN).filter(others) {
-            let weight = f64::from(*self.frame.pixels.get(at)?) - background;
-            let (u, v) = map.place(at);
+        let around: Vec<(f64, f64, f64)> = map
+            .around(region, MARGIN)
+            .filter(others)
+            .filter_map(|at| {
+                let weight = f64::from(*self.frame.pixels.get(at)?) - background;
+                let (u, v) = map.place(at);
+                Some((weight, u as f64, v as f64))
+            })
+            .collect();
+        for (weight, u, v) in &around {
             sum += weight;
-            sum_u += weight * u as f64;
-            sum_v += weight * v as f64;
+            sum_u += weight * u;
+            sum_v += weight * v;
         }
-        (sum > 0.0).then_some((sum_u / sum, sum_v / sum))
+        if sum <= 0.0 {
+            return None;
+        }
+        let (u, v) = (sum_u / sum, sum_v / sum);
+        let (mut moments, mut lever_u, mut lever_v) = ([0.0; 3], 0.0, 0.0);
+        for (weight, column, row) in &around {
+            let (du, dv) = (column - u, row - v);
+            moments[0] += weight * du * du / sum;
+            moments[1] += weight * du * dv / sum;
+            moments[2] += weight * dv * dv / sum;
+            lever_u += du * du;
+            lever_v += dv * dv;
+        }
+        Some(Centroid {
+            u,
+            v,
+            sd_u: self.noise * lever_u.sqrt() / sum,
+            sd_v: self.noise * lever_v.sqrt() / sum,
+            ratio: axes_ratio(moments, 0.0),
+        })
+    }
+
+    /// Fits a Gaussian to each of the spots that were judged to be some, and orders them by first pixels.
+    fn fitted(&self, judged: Vec<Option<(usize, FoundSpot)>>) -> Spots {
+        let all = judged.len();
+        let mut found: Vec<(usize, FoundSpot)> = judged.into_iter().flatten().collect();
+        found.sort_by_key(|(first, _)| *first);
+        let rough: Vec<FoundSpot> = found.into_iter().map(|(_, spot)| spot).collect();
+        let mut bells: Vec<Bell> = rough.iter().map(bell).collect();
+        let near: Vec<Vec<usize>> = (0..bells.len())
+            .map(|one| neighbours(&bells, one))
+            .collect();
+        let mut fits: Vec<Option<Fit>> = vec![None; rough.len()];
+        for turn in 0..TURNS {
+            for (index, (spot, near)) in rough.iter().zip(&near).enumerate() {
+                // Without neighbours the first fit is the last.
+                if turn > 0 && near.is_empty() {
+                    continue;
+                }
+                let others = near.iter().filter_map(|other| bells.get(*other).copied());
+                let picture = Picture::without(self.frame, others.collect());
+                let guess = Guess {
+                    u: spot.u,
+                    v: spot.v,
+                    sigma: spot.sigma,
+                };
+                let fit = gauss::fit(&picture, guess, self.noise).ok();
+                let fit = fit.filter(|fit| {
+                    let away = (fit.u - spot.u).hypot(fit.v - spot.v);
+                    away < 1.0 + 0.5 * spot.sigma
+                });
+                if let (Some(fit), Some(bell)) = (&fit, bells.get_mut(index)) {
+                    *bell = fit.bell();
+                }
+                if let Some(place) = fits.get_mut(index) {
+                    *place = fit;
+                }
+            }
+        }
+        let spots = rough.iter().zip(&near).zip(fits).enumerate();
+        let spots = spots.map(|(index, ((spot, near), fit))| {
+            let mut spot = *spot;
+            spot.flags.second = !near.is_empty();
+            let fit = fit.filter(|fit| self.fits(fit));
+            if let Some(fit) = fit {
+                // What two Gaussians share is uncertain in both.
+                let widened = near.iter().filter_map(|other| {
+                    let (one, other) = (bells.get(index)?, bells.get(*other)?);
+                    let apart = (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
+                    let width = one.sigma.powi(2) + other.sigma.powi(2);
+                    Some(1.0 - (-apart / width).exp())
+                });
+                let widened = widened.product::<f64>().max(0.01).sqrt();
+                spot.flags.touches_border |= fit.window.cut;
+                spot.flags.saturated |= fit.saturated > 0;
+                spot.flags.structured = fit.structured;
+                spot = FoundSpot {
+                    u: fit.u,
+                    v: fit.v,
+                    sigma: fit.sigma,
+                    amplitude: fit.amplitude,
+                    sd_u: fit.sd_u / widened,
+                    sd_v: fit.sd_v / widened,
+                    gaussian: true,
+                    ..spot
+                };
+            }
+            spot
+        });
+        let spots: Vec<FoundSpot> = spots.collect();
+        Spots {
+            refused: all - spots.len(),
+            spots,
+            nothing: None,
+        }
+    }
+
+    /// Whether what a fit left is small enough for a Gaussian.
+    fn fits(&self, fit: &Fit) -> bool {
+        let allowed = (MISFIT * fit.amplitude).powi(2) + 2.0 * self.noise.powi(2);
+        fit.residual.powi(2) <= allowed && fit.amplitude >= fit.variation
     }
 }
 
-/// Orders what was judged by first pixels.
-fn collected(judged: Vec<Option<(usize, FoundSpot)>>) -> Spots {
-    let all = judged.len();
-    let mut spots: Vec<(usize, FoundSpot)> = judged.into_iter().flatten().collect();
-    spots.sort_by_key(|(first, _)| *first);
-    Spots {
-        refused: all - spots.len(),
-        spots: spots.into_iter().map(|(_, spot)| spot).collect(),
-        nothing: None,
+/// A spot as a Gaussian, before it is fitted.
+fn bell(spot: &FoundSpot) -> Bell {
+    Bell {
+        u: spot.u,
+        v: spot.v,
+        amplitude: spot.amplitude,
+        sigma: spot.sigma,
     }
+}
+
+/// Those whose light reaches the window of one of them.
+fn neighbours(bells: &[Bell], one: usize) -> Vec<usize> {
+    let Some(own) = bells.get(one) else {
+        return Vec::new();
+    };
+    let near = |(index, other): (usize, &Bell)| {
+        let reach = gauss::REACH * (own.sigma + other.sigma);
+        let near = (own.u - other.u).hypot(own.v - other.v) < reach;
+        (near && index != one).then_some(index)
+    };
+    bells.iter().enumerate().filter_map(near).collect()
+}
+
+/// Whether a part of the picture is higher than what is around it, and no ripple on a slope.
+fn stands_out(map: &Map, part: &Region, smooth: &[u8], least: f64) -> bool {
+    let of = |at: usize| smooth.get(at).map_or(0.0, |grey| f64::from(*grey));
+    let highest = part.iter().map(|at| of(*at)).fold(0.0, f64::max);
+    let (near, far) = SURROUNDINGS;
+    let inner: std::collections::HashSet<usize> = map.around(part, near - 1).collect();
+    let rim = map.around(part, far).filter(|at| !inner.contains(at));
+    let mut greys: Vec<f64> = rim.map(of).collect();
+    greys.sort_by(f64::total_cmp);
+    greys
+        .get(greys.len() / 2)
+        .is_none_or(|middle| highest - middle >= least)
+}
+
+/// A centre, how well it is known, and how long what it is the centre of is.
+struct Centroid {
+    u: f64,
+    v: f64,
+    sd_u: f64,
+    sd_v: f64,
+    ratio: f64,
+}
+
+/// Longer over shorter axis of second moments (uu, uv, vv), each widened by `more`.
+fn axes_ratio([uu, uv, vv]: [f64; 3], more: f64) -> f64 {
+    let middle = 0.5 * (uu + vv);
+    let half = (0.25 * (uu - vv) * (uu - vv) + uv * uv).sqrt();
+    // Nothing in a picture of pixels is narrower than they are.
+    let axis = |moment: f64| (moment + more).max(1.0 / 12.0);
+    (axis(middle + half) / axis(middle - half)).sqrt()
 }
 
 /// Where a region lies and how long it is.
 struct Shape {
     u: f64,
     v: f64,
+    /// Of the centre, when each pixel of its edge is in or out by chance.
+    sd_u: f64,
+    sd_v: f64,
     ratio: f64,
 }
 
@@ -276,12 +476,16 @@ impl Shape {
             uv += du * dv / n;
             vv += dv * dv / n;
         }
-        let middle = 0.5 * (uu + vv);
-        let half = (0.25 * (uu - vv) * (uu - vv) + uv * uv).sqrt();
         // Each pixel is a square and not a point, so that small spots do not look long.
-        let (long, short) = (middle + half, (middle - half).max(0.0));
-        let ratio = ((long + 1.0 / 12.0) / (short + 1.0 / 12.0)).sqrt();
-        Self { u, v, ratio }
+        let ratio = axes_ratio([uu, uv, vv], 1.0 / 12.0);
+        let edge = (4.0 * n.sqrt()).sqrt() / n;
+        Self {
+            u,
+            v,
+            sd_u: edge * uu.sqrt().max(0.3),
+            sd_v: edge * vv.sqrt().max(0.3),
+            ratio,
+        }
     }
 }
 
@@ -497,6 +701,95 @@ mod tests {
             ..SpotsOptions::default()
         };
         assert!(found(&frame, &bright).is_empty());
+    }
+
+    #[test]
+    fn a_tilted_background_makes_no_spots() {
+        for (slope, noise) in [(0.3, 0.0), (0.3, 3.0), (-0.4, 2.0), (0.15, 8.0)] {
+            let frame = picture(300, 200, noise, |u, v| {
+                let lamp = 90.0 * gaussian(u, v, (201.3, 88.7), 2.0);
+                90.0 + slope * (u - 150.0) + 0.1 * v + lamp
+            });
+            let spots = found(&frame, &SpotsOptions::default());
+            assert_eq!(spots.len(), 1, "{slope} {noise}: {spots:?}");
+            let (du, dv) = (spots[0].u - 201.3, spots[0].v - 88.7);
+            assert!(
+                du.hypot(dv) < 0.02 + 0.05 * noise / 3.0,
+                "{slope} {noise}: {spots:?}"
+            );
+            assert_eq!(spots[0].flags.sum(), 0, "{slope} {noise}: {spots:?}");
+        }
+        // Without a lamp, there is nothing.
+        let frame = picture(300, 200, 3.0, |u, v| 60.0 + 0.3 * u + 0.1 * v);
+        assert!(found(&frame, &SpotsOptions::default()).is_empty());
+    }
+
+    #[test]
+    fn spots_that_touch_are_parted_or_flagged() {
+        let noise_free = |apart: f64| {
+            let frame = picture(60, 50, 0.0, |u, v| {
+                let one = gaussian(u, v, (25.3, 24.6), 2.0);
+                let other = gaussian(u, v, (25.3 + 0.8 * apart, 24.6 + 0.6 * apart), 2.0);
+                30.0 + 120.0 * one + 100.0 * other
+            });
+            found(&frame, &SpotsOptions::default())
+        };
+        for apart in [8.0, 10.0, 13.0] {
+            let spots = noise_free(apart);
+            assert_eq!(spots.len(), 2, "{apart}: {spots:?}");
+            let places = [(25.3, 24.6), (25.3 + 0.8 * apart, 24.6 + 0.6 * apart)];
+            for (spot, (u, v)) in spots.iter().zip(places) {
+                let off = (spot.u - u).hypot(spot.v - v);
+                assert!(off < 0.02 && spot.flags.second, "{apart}: {off} {spot:?}");
+            }
+        }
+        for apart in [4.0, 6.5] {
+            let merged = noise_free(apart);
+            assert_eq!(merged.len(), 1);
+            assert!(merged[0].flags.elongated, "{merged:?}");
+        }
+        assert!(!noise_free(20.0)[0].flags.second);
+    }
+
+    #[test]
+    fn spots_are_answered_with_width_height_and_flags() {
+        let places = [
+            (20.3, 20.6, 1.5, 100.0, 0),
+            (60.2, 1.3, 1.5, 100.0, 1),
+            (100.4, 20.7, 2.0, 400.0, 2),
+        ];
+        let frame = picture(130, 90, 1.0, |u, v| {
+            let spots =
+                places.map(|(x, y, sigma, height, _)| height * gaussian(u, v, (x, y), sigma));
+            let long = 100.0
+                * (-0.5 * ((u - 80.4) / 4.0).powi(2) - 0.5 * ((v - 70.2) / 1.6).powi(2)).exp();
+            30.0 + spots.iter().sum::<f64>() + long
+        });
+        let spots = found(&frame, &SpotsOptions::default());
+        assert_eq!(spots.len(), 4, "{spots:?}");
+        for (u, v, sigma, height, flags) in places {
+            let near = spots
+                .iter()
+                .find(|spot| (spot.u - u).hypot(spot.v - v) < 0.5);
+            let spot = near.unwrap();
+            assert_eq!(spot.flags.sum(), flags, "{spot:?}");
+            assert!(
+                spot.gaussian && (spot.sigma / sigma - 1.0).abs() < 0.1,
+                "{spot:?}"
+            );
+            assert!((spot.amplitude / height - 1.0).abs() < 0.15, "{spot:?}");
+            let off = (spot.u - u).hypot(spot.v - v);
+            assert!(off < 5.0 * spot.sd_u.hypot(spot.sd_v), "{off} {spot:?}");
+        }
+        let long = spots
+            .iter()
+            .find(|spot| (spot.u - 80.4).abs() < 1.0)
+            .unwrap();
+        assert!(
+            long.flags.elongated && !long.flags.touches_border,
+            "{long:?}"
+        );
+        assert!((long.u - 80.4).hypot(long.v - 70.2) < 0.1, "{long:?}");
     }
 
     #[test]

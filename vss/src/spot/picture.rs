@@ -1,4 +1,145 @@
-//! Whole-picture steps before a spot is looked for: smoothing, noise, histogram.
+//! Whole-picture steps before a spot is looked for: smoothing, noise, histogram, tilt. And a picture as a fit reads it.
+
+use super::SATURATED;
+use crate::frame::Frame;
+
+/// Side of the tiles whose medians show a tilted background, px.
+const TILE: usize = 16;
+/// What a tilted background changes by over the picture, at least, grey values.
+const LEAST_TILT: f64 = 4.0;
+
+/// A round Gaussian.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bell {
+    pub u: f64,
+    pub v: f64,
+    /// Above the background, grey values.
+    pub amplitude: f64,
+    pub sigma: f64,
+}
+
+impl Bell {
+    /// Its mean over a pixel, grey values.
+    fn at(&self, u: usize, v: usize) -> f64 {
+        let mean = |pixel: usize, centre: f64| {
+            let along = super::gauss::axis((pixel, pixel + 1), centre, self.sigma);
+            along.first().map_or(0.0, |[mean, ..]| *mean)
+        };
+        self.amplitude * mean(u, self.u) * mean(v, self.v)
+    }
+}
+
+/// A picture without the spots that are known already.
+pub(super) struct Picture<'a> {
+    frame: &'a Frame,
+    /// The other spots.
+    others: Vec<Bell>,
+}
+
+impl<'a> Picture<'a> {
+    /// The picture as it is.
+    pub(super) fn of(frame: &'a Frame) -> Self {
+        Self::without(frame, Vec::new())
+    }
+
+    /// The picture less these spots.
+    pub(super) fn without(frame: &'a Frame, others: Vec<Bell>) -> Self {
+        Self { frame, others }
+    }
+
+    pub(super) fn width(&self) -> usize {
+        self.frame.width
+    }
+
+    pub(super) fn height(&self) -> usize {
+        self.frame.height
+    }
+
+    /// The grey value of a pixel; `None` where it is saturated.
+    pub(super) fn value(&self, u: usize, v: usize) -> Option<f64> {
+        let grey = self.frame.get(u, v).filter(|grey| *grey < SATURATED)?;
+        let others: f64 = self.others.iter().map(|bell| bell.at(u, v)).sum();
+        Some(f64::from(grey) - others)
+    }
+}
+
+/// A background that rises evenly: its grey value at the first pixel, and its slopes along u and v per px.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Tilt {
+    pub start: f64,
+    pub along_u: f64,
+    pub along_v: f64,
+}
+
+impl Tilt {
+    /// The tilt that most of the picture agrees on, whatever stands in the rest: medians of the slopes between tiles that are
+    /// an eighth of the picture apart (after H. Theil and P. Sen). A tilt that changes little over the picture is none.
+    pub(super) fn of(pixels: &[u8], width: usize) -> Self {
+        let columns = width.div_ceil(TILE).max(1);
+        let rows: Vec<&[u8]> = pixels.chunks_exact(width.max(1)).collect();
+        let mut tiles = Vec::new();
+        for band in rows.chunks(TILE) {
+            for column in 0..columns {
+                let span = column * TILE..((column + 1) * TILE).min(width);
+                let greys = band
+                    .iter()
+                    .filter_map(|row| row.get(span.clone()))
+                    .flatten();
+                let (count, sum) = greys.fold((0_u32, 0.0), |(count, sum), grey| {
+                    (count + 1, sum + f64::from(*grey))
+                });
+                tiles.push(sum / f64::from(count.max(1)));
+            }
+        }
+        let bands = tiles.len() / columns;
+        let at = |column: usize, band: usize| tiles.get(band * columns + column).copied();
+        let slope = |right: usize, down: usize| {
+            let mut slopes = Vec::new();
+            for band in 0..bands.saturating_sub(down) {
+                for column in 0..columns.saturating_sub(right) {
+                    if let (Some(a), Some(b)) = (at(column, band), at(column + right, band + down))
+                    {
+                        slopes.push((b - a) / ((right + down) * TILE) as f64);
+                    }
+                }
+            }
+            middle(slopes)
+        };
+        let steep = |slope: f64, length: usize| {
+            if (slope * length as f64).abs() < LEAST_TILT {
+                0.0
+            } else {
+                slope
+            }
+        };
+        let along_u = steep(slope((columns / 8).max(1), 0), width);
+        let along_v = steep(slope(0, (bands / 8).max(1)), rows.len());
+        let greys = rows.iter().enumerate().step_by(3).flat_map(|(v, row)| {
+            let row = row.iter().enumerate().step_by(3);
+            row.map(move |(u, grey)| f64::from(*grey) - along_u * u as f64 - along_v * v as f64)
+        });
+        Self {
+            start: middle(greys.collect()),
+            along_u,
+            along_v,
+        }
+    }
+
+    pub(super) fn is_level(&self) -> bool {
+        self.along_u == 0.0 && self.along_v == 0.0
+    }
+
+    /// Its grey value at a pixel.
+    pub(super) fn at(&self, u: usize, v: usize) -> f64 {
+        self.start + self.along_u * u as f64 + self.along_v * v as f64
+    }
+}
+
+/// The median; 0 of nothing.
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
 
 /// The picture convolved with the 5x5 binomial filter (1 4 6 4 1)/16 in both directions; the border is continued.
 /// `pixels` holds whole rows of `width` (not 0).

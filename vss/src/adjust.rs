@@ -1,0 +1,68 @@
+//! Least squares on normal equations, with a step that each problem applies in its own way (rotations by turning).
+
+use nalgebra::{DMatrix, DVector};
+
+/// Steps after which a fit that still changes is taken as it is.
+const MOST_STEPS: usize = 100;
+/// A relative fall of the sum of squares below which a fit is at its end.
+const STILL: f64 = 1e-12;
+
+/// A problem of least squares at one place.
+pub(crate) trait Adjustable: Sized {
+    /// Sum of squared residuals; `None` where there are none.
+    fn squares(&self) -> Option<f64>;
+
+    /// JᵀJ and -Jᵀr with the derivatives J of the residuals r; `None` where there are none.
+    fn equations(&self) -> Option<(DMatrix<f64>, DVector<f64>)>;
+
+    /// The problem a step away.
+    fn moved(&self, step: &DVector<f64>) -> Self;
+}
+
+/// The place of least squares, by Levenberg's and Marquardt's method; `None` where it breaks down.
+pub(crate) fn adjusted<P: Adjustable>(mut problem: P) -> Option<P> {
+    let mut squares = problem.squares().filter(|squares| squares.is_finite())?;
+    let mut damping = 1e-3;
+    for _ in 0..MOST_STEPS {
+        let (normal, right) = problem.equations()?;
+        let (next, next_squares) = loop {
+            let mut damped = normal.clone();
+            for k in 0..damped.nrows() {
+                damped[(k, k)] += damping * normal[(k, k)] + f64::MIN_POSITIVE;
+            }
+            let step = damped.cholesky().map(|factor| factor.solve(&right));
+            let next = step.map(|step| problem.moved(&step));
+            let found = next.and_then(|next| Some((next.squares()?, next)));
+            match found {
+                Some((next_squares, next)) if next_squares <= squares => {
+                    break (next, next_squares);
+                }
+                // So small a step changes nothing any more.
+                _ if damping > 1e12 => return Some(problem),
+                _ => damping *= 10.0,
+            }
+        };
+        damping = (0.1 * damping).max(1e-12);
+        let fall = squares - next_squares;
+        (problem, squares) = (next, next_squares);
+        if fall <= STILL * squares {
+            break;
+        }
+    }
+    Some(problem)
+}
+
+/// The inverse of a normal matrix, and its condition number with columns scaled; `None` if it has none.
+pub(crate) fn inverse(normal: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)> {
+    let free = normal.nrows();
+    let scale = normal.diagonal().map(|entry| 1.0 / entry.sqrt());
+    let scaled = DMatrix::from_fn(free, free, |i, j| normal[(i, j)] * scale[i] * scale[j]);
+    if !scaled.iter().all(|entry| entry.is_finite()) {
+        return None;
+    }
+    let values = scaled.clone().try_symmetric_eigen(1e-15, 1000)?.eigenvalues;
+    let condition = (values.max() / values.min().max(0.0)).sqrt();
+    let inverse = scaled.cholesky()?.inverse();
+    let unscaled = DMatrix::from_fn(free, free, |i, j| inverse[(i, j)] * scale[i] * scale[j]);
+    Some((unscaled, condition))
+}

@@ -1,0 +1,186 @@
+//! Corners of rendered patterns, with perspective, lens, blur and noise.
+
+use super::*;
+use crate::camera::{Camera, Distortion, Intrinsics};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+const LENS: Distortion = Distortion {
+    k1: -0.25,
+    k2: 0.08,
+    p1: 5e-4,
+    p2: -3e-4,
+    k3: 0.0,
+};
+
+/// A camera before a pattern whose fields are 1 wide.
+pub(crate) fn camera(turn: Vector3<f64>, distance: f64, columns: usize, rows: usize) -> Camera {
+    let rotation = UnitQuaternion::new(turn);
+    let middle = Vector3::new(0.5 * (columns as f64 - 1.0), 0.5 * (rows as f64 - 1.0), 0.0);
+    let place = Vector3::new(0.1, -0.05, distance) - rotation * middle;
+    let pose = Isometry3::from_parts(place.into(), rotation);
+    Camera {
+        rotation: pose.rotation,
+        centre: pose.inverse().translation.vector.into(),
+        intrinsics: Intrinsics {
+            fx: 500.0,
+            fy: 502.0,
+            cx: 161.0,
+            cy: 119.0,
+        },
+        distortion: LENS,
+    }
+}
+
+/// The pattern of `columns` x `rows` inner corners, whose first is at the origin of the plane, on a white sheet.
+pub(crate) fn rendered(
+    camera: &Camera,
+    columns: usize,
+    rows: usize,
+    noise: f64,
+    seed: u64,
+) -> Frame {
+    let (width, height, parts) = (320, 240, 16);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let rotation: Matrix3<f64> = camera.rotation.inverse().to_rotation_matrix().into_inner();
+    let part = |k: usize| (k as f64 + 0.5) / parts as f64 - 0.5;
+    let grey = |u: f64, v: f64| {
+        let Some(ray) = camera.ray(Vector2::new(u, v)) else {
+            return 100.0;
+        };
+        let ray = rotation * ray;
+        let on = camera.centre - ray * (camera.centre.z / ray.z);
+        let (x, y) = (on.x + 1.0, on.y + 1.0);
+        let inside = x > 0.0 && y > 0.0 && x < columns as f64 + 1.0 && y < rows as f64 + 1.0;
+        if inside && (x.floor() + y.floor()) as i64 % 2 == 0 {
+            40.0
+        } else {
+            200.0
+        }
+    };
+    let sampled: Vec<f64> = (0..width * height)
+        .map(|at| {
+            let (u, v) = ((at % width) as f64, (at / width) as f64);
+            // No two samples share a column or a row, so that edges along these are not seen in steps.
+            let parts = (0..parts).map(|k| grey(u + part(7 * k % parts), v + part(k)));
+            parts.sum::<f64>() / 16.0
+        })
+        .collect();
+    // A lens is never quite sharp: 1 2 1 in both directions.
+    let at = |u: usize, v: usize| sampled[v.min(height - 1) * width + u.min(width - 1)];
+    let pixels: Vec<u8> = (0..width * height)
+        .map(|k| {
+            let (u, v) = (k % width, k / width);
+            let row =
+                |v: usize| 0.25 * at(u.saturating_sub(1), v) + 0.5 * at(u, v) + 0.25 * at(u + 1, v);
+            let value = 0.25 * row(v.saturating_sub(1)) + 0.5 * row(v) + 0.25 * row(v + 1);
+            let deviate: f64 = rng.sample(StandardNormal);
+            (value + noise * deviate).round().clamp(0.0, 255.0) as u8
+        })
+        .collect();
+    Frame::grey8(width, height, pixels)
+}
+
+pub(crate) fn truth(camera: &Camera, columns: usize, rows: usize) -> Vec<Vector2<f64>> {
+    let corner = |k: usize| Point3::new((k % columns) as f64, (k / columns) as f64, 0.0);
+    (0..columns * rows)
+        .map(|k| camera.project(&corner(k)).unwrap())
+        .collect()
+}
+
+#[test]
+fn corners_are_found_in_order_and_as_exactly_as_they_say() {
+    let turns = [
+        Vector3::new(0.02, 0.01, 0.07),
+        Vector3::new(0.5, 0.2, 0.1),
+        Vector3::new(-0.4, 0.5, -0.3),
+    ];
+    for noise in [0.0, 4.0] {
+        let (mut squares, mut ratios, mut count) = (0.0, 0.0, 0.0);
+        for (seed, turn) in (0..).zip(turns) {
+            let camera = camera(turn, 22.0, 8, 5);
+            let picture = rendered(&camera, 8, 5, noise, seed);
+            let found = find_corners(&picture, 8, 5).unwrap();
+            for (corner, truth) in found.iter().zip(truth(&camera, 8, 5)) {
+                let (du, dv) = (corner.u - truth.x, corner.v - truth.y);
+                assert!(
+                    du.hypot(dv) < 0.05 + 0.05 * noise,
+                    "{noise} {turn}: {corner:?} {truth}"
+                );
+                squares += du * du + dv * dv;
+                ratios += (du / corner.sd_u).powi(2) + (dv / corner.sd_v).powi(2);
+                count += 1.0;
+            }
+        }
+        let (rms, ratio) = ((squares / count).sqrt(), (ratios / (2.0 * count)).sqrt());
+        let told = format!("noise {noise}: rms {rms}, error over sd {ratio}");
+        assert!(rms < 0.02 + 0.015 * noise, "{told}");
+        if noise > 0.0 {
+            assert!((0.75..1.3).contains(&ratio), "{told}");
+        }
+    }
+}
+
+#[test]
+fn a_square_pattern_begins_at_the_upper_left_whatever_its_turn() {
+    for quarter in 0..4 {
+        let turn = Vector3::new(
+            0.0,
+            0.0,
+            0.15 + f64::from(quarter) * std::f64::consts::FRAC_PI_2,
+        );
+        let camera = camera(turn, 22.0, 5, 5);
+        let found = find_corners(&rendered(&camera, 5, 5, 1.0, 1), 5, 5).unwrap();
+        let first = found[0];
+        assert!(found.iter().all(|one| one.u + one.v >= first.u + first.v));
+        let (right, below) = (found[4], found[20]);
+        assert!(
+            right.u > first.u + 50.0 && below.v > first.v + 50.0,
+            "{quarter}"
+        );
+    }
+}
+
+#[test]
+fn what_is_no_such_pattern_is_refused_with_what_was_found() {
+    let camera = camera(Vector3::new(0.3, 0.2, 0.1), 22.0, 7, 5);
+    let picture = rendered(&camera, 7, 5, 2.0, 1);
+    assert!(matches!(
+        find_corners(&picture, 6, 5),
+        Err(NoChequer::OtherSize {
+            columns: 7,
+            rows: 5,
+            filled: 35,
+            ..
+        })
+    ));
+    assert!(matches!(
+        find_corners(&picture, 9, 6),
+        Err(NoChequer::TooFew { .. })
+    ));
+    // A hand over a part of it.
+    let mut pixels = picture.grey().to_vec();
+    for v in 90..130 {
+        for u in 130..190 {
+            pixels[v * 320 + u] = 120;
+        }
+    }
+    let covered = Frame::grey8(320, 240, pixels);
+    assert!(find_corners(&covered, 7, 5).is_err());
+    let noise = |seed| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let pixels: Vec<u8> = (0..320 * 240).map(|_| rng.random()).collect();
+        Frame::grey8(320, 240, pixels)
+    };
+    for seed in 0..3 {
+        assert!(find_corners(&noise(seed), 7, 5).is_err());
+    }
+    assert!(find_corners(&Frame::grey8(320, 240, vec![90; 320 * 240]), 7, 5).is_err());
+    assert_eq!(
+        find_corners(&Frame::grey8(0, 0, Vec::new()), 7, 5),
+        Err(NoChequer::NoPicture)
+    );
+    assert_eq!(find_corners(&picture, 2, 5), Err(NoChequer::TooSmall(2, 5)));
+}
