@@ -407,6 +407,11 @@ impl Search<'_> {
                 fit.variation, fit.amplitude
             ));
         }
+        if fit.structured && fit.window.cut {
+            return Err(
+                "before an edge, and cut by the border, it may be what an edge leaves".to_owned(),
+            );
+        }
         if fit.sd_u.max(fit.sd_v) > options.max_sd_px {
             return Err(format!(
                 "its centre would be uncertain by {:.2} px, more than {}",

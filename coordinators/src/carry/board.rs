@@ -89,7 +89,7 @@ impl Board {
                 "give the middle of the board in m, nearer than 100".to_owned(),
             ));
         }
-        if !(self.yaw_deg.abs() <= 360.0) {
+        if !(-360.0..=360.0).contains(&self.yaw_deg) {
             return Err(("yaw_deg", "give from -360 to 360 degrees".to_owned()));
         }
         if !(1e-3..=1.0).contains(&self.field_m) {

@@ -85,7 +85,7 @@ impl Thing {
             wrong("grasp.open_m", text);
         }
         let turns = &grasp.turns_deg;
-        if turns.is_empty() || turns.iter().any(|turn| !(turn.abs() <= 360.0)) {
+        if turns.is_empty() || !turns.iter().all(|turn| (-360.0..=360.0).contains(turn)) {
             let text = "`grasp.turns_deg` needs at least one turn from -360 to 360 degrees";
             wrong("grasp.turns_deg", text.to_owned());
         }

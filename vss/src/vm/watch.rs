@@ -20,7 +20,7 @@ pub(crate) struct WatchArgs {
     black_below: f64,
     /// A camera is covered in whose pictures no part is further off the mean, grey levels; 0: none is.
     covered_below: f64,
-    /// A frame of a live source may be so old when it comes, s.
+    /// A frame of a live source may be so much older when it comes than the one that came the soonest, s.
     oldest_s: f64,
 }
 
@@ -38,8 +38,8 @@ impl Default for WatchArgs {
 /// So many frames in a row must be black or even: one may be by chance.
 const IN_A_ROW: u32 = 3;
 
-/// A stamp may be ahead of the clock by so much: clocks of hosts differ.
-const AHEAD: Duration = Duration::from_millis(50);
+/// How fast the age at which frames come the soonest may grow: the clocks of two hosts drift apart.
+const DRIFT: f64 = 1e-3;
 
 /// Parts of a picture along each side, whose mean greys are compared.
 const PARTS: usize = 8;
@@ -60,6 +60,8 @@ pub(crate) struct Watch {
     live: bool,
     size: Option<(usize, usize, PixelFormat)>,
     before: Option<Before>,
+    /// How old frames are that come the soonest, s, and when that was seen. By clocks of two hosts, which may differ by seconds.
+    soonest: Option<(f64, Duration)>,
     /// For how many frames pixels were black, even.
     black: u32,
     even: u32,
@@ -72,6 +74,7 @@ impl Watch {
             live,
             size: None,
             before: None,
+            soonest: None,
             black: 0,
             even: 0,
         }
@@ -113,7 +116,7 @@ impl Watch {
         if !self.live {
             return None;
         }
-        let (stamp, oldest) = (frame.stamp, Duration::from_secs_f64(self.args.oldest_s));
+        let stamp = frame.stamp;
         let jump = |text: String| Some((Doubt::TimeJump, text));
         if let Some(before) = &self.before
             && stamp < before.stamp
@@ -123,14 +126,19 @@ impl Watch {
                 before.stamp
             ));
         }
-        if stamp > now + AHEAD {
-            return jump(format!("its stamp is {stamp:?}, and it is only {now:?}"));
-        }
-        if now.saturating_sub(stamp) > oldest + frame.exposure {
+        let age = now.as_secs_f64() - stamp.as_secs_f64();
+        let soonest = self.soonest.map_or(age, |(soonest, then)| {
+            soonest + DRIFT * now.saturating_sub(then).as_secs_f64()
+        });
+        let late = age - soonest;
+        if late.abs() > self.args.oldest_s + frame.exposure.as_secs_f64() {
+            let way = if late > 0.0 { "later" } else { "sooner" };
             return jump(format!(
-                "its stamp is {stamp:?}, older than {oldest:?} when it came at {now:?}"
+                "its stamp is {stamp:?}: it came {:.1} s {way} after that than others do",
+                late.abs()
             ));
         }
+        self.soonest = Some((soonest.min(age), now));
         None
     }
 
@@ -289,8 +297,29 @@ mod tests {
             }
         };
         let mut watch = Watch::new(WatchArgs::default(), true);
+        assert_eq!(watch.look(&good(19), good(19).stamp), None);
         let seen = watch.look(&old(22, good(22)), Duration::from_secs(4));
         assert_eq!(seen.map(|seen| seen.0), Some(Doubt::TimeJump));
+    }
+
+    #[test]
+    fn a_camera_whose_clock_differs_and_drifts_is_believed_for_hours() {
+        for ahead in [-10.0, 10.0] {
+            for rate in [1.0 - 2e-4, 1.0 + 2e-4] {
+                let mut watch = Watch::new(WatchArgs::default(), true);
+                for number in 0..20_000_u64 {
+                    // A frame each second, which comes up to a second late.
+                    let now = 100.0 + number as f64;
+                    let late = (number % 7) as f64 / 7.0;
+                    let frame = Frame {
+                        stamp: Duration::from_secs_f64((now - late) * rate + ahead),
+                        ..good(number)
+                    };
+                    let seen = watch.look(&frame, Duration::from_secs_f64(now));
+                    assert_eq!(seen, None, "{number}");
+                }
+            }
+        }
     }
 
     #[test]
