@@ -455,7 +455,11 @@ impl<'a> Ride<'a> {
     ) -> Result<MoveReport, Failure> {
         let target = Target::Pose(rows(&pose));
         let planned = self.plan_to(target, path, speed).await?;
-        let order = self.order(target, path, speed, guards);
+        let order = Move {
+            // What goes gently stops as soon as anything else.
+            acceleration: Some(speed.max(self.args.slow)),
+            ..self.order(target, path, speed, guards)
+        };
         self.moved(order, planned.duration_s).await
     }
 
