@@ -577,16 +577,18 @@ fn run_here(all: &[(&str, Then)], ctos: &OsStr, folder: &Path, here: &[(&str, St
             "scott" => OsStr::new(env!("CARGO_BIN_EXE_scott")),
             _ => ctos,
         };
-        let mut command = command(program, folder);
+        let mut asked = command(program, folder);
         let arguments = arguments(words, folder).into_iter().map(|word| {
             let stands = here.iter().find(|(there, _)| *there == word);
             stands.map_or(word, |(_, here)| here.clone())
         });
-        command.args(arguments);
+        asked.args(arguments);
         if let Some(file) = input(words) {
-            command.stdin(fs::File::open(folder.join(file)).unwrap());
+            asked.stdin(fs::File::open(folder.join(file)).unwrap());
         }
-        if let Some(why) = run(command, then) {
+        if let Some(why) = run(asked, then) {
+            // An app that a line before left running would take time from other tests.
+            let _ = command(ctos, folder).args(["stop", "--now"]).output();
             panic!("{text}\n{why}");
         }
     }
