@@ -47,6 +47,7 @@ mod reserve;
 pub mod results;
 mod slot;
 pub mod sorm;
+pub mod sound;
 pub mod stream;
 pub mod together;
 pub mod trade;

@@ -7,7 +7,7 @@ use ctos::{
     time::Clock,
 };
 use sorma::ipc::{self, Host};
-use sorma::{ClassInfo, Dictionary, Sorm, asynchronous, demo, describe};
+use sorma::{ClassInfo, Dictionary, Sorm, asynchronous, demo, describe, sound};
 
 /// What a program may know about all classes, by name.
 pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
@@ -15,6 +15,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(asynchronous::classes());
     classes.extend(demo::classes());
     classes.extend(ipc::classes());
+    classes.extend(sound::classes());
     classes.extend(mcs::services::classes());
     classes.extend(mcs_hand::services::classes());
     classes.extend(vss::services::classes());
@@ -24,8 +25,9 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
 });
 
 /// The dictionaries that are shipped with the classes.
-const SHIPPED: [(&str, &str); 4] = [
+const SHIPPED: [(&str, &str); 5] = [
     ("the demo classes' dictionary", demo::DICTIONARY),
+    ("the dictionary of sound", sound::DICTIONARY),
     ("the arm's dictionary", mcs::services::DICTIONARY),
     ("the hand's dictionary", mcs_hand::services::DICTIONARY),
     (
@@ -66,6 +68,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     asynchronous::register(sorm);
     demo::register(sorm);
     ipc::register(sorm, host);
+    sound::register(sorm);
     mcs::services::register(sorm);
     mcs_hand::services::register(sorm);
     vss::services::register(sorm);
