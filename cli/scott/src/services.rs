@@ -17,6 +17,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(ipc::classes());
     classes.extend(mcs::services::classes());
     classes.extend(mcs_hand::services::classes());
+    classes.extend(mcs_path::services::classes());
     classes.extend(vss::services::classes());
     classes.extend(coordinators::carry::service::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
@@ -24,10 +25,11 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
 });
 
 /// The dictionaries that are shipped with the classes.
-const SHIPPED: [(&str, &str); 4] = [
+const SHIPPED: [(&str, &str); 5] = [
     ("the demo classes' dictionary", demo::DICTIONARY),
     ("the arm's dictionary", mcs::services::DICTIONARY),
     ("the hand's dictionary", mcs_hand::services::DICTIONARY),
+    ("the dictionary of paths", mcs_path::services::DICTIONARY),
     (
         "the dictionary of carry",
         coordinators::carry::service::DICTIONARY,
@@ -68,6 +70,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     ipc::register(sorm, host);
     mcs::services::register(sorm);
     mcs_hand::services::register(sorm);
+    mcs_path::services::register(sorm);
     vss::services::register(sorm);
     coordinators::carry::service::register(sorm);
 }
