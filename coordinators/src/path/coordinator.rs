@@ -479,7 +479,11 @@ async fn gone(action: &Act) -> Result<(Trip, String), Failure> {
         let plan = plan.clone();
         async move { arm.plan(plan).await }
     });
-    let planned = planned.await?;
+    // What the planner refuses, an arch without a way across, say, is no way; who may move was settled before.
+    let planned = planned.await.map_err(|failure| match failure.outcome {
+        Outcome::Refused => Failure::new(Outcome::Unreachable, failure.reason),
+        _ => failure,
+    })?;
     let order = Move {
         target,
         path,

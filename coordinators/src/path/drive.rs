@@ -53,7 +53,14 @@ pub(super) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Fa
     });
     let moves = orders.map(|order| arm.go(order, longest_s));
     let ended = stream::iter(moves).buffered(AHEAD);
-    ended.try_for_each(|_| async { Ok(()) }).await
+    let gone = ended.try_for_each(|_| async { Ok(()) }).await;
+    if gone.is_err() {
+        // One that was ordered already would go on from elsewhere.
+        if let Err(failure) = arm.end().await {
+            tracing::warn!(%failure, "what was ordered could not be taken back");
+        }
+    }
+    gone
 }
 
 /// Where the arm is, joint by joint.

@@ -225,7 +225,7 @@ mod tests {
             let ways = |quick: f64| [(way("quick", 1.0), quick), (way("sure", 4.0), 0.98)];
             let (good, _) = steps(&mut belief, (60, &mut rng), &ways(0.95));
             assert!(good["quick"] > 50, "{seed}: {good:?}");
-            steps(&mut belief, (40, &mut rng), &ways(0.02));
+            steps(&mut belief, (150, &mut rng), &ways(0.02));
             let (bad, _) = steps(&mut belief, (60, &mut rng), &ways(0.02));
             assert!(bad["sure"] > 45, "{seed}: {bad:?}");
             steps(&mut belief, (200, &mut rng), &ways(0.95));

@@ -33,11 +33,11 @@ const MOST_SOLIDS: usize = 1000;
 sorma::prototypes! {
     /// The codes of the reports of this class.
     pub mod code {
-        NO_WAY = 190, Error, "no way was found",
+        NO_WAY = 195, Error, "no way was found",
             "there may be none, or only a narrow one: set -iterations and -seed, or look at EXEC free";
-        TOUCHES = 191, Error, "the arm touches something, or is nearer to it than the margin",
+        TOUCHES = 196, Error, "the arm touches something, or is nearer to it than the margin",
             "the text says what: choose another position, or set -margin";
-        NO_SPACE = 192, Error, "the arm, or what stands around it, makes no sense",
+        NO_SPACE = 197, Error, "the arm, or what stands around it, makes no sense",
             "the text says what, and where";
     }
 }
@@ -62,7 +62,7 @@ const FORMS: &[Form] = &[
         text: "free",
         floats: Form::ANY,
         takes: "n joint positions, rad or m",
-        gives: "1 float: the least distance of two solids there, m; the text names them; or report 191",
+        gives: "1 float: the least distance of two solids there, m; the text names them; or report 196",
         results: "distance: m",
         help: "tells whether the arm keeps its distance from everything at a position",
     },
