@@ -24,6 +24,7 @@ pub fn registry() -> Registry {
     let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
     mcs_hand::register(&mut registry, &mut laws);
     mcs_collision::register(&mut registry, &mut guards);
+    mcs_path::register(&mut registry);
     mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);

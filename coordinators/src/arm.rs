@@ -10,6 +10,9 @@ use crate::outcome::{Failure, Outcome};
 /// How much longer than planned a motion may take, to settle and to be waited for.
 const MOVE_MARGIN_S: f64 = 10.0;
 
+/// How often it is looked whether the arm rests.
+const REST: Duration = Duration::from_millis(20);
+
 /// How often it is looked whether somebody has resumed.
 const LOOK: Duration = Duration::from_millis(200);
 
@@ -50,6 +53,23 @@ impl Arm<'_> {
                     tracing::warn!(%error, %also, "whether the arm still moves is not known");
                 }
                 Err(error.into())
+            }
+        }
+    }
+
+    /// Takes back what is ordered, and waits until the arm rests.
+    pub(crate) async fn end(&self) -> Result<(), Failure> {
+        self.ask(|arm| async move { arm.cancel().await }).await?;
+        let until = self.cx.now() + Duration::from_secs_f64(MOVE_MARGIN_S);
+        loop {
+            self.cx.sleep(REST).await;
+            let position = self.ask(|arm| async move { arm.position().await }).await?;
+            if position.at_rest || self.cx.is_stopping() {
+                return Ok(());
+            }
+            if self.cx.now() >= until {
+                let text = format!("the arm did not come to rest within {MOVE_MARGIN_S} s");
+                return Err(Failure::new(Outcome::Fault, text));
             }
         }
     }

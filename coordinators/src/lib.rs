@@ -15,9 +15,12 @@ pub mod objects;
 mod observations;
 pub mod operator;
 pub mod outcome;
+pub mod path;
 pub mod positions;
+pub mod push;
 pub mod referee;
 mod results;
+pub mod strategy;
 pub mod vision;
 
 #[cfg(test)]
@@ -46,6 +49,8 @@ pub fn register(registry: &mut Registry) {
     referee::register(registry);
     hand_eye::register(registry);
     carry::register(registry);
+    path::register(registry);
+    push::register(registry);
     pnt::task::check_nets(registry);
 }
 

@@ -207,6 +207,23 @@ impl Manipulator {
         Ok(self.cx.call(&self.client, ReadPosition {}).await?)
     }
 
+    /// Goes over to another control law, as [`SetLaw`] does.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn law(&self, law: &str) -> Result<ControlReport, MotionError> {
+        let law = law.to_owned();
+        Ok(self.cx.call(&self.client, SetLaw { law }).await?)
+    }
+
+    /// The recipes of its guards, and what a guard found last.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn guards(&self) -> Result<GuardsReport, MotionError> {
+        Ok(self.cx.call(&self.client, ReadGuards {}).await?)
+    }
+
     /// How the manipulator is.
     ///
     /// # Errors

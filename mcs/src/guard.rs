@@ -5,6 +5,7 @@
 //! every motion, others for those that name them. A guard of one's own is one file with one type and one name in a
 //! [`GuardRegistry`]. Knows the arm's model, and no task, planner or hardware.
 
+pub mod contact;
 pub mod force;
 pub(crate) mod rack;
 mod registry;

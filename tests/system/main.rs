@@ -47,3 +47,4 @@ mod structure;
 mod testbed;
 mod traces;
 mod vision;
+mod ways;

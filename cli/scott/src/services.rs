@@ -18,6 +18,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(sound::classes());
     classes.extend(mcs::services::classes());
     classes.extend(mcs_hand::services::classes());
+    classes.extend(mcs_path::services::classes());
     classes.extend(vss::services::classes());
     classes.extend(coordinators::carry::service::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
@@ -30,6 +31,7 @@ const SHIPPED: [(&str, &str); 5] = [
     ("the dictionary of sound", sound::DICTIONARY),
     ("the arm's dictionary", mcs::services::DICTIONARY),
     ("the hand's dictionary", mcs_hand::services::DICTIONARY),
+    ("the dictionary of paths", mcs_path::services::DICTIONARY),
     (
         "the dictionary of carry",
         coordinators::carry::service::DICTIONARY,
@@ -71,6 +73,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     sound::register(sorm);
     mcs::services::register(sorm);
     mcs_hand::services::register(sorm);
+    mcs_path::services::register(sorm);
     vss::services::register(sorm);
     coordinators::carry::service::register(sorm);
 }

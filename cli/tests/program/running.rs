@@ -186,6 +186,12 @@ const CARRY: &[(&str, Then)] = &[
     ("ctos stop", Ends),
 ];
 
+/// Lines about the task `push`, and about ways around obstacles.
+const WAYS: &[(&str, Then)] = &[
+    ("ctos boot configs/around.toml", ComesUp),
+    ("ctos boot configs/push.toml", ComesUp),
+];
+
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.
 const REMOTE: [&[(&str, Then)]; 2] = [
     &[("ctos boot configs/remote.toml", ComesUp)],
@@ -394,6 +400,7 @@ fn every_command_line_is_run_by_a_test() {
         RECORD,
         GRASP,
         CARRY,
+        WAYS,
         REMOTE[0],
         REMOTE[1],
         MOVING,
@@ -780,6 +787,12 @@ fn the_lines_about_an_arm_with_a_gripper_are_run_and_go_well() {
 fn the_lines_about_carrying_are_run_and_go_well() {
     let folder = configurations();
     run_all(CARRY, CTOS.as_ref(), folder.path());
+}
+
+#[test]
+fn the_lines_about_ways_and_pushing_are_run_and_go_well() {
+    let folder = configurations();
+    run_all(WAYS, CTOS.as_ref(), folder.path());
 }
 
 /// Another process of the test, which ends with this.

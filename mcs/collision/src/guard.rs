@@ -8,10 +8,12 @@
 
 use std::sync::Arc;
 
+use ctos::config::Node;
 use ctos::task::HandlerError;
 use mcs::guard::{Guard, GuardSettings, Neighbour, Seen, Shown, Words};
 use mcs::latest::Latest;
 use mcs::model::file::{AtText, ShapeText};
+use mcs::model::{Placement, Solid};
 use mcs::words;
 use serde::Deserialize;
 
@@ -58,6 +60,47 @@ struct Furniture {
     name: String,
     /// Its form in the base frame of this arm.
     shapes: Vec<ShapeText>,
+}
+
+/// What a recipe of this guard says there is around an arm, in its base frame.
+#[derive(Debug, Clone)]
+pub struct Surroundings {
+    /// The distance that is kept, m.
+    pub margin: f64,
+    /// The other arms: the servo's task of each, and where its base frame stands.
+    pub others: Vec<(String, Placement)>,
+    /// The solids of the room, by name.
+    pub room: Vec<(String, Solid)>,
+}
+
+impl Surroundings {
+    /// Reads them from the arguments of a recipe.
+    ///
+    /// # Errors
+    /// What is wrong with them.
+    pub fn read(args: &Node) -> Result<Self, HandlerError> {
+        let args: Args = args.parse()?;
+        if !(0.0..=1.0).contains(&args.margin) {
+            return Err(format!("`margin` is 0 to 1 m, not {}", args.margin).into());
+        }
+        let others = args.others.into_iter();
+        let mut room = Vec::new();
+        for piece in args.room {
+            for shape in &piece.shapes {
+                let solid = shape
+                    .solid()
+                    .map_err(|what| format!("`{}`: {what}", piece.name))?;
+                room.push((piece.name.clone(), solid));
+            }
+        }
+        Ok(Self {
+            margin: args.margin,
+            others: others
+                .map(|other| (other.servo, other.at.placement()))
+                .collect(),
+            room,
+        })
+    }
 }
 
 /// What the guard of a servo found, for tasks of its chassis.
@@ -125,10 +168,11 @@ pub struct Collision {
 /// # Errors
 /// What is wrong with them.
 pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerError> {
-    let args: Args = settings.args.parse()?;
-    if !(0.0..=1.0).contains(&args.margin) {
-        return Err(format!("`margin` is 0 to 1 m, not {}", args.margin).into());
-    }
+    let Surroundings {
+        margin,
+        others: named,
+        room,
+    } = Surroundings::read(settings.args)?;
     if settings.model.shapes().is_empty() {
         let name = settings.model.name();
         return Err(
@@ -136,30 +180,15 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
         );
     }
     let mut others = Vec::new();
-    for other in &args.others {
-        if other.servo == settings.servo {
-            return Err(format!("`{}` is this arm itself", other.servo).into());
+    for (servo, at) in named {
+        if servo == settings.servo {
+            return Err(format!("`{servo}` is this arm itself").into());
         }
-        others.push((
-            settings.around.neighbour(&other.servo)?,
-            other.at.placement(),
-        ));
+        others.push((settings.around.neighbour(&servo)?, at));
     }
-    let mut room = Vec::new();
-    for piece in args.room {
-        for shape in &piece.shapes {
-            let solid = shape
-                .solid()
-                .map_err(|what| format!("`{}`: {what}", piece.name))?;
-            room.push((piece.name.clone(), solid));
-        }
-    }
-    let own = (
-        Arc::clone(settings.model),
-        mcs::model::Placement::identity(),
-    );
+    let own = (Arc::clone(settings.model), Placement::identity());
     let arms = others.iter().map(|(arm, at)| (Arc::clone(&arm.model), *at));
-    let scene = Scene::new(std::iter::once(own).chain(arms), room, args.margin);
+    let scene = Scene::new(std::iter::once(own).chain(arms), room, margin);
     let findings = Arc::new(Findings {
         names: scene.names(),
         latest: Latest::new(&[-1.0, f64::INFINITY, 0.0, -1.0]),
@@ -169,7 +198,7 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
     }
     Ok(Box::new(Collision {
         scene,
-        margin: args.margin,
+        margin,
         others: others.into_iter().map(|(arm, _)| arm).collect(),
         findings,
         found: Found {

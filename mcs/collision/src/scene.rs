@@ -13,8 +13,8 @@ use mcs::model::{Data, JointKind, Model, Placement, Solid};
 
 use crate::distance::between;
 
-/// The way to rest is cut into so many pieces at most: a power of two.
-const PIECES: usize = 32;
+/// A way is cut into so many pieces at most: a power of two.
+pub const PIECES: usize = 32;
 /// Positions at which pairs are looked at when a scene is made.
 const SAMPLES: u32 = 256;
 /// The room for a joint without limits on either side, rad or m.
@@ -389,7 +389,7 @@ impl Scene {
                 looked.nearest = Some(near);
             }
             if looked.touches.is_none() && now <= self.margin + moves {
-                near.least = self.least(pair, now);
+                near.least = self.least(pair, now, self.margin);
                 let touches = match now > self.margin {
                     true => near.least <= self.margin,
                     false => near.least < now - ROUNDING,
@@ -404,22 +404,34 @@ impl Scene {
 
     /// The least distance of a pair on its way, or one at most the margin as soon as it may be no more; of what is
     /// nearer than the margin already, the least one of some places of the way.
-    fn least(&mut self, pair: usize, now: f64) -> f64 {
-        if now <= self.margin {
+    fn least(&mut self, pair: usize, now: f64, margin: f64) -> f64 {
+        if now <= margin {
             let places = [PIECES / 8, PIECES / 4, PIECES / 2, PIECES];
             return places
                 .into_iter()
                 .fold(now, |least, place| least.min(self.distance(pair, place)));
         }
-        // From one end to the other, by the largest pieces that are surely free.
+        match self.keeps(pair, now, margin, Smallest::Certain) {
+            (true, least) => least,
+            (false, least) => least.min(margin),
+        }
+    }
+
+    /// Whether a pair that is `now` (m) apart keeps a distance on its way, and the least distance of the places that were
+    /// looked at: from one end to the other, by the largest pieces that are surely free.
+    fn keeps(&mut self, pair: usize, now: f64, margin: f64, smallest: Smallest) -> (bool, f64) {
         let (mut from, mut there, mut size) = (0, now, PIECES);
         let mut least = now;
         while from < PIECES {
             let to = from + size;
             let then = self.distance(pair, to);
             least = least.min(then);
-            let free = there + then - 2.0 * self.margin > self.moves(pair, from, to);
-            if free {
+            if then <= margin {
+                return (false, least);
+            }
+            let surely = there + then - 2.0 * margin > self.moves(pair, from, to);
+            let seen = size == 1 && smallest == Smallest::Seen;
+            if surely || seen {
                 from = to;
                 there = then;
                 // The largest piece that begins here.
@@ -427,14 +439,109 @@ impl Scene {
                     PIECES => 1,
                     _ => 1 << from.trailing_zeros(),
                 };
-            } else if then <= self.margin || size == 1 {
-                return least.min(self.margin);
+            } else if size == 1 {
+                return (false, least);
             } else {
                 size /= 2;
             }
         }
+        (true, least)
+    }
+
+    /// How far anything of the first arm moves at most when a joint moves, for each joint: m per rad, or per m of one that
+    /// slides.
+    #[must_use]
+    pub fn levers(&self) -> Joints {
+        let Some(own) = self.arms.first() else {
+            return Joints::default();
+        };
+        let mut most = Joints::zeros(own.model.dof());
+        for (joint, lever) in own.parts.iter().flat_map(|part| &part.levers) {
+            most[*joint] = most[*joint].max(*lever);
+        }
+        most
+    }
+
+    /// Places an arm, which stands still.
+    pub fn stands(&mut self, arm: usize, position: &Joints) {
+        if let Some(arm) = self.arms.get_mut(arm) {
+            arm.see(position, |_| 0.0, Stopping::default(), 0.0);
+            arm.until(0.0);
+        }
+    }
+
+    /// How far the solids of each pair are from one another with the first arm at a position, m; by pair as in
+    /// [`Self::names`].
+    pub fn distances(&mut self, position: &Joints, out: &mut Vec<f64>) {
+        self.stands(0, position);
+        out.clear();
+        for pair in 0..self.pairs.len() {
+            let distance = self.distance(pair, 0);
+            out.push(distance);
+        }
+    }
+
+    /// How far the joints of the first arm may be from a position, all at once and each by its part of this, until a pair may
+    /// be nearer than its distance of `margins` (m): rad or m. Below zero where one is nearer there.
+    pub fn leeway(&mut self, position: &Joints, parts: &Joints, margins: &[f64]) -> f64 {
+        self.stands(0, position);
+        let mut least = f64::INFINITY;
+        for (pair, margin) in margins.iter().enumerate().take(self.pairs.len()) {
+            let levers = &self.pairs[pair].levers;
+            let own = levers.iter().filter(|(arm, ..)| *arm == 0);
+            let moves: f64 = own.map(|(_, joint, lever)| lever * parts[*joint]).sum();
+            let room = self.distance(pair, 0) - margin;
+            // What does not move against one another may stay as near as it is.
+            if moves > 0.0 || room < 0.0 {
+                least = least.min(room / moves.max(f64::MIN_POSITIVE));
+            }
+        }
         least
     }
+
+    /// A pair that comes nearer than its distance of `margins` (m) while the first arm goes from a position to another one,
+    /// its joints in proportion, and the others stand still. The way is cut into [`PIECES`] places at most: between two of
+    /// them a pair may be nearer by half of what it can move meanwhile. Allocates nothing.
+    pub fn straight(&mut self, [from, to]: [&Joints; 2], margins: &[f64]) -> Option<Near> {
+        let own = self.arms.first_mut()?;
+        // Without braking the time it is late is all of the way, at an even speed.
+        own.see(
+            from,
+            |joint| to[joint] - from[joint],
+            Stopping::default(),
+            1.0,
+        );
+        for arm in &mut self.arms {
+            arm.until(1.0);
+        }
+        for (pair, margin) in margins.iter().enumerate().take(self.pairs.len()) {
+            let Pair { one, other, .. } = self.pairs[pair];
+            let (one, other) = (self.placed(one, 0), self.placed(other, 0));
+            let ((centre, radius), (middle, thick)) = (one.ball(), other.ball());
+            let at_least = (centre - middle).norm() - radius - thick;
+            if at_least > margin + self.moves(pair, 0, PIECES) {
+                continue;
+            }
+            let now = between(&one, &other);
+            let (keeps, least) = match now > *margin {
+                true => self.keeps(pair, now, *margin, Smallest::Seen),
+                false => (false, now),
+            };
+            if !keeps {
+                return Some(Near { pair, now, least });
+            }
+        }
+        None
+    }
+}
+
+/// What counts in a piece of the way that is cut no more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Smallest {
+    /// It must be certain that nothing is nearer in it.
+    Certain,
+    /// Nothing is nearer at its ends.
+    Seen,
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use std::time::Duration;
 use ctos::config::Node;
 use ctos::task::{Context, HandlerError};
 
+use super::contact::Contact;
 use super::force::Force;
 use super::speed::Speed;
 use super::workspace::Workspace;
@@ -55,7 +56,7 @@ impl Default for GuardRegistry {
 }
 
 impl GuardRegistry {
-    /// The kinds that come with this crate: `workspace`, `speed` and `force`.
+    /// The kinds that come with this crate: `workspace`, `speed`, `force` and `contact`.
     #[must_use]
     pub fn new() -> Self {
         let mut registry = Self {
@@ -64,6 +65,7 @@ impl GuardRegistry {
         registry.guard("workspace", Workspace::from_args);
         registry.guard("speed", Speed::from_args);
         registry.guard("force", Force::from_args);
+        registry.guard("contact", Contact::from_args);
         registry
     }
 

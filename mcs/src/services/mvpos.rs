@@ -270,7 +270,7 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         .word(
             "planner",
             "NAME",
-            "a path planner that the program registers, instead of -path: joint, line, arc, about, arch or one of its own",
+            "a path planner that the program registers, instead of -path: joint, direct, line, arc, about, arch or one of its own",
             |options| &mut options.planner,
         )
         .floats(

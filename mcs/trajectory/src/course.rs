@@ -224,6 +224,24 @@ impl<const N: usize> Course<N> {
         self
     }
 
+    /// The course of a joint that goes from `from` to `to` (rad or m) in proportion to this one, which goes from 0 to 1.
+    #[must_use]
+    pub fn scaled(mut self, from: f64, to: f64) -> Self {
+        let way = to - from;
+        let scale = |state: &mut JointState| {
+            state.position = from + way * state.position;
+            state.velocity *= way;
+            state.acceleration *= way;
+        };
+        for phase in &mut self.phases {
+            scale(&mut phase.state);
+            phase.jerk *= way;
+        }
+        scale(&mut self.end);
+        self.end.position = to;
+        self
+    }
+
     /// How long it takes, s.
     #[must_use]
     pub fn duration(&self) -> f64 {

@@ -92,7 +92,7 @@ pub enum PlanError {
     },
     /// No path planner has this name.
     #[error(
-        "there is no path planner `{name}`; register it, or ask for joint, line, arc, about or arch"
+        "there is no path planner `{name}`; register it, or ask for joint, direct, line, arc, about or arch"
     )]
     UnknownPath {
         /// The name.
@@ -410,6 +410,58 @@ impl Planner {
             }
         };
         let courses = Courses::new(end.len(), stretched);
+        Ok(Segment::new(Path::Joint(courses)))
+    }
+
+    /// A straight line in the space of the joints: all joints in proportion, in the least time that `pace` leaves the one
+    /// that needs longest. What is free of obstacles on that line, the arm does not touch.
+    ///
+    /// # Errors
+    /// As [`Self::joint`].
+    pub fn direct(
+        &self,
+        start: &Joints,
+        end: &Joints,
+        pace: impl Into<Pace>,
+    ) -> Result<Segment, PlanError> {
+        let pace = pace.into().check()?;
+        self.check_joints(end)?;
+        // Of the progress from 0 to 1.
+        let mut bounds = JointBounds {
+            velocity: f64::INFINITY,
+            acceleration: f64::INFINITY,
+            jerk: f64::INFINITY,
+        };
+        let joints = self.model().joints().iter().enumerate();
+        for ((index, joint), (from, to)) in joints.zip(start.iter().zip(end)) {
+            let (limits, way) = (&joint.limits, (to - from).abs());
+            let usable = |limit: f64| limit > 0.0 && limit.is_finite();
+            if way == 0.0 {
+                continue;
+            }
+            if !usable(limits.velocity) || !usable(limits.acceleration) {
+                return Err(PlanError::NoLimit { joint: index + 1 });
+            }
+            let speed = limits.velocity * pace.speed / way;
+            let acceleration = limits.acceleration * pace.acceleration / way;
+            bounds.velocity = bounds.velocity.min(speed);
+            bounds.acceleration = bounds.acceleration.min(acceleration);
+            if self.limits_jerk && usable(limits.jerk) {
+                bounds.jerk = bounds.jerk.min(limits.jerk * pace.acceleration / way);
+            }
+        }
+        if bounds.velocity.is_infinite() {
+            return Ok(Segment::new(Path::Joint(Courses::new(
+                end.len(),
+                |index| Course::still(end[index]),
+            ))));
+        }
+        if bounds.jerk.is_infinite() {
+            // None is limited.
+            bounds.jerk = 0.0;
+        }
+        let progress: Course = Course::rest_to_rest(0.0, 1.0, &bounds);
+        let courses = Courses::new(end.len(), |index| progress.scaled(start[index], end[index]));
         Ok(Segment::new(Path::Joint(courses)))
     }
 

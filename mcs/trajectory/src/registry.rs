@@ -121,7 +121,7 @@ impl fmt::Debug for PlanningRegistry {
 }
 
 impl PlanningRegistry {
-    /// The path planners that come with this crate (`joint`, `line`, `arc`, `about` and `arch`), and the solvers
+    /// The path planners that come with this crate (`joint`, `direct`, `line`, `arc`, `about` and `arch`), and the solvers
     /// (`closed_form` and `search`).
     #[must_use]
     pub fn new() -> Self {
@@ -136,6 +136,14 @@ impl PlanningRegistry {
                 Goal::Pose(pose) => planner.joints_for(pose, request.start, request.elbow)?,
             };
             planner.joint(request.start, &joints, request.pace)
+        });
+        registry.path("direct", |planner, request| {
+            let [] = request.exactly()?;
+            let joints = match request.goal {
+                Goal::Joints(joints) => *joints,
+                Goal::Pose(pose) => planner.joints_for(pose, request.start, request.elbow)?,
+            };
+            planner.direct(request.start, &joints, request.pace)
         });
         registry.path("line", |planner, request| {
             let [] = request.exactly()?;

@@ -124,3 +124,49 @@ fn no_solid_moves_more_than_its_levers_say() {
         }
     }
 }
+
+#[test]
+fn a_straight_way_comes_too_near_where_a_look_at_many_places_finds_it_so() {
+    let ball = Solid::sphere(Vector3::new(0.6, 0.0, 0.67), 0.1);
+    let mut scene = alone("puma560", vec![("ball".to_owned(), ball)]);
+    let margins = vec![0.02; scene.names().len()];
+    let (mut near, mut free) = (0, 0);
+    for sample in 0..400 {
+        let model = model("puma560");
+        let ends = [spread(&model, sample), spread(&model, sample + 1000)];
+        // Short ways: a place every few millimetres.
+        let to = Joints::from_fn(6, |joint| {
+            ends[0][joint] + 0.1 * (ends[1][joint] - ends[0][joint])
+        });
+        let found = scene.straight([&ends[0], &to], &margins);
+        let mut least = f64::INFINITY;
+        let mut distances = Vec::new();
+        for step in 0..=200 {
+            let share = f64::from(step) / 200.0;
+            let at = Joints::from_fn(6, |joint| {
+                ends[0][joint] + share * (to[joint] - ends[0][joint])
+            });
+            scene.distances(&at, &mut distances);
+            least = distances.iter().copied().fold(least, f64::min);
+        }
+        // What lies between two places may be nearer by half of what moves between them.
+        let moves: f64 = scene
+            .levers()
+            .iter()
+            .zip(ends[0].iter().zip(&to))
+            .map(|(lever, (from, to))| lever * (to - from).abs())
+            .sum();
+        let between = moves / PIECES as f64 / 2.0;
+        match found {
+            Some(found) => {
+                assert!(least <= 0.02 + 1e-9, "{sample}: {found:?} {least}");
+                near += 1;
+            }
+            None => {
+                assert!(least > 0.02 - between, "{sample}: {least}");
+                free += 1;
+            }
+        }
+    }
+    assert!(near > 5 && free > 20, "{near} {free}");
+}

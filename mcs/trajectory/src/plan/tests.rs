@@ -65,6 +65,31 @@ proptest! {
     }
 
     #[test]
+    fn a_direct_motion_is_a_straight_line_of_the_joints_within_every_limit_and_ends_exactly(
+        start in within_limits(), end in within_limits(), speed in 0.01..=1.0_f64, jerk in any::<bool>(),
+    ) {
+        let mut planner = planner().limiting_jerk(jerk);
+        let segment = planner.direct(&start, &end, speed).unwrap();
+        for step in 0..=100_u32 {
+            let t = segment.duration() * f64::from(step) / 100.0;
+            let setpoint = at(&segment, &mut planner, t, &start);
+            let share = (setpoint.position[0] - start[0]) / (end[0] - start[0]);
+            for index in 0..6 {
+                let limit = &planner.model().joints()[index].limits;
+                prop_assert!(setpoint.velocity[index].abs() <= speed * limit.velocity + 1e-9);
+                prop_assert!(setpoint.acceleration[index].abs() <= speed * limit.acceleration + 1e-9);
+                let on_line = start[index] + share * (end[index] - start[index]);
+                prop_assert!((setpoint.position[index] - on_line).abs() < 1e-6);
+            }
+        }
+        prop_assert_eq!(at(&segment, &mut planner, 0.0, &start).position, start);
+        prop_assert_eq!(segment.end(&mut planner.solver).unwrap(), end);
+        // One joint is at a limit: no line is quicker.
+        let joint = planner.joint(&start, &end, speed).unwrap();
+        prop_assert!(segment.duration() >= joint.duration() - 1e-9);
+    }
+
+    #[test]
     fn a_joint_motion_takes_exactly_the_slowest_joints_least_time(
         start in within_limits(), end in within_limits(), speed in 0.01..=1.0_f64, share in 0.01..=1.0_f64, jerk in any::<bool>(),
     ) {

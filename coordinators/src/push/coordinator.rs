@@ -1,0 +1,673 @@
+//! The Push Coordinator: the functions of `nets/push/pusher.net`, which feel for a thing and push it.
+//!
+//! The arm is stiff while it goes to and fro. Before it pushes it goes over to a compliant law, and back before it withdraws.
+//! What ends a push is told apart by the guard that ended it.
+
+use std::rc::Rc;
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::{Registry, Vocabulary},
+    task::Context,
+};
+use mcs::{
+    Joints,
+    client::{Move, PathKind, Plan, PlanReport, Target},
+};
+use nalgebra::{Isometry3, Matrix4, Point2};
+use pnt::{
+    check::FunctionNames,
+    library::{Acted, Action, Library},
+    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
+};
+use serde::{Deserialize, Serialize};
+
+use super::job::{ACCOUNT, Account, JOB, Job};
+use crate::{
+    arm::Arm,
+    dom::DomStore,
+    motion::{mcs_task, resume_within_s},
+    outcome::{Failure, Outcome},
+};
+
+/// The handler's name.
+pub const HANDLER: &str = "coordinators.push_arm";
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArmArgs {
+    /// The client interface of MCS.
+    #[serde(default = "mcs_task")]
+    mcs: String,
+    /// The data object manager.
+    #[serde(default = "crate::dom_task")]
+    dom: String,
+    /// Fraction of full speed to and fro.
+    #[serde(default = "speed")]
+    speed: f64,
+    /// The same while it feels for the thing, and while it pushes.
+    #[serde(default = "gentle")]
+    gentle: f64,
+    /// The same of the acceleration in a push.
+    #[serde(default = "softly")]
+    softly: f64,
+    /// Height of the tool while it pushes, m.
+    height_m: f64,
+    /// How far above that it goes to and fro, m.
+    #[serde(default = "clearance_m")]
+    clearance_m: f64,
+    /// How the tool may be turned about the vertical from the direction of the push, degrees: the first turn with which the
+    /// arm reaches all of the way is taken.
+    #[serde(default = "turns_deg")]
+    turns_deg: Vec<f64>,
+    /// The recipe of the guard that ends an approach at a touch.
+    #[serde(default = "touch")]
+    touch: String,
+    /// The recipe of the guard that ends a push which meets too much force.
+    #[serde(default = "blocked")]
+    blocked: String,
+    /// The recipe of the guard that ends a push whose contact is lost.
+    #[serde(default = "contact")]
+    contact: String,
+    /// The control law in a push, and otherwise.
+    #[serde(default = "compliant")]
+    compliant: String,
+    /// See above.
+    #[serde(default = "stiff")]
+    stiff: String,
+    /// A compliant arm lags behind: a push is done when it ends so near to its end, m.
+    #[serde(default = "within_m")]
+    within_m: f64,
+    /// How often a contact that was lost is felt for again.
+    #[serde(default = "again")]
+    again: u32,
+    /// How far it backs off a thing before it goes up, m.
+    #[serde(default = "back_m")]
+    back_m: f64,
+    /// Where the arm waits, degrees of its joints.
+    park_deg: Vec<f64>,
+    /// How long a protective stop is waited out before the request fails, s.
+    #[serde(default = "resume_within_s")]
+    resume_within_s: f64,
+    /// How long an MCS that is gone, and may be started again, is waited for, s.
+    #[serde(default = "crate::service_within_s")]
+    service_within_s: f64,
+}
+
+fn speed() -> f64 {
+    0.5
+}
+
+fn gentle() -> f64 {
+    0.08
+}
+
+fn softly() -> f64 {
+    0.2
+}
+
+fn clearance_m() -> f64 {
+    0.1
+}
+
+fn turns_deg() -> Vec<f64> {
+    vec![0.0, 180.0]
+}
+
+fn touch() -> String {
+    "touch".to_owned()
+}
+
+fn blocked() -> String {
+    "blocked".to_owned()
+}
+
+fn contact() -> String {
+    "contact".to_owned()
+}
+
+fn compliant() -> String {
+    "cartesian_impedance".to_owned()
+}
+
+fn stiff() -> String {
+    "pid".to_owned()
+}
+
+fn within_m() -> f64 {
+    0.01
+}
+
+fn again() -> u32 {
+    2
+}
+
+fn back_m() -> f64 {
+    0.02
+}
+
+impl ArmArgs {
+    fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
+        Arm {
+            cx,
+            mcs: &self.mcs,
+            within_s: self.service_within_s,
+        }
+    }
+}
+
+/// A part of a push, as the Dispatcher asks for it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+enum Part {
+    /// Down beside the thing.
+    #[default]
+    Approach,
+    /// Ahead until it is felt.
+    Touch,
+    /// Ahead with it.
+    Push,
+    /// Back off it, and up.
+    Withdraw,
+    /// To where the arm waits; there it is given back.
+    Park,
+}
+
+impl Part {
+    const ALL: [Self; 5] = [
+        Self::Approach,
+        Self::Touch,
+        Self::Push,
+        Self::Withdraw,
+        Self::Park,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Approach => "approach",
+            Self::Touch => "touch",
+            Self::Push => "push",
+            Self::Withdraw => "withdraw",
+            Self::Park => "park",
+        }
+    }
+}
+
+/// What the functions share.
+struct Coordinator {
+    args: Rc<ArmArgs>,
+    store: DomStore,
+    /// The part that was asked for last.
+    part: Part,
+    /// What ended it before its end.
+    ended: Option<Failure>,
+    /// Whether that was a contact that was lost, which may be felt for again.
+    lost_contact: bool,
+    account: Account,
+}
+
+/// Registers the handler.
+pub(super) fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &COMMANDS, |cx| {
+            let args: ArmArgs = args_of(cx)?;
+            let store = DomStore::new(&args.dom);
+            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
+        })
+        .speaks(|task| match net_args::<ArmArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
+        })
+        .keys(&KEYS)
+        .checked_args(check);
+}
+
+fn check(args: &ArmArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    check_args(task, app, &names(args), findings);
+    crate::need_task(task, app, "mcs", &args.mcs, findings);
+    crate::need_task(task, app, "dom", &args.dom, findings);
+    for (key, value) in [
+        ("resume_within_s", args.resume_within_s),
+        ("service_within_s", args.service_within_s),
+    ] {
+        crate::check_seconds(task, key, value, findings);
+    }
+    for (key, value) in [
+        ("speed", args.speed),
+        ("gentle", args.gentle),
+        ("softly", args.softly),
+    ] {
+        crate::check_speed(task, key, value, findings);
+    }
+    let mut wrong = |key: &str, text: String| {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        findings.push(Finding::error("coordinators::push::range", text).at(place));
+    };
+    for (key, value, most) in [
+        ("clearance_m", args.clearance_m, 2.0),
+        ("back_m", args.back_m, 0.5),
+        ("within_m", args.within_m, 0.2),
+    ] {
+        if !(0.0..=most).contains(&value) {
+            wrong(key, format!("`{key}` is {value}; give from 0 to {most} m"));
+        }
+    }
+    if !(-5.0..=5.0).contains(&args.height_m) {
+        let text = format!("`height_m` is {}; give from -5 to 5 m", args.height_m);
+        wrong("height_m", text);
+    }
+    if args.turns_deg.is_empty() {
+        wrong(
+            "turns_deg",
+            "`turns_deg` needs at least one turn".to_owned(),
+        );
+    }
+    if let Some(model) = mcs::manipulator(app)
+        && model.dof() != args.park_deg.len()
+    {
+        let (given, count) = (args.park_deg.len(), model.dof());
+        let text = format!("`park_deg` has {given} numbers, and the arm {count} joints");
+        wrong("park_deg", text);
+    }
+}
+
+fn names(args: &ArmArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
+}
+
+fn library(args: ArmArgs, store: DomStore) -> Library<Coordinator> {
+    let state = Coordinator {
+        args: Rc::new(args),
+        store,
+        part: Part::default(),
+        ended: None,
+        lost_contact: false,
+        account: Account::default(),
+    };
+    let save = |state: &Coordinator| {
+        let ended = state.ended.clone();
+        (state.part, ended, state.lost_contact, state.account.clone())
+    };
+    let mut library = Library::new(state)
+        .kept(save, |state, (part, ended, lost_contact, account)| {
+            (state.part, state.ended) = (part, ended);
+            (state.lost_contact, state.account) = (lost_contact, account);
+        })
+        .enabling("stopped", |state: &Coordinator| {
+            let ended = state.ended.as_ref();
+            ended.is_some_and(|failure| failure.outcome == Outcome::Stopped)
+        })
+        .enabling("lost_contact", |state: &Coordinator| {
+            state.lost_contact && state.account.again < state.args.again
+        })
+        .action("once_more", |action: Act| async move {
+            let part = action.with_state(|state| state.part);
+            act(action, part).await
+        })
+        .action("feel_again", feel_again)
+        .action("await_resume", await_resume)
+        .action("give_up", give_up);
+    for part in Part::ALL {
+        library = library.action(part.name(), move |action: Act| act(action, part));
+    }
+    library
+}
+
+type Act = Action<Coordinator>;
+
+/// Does a part. Why that ended is kept, and passed up when it is given up.
+async fn act(action: Act, part: Part) -> Acted {
+    let done = match Pushing::of(&action, part).await {
+        Ok(mut pushing) => {
+            let done = pushing.act(part).await;
+            let (account, lost) = (pushing.account, pushing.lost_contact);
+            action.with_state(|state| (state.account, state.lost_contact) = (account, lost));
+            done
+        }
+        Err(failure) => Err(failure),
+    };
+    action.with_state(|state| {
+        state.part = part;
+        state.ended = done.as_ref().err().cloned();
+        if part != Part::Push {
+            state.lost_contact = false;
+        }
+    });
+    publish(&action).await;
+    Ok(done?)
+}
+
+/// Feels for the thing again, after a contact that was lost.
+async fn feel_again(action: Act) -> Acted {
+    action.with_state(|state| state.account.again += 1);
+    let again = act(action.clone(), Part::Touch).await;
+    // What is asked for is still the push.
+    action.with_state(|state| state.part = Part::Push);
+    again
+}
+
+/// Waits until somebody ends the protective stop that ended the motion; the part is then done from where the arm stands.
+async fn await_resume(action: Act) -> Acted {
+    let (args, ended) = action.with_state(|state| (state.args.clone(), state.ended.clone()));
+    let reason = ended.map_or_else(String::new, |ended| ended.reason);
+    let arm = args.arm(action.cx());
+    let resumed = arm.resumed(args.resume_within_s, &reason).await;
+    if let Err(failure) = resumed {
+        action.with_state(|state| state.ended = Some(failure.clone()));
+        return give_up(action).await.and(Err(failure.into()));
+    }
+    Ok(())
+}
+
+/// Passes up why a part was not done.
+async fn give_up(action: Act) -> Acted {
+    action.with_state(|state| {
+        if let Some(failure) = state.ended.take() {
+            let request = state.part.name().to_owned();
+            state.account.problems.push((request, failure));
+        }
+    });
+    publish(&action).await;
+    Ok(())
+}
+
+/// Tells the Dispatcher how it stands.
+async fn publish(action: &Act) {
+    let (store, account) = action.with_state(|state| (state.store.clone(), state.account.clone()));
+    if let Err(untold) = store.store(action.cx(), ACCOUNT, &account).await {
+        tracing::warn!(%untold, "how a push went could not be passed up");
+    }
+}
+
+/// A job, and the arm that does it.
+struct Pushing<'a> {
+    cx: &'a Context,
+    args: Rc<ArmArgs>,
+    job: Job,
+    account: Account,
+    lost_contact: bool,
+}
+
+impl<'a> Pushing<'a> {
+    async fn of(action: &'a Act, part: Part) -> Result<Self, Failure> {
+        let (args, store, account) = action.with_state(|state| {
+            (
+                state.args.clone(),
+                state.store.clone(),
+                state.account.clone(),
+            )
+        });
+        let cx = action.cx();
+        let job: Job = store.fetch(cx, JOB).await?;
+        let begins = part == Part::Approach && account.command != job.command;
+        let account = match begins {
+            false => account,
+            true => Account {
+                command: job.command,
+                ..Account::default()
+            },
+        };
+        if begins {
+            // Whatever comes of it counts for this command.
+            action.with_state(|state| state.account = account.clone());
+        }
+        Ok(Self {
+            cx,
+            args,
+            job,
+            account,
+            lost_contact: false,
+        })
+    }
+
+    async fn act(&mut self, part: Part) -> Result<(), Failure> {
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| async move { arm.acquire().await }).await?;
+        match part {
+            Part::Approach => self.approach().await,
+            Part::Touch => self.touch().await,
+            Part::Push => {
+                let pushed = self.push().await;
+                // Where a push ended is true whatever ended it.
+                if let Ok(along) = self.along().await {
+                    self.account.ended_m = Some(along);
+                }
+                pushed
+            }
+            Part::Withdraw => self.withdraw().await,
+            Part::Park => self.park().await,
+        }
+    }
+
+    /// Above the beginning of the way and down, with the first turn that reaches all of it.
+    async fn approach(&mut self) -> Result<(), Failure> {
+        self.law(&self.args.stiff).await?;
+        let (height, length) = (self.args.height_m, self.job.length());
+        let up = height + self.args.clearance_m;
+        let mut first = None;
+        for turn in self.args.turns_deg.clone() {
+            let turn = turn.to_radians();
+            let ends = [(length, height), (0.0, height), (0.0, up)];
+            let mut planned = Err(Failure::new(Outcome::Fault, "a way has ends"));
+            for (along, height) in ends {
+                let pose = self.job.pose(along, height, turn);
+                planned = self.plan(pose, PathKind::Joint, self.args.speed).await;
+                if planned.is_err() {
+                    break;
+                }
+            }
+            match planned {
+                Ok(PlanReport {
+                    joints, duration_s, ..
+                }) => {
+                    self.account.turn = Some(turn);
+                    let target = Target::Joints(joints);
+                    let order = self.order(target, PathKind::Joint, self.args.speed);
+                    self.moved(order, duration_s).await?;
+                    let down = self.job.pose(0.0, height, turn);
+                    return self.line(down, self.args.speed, &[&self.args.touch]).await;
+                }
+                Err(failure) if failure.outcome == Outcome::Unreachable => {
+                    first.get_or_insert(failure);
+                }
+                Err(failure) => return Err(failure),
+            }
+        }
+        Err(first.unwrap_or_else(|| Failure::new(Outcome::Fault, "no turn is named")))
+    }
+
+    /// Ahead along the way until something is felt.
+    async fn touch(&mut self) -> Result<(), Failure> {
+        self.law(&self.args.stiff).await?;
+        let end = self.pose(self.job.length())?;
+        match self.line(end, self.args.gentle, &[&self.args.touch]).await {
+            Err(failure) if failure.outcome == Outcome::Guard => {
+                self.was(&self.args.touch, failure).await?;
+                let along = self.along().await?;
+                self.account.touched_m.get_or_insert(along);
+                Ok(())
+            }
+            Err(failure) => Err(failure),
+            Ok(()) => Err(Failure::new(
+                Outcome::Absent,
+                "nothing was felt on all of the way",
+            )),
+        }
+    }
+
+    /// Ahead to the end of the way with what is felt.
+    async fn push(&mut self) -> Result<(), Failure> {
+        let end = self.pose(self.job.length())?;
+        let compliant = self.args.compliant.clone();
+        self.law(&compliant).await?;
+        let guards = [self.args.blocked.as_str(), self.args.contact.as_str()];
+        let pushed = self.line(end, self.args.gentle, &guards).await;
+        match pushed {
+            Ok(()) => {
+                let short = self.job.length() - self.along().await?;
+                if short <= self.args.within_m {
+                    return Ok(());
+                }
+                Err(Failure::new(
+                    Outcome::Guard,
+                    format!(
+                        "the compliant arm stands {:.0} mm short of the end",
+                        short * 1e3
+                    ),
+                ))
+            }
+            Err(failure) if failure.outcome == Outcome::Guard => {
+                let contact = self.args.contact.clone();
+                match self.was(&contact, failure).await {
+                    Ok(failure) => {
+                        self.lost_contact = true;
+                        Err(failure)
+                    }
+                    Err(failure) => Err(failure),
+                }
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+
+    /// The failure, when the guard of that name ended the motion; else as an error.
+    async fn was(&self, guard: &str, failure: Failure) -> Result<Failure, Failure> {
+        let arm = self.args.arm(self.cx);
+        let guards = arm.ask(|arm| async move { arm.guards().await }).await?;
+        let is_it = guards.last.is_some_and(|last| last.guard.as_str() == guard);
+        if is_it { Ok(failure) } else { Err(failure) }
+    }
+
+    /// Back off the thing and straight up.
+    async fn withdraw(&mut self) -> Result<(), Failure> {
+        let Some(turn) = self.account.turn else {
+            // It never went down.
+            return Ok(());
+        };
+        let up = self.args.height_m + self.args.clearance_m;
+        let tool = self.tool().await?;
+        let along = self.job.along(&Point2::from(tool.translation.vector.xy()));
+        if tool.translation.z < up - 1e-3 {
+            let back = along - self.args.back_m;
+            let off = self.job.pose(back, tool.translation.z, turn);
+            // A stiff arm would press harder before it goes back.
+            self.line(off, self.args.gentle, &[]).await?;
+            self.law(&self.args.stiff).await?;
+            self.line(self.job.pose(back, up, turn), self.args.speed, &[])
+                .await?;
+        }
+        Ok(())
+    }
+
+    /// To where the arm waits; there it is given back.
+    async fn park(&self) -> Result<(), Failure> {
+        self.law(&self.args.stiff).await?;
+        let park = &self.args.park_deg;
+        let target = Target::Joints(Joints::from_fn(park.len(), |joint| {
+            park[joint].to_radians()
+        }));
+        let planned = self
+            .plan_to(target, PathKind::Joint, self.args.speed)
+            .await?;
+        let order = self.order(target, PathKind::Joint, self.args.speed);
+        self.moved(order, planned.duration_s).await?;
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| async move { arm.release().await }).await?;
+        Ok(())
+    }
+
+    async fn law(&self, law: &str) -> Result<(), Failure> {
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| async move { arm.law(law).await }).await?;
+        Ok(())
+    }
+
+    /// The tool so far along the way, with the turn that was chosen.
+    fn pose(&self, along: f64) -> Result<Isometry3<f64>, Failure> {
+        let none = || Failure::new(Outcome::Fault, "no turn was chosen for this job");
+        let turn = self.account.turn.ok_or_else(none)?;
+        Ok(self.job.pose(along, self.args.height_m, turn))
+    }
+
+    /// How far along the way the tool is, m.
+    async fn along(&self) -> Result<f64, Failure> {
+        let tool = self.tool().await?;
+        Ok(self.job.along(&Point2::from(tool.translation.vector.xy())))
+    }
+
+    async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
+        let arm = self.args.arm(self.cx);
+        let position = arm.ask(|arm| async move { arm.position().await }).await?;
+        let matrix = Matrix4::from_row_slice(&position.base_t_tool);
+        nalgebra::try_convert(matrix)
+            .ok_or_else(|| Failure::new(Outcome::Fault, "the arm's pose is none"))
+    }
+
+    /// Straight to a pose.
+    async fn line(&self, pose: Isometry3<f64>, speed: f64, guards: &[&str]) -> Result<(), Failure> {
+        let target = Target::Pose(rows(&pose));
+        let path = PathKind::StraightLine;
+        let planned = self.plan_to(target, path, speed).await?;
+        let order = Move {
+            acceleration: Some(speed.max(self.args.softly)),
+            guards: guards.iter().map(ToString::to_string).collect(),
+            ..self.order(target, path, speed)
+        };
+        self.moved(order, planned.duration_s).await
+    }
+
+    async fn plan(
+        &self,
+        pose: Isometry3<f64>,
+        path: PathKind,
+        speed: f64,
+    ) -> Result<PlanReport, Failure> {
+        self.plan_to(Target::Pose(rows(&pose)), path, speed).await
+    }
+
+    async fn plan_to(
+        &self,
+        target: Target,
+        path: PathKind,
+        speed: f64,
+    ) -> Result<PlanReport, Failure> {
+        let request = Plan {
+            target,
+            path,
+            speed,
+            acceleration: None,
+            elbow: None,
+        };
+        let arm = self.args.arm(self.cx);
+        arm.ask(|arm| {
+            let request = request.clone();
+            async move { arm.plan(request).await }
+        })
+        .await
+    }
+
+    fn order(&self, target: Target, path: PathKind, speed: f64) -> Move {
+        Move {
+            target,
+            path,
+            speed,
+            acceleration: None,
+            elbow: None,
+            guards: Vec::new(),
+            blend: 0.0.into(),
+        }
+    }
+
+    async fn moved(&self, order: Move, planned_s: f64) -> Result<(), Failure> {
+        let arm = self.args.arm(self.cx);
+        arm.go(order, planned_s).await.map(|_| ())
+    }
+}
+
+fn rows(pose: &Isometry3<f64>) -> [f64; 16] {
+    let matrix = pose.to_homogeneous().transpose();
+    let mut rows = [0.0; 16];
+    rows.copy_from_slice(matrix.as_slice());
+    rows
+}
