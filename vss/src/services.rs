@@ -60,6 +60,8 @@ sorma::prototypes! {
             "the text says what was seen of it: take it from above, whole, sharp and lit, with nothing over most of its corners";
         NO_CORNERS = 152, Error, "a picture shows no chequer pattern of the size that was asked for",
             "the text says what was found: all of the pattern must be in view, and -inner counts its inner corners";
+        UNEXPECTED = 153, Warning, "components of a picture are not as expected",
+            "the text says in what: look at the picture, then at -area, -eccentricity, -holes and -threshold";
     }
 }
 

@@ -650,6 +650,7 @@ proptest! {
 }
 
 mod maps;
+mod objects;
 mod pictures;
 mod planes;
 mod rigs;

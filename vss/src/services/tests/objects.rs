@@ -1,0 +1,122 @@
+//! The classes that tell what a picture or a table shows of known things: trees of blobs and blobs that are expected, `pose`,
+//! `bundle`, `findBrdMarker`, `getDisk`.
+
+use super::*;
+
+/// A PGM of rows of text: `#` is 200, all else 10.
+fn drawn(rows: &[&str]) -> Vec<u8> {
+    let mut pgm = format!("P5\n{} {}\n255\n", rows[0].len(), rows.len()).into_bytes();
+    let pixels = rows.concat().into_bytes();
+    pgm.extend(pixels.iter().map(|one| if *one == b'#' { 200 } else { 10 }));
+    pgm
+}
+
+#[test]
+fn a_tree_of_blobs_tells_holes_and_what_lies_in_them() {
+    let rows = [
+        "..............",
+        ".#########....",
+        ".#.......#....",
+        ".#.##..#.#.##.",
+        ".#.##....#.##.",
+        ".#.......#....",
+        ".#########....",
+        "..............",
+    ];
+    let (_folder, path) = file("a.pgm", &drawn(&rows));
+    let sorm = manager();
+    let plain = ask(&sorm, &format!("blobs EXEC TMSG {path}"));
+    let tree = ask(&sorm, &format!("blobs EXEC tree {path}"));
+    assert!(tree.is_ok(), "{:?}", tree.reports);
+    // 4 components and 1 hole; what lies in the hole is in hole 0, and that is of component 0.
+    assert_eq!(tree.ints, [4, 1, -1, 0, 0, -1, 0]);
+    assert_eq!(tree.floats.len(), 60);
+    assert_eq!(plain.floats, tree.floats[..48]);
+    assert_eq!((tree.floats[48], tree.floats[59]), (23.0, -1.0));
+    let expected = "component 0: 26 px at 5.00, 3.50\n  hole 0: 23 px at 5.17, 3.52\n    component 1: 4 px at 3.50, 3.50\n    component 2: 1 px at 7.00, 3.00\ncomponent 3: 4 px at 11.50, 3.50";
+    assert_eq!(tree.text, expected);
+    // What is too small is no part of it.
+    assert!(ask(&sorm, "blobs CTRL -min 2").is_ok());
+    let tree = ask(&sorm, &format!("blobs EXEC tree {path}"));
+    assert_eq!(tree.ints, [3, 1, -1, 0, -1, 0]);
+    assert!(ask(&sorm, "blobs CTRL -min 1000").is_ok());
+    let none = ask(&sorm, &format!("blobs EXEC tree {path}"));
+    assert_eq!((&none.ints[..], none.text.as_str()), (&[0, 0][..], ""));
+}
+
+/// Without the ring between them, what lies in its hole lies in the hole around the ring.
+#[test]
+fn what_lies_in_a_small_component_stays_in_what_is_around_that() {
+    let mut rows = vec!["#".repeat(40)];
+    rows.extend((1..29).map(|_| format!("#{}#", ".".repeat(38))));
+    rows.push("#".repeat(40));
+    let mut put = |v: usize, u: usize, text: &str| rows[v].replace_range(u..u + text.len(), text);
+    for v in 10..17 {
+        put(v, 10, "#.....#");
+    }
+    put(9, 10, "#######");
+    put(17, 10, "#######");
+    for v in 11..16 {
+        put(v, 12, "...");
+    }
+    for v in 12..15 {
+        put(v, 12, "###");
+    }
+    let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+    let (_folder, path) = file("a.pgm", &drawn(&rows));
+    let sorm = manager();
+    let all = ask(&sorm, &format!("blobs EXEC tree {path}"));
+    assert_eq!(all.ints, [3, 2, -1, 0, 1, 0, 1]);
+    // The dot is smaller than the ring: only the other way round is there something to drop.
+    assert!(ask(&sorm, "blobs CTRL -min 9").is_ok());
+    assert_eq!(
+        ask(&sorm, &format!("blobs EXEC tree {path}")).ints,
+        all.ints
+    );
+    assert!(ask(&sorm, "blobs CTRL -min 10").is_ok());
+    assert_eq!(
+        ask(&sorm, &format!("blobs EXEC tree {path}")).ints,
+        [2, 2, -1, 0, 0, 1]
+    );
+}
+
+#[test]
+fn blobs_are_held_against_what_is_expected() {
+    let (width, height) = (120, 90);
+    let inside = |u: f64, v: f64| {
+        let disc = |x: f64, y: f64, r: f64| (u - x).hypot(v - y) < r;
+        disc(30.0, 30.0, 9.0)
+            || disc(2.0, 60.0, 9.0)
+            || ((70.0..90.0).contains(&u) && (20.0..40.0).contains(&v))
+            || disc(100.0, 70.0, 3.0)
+            || (disc(60.0, 70.0, 9.0) && !disc(60.0, 70.0, 4.0))
+    };
+    let mut pgm = format!("P5\n{width} {height}\n255\n").into_bytes();
+    pgm.extend((0..width * height).map(|at| {
+        let (u, v) = (f64::from(at % width), f64::from(at / width));
+        if inside(u, v) { 220 } else { 20 }
+    }));
+    let (_folder, path) = file("a.pgm", &pgm);
+    let sorm = manager();
+    assert!(ask(&sorm, "blobs CTRL -area 100 500").is_ok());
+    let reply = ask(&sorm, &format!("blobs EXEC expect {path}"));
+    assert!(reply.is_ok(), "{:?}", reply.reports);
+    // By their first pixels: square, disc, clipped, ring, small.
+    assert_eq!(reply.ints[..3], [5, 16, 0]);
+    assert_eq!(reply.ints[3] & 1, 1);
+    assert_eq!(reply.ints[4..], [16 | 32, 2]);
+    assert_eq!(reply.floats.len(), 60);
+    let report = reply.reports.last().unwrap();
+    assert_eq!(report.code, code::UNEXPECTED);
+    assert!(
+        report
+            .text
+            .contains("4 of 5 components are not as expected"),
+        "{report:?}"
+    );
+    assert!(report.text.contains("component 2 at") && report.text.contains("touches the border"));
+    assert!(ask(&sorm, "blobs CTRL -holes 1 -area 100 400").is_ok());
+    let ring = ask(&sorm, &format!("blobs EXEC expect {path}"));
+    assert_eq!((ring.ints[2], ring.ints[4]), (32, 0));
+    assert!(ask(&sorm, "blobs CTRL -holes any").is_ok());
+}
