@@ -22,6 +22,7 @@ pub mod components;
 pub mod frame;
 pub mod handeye;
 pub mod laser;
+pub mod perspective;
 pub mod plane;
 pub mod pose;
 pub mod psom;

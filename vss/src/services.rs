@@ -14,6 +14,7 @@ mod handeye;
 mod laser;
 mod picture;
 mod planecal;
+mod pose;
 mod psom;
 mod resect;
 mod spot;
@@ -62,12 +63,14 @@ sorma::prototypes! {
             "the text says what was found: all of the pattern must be in view, and -inner counts its inner corners";
         UNEXPECTED = 153, Warning, "components of a picture are not as expected",
             "the text says in what: look at the picture, then at -area, -eccentricity, -holes and -threshold";
+        NO_POSE = 154, Error, "no pose of an object follows from a table",
+            "the text says why: more points, not all in one plane, from nearer, each in the row of its pixel";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 13] = [
+    let made: [Class; 14] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -86,6 +89,7 @@ pub fn register(sorm: &Sorm) {
             Ok(Box::new(stereo::Stereo::default()))
         }),
         Class::new("handeye", VERSION, |_, _| Ok(Box::new(handeye::HandEye))),
+        Class::new("pose", VERSION, |_, _| Ok(Box::new(pose::Pose::default()))),
         Class::new("laser", VERSION, |_, _| {
             Ok(Box::new(laser::Laser::default()))
         }),
@@ -117,6 +121,7 @@ pub fn classes() -> Vec<ClassInfo> {
         planecal::TABLE.class("planecal", VERSION),
         stereo::TABLE.class("stereo", VERSION),
         handeye::TABLE.class("handeye", VERSION),
+        pose::TABLE.class("pose", VERSION),
         laser::TABLE.class("laser", VERSION),
         psom::TABLE.class("psom", VERSION),
         abg::TABLE.class("abg", VERSION),

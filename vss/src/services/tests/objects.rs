@@ -2,6 +2,7 @@
 //! `bundle`, `findBrdMarker`, `getDisk`.
 
 use super::*;
+use nalgebra::{Isometry3, Vector2};
 
 /// A PGM of rows of text: `#` is 200, all else 10.
 fn drawn(rows: &[&str]) -> Vec<u8> {
@@ -119,4 +120,72 @@ fn blobs_are_held_against_what_is_expected() {
     let ring = ask(&sorm, &format!("blobs EXEC expect {path}"));
     assert_eq!((ring.ints[2], ring.ints[4]), (32, 0));
     assert!(ask(&sorm, "blobs CTRL -holes any").is_ok());
+}
+
+fn matches(pose: &Isometry3<f64>, sd: f64, seed: u64) -> String {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let lens = camera(LENS);
+    let object = Camera {
+        rotation: pose.rotation,
+        centre: pose.inverse() * Point3::origin(),
+        ..lens
+    };
+    let mut text = String::from("X,Y,Z,u,v\n");
+    for _ in 0..25 {
+        let mut within = |side: f64| side * (rng.random::<f64>() - 0.5);
+        let point = Point3::new(within(0.2), within(0.15), within(0.1));
+        let pixel = object.project(&point).unwrap();
+        let mut noise = || sd * rng.sample::<f64, _>(StandardNormal);
+        let pixel = pixel + Vector2::new(noise(), noise());
+        writeln!(
+            text,
+            "{},{},{},{},{}",
+            point.x, point.y, point.z, pixel.x, pixel.y
+        )
+        .unwrap();
+    }
+    text
+}
+
+#[test]
+fn pose_answers_where_an_object_stands_with_standard_deviations_and_names_wrong_rows() {
+    let truth = Isometry3::new(Vector3::new(0.05, -0.02, 0.8), Vector3::new(0.4, -0.3, 0.9));
+    let sorm = manager();
+    let mut text = matches(&truth, 0.3, 1);
+    text.push_str("0.01,0.02,0.03,30.0,40.0\n");
+    let (_folder, path) = file("object.csv", text.as_bytes());
+    let (number, why) = refused(&sorm, &format!("pose EXEC {path}"));
+    assert_eq!(number, sorma::report::code::VALUE);
+    assert!(why.contains("-lens FX FY"), "{why}");
+    let set = "pose CTRL -lens 800 805 322 238 -0.25 0.12 0.001 -0.0005 -0.02";
+    assert!(ask(&sorm, set).is_ok());
+    let reply = ask(&sorm, &format!("pose EXEC TMSG {path}"));
+    assert!(reply.is_ok(), "{:?}", reply.reports);
+    assert_eq!((reply.floats.len(), &reply.ints[..]), (13, &[25][..]));
+    let turn = truth.rotation.scaled_axis();
+    let expected: Vec<f64> = turn
+        .iter()
+        .chain(truth.translation.vector.iter())
+        .copied()
+        .collect();
+    for (k, truth) in expected.iter().enumerate() {
+        let (found, sd) = (reply.floats[k], reply.floats[6 + k]);
+        assert!(
+            (found - truth).abs() < 4.0 * sd && sd < 0.02,
+            "{k}: {found} {truth} {sd}"
+        );
+    }
+    assert!((reply.floats[12] / (0.3 * 2_f64.sqrt()) - 1.0).abs() < 0.35);
+    let report = &reply.reports[0];
+    assert_eq!(report.code, code::REJECTED);
+    assert!(report.text.contains(":27:1"), "{report:?}");
+    let (_folder, path) = file(
+        "object.csv",
+        b"X,Y,Z,u,v\n0,0,0,300,200\n1,0,0,310,200\n0,1,0,300,210\n",
+    );
+    let (number, why) = refused(&sorm, &format!("pose EXEC {path}"));
+    assert_eq!(number, code::NO_POSE);
+    assert!(why.contains("3 matches"), "{why}");
+    let (number, _) = refused(&sorm, "pose EXEC nowhere.csv");
+    assert_eq!(number, code::FILE);
 }
