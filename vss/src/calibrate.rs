@@ -31,6 +31,7 @@ pub(crate) use fit::left_jacobian;
 use held::Held;
 pub use table::CalibrationError;
 pub use uncertainty::Uncertainty;
+pub(crate) use uncertainty::describe as covariance_means;
 
 /// The fewest points (distinct positions) from which a camera is estimated: a 15-parameter fit needs 8.
 pub const MINIMUM_POINTS: usize = 8;
@@ -255,6 +256,18 @@ pub enum Beforehand {
     Lenses,
     /// Nothing: plain least squares. With few points its standard deviations are too small.
     Nothing,
+}
+
+/// The lens parameters of which something is known beforehand, for pictures of `size`, with one over the standard deviation.
+pub(crate) fn lens_weights(
+    camera: &Camera,
+    size: (usize, usize),
+    beforehand: Beforehand,
+) -> Vec<(usize, f64)> {
+    match beforehand {
+        Beforehand::Lenses => Held::of(camera, size, 1.0).terms(PARAMETERS).collect(),
+        Beforehand::Nothing => Vec::new(),
+    }
 }
 
 /// Estimates the camera with just the distortion terms of `model`. Otherwise as [`calibrate`].

@@ -12,6 +12,7 @@
     reason = "findings are made when an app is read, never on a path that repeats"
 )]
 
+pub mod bundle;
 pub mod calibrate;
 pub mod camera;
 pub mod camera_info;

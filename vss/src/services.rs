@@ -7,6 +7,7 @@
 mod abg;
 mod blobs;
 mod board;
+mod bundle;
 mod clockfit;
 mod colour;
 mod corners;
@@ -70,7 +71,7 @@ sorma::prototypes! {
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 14] = [
+    let made: [Class; 15] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -89,6 +90,9 @@ pub fn register(sorm: &Sorm) {
             Ok(Box::new(stereo::Stereo::default()))
         }),
         Class::new("handeye", VERSION, |_, _| Ok(Box::new(handeye::HandEye))),
+        Class::new("bundle", VERSION, |_, _| {
+            Ok(Box::new(bundle::Cameras::default()))
+        }),
         Class::new("pose", VERSION, |_, _| Ok(Box::new(pose::Pose::default()))),
         Class::new("laser", VERSION, |_, _| {
             Ok(Box::new(laser::Laser::default()))
@@ -121,6 +125,7 @@ pub fn classes() -> Vec<ClassInfo> {
         planecal::TABLE.class("planecal", VERSION),
         stereo::TABLE.class("stereo", VERSION),
         handeye::TABLE.class("handeye", VERSION),
+        bundle::TABLE.class("bundle", VERSION),
         pose::TABLE.class("pose", VERSION),
         laser::TABLE.class("laser", VERSION),
         psom::TABLE.class("psom", VERSION),

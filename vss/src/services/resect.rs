@@ -40,7 +40,7 @@ const FORMS: &[Form] = &[Form {
     help: "calibrates a camera from a table X,Y,Z,u,v (m and px, comma-separated)",
 }];
 
-/// What calibrations from tables are asked with; `sd` is of `resect` alone.
+/// What calibrations from tables are asked with; `sd` is of `resect` alone, the last two are of `bundle`.
 #[derive(Debug, Clone)]
 pub(super) struct Options {
     size: Vec<i64>,
@@ -48,6 +48,8 @@ pub(super) struct Options {
     seed: i64,
     free: bool,
     sd: bool,
+    pub robot_sd: f64,
+    pub lights: bool,
 }
 
 impl Default for Options {
@@ -58,6 +60,8 @@ impl Default for Options {
             seed: 1,
             free: false,
             sd: false,
+            robot_sd: 1e-3,
+            lights: false,
         }
     }
 }

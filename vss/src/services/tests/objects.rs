@@ -189,3 +189,111 @@ fn pose_answers_where_an_object_stands_with_standard_deviations_and_names_wrong_
     let (number, _) = refused(&sorm, "pose EXEC nowhere.csv");
     assert_eq!(number, code::FILE);
 }
+
+#[test]
+fn bundle_answers_cameras_and_lights_of_one_table() {
+    let one = camera(LENS);
+    let mut other = one;
+    other.rotation = UnitQuaternion::new(Vector3::new(0.05, 0.2, -0.1)) * one.rotation;
+    other.centre = one.centre + Vector3::new(0.4, 0.1, 0.05);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut text = String::from("X,Y,Z,u1,v1,u2,v2\n");
+    let mut lights = Vec::new();
+    for row in 0..60 {
+        let mut within = |side: f64| side * (rng.random::<f64>() - 0.5);
+        let light = Point3::new(within(1.0), within(0.8), within(0.6));
+        lights.push(light);
+        let mut drawn = |sd: f64| sd * rng.sample::<f64, _>(StandardNormal);
+        let told = light + Vector3::from_fn(|_, _| drawn(1e-3));
+        write!(text, "{},{},{}", told.x, told.y, told.z).unwrap();
+        for (nth, camera) in [&one, &other].into_iter().enumerate() {
+            let pixel = camera.project(&light).unwrap();
+            let pixel = pixel + Vector2::new(drawn(0.2), drawn(0.2));
+            let inside = (0.0..639.0).contains(&pixel.x) && (0.0..479.0).contains(&pixel.y);
+            if inside && (row + nth) % 7 != 0 {
+                write!(text, ",{},{}", pixel.x, pixel.y).unwrap();
+            } else {
+                text.push_str(",,");
+            }
+        }
+        text.push('\n');
+    }
+    let sorm = manager();
+    let (_folder, path) = file("rig.csv", text.as_bytes());
+    assert!(
+        ask(
+            &sorm,
+            "bundle CTRL -size 640 480 -robot-sd 0.001 -lights on"
+        )
+        .is_ok()
+    );
+    let reply = ask(&sorm, &format!("bundle EXEC TMSG {path}"));
+    assert!(reply.is_ok(), "{:?}", reply.reports);
+    assert_eq!(
+        (reply.floats.len(), &reply.ints[..]),
+        (63 + 360, &[2, 60][..])
+    );
+    for (nth, camera) in [one, other].iter().enumerate() {
+        let mut truth = expected(camera);
+        // The same turn the other way round, if that is nearer.
+        let turn = Vector3::new(truth[9], truth[10], truth[11]);
+        let found = Vector3::from_row_slice(&reply.floats[30 * nth + 9..30 * nth + 12]);
+        let other = turn * (1.0 - std::f64::consts::TAU / turn.norm());
+        if (other - found).norm() < (turn - found).norm() {
+            truth[9..12].copy_from_slice(other.as_slice());
+        }
+        for (k, truth) in truth.iter().enumerate() {
+            let (found, sd) = (reply.floats[30 * nth + k], reply.floats[30 * nth + 15 + k]);
+            assert!(
+                (found - truth).abs() < 4.5 * sd,
+                "{nth} {k}: {found} {truth} {sd}"
+            );
+        }
+    }
+    assert!(
+        (reply.floats[61] / 0.2 - 1.0).abs() < 0.3,
+        "{}",
+        reply.floats[61]
+    );
+    assert!(
+        (reply.floats[62] / 1e-3 - 1.0).abs() < 0.4,
+        "{}",
+        reply.floats[62]
+    );
+    for (light, numbers) in lights.iter().zip(reply.floats[63..].chunks_exact(6)) {
+        for k in 0..3 {
+            assert!((light[k] - numbers[k]).abs() < 5.0 * numbers[3 + k]);
+        }
+    }
+    // A robot that is worse than was said is told.
+    assert!(ask(&sorm, "bundle CTRL -robot-sd 0.0002").is_ok());
+    let reply = ask(&sorm, &format!("bundle EXEC TMSG {path}"));
+    let told = |text: &str| {
+        reply
+            .reports
+            .iter()
+            .any(|report| report.text.contains(text))
+    };
+    assert!(told("not -robot-sd 2.00e-4 m"), "{:?}", reply.reports);
+    for (wrong, says) in [
+        (
+            "X,Y,Z,u1,v1,u2\n1,2,3,4,5,6\n",
+            "the header is `X,Y,Z,u1,v1,u2`",
+        ),
+        ("X,Y,Z,u2,v2\n1,2,3,4,5\n", "the header is"),
+        ("X,Y,Z,u1,v1\n1,2,3,4,\n", "only one of u1 and v1 is there"),
+        ("X,Y,Z,u1,v1\n1,2,,4,5\n", "Z must be a finite number"),
+    ] {
+        let (_folder, path) = file("rig.csv", wrong.as_bytes());
+        let (number, text) = refused(&sorm, &format!("bundle EXEC {path}"));
+        assert_eq!(number, code::TABLE, "{wrong}");
+        assert!(text.contains(says), "{text}");
+    }
+    let (_folder, path) = file("rig.csv", b"X,Y,Z,u1,v1\n1,2,3,4,5\n");
+    let (number, text) = refused(&sorm, &format!("bundle EXEC {path}"));
+    assert_eq!(number, code::NO_CAMERA);
+    assert!(
+        text.contains("camera 0") && text.contains("1 points"),
+        "{text}"
+    );
+}
