@@ -23,6 +23,7 @@ pub mod components;
 pub mod frame;
 pub mod handeye;
 pub mod laser;
+pub mod marker;
 pub mod perspective;
 pub mod plane;
 pub mod pose;

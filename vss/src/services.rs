@@ -7,6 +7,7 @@
 mod abg;
 mod blobs;
 mod board;
+mod brd;
 mod bundle;
 mod clockfit;
 mod colour;
@@ -66,12 +67,14 @@ sorma::prototypes! {
             "the text says in what: look at the picture, then at -area, -eccentricity, -holes and -threshold";
         NO_POSE = 154, Error, "no pose of an object follows from a table",
             "the text says why: more points, not all in one plane, from nearer, each in the row of its pixel";
+        MARKERS = 155, Error, "the markers of a board are not seen",
+            "the text says what was seen instead: -threshold, -dark and -area, or -train and -class, say what a marker is";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 15] = [
+    let made: [Class; 17] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -108,6 +111,12 @@ pub fn register(sorm: &Sorm) {
         Class::new("board", VERSION, |_, _| {
             Ok(Box::new(board::Board::default()))
         }),
+        Class::new("findBrdMarker", VERSION, |_, _| {
+            Ok(Box::new(brd::FindBrdMarker::default()))
+        }),
+        Class::new("getDisk", VERSION, |_, _| {
+            Ok(Box::new(brd::GetDisk::default()))
+        }),
     ];
     for (class, info) in made.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
@@ -133,6 +142,8 @@ pub fn classes() -> Vec<ClassInfo> {
         clockfit::TABLE.class("clockfit", VERSION),
         colour::TABLE.class("colour", VERSION),
         board::TABLE.class("board", VERSION),
+        brd::MARKER.class("findBrdMarker", VERSION),
+        brd::DISK.class("getDisk", VERSION),
     ]
 }
 

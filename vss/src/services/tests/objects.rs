@@ -297,3 +297,146 @@ fn bundle_answers_cameras_and_lights_of_one_table() {
         "{text}"
     );
 }
+
+/// A board in perspective with four round markers around it, light on a darker table.
+fn marked_board(lens: &Camera) -> (Vec<u8>, [[f64; 2]; 4]) {
+    let (width, height) = (640, 480);
+    let places = [[-0.8, -0.8], [8.8, -0.8], [8.8, 8.8], [-0.8, 8.8]];
+    let mut pgm = format!("P5\n{width} {height}\n255\n").into_bytes();
+    for v in 0..height {
+        for u in 0..width {
+            let mut sum = 0.0;
+            for nth in 0..9 {
+                let at = Vector2::new(
+                    u as f64 + f64::from(nth % 3 - 1) / 3.0,
+                    v as f64 + f64::from(nth / 3 - 1) / 3.0,
+                );
+                // Where the ray meets the board, squares of 5 cm.
+                let ray = lens.rotation.inverse() * lens.ray(at).unwrap();
+                let met = lens.centre - ray * (lens.centre.z / ray.z);
+                let (x, y) = (met.x / 0.05, met.y / 0.05);
+                let inside = (0.0..8.0).contains(&x) && (0.0..8.0).contains(&y);
+                let marker = places
+                    .iter()
+                    .any(|[file, rank]| (x - file).hypot(y - rank) < 0.3);
+                let disc = (x - 2.53).hypot(y - 0.48) < 0.36;
+                sum += match () {
+                    () if marker => 250.0,
+                    () if disc => 20.0,
+                    () if inside && (x.floor() + y.floor()) % 2.0 == 0.0 => 60.0,
+                    () if inside => 180.0,
+                    () => 110.0,
+                };
+            }
+            pgm.push((sum / 9.0_f64).round() as u8);
+        }
+    }
+    (pgm, places)
+}
+
+#[test]
+fn four_markers_tell_where_the_board_lies_and_how_well() {
+    // From White's side, tilted; x of the picture runs along rank 1.
+    let eye = Point3::new(0.23, -0.25, 0.75);
+    let view = Rotation3::face_towards(&(Point3::new(0.2, 0.18, 0.0) - eye), &-Vector3::y());
+    let lens = Camera {
+        rotation: UnitQuaternion::from_rotation_matrix(&view).inverse(),
+        centre: eye,
+        intrinsics: Intrinsics {
+            fx: 640.0,
+            fy: 640.0,
+            cx: 320.0,
+            cy: 240.0,
+        },
+        distortion: Distortion::default(),
+    };
+    let (pgm, places) = marked_board(&lens);
+    let (_folder, path) = file("board.pgm", &pgm);
+    let sorm = manager();
+    let at: Vec<String> = places.iter().flatten().map(ToString::to_string).collect();
+    let set = format!(
+        "findBrdMarker CTRL -threshold 215 -area 30 2000 -at {}",
+        at.join(" ")
+    );
+    assert!(ask(&sorm, &set).is_ok());
+    let reply = ask(&sorm, &format!("findBrdMarker EXEC TMSG {path}"));
+    assert!(reply.is_ok(), "{:?}", reply.reports);
+    assert_eq!(reply.floats.len(), 30);
+    let seen = |x: f64, y: f64| lens.project(&Point3::new(0.05 * x, 0.05 * y, 0.0)).unwrap();
+    for (k, [file, rank]) in [[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [0.0, 8.0]]
+        .into_iter()
+        .enumerate()
+    {
+        let truth = seen(file, rank);
+        let (u, v) = (reply.floats[9 + 2 * k], reply.floats[10 + 2 * k]);
+        assert!(
+            (u - truth.x).hypot(v - truth.y) < 0.5,
+            "{k}: {u} {v} {truth}"
+        );
+        let marker = &reply.floats[18 + 3 * k..21 + 3 * k];
+        let truth = seen(places[k][0], places[k][1]);
+        assert!(
+            (marker[0] - truth.x).hypot(marker[1] - truth.y) < 0.2,
+            "{marker:?} {truth}"
+        );
+        assert!((0.005..0.3).contains(&marker[2]), "{marker:?}");
+    }
+    assert!(
+        reply.ints[0] >= 45 && reply.floats[17] < 0.5,
+        "{:?} {}",
+        reply.ints,
+        reply.floats[17]
+    );
+    // With the lens the pose of the board.
+    assert!(
+        ask(
+            &sorm,
+            "findBrdMarker CTRL -lens 640 640 320 240 0 0 0 0 0 -square 0.05"
+        )
+        .is_ok()
+    );
+    let reply = ask(&sorm, &format!("findBrdMarker EXEC TMSG {path}"));
+    assert_eq!(reply.floats.len(), 42);
+    let pose = lens.camera_from_world();
+    let turn = pose.rotation.scaled_axis();
+    let truth: Vec<f64> = turn
+        .iter()
+        .chain(pose.translation.vector.iter())
+        .copied()
+        .collect();
+    for (k, truth) in truth.iter().enumerate() {
+        let (found, sd) = (reply.floats[30 + k], reply.floats[36 + k]);
+        assert!(
+            (found - truth).abs() < f64::max(5.0 * sd, 2e-4),
+            "{k}: {found} {truth} {sd}"
+        );
+        assert!(sd < 5e-3);
+    }
+    // Nothing there, or the board's squares alone.
+    assert!(ask(&sorm, "findBrdMarker CTRL -threshold 253").is_ok());
+    let (number, text) = refused(&sorm, &format!("findBrdMarker EXEC {path}"));
+    assert_eq!(number, code::MARKERS);
+    assert!(text.contains("0 things look like markers"), "{text}");
+    // The disc on c1.
+    let disk = ask(&sorm, &format!("getDisk EXEC {path} FMSG 2 2.5 0.5"));
+    assert!(disk.is_ok(), "{:?}", disk.reports);
+    let truth = seen(2.53, 0.48);
+    assert_eq!((disk.floats.len(), &disk.ints[..]), (9, &[2][..]));
+    let off = (disk.floats[0] - truth.x).hypot(disk.floats[1] - truth.y);
+    assert!(off < 0.4, "{:?} {truth}", disk.floats);
+    assert!((disk.floats[3] - 2.53).abs() < 0.02 && (disk.floats[4] - 0.48).abs() < 0.02);
+    assert!(disk.floats[5..].iter().all(|sd| *sd > 0.0 && *sd < 0.3));
+    let (number, _) = refused(&sorm, &format!("getDisk EXEC {path} FMSG 2 4.5 2.5"));
+    assert_eq!(number, code::BOARD);
+    let near = format!(
+        "getDisk EXEC near {path} FMSG 3 {} {} 19",
+        truth.x + 4.0,
+        truth.y - 3.0
+    );
+    let near = ask(&sorm, &near);
+    assert!(near.is_ok(), "{:?}", near.reports);
+    assert_eq!((near.floats.len(), &near.ints[..]), (5, &[2][..]));
+    let (number, text) = refused(&sorm, &format!("getDisk EXEC near {path} FMSG 3 100 100 1"));
+    assert_eq!(number, sorma::report::code::VALUE);
+    assert!(text.contains("3 px and more"), "{text}");
+}
