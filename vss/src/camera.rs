@@ -110,6 +110,21 @@ impl Distortion {
         f64::INFINITY
     }
 
+    /// Whether a point lies within [`Self::valid_radius`], without computing that.
+    fn is_valid_at(&self, p: Vector2<f64>) -> bool {
+        let slope = |s: f64| 1.0 + s * (3.0 * self.k1 + s * (5.0 * self.k2 + s * 7.0 * self.k3));
+        let s = p.norm_squared();
+        // The least slope up to here is at the end or where the slope itself has a lowest place.
+        let (a, b, c) = (21.0 * self.k3, 10.0 * self.k2, 3.0 * self.k1);
+        let root = (b * b - 4.0 * a * c).max(0.0).sqrt();
+        let q = -0.5 * (b + root.copysign(b));
+        let positive = |place: f64| {
+            let within = place > 0.0 && place < s;
+            !within || slope(place) > 0.0
+        };
+        slope(s) > 0.0 && positive(q / a) && positive(c / q)
+    }
+
     /// The undistorted normalised point of a distorted one, by Newton's method on both coordinates, or
     /// `None` where the model has no inverse (beyond [`Self::valid_radius`]).
     #[must_use]
@@ -138,7 +153,7 @@ impl Distortion {
             (p, error) = (next, next_error);
         }
         let solved = error.norm() < 1e-9 * (1.0 + distorted.norm());
-        (solved && p.norm() <= self.valid_radius()).then_some(p)
+        (solved && self.is_valid_at(p)).then_some(p)
     }
 }
 
@@ -216,7 +231,7 @@ impl Camera {
         }
         let p = Vector2::new(c.x / c.z, c.y / c.z);
         let pixel = self.pixel_of(self.distortion.distort(p));
-        let valid = p.norm() <= self.distortion.valid_radius();
+        let valid = self.distortion.is_valid_at(p);
         (valid && pixel.iter().all(|c| c.is_finite())).then_some(pixel)
     }
 
@@ -499,6 +514,18 @@ pub(crate) mod tests {
             let back = lens.undistort(lens.distort(p));
             prop_assert!(back.is_some());
             prop_assert!((back.unwrap() - p).norm() < 1e-9);
+        }
+
+        #[test]
+        fn points_are_valid_up_to_the_valid_radius_and_not_beyond(
+            k1 in -1.0..1.0_f64, k2 in -1.0..1.0_f64, k3 in -1.0..1.0_f64, radius in 0.0..3.0_f64, some in 0..4,
+        ) {
+            let keep = |k: f64, nth: i32| if some == nth { 0.0 } else { k };
+            let lens = Distortion { k1: keep(k1, 1), k2: keep(k2, 2), k3: keep(k3, 3), ..Distortion::default() };
+            let limit = lens.valid_radius();
+            if (radius / limit - 1.0).abs() > 1e-6 {
+                prop_assert_eq!(lens.is_valid_at(Vector2::new(0.0, radius)), radius < limit);
+            }
         }
 
         #[test]

@@ -6,6 +6,12 @@
 //! come in the order of their first pixel, row by row. This module knows grey values and nothing of
 //! spots, cameras or tasks.
 
+mod expectation;
+mod tree;
+
+pub use expectation::{Doubt, Expectation};
+pub use tree::{Region, regions};
+
 /// Bytes that are looked at together when background is skipped.
 const STRIDE: usize = 32;
 
@@ -206,10 +212,7 @@ pub fn connected(
     if width == 0 {
         return Vec::new();
     }
-    let mut forest = Forest {
-        corner: usize::from(connectivity == Connectivity::Eight),
-        ..Forest::default()
-    };
+    let mut forest = Forest::new(connectivity);
     let (mut above, mut here) = (Vec::new(), Vec::new());
     for (row, line) in pixels.chunks_exact(width).enumerate() {
         here.clear();
@@ -217,7 +220,8 @@ pub fn connected(
         forest.connect(&above, &mut here, row);
         std::mem::swap(&mut above, &mut here);
     }
-    forest.into_components()
+    let (roots, _) = forest.settled();
+    roots.into_iter().map(|(_, component)| component).collect()
 }
 
 /// Appends the runs of `line` that are at least `threshold`, from left to right.
@@ -268,6 +272,13 @@ struct Forest {
 }
 
 impl Forest {
+    fn new(connectivity: Connectivity) -> Self {
+        Self {
+            corner: usize::from(connectivity == Connectivity::Eight),
+            ..Self::default()
+        }
+    }
+
     fn root(&mut self, mut label: usize) -> usize {
         while self.parents[label] != label {
             self.parents[label] = self.parents[self.parents[label]];
@@ -320,7 +331,8 @@ impl Forest {
         low
     }
 
-    fn into_components(mut self) -> Vec<Component> {
+    /// The components with their labels, in the order of their first pixels, and for each label that of its component.
+    fn settled(mut self) -> (Vec<(usize, Component)>, Vec<usize>) {
         for label in (0..self.parts.len()).rev() {
             let parent = self.parents[label];
             if parent != label {
@@ -331,12 +343,14 @@ impl Forest {
                 }
             }
         }
-        let parents = self.parents;
+        let mut roots = self.parents;
+        for label in 0..roots.len() {
+            // A parent's root is known already.
+            roots[label] = roots[roots[label]];
+        }
         let parts = self.parts.into_iter().enumerate();
-        parts
-            .filter(|(label, _)| parents.get(*label) == Some(label))
-            .map(|(_, part)| part)
-            .collect()
+        let components = parts.filter(|(label, _)| roots.get(*label) == Some(label));
+        (components.collect(), roots)
     }
 }
 

@@ -12,6 +12,7 @@
     reason = "findings are made when an app is read, never on a path that repeats"
 )]
 
+pub mod bundle;
 pub mod calibrate;
 pub mod camera;
 pub mod camera_info;
@@ -22,6 +23,8 @@ pub mod components;
 pub mod frame;
 pub mod handeye;
 pub mod laser;
+pub mod marker;
+pub mod perspective;
 pub mod plane;
 pub mod pose;
 pub mod psom;

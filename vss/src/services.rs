@@ -7,6 +7,8 @@
 mod abg;
 mod blobs;
 mod board;
+mod brd;
+mod bundle;
 mod clockfit;
 mod colour;
 mod corners;
@@ -14,6 +16,7 @@ mod handeye;
 mod laser;
 mod picture;
 mod planecal;
+mod pose;
 mod psom;
 mod resect;
 mod spot;
@@ -60,12 +63,18 @@ sorma::prototypes! {
             "the text says what was seen of it: take it from above, whole, sharp and lit, with nothing over most of its corners";
         NO_CORNERS = 152, Error, "a picture shows no chequer pattern of the size that was asked for",
             "the text says what was found: all of the pattern must be in view, and -inner counts its inner corners";
+        UNEXPECTED = 153, Warning, "components of a picture are not as expected",
+            "the text says in what: look at the picture, then at -area, -eccentricity, -holes and -threshold";
+        NO_POSE = 154, Error, "no pose of an object follows from a table",
+            "the text says why: more points, not all in one plane, from nearer, each in the row of its pixel";
+        MARKERS = 155, Error, "the markers of a board are not seen",
+            "the text says what was seen instead: -threshold, -dark and -area, or -train and -class, say what a marker is";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 13] = [
+    let made: [Class; 17] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -84,6 +93,10 @@ pub fn register(sorm: &Sorm) {
             Ok(Box::new(stereo::Stereo::default()))
         }),
         Class::new("handeye", VERSION, |_, _| Ok(Box::new(handeye::HandEye))),
+        Class::new("bundle", VERSION, |_, _| {
+            Ok(Box::new(bundle::Cameras::default()))
+        }),
+        Class::new("pose", VERSION, |_, _| Ok(Box::new(pose::Pose::default()))),
         Class::new("laser", VERSION, |_, _| {
             Ok(Box::new(laser::Laser::default()))
         }),
@@ -97,6 +110,12 @@ pub fn register(sorm: &Sorm) {
         }),
         Class::new("board", VERSION, |_, _| {
             Ok(Box::new(board::Board::default()))
+        }),
+        Class::new("findBrdMarker", VERSION, |_, _| {
+            Ok(Box::new(brd::FindBrdMarker::default()))
+        }),
+        Class::new("getDisk", VERSION, |_, _| {
+            Ok(Box::new(brd::GetDisk::default()))
         }),
     ];
     for (class, info) in made.into_iter().zip(classes()) {
@@ -115,12 +134,16 @@ pub fn classes() -> Vec<ClassInfo> {
         planecal::TABLE.class("planecal", VERSION),
         stereo::TABLE.class("stereo", VERSION),
         handeye::TABLE.class("handeye", VERSION),
+        bundle::TABLE.class("bundle", VERSION),
+        pose::TABLE.class("pose", VERSION),
         laser::TABLE.class("laser", VERSION),
         psom::TABLE.class("psom", VERSION),
         abg::TABLE.class("abg", VERSION),
         clockfit::TABLE.class("clockfit", VERSION),
         colour::TABLE.class("colour", VERSION),
         board::TABLE.class("board", VERSION),
+        brd::MARKER.class("findBrdMarker", VERSION),
+        brd::DISK.class("getDisk", VERSION),
     ]
 }
 

@@ -13,9 +13,10 @@ mod disc;
 mod homography;
 mod lattice;
 mod light;
+mod markers;
 mod situation;
 
-pub use disc::Disc;
+pub use disc::{Disc, disc_near};
 pub use situation::{Field, Piece, Roles};
 
 use homography::Homography;
@@ -83,6 +84,17 @@ pub enum BoardError {
         /// All that are in the picture.
         all: usize,
     },
+    /// The markers are no markers of a board, or not those.
+    #[error(
+        "the pattern between the four markers is no board: {seen} of {all} places where squares meet look as they should; are \
+         these the markers, and at their places?"
+    )]
+    NoBoardAtMarkers {
+        /// Places that do, in the best way to lie.
+        seen: usize,
+        /// All that are in the picture.
+        all: usize,
+    },
     /// No disc is near the place that is asked for.
     #[error("no disc is seen near {file:.2}, {rank:.2} (squares from the corner of a1)")]
     NoDisc {
@@ -90,6 +102,16 @@ pub enum BoardError {
         file: f64,
         /// Where it was looked for.
         rank: f64,
+    },
+    /// No disc is near the place of the picture that is asked for.
+    #[error("no disc of about {radius:.1} px radius is seen near {u:.1}, {v:.1} px")]
+    NoDiscNear {
+        /// Where it was looked for, px.
+        u: f64,
+        /// Where it was looked for, px.
+        v: f64,
+        /// How large it should be, px.
+        radius: f64,
     },
     /// The place is not on the board, or not in the picture.
     #[error(

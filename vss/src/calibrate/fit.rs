@@ -3,7 +3,7 @@
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Vector2, Vector3, storage::Owned};
 
-use super::{CalibrationError, LEAST_NOISE_PX, LensModel, LightPoint};
+use super::{CalibrationError, LEAST_NOISE_PX, LensModel, LightPoint, held::Held};
 use crate::camera::{Camera, Distortion, PARAMETERS};
 
 /// Turns a median of absolute normal deviates into their standard deviation.
@@ -11,10 +11,6 @@ const MEDIAN_TO_SD: f64 = 1.482_602_218_505_602;
 
 /// Turns what 70 % of absolute normal deviates are below into their standard deviation.
 const PART_TO_SD: f64 = 0.964_847_3;
-
-/// Tangential terms of lenses are about so large. Where the points hardly show them, as far from a small volume, they turn
-/// the camera by degrees, and what linear theory says of that is a third too small.
-const TANGENTIAL_SD: f64 = 3e-3;
 
 /// Seen minus predicted, px; infinite where there is no prediction.
 pub(super) fn residual(camera: &Camera, point: &LightPoint) -> Vector2<f64> {
@@ -95,7 +91,7 @@ pub(super) fn without_terms_beyond(camera: Camera, model: LensModel) -> Camera {
 }
 
 /// The camera of least squares over the `used` rows, from `start` on. With `cauchy`, the scale in px, the loss of a
-/// row with residual r is c² ln(1 + r²/c²). With `expected`, the noise in px, tangential terms are held as lenses have them.
+/// row with residual r is c² ln(1 + r²/c²). With `held` the lens terms are expected to be as those of real lenses.
 ///
 /// # Errors
 /// [`CalibrationError::NoFit`] when the iteration breaks down.
@@ -105,7 +101,7 @@ pub(super) fn fit(
     start: Camera,
     model: LensModel,
     cauchy: Option<f64>,
-    expected: Option<f64>,
+    held: Option<&Held>,
 ) -> Result<Camera, CalibrationError> {
     let problem = Problem {
         points: used
@@ -117,7 +113,7 @@ pub(super) fn fit(
         change: DVector::zeros(model.parameters()),
         camera: start,
         cauchy,
-        held: expected.filter(|_| model >= LensModel::K1K2P1P2).map(held),
+        held: held.copied(),
     };
     // A robust fit is only where the next one starts from.
     let tolerance = if cauchy.is_some() { 1e-5 } else { 1e-10 };
@@ -146,25 +142,22 @@ struct Problem {
     change: DVector<f64>,
     camera: Camera,
     cauchy: Option<f64>,
-    /// Weight of what is known of p1 and p2 beforehand, px.
-    held: Option<f64>,
+    /// What is known of the lens beforehand.
+    held: Option<Held>,
 }
 
-/// Where p1 and p2 stand among the parameters.
-const TANGENTIAL: [usize; 2] = [12, 13];
+impl Problem {
+    /// The lens terms that are free, with their indices among the parameters and their weights beforehand, px.
+    fn held_terms(&self) -> impl Iterator<Item = (usize, f64, f64)> + use<> {
+        let (free, d) = (self.change.len(), self.camera.distortion);
+        let held = self.held.into_iter().flat_map(move |held| held.terms(free));
+        let terms = held.zip([d.k1, d.k2, d.p1, d.p2, d.k3]);
+        terms.map(|((index, weight), term)| (index, weight, term))
+    }
 
-/// The weight of a tangential term in least squares of pixels with this noise, px.
-fn held(noise: f64) -> f64 {
-    noise / TANGENTIAL_SD
-}
-
-/// What a fit with tangential terms that are held adds to its JᵀJ, when `free` parameters were fitted and the noise was
-/// `expected`, px.
-pub(super) fn held_beforehand(normal: &mut DMatrix<f64>, free: usize, expected: Option<f64>) {
-    for index in TANGENTIAL {
-        if let Some(noise) = expected.filter(|_| index < free) {
-            normal[(index, index)] += held(noise).powi(2);
-        }
+    /// One for each coordinate of each point, and one for each lens term that is held.
+    fn equations(&self) -> usize {
+        2 * self.points.len() + self.held_terms().count()
     }
 }
 
@@ -203,8 +196,7 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        let more = self.held.map_or(0, |_| TANGENTIAL.len());
-        let mut residuals = DVector::zeros(2 * self.points.len() + more);
+        let mut residuals = DVector::zeros(self.equations());
         for (k, point) in self.points.iter().enumerate() {
             let mut r = self.camera.project_unchecked(&point.position())? - point.pixel();
             if let Some(scale) = self.cauchy {
@@ -212,19 +204,15 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
             }
             residuals.fixed_rows_mut::<2>(2 * k).copy_from(&r);
         }
-        if let Some(weight) = self.held {
-            let d = &self.camera.distortion;
-            let last = 2 * self.points.len();
-            residuals[last] = weight * d.p1;
-            residuals[last + 1] = weight * d.p2;
+        for (row, (_, weight, term)) in (2 * self.points.len()..).zip(self.held_terms()) {
+            residuals[row] = weight * term;
         }
         residuals.iter().all(|r| r.is_finite()).then_some(residuals)
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
         let free = self.change.len();
-        let more = self.held.map_or(0, |_| TANGENTIAL.len());
-        let mut jacobian = DMatrix::zeros(2 * self.points.len() + more, free);
+        let mut jacobian = DMatrix::zeros(self.equations(), free);
         let turn = left_jacobian(self.change.fixed_rows::<3>(0).into_owned());
         for (k, point) in self.points.iter().enumerate() {
             let (pixel, mut block) = self.camera.project_with_jacobian(&point.position())?;
@@ -239,10 +227,8 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
                 .view_mut((2 * k, 0), (2, free))
                 .copy_from(&block.columns(0, free));
         }
-        if let Some(weight) = self.held {
-            for (row, column) in (2 * self.points.len()..).zip(TANGENTIAL) {
-                jacobian[(row, column)] = weight;
-            }
+        for (row, (column, weight, _)) in (2 * self.points.len()..).zip(self.held_terms()) {
+            jacobian[(row, column)] = weight;
         }
         jacobian.iter().all(|j| j.is_finite()).then_some(jacobian)
     }
@@ -284,7 +270,8 @@ mod tests {
                 v: 200.0,
             })
             .to_vec();
-        for (cauchy, held) in [(None, None), (Some(20.0), None), (None, Some(50.0))] {
+        let held = Held::of(&camera, (500, 500), 0.3);
+        for (cauchy, held) in [(None, None), (Some(20.0), None), (None, Some(held))] {
             let mut problem = Problem {
                 points: points.clone(),
                 start: camera,

@@ -73,6 +73,11 @@ fn run(table: &[LightPoint]) -> Result<Calibration, CalibrationError> {
     calibrate(table, 640, 480, &mut rng(1))
 }
 
+/// Plain least squares.
+fn run_as(table: &[LightPoint], model: LensModel) -> Result<Calibration, CalibrationError> {
+    calibrate_as(table, 640, 480, model, Beforehand::Nothing, &mut rng(1))
+}
+
 /// Rms distance between the pictures of points of the volume in two cameras.
 fn projection_error(a: &Camera, b: &Camera) -> f64 {
     let points = volume(1000, &mut rng(99));
@@ -137,9 +142,11 @@ fn a_fit_reaches_the_bound() {
     assert!((0.6..1.25).contains(&ratio), "{ratio}");
 }
 
+/// Of 1,000 sets (`CTOS_SETS=1000`) 93 to 97 % lie within 1.96 standard deviations; 60 scatter by 2 % more.
 #[test]
 fn the_reported_uncertainty_covers_the_truth() {
     let sets: u64 = std::env::var("CTOS_SETS").map_or(60, |sets| sets.parse().unwrap());
+    let slack = if sets < 1000 { 0.02 } else { 0.0 };
     let (mut ratios_seen, mut beyond) = (0_u32, Vec::<f64>::new());
     for (truth, size, sd) in [
         (ceiling_camera(), (500, 500), 0.15),
@@ -161,8 +168,8 @@ fn the_reported_uncertainty_covers_the_truth() {
             let table = seen_by(&truth, &positions, sd, &mut rng);
             let found = calibrate(&table, size.0, size.1, &mut rng).unwrap();
             let change = found.camera.change_to(&truth);
-            // Without the distortion terms: those that were dropped are exactly 0.
-            for (value, sd) in change.iter().zip(&found.uncertainty.parameter_sd).take(10) {
+            assert_eq!(found.model, LensModel::Brown5);
+            for (value, sd) in change.iter().zip(&found.uncertainty.parameter_sd) {
                 total += 1;
                 within_two += usize::from(value.abs() <= 1.96 * sd);
             }
@@ -181,13 +188,14 @@ fn the_reported_uncertainty_covers_the_truth() {
             );
         }
         let part = f64::from(u32::try_from(within_two).unwrap()) / f64::from(total);
-        assert!((0.91..0.985).contains(&part), "{part}");
+        assert!(
+            (0.93 - slack..0.97 + slack).contains(&part),
+            "{size:?}: {part}"
+        );
     }
-    // A normal deviate is beyond 3 standard deviations with 0.27 %. With 70 points and five lens terms it is about 1 %: the
-    // problem is not linear over so wide errors. The count scatters by its root.
-    let most = 0.01 * f64::from(ratios_seen);
+    // A normal deviate is beyond 3 standard deviations with 0.27 %.
     assert!(
-        beyond.len() as f64 <= most + 2.0 * most.sqrt(),
+        100 * beyond.len() <= ratios_seen as usize,
         "of {ratios_seen}: {beyond:?}"
     );
 }
@@ -236,7 +244,7 @@ fn points_of_a_second_noise_level_are_no_outliers() {
         let mut table = seen_by(&truth, &volume(100, &mut random), 0.03, &mut random);
         table.extend(seen_by(&truth, &volume(100, &mut random), 0.3, &mut random));
         let chosen = run(&table).unwrap();
-        let asked = calibrate_as(&table, 640, 480, LensModel::Brown5, &mut rng(1)).unwrap();
+        let asked = run_as(&table, LensModel::Brown5).unwrap();
         for found in [&chosen, &asked] {
             assert!(
                 found.rejected.len() <= 20,
@@ -386,7 +394,7 @@ fn a_model_that_is_asked_for_is_fitted_as_it_is() {
         let mut random = rng(12);
         let positions = volume(60, &mut random);
         let exact = seen_by(&truth, &positions, 0.0, &mut random);
-        let found = calibrate_as(&exact, 640, 480, model, &mut rng(1)).unwrap();
+        let found = run_as(&exact, model).unwrap();
         assert_eq!(found.model, model);
         for (index, change) in found.camera.change_to(&truth).iter().enumerate() {
             assert!(
@@ -398,7 +406,7 @@ fn a_model_that_is_asked_for_is_fitted_as_it_is() {
         assert!(found.rms_px < 1e-7);
         // With noise, the error is what the noise means.
         let noisy = seen_by(&truth, &volume(200, &mut random), 0.3, &mut random);
-        let found = calibrate_as(&noisy, 640, 480, model, &mut rng(1)).unwrap();
+        let found = run_as(&noisy, model).unwrap();
         let sds = found.uncertainty.parameter_sd;
         for (change, sd) in found.camera.change_to(&truth).iter().zip(sds) {
             assert!(change.abs() <= 5.0 * sd, "{model:?}: {change} {sd}");
@@ -415,7 +423,7 @@ fn a_model_that_is_asked_for_is_fitted_as_it_is() {
 #[test]
 fn a_model_with_too_many_terms_for_the_points_is_refused() {
     let table = good_table(10);
-    let fitted = |model| calibrate_as(&table, 640, 480, model, &mut rng(1));
+    let fitted = |model| run_as(&table, model);
     assert_eq!(
         fitted(LensModel::Brown5).unwrap_err(),
         CalibrationError::TooFewForModel {

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, SMatrix};
 use serde::{Deserialize, Serialize};
 
-use super::{CalibrationError, LightPoint, Stand, fit};
+use super::{CalibrationError, LightPoint, Stand, fit, held::Held};
 use crate::camera::{Camera, PARAMETERS};
 
 /// Condition number of the column-scaled Jacobian beyond which a camera is not determined.
@@ -11,7 +11,7 @@ const WORST_CONDITION: f64 = 1e8;
 /// Points per side of the grid on which the work volume is judged.
 const GRID: usize = 5;
 
-pub(super) type Covariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
+pub(crate) type Covariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
 /// Standard deviations of an estimated camera, from the noise of the pixels.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,12 +55,12 @@ pub(super) struct Summary {
 }
 
 /// (JᵀJ)⁻¹ of the first `free` parameters over `points`, and the condition number of J with its columns scaled. With
-/// `expected`, the noise in px, with what is known of tangential terms beforehand.
+/// `held` JᵀJ has what is known of the lens beforehand.
 pub(super) fn unit_covariance(
     camera: &Camera,
     points: &[Point3<f64>],
     free: usize,
-    expected: Option<f64>,
+    held: Option<&Held>,
 ) -> Result<(Covariance, f64), CalibrationError> {
     let undetermined = |condition| CalibrationError::Undetermined { condition };
     let mut normal = DMatrix::zeros(free, free);
@@ -71,7 +71,9 @@ pub(super) fn unit_covariance(
         let block = block.columns(0, free);
         normal += block.transpose() * block;
     }
-    fit::held_beforehand(&mut normal, free, expected);
+    if let Some(held) = held {
+        held.add_to(&mut normal);
+    }
     let scale = DVector::from_iterator(free, normal.diagonal().iter().map(|d| 1.0 / d.sqrt()));
     let scaled = DMatrix::from_fn(free, free, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     if !scaled.iter().all(|entry| entry.is_finite()) {
@@ -107,28 +109,29 @@ fn positions(table: &[LightPoint], used: &[usize]) -> Vec<Point3<f64>> {
         .collect()
 }
 
-/// Sum of squared residuals of the used rows and the noise variance it means, σ² = Σr² / (2N - p).
-pub(super) fn noise_variance(table: &[LightPoint], stand: &Stand) -> (f64, f64) {
+/// Sum of squared residuals of the used rows and the noise variance it means, σ² = Σr² / (2N - p), when p parameters were
+/// free.
+pub(super) fn noise_variance(table: &[LightPoint], stand: &Stand, free: f64) -> (f64, f64) {
     let rows = stand.used.iter().filter_map(|row| table.get(*row));
     let squares: f64 = rows
         .map(|point| fit::residual(&stand.camera, point).norm_squared())
         .sum();
-    let spare = (2 * stand.used.len())
-        .saturating_sub(stand.model.parameters())
-        .max(1);
-    (squares, squares / spare as f64)
+    let spare = (2.0 * stand.used.len() as f64 - free).max(1.0);
+    (squares, squares / spare)
 }
 
 /// Everything that is reported about a fit.
 pub(super) fn summarise(table: &[LightPoint], stand: &Stand) -> Result<Summary, CalibrationError> {
     let points = positions(table, &stand.used);
-    let (unit, condition) = unit_covariance(
-        &stand.camera,
-        &points,
-        stand.model.parameters(),
-        stand.expected,
-    )?;
-    let (squares, variance) = noise_variance(table, stand);
+    let parameters = stand.model.parameters();
+    let held = stand.held.as_ref();
+    let (unit, condition) = unit_covariance(&stand.camera, &points, parameters, held)?;
+    // A term that is known beforehand takes so much less out of the residuals.
+    let terms = held.into_iter().flat_map(|held| held.terms(parameters));
+    let known: f64 = terms
+        .map(|(k, weight)| weight * weight * unit[(k, k)])
+        .sum();
+    let (squares, variance) = noise_variance(table, stand, parameters as f64 - known);
     let n = stand.used.len() as f64;
     let mut left_out = 0.0;
     for point in stand.used.iter().filter_map(|row| table.get(*row)) {
@@ -151,7 +154,7 @@ pub(super) fn summarise(table: &[LightPoint], stand: &Stand) -> Result<Summary, 
 }
 
 /// The standard deviations that a covariance of the parameters means.
-pub(super) fn describe(
+pub(crate) fn describe(
     camera: &Camera,
     points: &[Point3<f64>],
     covariance: &Covariance,

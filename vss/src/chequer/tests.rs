@@ -46,13 +46,16 @@ pub(crate) fn rendered(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let rotation: Matrix3<f64> = camera.rotation.inverse().to_rotation_matrix().into_inner();
     let part = |k: usize| (k as f64 + 0.5) / parts as f64 - 0.5;
+    // Where a ray meets the plane, fields from the outer corner.
+    let met = |u: f64, v: f64| {
+        let ray = rotation * camera.ray(Vector2::new(u, v))?;
+        let on = camera.centre - ray * (camera.centre.z / ray.z);
+        Some((on.x + 1.0, on.y + 1.0))
+    };
     let grey = |u: f64, v: f64| {
-        let Some(ray) = camera.ray(Vector2::new(u, v)) else {
+        let Some((x, y)) = met(u, v) else {
             return 100.0;
         };
-        let ray = rotation * ray;
-        let on = camera.centre - ray * (camera.centre.z / ray.z);
-        let (x, y) = (on.x + 1.0, on.y + 1.0);
         let inside = x > 0.0 && y > 0.0 && x < columns as f64 + 1.0 && y < rows as f64 + 1.0;
         if inside && (x.floor() + y.floor()) as i64 % 2 == 0 {
             40.0
@@ -60,9 +63,17 @@ pub(crate) fn rendered(
             200.0
         }
     };
+    // A pixel sees a twentieth of a field, and less than a fifth of a tilted one: far from all lines it has one colour.
+    let plain = |u: f64, v: f64| {
+        let from_line = |x: f64| (x - x.round()).abs();
+        met(u, v).is_some_and(|(x, y)| from_line(x).min(from_line(y)) > 0.2)
+    };
     let sampled: Vec<f64> = (0..width * height)
         .map(|at| {
             let (u, v) = ((at % width) as f64, (at / width) as f64);
+            if plain(u, v) {
+                return grey(u, v);
+            }
             // No two samples share a column or a row, so that edges along these are not seen in steps.
             let parts = (0..parts).map(|k| grey(u + part(7 * k % parts), v + part(k)));
             parts.sum::<f64>() / 16.0

@@ -13,14 +13,14 @@ use super::{
     told,
 };
 use crate::calibrate::{
-    Calibration, CalibrationError, LensModel, LightPoint, RejectReason, calibrate_as,
+    Beforehand, Calibration, CalibrationError, LensModel, LightPoint, RejectReason, calibrate_as,
 };
 
 /// A camera whose focal length has this standard deviation or more, relative to it, is told to be poor.
 const POOR_FOCAL: f64 = 0.02;
 
 /// So many rejected points are told one by one.
-const MOST_TOLD: usize = 20;
+pub(super) const MOST_TOLD: usize = 20;
 
 const COLUMNS: Columns = Columns {
     names: &["X", "Y", "Z", "u", "v"],
@@ -40,12 +40,16 @@ const FORMS: &[Form] = &[Form {
     help: "calibrates a camera from a table X,Y,Z,u,v (m and px, comma-separated)",
 }];
 
+/// What calibrations from tables are asked with; `sd` is of `resect` alone, the last two are of `bundle`.
 #[derive(Debug, Clone)]
 pub(super) struct Options {
     size: Vec<i64>,
     model: String,
     seed: i64,
+    free: bool,
     sd: bool,
+    pub robot_sd: f64,
+    pub lights: bool,
 }
 
 impl Default for Options {
@@ -54,7 +58,10 @@ impl Default for Options {
             size: Vec::new(),
             model: "brown5".to_owned(),
             seed: 1,
+            free: false,
             sd: false,
+            robot_sd: 1e-3,
+            lights: false,
         }
     }
 }
@@ -68,12 +75,18 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
 
 /// Adds what every calibration from a table is asked with.
 pub(super) fn options(table: OptionTable<Options>) -> OptionTable<Options> {
-    lens_options(table).int(
+    let seeded = lens_options(table).int(
         "seed",
         0..=i64::MAX,
         "",
         "seed of the random samples that the start value comes from; one seed, one result",
         |options| &mut options.seed,
+    );
+    seeded.flag(
+        "free",
+        "lens terms are fitted without knowing how large those of real lenses are; with few points the standard \
+         deviations are then too small",
+        |options| &mut options.free,
     )
 }
 
@@ -131,6 +144,14 @@ impl Options {
         self.seed.unsigned_abs()
     }
 
+    pub fn beforehand(&self) -> Beforehand {
+        if self.free {
+            Beforehand::Nothing
+        } else {
+            Beforehand::Lenses
+        }
+    }
+
     pub fn model(&self) -> LensModel {
         match self.model.as_str() {
             "none" => LensModel::None,
@@ -148,7 +169,8 @@ impl Resect {
         let table = table::read(&source, &COLUMNS).map_err(told)?;
         let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed());
-        let found = calibrate_as(&points, width, height, self.0.model(), &mut rng)
+        let (model, beforehand) = (self.0.model(), self.0.beforehand());
+        let found = calibrate_as(&points, width, height, model, beforehand, &mut rng)
             .map_err(|error| Report::error(code::NO_CAMERA, refused(&source, &table, &error)))?;
         for warning in warnings(&source, &table, &found) {
             io.report(warning);

@@ -77,7 +77,8 @@ impl Stereo {
             };
             let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
             let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed());
-            let one = calibrate_as(&points, width, height, self.0.model(), &mut rng);
+            let (model, beforehand) = (self.0.model(), self.0.beforehand());
+            let one = calibrate_as(&points, width, height, model, beforehand, &mut rng);
             let one = one.map_err(|error| {
                 let why = resect::refused(&source, &table, &error);
                 Report::error(code::NO_CAMERA, format!("the {side} camera: {why}"))

@@ -4,8 +4,7 @@
 //! that may bend). The centre is their mean, each weighted by how well it explains the pixels (Akaike's weights), and its
 //! variance holds what they disagree on (K. Burnham and D. Anderson, Sociological Methods and Research 33, 2004).
 
-use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
-use nalgebra::{DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector, Vector2, storage::Owned};
+use nalgebra::{DVector, Matrix2, SMatrix, SVector, Vector2};
 
 use super::picture::{Bell, Picture};
 
@@ -317,13 +316,89 @@ impl Problem {
         ]
     }
 
-    fn solved(self) -> Self {
-        let method = LevenbergMarquardt::new()
-            .with_patience(PATIENCE)
-            .with_ftol(1e-8)
-            .with_xtol(1e-6);
-        // How it ended does not matter: whether the result is a spot is judged by the result.
-        method.minimize(self).0
+    /// The place of least squares, by Levenberg's and Marquardt's method on the normal equations, which are small. How it
+    /// ends does not matter: whether the result is a spot is judged by the result.
+    fn solved(mut self) -> Self {
+        let (mut squares, mut damping) = (self.cost(), 1e-3);
+        if !squares.is_finite() {
+            return self;
+        }
+        let free = self.background.parameters();
+        let (mut normal, mut right) = self.equations();
+        for _ in 0..PATIENCE * free {
+            let mut damped = normal;
+            for k in 0..MOST {
+                // Those that are not free stay where they are.
+                damped[(k, k)] = if k < free {
+                    normal[(k, k)] * (1.0 + damping) + f64::MIN_POSITIVE
+                } else {
+                    1.0
+                };
+            }
+            let step = damped.cholesky().map(|factor| factor.solve(&right));
+            let next = step.map(|step| {
+                let mut next = self.parameters.clone();
+                next.iter_mut()
+                    .zip(step.iter())
+                    .for_each(|(to, by)| *to += by);
+                (step, next)
+            });
+            let Some((step, next)) = next else {
+                damping *= 10.0;
+                continue;
+            };
+            let before = std::mem::replace(&mut self.parameters, next);
+            let now = self.cost();
+            if now.is_nan() || now > squares {
+                self.parameters = before;
+                damping *= 10.0;
+                if damping > 1e9 {
+                    break;
+                }
+                continue;
+            }
+            let fall = squares - now;
+            let still = step.iter().zip(&self.parameters);
+            let still = still
+                .into_iter()
+                .all(|(by, at)| by.abs() <= 1e-6 * at.abs().max(1e-3));
+            squares = now;
+            if fall <= 1e-8 * squares || still {
+                break;
+            }
+            damping = (0.1 * damping).max(1e-9);
+            (normal, right) = self.equations();
+        }
+        self
+    }
+
+    /// JᵀJ and -Jᵀr, with what is expected of an edge; 0 beyond the free parameters.
+    fn equations(&self) -> (SMatrix<f64, MOST, MOST>, SVector<f64, MOST>) {
+        let mut normal = SMatrix::<f64, MOST, MOST>::zeros();
+        let mut right = SVector::<f64, MOST>::zeros();
+        self.for_each(|value, model, slope| {
+            for (i, a) in slope.iter().enumerate() {
+                right[i] += a * (value - model);
+                for (j, b) in slope.iter().enumerate().skip(i) {
+                    normal[(j, i)] += a * b;
+                }
+            }
+        });
+        normal.fill_upper_triangle_with_lower_triangle();
+        for (index, residual, weight) in self.expectations() {
+            normal[(index, index)] += weight * weight;
+            right[index] -= weight * residual;
+        }
+        (normal, right)
+    }
+
+    /// What is least at the solution: the sum of squares, with what is expected of an edge.
+    fn cost(&self) -> f64 {
+        let expected = self.expectations().into_iter();
+        self.squares()
+            + expected
+                .map(|(_, residual, _)| residual * residual)
+                .sum::<f64>()
     }
 
     fn used(&self) -> usize {
@@ -345,17 +420,7 @@ impl Problem {
     /// (JᵀJ)⁻¹ of the centre.
     fn covariance(&self) -> Option<Matrix2<f64>> {
         let free = self.background.parameters();
-        let mut normal = SMatrix::<f64, MOST, MOST>::zeros();
-        self.for_each(|_, _, slope| {
-            for (i, a) in slope.iter().enumerate() {
-                for (j, b) in slope.iter().enumerate() {
-                    normal[(i, j)] += a * b;
-                }
-            }
-        });
-        for (index, _, weight) in self.expectations() {
-            normal[(index, index)] += weight * weight;
-        }
+        let (normal, _) = self.equations();
         let normal = normal.view((0, 0), (free, free)).into_owned();
         let inverse = normal.try_inverse()?;
         let block = inverse.fixed_view::<2, 2>(0, 0).into_owned();
@@ -413,39 +478,6 @@ fn border_median(pixels: &[Pixel], window: Window) -> f64 {
         .collect();
     rim.sort_by(f64::total_cmp);
     rim.get(rim.len() / 2).copied().unwrap_or(0.0)
-}
-
-impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, Dyn>;
-    type ParameterStorage = Owned<f64, Dyn>;
-
-    fn set_params(&mut self, x: &DVector<f64>) {
-        self.parameters.copy_from(x);
-    }
-
-    fn params(&self) -> DVector<f64> {
-        self.parameters.clone()
-    }
-
-    fn residuals(&self) -> Option<DVector<f64>> {
-        let mut residuals = Vec::with_capacity(self.used() + 2);
-        self.for_each(|value, model, _| residuals.push(model - value));
-        residuals.extend(self.expectations().iter().map(|(_, residual, _)| residual));
-        let finite = residuals.iter().all(|r| r.is_finite());
-        finite.then(|| DVector::from_vec(residuals))
-    }
-
-    fn jacobian(&self) -> Option<DMatrix<f64>> {
-        let free = self.background.parameters();
-        let mut rows = Vec::with_capacity(free * (self.used() + 2));
-        self.for_each(|_, _, slope| rows.extend(slope));
-        for (index, _, weight) in self.expectations() {
-            rows.extend((0..free).map(|column| if column == index { weight } else { 0.0 }));
-        }
-        let finite = rows.iter().all(|r| r.is_finite());
-        finite.then(|| DMatrix::from_row_slice(rows.len() / free, free, &rows))
-    }
 }
 
 /// What a background would lower the sum of squares of a fit on a constant by, to first order, without fitting it.
@@ -680,7 +712,6 @@ fn average(members: &[Member<'_>]) -> Option<Fit> {
 mod tests {
     use super::*;
     use crate::spot::tests::frame;
-    use levenberg_marquardt::differentiate_numerically;
 
     #[test]
     fn the_jacobian_is_right_on_every_background() {
@@ -695,16 +726,31 @@ mod tests {
         let constant = Problem::new(&picture, guess).unwrap();
         let plane = constant.on(Background::Plane, &[0.7, -0.4], 0.0);
         let edge = constant.on(Background::Edge, &[20.0, 0.6, 1.3, 0.2, 0.05], 3.0);
-        for mut problem in [constant, plane, edge] {
-            let numeric = differentiate_numerically(&mut problem).unwrap();
-            let exact = problem.jacobian().unwrap();
-            for (a, b) in numeric.iter().zip(&exact) {
-                let off = (a - b).abs();
-                assert!(
-                    off < 1e-4 * (1.0 + b.abs()),
-                    "{:?}: {a} {b}",
-                    problem.background
-                );
+        const STEP: f64 = 1e-5;
+        for problem in [constant, plane, edge] {
+            let models = |problem: &Problem| {
+                let mut models = Vec::new();
+                problem.for_each(|_, model, _| models.push(model));
+                models
+            };
+            let mut slopes: Vec<Vec<f64>> = Vec::new();
+            problem.for_each(|_, _, slope| slopes.push(slope.to_vec()));
+            for k in 0..problem.background.parameters() {
+                let moved = |by: f64| {
+                    let mut other = problem.clone();
+                    other.parameters[k] += by;
+                    models(&other)
+                };
+                let both = moved(STEP).into_iter().zip(moved(-STEP)).zip(&slopes);
+                for ((more, less), slope) in both {
+                    let (numeric, exact) = ((more - less) / (2.0 * STEP), slope[k]);
+                    let off = (numeric - exact).abs();
+                    assert!(
+                        off < 1e-4 * (1.0 + exact.abs()),
+                        "{:?} {k}: {numeric} {exact}",
+                        problem.background
+                    );
+                }
             }
         }
     }

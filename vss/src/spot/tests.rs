@@ -145,24 +145,30 @@ fn the_centre_is_within_1_25_of_the_bound_and_its_predicted_sd_is_true() {
         (90.0, 2.5, 11.0),
         (90.0, 2.0, 17.0),
     ] {
-        let (error, predicted, found) = monte_carlo(amplitude, sigma, noise, 300);
+        let trials = places(100);
+        let (error, predicted, found) = monte_carlo(amplitude, sigma, noise, trials);
         // Rounding to whole grey values adds a twelfth to the variance.
         let bound =
             2.0 / std::f64::consts::PI.sqrt() * (noise * noise + 1.0 / 12.0_f64).sqrt() / amplitude;
         let case = format!(
             "A {amplitude} sigma {sigma} noise {noise}: {error:.4} bound {bound:.4} said {predicted:.4}"
         );
-        assert_eq!(found, 300, "{case}");
+        assert_eq!(found, trials, "{case}");
         assert!(error < 1.25 * bound, "{case}");
         assert!((0.85..1.2).contains(&(error / predicted)), "{case}");
     }
 }
 
-/// The rows of the project's table of estimators, at a thousand places between pixels each.
+/// So many random places are tried; the long run tries a thousand.
+fn places(few: usize) -> usize {
+    std::env::var("CTOS_PLACES").map_or(few, |places| places.parse().unwrap())
+}
+
+/// The rows of the project's table of estimators, at many places between pixels each.
 fn reaches_the_bound(sigma: f64, noise: f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let (mut squares, mut ratios) = (0.0, 0.0);
-    let trials = 1000;
+    let trials = places(250);
     for _ in 0..trials {
         let (u, v) = (rng.random_range(15.0..17.0), rng.random_range(15.0..17.0));
         let scene = Scene {
@@ -192,22 +198,22 @@ fn reaches_the_bound(sigma: f64, noise: f64) {
 }
 
 #[test]
-fn spots_of_1_0_px_are_within_1_15_of_the_bound_at_a_thousand_places() {
+fn spots_of_1_0_px_are_within_1_15_of_the_bound() {
     reaches_the_bound(1.0, 2.0);
 }
 
 #[test]
-fn spots_of_1_5_px_are_within_1_15_of_the_bound_at_a_thousand_places() {
+fn spots_of_1_5_px_are_within_1_15_of_the_bound() {
     reaches_the_bound(1.5, 4.0);
 }
 
 #[test]
-fn spots_of_2_5_px_are_within_1_15_of_the_bound_at_a_thousand_places() {
+fn spots_of_2_5_px_are_within_1_15_of_the_bound() {
     reaches_the_bound(2.5, 4.0);
 }
 
 #[test]
-fn spots_of_4_0_px_are_within_1_15_of_the_bound_at_a_thousand_places() {
+fn spots_of_4_0_px_are_within_1_15_of_the_bound() {
     reaches_the_bound(4.0, 8.0);
 }
 
@@ -268,7 +274,8 @@ fn noise_free_spots_before_structures_are_within_0_02_px_and_edges_are_named() {
 fn predicted_errors_hold_before_edges_in_noise() {
     let mut rng = ChaCha8Rng::seed_from_u64(22);
     let (mut ratios, mut found) = (0.0, 0.0);
-    for _ in 0..250 {
+    let trials = places(250);
+    for _ in 0..trials {
         let (u, v) = (rng.random_range(26.0..38.0), rng.random_range(26.0..38.0));
         let scene = Scene {
             behind: |u, v| if 0.8 * u + 0.6 * v > 44.0 { 10.0 } else { 0.0 },
@@ -280,7 +287,7 @@ fn predicted_errors_hold_before_edges_in_noise() {
             found += 1.0;
         }
     }
-    assert!(found >= 245.0, "{found}");
+    assert!(found >= 0.98 * trials as f64, "{found}");
     let ratio = (ratios / found).sqrt();
     assert!((0.88..1.12).contains(&ratio), "{ratio}");
 }
@@ -327,16 +334,18 @@ fn a_bright_wall_without_a_lamp_is_no_spot_and_the_reason_says_so() {
     }
 }
 
-/// A bar with a round end, as a lit arm looks from above, brightest at its end.
+/// A bar with a round end, as a lit arm looks from above, brightest at its end; bars of many widths.
 #[test]
 fn the_end_of_an_arm_is_no_spot() {
+    let (fewest, most) = (10, 40);
+    let trials = places(fewest).clamp(fewest, most);
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let options = SpotOptions {
         max_sigma_px: 4.0,
         ..SpotOptions::default()
     };
-    for trial in 0..40 {
-        let half = 5.0 + 0.1 * f64::from(trial);
+    for trial in 0..trials {
+        let half = 5.0 + 4.0 * trial as f64 / trials as f64;
         let pixels = (0..150 * 150).map(|k| {
             let (u, v) = (f64::from(k % 150), f64::from(k / 150));
             let away = (u - 75.0).hypot((v - 60.0).min(0.0));

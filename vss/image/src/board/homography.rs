@@ -38,6 +38,11 @@ impl Homography {
             .then_some(Self(map))
     }
 
+    /// An affine map.
+    pub(super) fn affine([[a, b, c], [d, e, f]]: [[f64; 3]; 2]) -> Self {
+        Self(Matrix3::new(a, b, c, d, e, f, 0.0, 0.0, 1.0))
+    }
+
     pub(super) fn of(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let row = |nth: usize| self.0[(nth, 0)] * x + self.0[(nth, 1)] * y + self.0[(nth, 2)];
         let z = row(2);
@@ -52,12 +57,12 @@ impl Homography {
 
     /// This one after an affine map.
     pub(super) fn after(&self, [[a, b, c], [d, e, f]]: [[f64; 3]; 2]) -> Self {
-        Self(self.0 * Matrix3::new(a, b, c, d, e, f, 0.0, 0.0, 1.0))
+        Self(self.0 * Self::affine([[a, b, c], [d, e, f]]).0)
     }
 
     /// This one before an affine map.
     pub(super) fn before(&self, [[a, b, c], [d, e, f]]: [[f64; 3]; 2]) -> Self {
-        Self(Matrix3::new(a, b, c, d, e, f, 0.0, 0.0, 1.0) * self.0)
+        Self(Self::affine([[a, b, c], [d, e, f]]).0 * self.0)
     }
 
     /// Its nine numbers, row by row, the last one 1.

@@ -126,6 +126,11 @@ impl Light {
         at.map(|at| (at + 0.5) * self.scale() - 0.5)
     }
 
+    /// A place here from one of the picture.
+    pub(super) fn from_picture(&self, at: [f64; 2]) -> [f64; 2] {
+        at.map(|at| (at + 0.5) / self.scale() - 0.5)
+    }
+
     /// A homography to the picture from one to here.
     pub(super) fn homography_to_picture(&self, map: &Homography) -> [f64; 9] {
         let (scale, shift) = (self.scale(), 0.5 * self.scale() - 0.5);

@@ -392,6 +392,139 @@ fn a_disc_beside_the_middle_of_its_square_is_measured() {
     ));
 }
 
+#[test]
+fn the_place_of_a_disc_is_as_good_as_its_standard_deviations_say() {
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for shift in [[0.07, -0.03], [-0.045, 0.06]] {
+        let scene = Scene {
+            shift,
+            radius: 0.36,
+            ..Scene::default()
+        };
+        let picture = scene.drawn();
+        let board = Board::find(&picture, Side::Bottom).unwrap();
+        for nth in (0..12).chain(20..32) {
+            let (file, rank) = situation_place(nth);
+            let truth = [file + 0.5 + shift[0], rank + 0.5 + shift[1]];
+            let disc = board.disc(file + 0.5, rank + 0.5).unwrap();
+            let at = scene.map().of(truth);
+            for (k, error) in [disc.u - at[0], disc.v - at[1]].into_iter().enumerate() {
+                assert!(
+                    error.abs() < 0.5 && disc.sd_px[k] < 0.3,
+                    "{nth} {disc:?} {at:?}"
+                );
+                squares[k] += (error / disc.sd_px[k]).powi(2);
+            }
+            count += 1.0;
+        }
+        // Empty squares have none, dark ones and light ones.
+        for nth in 13..19 {
+            let (file, rank) = situation_place(nth);
+            for side in [0.5, 1.5] {
+                let none = board.disc(file + side, rank + 0.5);
+                let outside = file + side > 8.0;
+                assert!(
+                    outside || matches!(none, Err(BoardError::NoDisc { .. })),
+                    "{nth} {none:?}"
+                );
+            }
+        }
+    }
+    for square in squares {
+        let rms = f64::sqrt(square / count);
+        assert!((0.5..1.6).contains(&rms), "{rms}");
+    }
+}
+
+#[test]
+fn a_disc_is_found_near_a_place_of_a_picture_without_a_board() {
+    // Seen from above, near: squares of 160 px.
+    let scene = Scene {
+        corners: [
+            [-300.0, 900.0],
+            [980.0, 900.0],
+            [980.0, -380.0],
+            [-300.0, -380.0],
+        ],
+        shift: [0.05, 0.02],
+        ..Scene::default()
+    };
+    let picture = scene.drawn();
+    let map = scene.map();
+    for nth in [20, 21, 24, 25] {
+        let (file, rank) = situation_place(nth);
+        let truth = map.of([file + 0.55, rank + 0.52]);
+        if !(70.0..570.0).contains(&truth[0]) || !(70.0..410.0).contains(&truth[1]) {
+            continue;
+        }
+        let radius = 160.0 * scene.radius;
+        let disc = disc_near(&picture, [truth[0] + 20.0, truth[1] - 15.0], 0.9 * radius).unwrap();
+        assert!(
+            (disc.u - truth[0]).hypot(disc.v - truth[1]) < 0.3,
+            "{disc:?} {truth:?}"
+        );
+        assert!(
+            (disc.radius / radius - 1.0).abs() < 0.02,
+            "{disc:?} {radius}"
+        );
+        assert_eq!(disc.piece, Piece::WhiteMan);
+        assert!(
+            disc.sd_px.iter().all(|sd| (0.01..0.3).contains(sd)),
+            "{disc:?}"
+        );
+    }
+    let text = disc_near(&picture, [320.0, 240.0], 200.0)
+        .unwrap_err()
+        .to_string();
+    assert!(text.contains("no disc of about 200.0 px radius"), "{text}");
+    assert!(disc_near(&picture, [f64::NAN, 10.0], 20.0).is_err());
+    assert!(disc_near(&picture, [-900.0, 10.0], 20.0).is_err());
+}
+
+#[test]
+fn four_markers_give_the_board_whatever_their_order_and_the_side_of_white() {
+    let scene = Scene::default();
+    let picture = scene.drawn();
+    let map = scene.map();
+    let places = [[-0.7, -0.6], [8.7, -0.8], [8.6, 8.7], [-0.9, 8.5]];
+    let markers = places.map(|place| map.of(place));
+    let [a, b, c, d] = markers;
+    for order in [[a, b, c, d], [c, a, d, b], [d, c, b, a]] {
+        let board = Board::at_markers(&picture, order, &places, Side::Bottom).unwrap();
+        assert!(
+            board.corners >= 40 && board.rms < 0.5,
+            "{} {}",
+            board.corners,
+            board.rms
+        );
+        for place in [[0.0, 0.0], [8.0, 0.0], [4.0, 4.0], [0.0, 8.0]] {
+            let (found, truth) = (board.pixel(place[0], place[1]), map.of(place));
+            assert!((found[0] - truth[0]).hypot(found[1] - truth[1]) < 1e-6);
+        }
+        assert_eq!(codes(&board, &picture), scene.pieces);
+    }
+    // Markers that are as far out on all sides fit turned by half, too.
+    let places = [[-0.7, -0.7], [8.7, -0.7], [8.7, 8.7], [-0.7, 8.7]];
+    let markers = places.map(|place| map.of(place));
+    let board = Board::at_markers(&picture, markers, &places, Side::Top).unwrap();
+    let (found, truth) = (board.pixel(0.0, 0.0), map.of([8.0, 8.0]));
+    assert!((found[0] - truth[0]).hypot(found[1] - truth[1]) < 1e-6);
+    // Others that look like markers are none.
+    let mut some = markers.to_vec();
+    some.insert(1, [20.0, 20.0]);
+    some.push([600.0, 200.0]);
+    let (board, four) = Board::at_some_markers(&picture, &some, &places, Side::Bottom).unwrap();
+    assert_eq!(four, [0, 2, 3, 4]);
+    assert!(board.inner_corners().len() >= 40);
+    for wrong in [
+        [[20.0, 20.0], [600.0, 20.0], [600.0, 300.0], [30.0, 310.0]],
+        [[5.0, 5.0]; 4],
+        [[f64::NAN, 5.0]; 4],
+    ] {
+        assert!(Board::at_markers(&picture, wrong, &places, Side::Bottom).is_err());
+    }
+}
+
 /// The lower left corner of a playing square.
 fn situation_place(nth: i32) -> (f64, f64) {
     let row = nth / 4;

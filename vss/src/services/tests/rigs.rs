@@ -11,7 +11,7 @@ fn two_cameras_and_their_standard_deviations_come_from_one_table() {
     right.centre = left.centre + Vector3::new(0.4, 0.1, 0.05);
     right.intrinsics.fx = 820.0;
     let sorm = manager();
-    ask(&sorm, "stereo CTRL -size 640 480");
+    ask(&sorm, "stereo CTRL -size 640 480 -free on");
     let truth: Vec<f64> = {
         let (l, r) = (expected(&left), expected(&right));
         let between = right.camera_from_world() * left.camera_from_world().inverse();
