@@ -261,7 +261,10 @@ impl ServiceObject for Sound {
     fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let words = split(&io.text)?;
         if words.is_empty() {
-            return Err(raise!(general::VALUE, "EXEC takes words, and there are none"));
+            return Err(raise!(
+                general::VALUE,
+                "EXEC takes words, and there are none"
+            ));
         }
         let pieces = pieces(&words, &self.options.folder)?;
         let text = words.join(" ");
