@@ -1,7 +1,11 @@
 //! Ways around obstacles: free wherever they are looked at, the same for the same seed, found where a grid finds one, and
 //! refused where there is none.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot be set up fails"
+)]
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -470,7 +474,7 @@ fn what_is_driven_through_blended_way_points_is_as_free_as_the_way() {
     let mut watch = space(&puma(), &gate(), MARGIN - RESOLUTION_M / 2.0);
     let mut solver = planner.solver().clone();
     let (mut at, mut ticks) = (found.points[0], 0);
-    while !(follower.rests() && !follower.go_on()) {
+    while !follower.rests() || follower.go_on() {
         at = follower.next(&mut solver, &at).unwrap().position;
         watch.stands_free(&at).unwrap();
         ticks += 1;
