@@ -172,7 +172,7 @@ fn a_board_without_its_dot_or_out_of_sight_is_refused_with_the_reason() {
     );
 }
 
-fn nearest<'a>(found: &'a [SeenDisc], at: [f64; 3]) -> Option<&'a SeenDisc> {
+fn nearest(found: &[SeenDisc], at: [f64; 3]) -> Option<&SeenDisc> {
     let at = Point3::from(at);
     found
         .iter()
