@@ -12,11 +12,9 @@ use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3}
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim::{camera::Renderer, cell::Cell, scene::SceneState};
-use vss::{
-    board_pose::{BoardForm, BoardPose, NoBoard, View, find_board},
-    discs::{DiscForm, SeenDisc, bare, find_discs},
-    frame::Frame,
-};
+use vss::frame::Frame;
+use vss_board::discs::{DiscForm, SeenDisc, bare, find_discs};
+use vss_board::pose::{BoardForm, BoardPose, NoBoard, View, find_board};
 
 const CELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../configs/carry-cell.toml");
 

@@ -12,7 +12,6 @@
     reason = "findings are made when an app is read, never on a path that repeats"
 )]
 
-pub mod board_pose;
 pub mod calibrate;
 pub mod camera;
 pub mod camera_info;
@@ -20,7 +19,6 @@ pub mod catalog;
 pub mod chequer;
 pub mod command;
 pub mod components;
-pub mod discs;
 pub mod frame;
 pub mod handeye;
 pub mod laser;

@@ -17,12 +17,12 @@ use futures_util::future::join_all;
 use nalgebra::Point2;
 use serde::Deserialize;
 use vss::{
-    board_pose::{BoardForm, View, find_board},
     camera_info::{CameraInfo, CameraPose, poses_from_yaml},
     command::{Outcome, Snap, VisionError},
-    discs::{DiscForm, bare, find_discs},
     frame::Frame,
 };
+use vss_board::discs::{DiscForm, bare, find_discs};
+use vss_board::pose::{BoardForm, View, find_board};
 
 use super::sight::Overview;
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
-use vss::{board_pose::BoardPose, discs::SeenDisc};
+use vss_board::{discs::SeenDisc, pose::BoardPose};
 
 use super::{
     board::{Board, Field},

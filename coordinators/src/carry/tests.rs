@@ -29,11 +29,9 @@ use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
 use pnt::task::{Marking, PutTape};
 
-use vss::{
-    board_pose::BoardPose,
-    command::{Outcome as Vss, VisionError},
-    discs::SeenDisc,
-};
+use vss::command::{Outcome as Vss, VisionError};
+use vss_board::discs::SeenDisc;
+use vss_board::pose::BoardPose;
 
 use super::{
     board::{Board, Field},

@@ -16,11 +16,9 @@ use pnt::{
     task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::{Deserialize, Serialize};
-use vss::{
-    board_pose::BoardForm,
-    command::{Outcome as Vss, VisionError},
-    discs::DiscForm,
-};
+use vss::command::{Outcome as Vss, VisionError};
+use vss_board::discs::DiscForm;
+use vss_board::pose::BoardForm;
 
 use super::{
     board::Board,

@@ -1,7 +1,7 @@
 //! Where a draughts board stands before calibrated cameras: its pose from the corners of its chequer pattern in all pictures
 //! together, with standard deviations.
 //!
-//! The pattern is found in each picture by itself ([`vss_image::board`]), its 49 inner corners are placed to a fraction of a
+//! The pattern is found in each picture by itself ([`vss::image::board`]), its 49 inner corners are placed to a fraction of a
 //! pixel, and the pose is fitted to all of them by least squares. A board of fields looks the same after half a turn: a bright
 //! dot on its rim, beside the first field, says which way it lies. Knows numbers and pictures only.
 //!
@@ -12,16 +12,15 @@ use nalgebra::{
     Isometry3, Point2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
 };
 use serde::{Deserialize, Serialize};
-use vss_image::{
-    Format, Picture,
-    board::{Board, BoardError, Side},
-};
-
-use crate::{
+use vss::{
     camera::Camera,
     camera_info::{CameraInfo, CameraPose},
     chequer::corners_near,
     frame::{Frame, PixelFormat},
+    image::{
+        Format, Picture,
+        board::{Board, BoardError, Side},
+    },
 };
 
 /// Inner corners of the board, a side.

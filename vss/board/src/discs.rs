@@ -7,8 +7,9 @@
 
 use nalgebra::{Isometry3, Matrix2, Point2, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
+use vss::components::components;
 
-use crate::{board_pose::View, components::components};
+use crate::pose::View;
 
 /// Places on a rim.
 const PLACES: usize = 48;
