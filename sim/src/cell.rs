@@ -135,6 +135,8 @@ pub struct ObjectSpec {
     pub name: String,
     /// Form and grey, in its own frame, whose origin is its centre of mass.
     pub shape: Shape,
+    /// What is painted on it, in its own frame: it can be seen and not be touched.
+    pub marks: Vec<Shape>,
     /// Mass, kg, spread evenly.
     pub mass: f64,
     /// Coefficient of friction against what has the same.

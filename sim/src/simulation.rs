@@ -5,7 +5,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 
 use crate::{
     cell::{Cell, LaserSpec},
@@ -117,6 +117,11 @@ impl Simulation {
             }
         }
         any
+    }
+
+    /// Puts an object elsewhere, at rest. False when there is no such object.
+    pub fn place(&mut self, name: &str, at: &Isometry3<f64>) -> bool {
+        self.world.place(name, at)
     }
 
     /// From now on a laser does that. False when there is no such laser.

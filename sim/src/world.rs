@@ -296,6 +296,19 @@ impl World {
         })
     }
 
+    /// Puts an object elsewhere, where it is at rest; false when there is none of that name.
+    pub fn place(&mut self, name: &str, at: &Isometry3<f64>) -> bool {
+        let mut named = self.objects.iter().zip(&self.cell.objects);
+        let found = named.find(|(_, spec)| spec.name == name);
+        let Some(body) = found.and_then(|(handle, _)| self.physics.bodies.get_mut(*handle)) else {
+            return false;
+        };
+        body.set_position(pose(at), true);
+        body.set_linvel(Vector::ZERO, true);
+        body.set_angvel(Vector::ZERO, true);
+        true
+    }
+
     /// What presses on the links of an arm: the names of their frames, and the mean forces of the last period, N, in the axes
     /// of these frames. Links that nothing touches are left out. An arm that its brakes hold feels nothing.
     pub fn touches(&mut self, arm: usize) -> Vec<(String, Vector3<f64>)> {

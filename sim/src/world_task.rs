@@ -10,6 +10,7 @@ use ctos::{
     task::{EventHandler, Handled, HandlerError, Phase},
 };
 use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
+use nalgebra::Isometry3;
 use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
@@ -70,6 +71,17 @@ ctos::command! {
     } => (), 0x0505, "order_laser"
 }
 
+ctos::command! {
+    /// A person puts an object elsewhere: where it is and how it lies, at once and at rest.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct PlaceBody {
+        /// Its name in the cell.
+        pub body: String,
+        /// `world_T_body`, m. Nobody sees to it that nothing else is there.
+        pub pose: Isometry3<f64>,
+    } => (), 0x0394, "place_body"
+}
+
 /// Arguments of the world's task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -98,6 +110,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         SwitchLamp::INFO,
         FailCamera::INFO,
         OrderLaser::INFO,
+        PlaceBody::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
         ReadBodies::INFO,
@@ -246,6 +259,24 @@ impl EventHandler for WorldTask {
                     reply.ok(())
                 } else {
                     reply.fail(format!("the cell has no laser `{laser}`"))
+                }
+            }
+            PlaceBody::CODE => {
+                let (PlaceBody { body, pose }, reply) = message.open::<PlaceBody>()?;
+                let mut simulation = self.simulation.borrow_mut();
+                if !pose
+                    .to_homogeneous()
+                    .iter()
+                    .all(|number| number.is_finite())
+                {
+                    return reply.fail(format!("the pose for `{body}` is none"));
+                }
+                let any = simulation.place(&body, &pose);
+                leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+                if any {
+                    reply.ok(())
+                } else {
+                    reply.fail(format!("the cell has no object `{body}`"))
                 }
             }
             TrueCameras::CODE => {

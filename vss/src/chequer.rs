@@ -6,9 +6,11 @@
 
 mod corner;
 mod grid;
+mod near;
 
 use crate::{frame::Frame, spot::noise_sd};
 use corner::{Smooth, refined, saddles};
+pub use near::corners_near;
 
 /// A corner. Pixel centres are at whole numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -11,8 +11,11 @@ use serde::{Deserialize, Serialize};
 /// The most fields of a side.
 const MOST_FIELDS: u32 = 100;
 
+/// A dot is nearer to the middle, m.
+const MOST_DOT: f64 = 100.0;
+
 /// Where a board stands.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Board {
     /// The middle of its surface in the base frame of the arm, m.
@@ -25,10 +28,20 @@ pub struct Board {
     /// Fields along each side.
     #[serde(default = "fields")]
     pub fields: u32,
+    /// How high its surface is above the table, m.
+    #[serde(default = "thick_m")]
+    pub thick_m: f64,
+    /// The middle of the bright dot on its rim, by which cameras tell which way it lies, in its own frame, m.
+    #[serde(default)]
+    pub dot: Option<[f64; 2]>,
 }
 
 fn fields() -> u32 {
     8
+}
+
+fn thick_m() -> f64 {
+    0.02
 }
 
 /// A place on a board. Columns and rows need not be whole.
@@ -98,6 +111,17 @@ impl Board {
         if !(1..=MOST_FIELDS).contains(&self.fields) {
             return Err(("fields", format!("give from 1 to {MOST_FIELDS} fields")));
         }
+        if !(0.0..=1.0).contains(&self.thick_m) {
+            return Err(("thick_m", "give from 0 to 1 m".to_owned()));
+        }
+        if let Some(dot) = self.dot
+            && !dot.iter().all(|x| x.abs() < MOST_DOT)
+        {
+            return Err((
+                "dot",
+                format!("give its place in m, nearer than {MOST_DOT}"),
+            ));
+        }
         Ok(())
     }
 
@@ -126,14 +150,34 @@ impl Board {
     /// The middle of a field in the base frame, at the bottom of what lies there on things of such a height (m).
     #[must_use]
     pub fn point(&self, field: &Field, height_m: f64) -> Point3<f64> {
-        let middle = (f64::from(self.fields) + 1.0) / 2.0;
-        let along = |number: f64| (number - middle) * self.field_m;
-        let on_board = Point3::new(
+        self.pose() * self.on_board(field, height_m)
+    }
+
+    /// The same in the board's own frame.
+    #[must_use]
+    pub fn on_board(&self, field: &Field, height_m: f64) -> Point3<f64> {
+        let along = |number: f64| (number - self.middle()) * self.field_m;
+        Point3::new(
             along(field.column),
             along(field.row),
             field.height * height_m,
-        );
-        self.pose() * on_board
+        )
+    }
+
+    /// The field in which a point of the board's own frame is, on things of such a height (m).
+    #[must_use]
+    pub fn field(&self, point: &Point3<f64>, height_m: f64) -> Field {
+        let number = |along: f64| along / self.field_m + self.middle();
+        Field {
+            column: number(point.x),
+            row: number(point.y),
+            height: point.z / height_m,
+        }
+    }
+
+    /// The number of a column or row in the middle of the board.
+    fn middle(&self) -> f64 {
+        (f64::from(self.fields) + 1.0) / 2.0
     }
 }
 
@@ -146,6 +190,8 @@ mod tests {
         yaw_deg: 90.0,
         field_m: 0.06,
         fields: 8,
+        thick_m: 0.02,
+        dot: None,
     };
 
     #[test]

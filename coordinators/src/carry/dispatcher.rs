@@ -14,11 +14,12 @@ use pnt::{
     library::{Acted, Action, Library},
     task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
 };
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::{
     board::{Board, Field},
-    errand::{ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS},
+    errand::{ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS},
+    sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
     thing::Thing,
 };
 use crate::{
@@ -55,6 +56,19 @@ struct Dispatcher {
     store: DomStore,
     /// Number of the command in work, from 1.
     command: u32,
+    /// What was seen of its ends.
+    ends: Ends,
+}
+
+/// What was seen of the ends of an errand.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Ends {
+    /// Nothing stands on FROM.
+    from_is_empty: bool,
+    /// Something stands on TO.
+    to_is_taken: bool,
+    /// After it was set down, the thing is not seen on TO.
+    is_elsewhere: bool,
 }
 
 /// Registers the handler.
@@ -109,13 +123,28 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         args: Rc::new(args),
         store,
         command: 0,
+        ends: Ends::default(),
     };
     Library::new(state)
         .kept(
-            |state| state.command,
-            |state, command| state.command = command,
+            |state| (state.command, state.ends),
+            |state, (command, ends)| {
+                state.command = command;
+                state.ends = ends;
+            },
         )
+        .enabling("from_is_empty", |state: &Dispatcher| {
+            state.ends.from_is_empty
+        })
+        .enabling("to_is_taken", |state: &Dispatcher| state.ends.to_is_taken)
+        .enabling("stands_there", |state: &Dispatcher| {
+            !state.ends.is_elsewhere
+        })
         .action("begin", begin)
+        .action("aim", aim)
+        .action("judge", judge)
+        .action("tell_unverified", tell_unverified)
+        .action("tell_found", tell_found)
         .action("report", report)
         .action("refuse", refuse)
 }
@@ -154,6 +183,7 @@ fn begun(
         command,
         from,
         to,
+        board: args.board,
         points: [from, to].map(|field| args.board.point(&field, thing.height_m)),
         yaw: args.board.yaw(),
         clearance_m: args.clearance_m,
@@ -199,12 +229,84 @@ fn order(arguments: &[String], board: &Board) -> Result<([Field; 2], Option<f64>
     Ok(([field(from)?, field(to)?], speed))
 }
 
+/// Puts the errand's ends where they were seen, or finds what is in its way.
+async fn aim(action: Act) -> Acted {
+    let (cx, _, store) = parts(&action);
+    action.with_state(|state| state.ends = Ends::default());
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    let sight: Sight = store.fetch(&cx, SIGHT).await?;
+    if sight.command != errand.command {
+        return Err(HandlerError::new("nobody looked for this errand"));
+    }
+    for note in &sight.notes {
+        action.note(note);
+    }
+    let mut ends = Ends::default();
+    match sight::aimed(&errand, &sight) {
+        Ok(aimed) => return store.store(&cx, ERRAND, &aimed).await,
+        Err(Hindrance::NothingAtFrom(text)) => {
+            ends.from_is_empty = true;
+            action.note(text);
+        }
+        Err(Hindrance::Occupied(text)) => {
+            ends.to_is_taken = true;
+            action.note(text);
+        }
+        Err(Hindrance::Other(text)) => return Err(HandlerError::new(text)),
+    }
+    action.with_state(|state| state.ends = ends);
+    Ok(())
+}
+
+/// What was found out about the thing after the errand.
+async fn found(action: &Act) -> Result<Found, HandlerError> {
+    let (cx, _, store) = parts(action);
+    let command = action.with_state(|state| state.command);
+    let found: Found = store.fetch(&cx, FOUND).await?;
+    if found.command == command {
+        return Ok(found);
+    }
+    Err(HandlerError::new("nobody looked after this errand"))
+}
+
+/// Notes where the thing stands that was set down.
+async fn judge(action: Act) -> Acted {
+    let found = found(&action).await?;
+    for note in &found.notes {
+        action.note(note);
+    }
+    action.with_state(|state| state.ends.is_elsewhere = found.arrived == Some(false));
+    Ok(())
+}
+
+/// Notes where the thing is that was not carried.
+async fn tell_found(action: Act) -> Acted {
+    for note in found(&action).await?.notes {
+        action.note(note);
+    }
+    Ok(())
+}
+
+/// Notes why nobody saw where the thing stands.
+async fn tell_unverified(action: Act) -> Acted {
+    let (cx, _, store) = parts(&action);
+    let command = action.with_state(|state| state.command);
+    let problems: Problems = store.fetch(&cx, VISION_PROBLEMS).await?;
+    if let Some(problem) = problems.problems.last()
+        && problems.command == command
+    {
+        let reason = &problem.failure.reason;
+        action.note(format!("it was set down, and nobody sees it: {reason}"));
+    }
+    Ok(())
+}
+
 /// Notes, for the answer, what was not done and why, in the order of time, and where the thing is.
 async fn report(action: Act) -> Acted {
     let (cx, _, store) = parts(&action);
     let command = action.with_state(|state| state.command);
     let mut all = Vec::new();
-    for object in [ROBOT_PROBLEMS, HAND_PROBLEMS] {
+    for object in [ROBOT_PROBLEMS, HAND_PROBLEMS, VISION_PROBLEMS] {
         if let Ok(found) = store.fetch::<Problems>(&cx, object).await
             && found.command == command
         {
@@ -243,6 +345,8 @@ mod tests {
         yaw_deg: 0.0,
         field_m: 0.06,
         fields: 8,
+        thick_m: 0.02,
+        dot: None,
     };
 
     #[test]

@@ -4,7 +4,10 @@ use ctos::{task::Context, time::Instant};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{board::Field, thing::Thing};
+use super::{
+    board::{Board, Field},
+    thing::Thing,
+};
 use crate::{dom::DomStore, outcome::Failure};
 
 /// What is to be carried from where to where: written by the Dispatcher.
@@ -15,6 +18,8 @@ pub const WAY: &str = "way";
 pub const ROBOT_PROBLEMS: &str = "robot_problems";
 /// What the Hand Coordinator could not do: [`Problems`].
 pub const HAND_PROBLEMS: &str = "hand_problems";
+/// What the Vision Coordinator could not do: [`Problems`].
+pub const VISION_PROBLEMS: &str = "vision_problems";
 
 /// [`ERRAND`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,6 +30,8 @@ pub struct Errand {
     pub from: Field,
     /// Where it shall be.
     pub to: Field,
+    /// The board: where the configuration has it, and where it was seen once that is known.
+    pub board: Board,
     /// The middle of its bottom at both, in the base frame of the arm, m.
     pub points: [Point3<f64>; 2],
     /// How the board is turned about the vertical, rad.

@@ -9,7 +9,7 @@ use ctos::{
     task::{Context, EventHandler, Handled, HandlerError},
 };
 use mcs_hand::command::{Body, ReadBodies};
-use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix4, Point3, Translation3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::errand::{ERRAND, Errand};
@@ -30,6 +30,8 @@ struct RefereeArgs {
     dom: String,
     /// The body that is carried, by its name in the world. Its frame has its origin in the middle, and z up.
     body: String,
+    /// The body of the board, whose frame has its origin in the middle of a box; where the errand has it, when there is none.
+    board: Option<String>,
     /// How far from the middle of the field it may stand, m.
     #[serde(default = "within_m")]
     within_m: f64,
@@ -57,6 +59,8 @@ struct Verdict {
     above_m: f64,
     /// Of its axis from the vertical, rad.
     lean_rad: f64,
+    /// How far the middle of the board is from where it was taken to be, m.
+    board_error_m: Option<f64>,
 }
 
 struct Referee {
@@ -91,7 +95,10 @@ impl Referee {
         let world = cx.task(&self.args.world).await?;
         let bodies = cx.call(&world, ReadBodies {}).await;
         let bodies = bodies.map_err(|error| HandlerError::new(error.reason()))?;
-        let verdict = verdict(&errand, pose_of(&bodies, &self.args.body)?, judge.seconds);
+        let board = self.args.board.as_ref();
+        let board = board.map(|name| pose_of(&bodies, name)).transpose()?;
+        let body = pose_of(&bodies, &self.args.body)?;
+        let verdict = verdict(&errand, board, body, judge.seconds);
         let ok = verdict.error_m <= self.args.within_m
             && verdict.above_m.abs() <= self.args.within_m
             && verdict.lean_rad <= UPRIGHT;
@@ -126,8 +133,20 @@ fn pose_of(bodies: &[Body], name: &str) -> Result<Isometry3<f64>, HandlerError> 
         .ok_or_else(|| HandlerError::new(format!("the pose of `{name}` is none")))
 }
 
-fn verdict(errand: &Errand, pose: Isometry3<f64>, seconds: f64) -> Verdict {
+fn verdict(
+    errand: &Errand,
+    board: Option<Isometry3<f64>>,
+    pose: Isometry3<f64>,
+    seconds: f64,
+) -> Verdict {
+    // The middle of the surface, not of the box.
+    let board =
+        board.map(|middle| middle * Translation3::new(0.0, 0.0, 0.5 * errand.board.thick_m));
     let [_, to] = errand.points;
+    let height_m = errand.thing.height_m;
+    let to = board.map_or(to, |board| {
+        board * errand.board.on_board(&errand.to, height_m)
+    });
     let middle: Point3<f64> = to + Vector3::z() * (errand.thing.height_m / 2.0);
     let off = pose.translation.vector - middle.coords;
     let axis = pose * Vector3::z();
@@ -137,6 +156,10 @@ fn verdict(errand: &Errand, pose: Isometry3<f64>, seconds: f64) -> Verdict {
         error_m: off.xy().norm(),
         above_m: off.z,
         lean_rad: axis.xy().norm().atan2(axis.z.abs()),
+        board_error_m: board.map(|board| {
+            let off = board.translation.vector - Vector3::from(errand.board.at);
+            off.xy().norm()
+        }),
     }
 }
 
@@ -157,6 +180,8 @@ impl EventHandler for Referee {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::UnitQuaternion;
+
     use super::*;
     use crate::carry::tests::errand;
 
@@ -167,8 +192,8 @@ mod tests {
         let at = |x: f64, z: f64, lean: f64| {
             let half = errand.thing.height_m / 2.0;
             let at = to + Vector3::new(x, 0.0, half + z);
-            let lean = nalgebra::UnitQuaternion::from_euler_angles(lean, 0.0, 0.0);
-            verdict(&errand, Isometry3::from_parts(at.into(), lean), 1.0)
+            let lean = UnitQuaternion::from_euler_angles(lean, 0.0, 0.0);
+            verdict(&errand, None, Isometry3::from_parts(at.into(), lean), 1.0)
         };
         let good = at(0.0, 0.0, 0.0);
         assert!(good.error_m < 1e-12 && good.above_m.abs() < 1e-12 && good.lean_rad < 1e-9);
@@ -176,6 +201,16 @@ mod tests {
         assert!((off.error_m - 0.004).abs() < 1e-12);
         assert!((off.above_m - 0.01).abs() < 1e-12);
         assert!((off.lean_rad - 0.3).abs() < 1e-9);
+        // What stands where it should by a board that is not where it was taken to be is as far off.
+        let middle = errand.board.pose() * Translation3::new(0.003, 0.0, -0.01);
+        let half = errand.thing.height_m / 2.0;
+        let body = Isometry3::from_parts(
+            (to + Vector3::z() * half).into(),
+            UnitQuaternion::identity(),
+        );
+        let judged = verdict(&errand, Some(middle), body, 1.0);
+        assert!((judged.error_m - 0.003).abs() < 1e-12, "{judged:?}");
+        assert!((judged.board_error_m.unwrap() - 0.003).abs() < 1e-12);
         // A round thing has no upper side.
         assert!(at(0.0, 0.0, std::f64::consts::PI).lean_rad < 1e-9);
     }

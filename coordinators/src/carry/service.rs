@@ -21,6 +21,8 @@ sorma::prototypes! {
     /// The codes of the reports of this class.
     pub mod code {
         NOT_CARRIED = 170, Error, "the thing was not carried", "the text says why, and where it is";
+        NOTHING_AT_FROM = 172, Error, "no thing stands where it was to be taken", "nothing has moved; the text says what is seen";
+        OCCUPIED = 173, Error, "something stands where the thing was to be set down", "nothing has moved; the text says what is seen";
         NO_CARRIER = 171, Error, "nobody carries outside an app", "attach to an app that has a Dispatcher for it: `scott carry`";
     }
 }
@@ -141,7 +143,12 @@ impl Carry {
             return Ok(());
         }
         let text = format!("{}: {}", answer.symbol, answer.text.replace('\n', "; "));
-        Err(Report::error(code::NOT_CARRIED, text))
+        let code = match answer.symbol.as_str() {
+            "nothing_at_from" => code::NOTHING_AT_FROM,
+            "occupied" => code::OCCUPIED,
+            _ => code::NOT_CARRIED,
+        };
+        Err(Report::error(code, text))
     }
 }
 

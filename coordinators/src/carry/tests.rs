@@ -29,13 +29,25 @@ use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Matrix4, Point3, Vector3};
 use pnt::task::{Marking, PutTape};
 
-use super::{board::Board, errand::Errand, thing::Thing};
+use vss::command::{Outcome as Vss, VisionError};
+use vss_board::discs::SeenDisc;
+use vss_board::pose::BoardPose;
+
+use super::{
+    board::{Board, Field},
+    errand::Errand,
+    eyes::LookOver,
+    sight::Overview,
+    thing::Thing,
+};
 
 const BOARD: Board = Board {
     at: [0.5, 0.0, 0.42],
     yaw_deg: 20.0,
     field_m: 0.06,
     fields: 8,
+    thick_m: 0.02,
+    dot: Some([-0.255, -0.21]),
 };
 
 fn disc() -> Thing {
@@ -56,6 +68,7 @@ pub(super) fn errand() -> Errand {
         command: 1,
         from,
         to,
+        board: BOARD,
         points: [from, to].map(|field| BOARD.point(&field, thing.height_m)),
         yaw: BOARD.yaw(),
         clearance_m: 0.1,
@@ -90,6 +103,14 @@ struct World {
     thing: Place,
     /// Other discs.
     others: Vec<Point3<f64>>,
+    /// Where the board truly is, and how it is known: an argument of the Vision Coordinator.
+    board: Board,
+    believes: &'static str,
+    /// Looks at the table from this one on show nothing.
+    dark_from: usize,
+    looks: usize,
+    /// Something that is no disc stands on TO.
+    clutter: bool,
     /// Turns of the gripper that the arm does not reach, rad.
     unreachable: Vec<f64>,
     is_open: bool,
@@ -114,6 +135,11 @@ impl World {
             planned: Vec::new(),
             thing: Place::At(on("3,4")),
             others: Vec::new(),
+            board: BOARD,
+            believes: "seen",
+            dark_from: usize::MAX,
+            looks: 0,
+            clutter: false,
             unreachable: Vec::new(),
             is_open: false,
             reserved: false,
@@ -150,6 +176,38 @@ impl World {
             _ => {}
         }
         Some(fault)
+    }
+
+    /// What the cameras see.
+    fn overview(&mut self) -> Result<Overview, VisionError> {
+        self.looks += 1;
+        if self.looks > self.dark_from {
+            return Err(VisionError::new(Vss::Unseen, "no camera sees the board"));
+        }
+        let pose = self.board.pose();
+        let disc = |at: &Point3<f64>, colour: usize| SeenDisc {
+            at: pose.inverse() * at,
+            colour,
+            rms_px: 0.1,
+            sd_m: 1e-4,
+            cameras: 2,
+        };
+        let mut discs: Vec<SeenDisc> = self.others.iter().map(|at| disc(at, 1)).collect();
+        if let Place::At(at) = &self.thing {
+            discs.push(disc(at, 0));
+        }
+        Ok(Overview {
+            board: BoardPose {
+                base_t_board: pose,
+                sd: [1e-4; 6],
+                rms_px: 0.1,
+                corners: 98,
+                cameras: vec!["left".to_owned(), "right".to_owned()],
+            },
+            discs,
+            bare: vec![Some(if self.clutter { 0.1 } else { 1.0 })],
+            doubts: Vec::new(),
+        })
     }
 
     fn goes(&mut self, order: &Move) -> Result<(), MotionError> {
@@ -200,7 +258,9 @@ impl World {
     /// Whether there is a field right beneath what the pads would be around.
     fn stands(&self) -> bool {
         let bottom = self.bottom();
-        let fields = [on("3,4"), on("4,5")];
+        let height_m = disc().height_m;
+        let fields =
+            ["3,4", "4,5"].map(|field| self.board.point(&field.parse().unwrap(), height_m));
         fields.iter().any(|field| (bottom - field).norm() < 6e-3)
     }
 
@@ -329,6 +389,19 @@ impl EventHandler for StandIn {
                 Ok(world.held())
             }),
             ReadHeld::CODE => self.typed::<ReadHeld, _>(message, |world, _| Ok(world.held())),
+            LookOver::CODE => {
+                let (LookOver { .. }, reply) = message.open::<LookOver>()?;
+                let mut world = lock(&self.0);
+                let error = |outcome| Err(VisionError::new(outcome, "no picture on purpose"));
+                match world.meets("look_over") {
+                    Some(Fault::Meets(Motion::Lost)) => reply.fail("it is broken"),
+                    Some(Fault::Meets(Motion::Unreachable)) => reply.ok(error(Vss::Unseen)),
+                    Some(Fault::Meets(Motion::Refused)) => reply.ok(error(Vss::Refused)),
+                    Some(Fault::Meets(_)) => reply.ok(error(Vss::Fault)),
+                    Some(Fault::AnswerLost) => reply.ok(error(Vss::Lost)),
+                    Some(Fault::Slips) | None => reply.ok(world.overview()),
+                }
+            }
             ReadPosition::CODE => {
                 let (ReadPosition {}, reply) = message.open::<ReadPosition>()?;
                 let mut world = lock(&self.0);
@@ -414,7 +487,7 @@ async fn operate(cx: &Context, world: &Shared, commands: Vec<(String, Vec<String
     Ok(())
 }
 
-fn app() -> String {
+fn app(believes: &str) -> String {
     let nets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/nets/carry");
     let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
     format!(
@@ -437,7 +510,7 @@ on = "ws1"
 [task.dispatcher.args]
 net = "{nets}/dispatcher.net"
 thing = "{configs}/carry/disc.toml"
-board = {{ at = [0.5, 0.0, 0.42], yaw_deg = 20.0, field_m = 0.06 }}
+board = {{ at = [0.5, 0.0, 0.42], yaw_deg = 20.0, field_m = 0.06, dot = [-0.255, -0.21] }}
 [task.robot]
 handler = "coordinators.carry_robot"
 on = "ws1"
@@ -452,6 +525,16 @@ on = "ws1"
 [task.hand.args]
 net = "{nets}/hand.net"
 service_within_s = 2.0
+[task.vision]
+handler = "coordinators.carry_vision"
+on = "ws1"
+[task.vision.args]
+net = "{nets}/vision.net"
+board = "{believes}"
+service_within_s = 2.0
+[task.eyes]
+handler = "test.arm"
+on = "cage"
 [task.mcs]
 handler = "test.arm"
 on = "cage"
@@ -465,6 +548,7 @@ on = "cage"
 }
 
 fn run(world: World, commands: &[&str]) -> World {
+    let believes = world.believes;
     let world = Arc::new(Mutex::new(world));
     let mut registry = Registry::new();
     crate::register(&mut registry);
@@ -480,6 +564,7 @@ fn run(world: World, commands: &[&str]) -> World {
         Grasp::INFO,
         Open::INFO,
         ReadHeld::INFO,
+        LookOver::INFO,
     ];
     registry.handler("test.arm", &takes, move |_| Ok(StandIn(shared.clone())));
     let commands: Vec<(String, Vec<String>)> = commands
@@ -493,7 +578,7 @@ fn run(world: World, commands: &[&str]) -> World {
     registry.handler("test.operator", &[], move |_| {
         Ok(Operator(shared.clone(), commands.clone()))
     });
-    let app = config::load_texts(&[("app.toml", &app())], &[], &[]);
+    let app = config::load_texts(&[("app.toml", &app(believes))], &[], &[]);
     let app = app.unwrap_or_else(|found| panic!("{found}"));
     let launcher = Launcher {
         program: "none".into(),
@@ -588,16 +673,24 @@ fn what_stays_in_the_hand_is_put_back_when_somebody_says_so_and_meanwhile_nothin
     let back = run(world, &[CARRY, "put_back"]);
     assert_eq!(back.answers[0].0, "not_carried");
     assert_eq!(back.answers[1].0, "put_down");
-    assert_eq!(back.thing, Place::At(on("3,4")));
+    let Place::At(at) = back.thing else {
+        panic!("it is in the hand")
+    };
+    assert!((at - on("3,4")).norm() < 1e-9);
 }
 
 #[test]
-fn a_thing_that_is_not_there_or_cannot_be_set_down_is_told_and_stays_where_it_was() {
-    let world = run(World::new(&[]), &["carry 2,2 4,5"]);
+fn without_cameras_a_thing_that_is_not_there_or_cannot_be_set_down_is_told_and_stays_where_it_was()
+{
+    let mut blind = World::new(&[]);
+    blind.believes = "known";
+    let world = run(blind, &["carry 2,2 4,5"]);
+    assert_eq!(world.looks, 0);
     let (symbol, text) = &world.answers[0];
     assert_eq!(symbol, "not_carried");
     assert!(text.contains("no disc is between the jaws"), "{text}");
     let mut occupied = World::new(&[]);
+    occupied.believes = "known";
     occupied.others.push(on("4,5"));
     let world = run(occupied, &[CARRY]);
     let (symbol, text) = &world.answers[0];
@@ -636,4 +729,117 @@ fn a_command_that_names_no_two_fields_is_refused_in_words_and_moves_nothing() {
         );
     }
     assert!(world.asked.is_empty(), "{:?}", world.asked);
+}
+
+/// Whether anything was asked but the cameras.
+fn moved(world: &World) -> bool {
+    world.asked.iter().any(|request| request != "look_over")
+}
+
+#[test]
+fn what_is_not_there_or_in_the_way_is_answered_by_name_before_anything_moves() {
+    let world = run(World::new(&[]), &["carry 2,2 4,5"]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "nothing_at_from", "{text}");
+    let said = "no disc is seen on 2,2,0; seen are a red disc on 3.00,4.00,0";
+    assert!(text.contains(said), "{text}");
+    assert!(!moved(&world), "{:?}", world.asked);
+
+    let mut occupied = World::new(&[]);
+    occupied.others.push(on("4,5"));
+    let world = run(occupied, &[CARRY]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "occupied", "{text}");
+    assert!(text.contains("a blue disc stands on 4.00,5.00,0"), "{text}");
+    assert!(!moved(&world) && world.rest && world.hand_full == 0);
+
+    let mut cluttered = World::new(&[]);
+    cluttered.clutter = true;
+    let world = run(cluttered, &[CARRY]);
+    assert_eq!(world.answers[0].0, "occupied", "{:?}", world.answers);
+    assert!(!moved(&world));
+
+    // Nothing lies on TO to set it down upon, and something lies upon what is to be taken.
+    for (other, command, said) in [
+        (None, "carry 3,4 4,5,1", "fewer than 1 lie on 4,5"),
+        (Some("3,4,1"), CARRY, "is at height 1, not at 0"),
+    ] {
+        let mut world = World::new(&[]);
+        world.others.extend(other.map(on));
+        let world = run(world, &[command]);
+        let (symbol, text) = &world.answers[0];
+        assert_eq!(symbol, "not_carried", "{text}");
+        assert!(text.contains(said), "{text}");
+        assert!(!moved(&world));
+    }
+}
+
+#[test]
+fn a_board_that_was_pushed_and_a_thing_off_its_field_are_taken_where_they_are_seen() {
+    let mut pushed = World::new(&[]);
+    pushed.board.at = [0.54, -0.03, 0.42];
+    pushed.board.yaw_deg = -35.0;
+    let at = |board: &Board, field: &str| board.point(&field.parse().unwrap(), 0.01);
+    let board = pushed.board;
+    // 10 mm off the middle of its field.
+    pushed.thing = Place::At(at(&board, "3,4") + board.pose() * Vector3::new(0.008, -0.006, 0.0));
+    let world = run(pushed, &[CARRY]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    assert!(text.contains("seen on 4,5,0: 0.0 mm"), "{text}");
+    let Place::At(stands) = world.thing else {
+        panic!("it is in the hand")
+    };
+    assert!((stands - at(&board, "4,5")).norm() < 1e-6);
+}
+
+#[test]
+fn a_thing_that_slipped_in_the_air_is_found_again_and_told_by_where_it_lies() {
+    let plain = run(World::new(&[]), &[CARRY]).asked;
+    let moves: Vec<usize> = (0..plain.len()).filter(|at| plain[*at] == "move").collect();
+    // Approach, down in two parts, up, then the way to the target.
+    let world = run(World::new(&[(moves[4], Fault::Slips)]), &[CARRY]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "not_carried");
+    let Place::At(at) = world.thing else {
+        panic!("it is in the hand")
+    };
+    let field: Field = BOARD.field(&(BOARD.pose().inverse() * at), 0.01);
+    let said = format!("a red disc lies on {:.2},{:.2}", field.column, field.row);
+    assert!(text.contains(&said), "{said}: {text}");
+}
+
+#[test]
+fn cameras_that_see_nothing_end_an_errand_before_anything_moves_or_leave_it_to_the_configuration() {
+    let mut dark = World::new(&[]);
+    dark.dark_from = 0;
+    let world = run(dark, &[CARRY]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "not_carried");
+    assert!(text.contains("find: no camera sees the board"), "{text}");
+    assert_eq!(world.looks, 3);
+    assert!(!moved(&world) && world.rest);
+
+    let mut believing = World::new(&[]);
+    believing.dark_from = 0;
+    believing.believes = "seen_else_known";
+    let world = run(believing, &[CARRY]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    assert!(
+        text.contains("taken to be where it is configured"),
+        "{text}"
+    );
+    assert!(text.contains("nobody sees it"), "{text}");
+
+    // Dark after the thing was set down.
+    let mut later = World::new(&[]);
+    later.dark_from = 1;
+    let world = run(later, &[CARRY]);
+    let (symbol, text) = &world.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    assert!(
+        text.contains("it was set down, and nobody sees it"),
+        "{text}"
+    );
 }

@@ -22,7 +22,23 @@ pub struct Thing {
     pub height_m: f64,
     /// How it is grasped.
     pub grasp: Grasping,
+    /// In which colours cameras look for it; in none, when it cannot be seen.
+    #[serde(default)]
+    pub colour: Vec<Colour>,
 }
+
+/// A colour that a thing may have.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Colour {
+    /// What it is called.
+    pub name: String,
+    /// Red, green and blue, 0 to 255. Greys are not told from what else there is.
+    pub rgb: [f64; 3],
+}
+
+/// A colour's largest part is larger than its smallest by so much, levels.
+const HUED: f64 = 40.0;
 
 /// How a thing is grasped.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -89,6 +105,18 @@ impl Thing {
             let text = "`grasp.turns_deg` needs at least one turn from -360 to 360 degrees";
             wrong("grasp.turns_deg", text.to_owned());
         }
+        for (number, colour) in thing.colour.iter().enumerate() {
+            let least = colour.rgb.iter().copied().fold(f64::INFINITY, f64::min);
+            let most = colour.rgb.iter().copied().fold(0.0, f64::max);
+            if !(least >= 0.0 && most <= 255.0 && most - least >= HUED) {
+                let name = &colour.name;
+                let text = format!(
+                    "colour `{name}` is {:?}; give red, green and blue from 0 to 255, of which one is larger than another by {HUED}",
+                    colour.rgb
+                );
+                wrong(&format!("colour.{number}.rgb"), text);
+            }
+        }
         if findings.is_empty() {
             Ok(thing)
         } else {
@@ -123,6 +151,11 @@ mod tests {
             ("turns_deg = [", "turns_deg = [] # [", "at least one turn"),
             ("force_n = 15.0", "force_n = \"much\"", "force_n"),
             ("name = \"disc\"", "name = ", "disc.toml"),
+            (
+                "rgb = [190.0, 45.0, 40.0]",
+                "rgb = [90.0, 90.0, 90.0]",
+                "colour `red`",
+            ),
         ];
         for (whole, wrong, text) in broken {
             assert!(DISC.contains(whole), "{whole}");

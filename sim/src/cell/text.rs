@@ -210,11 +210,15 @@ fn bodies(arms: &[ArmSpec], objects: &[ObjectSpec], mounts: &[Option<Mount>]) ->
             }
         }
     }
-    all.extend(objects.iter().enumerate().map(|(index, object)| BodySpec {
-        name: object.name.clone(),
-        origin: Origin::Object(index),
-        still: false,
-        shapes: vec![object.shape],
+    all.extend(objects.iter().enumerate().map(|(index, object)| {
+        BodySpec {
+            name: object.name.clone(),
+            origin: Origin::Object(index),
+            still: false,
+            shapes: std::iter::once(object.shape)
+                .chain(object.marks.iter().copied())
+                .collect(),
+        }
     }));
     all
 }

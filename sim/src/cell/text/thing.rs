@@ -25,6 +25,29 @@ pub(super) struct ObjectText {
     colour: Option<Spanned<[f64; 3]>>,
     pub(super) position: Spanned<[f64; 3]>,
     rpy: Option<Spanned<[f64; 3]>>,
+    chequer: Option<ChequerText>,
+    #[serde(default)]
+    dot: Vec<DotText>,
+}
+
+/// Dark fields on the upper side of a box: those of a board of square fields whose first one, at the smallest x and y, is dark.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ChequerText {
+    fields: Spanned<u32>,
+    side: Spanned<f64>,
+    grey: Option<Spanned<f64>>,
+    colour: Option<Spanned<[f64; 3]>>,
+}
+
+/// A round dot on the upper side of a box.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DotText {
+    at: Spanned<[f64; 2]>,
+    radius: Spanned<f64>,
+    grey: Option<Spanned<f64>>,
+    colour: Option<Spanned<[f64; 3]>>,
 }
 
 #[derive(Deserialize, Clone, Copy, PartialEq)]
@@ -54,15 +77,23 @@ pub(super) struct MarkText {
     colour: Option<Spanned<[f64; 3]>>,
 }
 
+/// Paint lies so far above what it is on, m.
+const PAINT: f64 = 1e-5;
+
+/// A chequer has no more fields a side.
+const MOST_FIELDS: u32 = 20;
+
 /// What each form needs.
 const FORMS: &str = "a box has `size`, its edge lengths along x, y and z; a sphere `radius`; a cylinder `radius` and `height` along z; all in m";
 
 impl ObjectText {
     pub(super) fn check(&self, name: String, check: &mut Check<'_>) -> ObjectSpec {
         let origin = check.point(&self.position, "the position of an object", 10.0);
+        let solid = self.solid(check);
         ObjectSpec {
+            marks: self.marks(&solid, check),
             shape: Shape {
-                solid: self.solid(check),
+                solid,
                 paint: check.paint(
                     self.grey.as_ref(),
                     self.colour.as_ref(),
@@ -77,6 +108,25 @@ impl ObjectText {
             start: Placement::from_degrees(origin.into(), check.turn(self.rpy.as_ref())).isometry(),
             name,
         }
+    }
+
+    /// What is painted on its upper side.
+    fn marks(&self, solid: &Solid, check: &mut Check<'_>) -> Vec<Shape> {
+        let Solid::Block { half, .. } = solid else {
+            if self.chequer.is_some() || !self.dot.is_empty() {
+                let message = format!("object `{}` is no box", self.name.get_ref());
+                check.refuse(
+                    self.shape.span(),
+                    message,
+                    "only the upper side of a box is painted",
+                );
+            }
+            return Vec::new();
+        };
+        let chequer = self.chequer.iter().flat_map(|text| text.check(half, check));
+        let mut marks: Vec<Shape> = chequer.collect();
+        marks.extend(self.dot.iter().map(|text| text.check(half, check)));
+        marks
     }
 
     fn solid(&self, check: &mut Check<'_>) -> Solid {
@@ -118,6 +168,72 @@ impl ObjectText {
                     half: size / 2.0,
                 }
             }
+        }
+    }
+}
+
+impl ChequerText {
+    fn check(&self, half: &Vector3<f64>, check: &mut Check<'_>) -> Vec<Shape> {
+        let fields = *self.fields.get_ref();
+        if !(1..=MOST_FIELDS).contains(&fields) {
+            check.refuse(
+                self.fields.span(),
+                format!("a chequer has {fields} fields a side"),
+                &format!("give from 1 to {MOST_FIELDS}"),
+            );
+            return Vec::new();
+        }
+        let side = check.number(&self.side, "the side of a field", "m", [1e-3, 10.0]);
+        let paint = check.paint(
+            self.grey.as_ref(),
+            self.colour.as_ref(),
+            "a chequer",
+            self.side.span(),
+        );
+        let reach = 0.5 * side * f64::from(fields);
+        if reach > half.x.min(half.y) + 1e-9 {
+            check.refuse(
+                self.side.span(),
+                format!("a chequer {:.3} m wide is larger than its box", 2.0 * reach),
+                "make the box larger, or the fields smaller",
+            );
+        }
+        let middle = |number: u32| (f64::from(number) + 0.5) * side - reach;
+        let places = (0..fields).flat_map(|x| (0..fields).map(move |y| (x, y)));
+        let dark = places.filter(|(x, y)| (x + y) % 2 == 0);
+        dark.map(|(x, y)| Shape {
+            solid: Solid::Block {
+                centre: Point3::new(middle(x), middle(y), half.z),
+                half: Vector3::new(0.5 * side, 0.5 * side, PAINT),
+            },
+            paint,
+        })
+        .collect()
+    }
+}
+
+impl DotText {
+    fn check(&self, half: &Vector3<f64>, check: &mut Check<'_>) -> Shape {
+        let [x, y] = *self.at.get_ref();
+        if !(x.abs() <= half.x && y.abs() <= half.y) {
+            check.refuse(
+                self.at.span(),
+                format!("a dot at {x}, {y} is beside its box"),
+                "give its place from the middle of the upper side, m",
+            );
+        }
+        Shape {
+            solid: Solid::Disc {
+                centre: Point3::new(x, y, half.z + 2.0 * PAINT),
+                normal: Vector3::z(),
+                radius: check.number(&self.radius, "the radius of a dot", "m", [1e-4, 10.0]),
+            },
+            paint: check.paint(
+                self.grey.as_ref(),
+                self.colour.as_ref(),
+                "a dot",
+                self.radius.span(),
+            ),
         }
     }
 }
