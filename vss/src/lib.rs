@@ -12,27 +12,18 @@
     reason = "findings are made when an app is read, never on a path that repeats"
 )]
 
-pub mod bundle;
-pub mod calibrate;
-pub mod camera;
-pub mod camera_info;
 pub mod catalog;
 pub mod chequer;
 pub mod command;
 pub mod components;
 pub mod frame;
-pub mod handeye;
 pub mod laser;
 pub mod marker;
-pub mod perspective;
-pub mod plane;
-pub mod pose;
 pub mod psom;
 pub mod service;
 pub mod services;
 pub mod source;
 pub mod spot;
-pub mod stereo;
 pub mod target_map;
 pub mod tool;
 pub mod tracking;
@@ -40,9 +31,11 @@ pub mod vm;
 pub mod vmm;
 pub mod vsm;
 
-mod adjust;
 mod concurrent;
 mod register;
 
 pub use register::register;
+pub use vss_geometry::{
+    bundle, calibrate, camera, camera_info, handeye, perspective, plane, pose, stereo,
+};
 pub use vss_image::{self as image, png};

@@ -94,7 +94,7 @@ fn lights(source: &Source, table: &Table) -> Result<(Vec<Point3<f64>>, Vec<Pixel
             .clone()
             .all(|(name, expected)| name.eq_ignore_ascii_case(expected));
     let count = table.names.len();
-    if !right || count < 5 || count % 2 == 0 {
+    if !right || count < 5 || count.is_multiple_of(2) {
         let given = table.names.join(",");
         let text = format!(
             "{}: the header is `{given}`; {}",

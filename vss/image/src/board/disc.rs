@@ -93,7 +93,7 @@ pub fn disc_near(picture: &Picture, [u, v]: [f64; 2], radius: f64) -> Result<Dis
     let light = Light::of(picture);
     let side = radius / USUAL_RADIUS;
     let half = 0.5 * f64::from(SQUARES);
-    let [x, y] = light.from_picture([u, v]);
+    let [x, y] = light.of_picture([u, v]);
     let scale = side / light.scale();
     let plane = Homography::affine([
         [scale, 0.0, x - half * scale],

@@ -127,7 +127,7 @@ impl Light {
     }
 
     /// A place here from one of the picture.
-    pub(super) fn from_picture(&self, at: [f64; 2]) -> [f64; 2] {
+    pub(super) fn of_picture(&self, at: [f64; 2]) -> [f64; 2] {
         at.map(|at| (at + 0.5) / self.scale() - 0.5)
     }
 

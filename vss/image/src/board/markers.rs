@@ -86,7 +86,7 @@ impl Board {
         places: &[[f64; 2]; 4],
         white: Side,
     ) -> Result<Self, BoardError> {
-        let markers = around(markers.map(|marker| light.from_picture(marker)));
+        let markers = around(markers.map(|marker| light.of_picture(marker)));
         let mut ways: Vec<Way> = (0..4)
             .filter_map(|turn| {
                 let pair = |nth: usize| (places[nth], markers[(nth + turn) % 4]);

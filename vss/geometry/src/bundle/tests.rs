@@ -75,12 +75,16 @@ fn set(n: usize, robot_sd: f64, noise: f64, seed: u64) -> Set {
 }
 
 fn together(set: &Set, robot_sd_m: f64) -> Result<Bundle, BundleError> {
+    together_as(set, robot_sd_m, Beforehand::Lenses)
+}
+
+fn together_as(set: &Set, robot_sd_m: f64, beforehand: Beforehand) -> Result<Bundle, BundleError> {
     let rig = Rig {
         lights: &set.told,
         seen: &set.seen,
         size: (640, 480),
         model: LensModel::Brown5,
-        beforehand: Beforehand::Lenses,
+        beforehand,
         robot_sd_m,
     };
     calibrate_together(&rig, &mut ChaCha8Rng::seed_from_u64(1))
@@ -221,7 +225,6 @@ from scipy.spatial.transform import Rotation
 rows = np.loadtxt(sys.argv[1] + '/rig.csv', delimiter=',')
 start = np.loadtxt(sys.argv[1] + '/cameras.csv', delimiter=',')
 noise, robot = np.loadtxt(sys.argv[1] + '/noise.csv', delimiter=',')
-held = np.loadtxt(sys.argv[1] + '/held.csv', delimiter=',')
 told, seen = rows[:, :3], rows[:, 3:].reshape(len(rows), -1, 2)
 k = len(start)
 def residuals(p):
@@ -234,7 +237,7 @@ def residuals(p):
         u = c[6] * (x * f + 2 * c[12] * x * y + c[13] * (r + 2 * x * x)) + c[8]
         v = c[7] * (y * f + c[12] * (r + 2 * y * y) + 2 * c[13] * x * y) + c[9]
         off = np.c_[u, v] - seen[:, i]
-        all += [off[~np.isnan(off)] / noise, c[10:] * held[i]]
+        all.append(off[~np.isnan(off)] / noise)
     return np.concatenate(all)
 p = np.concatenate([start.ravel(), told.ravel()])
 found = least_squares(residuals, p, x_scale='jac', xtol=1e-14, ftol=1e-14, gtol=1e-14)
@@ -247,7 +250,7 @@ print(2 * found.cost)
 #[ignore = "needs SciPy: CTOS_PYTHON names a Python that has it"]
 fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
     let set = set(40, 1.5e-3, 0.15, 11);
-    let found = together(&set, 1.5e-3).unwrap();
+    let found = together_as(&set, 1.5e-3, Beforehand::Nothing).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
     let mut rig = String::new();
@@ -264,8 +267,8 @@ fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
     }
     write("rig.csv", rig);
     write("noise.csv", format!("{},{}", found.noise_px, 1.5e-3));
-    let (mut starts, mut held) = (String::new(), String::new());
-    for (camera, one) in cameras().iter().zip(&found.cameras) {
+    let mut starts = String::new();
+    for camera in cameras() {
         let (turn, c) = (camera.rotation.scaled_axis(), camera.centre);
         let (i, d) = (camera.intrinsics, camera.distortion);
         writeln!(
@@ -288,15 +291,8 @@ fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
             d.k3
         )
         .unwrap();
-        let weights = lens_weights(&one.camera, (640, 480), Beforehand::Lenses);
-        let weights: Vec<String> = weights
-            .iter()
-            .map(|(_, weight)| weight.to_string())
-            .collect();
-        writeln!(held, "{}", weights.join(",")).unwrap();
     }
     write("cameras.csv", starts);
-    write("held.csv", held);
     let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let told = Command::new(python)
         .arg("-c")
