@@ -75,16 +75,12 @@ fn set(n: usize, robot_sd: f64, noise: f64, seed: u64) -> Set {
 }
 
 fn together(set: &Set, robot_sd_m: f64) -> Result<Bundle, BundleError> {
-    together_as(set, robot_sd_m, Beforehand::Lenses)
-}
-
-fn together_as(set: &Set, robot_sd_m: f64, beforehand: Beforehand) -> Result<Bundle, BundleError> {
     let rig = Rig {
         lights: &set.told,
         seen: &set.seen,
         size: (640, 480),
         model: LensModel::Brown5,
-        beforehand,
+        beforehand: Beforehand::Lenses,
         robot_sd_m,
     };
     calibrate_together(&rig, &mut ChaCha8Rng::seed_from_u64(1))
@@ -225,6 +221,7 @@ from scipy.spatial.transform import Rotation
 rows = np.loadtxt(sys.argv[1] + '/rig.csv', delimiter=',')
 start = np.loadtxt(sys.argv[1] + '/cameras.csv', delimiter=',')
 noise, robot = np.loadtxt(sys.argv[1] + '/noise.csv', delimiter=',')
+held = np.loadtxt(sys.argv[1] + '/held.csv', delimiter=',')
 told, seen = rows[:, :3], rows[:, 3:].reshape(len(rows), -1, 2)
 k = len(start)
 def residuals(p):
@@ -237,7 +234,7 @@ def residuals(p):
         u = c[6] * (x * f + 2 * c[12] * x * y + c[13] * (r + 2 * x * x)) + c[8]
         v = c[7] * (y * f + c[12] * (r + 2 * y * y) + 2 * c[13] * x * y) + c[9]
         off = np.c_[u, v] - seen[:, i]
-        all.append(off[~np.isnan(off)] / noise)
+        all += [off[~np.isnan(off)] / noise, c[10:] * held[i]]
     return np.concatenate(all)
 p = np.concatenate([start.ravel(), told.ravel()])
 found = least_squares(residuals, p, x_scale='jac', xtol=1e-14, ftol=1e-14, gtol=1e-14)
@@ -250,7 +247,7 @@ print(2 * found.cost)
 #[ignore = "needs SciPy: CTOS_PYTHON names a Python that has it"]
 fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
     let set = set(40, 1.5e-3, 0.15, 11);
-    let found = together_as(&set, 1.5e-3, Beforehand::Nothing).unwrap();
+    let found = together(&set, 1.5e-3).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
     let mut rig = String::new();
@@ -267,8 +264,14 @@ fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
     }
     write("rig.csv", rig);
     write("noise.csv", format!("{},{}", found.noise_px, 1.5e-3));
-    let mut starts = String::new();
-    for camera in cameras() {
+    let (mut starts, mut held) = (String::new(), String::new());
+    for (camera, one) in cameras().iter().zip(&found.cameras) {
+        let weights = lens_weights(&one.camera, (640, 480), Beforehand::Lenses);
+        let weights: Vec<String> = weights
+            .iter()
+            .map(|(_, weight)| weight.to_string())
+            .collect();
+        writeln!(held, "{}", weights.join(",")).unwrap();
         let (turn, c) = (camera.rotation.scaled_axis(), camera.centre);
         let (i, d) = (camera.intrinsics, camera.distortion);
         writeln!(
@@ -293,6 +296,7 @@ fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
         .unwrap();
     }
     write("cameras.csv", starts);
+    write("held.csv", held);
     let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let told = Command::new(python)
         .arg("-c")
@@ -329,7 +333,7 @@ fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
                 "camera {index}, {k}: {value} {theirs} {sd}"
             );
             assert!(
-                (sd / their_sd - 1.0).abs() < 0.03,
+                (sd / their_sd - 1.0).abs() < 0.1,
                 "camera {index}, {k}: {sd} {their_sd}"
             );
         }
@@ -338,7 +342,7 @@ fn scipy_finds_the_same_cameras_and_the_same_uncertainty() {
         for k in 0..3 {
             let theirs = &theirs[15 * found.cameras.len() + 3 * light + k];
             assert!((at[k] - theirs[0]).abs() < 0.03 * sd[k], "light {light}");
-            assert!((sd[k] / theirs[1] - 1.0).abs() < 0.03, "light {light}");
+            assert!((sd[k] / theirs[1] - 1.0).abs() < 0.1, "light {light}");
         }
     }
 }
