@@ -26,7 +26,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
 });
 
 /// The dictionaries that are shipped with the classes.
-const SHIPPED: [(&str, &str); 5] = [
+const SHIPPED: &[(&str, &str)] = &[
     ("the demo classes' dictionary", demo::DICTIONARY),
     ("the dictionary of sound", sound::DICTIONARY),
     ("the arm's dictionary", mcs::services::DICTIONARY),
