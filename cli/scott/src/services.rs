@@ -59,7 +59,7 @@ pub fn manager(files: &[PathBuf]) -> Result<Sorm, Findings> {
 /// None; a test reads it.
 pub fn shipped() -> Result<Dictionary, Findings> {
     let mut dictionary = Dictionary::new();
-    for (name, text) in SHIPPED {
+    for &(name, text) in SHIPPED {
         dictionary.load(&Source::new(name, text))?;
     }
     Ok(dictionary)
