@@ -375,7 +375,7 @@ fn on_boards_anywhere_with_discs_anywhere_every_carry_ends_as_asked_within_1_5_m
         let clear = |one: &[f64; 2]| apart(*one, from) > 1.5 && apart(*one, to) > 1.5;
         let blue = std::iter::repeat_with(&mut draw).find(clear).unwrap();
         let (angle, far) = (
-            rng.random_range(0.0..6.28_f64),
+            rng.random_range(0.0..std::f64::consts::TAU),
             rng.random_range(0.0..0.010),
         );
         steps.extend(laid(&surface, from, [far * angle.cos(), far * angle.sin()]));
