@@ -4,7 +4,7 @@
 //! [`coordinator`] knows several ways of going: a line of the tool, joints interpolated, an arch, and ways that were planned
 //! around everything. It takes the one most likely to succeed for its cost ([`crate::strategy`]), goes on with the next when
 //! that failed, and passes up the reasons of all. [`dispatcher`] turns the name of a place into a [`trip`]. Both nets stand in
-//! `configs/nets/path/`. [`drive`] leads the arm along a planned way.
+//! `configs/nets/path/`. `drive` leads the arm along a planned way.
 
 pub mod coordinator;
 pub mod dispatcher;

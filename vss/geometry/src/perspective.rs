@@ -1,6 +1,6 @@
 //! The pose of a known object: points of its model, where each is seen, and the lens give camera_T_model.
 //!
-//! Three points allow up to four poses ([`triangle`]); random threes find the one that most matches agree with, wrong
+//! Three points allow up to four poses (`triangle`); random threes find the one that most matches agree with, wrong
 //! matches or not. It is fitted to the pixels, matches beyond 3.5 standard deviations are left out, and every other pose that
 //! threes allow is fitted, too: when one explains the matches nearly as well, the answer is a refusal. Models may be flat.
 //! Knows no picture and no task.
