@@ -481,8 +481,8 @@ impl Scene {
         }
     }
 
-    /// How far the joints of the first arm may be from a position, all at once and each by its part of this, until a pair may
-    /// be nearer than its distance of `margins` (m): rad or m. Below zero where one is nearer there.
+    /// How far the joints of the first arm may be from a position, rad or m, all at once and each by its part of this. Beyond
+    /// that a pair may be nearer than its distance of `margins` (m). Below zero where one is nearer at the position itself.
     pub fn leeway(&mut self, position: &Joints, parts: &Joints, margins: &[f64]) -> f64 {
         self.stands(0, position);
         let mut least = f64::INFINITY;

@@ -1,8 +1,8 @@
 //! Where a draughts board stands before calibrated cameras: its pose from the corners of its chequer pattern in all pictures
 //! together, with standard deviations.
 //!
-//! The pattern is found in each picture by itself ([`vss::image::board`]), its 49 inner corners are placed to a fraction of a
-//! pixel, and the pose is fitted to all of them by least squares. A board of fields looks the same after half a turn: a bright
+//! The pattern is found in each picture by itself ([`vss::image::board`]). Its 49 inner corners are placed to a fraction of a
+//! pixel, and least squares fit the pose to all of them. A board of fields looks the same after half a turn: a bright
 //! dot on its rim, beside the first field, says which way it lies. Knows numbers and pictures only.
 //!
 //! The board's frame has its origin in the middle of the surface, z up, and the first field, which is dark, at the smallest x and

@@ -9,8 +9,8 @@
 //! Every distortion term that the number of points allows is kept. Terms that the data hardly show cost little when they
 //! are kept, and much when they are dropped: p1 and p2 turn the camera, and a standard deviation of the smaller model
 //! knows nothing of that (over many simulated cameras the error of the rotation was 1.13 of it). Lens terms are held about 0
-//! as loosely as real lenses differ: a free fit of five terms to 70 points far from the picture's corners has 95 % intervals
-//! that cover the truth in 91 %, because it is not linear over so wide errors.
+//! as loosely as real lenses differ. A free fit of five terms to 70 points far from the picture's corners is not linear over
+//! its wide errors, and its 95 % intervals cover the truth in 91 %.
 //! This module knows numbers only: no pictures, no tasks, no simulator, and never the true camera.
 
 mod curve;
