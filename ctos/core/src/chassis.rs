@@ -18,6 +18,8 @@ use std::{
     },
 };
 
+use crossbeam_utils::CachePadded;
+
 use self::{extension::Extensions, pending::Links};
 use crate::{
     directory::TaskDirectory,
@@ -61,7 +63,7 @@ pub struct Chassis {
     /// Processor 0 belongs to the runtime; the configured ones follow.
     #[doc(hidden)]
     pub processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
+    tasks: CachePadded<RwLock<BTreeMap<Tid, Arc<TaskRecord>>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     #[doc(hidden)]
@@ -71,7 +73,8 @@ pub struct Chassis {
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
     leaving: AtomicBool,
-    next_trace: AtomicU64,
+    /// Padded, as `tasks` is: senders write both for each message, and receivers read what would stand beside them.
+    next_trace: CachePadded<AtomicU64>,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
     /// What services keep for it.
@@ -97,7 +100,7 @@ impl Chassis {
             clock,
             app,
             processors,
-            tasks: RwLock::default(),
+            tasks: CachePadded::default(),
             links: Mutex::default(),
             shared: Mutex::default(),
             directory: TaskDirectory::default(),
@@ -105,7 +108,7 @@ impl Chassis {
             on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
             leaving: AtomicBool::new(false),
-            next_trace: AtomicU64::new(1),
+            next_trace: AtomicU64::new(1).into(),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
             tap: Tap::default(),

@@ -32,6 +32,14 @@ pub struct Mailbox {
     home: Arc<ProcessorHandle>,
     slot: u16,
     closed: AtomicBool,
+    credits: LaneCredits,
+}
+
+/// The credits of both priorities. Senders write them for each message, while the task reads the rest of its mailbox:
+/// on one cache line, the two would wait for one another.
+#[derive(Default)]
+#[repr(align(64))]
+struct LaneCredits {
     urgent: Credits,
     normal: Credits,
 }
@@ -46,8 +54,7 @@ impl Mailbox {
             home,
             slot,
             closed: AtomicBool::new(false),
-            urgent: Credits::default(),
-            normal: Credits::default(),
+            credits: LaneCredits::default(),
         }
     }
 
@@ -62,21 +69,32 @@ impl Mailbox {
     }
 
     fn credits(&self, urgent: bool) -> &Credits {
-        if urgent { &self.urgent } else { &self.normal }
+        if urgent {
+            &self.credits.urgent
+        } else {
+            &self.credits.normal
+        }
     }
 
     /// Messages of high and of normal priority in it, and senders that wait for a credit, as senders on other
     /// threads see it.
     pub fn lengths(&self) -> [usize; 3] {
-        let waiting = self.urgent.waiting() + self.normal.waiting();
-        [self.urgent.taken(), self.normal.taken(), waiting]
+        let waiting = self.credits.urgent.waiting() + self.credits.normal.waiting();
+        [
+            self.credits.urgent.taken(),
+            self.credits.normal.taken(),
+            waiting,
+        ]
     }
 
     /// How many messages are in it, on their way to it or wait for a credit, and how many of each priority
     /// it holds.
     pub fn depth(&self) -> (usize, usize) {
         let depth = |credits: &Credits| credits.taken() + credits.waiting();
-        (depth(&self.urgent) + depth(&self.normal), self.capacity())
+        (
+            depth(&self.credits.urgent) + depth(&self.credits.normal),
+            self.capacity(),
+        )
     }
 
     /// Why a message finds no place.
@@ -141,8 +159,8 @@ impl Mailbox {
     }
 
     fn shut(&self, shut: bool) {
-        self.urgent.shut(shut);
-        self.normal.shut(shut);
+        self.credits.urgent.shut(shut);
+        self.credits.normal.shut(shut);
     }
 
     /// Its queue is about to be made, with gates that are closed.
