@@ -121,7 +121,8 @@ impl Transport {
     }
 
     /// All reports, in one line.
-    pub(crate) fn said(&self) -> String {
+    #[must_use]
+    pub fn said(&self) -> String {
         let said: Vec<String> = self.reports.iter().map(ToString::to_string).collect();
         said.join("; ")
     }

@@ -1,6 +1,6 @@
 //! `ctos new`: a small app that runs, as files to start from.
 //!
-//! The files are those of `cli/examples/template`, which is compiled and tested with the workspace.
+//! The files are those of `cli/examples/template` and `template_task`, which are compiled and tested with the workspace.
 
 use std::{
     io,
@@ -17,10 +17,14 @@ use crate::program;
 #[derive(Debug, Args)]
 #[command(after_help = "Example:
   ctos new my-app
-  cd my-app && cargo run -- boot app.toml")]
+  cd my-app && cargo run -- boot app.toml
+  ctos new --task my-task")]
 pub struct NewArgs {
     /// Folder to make
     pub folder: PathBuf,
+    /// A task for a robot instead: a net that has an arm pick up a box with the service objects of `configs/grasp.toml`
+    #[arg(long)]
+    pub task: bool,
     /// Folder of the CTOS workspace that the app is built with [default: the one this program was built in]
     #[arg(long, value_name = "FOLDER")]
     pub path: Option<PathBuf>,
@@ -29,13 +33,16 @@ pub struct NewArgs {
     pub quiet: bool,
 }
 
-/// The files: path and text, with `my-app`, `my_app`, `CTOS/` and `/examples/template/` for what is filled in.
-const FILES: [(&str, &str); 8] = [
+/// Path and text of a file.
+type File = (&'static str, &'static str);
+
+/// The files of an app, with `my-app`, `my_app`, `CTOS/` and the folder of the template for what is filled in.
+const APP: &[File] = &[
     (
         "Cargo.toml",
         include_str!("../../examples/template/Cargo.toml.in"),
     ),
-    (".gitignore", "/target\n"),
+    (".gitignore", IGNORED),
     (
         "README.md",
         include_str!("../../examples/template/README.md"),
@@ -56,9 +63,48 @@ const FILES: [(&str, &str); 8] = [
     ),
 ];
 
+/// The files of a task, as above; `../../../` is the workspace, too.
+const TASK: &[File] = &[
+    (
+        "Cargo.toml",
+        include_str!("../../examples/template_task/Cargo.toml.in"),
+    ),
+    (".gitignore", IGNORED),
+    (
+        "README.md",
+        include_str!("../../examples/template_task/README.md"),
+    ),
+    (
+        "app.toml",
+        include_str!("../../examples/template_task/app.toml"),
+    ),
+    (
+        "object.toml",
+        include_str!("../../examples/template_task/object.toml"),
+    ),
+    (
+        "pick.net",
+        include_str!("../../examples/template_task/pick.net"),
+    ),
+    (
+        "src/main.rs",
+        include_str!("../../examples/template_task/src/main.rs"),
+    ),
+    (
+        "src/handlers.rs",
+        include_str!("../../examples/template_task/src/handlers.rs"),
+    ),
+    (
+        "src/tests.rs",
+        include_str!("../../examples/template_task/src/tests.rs"),
+    ),
+];
+
+const IGNORED: &str = "/target\n";
+
 /// Words that cannot name a package: of the language, of its libraries, or of what the app is built with.
-const TAKEN: [&str; 9] = [
-    "cli", "core", "crate", "ctos", "pnt", "self", "serde", "std", "test",
+const TAKEN: [&str; 10] = [
+    "cli", "core", "crate", "ctos", "pnt", "self", "serde", "sorma", "std", "test",
 ];
 
 /// Runs the command.
@@ -84,7 +130,8 @@ pub fn run(args: &NewArgs) -> u8 {
         ));
         return exit::FAILED;
     };
-    match write(&args.folder, name, &workspace) {
+    let files = if args.task { TASK } else { APP };
+    match write(&args.folder, name, &workspace, files) {
         Ok(()) => {}
         Err((path, error)) if error.kind() == io::ErrorKind::AlreadyExists => {
             show::say(&format!(
@@ -137,7 +184,9 @@ fn filled(text: &str, name: &str, workspace: &Path) -> String {
     text.replace("my-app", name)
         .replace("my_app", &name.replace('-', "_"))
         .replace("CTOS/", &format!("{workspace}/"))
+        .replace("../../../", &format!("{workspace}/"))
         .replace("/examples/template/", "/")
+        .replace("/examples/template_task/", "/")
 }
 
 /// How the workspace builds: its profiles, which stand last in its manifest.
@@ -147,13 +196,19 @@ fn profiles(manifest: &str) -> &str {
 }
 
 /// Writes all files into `folder`, which must not be there.
-fn write(folder: &Path, name: &str, workspace: &Path) -> Result<(), (PathBuf, io::Error)> {
+fn write(
+    folder: &Path,
+    name: &str,
+    workspace: &Path,
+    files: &[File],
+) -> Result<(), (PathBuf, io::Error)> {
     let at = |path: &Path| {
         let path = path.to_owned();
         move |error| (path, error)
     };
     let schema = format!("{:#}\n", program::schema());
-    let files = FILES.map(|(path, text)| (path, filled(text, name, workspace)));
+    let files = files.iter();
+    let files = files.map(|(path, text)| (*path, filled(text, name, workspace)));
     // The versions that the workspace is tested with, and built with already.
     let read = |name: &str| {
         let path = workspace.join(name);
@@ -164,7 +219,7 @@ fn write(folder: &Path, name: &str, workspace: &Path) -> Result<(), (PathBuf, io
     let source = folder.join("src");
     std::fs::create_dir(&source).map_err(at(&source))?;
     let more = [("ctos.schema.json", schema), ("Cargo.lock", lock)];
-    for (path, mut text) in files.into_iter().chain(more) {
+    for (path, mut text) in files.chain(more) {
         if path == "Cargo.toml" {
             text.push_str(profiles(&manifest));
         }
@@ -188,13 +243,13 @@ mod tests {
 
     #[test]
     fn nothing_of_the_template_is_left_unfilled() {
-        for (path, text) in FILES {
+        for (path, text) in APP.iter().chain(TASK) {
             let text = filled(text, "thing", Path::new("/w \"s\""));
-            for word in ["my-app", "my_app", "CTOS/", "{{", "template"] {
+            for word in ["my-app", "my_app", "CTOS/", "../", "{{", "template"] {
                 assert!(!text.contains(word), "{path} holds {word}");
             }
         }
-        let manifest = filled(FILES[0].1, "thing", Path::new("/w \"s\\"));
+        let manifest = filled(APP[0].1, "thing", Path::new("/w \"s\\"));
         assert!(
             manifest.contains("path = \"/w \\\"s\\\\/cli\""),
             "{manifest}"

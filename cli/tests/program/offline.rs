@@ -315,27 +315,30 @@ fn files(folder: &Path, under: &Path, found: &mut Vec<(String, String)>) {
     found.sort();
 }
 
-#[test]
-fn new_writes_the_template_with_its_name_and_overwrites_nothing() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let app = folder.path().join("tea-robot");
-    let (code, out, err) = ended(&run(&["new", &app.display().to_string()]));
+/// Has the app `app` written with these arguments, out of this template.
+fn must_write(app: &Path, arguments: &[&str], template: &str) {
+    let app_name = app.display().to_string();
+    let (code, out, err) = ended(&run(&[&["new", &app_name], arguments].concat()));
     assert_eq!((code, out.as_str()), (Some(0), ""), "{err}");
     assert!(err.contains("cargo run -- boot app.toml"), "{err}");
     let mut written = Vec::new();
-    files(&app, &app, &mut written);
-    let template = root().join("cli/examples/template");
+    files(app, app, &mut written);
+    let template = root().join("cli/examples").join(template);
     let mut expected = Vec::new();
     files(&template, &template, &mut expected);
     let workspace = root().canonicalize().expect("the workspace");
-    for (name, text) in &mut expected {
-        *name = name.replace("Cargo.toml.in", "Cargo.toml");
+    let name = app.file_name().and_then(|name| name.to_str());
+    let name = name.expect("a name");
+    for (path, text) in &mut expected {
+        *path = path.replace("Cargo.toml.in", "Cargo.toml");
         *text = text
-            .replace("my-app", "tea-robot")
-            .replace("my_app", "tea_robot")
+            .replace("my-app", name)
+            .replace("my_app", &name.replace('-', "_"))
             .replace("CTOS/", &format!("{}/", workspace.display()))
-            .replace("/examples/template/", "/");
-        if name == "Cargo.toml" {
+            .replace("../../../", &format!("{}/", workspace.display()))
+            .replace("/examples/template/", "/")
+            .replace("/examples/template_task/", "/");
+        if path == "Cargo.toml" {
             let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("the manifest");
             let profiles = manifest.find("[profile.dev]").expect("a profile");
             text.push_str(&manifest[profiles..]);
@@ -348,7 +351,14 @@ fn new_writes_the_template_with_its_name_and_overwrites_nothing() {
     expected.push(("ctos.schema.json".to_owned(), schema.expect("the schema")));
     expected.sort();
     assert_eq!(written, expected);
+}
 
+#[test]
+fn new_writes_the_template_with_its_name_and_overwrites_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let app = folder.path().join("tea-robot");
+    must_write(&app, &[], "template");
+    must_write(&folder.path().join("picker"), &["--task"], "template_task");
     let mine = app.join("src/handlers.rs");
     fs::write(&mine, "mine").expect("a file");
     let (code, _, err) = ended(&run(&["new", &app.display().to_string()]));

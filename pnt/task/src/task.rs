@@ -36,10 +36,12 @@ mod tests;
 
 use std::rc::Rc;
 
+use serde::{Deserialize, de::DeserializeOwned};
+
 use ctos::{
     diagnostic::Findings,
     message::{Command as _, Message},
-    registry::Registry,
+    registry::{Registry, Vocabulary},
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
 
@@ -67,16 +69,34 @@ pub fn register<S: 'static>(
     name: &str,
     library: impl Fn() -> Library<S> + Clone + Send + Sync + 'static,
 ) {
+    register_with(registry, name, move |NoArgs {}| library());
+}
+
+/// No arguments but those of [`settings`].
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NoArgs {}
+
+/// [`register`] for a library with arguments of its own, which stand among those of [`settings`]. They are read when the
+/// app is checked, too.
+pub fn register_with<A: DeserializeOwned + Clone + 'static, S: 'static>(
+    registry: &mut Registry,
+    name: &str,
+    library: impl Fn(A) -> Library<S> + Clone + Send + Sync + 'static,
+) {
     let (build, spoken) = (library.clone(), library.clone());
     registry
         .handler(name, &COMMANDS, move |cx| {
-            NetTask::from_args(cx, build(), None)
+            NetTask::from_args(cx, build(args_of(cx)?), None)
         })
         .keys(&KEYS)
-        .check_in_app(move |task, app, findings| {
-            check_args(task, app, &library().names(), findings);
+        .checked_args::<A>(move |args, task, app, findings| {
+            check_args(task, app, &library(args.clone()).names(), findings);
         })
-        .speaks(move |_| spoken().names().vocabulary());
+        .speaks(move |task| match args::<A>(task) {
+            Ok(args) => spoken(args).names().vocabulary(),
+            Err(_) => Vocabulary::new(),
+        });
     check_nets(registry);
 }
 
