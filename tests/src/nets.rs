@@ -121,6 +121,7 @@ async fn count(cx: &Context, nets: &[String]) -> Result<String, HandlerError> {
         let (order, by) = (Order::Pause, cx.name().to_owned());
         ask(cx, net, Control { order, by }).await?;
     }
+    let mut before = None;
     loop {
         let mut snapshots: Vec<Snapshot> = Vec::new();
         for net in nets {
@@ -128,9 +129,14 @@ async fn count(cx: &Context, nets: &[String]) -> Result<String, HandlerError> {
         }
         let rests = |one: &Snapshot| one.in_action.is_empty() && one.sending.is_empty();
         if snapshots.iter().all(rests) {
-            let places = snapshots.iter().flat_map(|one| &one.places);
-            let tokens: u32 = places.map(|(_, tokens)| tokens).sum();
-            return Ok(format!("{tokens} tokens"));
+            let places = |one: &Snapshot| one.places.clone();
+            let now: Vec<_> = snapshots.iter().map(places).collect();
+            // The nets are looked at one after the other: tokens may go from one that comes to one that was counted.
+            if before.as_ref() == Some(&now) {
+                let tokens: u32 = now.iter().flatten().map(|(_, tokens)| tokens).sum();
+                return Ok(format!("{tokens} tokens"));
+            }
+            before = Some(now);
         }
         cx.sleep(Duration::from_millis(20)).await;
     }

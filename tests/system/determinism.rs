@@ -15,6 +15,16 @@ fn calibrate(
     faults: &str,
     environment: &[(&str, &str)],
 ) -> (String, Ended) {
+    calibrate_with(scratch, (seed, faults), environment, &[])
+}
+
+/// The same with more arguments.
+fn calibrate_with(
+    scratch: &Scratch,
+    (seed, faults): (&str, &str),
+    environment: &[(&str, &str)],
+    more: &[&str],
+) -> (String, Ended) {
     let arguments = [
         "sim",
         "configs/calibrate.toml",
@@ -26,6 +36,7 @@ fn calibrate(
         "events.log",
         "-v",
     ];
+    let arguments = [&arguments, more].concat();
     let ended = scratch.start(CTOS, &arguments, environment).end();
     (scratch.read("events.log"), ended)
 }
@@ -70,10 +81,19 @@ fn first_difference(one: &str, other: &str) -> String {
 }
 
 #[test]
-fn a_calibration_is_the_same_in_every_process_byte_for_byte() {
+fn a_calibration_is_the_same_in_every_process_byte_for_byte_also_while_it_is_recorded() {
     let events = must_be_the_same("3", "none");
     assert!(events.lines().count() > 500);
     assert!(events.contains(" deliver cage_motion/"));
+    let scratch = Scratch::short();
+    let record = ["--set", "record.file=\"run.mcap\""];
+    let (recorded, _) = calibrate_with(&scratch, ("3", "none"), &[], &record);
+    assert!(
+        events == recorded,
+        "{}",
+        first_difference(&events, &recorded)
+    );
+    assert!(scratch.path("configs/run.mcap").is_file());
 }
 
 #[test]

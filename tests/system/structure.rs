@@ -208,9 +208,9 @@ fn a_circle_of_files_is_found() {
 /// No crate has more lines of code than these, without its tests, blanks and comments.
 const MOST_LINES: usize = 12_000;
 
-/// Lines of code of a file: what its modules for tests do not hold.
-fn lines_of_code(text: &str) -> usize {
-    let (mut count, mut skipped) = (0, false);
+/// The lines of code of a file: what its modules for tests do not hold.
+fn code(text: &str) -> Vec<&str> {
+    let (mut code, mut skipped) = (Vec::new(), false);
     let mut lines = text.lines().peekable();
     while let Some(line) = lines.next() {
         if line == "#[cfg(test)]" {
@@ -220,10 +220,16 @@ fn lines_of_code(text: &str) -> usize {
         } else if skipped {
             skipped = line != "}";
         } else if !line.trim().is_empty() && !line.trim_start().starts_with("//") {
-            count += 1;
+            code.push(line);
         }
     }
-    count
+    code
+}
+
+/// The lines of code of a crate.
+fn lines_of_code(folder: &str) -> usize {
+    let modules = modules(&root().join(folder).join("src"));
+    modules.values().map(|file| code(&read(file)).len()).sum()
 }
 
 #[test]
@@ -234,13 +240,84 @@ fn no_crate_has_more_lines_than_one_person_can_know() {
         if folder.starts_with("tests") || !sources.is_dir() {
             continue;
         }
-        let count: usize = modules(&sources)
-            .values()
-            .map(|file| lines_of_code(&read(file)))
-            .sum();
+        let count = lines_of_code(&folder);
         if count > MOST_LINES {
             large.push(format!("{folder}: {count}"));
         }
     }
     assert!(large.is_empty(), "{large:?}");
+}
+
+/// All crates of the runtime together have no more.
+const MOST_LINES_OF_RUNTIME: usize = 34_000;
+
+#[test]
+fn the_runtime_does_not_grow() {
+    let members = members();
+    let of_runtime = members
+        .iter()
+        .filter(|folder| folder.split('/').next() == Some("ctos"));
+    let count: usize = of_runtime.map(|folder| lines_of_code(folder)).sum();
+    assert!(count <= MOST_LINES_OF_RUNTIME, "{count} lines");
+}
+
+/// What sockets, files and processes are called.
+const SOCKETS: &[&str] = &[
+    "TcpStream",
+    "TcpListener",
+    "UdpSocket",
+    "UnixStream",
+    "UnixListener",
+    "UnixDatagram",
+    "tokio::net",
+    "rustix::net",
+];
+const FILES: &[&str] = &[
+    "std::fs",
+    "tokio::fs",
+    "rustix::fs",
+    "File::",
+    "OpenOptions",
+];
+const PROCESSES: &[&str] = &[
+    "std::process::Command",
+    "std::process::Child",
+    "tokio::process",
+    "rustix::process",
+];
+
+/// What crates may not know of the standard library and others, as the table of crates says.
+const WALLS: &[(&str, &[&[&str]])] = &[
+    ("ctos/bootstrap", &[SOCKETS, PROCESSES]),
+    ("ctos/config", &[SOCKETS, PROCESSES]),
+    ("ctos/core", &[SOCKETS, FILES, PROCESSES]),
+    ("ctos/message", &[SOCKETS, FILES, PROCESSES]),
+    ("ctos/record", &[SOCKETS, PROCESSES]),
+    ("ctos/simulation", &[SOCKETS, PROCESSES]),
+    ("ctos/time", &[SOCKETS, FILES, PROCESSES]),
+    ("vss/board", &[FILES]),
+];
+
+#[test]
+fn no_crate_names_sockets_files_or_processes_that_it_may_not_know() {
+    let mut found = Vec::new();
+    for (folder, forbidden) in WALLS {
+        for file in modules(&root().join(folder).join("src")).values() {
+            let text = read(file);
+            let mut names: Vec<String> = code(&text).into_iter().map(str::to_owned).collect();
+            for item in &syn::parse_file(&text).expect("Rust").items {
+                if let Item::Use(item) = item {
+                    let mut paths_in = Vec::new();
+                    paths(&item.tree, &[], &mut paths_in);
+                    names.extend(paths_in.into_iter().map(|path| path.join("::")));
+                }
+            }
+            let forbidden = || forbidden.iter().copied().flatten();
+            let broken = names
+                .iter()
+                .filter(|name| forbidden().any(|one| name.contains(one)));
+            found.extend(broken.map(|name| format!("{}: {}", file.display(), name.trim())));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
 }

@@ -107,7 +107,7 @@ pub(super) const TABLES: &[Table] = &[
         "peer_timeout_s": Seconds(3600.0) = "2.0", "After how long without a sign of life a chassis is given up, s.";
         "same_host": Choice(&["shm", "unix", "tcp", "zenoh"]) = "\"shm\"", "How chassis of one host are joined: shared memory, Unix sockets, the loopback, or the network of [zenoh].";
         "spin_us": Integer(0, 1_000_000), "How long a reader of shared memory looks for news before it sleeps, us. Default: 5, with one CPU 0.";
-        "link_room_mib": Integer(1, 65_536) = "64", "How much may be under way to another chassis and not acknowledged, MiB.";
+        "link_unacknowledged_mib": Integer(1, 65_536) = "64", "How much may be under way to another chassis and not acknowledged, MiB.";
         "listen": Address("192.168.1.10:0"), "Address at which the boot is reached from other hosts, \"IP:PORT\"; port 0 is a free one. Default: nowhere.";
     },
     table! { "time";

@@ -43,8 +43,8 @@ pub struct LinkConfig {
     pub same_host: SameHost,
     /// How long a reader of shared memory looks before it sleeps.
     pub spin: Duration,
-    /// How many bytes of requests, and of answers, may be under way to one peer.
-    pub room: usize,
+    /// How many bytes of requests, and of answers, may be unacknowledged by one peer.
+    pub unacknowledged: usize,
     /// The network that joins chassis of different hosts, if there is one.
     pub zenoh: Option<ZenohConfig>,
     /// What goes wrong on purpose.
@@ -167,12 +167,12 @@ pub struct SecurityConfig {
 /// Reads what belongs to links.
 pub(super) fn links(root: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> LinkConfig {
     let spin = root.read("app.spin_us").map(Duration::from_micros);
-    let room = root.read::<usize>("app.link_room_mib");
+    let unacknowledged = root.read::<usize>("app.link_unacknowledged_mib");
     LinkConfig {
         peer_timeout: root.seconds("app.peer_timeout_s").unwrap_or_default(),
         same_host: root.read("app.same_host").unwrap_or_default(),
         spin: spin.unwrap_or(SPIN),
-        room: room.unwrap_or_default() << 20,
+        unacknowledged: unacknowledged.unwrap_or_default() << 20,
         zenoh: zenoh::zenoh(root, findings),
         injury: injury(root, chassis, findings),
     }
@@ -275,7 +275,7 @@ mod tests {
             peer_timeout_s = 0.5
             same_host = "tcp"
             spin_us = 0
-            link_room_mib = 3
+            link_unacknowledged_mib = 3
             [injure]
             drop = 0.25
             delay = "5ms..20ms"
@@ -290,7 +290,7 @@ mod tests {
             (app.links.same_host, app.links.spin),
             (SameHost::Tcp, Duration::ZERO)
         );
-        assert_eq!(app.links.room, 3 << 20);
+        assert_eq!(app.links.unacknowledged, 3 << 20);
         let injury = &app.links.injury;
         assert_eq!((injury.drop, injury.break_bytes), (0.25, 1000));
         let delay = (Duration::from_millis(5), Duration::from_millis(20));

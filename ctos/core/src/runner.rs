@@ -129,7 +129,7 @@ pub(crate) fn start_at(
 ) -> Result<(), HandlerError> {
     let cx = Context::new(spec.record, chassis.clone(), processor.clone(), spec.config);
     let recipe = spec.recipe;
-    let handler = cx.inner.in_first_turn(|| build_contained(&recipe, &cx))?;
+    let handler = cx.inner.building_polled(|| build_contained(&recipe, &cx))?;
     let record = cx.inner.record.clone();
     let (parent, arrival) = match origin {
         Origin::Boot => (None, None),
@@ -171,7 +171,7 @@ pub(crate) fn start_at(
         cx.cancel_children();
         cx.chassis().remove_task(cx.tid());
     };
-    let running = inner.in_turns(LOOP, runner.run(arrival));
+    let running = inner.polled_as(LOOP, runner.run(arrival));
     queue.set_runner(processor.spawn(running, Some(Rc::new(on_panic))));
     Ok(())
 }

@@ -99,7 +99,7 @@ pub enum Came {
 
 /// Which part of a task is polled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Turn {
+pub(crate) enum PartPolled {
     /// None.
     No,
     /// This one, and the record does not say so yet.
@@ -145,7 +145,7 @@ pub trait Observer: Send + Sync {
     /// A task has read something that no message brings it; without `value` nobody can read that again.
     fn read(&self, task: Tid, what: &dyn Display, value: Option<WriteData<'_>>);
     /// Whether a replay polls a part of a task now.
-    fn is_turn_of(&self, task: Tid, part: u64) -> bool;
+    fn is_poll_of(&self, task: Tid, part: u64) -> bool;
     /// What a task has read at this place of a replayed record.
     fn read_again(&self, task: Tid, what: &dyn Display) -> Option<Vec<u8>>;
     /// How many recorders have come so far.

@@ -75,7 +75,7 @@ pub enum Fault {
     #[error("it is being stopped")]
     Stopping,
     /// Whether there is a permit cannot be seen from here: the receiver is on another chassis.
-    #[error("it is on chassis `{chassis}`, so whether it has room cannot be seen from here")]
+    #[error("it is on chassis `{chassis}`, so whether it has a credit cannot be seen from here")]
     Elsewhere {
         /// Its name.
         chassis: String,
@@ -151,7 +151,7 @@ impl fmt::Display for CallError {
             ),
             Fault::LinkFull { bytes } => write!(
                 f,
-                "the link to the chassis of `{to}` is full ({bytes} bytes under way), so `{command}` from `{from}` was not sent; it reads too slowly or not at all: send less, or raise `app.link_room_mib`"
+                "the link to the chassis of `{to}` is full ({bytes} bytes under way), so `{command}` from `{from}` was not sent; it reads too slowly or not at all: send less, or raise `app.link_unacknowledged_mib`"
             ),
             Fault::Deadline { after } => write!(
                 f,
@@ -191,7 +191,7 @@ impl fmt::Display for CallError {
             ),
             Fault::Elsewhere { chassis } => write!(
                 f,
-                "`{to}` is on chassis `{chassis}`, so `{from}` cannot see whether it has room for `{command}`; use `send`, which waits"
+                "`{to}` is on chassis `{chassis}`, so `{from}` cannot see whether it has a credit for `{command}`; use `send`, which waits"
             ),
             Fault::Stopping => {
                 write!(

@@ -45,8 +45,8 @@ use parts::{Parts, Place, suffixed};
 use recorder::Recorder;
 use writer::Writer;
 
-/// Under which name a file says that it notes the turns of tasks, without which nothing can be replayed.
-const TURNS: &str = "turns";
+/// Under which name a file says that it notes the polls of tasks, without which nothing can be replayed.
+const POLLS: &str = "polls";
 /// Under which names it says how the clock of each chassis was wrong: offset, ns, and rate, ns per s.
 const DRIFT: &str = "drift.";
 
@@ -148,7 +148,7 @@ fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
     let mut run = BTreeMap::from([
         ("app".to_owned(), app.name.clone()),
         ("seed".to_owned(), app.seed.to_string()),
-        (TURNS.to_owned(), "1".to_owned()),
+        (POLLS.to_owned(), "1".to_owned()),
     ]);
     if let Some(origin) = chassis.clock.origin_ns() {
         run.insert("chassis".to_owned(), chassis.name().to_owned());

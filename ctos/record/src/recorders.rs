@@ -349,9 +349,9 @@ impl Observer for Recorders {
         });
     }
 
-    fn is_turn_of(&self, task: Tid, part: u64) -> bool {
+    fn is_poll_of(&self, task: Tid, part: u64) -> bool {
         let others = self.others.get();
-        others.is_none_or(|others| others.is_turn_of(task, part))
+        others.is_none_or(|others| others.is_poll_of(task, part))
     }
 
     fn read_again(&self, task: Tid, what: &dyn Display) -> Option<Vec<u8>> {

@@ -2,7 +2,7 @@
 //! moments and the recorded answers to what it asks; what it sends, answers and returns is compared
 //! with the record.
 //!
-//! The record says when each part of the task, its loop or a child, had its turn, and what it read there besides
+//! The record says when each part of the task, its loop or a child, was polled, and what it read there besides
 //! messages. Nothing else happens here: no timer, no wake-up.
 
 mod others;
@@ -266,15 +266,15 @@ impl Stage {
             self.clock.advance_to(at);
             match &what {
                 What::Built => {
-                    self.others.begin_turn(&what, takes);
+                    self.others.begin_poll(&what, takes);
                     self.build()?;
-                    self.others.end_turn();
+                    self.others.end_poll();
                 }
                 What::Begin(message) => {
                     self.begin(message);
-                    self.turn(&what, takes);
+                    self.poll(&what, takes);
                 }
-                What::Polled(_) | What::Answered(_) => self.turn(&what, takes),
+                What::Polled(_) | What::Answered(_) => self.poll(&what, takes),
                 What::Output(index) => self.others.must_be_done(*index, at),
                 What::Ended { command, ending } => self.ended(at, trace, *command, ending),
                 What::Replied { id, answer } => {
@@ -309,13 +309,13 @@ impl Stage {
         })
     }
 
-    /// Gives the task one turn.
-    fn turn(&mut self, what: &What, takes: Takes) {
-        self.others.begin_turn(what, takes);
+    /// Polls the task once.
+    fn poll(&mut self, what: &What, takes: Takes) {
+        self.others.begin_poll(what, takes);
         self.processor.run_jobs();
         self.processor.poll_all();
         self.processor.run_jobs();
-        self.others.end_turn();
+        self.others.end_poll();
         for replied in std::mem::take(&mut self.unanswered) {
             self.replied(replied, true);
         }
@@ -350,7 +350,7 @@ impl Stage {
         self.others.compare_end(at, trace, command, expected, got);
     }
 
-    /// Compares what the task answered. When nothing else in the turn told whose it was, the answer stands before it.
+    /// Compares what the task answered. When nothing else in the poll told whose it was, the answer stands before it.
     fn replied(&mut self, replied: Answered, is_last: bool) {
         let (at, trace, id, ref answer) = replied;
         let Some((command, waiting)) = self.waiting.get_mut(&id) else {

@@ -113,6 +113,14 @@ impl Placement {
             seeds: 1..2,
         },
         Self {
+            name: "same_processor_virtual",
+            mode: "virtual",
+            links: &[],
+            near: "a/main",
+            far: "a/main",
+            seeds: 1..9,
+        },
+        Self {
             name: "two_processors_virtual",
             mode: "virtual",
             links: &[],

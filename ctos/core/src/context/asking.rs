@@ -192,7 +192,7 @@ impl Ask {
             key.set(Some(ticket.key()));
             ReplySlot::call(ticket)
         };
-        self.asker.note_turn();
+        self.asker.note_poll();
         let ready = processor.ready_count();
         let outcome = chassis.deliver(message, self.wait, &mut self.sent, slot);
         if replies {

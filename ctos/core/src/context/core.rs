@@ -21,7 +21,7 @@ use crate::{
     processor::{Processor, wake::FutureId},
     report::AtReport,
     system::Broke,
-    tap::Turn,
+    tap::PartPolled,
     task_record::TaskRecord,
     task_ref::TaskRef,
 };
@@ -53,7 +53,7 @@ pub(crate) struct Inner {
     /// Of a task whose state survives its process.
     pub(crate) kept: Option<Arc<Kept>>,
     /// Which of its parts is polled.
-    pub(super) turn: Cell<Turn>,
+    pub(super) polled: Cell<PartPolled>,
 }
 
 /// What belongs to a task besides its handler.
@@ -303,7 +303,7 @@ impl Context {
             future.await;
             cx.inner.family().children.remove(&number);
         };
-        let child = self.inner.clone().in_turns(number, child);
+        let child = self.inner.clone().polled_as(number, child);
         let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
         self.inner.family().children.insert(number, id);
     }
@@ -326,7 +326,7 @@ impl Context {
             config,
             family: RefCell::default(),
             incarnation: Cell::new(0),
-            turn: Cell::new(Turn::No),
+            polled: Cell::new(PartPolled::No),
         }))
     }
 }

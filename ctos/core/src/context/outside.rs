@@ -1,7 +1,7 @@
 //! What a task takes from elsewhere than its messages. A recorder is shown it, and a replay gives it again.
 //!
-//! Each poll of a task's loop or of one of its children is a turn. A record says which part had its turn, unless that is
-//! seen from what it did first: began a message, or took up an answer.
+//! A record says which part of the task was polled, its loop or one of its children. It need not where that is seen from
+//! what the part did first: it began a message, or took up an answer.
 
 use std::{
     fmt::Display,
@@ -14,12 +14,12 @@ use std::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::core::{Context, Inner};
-use crate::tap::{Came, Observer, Turn};
+use crate::tap::{Came, Observer, PartPolled};
 use ctos_time::Instant;
 
 impl Inner {
     /// Polls part `part` of the task whenever it is woken; in a replay, when it was polled.
-    pub(crate) fn in_turns(
+    pub(crate) fn polled_as(
         self: Rc<Self>,
         part: u64,
         future: impl Future<Output = ()>,
@@ -31,42 +31,42 @@ impl Inner {
             let Some(observer) = tap.observer().filter(|_| self.config.is_some()) else {
                 return future.as_mut().poll(poll);
             };
-            if observer.replays() && !observer.is_turn_of(self.record.tid, part) {
+            if observer.replays() && !observer.is_poll_of(self.record.tid, part) {
                 return Poll::Pending;
             }
-            let outer = self.turn.replace(Turn::Of(part));
-            // By a panic too: the turn around it goes on.
+            let outer = self.polled.replace(PartPolled::Of(part));
+            // By a panic too: the poll around it goes on.
             let _ends = scopeguard::guard(outer, |outer| {
-                self.note_turn();
-                self.turn.set(outer);
+                self.note_poll();
+                self.polled.set(outer);
             });
             future.as_mut().poll(poll)
         })
     }
 
-    /// Calls `build`, which makes the handler, as a turn of its own.
-    pub(crate) fn in_first_turn<T>(&self, build: impl FnOnce() -> T) -> T {
-        self.turn.set(Turn::Noted);
+    /// Calls `build`, which makes the handler, as a poll of its own.
+    pub(crate) fn building_polled<T>(&self, build: impl FnOnce() -> T) -> T {
+        self.polled.set(PartPolled::Noted);
         let built = build();
-        self.turn.set(Turn::No);
+        self.polled.set(PartPolled::No);
         built
     }
 
-    /// What follows in the record belongs to the present turn.
-    pub(crate) fn note_turn(&self) {
-        if let Turn::Of(part) = self.turn.get() {
-            self.turn.set(Turn::Noted);
+    /// What follows in the record belongs to the present poll.
+    pub(crate) fn note_poll(&self) {
+        if let PartPolled::Of(part) = self.polled.get() {
+            self.polled.set(PartPolled::Noted);
             if let Some(recorder) = self.chassis.tap.recorder() {
                 recorder.polled(self.record.tid, part);
             }
         }
     }
 
-    /// The present turn begins with something that tells whose it is.
-    pub(crate) fn turn_is_told(&self) -> bool {
-        let told = matches!(self.turn.get(), Turn::Of(_));
+    /// The present poll begins with something that tells whose it is.
+    pub(crate) fn poll_is_told(&self) -> bool {
+        let told = matches!(self.polled.get(), PartPolled::Of(_));
         if told {
-            self.turn.set(Turn::Noted);
+            self.polled.set(PartPolled::Noted);
         }
         told
     }
@@ -75,20 +75,20 @@ impl Inner {
     pub(super) fn came(&self, at_once: bool) -> Came {
         match at_once {
             true => Came::AtOnce,
-            false if self.turn_is_told() => Came::First,
+            false if self.poll_is_told() => Came::First,
             false => Came::Later,
         }
     }
 
-    /// Who is shown what is read now: nobody outside of turns, where only the runtime reads.
+    /// Who is shown what is read now: nobody outside of polls, where only the runtime reads.
     pub(super) fn reader(&self) -> Option<&dyn Observer> {
         let observer = self.chassis.tap.observer();
-        observer.filter(|_| self.turn.get() != Turn::No)
+        observer.filter(|_| self.polled.get() != PartPolled::No)
     }
 
     /// Notes a value that was read.
     fn note(&self, observer: &dyn Observer, what: &dyn Display, value: &impl Serialize) {
-        self.note_turn();
+        self.note_poll();
         let write = |buffer: &mut Vec<u8>| ctos_message::append(value, buffer).is_ok();
         observer.read(self.record.tid, what, Some(&write));
     }

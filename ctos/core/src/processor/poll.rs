@@ -107,7 +107,7 @@ impl Processor {
         true
     }
 
-    /// Polls every future once, whether it is ready or not: in a replay, where each knows whether it has its turn.
+    /// Polls every future once, whether it is ready or not: in a replay, where each knows whether it was polled.
     pub fn poll_all(self: &Rc<Self>) {
         let futures = self.futures.borrow();
         let taken = (0..).zip(&futures.entries).filter(|(_, entry)| entry.taken);

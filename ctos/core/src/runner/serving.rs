@@ -127,7 +127,7 @@ impl Serving {
         self.activity.recent.began(by, command, began);
         let observer = chassis.tap.observer();
         if let Some(observer) = observer {
-            self.cx.inner.turn_is_told();
+            self.cx.inner.poll_is_told();
             observer.began(&noted);
         }
         AtHand {
@@ -154,7 +154,7 @@ impl Serving {
         };
         statistics.recent.ended(noted.asked.command, now, ending);
         if let Some(observer) = self.cx.chassis().tap.observer().filter(|_| at_hand.shown) {
-            self.cx.inner.note_turn();
+            self.cx.inner.note_poll();
             observer.ended(&noted, now, ending());
         }
         match ended {

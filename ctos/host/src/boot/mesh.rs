@@ -401,7 +401,7 @@ impl Inner {
         let app = &self.chassis.app;
         let limits = Limits {
             timeout: app.links.peer_timeout,
-            room: app.links.room,
+            unacknowledged: app.links.unacknowledged,
             // A fault is plain data; should it fail to encode, the empty body is read as one.
             full: |bytes| postcard::to_stdvec(&Fault::LinkFull { bytes }).unwrap_or_default(),
         };

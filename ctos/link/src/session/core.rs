@@ -33,8 +33,8 @@ const SMALL: usize = 4 * 1024;
 pub struct Limits {
     /// A peer that is silent for so long is down.
     pub timeout: Duration,
-    /// How many bytes of requests, and of answers, may be under way.
-    pub room: usize,
+    /// How many bytes of requests, and of answers, may be unacknowledged.
+    pub unacknowledged: usize,
     /// The data of the fault that takes the place of a large answer while so many bytes are under way.
     pub full: fn(usize) -> Vec<u8>,
 }
@@ -91,8 +91,8 @@ impl Core {
             limits,
             injured: injury.is_some(),
             state: State::Waiting,
-            outgoing: Outgoing::new(limits.room, injury),
-            line: Line::new(limits.room),
+            outgoing: Outgoing::new(limits.unacknowledged, injury),
+            line: Line::new(limits.unacknowledged),
             incoming: Incoming::default(),
             decoder: Decoder::default(),
             stream: 0,
@@ -337,7 +337,11 @@ impl Core {
             }
             Arrival::Next => {
                 let is_bye = packet.kind == Kind::Bye;
-                if self.incoming.must_acknowledge(self.limits.room / 4) || is_bye {
+                if self
+                    .incoming
+                    .must_acknowledge(self.limits.unacknowledged / 4)
+                    || is_bye
+                {
                     self.outgoing.pulse(Kind::Pulse);
                     heard.writes = true;
                 }

@@ -32,13 +32,13 @@ impl Receiver for Keeps {
 }
 
 const TIMEOUT: Duration = Duration::from_secs(2);
-const ROOM: usize = 1 << 20;
+const MOST: usize = 1 << 20;
 
 fn session(clock: &Clock) -> (Arc<Session>, Arc<Mutex<Told>>) {
     let told: Arc<Mutex<Told>> = Arc::default();
     let limits = Limits {
         timeout: TIMEOUT,
-        room: ROOM,
+        unacknowledged: MOST,
         full: |_| Vec::new(),
     };
     let session = Session::new(clock.clone(), limits, None, Box::new(Keeps(told.clone())));

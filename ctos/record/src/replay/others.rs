@@ -34,11 +34,11 @@ struct State {
     /// Of calls that the record does not know: kept, so that they end by their deadlines.
     unanswered: Vec<ReplySlot>,
     ends: VecDeque<(u16, Ending)>,
-    /// The part that has its turn, and what that still reads.
-    turn: Option<(u64, Reads)>,
+    /// The part that is polled, and what that still reads.
+    polled: Option<(u64, Reads)>,
     /// Which part sent what, of what it still waits for.
     senders: BTreeMap<Number, u64>,
-    /// Answers that come to the present turn before their questions were made again.
+    /// Answers that come to the present poll before their questions were made again.
     early: BTreeMap<Number, Answer>,
     report: ReplayReport,
 }
@@ -93,7 +93,7 @@ impl Others {
                         drop(state);
                         return slot.answer(early);
                     }
-                    let part = state.turn.as_ref().map_or(LOOP, |(part, _)| *part);
+                    let part = state.polled.as_ref().map_or(LOOP, |(part, _)| *part);
                     state.senders.insert(id, part);
                     state.promises.insert(id, slot);
                 }
@@ -167,15 +167,15 @@ impl Others {
         }
     }
 
-    /// A turn begins: of the part that `what` tells, with what it takes.
-    pub(super) fn begin_turn(&self, what: &What, takes: Takes) {
+    /// A poll begins: of the part that `what` tells, with what it takes.
+    pub(super) fn begin_poll(&self, what: &What, takes: Takes) {
         let mut state = lock(&self.state);
         let part = match what {
             What::Polled(part) => *part,
             What::Answered(id) => state.senders.remove(id).unwrap_or(LOOP),
             _ => LOOP,
         };
-        state.turn = Some((part, takes.reads));
+        state.polled = Some((part, takes.reads));
         drop(state);
         for (id, answer) in takes.answers {
             let answer = answer.map(Data::Bytes);
@@ -190,32 +190,32 @@ impl Others {
         }
     }
 
-    /// The turn is over.
-    pub(super) fn end_turn(&self) {
+    /// The poll is over.
+    pub(super) fn end_poll(&self) {
         let mut state = lock(&self.state);
-        state.turn = None;
+        state.polled = None;
         // Dropped when the lock is free again.
         let _early = std::mem::take(&mut state.early);
         drop(state);
     }
 
     /// Whether a part of a task is polled now. What the task has started does as it likes: nobody listens.
-    pub(crate) fn is_turn_of(&self, task: Tid, part: u64) -> bool {
+    pub(crate) fn is_poll_of(&self, task: Tid, part: u64) -> bool {
         let state = lock(&self.state);
-        task != self.script.tid || state.turn.as_ref().is_some_and(|(now, _)| *now == part)
+        task != self.script.tid || state.polled.as_ref().is_some_and(|(now, _)| *now == part)
     }
 
-    /// What the task read in this turn under a name, once.
+    /// What the task read in this poll under a name, once.
     pub(crate) fn read_again(&self, task: Tid, what: &str) -> Option<Vec<u8>> {
         let mut state = lock(&self.state);
-        let (_, reads) = state.turn.as_mut().filter(|_| task == self.script.tid)?;
+        let (_, reads) = state.polled.as_mut().filter(|_| task == self.script.tid)?;
         let place = reads.iter().position(|(name, _)| name == what)?;
         reads.remove(place).map(|(_, value)| value)
     }
 
     /// The task reads what it did not read in the record.
     pub(crate) fn lacks(&self, task: Tid, what: &str) {
-        // A virtual clock, which stands still in a turn, is not noted.
+        // A virtual clock, which stands still in a poll, is not noted.
         if task == self.script.tid && (self.script.real || what != "clock") {
             let now = self.clock.now();
             let (wanted, got) = ("no such read".to_owned(), format!("read {what}"));

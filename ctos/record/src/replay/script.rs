@@ -10,7 +10,7 @@ use super::{
     },
     ReplayError,
 };
-use crate::{DRIFT, TURNS};
+use crate::{DRIFT, POLLS};
 use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
 use ctos_message::{Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
@@ -39,14 +39,14 @@ pub(super) struct Step {
     pub(super) at: Instant,
     pub(super) trace: u64,
     pub(super) what: What,
-    /// If a turn begins here: what it takes from elsewhere.
+    /// If a poll begins here: what it takes from elsewhere.
     pub(super) takes: Takes,
 }
 
 /// What was read, by name, in order.
 pub(super) type Reads = VecDeque<(String, Vec<u8>)>;
 
-/// What a turn of a task takes from elsewhere than the messages that its handler begins, in order.
+/// What a poll of a task takes from elsewhere than the messages that its handler begins, in order.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Takes {
     /// What it reads, by name.
@@ -115,7 +115,7 @@ impl Script {
             let why = "the files are of different runs: their seeds differ";
             return Err(incomplete(why));
         }
-        if noted(TURNS).any(|turns| turns.is_none()) {
+        if noted(POLLS).any(|polls| polls.is_none()) {
             return Err(incomplete(
                 "it was made by an earlier version of ctos, which did not note all that a task reads; record the app anew",
             ));
@@ -126,7 +126,7 @@ impl Script {
             task,
             messages: BTreeMap::new(),
             segment: 0,
-            turn: None,
+            poll: None,
             loose: Takes::default(),
             lacking: BTreeMap::new(),
             script: Self {
@@ -190,8 +190,8 @@ struct Reader<'a> {
     /// What the task may have been given.
     messages: BTreeMap<Number, Sent>,
     segment: usize,
-    /// Among the steps, the one that began the present turn.
-    turn: Option<usize>,
+    /// Among the steps, the one that began the present poll.
+    poll: Option<usize>,
     /// What is taken before there is one, while the handler is built.
     loose: Takes,
     /// What tasks read whose values nobody can record, and which tasks.
@@ -278,13 +278,13 @@ impl Reader<'_> {
             Event::Began => {
                 let message = self.begun(entry, key, id)?;
                 self.segment += 1;
-                self.begin_turn(at, key.trace, What::Begin(message));
+                self.begin_poll(at, key.trace, What::Begin(message));
             }
             Event::Ended { ending, .. } => {
                 let command = key.command;
                 self.push(at, key.trace, What::Ended { command, ending });
             }
-            Event::Polled { part } => self.begin_turn(at, 0, What::Polled(part)),
+            Event::Polled { part } => self.begin_poll(at, 0, What::Polled(part)),
             Event::Read {
                 what,
                 lacking: true,
@@ -327,15 +327,15 @@ impl Reader<'_> {
         });
     }
 
-    fn begin_turn(&mut self, at: Instant, trace: u64, what: What) {
-        self.turn = Some(self.script.steps.len());
+    fn begin_poll(&mut self, at: Instant, trace: u64, what: What) {
+        self.poll = Some(self.script.steps.len());
         self.push(at, trace, what);
     }
 
-    /// What the present turn takes.
+    /// What the present poll takes.
     fn takes(&mut self) -> &mut Takes {
-        let turn = self.turn.and_then(|index| self.script.steps.get_mut(index));
-        turn.map_or(&mut self.loose, |turn| &mut turn.takes)
+        let poll = self.poll.and_then(|index| self.script.steps.get_mut(index));
+        poll.map_or(&mut self.loose, |poll| &mut poll.takes)
     }
 
     /// Refuses a task that read what nobody can give it again.
@@ -359,7 +359,7 @@ impl Reader<'_> {
             serde_json::from_slice(&entry.json).map_err(|_| unreadable(entry))?;
         let is = |key: &str, value: &str| phase.get(key).is_some_and(|there| there == value);
         if is("task", self.task) && is("phase", "built") {
-            self.begin_turn(entry.at, 0, What::Built);
+            self.begin_poll(entry.at, 0, What::Built);
             let loose = std::mem::take(&mut self.loose);
             *self.takes() = loose;
         }
@@ -401,7 +401,7 @@ impl Reader<'_> {
                     self.script.at_once.insert(id, (at, answer));
                     return;
                 }
-                Came::First => self.begin_turn(at, trace, What::Answered(id)),
+                Came::First => self.begin_poll(at, trace, What::Answered(id)),
                 Came::Later => {}
             }
             self.takes().answers.push((id, answer));

@@ -1,4 +1,7 @@
 //! From a net to PNML of the 2009 grammar: one page, and what was kept of the file it came from.
+//!
+//! The text is ours: what was kept of a file is written as it was read, and an event writer such as `quick-xml` would have to
+//! parse it again. It would take the place of `escape` alone.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

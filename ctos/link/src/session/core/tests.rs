@@ -16,7 +16,7 @@ use super::{
 use crate::{config::InjuryConfig, frame::FRAME_FIXED, message::FENCE};
 
 const TIMEOUT: Duration = Duration::from_secs(2);
-const ROOM: usize = 1 << 20;
+const MOST: usize = 1 << 20;
 const PIECE: usize = 1 << 20;
 
 /// One end, with what it told its receiver.
@@ -35,7 +35,7 @@ impl End {
     fn with(injury: Option<Injury>) -> Self {
         let limits = Limits {
             timeout: TIMEOUT,
-            room: ROOM,
+            unacknowledged: MOST,
             full: |bytes| bytes.to_le_bytes().to_vec(),
         };
         Self {
@@ -140,7 +140,7 @@ fn a_fence_that_is_posted_comes_after_all_requests_that_were_posted_before_it() 
     let mut posted = Vec::new();
     // Most of them wait for credits of the link when the fence comes.
     for call in 1.. {
-        let mut request = sample::request(vec![0; ROOM / 8]);
+        let mut request = sample::request(vec![0; MOST / 8]);
         request.call = call;
         if one.post(request).is_err() {
             break;
@@ -242,7 +242,7 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
         }
     };
     assert!(
-        full.bytes <= ROOM && posted > ROOM - 20_000,
+        full.bytes <= MOST && posted > MOST - 20_000,
         "{full:?}, {posted} bytes posted"
     );
     let mut reply = sample::request(vec![0; 10_000]);
@@ -252,7 +252,7 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
     }
     // Large answers have become small faults.
     let held = end.core.counts().bytes_under_way;
-    assert!(held < 3 * ROOM as u64, "{held} bytes");
+    assert!(held < 3 * MOST as u64, "{held} bytes");
     let mut system = sample::request(Vec::new());
     system.header.command = SYSTEM_COMMANDS;
     end.post(system).unwrap();
@@ -261,7 +261,7 @@ fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
 #[test]
 fn a_frame_larger_than_the_room_passes_when_nothing_else_is_under_way() {
     let (mut end, _) = End::attached();
-    end.post(sample::request(vec![0; 2 * ROOM])).unwrap();
+    end.post(sample::request(vec![0; 2 * MOST])).unwrap();
     let held = end.core.counts().bytes_under_way;
     end.post(sample::request(vec![0; 10])).unwrap();
     assert_eq!(end.core.counts().bytes_under_way, held);
@@ -270,7 +270,7 @@ fn a_frame_larger_than_the_room_passes_when_nothing_else_is_under_way() {
 #[test]
 fn a_request_that_waits_for_room_leaves_when_there_is_some_unless_its_sender_gave_up() {
     let (mut end, stream) = End::attached();
-    end.post(sample::request(vec![0; ROOM])).unwrap();
+    end.post(sample::request(vec![0; MOST])).unwrap();
     for call in [7, 8] {
         let mut waits = sample::request(vec![0; 100]);
         waits.call = call;
