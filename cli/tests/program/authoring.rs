@@ -1,10 +1,11 @@
-//! `docs/authoring-nets.md`: every file of the page is written, and every line after `$` is run.
+//! `docs/authoring-nets.md` and `docs/own-task.md`: every file of the pages is written, and every line after `$` is run.
 
 use std::{fs, process::Command};
 
 use crate::common::root;
 
-const PAGE: &str = include_str!("../../../docs/authoring-nets.md");
+const AUTHORING: &str = include_str!("../../../docs/authoring-nets.md");
+const OWN_TASK: &str = include_str!("../../../docs/own-task.md");
 
 enum Step {
     File(String, String),
@@ -12,11 +13,11 @@ enum Step {
     Run(String, i32, String),
 }
 
-/// The steps of the page, in order.
-fn steps() -> Vec<Step> {
+/// The steps of a page, in order.
+fn steps(page: &str) -> Vec<Step> {
     let mut steps = Vec::new();
     let mut named = None;
-    let mut parts = PAGE.split("```");
+    let mut parts = page.split("```");
     while let (Some(prose), Some(block)) = (parts.next(), parts.next()) {
         let before = prose.trim_end().lines().last().unwrap_or_default();
         if let Some(name) = before
@@ -53,10 +54,28 @@ fn step(line: &str) -> Step {
 }
 
 #[test]
-fn every_step_of_the_page_is_run_and_does_what_it_says() {
+fn every_step_about_nets_is_run_and_does_what_it_says() {
+    assert!(run_all(AUTHORING) >= 15);
+}
+
+#[test]
+fn every_step_to_a_task_of_ones_own_is_run_and_its_code_is_that_of_the_template() {
+    assert!(run_all(OWN_TASK) >= 5);
+    let template = include_str!("../../examples/template_task/src/handlers.rs");
+    for step in steps(OWN_TASK) {
+        if let Step::File(name, text) = step
+            && name == "handlers.rs"
+        {
+            assert!(template.contains(&text), "{text}");
+        }
+    }
+}
+
+/// Runs all steps of a page: how many commands they were.
+fn run_all(page: &str) -> usize {
     let folder = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink(root().join("configs"), folder.path().join("configs")).unwrap();
-    let steps = steps();
+    let steps = steps(page);
     // Nets may be named before the page shows them.
     for step in &steps {
         if let Step::File(name, text) = step {
@@ -81,5 +100,5 @@ fn every_step_of_the_page_is_run_and_does_what_it_says() {
         assert!(told.contains(said), "$ {line}\nshould say {said}:\n{told}");
         run += 1;
     }
-    assert!(run >= 15, "only {run} commands were found");
+    run
 }

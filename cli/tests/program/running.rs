@@ -360,8 +360,9 @@ const RECORD: &[(&str, Then)] = &[
 ];
 
 /// Pages whose lines are run by a test of the page, in its order and with its files.
-const PAGES: [(&str, &str); 4] = [
+const PAGES: [(&str, &str); 5] = [
     ("docs/authoring-nets.md", "cli/tests/program/authoring.rs"),
+    ("docs/own-task.md", "cli/tests/program/authoring.rs"),
     ("docs/proving.md", "cli/tests/program/proving.rs"),
     ("docs/tutorial.md", "tests/system/documents.rs"),
     ("docs/security.md", "tests/system/keys.rs"),
