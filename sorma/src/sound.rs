@@ -297,8 +297,8 @@ impl ServiceObject for Sound {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Dictionary, Reply};
-    use ctos::time::Clock;
+    use crate::{Dictionary, Reply, asynchronous};
+    use ctos::{diagnostic::Source, time::Clock};
     use std::fs;
     use std::os::unix::fs::PermissionsExt as _;
 
@@ -311,7 +311,11 @@ mod tests {
     impl Room {
         fn new(clock: Clock) -> Self {
             let folder = tempfile::tempdir().unwrap();
-            let sorm = Sorm::of("room", clock, Dictionary::new());
+            let mut dictionary = Dictionary::new();
+            let shipped = Source::new("shipped", DICTIONARY);
+            dictionary.load(&shipped).unwrap();
+            let sorm = Sorm::of("room", clock, dictionary);
+            asynchronous::register(&sorm);
             register(&sorm);
             let room = Self { folder, sorm };
             room.program("voice", "echo said \"$1\" >> \"$heard\"");
@@ -417,6 +421,13 @@ mod tests {
             );
             assert!(room.heard().is_empty());
         }
+    }
+
+    #[test]
+    fn the_shipped_flavor_of_fork_has_it_said_behind_the_callers_back() {
+        let room = Room::new(Clock::real());
+        let answer = room.ask("fork.sound EXEC disc lost");
+        assert_eq!(answer.ints, [1], "{answer:?}");
     }
 
     #[test]

@@ -115,11 +115,19 @@ fn an_app_whose_boot_is_frozen_keeps_no_command_for_ever() {
     let scratch = Scratch::empty();
     let run = up(&scratch, "");
     run.signal(Signal::STOP);
-    for command in [&["restart", "d2"][..], &["move", "d2", "desk"], &["stop"]] {
-        let late = ctos(&scratch, command);
-        late.must_exit_leaving(6)
+    let commands = [
+        &["restart", "d2"][..],
+        &["move", "d2", "desk"],
+        &["net", "marking", "d2"],
+        &["record", "--for", "1s"],
+        &["stop"],
+    ];
+    let late = commands.map(|command| scratch.start(CTOS, command, &[]));
+    for late in late {
+        late.end()
+            .must_exit_leaving(6)
             .must_say("app `runaways` (pid ")
-            .must_say("did not answer within 5 s: is its process stopped, or very busy?");
+            .must_say(" s: is its process stopped, or very busy?");
     }
     run.signal(Signal::KILL);
     run.signal(Signal::CONT);

@@ -383,8 +383,8 @@ impl Client {
         }
     }
 
-    /// Sends a task one of its commands and waits for its answer, as long as the app does. Needs the role
-    /// `call`.
+    /// Sends a task one of its commands and waits for its answer, as long as the app does, and for an app that does not
+    /// answer at all a little longer. Needs the role `call`.
     ///
     /// # Errors
     /// As [`Self::read`], and [`ClientError::Garbled`] when the answer is no `C::Reply`.
@@ -396,13 +396,18 @@ impl Client {
     ) -> Result<C::Reply, ClientError> {
         let encoded = Data::of(request).into_bytes();
         let encoded = encoded.map_err(|error| self.garbled(error))?;
-        self.wait_for_ever()?;
+        let usual = self.timeout;
+        self.timeout = usual.saturating_add(within);
+        self.patience(Some(self.timeout))?;
         let answer = self.get(Request::Call {
             task: task.to_owned(),
             command: C::NAME.to_owned(),
             data: STANDARD.encode(encoded),
             within_s: within.as_secs_f64(),
-        })?;
+        });
+        self.timeout = usual;
+        self.patience(Some(usual))?;
+        let answer = answer?;
         let Answer::Reply { data } = answer else {
             return Err(self.garbled("it is not the answer to a call"));
         };

@@ -41,7 +41,12 @@ pub(crate) fn marked<'v>(
 }
 
 /// A net in lines.
-pub(crate) fn plain(view: &NetView, state: &State, events: &[Event]) -> String {
+pub(crate) fn plain(
+    view: &NetView,
+    state: &State,
+    events: &[Event],
+    breakpoints: &[String],
+) -> String {
     let mut out = format!(
         "net {}  {:.3} s  event {}\n",
         view.name,
@@ -56,6 +61,9 @@ pub(crate) fn plain(view: &NetView, state: &State, events: &[Event]) -> String {
         if let Some(why) = why {
             line(head, why);
         }
+    }
+    if !breakpoints.is_empty() {
+        line("breaks", &breakpoints.join(" "));
     }
     let marked: Vec<String> = marked(view, state)
         .map(|(place, tokens)| {
@@ -127,7 +135,12 @@ pub(crate) fn event_line(event: &Event) -> String {
 }
 
 /// A net as one JSON object on one line.
-pub(crate) fn json(view: &NetView, state: &State, events: &[Event]) -> String {
+pub(crate) fn json(
+    view: &NetView,
+    state: &State,
+    events: &[Event],
+    breakpoints: &[String],
+) -> String {
     let standings: Vec<serde_json::Value> = standings(view, state)
         .into_iter()
         .map(|(name, standing, words)| {
@@ -148,6 +161,7 @@ pub(crate) fn json(view: &NetView, state: &State, events: &[Event]) -> String {
         "in_progress": state.in_progress,
         "paused": state.paused,
         "stopped": state.stopped,
+        "breakpoints": breakpoints,
         "events": events,
     })
     .to_string()

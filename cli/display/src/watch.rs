@@ -162,9 +162,9 @@ fn watch(args: &DisplayArgs, registry: &Registry) -> u8 {
     }
     for net in nets.nets.values() {
         let shown = if args.json {
-            text::json(&net.view, net.state(), &net.events)
+            text::json(&net.view, net.state(), &net.events, &net.breakpoints)
         } else {
-            text::plain(&net.view, net.state(), &net.events)
+            text::plain(&net.view, net.state(), &net.events, &net.breakpoints)
         };
         // A reader that went away has what it wanted.
         if show::data(shown.trim_end()).is_err() {
@@ -197,9 +197,9 @@ fn print(args: &DisplayArgs, recorded: &Recorded) -> u8 {
             continue;
         };
         let shown = if args.json {
-            text::json(&net.view, &state, &events)
+            text::json(&net.view, &state, &events, &[])
         } else {
-            text::plain(&net.view, &state, &events)
+            text::plain(&net.view, &state, &events, &[])
         };
         // A reader that went away has what it wanted.
         if show::data(shown.trim_end()).is_err() {

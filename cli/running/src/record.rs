@@ -122,7 +122,6 @@ fn recorded(args: &RecordArgs, folder: &str) -> Result<Option<RecordView>, Clien
         channels: args.channels.clone(),
         for_s: args.limit.map(|limit| limit.as_secs_f64()),
     }))?;
-    client.wait_for_ever()?;
     let mut told = false;
     loop {
         match client.read()? {
@@ -130,6 +129,7 @@ fn recorded(args: &RecordArgs, folder: &str) -> Result<Option<RecordView>, Clien
             Some(Answer::Recording(view)) => {
                 if !told {
                     told = true;
+                    client.wait_for_ever()?;
                     stop_by_signal(client.app(), &args.at, view.key);
                     begun(args, client.app(), &view);
                 }

@@ -69,17 +69,55 @@ fn commands(line: &str) -> Vec<Vec<String>> {
     commands
 }
 
+/// What lines of cargo begin with that build, measure or run something else than these two programs, and where that is
+/// done, or why it is not.
+const OF_CARGO: [(&str, &str); 13] = [
+    ("cargo bench", "takes minutes, and an idle machine"),
+    ("cargo build", "every test needs what it makes"),
+    ("cargo doc", "tests/run makes the pages"),
+    ("cargo test", "it runs this test"),
+    (
+        "cargo run --release -p peers",
+        "takes minutes, and an idle machine",
+    ),
+    (
+        "cargo run --release -p cli --example picture",
+        "makes pictures for documents by hand",
+    ),
+    (
+        "cargo run --release -p sim --example peer",
+        "sim/tests/remote.rs serves the same world",
+    ),
+    (
+        "cargo run --release -p sim --example track",
+        "tests/system/remote.rs tracks the same",
+    ),
+    (
+        "cargo run -p sorma --example market",
+        "sorma/tests/services/trading.rs calls it",
+    ),
+    ("cargo run --release --", "stands for `ctos`"),
+    ("cargo run --release --bin scott --", "stands for `scott`"),
+    ("cargo run --release", "stands for the program"),
+    ("cargo run", "stands for the program"),
+];
+
 /// The words of a command of ours, without what runs it; none for that of another program.
 fn ours(mut words: Vec<String>) -> Option<Vec<String>> {
     if words.first().is_some_and(|first| first == "cargo") {
         let rest = words.iter().position(|word| word == "--")?;
         let runs = words.get(1).is_some_and(|word| word == "run");
-        let others = ["peers", "picture", "peer", "track", "--bin"];
+        let before = words.get(..rest)?;
+        let others = ["peers", "picture", "peer", "track", "market"];
         let other = |word: &String| others.contains(&word.as_str());
-        if !runs || words.iter().take(rest).any(other) {
+        if !runs || rest + 1 == words.len() || before.iter().any(other) {
             return None;
         }
-        words.splice(..=rest, ["ctos".to_owned()]);
+        let program = match before.iter().any(|word| word == "scott") {
+            true => "scott",
+            false => "ctos",
+        };
+        words.splice(..=rest, [program.to_owned()]);
     }
     let first = words.first()?;
     // A drawing has other signs, and a prompt of the inspector is none of a shell.
@@ -139,6 +177,11 @@ fn lines_of(page: &str) -> Vec<Line> {
 }
 
 pub fn lines() -> Vec<Line> {
+    pages().iter().flat_map(|page| lines_of(page)).collect()
+}
+
+/// The pages for users.
+fn pages() -> Vec<String> {
     let mut pages = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
     for entry in fs::read_dir(root().join("docs")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();
@@ -147,7 +190,29 @@ pub fn lines() -> Vec<Line> {
         }
     }
     pages.sort();
-    pages.iter().flat_map(|page| lines_of(page)).collect()
+    pages
+}
+
+#[test]
+fn every_other_line_of_cargo_is_one_that_is_known_to_run_elsewhere_or_not_at_all() {
+    let mut unknown = Vec::new();
+    for page in pages() {
+        let text = fs::read_to_string(root().join(&page)).unwrap();
+        let in_text = text.split('`').skip(1).step_by(2);
+        let in_blocks = text
+            .lines()
+            .map(|line| line.trim().trim_start_matches("$ "));
+        for line in in_blocks
+            .chain(in_text)
+            .filter(|line| line.starts_with("cargo "))
+        {
+            let known = OF_CARGO.iter().any(|(start, _)| line.starts_with(start));
+            if !known && commands(line).into_iter().filter_map(ours).count() == 0 {
+                unknown.push(format!("{page}: {line}"));
+            }
+        }
+    }
+    assert!(unknown.is_empty(), "{}", unknown.join("\n"));
 }
 
 #[test]

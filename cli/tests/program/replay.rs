@@ -59,8 +59,11 @@ fn apps(folder: &Path) -> Vec<PathBuf> {
         .unwrap()
         .map(|entry| entry.unwrap().path());
     let is_app = |path: &PathBuf| {
-        path.extension().is_some_and(|end| end == "toml")
-            && fs::read_to_string(path).unwrap().contains("[chassis.")
+        let is_text = path.extension().is_some_and(|end| end == "toml");
+        is_text && {
+            let text = fs::read_to_string(path).unwrap();
+            text.contains("[chassis.") || text.contains("\ninclude = [")
+        }
     };
     let mut apps: Vec<PathBuf> = files.filter(is_app).collect();
     apps.sort();

@@ -334,6 +334,13 @@ fn a_command_that_the_net_does_not_take_is_refused_at_once_with_those_it_takes()
 }
 
 #[test]
+fn a_net_that_takes_no_commands_answers_each_with_that() {
+    let text = "net n\nplace p = 1\ntransition t\n  in p\n  out p\n  time 1 s\n";
+    let error = alone(text, "go", || Library::new(())).unwrap_err();
+    assert!(error.contains("it takes: none"), "{error}");
+}
+
+#[test]
 fn an_action_without_failure_branch_is_tried_again_and_then_the_net_gives_up_aloud() {
     let library = |failures: u32| {
         let tried = RefCell::new(0);

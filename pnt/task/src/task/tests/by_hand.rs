@@ -415,6 +415,24 @@ fn a_net_is_replaced_between_commands_when_it_is_sound_and_stays_replaced_when_i
 }
 
 #[test]
+fn firings_are_counted_from_the_start_of_the_process_also_of_a_durable_net() {
+    let death = Fault::on("on_n", FaultKind::Kill, Instant::from_nanos(20_000_000_000));
+    let script = Faults::of_script("a death", vec![death]);
+    let found = run_with("durable = true", LAMP, script, |cx| {
+        Box::pin(async move {
+            switch(&cx).await?;
+            switch(&cx).await?;
+            let before = marking(&cx).await.firings;
+            cx.sleep(Duration::from_secs(25)).await;
+            let after = marking(&cx).await.firings;
+            switch(&cx).await?;
+            Ok(format!("{before} {after} {}", marking(&cx).await.firings))
+        })
+    });
+    assert_eq!(found.unwrap(), "4 0 2");
+}
+
+#[test]
 fn a_full_tape_is_told_and_so_is_a_symbol_that_nobody_ever_reads() {
     let text = LAMP.replace(
         "command switch -> switched",
