@@ -124,9 +124,8 @@ impl Processor {
         }
     }
 
-    /// A call was delivered: a receiver on this processor that waited for it, so that it is ready now and was not
-    /// when `ready` futures were, handles it at once, within the poll of its caller. Not where synchronous functions
-    /// run between two polls.
+    /// Polls the receiver of a call at once if this delivery woke it: more than the `ready` futures from before are
+    /// ready. Not on a processor with synchronous functions.
     pub(crate) fn hand_over(&self, ready: usize) {
         let (handed_over, depth) = (self.handed_over.get(), self.depth.get());
         let may = handed_over < HAND_OVERS && depth < DEEPEST && self.schedule.is_idle();

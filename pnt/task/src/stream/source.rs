@@ -1,5 +1,6 @@
-//! The end of the stream in the net's task: the latest events in a short form, and those who wait for the
-//! next ones. It knows no task and no timer: the task says what time it is and when to answer.
+//! The end of the stream in the net's task: the latest events in a short form, and the followers that
+//! wait for the next ones. It keeps their [`Replier`]s and answers them, but reads no clock and sets no
+//! timer: the task says what time it is and when to answer.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
