@@ -44,9 +44,9 @@ pub struct Daemon {
     subscribers: Rc<Subscribers>,
 }
 
-/// Registers the handler. `shipped` is the dictionary that comes with the program, under those that a
-/// task's arguments name; `classes` registers the classes that a daemon serves, besides those that every daemon has:
-/// `dict`, `sorm`, `watch`, and for requests without waiting `fork`, `later`, `stream` and `event`.
+/// Registers the handler. `shipped` is the dictionary that comes with the program; those that a task's arguments
+/// name override it. `classes` registers the classes that a daemon serves, besides those that every daemon has.
+/// These are `dict`, `sorm`, `watch`, and for requests without waiting `fork`, `later`, `stream` and `event`.
 pub fn register(
     registry: &mut Registry,
     shipped: Dictionary,

@@ -2,8 +2,8 @@
 //! the slots of its own processors that were given away.
 //!
 //! A task id is given away once in a run. When a task moves, or its chassis is started again, its name
-//! gets a new id; the old one is remembered as a way to the new one, so that whoever holds it still
-//! reaches the task of that name and never another one.
+//! gets a new id. The old id is kept and leads to the new one. So a holder of the old id still reaches
+//! the task of that name, and never another one.
 
 use std::{
     collections::BTreeMap,

@@ -1,10 +1,11 @@
-//! All nets of an app as one system for analysis: remote places joined, firings with actions split
-//! into start, completion and failure, and a commander at every input tape that puts any command as
-//! soon as the one before is answered. Knows how steps change a marking, not which are reachable.
+//! All nets of an app as one system for analysis. Remote places are joined, and firings with
+//! actions are split into start, completion and failure. A commander at every input tape puts any
+//! command as soon as the one before is answered. Knows how steps change a marking, not which are
+//! reachable.
 //!
-//! Tokens for another net are put there with the firing that sends them, unless their coming can keep
-//! something from firing (they go to a place with a capacity, an inhibitor or a reset arc, or call up a
-//! more urgent transition): then it matters that a message takes its time, and they are on their way
+//! Tokens for another net are put there with the firing that sends them, unless their arrival can keep
+//! something from firing. It can if they go to a place with a capacity, an inhibitor or a reset arc, or
+//! enable a more urgent transition. Then the delay of the message matters, and they are under way
 //! first.
 
 mod build;

@@ -5,9 +5,9 @@
 //! says it is ([`Execution::advance_to`]), and transitions that take time fire when the caller fires
 //! them, at the times that [`Race`] gives.
 //!
-//! A net is flat arrays here, and only transitions whose conditions a changed place decides are looked
-//! at again: a firing costs the same in a net of ten transitions and in one of a hundred thousand, with
-//! one token or a million, and allocates nothing.
+//! A net is flat arrays here, and only transitions whose conditions a changed place decides are checked
+//! again. So a firing costs the same in a net of ten transitions and in one of a hundred thousand, with
+//! one token or a million. It allocates nothing.
 
 mod choice;
 mod enabling;

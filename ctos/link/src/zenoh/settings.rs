@@ -87,9 +87,9 @@ pub(super) fn settings(
     settings
 }
 
-/// TLS with this app's keys, and with nobody who has none where everything configured is TLS. zenoh's
-/// own check is of the authority only and, for whoever is called, takes any authority that browsers trust: who is at
-/// the other end of a stream is proved over the stream itself.
+/// TLS with this app's keys; where everything configured is TLS, peers without keys are refused. zenoh checks the
+/// authority only, and the called side accepts any authority that browsers trust. So the identity of the other end
+/// is proved over the stream itself.
 fn tls(config: &ZenohConfig, keys: &KeyFiles) -> Vec<(&'static str, Value)> {
     let path = |path: &std::path::Path| json!(path.to_string_lossy());
     let mut endpoints = config.connect.iter().chain(&config.listen);

@@ -1,6 +1,6 @@
 //! Nets joined into one that has neither actions nor tapes nor other nets, which token game and
-//! analysis both run: a firing with an action becomes its start, a place that says that it goes on, and
-//! its end after the transition's time; a tape becomes places and a commander that puts commands.
+//! analysis both run. A firing with an action becomes its start, a place that is marked while it runs,
+//! and its end after the transition's time. A tape becomes places and a commander that puts commands.
 
 use std::{collections::BTreeMap, sync::Arc};
 

@@ -14,8 +14,8 @@ pub(super) struct Vertex {
     pub(super) after: Vec<usize>,
 }
 
-/// Points of long arcs, for each node and for a net as a whole: a net of many arcs over many layers would
-/// have more points than anybody can follow, and they would cost the time of all the rest.
+/// Points of long arcs, for each node and for a net as a whole. A net of many arcs over many layers would
+/// have more points than a person can follow, and they would take most of the time.
 const POINTS_PER_NODE: usize = 6;
 const POINTS: usize = 500;
 

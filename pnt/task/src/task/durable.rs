@@ -1,9 +1,9 @@
 //! What must be stored before others see it.
 //!
 //! A net changes in memory and counts its changes. What others would see of a change (an answer, a
-//! transfer, the beginning of an action) is held until a commit has stored the state with that change in
-//! it; one commit stores all changes that came while the one before it was written (group commit). A net
-//! that is not durable holds nothing.
+//! transfer, the beginning of an action) is held until a commit has stored the changed state. One commit
+//! stores all changes that came while the one before it was written (group commit). A net that is not
+//! durable holds nothing.
 //!
 //! What is stored is the state itself, not a log: a net's state is small, and reading it back is all there
 //! is to a restart.

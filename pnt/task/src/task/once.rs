@@ -1,8 +1,8 @@
 //! Commands that may be asked for again because their answer was lost, and are put once all the same.
 //!
-//! Whoever asks gives each command a number of its own. A net remembers which of its commands was asked for
-//! under which number until it is answered, and then the answer, with the state that it is stored with:
-//! who asks again gets the same answer, or waits for it, whatever died in between.
+//! The caller gives each command a number of its own. A net stores the number with its state: until the
+//! command is answered, and then with the answer. A caller that repeats the command gets the same answer,
+//! or waits for it, whatever died in between.
 //!
 //! Data only: it sends nothing and knows no task.
 
