@@ -1,5 +1,6 @@
-//! The difference of the clocks of two processes on different hosts, estimated again and again from the
-//! messages that go there and back (SORMA technical report, section 2.2.5), with a bound on the error.
+//! The difference of the clocks of two processes on different hosts, with a bound on the error (SORMA
+//! technical report, section 2.2.5). It is estimated again and again from the messages that go there
+//! and back.
 //!
 //! It sends nothing: the sender of a request feeds it the four times of request and reply. *Here* is the clock
 //! of the sender, *there* the other one; the difference is there minus here.

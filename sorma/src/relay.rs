@@ -1,5 +1,5 @@
-//! The way to daemons and tasks for an object that is called on a thread of its own: the task that serves it does the
-//! asking, on the thread to which it belongs.
+//! The way to daemons and tasks for an object that is called on a thread of its own. The task that serves the object
+//! asks for it, on the thread of that task.
 
 use crate::comm::{Answer, Comm, Job, NoAnswer, Taken};
 use crate::name::{Location, ObjectName};

@@ -1,8 +1,8 @@
 //! Calls of an object by reference, from any thread.
 //!
-//! Three handles for three needs. A [`Handle`] is shared, and each call takes the object's lock; a
-//! [`Claim`] has taken it once, so that a call costs what a virtual call does; an [`Owned`] object is
-//! nobody else's and stands in no repository.
+//! Three handles for three needs. A [`Handle`] is shared, and each call takes the object's lock. A
+//! [`Claim`] has taken it once, so that a call costs what a virtual call does. An [`Owned`] object is
+//! not shared and stands in no repository.
 
 use crate::dbx;
 use crate::meter;

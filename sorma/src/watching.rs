@@ -1,5 +1,5 @@
-//! Watching: which requests the objects of a process meet, and what they answer, as long as somebody watches; and
-//! the class `watch`, by which one does so from anywhere by lines of text.
+//! Watching: which requests the objects of a process get, and what they answer, as long as there is a watcher.
+//! The class `watch` does so from anywhere by lines of text.
 //!
 //! What is wanted is picked out here, at the source: whatever a watcher does not want is neither kept nor sent. Each
 //! watcher has a buffer of its own, which drops the oldest when nobody fetches, so that no object ever waits for

@@ -1,5 +1,5 @@
-//! The places in one lane of a queue, counted by all threads: a sender takes a credit for each message that it
-//! brings, and the owner of the queue gives it back when it takes the message out. It knows nothing of messages.
+//! The places in one lane of a queue, counted by all threads. A sender takes a credit for each message that it
+//! brings; the owner of the queue gives it back when it takes the message out. It knows nothing of messages.
 
 use crate::concurrent::{AtomicBool, AtomicU32, Ordering};
 

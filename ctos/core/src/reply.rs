@@ -168,9 +168,9 @@ enum ReplyTo {
     Other(Arc<dyn Caller>),
 }
 
-/// The right to answer one message. Dropped without an answer, it tells the caller
-/// [`Fault::NoReply`]: at once, or, where the handler of the message itself drops it, when it is known
-/// how that handler ended, which may be a better answer.
+/// The right to answer one message. Dropped without an answer, it tells the caller [`Fault::NoReply`]
+/// at once. If the handler of the message itself drops it, the caller is told when that handler has
+/// ended, because its end may be a better answer.
 #[derive(derive_more::Debug)]
 #[debug("ReplySlot {{ open: {} }}", self.to.is_some())]
 pub struct ReplySlot {

@@ -257,12 +257,12 @@ impl IntoFuture for Acquire {
     }
 }
 
-/// One of a semaphore's permits. Dropped, it goes to whoever waits first.
+/// One of a semaphore's permits. Dropped, it goes to the first that waits.
 ///
-/// A permit of app scope is a promise with a limit of time: a chassis that gives no sign of life for `peer_timeout_s` is
-/// given up, and its permits go to those who wait. Should it only have been frozen, its tasks go on, and the permit
-/// that they have is [no longer good](Self::confirm). So whoever owns what the semaphore protects has
-/// every request bring the [number](Self::number) of the permit, and refuses older ones with a [`Fence`].
+/// A permit of app scope is a promise with a limit of time. A chassis that gives no sign of life for `peer_timeout_s`
+/// is given up, and its permits go to those who wait. Should it only have been frozen, its tasks go on, and the
+/// permit that they have is [no longer good](Self::confirm). So every request to the owner of what the semaphore
+/// protects brings the [number](Self::number) of the permit. The owner refuses older ones with a [`Fence`].
 #[must_use = "a permit that is dropped is given back at once"]
 #[derive(Debug)]
 pub struct Permit {

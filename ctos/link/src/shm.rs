@@ -1,10 +1,10 @@
 //! Shared memory between two chassis of one host: a ring of bytes for each direction, and a bell for
 //! each side.
 //!
-//! The memory has no name: it is a memfd that one side makes and passes over the Unix socket that joins
-//! them, sealed so that neither can make it smaller; the system frees it when both are gone. What is in
-//! it was written by another process and is believed nowhere: positions are checked, bytes are copied
-//! out before anybody looks at them.
+//! The memory has no name. It is a memfd that one side makes and passes over the Unix socket that joins
+//! them, sealed so that neither can make it smaller. The system frees it when both are gone. Its
+//! content was written by another process and is not trusted: positions are checked, and bytes are
+//! copied out before they are read.
 
 pub mod pass;
 

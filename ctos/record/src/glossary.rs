@@ -47,8 +47,8 @@ pub(crate) struct Glossary {
 }
 
 impl Glossary {
-    /// What is known of `app` before it runs: each agent counts its tasks in the order of the
-    /// configuration, so that the ids of the tasks of other chassis are known here too.
+    /// What is known of `app` before it runs. Each agent counts its tasks in the order of the
+    /// configuration, so the ids of the tasks of other chassis are known here too.
     pub(crate) fn of(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
         let mut all = Self::default();
         let system = [system::ALL, runtime, &semaphore::server::COMMANDS];

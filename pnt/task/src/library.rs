@@ -220,7 +220,7 @@ impl<S: 'static> Library<S> {
         self
     }
 
-    /// Adds a local function for `do` lines that name data objects: `do NAME(A, B -> C, D)` calls it with the
+    /// Adds a local function for `do` lines that name data objects. `do NAME(A, B -> C, D)` calls it with the
     /// fields `A` and `B` of its argument and stores the fields of its result as `C` and `D`. It may wait;
     /// when it fails, nothing is stored.
     #[must_use]

@@ -16,8 +16,8 @@ use super::{
 };
 use crate::contain::{drop_contained, panic_text};
 
-/// So many calls of one poll run their receivers at once; those after them go through the queue of ready futures,
-/// so that a task which calls without end keeps nobody from its processor.
+/// So many calls of one poll run their receivers at once. Later ones go through the queue of ready futures, so
+/// that a task which calls without end does not keep the processor.
 const HAND_OVERS: u32 = 32;
 
 /// Calls within calls that run at once: each takes stack.

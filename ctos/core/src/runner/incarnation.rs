@@ -163,8 +163,8 @@ impl Runner {
         }
     }
 
-    /// The old incarnation is finished before anything of a new one begins: its state is kept where that
-    /// is allowed, and its children, its tasks and what it had not answered yet end now.
+    /// The old incarnation is finished before a new one begins. Its state is kept where that is allowed.
+    /// Its children, its tasks and its unanswered requests end now.
     pub(crate) async fn end_incarnation(&mut self, ending: Ending) {
         self.cx.next_incarnation();
         self.cx.cancel_children();

@@ -1,13 +1,13 @@
 //! Packed markings by number, found again by their content: an arena in blocks that never move, and an open
 //! table of 32-bit slots, at most three quarters full. A number is smaller than the table is long, so the
-//! bits of a slot that it leaves over hold some of the hash: what differs there need not be looked up in the
-//! arena.
+//! other bits of a slot hold some of the hash. What differs there need not be looked up in the arena.
 //!
 //! Several threads may find and insert at once. Each has numbers of its own to give, a [`Share`]. It
 //! writes a new marking into the arena at one of them and then claims an empty slot of the table by
-//! compare-and-swap: the swap releases what was written, and whoever reads the slot acquires it. Who
-//! loses a slot looks at it again, and gives the number to the next marking. Slots never change once
-//! they are taken, but when the table grows, and for that the store must be somebody's alone.
+//! compare-and-swap. The swap releases what was written, and a thread that reads the slot acquires
+//! it. A thread that loses a slot looks at it again, and gives the number to the next marking. Slots
+//! never change once they are taken, except when the table grows; for that one thread must own the
+//! store.
 
 mod table;
 
@@ -340,8 +340,8 @@ impl Store {
         new
     }
 
-    /// Looks for the markings with these sums, at all of them in the table, and then at all of what may be
-    /// they in the arena, so that the waiting for memory overlaps.
+    /// Looks for the markings with these sums: first all of them in the table, then all candidates in the
+    /// arena, so that the waits for memory overlap.
     fn look(&self, sums: &[u64], looks: &mut Vec<Look>) {
         looks.clear();
         looks.extend(sums.iter().map(|sum| {

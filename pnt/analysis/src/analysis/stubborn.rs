@@ -3,7 +3,7 @@
 //! reached; most of the markings between are not (Valmari 1989; the strong sets, with the enabled transition
 //! that gives the fewest).
 //!
-//! For dead markings nothing need be done about transitions that are put off for ever: one of the fired ones
+//! For dead markings nothing need be done about transitions that are put off for ever. One of the fired ones
 //! stays possible until it is fired, so a dead marking cannot be reached without it.
 
 use std::mem;

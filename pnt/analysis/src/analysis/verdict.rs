@@ -11,8 +11,8 @@ use super::{
     symbolic::{self, Counted, Effort},
 };
 
-/// How the two engines take turns where either may do: diagrams that work are soon done, so they are given up soon,
-/// and tried again only when listing has taken longer than they may.
+/// How the two engines take turns where either may succeed. Diagrams that work are soon done, so they are given up
+/// soon. They are tried again only when listing has taken longer than they may.
 #[derive(Debug, Clone, Copy)]
 struct Turns {
     /// Markings that are always listed before anything else is tried.

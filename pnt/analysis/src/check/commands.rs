@@ -1,5 +1,5 @@
-//! Whether each command of a tape is sound by itself, as a workflow: put once to nets at rest, every run
-//! comes to its end, and that is rest again with the answer written.
+//! Whether each command of a tape is sound by itself, as a workflow. After it is put once to nets at
+//! rest, every run ends, and the end is rest with the answer written.
 
 use crate::{
     analysis::{

@@ -336,8 +336,8 @@ impl<'a> Builder<'a> {
         self.ending(origin, Part::Complete, number, net, transition, complete);
     }
 
-    /// A transition of the model for each way in which the places that it empties may be filled, of those
-    /// in which actions are kept room: how much room comes free depends on what is there.
+    /// A transition of the model for each way in which those of the places that it empties may be filled
+    /// that reserve space for actions. The freed space depends on these tokens.
     fn resets_apart(
         &self,
         number: usize,

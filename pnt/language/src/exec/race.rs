@@ -45,9 +45,9 @@ struct Due {
 pub struct Race {
     rng: ChaCha8Rng,
     first_timed: usize,
-    /// Per timed transition, in the order of their starts. One that is exponential has one clock for
-    /// all its firings, which runs as many times faster and is set anew when their number changes: that
-    /// is the same, since exponential times have no memory.
+    /// Per timed transition, in the order of their starts. An exponential one has one clock for all its
+    /// firings, which runs as many times faster and is set anew when their number changes. That is the
+    /// same, since exponential times have no memory.
     clocks: Vec<Vec<Due>>,
     /// Per timed transition, how many firings its clocks stand for.
     busy: Vec<u32>,

@@ -3,8 +3,8 @@
 //! through a plain socket between processes in the same place. Nothing else runs meanwhile: each of the two processes
 //! waits for the other, and their progress is read only after their end.
 //!
-//! `cargo bench -p pnt --bench running -- processes` has all of [`PLACEMENTS`], `--pin` (both on one core), `--pin2`
-//! (a core each, asleep until something comes) and `--spin` (a core each, looking for what comes) one of them.
+//! `cargo bench -p pnt --bench running -- processes` has all of [`PLACEMENTS`]. `--pin` (both on one core), `--pin2`
+//! (a core each, asleep until something comes) and `--spin` (a core each, polling) have one of them.
 
 use std::{
     ffi::OsString,

@@ -1,5 +1,5 @@
 //! Several threads send to one queue as fast as they can, while its task takes, pauses, is about to move, and
-//! dies: nothing is lost, doubled or reordered, and whoever waits is told.
+//! dies. Nothing is lost, doubled or reordered, and waiting senders are told.
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
