@@ -1,5 +1,5 @@
-//! What the tasks that serve a page have in common. Their address is bound before anything else is done. It holds
-//! who may do what there, how files are sent, and the server on a thread of its own. Knows no page.
+//! What the tasks that serve a page have in common: who may do what there, how files are sent, and a server on a
+//! thread of its own. The address is bound before anything else is done. Knows no page.
 
 use std::{
     io,

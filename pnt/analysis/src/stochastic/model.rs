@@ -336,8 +336,8 @@ impl<'a> Builder<'a> {
         self.ending(origin, Part::Complete, number, net, transition, complete);
     }
 
-    /// A transition of the model for each way in which those of the places that it empties may be filled
-    /// that reserve space for actions. The freed space depends on these tokens.
+    /// One transition of the model for each way to fill the places that it empties and that reserve
+    /// space for actions. The freed space depends on their tokens.
     fn resets_apart(
         &self,
         number: usize,
