@@ -69,7 +69,7 @@ async fn ask_agent(cx: &Context, task: Tid) -> Option<system::Waits> {
     answer.take::<Option<system::Waits>>().ok()?
 }
 
-/// What an agent answers for a task of its chassis: whom it waits for. Nobody, unless its handler is
+/// What an agent answers for a task of its chassis: whom it waits for. `None`, unless its handler is
 /// at work and has waited for so long that the wait is no passing one.
 pub fn of_task(chassis: &Chassis, task: Tid) -> Option<system::Waits> {
     let record = chassis.task(task)?;
