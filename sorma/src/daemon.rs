@@ -116,7 +116,7 @@ impl Daemon {
         begin(cx, async move {
             let mut answer = sorm.ask(&Tasks::serving(&here), request).await;
             answer.body.opaque.share();
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = match here.keep(&sorm.kept()).await {
                 Ok(()) => reply.ok(answer.body),
                 Err(error) => reply.fail(not_kept(&error)),
@@ -149,7 +149,7 @@ impl Daemon {
         let (subscribers, here) = (Rc::clone(&self.subscribers), cx.clone());
         cx.spawn(async move {
             let taken = subscribers.take(&here, &request).await;
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = reply.ok(taken);
         });
         Ok(())
@@ -172,7 +172,7 @@ impl Daemon {
             };
             let answer = sorm.tell_traced(&comm, &request.line, &request.from, trace);
             let answer = answer.await;
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = match here.keep(&sorm.kept()).await {
                 Ok(()) => reply.ok(answer),
                 Err(error) => reply.fail(not_kept(&error)),

@@ -9,7 +9,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::ops::Deref;
 
-/// Bytes, for example an image. To be read as a slice; whoever writes to them has them alone.
+/// Bytes, for example an image. They are read as a slice; a writer gets a copy of its own if others
+/// have them too.
 #[derive(Default)]
 pub struct Opaque {
     own: Vec<u8>,

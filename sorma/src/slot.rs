@@ -170,7 +170,7 @@ impl Slot {
         let text = if within.is_some_and(|call| call.is_within(self)) {
             format!("`{name}` is in a call already: it was called by itself, directly or not")
         } else if self.waits() {
-            // Whoever has it may need this very thread to go on.
+            // The call that has it may need this very thread to go on.
             format!("`{name}` is in a call that waits for other objects")
         } else if let Some(body) = self.body.try_lock_for(PATIENCE) {
             return Ok(body);

@@ -67,7 +67,7 @@ pub type Kept = BTreeMap<String, String>;
 pub(crate) enum Place {
     Here,
     There(Location),
-    /// Whoever offers the class best.
+    /// The daemon with the best offer of the class.
     Traded(Wanted),
 }
 

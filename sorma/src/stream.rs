@@ -105,7 +105,7 @@ impl Sorm {
         keep.check()?;
         let handle = self.resolve(name)?;
         let results = self.results(handle.name());
-        // Whoever builds it anew finds them by its name.
+        // When it is built anew, they are found by its name.
         handle.slot.feed(&results);
         Ok(results.subscribe(keep))
     }

@@ -214,7 +214,7 @@ impl Watchers {
 
     #[cold]
     fn note(&self, clock: &Clock, object: &str, method: Method, io: &Transport) -> Option<Begun> {
-        // Whoever watches everything does not want to see himself watching.
+        // A watcher of everything does not want to see its own requests.
         if object.split('.').next() == Some(CLASS) {
             return None;
         }

@@ -284,7 +284,7 @@ pub enum Right {
 }
 
 impl Door {
-    /// What whoever shows this may do.
+    /// The right that these bytes give.
     pub fn right(&self, shown: &[u8]) -> Option<Right> {
         let same = self.token.as_ref().is_some_and(|token| {
             // Looked at to its end, wherever it differs.

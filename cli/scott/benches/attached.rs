@@ -104,7 +104,7 @@ fn main() {
     let (tell, told) = channel();
     let booted = std::thread::spawn(move || {
         let observer: Observer = Arc::new(move |event| {
-            // Whoever waits may have heard enough.
+            // The receiver may be gone.
             let _ = tell.send(format!("{event:?}"));
         });
         boot(app(), registry(), &launcher, &observer).unwrap();

@@ -95,8 +95,8 @@ pub enum Lead {
 impl Lead {
     /// What is learned at least.
     pub const LEAST: Duration = Duration::from_micros(80);
-    /// What is learned at most. Whoever is later than this was kept from the core for other reasons, which no lead
-    /// would be long enough for.
+    /// What is learned at most. A thread later than this was kept from the core for other reasons, for which no
+    /// lead would be long enough.
     pub const MOST: Duration = Duration::from_micros(500);
 }
 

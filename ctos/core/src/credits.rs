@@ -30,7 +30,7 @@ impl Credits {
         is_open && self.take_past_others(capacity)
     }
 
-    /// Takes a credit if there is one, whoever waits.
+    /// Takes a credit if there is one, even while others wait.
     pub(crate) fn take_past_others(&self, capacity: usize) -> bool {
         let more = |taken: u32| ((taken as usize) < capacity).then_some(taken + 1);
         let took = self

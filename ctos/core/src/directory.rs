@@ -77,7 +77,7 @@ impl TaskDirectory {
         }
     }
 
-    /// Whoever had this name does not answer: it is asked for again.
+    /// The task with this name does not answer: the name is looked up again.
     pub fn forget(&self, name: &str) {
         lock(&self.known).remove(name);
     }

@@ -283,8 +283,8 @@ impl Permit {
         self.number
     }
 
-    /// Asks whoever keeps the semaphore whether the permit is good still: before something that no [`Fence`] protects.
-    /// It was good when that was answered; a freeze may come between that and what follows.
+    /// Asks the keeper of the semaphore whether the permit is still good: before something that no [`Fence`]
+    /// protects. It was good when that was answered; a freeze may come between that and what follows.
     ///
     /// # Errors
     /// [`SemaphoreError::Lost`]; or nobody can be asked, and the permit may be somebody else's.

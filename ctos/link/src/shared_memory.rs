@@ -20,9 +20,9 @@
 //!   word of 32 bits is never accessed with 64. Bytes that are copied while the other side changes them
 //!   (snapshots) are copied in whole words; those of a ring are ordered by its positions.
 //!
-//! What remains: a file that is shortened takes its pages with it, and whoever touches them is killed by the
-//! system (`SIGBUS`). Links seal theirs against that; a process of the same user that shortens a snapshot
-//! buffer could as well have sent the signal.
+//! What remains: a file that is shortened takes its pages with it, and the system kills a process that
+//! touches them (`SIGBUS`). Links seal theirs against that; a process of the same user that shortens a
+//! snapshot buffer could as well have sent the signal.
 
 #![allow(
     unsafe_code,

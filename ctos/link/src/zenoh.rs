@@ -54,7 +54,7 @@ async fn on_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static)
     std::thread::Builder::new()
         .name("zenoh-call".to_owned())
         .spawn(move || {
-            // Whoever asked may have given up.
+            // The caller may have given up.
             let _ = sender.send(work());
         })?;
     done.await

@@ -39,7 +39,7 @@ pub const LEAST: usize = 16 * 1024;
 pub struct Blob(Bytes);
 
 thread_local! {
-    /// The blob that is being serialized at this moment, for whoever collects.
+    /// The blob that is being serialized at this moment, for the collector.
     static LENT: RefCell<Option<Bytes>> = const { RefCell::new(None) };
     /// What was collected so far, with where in the other bytes it belongs; `None` when nobody does.
     static COLLECTED: RefCell<Option<Vec<(usize, Bytes)>>> = const { RefCell::new(None) };

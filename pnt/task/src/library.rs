@@ -20,7 +20,7 @@ use pnt_analysis::check::FunctionNames;
 /// Something that ends later, on the task's processor.
 pub type Later<T> = Pin<Box<dyn Future<Output = T>>>;
 
-/// How an action ends; an error takes the failure branch and is told to whoever waits.
+/// How an action ends; an error takes the failure branch, and the waiting caller gets it.
 pub type Acted = Result<(), HandlerError>;
 
 type Act = Rc<dyn Fn(Action<()>) -> Later<Acted>>;

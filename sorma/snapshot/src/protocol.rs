@@ -144,7 +144,7 @@ impl Ring {
         memory.store_bytes(self.bytes_at(slot), bytes);
         memory.fence_release();
         memory.store(slot + SEQUENCE, whole);
-        // Whoever learns of the record finds it whole.
+        // A reader that learns of the record finds it whole.
         memory.fence_release();
         memory.store(self.head, mark.count);
     }

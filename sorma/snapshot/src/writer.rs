@@ -302,7 +302,7 @@ impl Drop for Writer {
     }
 }
 
-/// Takes the lock of a segment, which whoever writes it holds.
+/// Takes the lock of a segment, which its writer holds.
 fn lock(file: File, path: &Path) -> Result<File, SnapshotError> {
     match file.try_lock() {
         Ok(()) => Ok(file),

@@ -118,7 +118,7 @@ fn host(cx: &TaskContext, root: &Path) -> Host {
 /// Clock sets, least bound (ns), records outside of their bounds, stamp there minus time here (ns), estimated drift.
 fn run(faults: &[Fault]) -> Vec<f64> {
     let folder = tempfile::tempdir().unwrap();
-    // Made by whoever needs it, for this user alone.
+    // Made by the first that needs it, for this user alone.
     let root = folder.path().join("segments");
     let app = load_texts(&[("app.toml", APP)], &[], &[]).unwrap();
     let mut registry = Registry::new();

@@ -46,7 +46,7 @@ fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_bac
     // What the log says of a task stands below.
     browser.ask("nets.lookAt('display')");
     browser.wait("document.querySelector('#side [aria-label=log] li')?.textContent.includes('nets are shown')");
-    // Its address is there for whoever looks on, and what opens it for control is not.
+    // Its address is there for viewers; what opens it for control is not.
     assert_eq!(
         browser.ask("nets.tasks.get('display').lines.some((one) => /token=\\w/.test(one.text))"),
         false

@@ -151,7 +151,7 @@ impl Member {
     /// Answers those who wait for it to come up.
     pub(super) fn answer_restarts(&self, answer: Result<(), &str>) {
         for reply in self.restarts.take() {
-            // Whoever asked may have gone; nobody else wants the answer.
+            // The caller may be gone; nobody else wants the answer.
             let _ = match answer {
                 Ok(()) => reply.ok(()),
                 Err(reason) => reply.fail(reason),

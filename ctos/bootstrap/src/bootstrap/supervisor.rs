@@ -180,7 +180,7 @@ impl Supervisor {
         self.welcome().await
     }
 
-    /// The tasks have passed all phases: whoever waits for them is told.
+    /// The tasks have passed all phases: waiting callers are told.
     async fn welcome(&self) -> String {
         let board = &self.board;
         if let Some(failed_at) = self.member.failed_at.get() {

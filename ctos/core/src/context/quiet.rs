@@ -86,7 +86,7 @@ impl Context {
             })
         });
         let before = std::mem::replace(&mut quiet.reply, reply);
-        // Not held while whoever waited for it is told.
+        // Not held while the waiting task is told.
         drop(family);
         drop(before);
     }

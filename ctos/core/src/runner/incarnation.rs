@@ -187,7 +187,7 @@ impl Runner {
         self.cx.end_all_started().await;
     }
 
-    /// It is not restarted: whoever must know is told, and its name is free.
+    /// It is not restarted: its starter or its chassis is told, and its name is free.
     async fn give_up(&mut self, ending: Ending, why: &str, verdict: Verdict) {
         let tried = match verdict {
             Verdict::GiveUp { restarts } => format!(" (after {restarts} restarts)"),

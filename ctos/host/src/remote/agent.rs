@@ -58,7 +58,7 @@ pub struct AgentSetup {
     pub program: PathBuf,
 }
 
-/// What an agent sees and does, for whoever shows it.
+/// What an agent sees and does, for the code that shows it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]

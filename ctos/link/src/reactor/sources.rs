@@ -184,7 +184,7 @@ impl Sources {
         }
     }
 
-    /// Wakes whoever polls.
+    /// Wakes the polling thread.
     pub(super) fn wake(&self) {
         // It can only fail when the system is out of memory for it.
         let _ = self.waker.wake();

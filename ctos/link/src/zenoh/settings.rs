@@ -1,7 +1,7 @@
 //! What zenoh is told: the configuration of the app in its words, and what must not be left to its defaults.
 //!
 //! Its defaults are made for discovery on a bench: multicast on every interface, listening at every address,
-//! whoever comes is let in, a client that gives up at once. Knows no session and no stream.
+//! everybody is let in, a client that gives up at once. Knows no session and no stream.
 
 use std::time::Duration;
 
@@ -61,7 +61,7 @@ pub(super) fn settings(
         ),
         ("listen/endpoints", json!(texts(listen))),
         ("scouting/timeout", json!(patience_ms)),
-        // Whom a stream is for is waited for by whoever calls it.
+        // The caller of a stream waits for its other end.
         ("scouting/delay", json!(0)),
         ("open/return_conditions/connect_scouted", json!(false)),
         ("open/return_conditions/declares", json!(false)),

@@ -188,7 +188,7 @@ impl Store {
     /// The words of the marking with a number.
     fn at(&self, number: u32) -> &[AtomicU64] {
         let (block, within) = (number as usize / BLOCK, number as usize % BLOCK);
-        // Whoever took the number made its block, before the number came into the table.
+        // The thread that took the number made its block, before the number came into the table.
         let block = self.blocks[block].get().map_or(&[][..], |block| block);
         &block[within * self.words..(within + 1) * self.words]
     }

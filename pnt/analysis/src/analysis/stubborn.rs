@@ -52,7 +52,7 @@ pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&P
     let mut scratch = Scratch::default();
     let mut marking = Vec::new();
     let mut expanded = 0_usize;
-    // The latest first: whoever looks for one dead marking is sooner at the ends than at all of the middle.
+    // The latest first: a search for one dead marking comes to the ends sooner than to all of the middle.
     while let Some(at) = search.open.pop() {
         search.store.read(at, &mut search.packed);
         search.layout.unpack(&search.packed, &mut marking);

@@ -4,7 +4,7 @@
 //! several servers a transition has as many clocks as its tokens allow.
 //!
 //! The race keeps clocks and draws times; it knows no clock of the world. The caller says what time it
-//! is, fires whoever wins, and lets transitions that take no time go first.
+//! is, fires the winner, and lets transitions that take no time go first.
 
 use std::{cmp::Reverse, collections::BinaryHeap, time::Duration};
 

@@ -55,7 +55,7 @@ impl Simulated {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What a process finds that starts now: whoever had a commit under way is gone.
+    /// What a process finds that starts now: the one that had a commit under way is gone.
     pub(super) fn load(&self, cx: &Context) -> Contents {
         let mut inner = self.inner();
         if let Some(changes) = inner.pending.take() {

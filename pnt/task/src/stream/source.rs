@@ -16,7 +16,7 @@ use pnt_language::{
     net::{self, Net, PlaceId, TransitionId},
 };
 
-/// Events that are kept: for whoever is a little behind.
+/// Events that are kept, for followers that are a little behind.
 const KEPT: usize = 4 * MOST_EVENTS;
 
 /// The least time between two answers to those who follow: one display, and more for each further one, so
@@ -342,8 +342,8 @@ impl Source {
         });
     }
 
-    /// When those who follow are to be answered, if there is something to answer and nobody is on the
-    /// way to do it; whoever asks has to.
+    /// When the followers are to be answered, if there is something to answer and no answer is under
+    /// way; then the caller has to answer them.
     pub(crate) fn call(&mut self, now: impl FnOnce() -> Instant) -> Option<Instant> {
         if self.called || self.followers.is_empty() {
             return None;

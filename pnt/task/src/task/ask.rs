@@ -1,5 +1,5 @@
-//! Commands to other nets that are put once, however often they are asked for: by an action, and by whoever
-//! else gives nets their commands.
+//! Commands to other nets that are put once, however often they are asked for: by an action, or by another
+//! task.
 
 use std::time::Duration;
 

@@ -266,7 +266,8 @@ impl Engine {
         if let Some(why) = saved.paused {
             core.manual.pause(why);
         }
-        // Whoever was told of the objects may have forgotten, or was not told of the last change.
+        // The keeper of the objects may have forgotten what it was told, or was not told of the
+        // last change.
         core.objects = objects_of(&net, None);
         core.changed();
         core.journal

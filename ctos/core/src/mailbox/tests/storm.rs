@@ -238,7 +238,7 @@ fn a_task_that_dies_under_load_leaves_nobody_waiting_and_nothing_half_taken() {
         let taken: BTreeSet<Label> = taken.into_iter().collect();
         for (label, (way, result)) in outcomes {
             match (way, result) {
-                // The reply is given by whoever takes it, and by nobody else.
+                // The taker of a call replies, and nobody else.
                 (Way::Call, result) => assert_eq!(taken.contains(&label), result.is_ok()),
                 // What the queue had taken when it was closed is gone with it.
                 (Way::Try | Way::Send, Ok(())) => {}
