@@ -3,16 +3,16 @@
 //! and back.
 //!
 //! It sends nothing: the sender of a request feeds it the four times of request and reply. *Here* is the clock
-//! of the sender, *there* the other one; the difference is there minus here.
+//! of the sender, *there* the other one. The difference is there minus here.
 //!
 //! **The bound.** A message is not received before it is sent. So the difference was at most `t2 - t1` when the
-//! request arrived, and at least `t3 - t4` when the reply left, however the delay was divided between the two
-//! ways. If the difference changes by no more than `max_drift` per unit of time, both hold at another moment `c`
-//! too, less sharply. It is at most `t2 - t1 + max_drift |c - t1|` and at least `t3 - t4 - max_drift |c - t4|`.
-//! (In both cases the end of the interval in which the unknown moment lies is the worst, because `max_drift <
-//! 1`.) All exchanges together give the intersection. The true difference is in there whatever the network does,
-//! as long as the clocks drift no faster. The estimate is clamped into it, and its error is the distance to the
-//! farther end.
+//! request arrived, and at least `t3 - t4` when the reply left. That holds however the delay was divided between
+//! the two ways. If the difference changes by no more than `max_drift` per unit of time, both hold at another
+//! moment `c` too, less sharply. It is at most `t2 - t1 + max_drift |c - t1|` and at least `t3 - t4 - max_drift
+//! |c - t4|`. (In both cases the end of the interval in which the unknown moment lies is the worst, because
+//! `max_drift < 1`.) All exchanges together give the intersection. The true difference is in there whatever the
+//! network does, as long as the clocks drift no faster. The estimate is clamped into it, and its error is the
+//! distance to the farther end.
 //!
 //! **The estimate.** As in NTP (RFC 5905), exchanges with a short delay say most. The difference is taken from the
 //! middle of the shortest, and carried on with the drift. The drift is the median of the slopes between short ones

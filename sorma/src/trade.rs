@@ -156,8 +156,8 @@ impl Sorm {
         }
     }
 
-    /// Has a request met by the daemon with the best offer. When a daemon gives no answer the next one is
-    /// asked, if the request was certainly not executed, or if the caller has said that twice does no harm.
+    /// Has a request met by the daemon with the best offer. A daemon may give no answer. Then the next one
+    /// is asked if the request was certainly not executed, or if the caller permits a second execution.
     pub(crate) async fn ask_traded(
         &self,
         comm: &dyn Comm,

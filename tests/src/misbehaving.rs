@@ -1,5 +1,5 @@
 //! A program like `ctos` with event handlers of its own, which break the rules of startup and of
-//! stopping: what the boot must then say and undo is tested with it.
+//! stopping. With it, tests check what the boot then says and undoes.
 
 mod durable;
 mod load;

@@ -308,7 +308,7 @@ pub enum ProcessOrder {
     Kill(u8),
 }
 
-/// What the service wants, for who carries it out.
+/// What the service wants, for the code that carries it out.
 pub type ProcessOrders = mpsc::UnboundedReceiver<ProcessOrder>;
 
 /// What the service is started with.

@@ -77,7 +77,7 @@ pub enum Overrun {
     Skip,
     /// They run once, late, in the tick that comes next, however many turns they lost.
     RunLateOnce,
-    /// They wait for their next turn, and the tasks of the schedule have failed: the app is stopped
+    /// They wait for their next turn, and the tasks of the schedule have failed. The app is stopped
     /// in order, with the schedule still running, so that hardware can come to rest.
     Stop,
 }

@@ -1,4 +1,4 @@
-//! What one chassis knows of where tasks are: names it was told, ids that were replaced by others, and
+//! What one chassis knows of the places of tasks: known names, ids that were replaced by others, and
 //! the slots of its own processors that were given away.
 //!
 //! A task id is given away once in a run. When a task moves, or its chassis is started again, its name

@@ -68,7 +68,7 @@ fn agent_of(chassis: u8) -> TaskRef {
     TaskRef::new("agent", system::agent_tid(chassis))
 }
 
-/// Redirects this chassis to the new place of a task: its messages go straight there from now on, and a
+/// Redirects this chassis to the new place of a task. Its messages go straight there from now on, and a
 /// fence follows those that went by the old place.
 pub async fn redirect(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
     let chassis = cx.chassis();

@@ -266,8 +266,8 @@ fn drop_unanswered(slot: ReplySlot) {
     }
 }
 
-/// Names an answer that is owed, without the right to give it: for the loop of the task, whose handler
-/// has that right, and may have passed it on.
+/// Names an answer that is owed, without the right to give it. It is for the loop of the task, whose
+/// handler has that right, and may have passed it on.
 pub(crate) enum ReplyKey {
     /// To a call of a task of this chassis.
     Local(CallKey),

@@ -343,7 +343,8 @@ impl Barrier {
         self
     }
 
-    /// Waits until everybody has arrived. Who gives up, or dies, before that has not arrived.
+    /// Waits until everybody has arrived. A task that gives up, or dies, before that has not
+    /// arrived.
     ///
     /// # Errors
     /// [`SemaphoreError::Missing`] names those who have arrived.

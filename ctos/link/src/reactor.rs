@@ -1,8 +1,8 @@
 //! The reactor of a chassis: a processor with nothing else to do reads what comes over the links.
 //!
 //! A processor that runs out of work does not just sleep, it waits at the links, and handles what it
-//! reads there itself. So a message from another process costs one wake-up and no second thread.
-//! Only one thread at a time waits there, the leader; while all processors are busy a thread that has
+//! reads there itself. So a message from another process costs one wake-up and no second thread. Only
+//! one thread at a time waits there, the leader. While all processors are busy, a thread that has
 //! nothing else to do, the standby, leads, `TICK` to two of them late.
 //!
 //! Here is which thread leads, and how long it spins and sleeps; the links themselves are in `sources.rs`.

@@ -227,7 +227,7 @@ impl Fabric {
     }
 }
 
-/// Makes a stream to who listens at `key`, until `ended`. Waits for the network.
+/// Makes a stream to the listener at `key`, until `ended`. Waits for the network.
 fn call(session: &Session, key: &str, ended: impl Fn() -> bool) -> io::Result<End> {
     let failed = || refused("cannot call");
     let querier = session

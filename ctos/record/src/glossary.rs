@@ -1,7 +1,7 @@
 //! What the numbers of a record mean: names of tasks and commands, and what the data of these looks like.
 //!
-//! It stands in the file itself, at its beginning and wherever something has become known since, so that a
-//! file can be read by programs that do not know the app.
+//! It stands in the file itself, at its beginning and wherever something has become known since. So
+//! programs that do not know the app can read the file.
 
 use std::{collections::BTreeMap, sync::Arc};
 

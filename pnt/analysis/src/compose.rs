@@ -385,8 +385,8 @@ fn check_retries(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
 /// Ways in which the places that a transition empties may be filled, as many as are told apart.
 const MOST_RESETS: u64 = 4096;
 
-/// What a reset arc takes out of a place where room is kept for actions depends on what is there, so
-/// each number of tokens becomes a step of its own.
+/// Where a place reserves space for actions, what a reset arc takes out depends on the tokens there.
+/// So each number of tokens becomes a step of its own.
 fn check_resets(net: &Net, findings: &mut Findings) {
     for transition in net.transitions() {
         let ways = transition.resets.iter().map(|id| {

@@ -4,7 +4,7 @@
 //! Each slot is a sequence lock (Boehm, "Can seqlocks get along with programming language memory
 //! models?", MSPC 2012). Its first word is `2 n - 1` while record `n` is being written and `2 n` when
 //! it is whole. All words, data too, are relaxed atomics, so that there is no data race; fences order
-//! them. As the word holds the number of the record and not only its parity, a reader also sees that
+//! them. The word holds the number of the record and not only its parity. So a reader also sees that
 //! a slot holds another record than the one it wants.
 //!
 //! Written against a trait, so that the same lines run over shared memory and in a model checker. It

@@ -80,7 +80,7 @@ pub enum NameError {
 
 impl NameError {
     /// Whether the task may come back all the same: its chassis is still being restarted, or somebody may
-    /// still start it. Who asks again waits again. False when that is known not to happen.
+    /// still start it. A caller that asks again waits again. False when that is known not to happen.
     #[must_use]
     pub fn may_come_back(&self) -> bool {
         match self {

@@ -1,4 +1,4 @@
-//! The secret of a port at the loopback that has no keys: a program that may read files of this user
+//! The secret of a port at the loopback that has no keys. A program that may read files of this user
 //! knows it, a page in the user's browser does not.
 
 use std::{

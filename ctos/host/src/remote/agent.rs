@@ -1,6 +1,6 @@
 //! The agent of a host: waits for boots, lets in who may boot, and has a [`Run`] for each.
 //!
-//! Everything a stranger does is bounded, as at the door of a mesh; who is refused is logged and
+//! Everything a stranger does is bounded, as at the door of a mesh; refusals are logged and
 //! counted.
 
 use std::{

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Bodies up to this size, bytes, are copied behind their heads, so that many small packets leave
-/// with one system call; larger ones are written from where they are.
+/// with one system call. Larger ones are written from where they are.
 const COPIED: usize = 4 * 1024;
 
 /// How many bytes are made ready for the stream at a time, at least.

@@ -35,9 +35,9 @@ const PIECE: usize = if cfg!(test) { 2 } else { 1 << 10 };
 /// Slots from which on several threads together move a table.
 const MOVED_TOGETHER: usize = if cfg!(test) { 16 } else { 1 << 16 };
 
-/// An empty slot. No number has all bits set: the table is never full. What a slot holds stands there with
-/// all bits turned over, so that an empty table is zeros, which the kernel makes page by page for whichever
-/// thread comes to them first.
+/// An empty slot. No number has all bits set: the table is never full. The value of a slot is stored with
+/// all bits inverted, so that an empty table is zeros. The kernel makes these page by page for the thread
+/// that comes to them first.
 const EMPTY: u32 = u32::MAX;
 
 /// The longest table, and the most markings of one store.
@@ -294,7 +294,7 @@ impl Store {
                 place.store(*word, Ordering::Relaxed);
             }
             let taken = &self.table[at];
-            // Released is the marking: who acquires the slot sees its words.
+            // This releases the marking: a thread that acquires the slot sees its words.
             if alone {
                 taken.store(!(tag | number), Ordering::Release);
             } else if taken

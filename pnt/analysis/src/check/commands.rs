@@ -61,8 +61,8 @@ pub fn workflows(system: &System, limits: &Limits) -> Vec<Workflow> {
         .collect()
 }
 
-/// Looks at every command that comes on tapes of which it is said what comes there: whether it can always
-/// be answered, from every marking that is reached with it.
+/// Checks every command on tapes with a given language: whether it can always be answered, from every
+/// marking that is reached with it.
 #[must_use]
 pub(super) fn on_tapes(
     system: &System,

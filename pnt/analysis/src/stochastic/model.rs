@@ -490,7 +490,8 @@ const MOST_WAYS: u64 = 4096;
 
 /// Whether a transition that empties places in which actions are kept room can be one transition of the
 /// model for each number of tokens there. Each has a clock of its own, which begins again when the number
-/// changes: that is the same only if no time is waited, or an exponential one by one server.
+/// changes. That is the same only if the transition waits no time, or an exponential time with one
+/// server.
 fn can_be_told_apart(net: &Net, transition: &Transition) -> bool {
     let waits = match (transition.action.is_some(), transition.timing) {
         (true, _) | (false, Timing::Immediate) => false,

@@ -1,6 +1,6 @@
 //! When timed transitions fire: the race of generalized stochastic Petri nets (architecture report,
 //! section 6, reference 4). A transition's clock is set when it becomes enabled, runs while it stays
-//! enabled and is thrown away when it is not (enabling memory); the first clock to run out wins. With
+//! enabled and is thrown away when it is not (enabling memory). The first clock to run out wins. With
 //! several servers a transition has as many clocks as its tokens allow.
 //!
 //! The race keeps clocks and draws times; it knows no clock of the world. The caller says what time it

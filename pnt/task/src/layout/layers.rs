@@ -190,8 +190,8 @@ fn circles(count: usize, arcs: &[Option<(usize, usize)>]) -> Vec<bool> {
     reversed
 }
 
-/// The layer of every node of a graph without circles: as far left as its arcs allow, and then as near
-/// to its followers as those that come before it allow.
+/// The layer of every node of a graph without circles. It is as far left as its arcs allow, and then
+/// as near to its successors as its predecessors allow.
 fn depths(count: usize, arcs: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
     let mut after: Vec<Vec<usize>> = vec![Vec::new(); count];
     let mut left = vec![0_usize; count];

@@ -1,5 +1,5 @@
-//! A store in the memory of a simulated host. A commit takes a while, as a disk does; a process that
-//! dies meanwhile leaves all of it or nothing, by a coin that depends on the run's seed.
+//! A store in the memory of a simulated host. A commit takes a while, as on a disk. A process that
+//! dies meanwhile leaves all of it or nothing, by chance drawn from the run's seed.
 
 use std::{
     path::Path,

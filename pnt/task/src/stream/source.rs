@@ -133,8 +133,8 @@ impl Source {
         }
     }
 
-    /// Begins a new stream, of a net that is put in place of this one or goes on where it was; those who
-    /// follow see it as a whole.
+    /// Begins a new stream, of a net that is put in place of this one or goes on where it was. Followers
+    /// get its whole state.
     pub(crate) fn begin_again(&mut self, now: Instant, execution: &Execution) {
         let mut begun = Self::new(Arc::clone(execution.net()), now);
         begun.run = now.as_nanos().max(self.run + 1);
@@ -386,8 +386,9 @@ impl Source {
         self.watched
     }
 
-    /// Answers those for whom there is something new. Who needs the net as a whole waits until there is
-    /// such a state that may be seen: the present one, if it is `settled`, or that of the latest commit.
+    /// Answers the followers for which there is something new. A follower that needs the net as a whole
+    /// waits for a state that may be seen. That is the present one, if it is `settled`, or that of the
+    /// latest commit.
     pub(crate) fn answer(&mut self, now: Instant, execution: &Execution, settled: bool) {
         if settled {
             self.show_all();

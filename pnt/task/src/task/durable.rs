@@ -109,7 +109,7 @@ impl Engine {
     pub(super) fn show(self: &Rc<Self>, reply: Replier<Marking>) {
         let snapshot = self.snapshot();
         if self.durable.broken.get() {
-            // Answering never fails; who has asked and is gone needs no answer.
+            // Answering never fails; a caller that is gone needs no answer.
             let _ = reply.ok(snapshot);
             return;
         }

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::messages::{RequestId, TapeAnswer};
 
-/// Answers that are kept for who asks again; the oldest is forgotten first.
+/// Answers that are kept for repeated requests; the oldest is forgotten first.
 const KEPT: usize = 256;
 
 /// What was asked for under a number.
@@ -87,12 +87,12 @@ impl Once {
         self.open.insert(number, Asked { request, symbol });
     }
 
-    /// A command was taken off the tape: who asks again asks anew.
+    /// A command was taken off the tape: a repeated request counts as new.
     pub(super) fn forget(&mut self, number: u64) {
         self.open.remove(&number);
     }
 
-    /// A command has its answer. Returns whether it is kept for who asked.
+    /// A command has its answer. Returns whether it is kept for the caller.
     pub(super) fn answered(&mut self, number: u64, answer: &TapeAnswer) -> bool {
         let Some(asked) = self.open.remove(&number) else {
             return false;

@@ -85,7 +85,7 @@ proptest! {
         }
     }
 
-    /// However late base ticks come: every release of a function is either taken or counted as missed, a tick
+    /// However late base ticks come, every release of a function is either taken or counted as missed. A tick
     /// takes one release at most, and only `run-late-once` takes one late.
     #[test]
     fn no_turn_is_lost_without_being_counted(
