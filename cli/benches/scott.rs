@@ -1,6 +1,6 @@
-//! What a request of a script costs that the program `scott` has met by a running app: the time for 2,000 requests less that
-//! for 1,000, so that starting, finding the app and ending cost nothing. Beside it a byte that goes to another process over a
-//! Unix socket and back, in turns: the ratio says what the machine does not.
+//! The cost of a request in a script that `scott` sends to a running app. It is the time for 2,000 requests less that
+//! for 1,000, so that starting, finding the app and ending do not count. A byte to another process over a Unix socket
+//! and back is measured in turns with it: the ratio does not depend on the machine.
 
 #![allow(
     clippy::unwrap_used,

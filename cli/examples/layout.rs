@@ -1,6 +1,6 @@
-//! Makes the positions file of the camera calibration: lamp positions spread over the arm's work volume
-//! that the arm can take and both cameras can see, in an order of short moves. Tells on standard error
-//! how well they determine each camera (Cramér-Rao bound).
+//! Makes the positions file of the camera calibration: lamp positions spread over the arm's work
+//! volume, in an order of short moves. The arm can take each, and both cameras see it. Tells on
+//! standard error how well they determine each camera (Cramér-Rao bound).
 //!
 //! ```text
 //! cargo run --release -p cli --example layout > configs/positions.csv

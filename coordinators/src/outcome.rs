@@ -1,5 +1,6 @@
 //! What kept a Coordinator from doing what it was asked, as a type from the Execution Level up to the
-//! command. Only what a net names may be skipped; knows no task and no net.
+//! command. Only what a net names may be skipped. Knows no net, and of tasks only their errors
+//! (`HandlerError`).
 
 use std::fmt;
 

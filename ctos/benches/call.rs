@@ -1,8 +1,8 @@
-//! A call there and back, and messages one way: between two tasks of one processor, two processors and
-//! two processes, each beside what the same costs with bare tokio channels or a bare socket.
+//! A call there and back, and messages one way: between two tasks of one processor, of two processors
+//! and of two processes. Beside each stands the same with bare tokio channels or a bare socket.
 //!
-//! The tasks run in processes that this program boots; a benchmark asks the calling task over a socket
-//! to make [`BATCH`] calls at once, so the asking itself does not count.
+//! The tasks run in processes that this program boots. A benchmark asks the calling task over a socket
+//! to make [`BATCH`] calls at once, so the request itself does not count.
 
 #![allow(
     clippy::unwrap_used,

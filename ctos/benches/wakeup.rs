@@ -1,6 +1,6 @@
-//! How late a function is that shall run every 4.5 ms: on a processor of ours, with and without real-time
-//! priority and spinning, beside a bare loop around `clock_nanosleep` and `tokio::time::interval`; on a machine
-//! that is idle, and with every CPU busy.
+//! How late a function with a period of 4.5 ms runs. A processor of ours, with and without real-time priority
+//! and spinning, stands beside a bare loop around `clock_nanosleep` and `tokio::time::interval`. All run on an
+//! idle machine, and with every CPU busy.
 //!
 //! ```text
 //! cargo bench -p ctos --bench wakeup             # 5 s a cell

@@ -1,10 +1,10 @@
 //! CTOS, the runtime that everything else stands on: event handler tasks, found by symbolic name, that
 //! exchange messages across threads, processes and machines, booted from a configuration file.
 //!
-//! It re-creates the five services of the CIRSSE Testbed Operating System (CIRSSE report 108,
-//! section 3): bootstrap ([`boot`]), task identification ([`task::Context::task`]), message passing
-//! ([`message`], [`call`]), synchronization ([`sync`], [`realtime`]) and inter-processor blocking
-//! ([`semaphore`]); inside a chassis also shared memory ([`chassis::Chassis::share`]). It knows nothing of robots, nets or pictures.
+//! It re-creates the five services of the CIRSSE Testbed Operating System (CIRSSE report 108, section 3). These are
+//! bootstrap ([`boot`]), task identification ([`task::Context::task`]), message passing ([`message`], [`call`]),
+//! synchronization ([`sync`], [`realtime`]) and inter-processor blocking ([`semaphore`]). Inside a chassis there is
+//! also shared memory ([`chassis::Chassis::share`]). It knows nothing of robots, nets or pictures.
 //!
 //! Start with [`task::EventHandler`]; register it in a [`registry::Registry`]; name it in a
 //! configuration ([`config`]); boot that with [`boot::boot`].

@@ -1,8 +1,7 @@
 //! Synchronous functions and real time in processes of their own, as a user's app has them.
 //!
-//! Its own main, because the chassis it boots are processes of the same program. Their allocator, and
-//! their log, end the process when they are used on a thread that is armed: that is how the loop of a processor
-//! is seen to use neither.
+//! Its own main, because the chassis it boots are processes of the same program. Their allocator and their log
+//! end the process when they are used on an armed thread. That shows that the loop of a processor uses neither.
 
 #![allow(
     clippy::unwrap_used,

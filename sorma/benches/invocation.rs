@@ -1,5 +1,5 @@
-//! What it costs to call a service object: table 1.2 of the technical report, as far as one process
-//! goes, beside a plain function and a virtual call in the same run.
+//! The cost of calling a service object: table 1.2 of the technical report, as far as it needs one
+//! process. Beside it stand a plain function and a virtual call in the same run.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,5 +1,5 @@
-//! Table 1.2 of the technical report, all its rows, in one run on this machine; beside them a raw tokio
-//! socket that carries the same bytes, and what 10,000 flavors cost in one manager.
+//! Table 1.2 of the technical report, all its rows, in one run on this machine. Beside them stand a raw
+//! tokio socket that carries the same bytes, and the cost of 10,000 flavors in one manager.
 //!
 //! What counts are the ratios of one run. The raw peer and the daemon take turns, so that a machine that is
 //! busy with other work disturbs both. `--pin` keeps everything on one core, `--pin2` the two processes on two.

@@ -1,5 +1,5 @@
 //! Trading, load balancing and demand streams: three daemons offer the same class with different prices, and a client
-//! has a stream of frames worked on by whoever suits best. In virtual time, so that it is the same every time.
+//! has the best of them work on a stream of frames. In virtual time, so that it is the same every time.
 //!
 //! ```text
 //! cargo run -p sorma --example market
@@ -131,7 +131,7 @@ async fn shown(cx: &Context, sorm: &Sorm) -> Result<String, String> {
     let took = cx.now().since(begun).as_secs_f64();
     writeln!(told, "balanced: {} in {took:.1} s", by.join(" ")).map_err(cannot)?;
 
-    // Demand streams: the frames go on to whoever is free, and another subscriber sees each of them too.
+    // Demand streams: the frames go on to a free daemon, and another subscriber sees each of them too.
     let frames = sorm.subscribe(&comm, "event.frames", Keep::Every(10));
     let mut frames = frames.await.map_err(|report| report.to_string())?;
     ask("stream.frames EXEC begin").await?;

@@ -2,8 +2,8 @@
 //! once; with `-object` one object asked without waiting), `stream` (another object's results) and `event` (notification). In code it is
 //! [`Sorm::ask_later`], [`Sorm::fork`], [`Sorm::subscribe`] and their like.
 //!
-//! None of them keeps its caller waiting for more than what it was asked to wait for: what is not there yet
-//! is answered with [`NOT_YET`](crate::ipc::NOT_YET), as by the other classes for communication.
+//! None of them keeps its caller waiting for longer than it was asked to. What is not there yet is answered
+//! with [`NOT_YET`](crate::ipc::NOT_YET), as by the other classes for communication.
 
 mod answer;
 mod event;

@@ -1,20 +1,21 @@
-//! The difference of the clocks of two processes on different hosts, estimated again and again from the
-//! messages that go there and back (SORMA technical report, section 2.2.5), with a bound on the error.
+//! The difference of the clocks of two processes on different hosts, with a bound on the error (SORMA
+//! technical report, section 2.2.5). It is estimated again and again from the messages that go there
+//! and back.
 //!
-//! It sends nothing: who has a request and its reply feeds it their four times. *Here* is the clock of whoever
-//! asks, *there* the other one; the difference is there minus here.
+//! It sends nothing: the sender of a request feeds it the four times of request and reply. *Here* is the clock
+//! of the sender, *there* the other one. The difference is there minus here.
 //!
 //! **The bound.** A message is not received before it is sent. So the difference was at most `t2 - t1` when the
-//! request arrived, and at least `t3 - t4` when the reply left, however the delay was divided between the
-//! two ways. If the difference changes by no more than `max_drift` per unit of time, both hold at
-//! another moment `c` too, less sharply: it is at most `t2 - t1 + max_drift |c - t1|` and at least
-//! `t3 - t4 - max_drift |c - t4|` (in both cases the end of the interval in which the unknown moment lies is the
-//! worst, because `max_drift < 1`). All exchanges together give the intersection. The truth is in there
-//! whatever the network does, as long as the clocks drift no faster; what is said to be the
-//! difference is clamped into it, and its error is the distance to the farther end.
+//! request arrived, and at least `t3 - t4` when the reply left. That holds however the delay was divided between
+//! the two ways. If the difference changes by no more than `max_drift` per unit of time, both hold at another
+//! moment `c` too, less sharply. It is at most `t2 - t1 + max_drift |c - t1|` and at least `t3 - t4 - max_drift
+//! |c - t4|`. (In both cases the end of the interval in which the unknown moment lies is the worst, because
+//! `max_drift < 1`.) All exchanges together give the intersection. The true difference is in there whatever the
+//! network does, as long as the clocks drift no faster. The estimate is clamped into it, and its error is the
+//! distance to the farther end.
 //!
-//! **The estimate.** As in NTP (RFC 5905), exchanges with a short delay say most: the difference is taken from the
-//! middle of the shortest, carried on with the drift, which is the median of the slopes between short ones
+//! **The estimate.** As in NTP (RFC 5905), exchanges with a short delay say most. The difference is taken from the
+//! middle of the shortest, and carried on with the drift. The drift is the median of the slopes between short ones
 //! (Theil and Sen), so that single bad exchanges do not count.
 
 use ctos::time::Instant;

@@ -14,7 +14,7 @@ use futures_util::future::LocalBoxFuture;
 use std::rc::Rc;
 use std::time::Duration;
 
-/// Work that goes on while whoever began it does something else; it is given a carrier of its own.
+/// Work that goes on while its caller does something else; it gets a carrier of its own.
 pub type Job = Box<dyn FnOnce(Rc<dyn Comm>) -> LocalBoxFuture<'static, ()> + Send>;
 
 /// What a daemon answers, or why it does not.
@@ -80,7 +80,7 @@ pub trait Comm {
         Box::pin(async move { self.ask(at, request).await.map(|_| ()) })
     }
 
-    /// Begins some work at once and goes on with it while whoever asked does something else.
+    /// Begins some work at once and goes on with it while the caller does something else.
     ///
     /// # Errors
     /// There is nothing here that could go on with it.
@@ -130,7 +130,7 @@ pub trait Comm {
         Box::pin(std::future::ready(Ok(())))
     }
 
-    /// The threads on which objects are called, so that none of them keeps whoever serves it from others. `None`:
+    /// The threads on which objects are called, so that none of them keeps its server from other objects. `None`:
     /// they are called at once.
     fn workers(&self) -> Option<&'static Workers> {
         None

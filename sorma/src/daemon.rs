@@ -44,9 +44,9 @@ pub struct Daemon {
     subscribers: Rc<Subscribers>,
 }
 
-/// Registers the handler. `shipped` is the dictionary that comes with the program, under those that a
-/// task's arguments name; `classes` registers the classes that a daemon serves, besides those that every daemon has:
-/// `dict`, `sorm`, `watch`, and for requests without waiting `fork`, `later`, `stream` and `event`.
+/// Registers the handler. `shipped` is the dictionary that comes with the program; those that a task's arguments
+/// name override it. `classes` registers the classes that a daemon serves, besides those that every daemon has.
+/// These are `dict`, `sorm`, `watch`, and for requests without waiting `fork`, `later`, `stream` and `event`.
 pub fn register(
     registry: &mut Registry,
     shipped: Dictionary,
@@ -116,7 +116,7 @@ impl Daemon {
         begin(cx, async move {
             let mut answer = sorm.ask(&Tasks::serving(&here), request).await;
             answer.body.opaque.share();
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = match here.keep(&sorm.kept()).await {
                 Ok(()) => reply.ok(answer.body),
                 Err(error) => reply.fail(not_kept(&error)),
@@ -149,7 +149,7 @@ impl Daemon {
         let (subscribers, here) = (Rc::clone(&self.subscribers), cx.clone());
         cx.spawn(async move {
             let taken = subscribers.take(&here, &request).await;
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = reply.ok(taken);
         });
         Ok(())
@@ -172,7 +172,7 @@ impl Daemon {
             };
             let answer = sorm.tell_traced(&comm, &request.line, &request.from, trace);
             let answer = answer.await;
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = match here.keep(&sorm.kept()).await {
                 Ok(()) => reply.ok(answer),
                 Err(error) => reply.fail(not_kept(&error)),

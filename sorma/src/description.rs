@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 /// One form of EXEC that a class understands, as it is written in the class's table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Form {
-    /// The text of the request: a word as it stands, in capitals what stands there (`FILE`), or the one
-    /// before the other (`camera NAME`); empty when the request has no text.
+    /// The text of the request: a literal word, a placeholder in capitals (`FILE`), or both (`camera
+    /// NAME`). Empty when the request has no text.
     pub text: &'static str,
     /// How many floats go in; [`Form::ANY`] for any number of them.
     pub floats: usize,

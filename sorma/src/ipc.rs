@@ -2,9 +2,9 @@
 //! with `stamp`), and queues,
 //! counting semaphores and blackboards (SORMA technical report, sections 1.7.1 and 1.7.2).
 //!
-//! None of them waits in EXEC: a call that cannot be done now says `not yet` at once and is asked again, so
-//! that whoever waits keeps no other caller of the object, or of its manager, from it. `docs/snapshots.md`
-//! and `docs/ipc.md` say what each understands.
+//! None of them waits in EXEC: a call that cannot be done now says `not yet` at once and is asked again. So
+//! a waiting caller blocks no other caller of the object, or of its manager. `docs/snapshots.md` and
+//! `docs/ipc.md` say what each understands.
 
 pub(crate) mod answer;
 pub mod blackboard;

@@ -2,8 +2,8 @@
 //! technical report, section 1.7).
 //!
 //! Whatever is said here holds for an object of this process as for one of another daemon. A request is
-//! begun at once, in the order in which requests are given, and is done to its end whoever stops listening;
-//! it ends with its task. None of it is ever executed twice.
+//! begun at once, in the order in which requests are given. It is done to its end even if the caller stops
+//! listening; it ends with its task. None of it is ever executed twice.
 
 use crate::comm::Comm;
 use crate::name::ObjectName;
@@ -25,7 +25,7 @@ pub struct Deferred<T> {
     answer: oneshot::Receiver<T>,
     /// What was found when it was looked for.
     found: Option<T>,
-    /// Stands in for an answer that never comes, because whoever should make it has ended.
+    /// Stands in for an answer that never comes, because the task that should make it has ended.
     instead: Option<T>,
 }
 
@@ -114,8 +114,8 @@ impl Sorm {
         }))
     }
 
-    /// One-way: has it done, and wants no answer. Done when whoever serves the object has taken it, and
-    /// not when it is executed. What the object reports is logged where it is served.
+    /// One-way: has it done, and wants no answer. It is done when the server of the object has taken
+    /// it, not when it is executed. What the object reports is logged where it is served.
     ///
     /// # Errors
     /// It was not taken: a name that leads nowhere, a daemon that is not there, or whose queue is full.
@@ -233,7 +233,7 @@ fn defer<T: Send + 'static, F: Future<Output = T> + 'static>(
     let (sender, answer) = oneshot::channel();
     comm.spawn(Box::new(move |comm| {
         Box::pin(async move {
-            // Whoever asked may have stopped listening.
+            // The caller may have stopped listening.
             let _ = sender.send(work(comm).await);
         })
     }))?;

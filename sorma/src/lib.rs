@@ -1,9 +1,9 @@
 //! Service objects with EXEC, CTRL and DBX, reached by one line of text.
 //!
-//! The core of SORMA (Walter and Ritter, technical report SFB360-TR-96-3, chapter 1): names,
-//! the transport structure, textual requests, option tables, the dictionary of recipes, and the
-//! manager that builds objects from their names. Other daemons are reached over the seam in [`comm`];
-//! [`daemon`] carries it by the tasks of CTOS.
+//! The core of SORMA (Walter and Ritter, technical report SFB360-TR-96-3, chapter 1): names, the
+//! transport structure, textual requests, option tables, and the dictionary of recipes. The manager
+//! builds objects from their names. Other daemons are reached over the seam in [`comm`]; [`daemon`]
+//! carries it by the tasks of CTOS.
 //!
 //! A file may use files of its own layer and of the layers before it:
 //!

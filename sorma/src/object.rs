@@ -249,7 +249,7 @@ impl Slot {
             .map_or(0, |results| results.subscribers())
     }
 
-    /// Gives whoever subscribes to the object's results a copy.
+    /// Gives subscribers to the object's results a copy.
     #[inline]
     pub(crate) fn publish(&self, sorm: &Sorm, body: &Transport) {
         if let Some(results) = self.results.get() {

@@ -1,15 +1,16 @@
 //! The untyped bytes of a transport structure: a buffer of its own, or memory that others have too.
 //!
-//! What an object writes here is its own, and the memory stays for the next call. What came from another process
-//! is read where it stands, and what goes to another process is lent to it (see [`ctos::Blob`]): a picture passes through any
-//! number of proxies without being copied.
+//! What an object writes here is its own, and the memory stays for the next call. What came from another process is
+//! read where it stands, and what goes to another process is lent to it (see [`ctos::Blob`]). So a picture passes
+//! through any number of proxies without being copied.
 
 use ctos::Blob;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::ops::Deref;
 
-/// Bytes, for example an image. To be read as a slice; whoever writes to them has them alone.
+/// Bytes, for example an image. They are read as a slice; a writer gets a copy of its own if others
+/// have them too.
 #[derive(Default)]
 pub struct Opaque {
     own: Vec<u8>,

@@ -81,7 +81,8 @@ impl Sorm {
         Ok(Handle { slot })
     }
 
-    /// What is said to whoever does not wait for an object any longer that another one has built.
+    /// The report to a caller that no longer waits for an object which is being built for another
+    /// caller.
     pub(crate) fn in_the_making(&self, local: &str) -> Report {
         let all = self.inner.building.lock();
         let since = all.iter().find(|one| one.name == local);
@@ -93,7 +94,7 @@ impl Sorm {
         )
     }
 
-    /// Builds an object that stands in no repository: for whoever asks alone, as a part of its own.
+    /// Builds an object that stands in no repository: for the caller alone, as a part of its own.
     ///
     /// # Errors
     /// As [`Sorm::get`].

@@ -1,5 +1,5 @@
-//! The way to daemons and tasks for an object that is called on a thread of its own: the task that serves it does the
-//! asking, on the thread to which it belongs.
+//! The way to daemons and tasks for an object that is called on a thread of its own. The task that serves the object
+//! asks for it, on the thread of that task.
 
 use crate::comm::{Answer, Comm, Job, NoAnswer, Taken};
 use crate::name::{Location, ObjectName};
@@ -16,7 +16,7 @@ use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot};
 
-/// Something to be asked on the other thread. It ends early when whoever asks stops listening.
+/// Something to be asked on the other thread. It ends early when the caller stops listening.
 type Order = Box<dyn for<'c> FnOnce(&'c dyn Comm) -> LocalBoxFuture<'c, ()> + Send>;
 
 /// The object's end.
@@ -77,7 +77,7 @@ impl Relay {
                 tokio::select! {
                     biased;
                     answer = asked => {
-                        // Whoever asked may have stopped listening just now.
+                        // The caller may have stopped listening just now.
                         let _ = to.send(answer);
                     }
                     () = to.closed() => {}

@@ -9,7 +9,7 @@ use std::panic::Location;
 /// How bad a report is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Severity {
-    /// Talk, for whoever wants to follow.
+    /// Details, for a person who wants to follow.
     #[default]
     Verbose,
     /// Done, but not as one would expect.
@@ -59,7 +59,7 @@ pub struct Report {
     pub time_ns: u64,
 }
 
-/// What a code means, for whoever reads it: the prototype of the reports that bear it.
+/// What a code means, in words: the prototype of the reports that bear it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Prototype {
     /// The code.

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! (SORMA technical report, section 1.4.1.) The text is taken as it stands, up to the next keyword
-//! outside quotes, without the space around it; a text that is one quoted word as a whole stands for
-//! what is in the quotes. Printing quotes where it must, so that reading gives the very same
+//! outside quotes, without the space around it. A text that is one quoted word as a whole stands for
+//! the content of the quotes. Printing quotes where it must, so that reading gives the very same
 //! structure back; floats come back to the bit.
 
 use crate::name::{NameError, ObjectName};

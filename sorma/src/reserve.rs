@@ -33,8 +33,8 @@ impl Reservation {
         now >= self.until
     }
 
-    /// Whether `from` may use the object: whoever has locked it, and while something is prepared in it
-    /// nobody.
+    /// Whether `from` may use the object. The caller that has locked it may; while something is
+    /// prepared in it, none may.
     pub(crate) fn is_of(&self, from: &str) -> bool {
         self.prepared.is_none() && self.by == from
     }

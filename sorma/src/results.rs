@@ -1,7 +1,7 @@
-//! The results of an object as they are made, for whoever subscribes to them (demand streams: SORMA
-//! technical report, section 1.9.2).
+//! The results of an object as they are made, for subscribers (demand streams: SORMA technical
+//! report, section 1.9.2).
 //!
-//! Each subscriber has a bounded copy of its own, so one that is slow or dead costs the object no more than
+//! Each subscriber has a bounded queue of its own. So a slow or dead one costs the object no more than
 //! putting a result where it is not fetched. This module knows one process; [`crate::stream`] goes on from
 //! here to other daemons.
 

@@ -1,8 +1,8 @@
 //! Calls of an object by reference, from any thread.
 //!
-//! Three handles for three needs. A [`Handle`] is shared, and each call takes the object's lock; a
-//! [`Claim`] has taken it once, so that a call costs what a virtual call does; an [`Owned`] object is
-//! nobody else's and stands in no repository.
+//! Three handles for three needs. A [`Handle`] is shared, and each call takes the object's lock. A
+//! [`Claim`] has taken it once, so that a call costs what a virtual call does. An [`Owned`] object is
+//! not shared and stands in no repository.
 
 use crate::dbx;
 use crate::meter;
@@ -170,7 +170,7 @@ impl Slot {
         let text = if within.is_some_and(|call| call.is_within(self)) {
             format!("`{name}` is in a call already: it was called by itself, directly or not")
         } else if self.waits() {
-            // Whoever has it may need this very thread to go on.
+            // The call that has it may need this very thread to go on.
             format!("`{name}` is in a call that waits for other objects")
         } else if let Some(body) = self.body.try_lock_for(PATIENCE) {
             return Ok(body);

@@ -1,5 +1,5 @@
-//! The service object request manager (SORM): keeps objects by their names, has them built on first
-//! use, and passes requests to them (SORMA technical report, sections 1.4.2 and 1.5).
+//! The service object request manager (SORM; SORMA technical report, sections 1.4.2 and 1.5). It
+//! keeps objects by their names, has them built on first use, and passes requests to them.
 //!
 //! One process, any thread; an object is called by reference at the cost of a virtual call.
 
@@ -67,7 +67,7 @@ pub type Kept = BTreeMap<String, String>;
 pub(crate) enum Place {
     Here,
     There(Location),
-    /// Whoever offers the class best.
+    /// The daemon with the best offer of the class.
     Traded(Wanted),
 }
 
@@ -170,7 +170,7 @@ impl Sorm {
         objects.get(aliased.as_deref().unwrap_or(name)).cloned()
     }
 
-    /// Adds an object that was built; who subscribed to its results before goes on with them.
+    /// Adds an object that was built; earlier subscribers to its results go on with them.
     pub(crate) fn add(&self, slot: Arc<Slot>) {
         if let Some(results) = self.inner.results.lock().get(slot.name()) {
             slot.feed(results);

@@ -1,8 +1,8 @@
 //! Demand streams: the results of an object, wherever it is, as they are made (SORMA technical report,
 //! section 1.9.2).
 //!
-//! The subscriber of an object of another process fetches what its daemon keeps for it, and says with that
-//! what has arrived; so a lost answer loses no result, and the daemon waits for nobody.
+//! The subscriber of an object of another process fetches what its daemon keeps for it, and each fetch
+//! says what has arrived. So a lost answer loses no result, and the daemon never waits for a subscriber.
 
 use crate::comm::{Comm, Taken};
 use crate::name::{Location, ObjectName};
@@ -105,7 +105,7 @@ impl Sorm {
         keep.check()?;
         let handle = self.resolve(name)?;
         let results = self.results(handle.name());
-        // Whoever builds it anew finds them by its name.
+        // When it is built anew, they are found by its name.
         handle.slot.feed(&results);
         Ok(results.subscribe(keep))
     }

@@ -268,7 +268,7 @@ fn nothing(commitment: &str) -> Report {
     )
 }
 
-/// The error of a reply, said by whoever asked.
+/// The error of a reply, as a report raised by the caller.
 fn refusal(reply: &Reply) -> Report {
     raise!(
         reply.body.code,

@@ -2,10 +2,10 @@
 //! report, sections 1.4.3 and 3.5).
 //!
 //! What is traded is written where daemons are named: in the dictionary, `SCALE trade arm=left -least price`
-//! in place of `SCALE d1`. A daemon offers a class with attributes, in its configuration or by
-//! `sorm CTRL -offer`. The offers that meet the requirements are ranked: those of daemons that answer before
-//! those that do not or are slow, then by attributes, then whoever had the object before, then by how long
-//! the daemon's answers took. Every client measures for itself.
+//! in place of `SCALE d1`. A daemon offers a class with attributes, in its configuration or by `sorm CTRL
+//! -offer`. The offers that meet the requirements are ranked. Daemons that answer come before those that do
+//! not or are slow. Then attributes decide, then which daemon had the object before, then how long the
+//! daemon's answers took. Every client measures for itself.
 
 pub(crate) mod market;
 pub(crate) mod wanted;
@@ -156,8 +156,8 @@ impl Sorm {
         }
     }
 
-    /// Has a request met by whoever offers it best. When a daemon gives no answer the next one is asked, if
-    /// the request was certainly not executed, or if the caller has said that twice does no harm.
+    /// Has a request met by the daemon with the best offer. A daemon may give no answer. Then the next one
+    /// is asked if the request was certainly not executed, or if the caller permits a second execution.
     pub(crate) async fn ask_traded(
         &self,
         comm: &dyn Comm,

@@ -86,7 +86,7 @@ impl Transport {
         self.opaque.clear();
     }
 
-    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks, and the trace, stay.
+    /// Empties it and keeps its memory, so that a call that repeats need not allocate. The caller and the trace stay.
     pub fn clear(&mut self) {
         self.empty();
         self.code = 0;

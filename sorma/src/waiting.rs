@@ -173,7 +173,7 @@ impl Sorm {
         });
         let built = match select(pin!(built), comm.sleep(slot::PATIENCE)).await {
             Either::Left((built, _)) => built,
-            // It goes on, for whoever asks next.
+            // It goes on, for the next caller.
             Either::Right(_) => return Err(self.in_the_making(&local)),
         };
         let (built, ended) = built.map_err(|(_, report)| report)?;

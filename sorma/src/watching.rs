@@ -1,5 +1,5 @@
-//! Watching: which requests the objects of a process meet, and what they answer, as long as somebody watches; and
-//! the class `watch`, by which one does so from anywhere by lines of text.
+//! Watching: which requests the objects of a process get, and what they answer, as long as there is a watcher.
+//! The class `watch` does so from anywhere by lines of text.
 //!
 //! What is wanted is picked out here, at the source: whatever a watcher does not want is neither kept nor sent. Each
 //! watcher has a buffer of its own, which drops the oldest when nobody fetches, so that no object ever waits for
@@ -214,7 +214,7 @@ impl Watchers {
 
     #[cold]
     fn note(&self, clock: &Clock, object: &str, method: Method, io: &Transport) -> Option<Begun> {
-        // Whoever watches everything does not want to see himself watching.
+        // A watcher of everything does not want to see its own requests.
         if object.split('.').next() == Some(CLASS) {
             return None;
         }

@@ -1,9 +1,9 @@
 //! Splitting a line into words, with quotes, and quoting a word so that it splits back to itself.
 //!
-//! One grammar for requests, CTRL options and dictionary recipes: words are separated by ASCII
-//! white space; a word that begins with `'` runs to the next `'` and is literal; a word that begins
-//! with `"` runs to the next `"` and knows `\"`, `\\`, `\n`, `\r`, `\t` and `\u{HEX}`. A quote inside
-//! a word is an ordinary letter.
+//! One grammar for requests, CTRL options and dictionary recipes. Words are separated by ASCII white
+//! space. A word that begins with `'` runs to the next `'` and is literal. A word that begins with
+//! `"` runs to the next `"` and knows `\"`, `\\`, `\n`, `\r`, `\t` and `\u{HEX}`. A quote inside a
+//! word is an ordinary letter.
 
 use std::ops::Range;
 use thiserror::Error;

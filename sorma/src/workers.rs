@@ -366,7 +366,7 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("`ctos restart "), "{text}");
-        // What building says reaches whoever asked first.
+        // The report of the building reaches the first caller.
         assert_eq!(built.body.code, code::VALUE);
     }
 

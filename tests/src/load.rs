@@ -1,5 +1,5 @@
 //! Tasks that load a running app and keep account of every message, for tests that move, kill and record
-//! them: senders number what they send, the sink checks what it is given, the judge compares.
+//! them. Senders number what they send, the sink checks what it is given, the judge compares.
 
 use std::{cell::RefCell, collections::BTreeMap, rc::Rc, time::Duration};
 

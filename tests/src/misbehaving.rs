@@ -1,5 +1,5 @@
 //! A program like `ctos` with event handlers of its own, which break the rules of startup and of
-//! stopping: what the boot must then say and undo is tested with it.
+//! stopping. With it, tests check what the boot then says and undoes.
 
 mod durable;
 mod load;
@@ -212,7 +212,7 @@ fn hold() {
     let is_held = std::env::args().any(|argument| argument == held);
     let number = variable("CTOS_INCARNATION").parse::<u32>();
     if is_held && number.is_ok_and(|number| times.parse().is_ok_and(|times| number <= times)) {
-        // Whoever waits for it reads it.
+        // The waiting test reads it.
         let _ = std::io::stderr().write_all(b"holds before it connects\n");
         loop {
             std::thread::park();

@@ -56,7 +56,7 @@ fn five_cameras_see_the_lamp_at_once_each_by_its_own_number() {
 #[test]
 fn what_a_killed_chassis_held_of_a_camera_is_taken_back() {
     let scratch = Scratch::new();
-    // A picture takes five seconds, and whoever holds a camera may do so for ten minutes.
+    // A picture takes five seconds, and a task may hold a camera for ten minutes.
     let cell = scratch.read("configs/cameras-cell.toml");
     let slow = cell.replacen("exposure_ms = 8.0", "exposure_ms = 5000.0", 1);
     scratch.write("configs/cameras-cell.toml", slow);

@@ -55,7 +55,7 @@ fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
 
 const DISPATCHER: &str = "nets.nets.get('dispatcher')";
 
-/// Takes pictures of a page, for whoever wants to look: `CTOS_PICTURES` is the folder. In light and dark colours, and
+/// Takes pictures of a page, for a person to look at: `CTOS_PICTURES` is the folder. In light and dark colours, and
 /// narrow.
 fn pictures(browser: &mut Browser, name: &str) {
     let Some(folder) = std::env::var_os("CTOS_PICTURES").map(std::path::PathBuf::from) else {
@@ -147,7 +147,8 @@ fn the_page_tells_in_a_line_why_the_whole_waits_and_shows_nets_side_by_side() {
     let scratch = scratch();
     let (_run, page) = boot(&scratch, &[]);
     let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
-    // While the arm moves: through nets and tasks to whoever is at work, and how long that will take.
+    // While the arm moves: through nets and tasks to the task that works, and how long that will
+    // take.
     let why = "document.querySelector('#why').textContent";
     browser.wait(&format!(
         "/^dispatcher waits for motion, which waits for mcs, which waits for .*planner, which moves the arm: [0-9.]+ s to go$/.test({why})"

@@ -1,5 +1,5 @@
-//! The calibration of `configs/`, disturbed at seeded moments in virtual time: what is told at its end is
-//! true, the arm stands when it should, and no result of an earlier run is overwritten by a worse one.
+//! The calibration of `configs/`, disturbed at seeded moments in virtual time. Its final report is true,
+//! the arm stands when it should, and no result of an earlier run is overwritten by a worse one.
 //!
 //! `CTOS_MOMENTS=40` tries so many moments of the whole calibration; without it each disturbance is tried
 //! at one moment of a shorter one.

@@ -1,5 +1,5 @@
-//! The documents hold together: every page of the book stands in its summary, every link and every anchor leads
-//! somewhere, and the tutorial shows the files and the output of a program that is built with the tests.
+//! The documents hold together. Every page of the book stands in its summary, and every link and every anchor
+//! leads somewhere. The tutorial shows the files and the output of a program that is built with the tests.
 //!
 //! `cli/tests/program/readme.rs` compares the README with its example; other pages have tests beside what they tell of.
 

@@ -137,8 +137,9 @@ fn count(variable: &str, usual: usize) -> usize {
     std::env::var(variable).map_or(usual, |count| count.parse().unwrap())
 }
 
-/// Once in some hundred runs of an app like this, with a move each, a message came after a later one of its sender: a
-/// fence overtook requests that waited for the link. The records of all its processes break off again and again here.
+/// Once in some hundred runs of an app like this, with a move each, a message came after a later one of its sender. A
+/// fence had overtaken requests that waited for the link. The records of all its processes break off again and again
+/// here.
 #[test]
 fn messages_to_a_task_that_moves_while_records_break_off_come_once_and_in_order() {
     let (wanted, in_an_app) = (

@@ -1,7 +1,7 @@
 //! Runs the program in a scratch folder under a watchdog, and watches its lines and its processes.
 //!
-//! Nothing here sleeps: a test waits for a line, for the end of a process, or for the watchdog, which
-//! ends every process of the run and fails the test with all that was said.
+//! Nothing here sleeps: a test waits for a line, for the end of a process, or for the watchdog. The
+//! watchdog ends every process of the run and fails the test with all output.
 
 use std::{
     collections::BTreeMap,

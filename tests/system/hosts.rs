@@ -577,8 +577,8 @@ impl Drop for Network {
     }
 }
 
-/// The same over addresses that others could reach, with processes that cannot see each other: over TLS,
-/// with clocks that are compared, and where each listens at its own host's address.
+/// The same over addresses that others could reach, with processes that cannot see each other. Over TLS,
+/// with clocks that are compared; each process listens at its own host's address.
 #[test]
 fn hosts_that_see_nothing_of_each_other_but_their_addresses_make_one_app() {
     let Some(network) = Network::new() else {

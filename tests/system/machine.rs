@@ -1,5 +1,5 @@
-//! Faults of the machine and of those who use it, on real processes: too many tasks for one processor, a
-//! configuration that changes under a running app, a process that is stopped and goes on.
+//! Faults of the machine and of its users, on real processes: too many tasks for one processor, a
+//! configuration that changes under a running app, a process that is stopped and resumes.
 
 use std::{fmt::Write as _, time::Duration};
 

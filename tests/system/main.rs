@@ -1,5 +1,5 @@
 //! Tests of the whole system: the real program on the real configuration, copied into a folder of its
-//! own, with real processes where processes matter and in virtual time where they do not.
+//! own. Processes are real where they matter; elsewhere the tests run in virtual time.
 
 #![allow(
     clippy::unwrap_used,

@@ -132,8 +132,8 @@ fn v_shows_the_net_transitions_as_they_start_and_complete() {
             &firing(net, transition, "completed"),
         );
     }
-    // The two branches run side by side: both have started before either is over, but perhaps at the first
-    // position, where the arm stands already and one may be over in the instant in which both are asked.
+    // The two branches run side by side: both have started before either is over. The first position is an
+    // exception: the arm stands there already, and one branch may be over at once.
     let (mut busy, mut positions, mut beside) = (BTreeSet::new(), 0, 0);
     for line in ended.stderr.lines() {
         for (net, transition) in [("motion", "do_find_pos"), ("vision", "do_find_spot")] {

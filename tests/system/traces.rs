@@ -1,5 +1,5 @@
-//! A trace leads from a message to the handler that took it, to what a net fired because of it, and to the
-//! messages that were sent by that: followed through the record of a calibration in virtual time.
+//! A trace leads from a message to the handler that took it, to the firings of a net that it caused, and
+//! to the messages sent by these. Followed through the record of a calibration in virtual time.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -609,7 +609,7 @@ mod tests {
     #[test]
     fn a_look_at_a_connection_with_keys_waits_for_nothing_finds_the_end_and_keeps_what_came_of_a_line()
      {
-        /// Whoever waited would never come to an end.
+        /// A wait for this long would never end.
         const PATIENCE: Duration = Duration::from_secs(100_000);
         let folder = tempfile::tempdir().unwrap();
         let key = |name: &str, role| {

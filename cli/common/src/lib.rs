@@ -1,5 +1,5 @@
-//! What the programs `ctos` and `scott` share: what a person sees, exit codes, tables, how a running app is reached,
-//! how a page is served, the files of records, and the names of forms of nets. Knows no command, no net and no service object.
+//! What the programs `ctos` and `scott` share: output, exit codes, tables, how a running app is reached, how a page
+//! is served, the files of records, the names of forms of nets. Knows no command, no net and no service object.
 
 pub mod client;
 pub mod exit;

@@ -1,5 +1,5 @@
-//! What the tasks that serve a page have in common: an address that is bound before anything else is done, who may
-//! do what there, how its files are sent, and a server on a thread of its own. Knows no page.
+//! What the tasks that serve a page have in common: who may do what there, how files are sent, and a server on a
+//! thread of its own. The address is bound before anything else is done. Knows no page.
 
 use std::{
     io,
@@ -284,7 +284,7 @@ pub enum Right {
 }
 
 impl Door {
-    /// What whoever shows this may do.
+    /// The right that these bytes give.
     pub fn right(&self, shown: &[u8]) -> Option<Right> {
         let same = self.token.as_ref().is_some_and(|token| {
             // Looked at to its end, wherever it differs.

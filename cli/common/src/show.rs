@@ -84,7 +84,7 @@ static CLOCK: OnceLock<Clock> = OnceLock::new();
 pub fn say_json(clock: Option<Clock>) {
     JSON.store(true, Ordering::Relaxed);
     if let Some(clock) = clock {
-        // Whoever sets it first is the app; a simulation of many seeds has one clock for each.
+        // The app sets it first; a simulation of many seeds has one clock for each.
         let _ = CLOCK.set(clock);
     }
 }

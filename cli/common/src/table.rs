@@ -64,7 +64,7 @@ pub fn terminal(stream: impl IsTerminal + AsFd) -> Option<usize> {
         .then(|| terminal_size_of(stream).map_or(80, |(Width(columns), _)| usize::from(columns)))
 }
 
-/// A text as a terminal shows it: its long lines [`wrapped`]. Whoever reads anything else gets it as it is.
+/// A text as a terminal shows it: its long lines [`wrapped`]. Other outputs get it as it is.
 pub fn for_terminal(text: &str) -> String {
     terminal(io::stdout()).map_or_else(|| text.to_owned(), |width| wrapped(text, width))
 }

@@ -152,7 +152,7 @@ impl Hub {
         }
     }
 
-    /// With the names of the app's tasks, of which whoever asks is told more.
+    /// With the names of the app's tasks; a viewer can ask for more about each.
     pub(crate) fn with_tasks(self, names: Vec<String>) -> Self {
         self.known().names = names;
         self
@@ -205,7 +205,7 @@ impl Hub {
         }
         let name = view.name.clone();
         known.tracks.insert(name, Track::new(view, state)?);
-        // Whoever looks on is told everything anew. Nobody may be looking.
+        // Viewers get the whole state again. There may be none.
         let _ = self.news.send(News::Anew);
         Ok(())
     }

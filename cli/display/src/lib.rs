@@ -1,9 +1,9 @@
 //! The net display: an event handler that anyone can put into an app, `pnt.display`. It follows the streams
 //! of nets ([`pnt::stream`]) and serves a page that shows them, to any number of browsers up to a limit.
 //!
-//! Between the task, which lives on its processor, and the server, which lives on a thread of its own,
-//! stands the `hub`: what is known of all nets, and the messages about what is new. A browser that is
-//! slow loses messages there and is told everything anew; no net is ever asked on its behalf.
+//! The task runs on its processor, the server on a thread of its own. Between them stands the `hub`:
+//! what is known of all nets, and the messages about what is new. A slow browser loses messages there
+//! and gets the whole state again; no net is ever asked for that.
 //!
 //! Two commands show nets outside of an app: `ctos display` ([`watch`]) and `ctos net draw` ([`draw`]).
 

@@ -22,7 +22,7 @@ use super::{
     wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, TaskWait, Told},
 };
 
-/// How long whoever is asked may take.
+/// How long an asked task may take.
 const LIMIT: Duration = Duration::from_secs(2);
 
 /// Carries orders out, all at the same time, until the server ends.

@@ -176,7 +176,7 @@ fn keep_messages(cx: &Context, view: &NetView) {
     let child = cx.clone();
     cx.spawn(async move {
         for name in names {
-            // One that is not there is told to whoever asks for it.
+            // A viewer that asks for a missing one is told so.
             let _ = orders::look(&child, &name).await;
         }
     });

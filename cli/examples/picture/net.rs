@@ -61,8 +61,8 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// The net of a file at the moment when two requests are first served at the same time: its first command
-    /// is put on the tape, every action ends well, and coordinators answer only when nothing else can happen.
+    /// The net of a file at the moment when two requests are first served at the same time. Its first command
+    /// is put on the tape, every action succeeds, and coordinators answer only when nothing else can happen.
     pub fn at_fork(net: &Path, layout: &Path) -> Result<Self, Box<dyn Error>> {
         let source = Source::read(net).map_err(|f| f.to_string())?;
         let draft = text::parse(&source)?;

@@ -1,5 +1,5 @@
-//! The commands of `ctos net`, a file each: the tools of whoever writes nets, and interventions in running ones. Knows
-//! no robot: how an app is read comes from the program.
+//! The commands of `ctos net`, a file each: tools for authors of nets, and interventions in running ones. Knows no
+//! robot: how an app is read comes from the program.
 
 pub mod check;
 pub mod control;

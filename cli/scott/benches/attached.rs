@@ -1,6 +1,7 @@
-//! What a request costs that comes by the control socket of an app, as those of `scott` do: from this process to the boot, to
-//! the daemon in a process of its own, to the thread on which it has the object called, and back. Beside it a byte that goes
-//! from process to process over Unix sockets and back, in turns: the ratio says what the machine does not.
+//! The cost of a request that comes by the control socket of an app, as those of `scott` do. It goes from this
+//! process to the boot, to the daemon in a process of its own, to the thread that calls the object, and back. A byte
+//! over Unix sockets between processes and back is measured in turns with it: the ratio does not depend on the
+//! machine.
 
 #![allow(
     clippy::unwrap_used,
@@ -103,7 +104,7 @@ fn main() {
     let (tell, told) = channel();
     let booted = std::thread::spawn(move || {
         let observer: Observer = Arc::new(move |event| {
-            // Whoever waits may have heard enough.
+            // The receiver may be gone.
             let _ = tell.send(format!("{event:?}"));
         });
         boot(app(), registry(), &launcher, &observer).unwrap();

@@ -80,7 +80,7 @@ pub enum AttachError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interrupted;
 
-/// Set by Ctrl-C, and taken back by whoever obeys.
+/// Set by Ctrl-C, and cleared by the code that obeys.
 pub type Interrupt = Arc<AtomicBool>;
 
 /// A running app.

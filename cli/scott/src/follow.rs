@@ -25,8 +25,8 @@ use cli_common::{
 /// How often it is looked whether an app that is gone is back.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// Sends what the app says, line by line, until nobody takes it any more. `gone` says at any moment whether it is there;
-/// it is set before the line about it is sent, because that line is what has the prompt drawn anew.
+/// Sends what the app says, line by line, until nobody takes it any more. `gone` says at any moment whether it is
+/// there. It is set before the line about it is sent, because that line makes the prompt be drawn again.
 pub fn start(name: String, place: Where, above: SyncSender<String>, gone: Arc<AtomicBool>) {
     thread::spawn(move || {
         // Nothing is ever sent: it is what pauses.

@@ -1,5 +1,5 @@
-//! What a person at the prompt gets told and need not write: help from the descriptions of the classes, what there is, and
-//! numbers without `FMSG` and their count. Knows no terminal.
+//! What a person at the prompt is shown and need not write. That is help from the descriptions of the classes, what
+//! there is, and numbers without `FMSG` and their count. Knows no terminal.
 
 use std::{borrow::Cow, fmt::Write as _};
 

@@ -1,10 +1,10 @@
 //! The program `scott`, the inspector: service objects asked by lines of text (SORMA technical report,
 //! section 1.8.1).
 //!
-//! [`services`] gathers the objects, [`attach`] reaches those of a running app, [`lines`] reads scripts, [`script`] is the
-//! grammar, [`session`] runs it, [`replies`] and `numbers` write what comes of it, `helping` tells what there is,
-//! [`prompt`] is the line editor, [`complete`] what it offers. [`panel`] shows objects on a web page, for this program and
-//! as an event handler.
+//! [`services`] gathers the objects, [`attach`] reaches those of a running app. [`lines`] reads scripts, [`script`]
+//! is the grammar, [`session`] runs it, [`replies`] and `numbers` write the results. `helping` tells what there is,
+//! [`prompt`] is the line editor, [`complete`] what it offers. [`panel`] shows objects on a web page, for this
+//! program and as an event handler.
 
 pub mod attach;
 pub mod backend;

@@ -275,7 +275,7 @@ impl Session {
     fn tell(&self, text: &str) -> Flow {
         match show::data(text) {
             Ok(()) => Flow::On,
-            // Whoever read this has what they wanted.
+            // The reader has closed the output.
             Err(_) => Flow::Stop,
         }
     }
@@ -460,7 +460,7 @@ impl Session {
             }
         };
         if written.is_err() {
-            // Whoever read this has what they wanted.
+            // The reader has closed the output.
             return Flow::Stop;
         }
         self.remember(&reply.body);

@@ -162,7 +162,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         }
     }
     if let Some(listen) = args.display {
-        // Before what a person sets, who may set more of it.
+        // Before the settings of the person, which may add to these.
         let display = display_sets(listen, args.allow_control);
         args.app.sets.splice(0..0, display);
         if args.allow_control

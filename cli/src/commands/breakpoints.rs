@@ -27,7 +27,7 @@ pub struct Breakpoints {
 /// Whether somebody could release a net that pauses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Released {
-    /// Whoever may control it.
+    /// A person who may control the net.
     ByHand,
     /// Nobody: time goes by as fast as it can.
     Never,

@@ -1,4 +1,4 @@
-//! `ctos net`: the tools of whoever writes nets, gathered from their crates.
+//! `ctos net`: tools for authors of nets, gathered from their crates.
 
 use clap::{Args, Subcommand};
 use cli_display::draw;

@@ -1,5 +1,5 @@
-//! Files of nets that are wrong in every way that files are wrong: each is refused with exit code 3 and with the place
-//! of the mistake, and nothing is said of a net that would have been read half.
+//! Net files with every kind of mistake that files have. Each is refused with exit code 3 and the place of the
+//! mistake, and nothing is reported of a half-read net.
 
 use std::{fs, path::Path, process::Command};
 

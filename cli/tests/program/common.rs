@@ -12,8 +12,8 @@ pub fn root() -> PathBuf {
 
 /// A command that builds an example.
 ///
-/// Built as all tests are, for the whole workspace: asked for by itself, cargo would choose other features of
-/// what it depends on, and build all of that anew.
+/// Built as all tests are, for the whole workspace. By itself cargo would choose other features of its
+/// dependencies, and build all of them again.
 pub fn build(name: &str) -> Command {
     let mut build = Command::new(env!("CARGO"));
     // What cargo tells a test of its own package makes build scripts that look at it (ring's) run again, and

@@ -1,5 +1,5 @@
-//! Every command line in the README, the documents and the help is one that the programs take, and the files, tasks and
-//! breakpoints of the shipped apps that it names are there. Those that need neither a running app nor minutes are run.
+//! The programs take every command line in the README, the documents and the help. The files, tasks and breakpoints
+//! of the shipped apps that it names exist. Those that need neither a running app nor minutes are run.
 
 use std::{collections::BTreeSet, fs, path::Path, process::Command};
 

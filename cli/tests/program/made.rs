@@ -1,5 +1,5 @@
-//! What `ctos new` makes is compiled, tested and run: with the compiler itself and the libraries that the tests of this
-//! workspace are built with, because a package of its own would have cargo build all of them once more.
+//! What `ctos new` makes is compiled, tested and run. That is done with the compiler and the libraries that these
+//! tests are built with: for a package of its own cargo would build all of them once more.
 
 use std::{
     fs,

@@ -1,4 +1,4 @@
-//! `ctos net`, as whoever writes nets uses it.
+//! `ctos net`, as authors of nets use it.
 
 use std::{fs, path::Path, process::Command};
 

@@ -244,7 +244,7 @@ fn only_the_page_that_was_opened_by_its_address_may_ask() {
 fn an_app_serves_its_panels_itself_and_a_page_without_the_token_only_looks_on() {
     let (served, _folder) = serve_in_app(true);
     assert_eq!(served.token.len(), 32);
-    // Whoever shows the token may ask anything, of objects in another process.
+    // With the token a page may ask anything, of objects in another process.
     assert_eq!(served.ask("sorm CTRL -create foo.a")["ret"], 0);
     let wrong = served.ask("nothing EXEC");
     assert!(

@@ -1,5 +1,5 @@
-//! The documents say what is so: code in the README is code of the example, its output is the output of a
-//! run, and every file that a document names exists.
+//! The documents are true. Code in the README is code of the example, its output is the output of a run,
+//! and every file that a document names exists.
 
 use std::fs;
 

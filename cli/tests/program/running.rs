@@ -1,5 +1,5 @@
-//! Command lines of the documents and the help that need a running app are run against one, another host is this one, and
-//! files are those that the pages describe. No line is left that nothing runs.
+//! Command lines of the documents and the help that need a running app are run against one. Another host is this one,
+//! and files are those that the pages describe. No line is left that nothing runs.
 
 use std::{
     collections::BTreeSet,

@@ -43,7 +43,7 @@ pub use overview::{AppReport, MemberReport, Overview};
 pub use start::start_system_tasks;
 pub use states::{BootState, ChassisState};
 
-/// What happens while an app is up, for whoever shows it to a person.
+/// What happens while an app is up, for the code that shows it to a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]
@@ -308,7 +308,7 @@ pub enum ProcessOrder {
     Kill(u8),
 }
 
-/// What the service wants, for who carries it out.
+/// What the service wants, for the code that carries it out.
 pub type ProcessOrders = mpsc::UnboundedReceiver<ProcessOrder>;
 
 /// What the service is started with.

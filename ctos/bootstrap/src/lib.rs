@@ -1,5 +1,5 @@
-//! Brings an app up in three acknowledged phases, watches it, and takes it down in order: what every host of an app
-//! does, whether its chassis are processes or simulated.
+//! Brings an app up in three acknowledged phases, watches it, and takes it down in order. Every host of an app does
+//! that, whether its chassis are processes or simulated.
 //!
 //! It knows no socket and starts no process: that is the business of the hosts.
 

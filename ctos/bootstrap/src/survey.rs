@@ -1,5 +1,5 @@
-//! What a chassis tells about its tasks without disturbing them: read from their records, so that a
-//! task that is busy, or stuck, is seen as well as one that is idle.
+//! What a chassis tells about its tasks without disturbing them. It is read from their records, so
+//! that a busy or stuck task is seen as well as an idle one.
 
 use crate::refusals::Refusals;
 use ctos_core::{

@@ -1,5 +1,5 @@
 //! A configuration as one value that can be sent to another host: its files, the data files that
-//! its checks read, and what the command line and the environment here had to say.
+//! its checks read, and the settings of the command line and the environment here.
 
 use super::app::App;
 use super::expander::Expander;

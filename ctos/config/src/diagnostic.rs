@@ -1,7 +1,7 @@
 //! What is wrong in a file a person wrote, and where: findings with file, line and column.
 //!
 //! Every parser and checker of the workspace (configuration, nets, position files) reports through
-//! [`Findings`], so that one run of `ctos check` shows all of them, in order of place, in one form.
+//! [`Findings`]. So one run of `ctos check` shows all of them, in order of place, in one form.
 
 use std::{fmt, ops::Range, path::Path, sync::Arc};
 

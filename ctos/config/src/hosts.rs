@@ -85,7 +85,8 @@ impl App {
         }
     }
 
-    /// Without keys nothing may be beyond this host: whoever can reach it could drive the robot.
+    /// Without keys nothing may be beyond this host: anybody who can reach it could drive the
+    /// robot.
     fn hosts_without_keys(&self, findings: &mut Findings) {
         let mut push = |text: String, help: &str, place: Option<Place>| {
             let text = format!("{text}, and the app has no keys");

@@ -246,8 +246,8 @@ impl Node {
     /// [`Duration`] is; nothing else is converted.
     ///
     /// # Errors
-    /// The first thing that does not fit, at its key or value: an unknown key (with what was
-    /// probably meant), a missing key (at the table), a wrong type, a refused value.
+    /// The first mistake, at its key or value: an unknown key (with what was probably
+    /// meant), a missing key (at the table), a wrong type, a refused value.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, Finding> {
         super::de::read(self)
     }

@@ -1,8 +1,8 @@
 //! How long a processor looks for messages before it sleeps, chosen by where it and the others run.
 //!
-//! To wake a thread on another core that sleeps costs tens of microseconds on a virtual machine, to
-//! hand over to one that looks costs a fraction of one. On a core that the partner shares, looking
-//! keeps the partner from answering: there it is never worth it, but to let the partner have the core
+//! To wake a sleeping thread on another core costs tens of microseconds on a virtual machine. To
+//! hand over to a polling one costs a fraction of one. On a core that the partner shares, polling
+//! keeps the partner from answering, so it is never worth it there. To yield the core to the partner
 //! before going to sleep is.
 
 use std::time::Duration;

@@ -77,7 +77,7 @@ pub enum Overrun {
     Skip,
     /// They run once, late, in the tick that comes next, however many turns they lost.
     RunLateOnce,
-    /// They wait for their next turn, and the tasks of the schedule have failed: the app is stopped
+    /// They wait for their next turn, and the tasks of the schedule have failed. The app is stopped
     /// in order, with the schedule still running, so that hardware can come to rest.
     Stop,
 }
@@ -95,8 +95,8 @@ pub enum Lead {
 impl Lead {
     /// What is learned at least.
     pub const LEAST: Duration = Duration::from_micros(80);
-    /// What is learned at most. Whoever is later than this was kept from the core for other reasons, which no lead
-    /// would be long enough for.
+    /// What is learned at most. A thread later than this was kept from the core for other reasons, for which no
+    /// lead would be long enough.
     pub const MOST: Duration = Duration::from_micros(500);
 }
 

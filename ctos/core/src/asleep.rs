@@ -2,13 +2,13 @@
 
 use crate::concurrent::{AtomicBool, Ordering, fence};
 
-/// Set by the processor, cleared by whoever wakes it.
+/// Set by the processor, cleared by the thread that wakes it.
 #[derive(Default)]
 pub(crate) struct Asleep(AtomicBool);
 
 impl Asleep {
-    /// The processor sleeps now, unless `has_work`. Whoever brings something sees the announcement, or the
-    /// processor sees what was brought: of the two fences one comes first.
+    /// The processor sleeps now, unless `has_work`. A thread that brings something sees the announcement,
+    /// or the processor sees what was brought: of the two fences one comes first.
     pub(crate) fn fall(&self, has_work: impl FnOnce() -> bool) -> bool {
         // A swap here and below: so that each change comes after the one that it saw.
         self.0.swap(true, Ordering::SeqCst);

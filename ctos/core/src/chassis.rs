@@ -1,6 +1,6 @@
 //! A chassis: the tasks of one process, where their messages go, and what they share.
 //!
-//! Delivery is decided here and nowhere else: a task of this chassis gets a pointer, a task of
+//! `delivery` alone decides how a message travels: a task of this chassis gets a value, a task of
 //! another one gets a frame over the link. The sender waits the same way for both.
 
 pub(crate) mod delivery;
@@ -152,8 +152,8 @@ impl Chassis {
         processors.get(index.checked_sub(1)?)
     }
 
-    /// Where the thread of processor `index` sleeps and looks at links: nowhere where something must run in time,
-    /// and the runtime's own processor only where there is no other.
+    /// Where the thread of processor `index` sleeps and looks at links. Nowhere if something must run in time
+    /// there; the runtime's own processor does only where there is no other.
     pub(crate) fn park_of(&self, index: usize) -> Option<Arc<dyn Park>> {
         let may = match self.processor_config(index) {
             Some(config) => !config.realtime && config.period.is_none(),

@@ -1,8 +1,8 @@
 //! Tasks that a task starts while it runs: event handlers of their own beside it, which end with it.
 //!
-//! A child is named after its parent (`PARENT.NAME`), so that everybody can see to whom it belongs, and
-//! so that whoever waits for the name waits for the parent. It fails into its parent: what its own
-//! restart policy does not mend counts as a failure of the parent's handler.
+//! A child is named after its parent (`PARENT.NAME`). So the name shows to whom it belongs, and a task
+//! that waits for the name waits for the parent. It fails into its parent: what its own restart policy
+//! does not mend counts as a failure of the parent's handler.
 
 use crate::{
     context::{Context, TaskRef},

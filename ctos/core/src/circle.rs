@@ -1,9 +1,9 @@
 //! Who waits for whose reply, and whether such waits close to a circle.
 //!
 //! A task that waits takes no message, so tasks that wait for one another in a circle wait until the
-//! deadline of their calls. Each task notes whom it asked; when a call has waited `LONG`, the notes are
-//! followed from task to task, chassis by chassis, and a way that leads back is reported. Nothing is
-//! looked for while calls are answered in time.
+//! deadline of their calls. Each task notes whom it asked. When a call has waited `LONG`, the notes are
+//! followed from task to task, chassis by chassis, and a circle is reported. Nothing is looked for
+//! while calls are answered in time.
 
 use std::time::Duration;
 
@@ -69,8 +69,8 @@ async fn ask_agent(cx: &Context, task: Tid) -> Option<system::Waits> {
     answer.take::<Option<system::Waits>>().ok()?
 }
 
-/// What an agent answers for a task of its chassis: whom it waits for, if its handler is at work and has
-/// waited for long enough that the wait is no passing one.
+/// What an agent answers for a task of its chassis: whom it waits for. `None`, unless its handler is
+/// at work and has waited for so long that the wait is no passing one.
 pub fn of_task(chassis: &Chassis, task: Tid) -> Option<system::Waits> {
     let record = chassis.task(task)?;
     let (to, since) = record.statistics.waits()?.latest()?;

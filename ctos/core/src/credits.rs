@@ -1,5 +1,5 @@
-//! The places in one lane of a queue, counted by all threads: a sender takes a credit for each message that it
-//! brings, and the owner of the queue gives it back when it takes the message out. It knows nothing of messages.
+//! The places in one lane of a queue, counted by all threads. A sender takes a credit for each message that it
+//! brings; the owner of the queue gives it back when it takes the message out. It knows nothing of messages.
 
 use crate::concurrent::{AtomicBool, AtomicU32, Ordering};
 
@@ -30,7 +30,7 @@ impl Credits {
         is_open && self.take_past_others(capacity)
     }
 
-    /// Takes a credit if there is one, whoever waits.
+    /// Takes a credit if there is one, even while others wait.
     pub(crate) fn take_past_others(&self, capacity: usize) -> bool {
         let more = |taken: u32| ((taken as usize) < capacity).then_some(taken + 1);
         let took = self

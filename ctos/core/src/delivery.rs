@@ -31,7 +31,7 @@ pub enum Delivery {
 }
 
 impl Delivery {
-    /// The queue is gone: whoever waits is told.
+    /// The queue is gone: waiting senders are told.
     pub(crate) fn refuse(self) {
         if let Self::Message(message) | Self::Waits(message) = self {
             message.refuse(Fault::Stopping);

@@ -1,9 +1,9 @@
-//! What one chassis knows of where tasks are: names it was told, ids that were replaced by others, and
+//! What one chassis knows of the places of tasks: known names, ids that were replaced by others, and
 //! the slots of its own processors that were given away.
 //!
 //! A task id is given away once in a run. When a task moves, or its chassis is started again, its name
-//! gets a new id; the old one is remembered as a way to the new one, so that whoever holds it still
-//! reaches the task of that name and never another one.
+//! gets a new id. The old id is kept and leads to the new one. So a holder of the old id still reaches
+//! the task of that name, and never another one.
 
 use std::{
     collections::BTreeMap,
@@ -77,7 +77,7 @@ impl TaskDirectory {
         }
     }
 
-    /// Whoever had this name does not answer: it is asked for again.
+    /// The task with this name does not answer: the name is looked up again.
     pub fn forget(&self, name: &str) {
         lock(&self.known).remove(name);
     }

@@ -1,8 +1,8 @@
 //! What survives a process in virtual time: files of the simulated host, as values in memory.
 //!
 //! In real time a task that must survive its process writes to the file system. In virtual time all
-//! chassis of a run share one of these instead: it belongs to the run, not to a chassis, so what a
-//! chassis left there is found by the one that is started in its place, and no run sees another's.
+//! chassis of a run share one of these instead. It belongs to the run, not to a chassis. So a
+//! restarted chassis finds what its predecessor left there, and no run sees the files of another.
 
 use std::{
     any::Any,

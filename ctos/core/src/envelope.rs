@@ -47,7 +47,7 @@ impl Message {
     }
 
     /// Whether its sender waited for an answer, or for a credit, and does no more. A stop is carried out even when
-    /// whoever ordered it had to go on.
+    /// its sender had to go on.
     pub(crate) fn is_abandoned(&self) -> bool {
         let slot = self.envelope.reply.as_ref();
         self.command() != StopTask::CODE && slot.is_some_and(ReplySlot::is_abandoned)

@@ -1,5 +1,5 @@
-//! The calls that the tasks of one processor wait for: each waits in a slot, which later calls use again, and
-//! whoever answers holds a `Ticket` to it.
+//! The calls that the tasks of one processor wait for. Each waits in a slot, which later calls use again; the
+//! answering task holds a `Ticket` to it.
 //!
 //! Generations keep a late answer from reaching the slot's next call. It knows neither links nor queues.
 
@@ -205,8 +205,8 @@ impl Calls {
         }
     }
 
-    /// The timer of a call fires: it has waited long, or its deadline has passed, and whoever has not
-    /// begun with it need not any more.
+    /// The timer of a call fires. The call has waited long, or its deadline has passed, and a
+    /// receiver that has not begun with it need not begin any more.
     pub(crate) fn fired(&mut self, key: CallKey) -> Fired {
         let mut fired = Fired {
             wake: None,

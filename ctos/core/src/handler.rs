@@ -1,9 +1,9 @@
 //! Event handlers and what they can do: the interface that most users of CTOS see.
 //!
-//! An [`EventHandler`] is called with one message at a time and runs to completion; it may wait for
-//! others with `.await` (the report's reply-wait), and its processor goes on with other tasks
-//! meanwhile. The [`Context`] is its door to everything else: other tasks by name, time, randomness,
-//! its arguments, its own children.
+//! An [`EventHandler`] is called with one message at a time and runs to completion. It may wait for
+//! others with `.await` (the report's reply-wait); its processor runs other tasks meanwhile. The
+//! [`Context`] is its door to everything else: other tasks by name, time, randomness, its arguments,
+//! its own children.
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -88,12 +88,12 @@ pub trait EventHandler: 'static {
     }
 }
 
-/// An event handler that can pass on what it knows: to its next incarnation when it is restarted, and
-/// to another processor, process or host when its task is moved. Registered with
+/// An event handler that can pass on its state: to its next incarnation after a restart, and to
+/// another processor, process or host when its task is moved. Registered with
 /// [`Registry::handover`](crate::registry::Registry::handover).
 ///
 /// What belongs to the place (children, synchronous functions, files) is not passed on: it ends with the
-/// old handler and is begun again by [`take_over`](Self::take_over) or the startup phases, which the new
+/// old handler. [`take_over`](Self::take_over) begins it again, or the startup phases, which the new
 /// handler enters afterwards, in order.
 pub trait Handover: EventHandler {
     /// What is passed on.

@@ -13,7 +13,7 @@ use ctos_time::lock::lock;
 /// What such a task has of it.
 #[derive(Default)]
 pub(crate) struct Kept {
-    /// Locked while a state is being stored: who comes meanwhile waits for the end of that.
+    /// Locked while a state is being stored: others wait for the end of that.
     pub(crate) stored: tokio::sync::Mutex<Stored>,
     held: Mutex<Vec<(ReplySlot, Answer)>>,
 }

@@ -1,8 +1,9 @@
 //! The core of CTOS: tasks and their queues, processors, calls, names, time, synchronization, semaphores and the rules
 //! of supervision.
 //!
-//! It knows no socket, no file, no process, no recorder and no simulation. Users see it as a part of `ctos`; the
-//! modules that only the other crates of the runtime use are hidden from its documentation.
+//! It opens no socket and no file and starts no process. Recorder, replay and simulation are other crates,
+//! which use [`tap`] and [`disk`]. Users see it as a part of `ctos`; the modules that only the other crates of
+//! the runtime use are hidden from its documentation.
 //!
 //! The layers, lowest first:
 //!

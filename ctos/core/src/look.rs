@@ -8,7 +8,7 @@ use crate::{
     last_messages::{LastMessage, TaskLook},
     system::{self, LookAt, NamesOf},
 };
-/// How long whoever is asked may take.
+/// How long an asked task may take.
 const DEADLINE: Duration = Duration::from_secs(2);
 
 impl Context {

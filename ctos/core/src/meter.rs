@@ -1,4 +1,4 @@
-//! What is counted of a task for whoever watches: cheap to count, readable from any thread.
+//! The counters of a task for displays and metrics: cheap to count, readable from any thread.
 
 use std::sync::{
     Arc,

@@ -5,8 +5,8 @@
 //!    from now on wait and are not accepted.
 //! 2. The new place builds the handler, which takes the state over and passes the startup phases, but
 //!    takes no messages yet. It is sent copies of the messages that the old place had accepted.
-//! 3. The task identification service gives the name to the new place. This is the moment: before it,
-//!    any failure leaves the task where it was, with its state and its queue; after it, the old place
+//! 3. The task identification service gives the name to the new place. This is the moment. Before it,
+//!    any failure leaves the task where it was, with its state and its queue. After it, the old place
 //!    only sends on what still comes to it, and replies take the way back.
 //! 4. Every chassis redirects itself to the new place and sends a fence by the old one. The new place
 //!    keeps what comes straight from a chassis until the fence of that chassis has arrived, so the two
@@ -68,7 +68,7 @@ fn agent_of(chassis: u8) -> TaskRef {
     TaskRef::new("agent", system::agent_tid(chassis))
 }
 
-/// Redirects this chassis to the new place of a task: its messages go straight there from now on, and a
+/// Redirects this chassis to the new place of a task. Its messages go straight there from now on, and a
 /// fence follows those that went by the old place.
 pub async fn redirect(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
     let chassis = cx.chassis();
@@ -84,7 +84,7 @@ pub async fn redirect(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
 }
 
 /// Fences off a chassis that cannot reach the old place of a task any more, or whose fence cannot reach
-/// the new one: done by the chassis that boots, which reaches everybody who is left.
+/// the new one. The chassis that boots does it, because it reaches all that are left.
 pub(crate) async fn redirect_for(cx: &Context, rebound: &Rebound, new: Tid, chassis: u8) -> bool {
     let old = TaskRef::new(rebound.name.as_str(), rebound.old);
     let agent = agent_of(new.chassis());

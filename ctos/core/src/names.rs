@@ -236,8 +236,8 @@ impl TidServer {
 }
 
 impl Names {
-    /// The id under which `chassis` is to send to a task: the old one until it has turned to the new
-    /// place, so that what it sends takes one way.
+    /// The id under which `chassis` is to send to a task. It is the old one until the chassis is
+    /// redirected to the new place, so that its messages take one way.
     fn seen_from(&self, chassis: u8, name: &str) -> Option<Tid> {
         match self.turning.get(name) {
             Some((old, slow)) if slow.contains(&chassis) => Some(*old),

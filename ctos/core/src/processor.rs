@@ -1,10 +1,10 @@
 //! A processor: one thread that runs tasks, their timers and their synchronous functions.
 //!
 //! The executor knows nothing of what messages mean. It polls futures that were woken, fires timers,
-//! hands over what other threads brought to its inbox, and calls cyclic functions at their deadlines,
-//! which come before everything else. In real time each processor has a thread of its own
-//! (`Processor::run`); in virtual time the simulation polls all processors from one thread through
-//! the small steps that `run` is made of.
+//! and hands over what other threads brought to its inbox. It calls cyclic functions at their
+//! deadlines, which come before everything else. In real time each processor has a thread of its own
+//! (`Processor::run`). In virtual time the simulation polls all processors from one thread, through
+//! the small steps of `run`.
 //!
 //! What stays on the processor needs no lock: queues of its tasks, calls that its tasks wait for, futures that
 //! are ready. The clock is read after each handler and after each poll; that moment counts as the beginning of

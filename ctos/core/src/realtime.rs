@@ -1,8 +1,8 @@
 //! Making the thread of a processor real-time: scheduler, CPU, memory, timers; and keeping, as data, what the
 //! system granted of it.
 //!
-//! Nothing here fails by itself: what was refused is said in the log with what to do about it, kept in
-//! [`RealtimeGrant`], and undoes the boot where the configuration says `realtime = "require"`.
+//! Nothing here fails by itself. A refusal is in the log with what to do about it, and in
+//! [`RealtimeGrant`]. It undoes the boot where the configuration says `realtime = "require"`.
 
 use std::{fmt, num::NonZeroU64};
 

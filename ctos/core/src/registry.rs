@@ -241,7 +241,7 @@ impl Registry {
         self.add(name, commands, Box::new(move |cx| Ok(plain(build(cx)?))))
     }
 
-    /// Registers a kind of event handler that passes its state on: its tasks can be moved while they run,
+    /// Registers a kind of event handler that passes its state on. Its tasks can be moved while they run,
     /// and a restarted one goes on where the last one ended.
     pub fn handover<H: Handover>(
         &mut self,

@@ -68,7 +68,7 @@ impl Caller for Nobody {
     }
 }
 
-/// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
+/// The waiting end of a [`Promise`]. Dropping it tells the promising end that nobody waits.
 pub struct Waiting {
     answer: oneshot::Receiver<Answer>,
     /// Takes the question back, when it went over a link.
@@ -126,8 +126,8 @@ pub(crate) struct Shared {
 /// No call has this generation.
 pub(crate) const NOBODY: u64 = 0;
 
-/// The right to answer one call, from any thread. Whoever holds one must use it: a ticket that is
-/// merely dropped leaves its caller to its deadline.
+/// The right to answer one call, from any thread. Its holder must use it: a ticket that is merely
+/// dropped leaves its caller to its deadline.
 pub(crate) struct Ticket {
     pub(crate) shared: Arc<Shared>,
     pub(crate) generation: u64,
@@ -168,9 +168,9 @@ enum ReplyTo {
     Other(Arc<dyn Caller>),
 }
 
-/// The right to answer one message. Dropped without an answer, it tells the caller
-/// [`Fault::NoReply`]: at once, or, where the handler of the message itself drops it, when it is known
-/// how that handler ended, which may be a better answer.
+/// The right to answer one message. Dropped without an answer, it tells the caller [`Fault::NoReply`]
+/// at once. If the handler of the message itself drops it, the caller is told when that handler has
+/// ended, because its end may be a better answer.
 #[derive(derive_more::Debug)]
 #[debug("ReplySlot {{ open: {} }}", self.to.is_some())]
 pub struct ReplySlot {
@@ -235,7 +235,7 @@ impl ReplySlot {
         self.serial = serial;
     }
 
-    /// What is enough to answer in place of whoever has the slot.
+    /// What is enough to answer in place of the holder of the slot.
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
             ReplyTo::Local(ticket) => ReplyKey::Local(ticket.key()),
@@ -266,8 +266,8 @@ fn drop_unanswered(slot: ReplySlot) {
     }
 }
 
-/// Names an answer that is owed, without the right to give it: for the loop of the task, whose handler
-/// has that right, and may have passed it on.
+/// Names an answer that is owed, without the right to give it. It is for the loop of the task, whose
+/// handler has that right, and may have passed it on.
 pub(crate) enum ReplyKey {
     /// To a call of a task of this chassis.
     Local(CallKey),
@@ -276,7 +276,7 @@ pub(crate) enum ReplyKey {
 }
 
 impl ReplyKey {
-    /// Answers in place of whoever has the right to; nothing comes of it when that was done already. A call of a
+    /// Answers in place of the holder of the right; it has no effect when that has answered already. A call of a
     /// task of this chassis waits at `home`.
     pub(crate) fn answer(self, home: &dyn Home, answer: Answer) {
         match self {

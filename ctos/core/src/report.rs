@@ -1,4 +1,4 @@
-//! What an app tells of itself: plain data, made by those who know it and carried to whoever asks.
+//! What an app tells of itself: plain data, made where it is known and sent to every caller.
 
 use std::time::Duration;
 

@@ -257,12 +257,12 @@ impl IntoFuture for Acquire {
     }
 }
 
-/// One of a semaphore's permits. Dropped, it goes to whoever waits first.
+/// One of a semaphore's permits. Dropped, it goes to the first that waits.
 ///
-/// A permit of app scope is a promise with a limit of time: a chassis that gives no sign of life for `peer_timeout_s` is
-/// given up, and its permits go to those who wait. Should it only have been frozen, its tasks go on, and the permit
-/// that they have is [no longer good](Self::confirm). So whoever owns what the semaphore protects has
-/// every request bring the [number](Self::number) of the permit, and refuses older ones with a [`Fence`].
+/// A permit of app scope is a promise with a limit of time. A chassis that gives no sign of life for `peer_timeout_s`
+/// is given up, and its permits go to those who wait. Should it only have been frozen, its tasks go on, and the
+/// permit that they have is [no longer good](Self::confirm). So every request to the owner of what the semaphore
+/// protects brings the [number](Self::number) of the permit. The owner refuses older ones with a [`Fence`].
 #[must_use = "a permit that is dropped is given back at once"]
 #[derive(Debug)]
 pub struct Permit {
@@ -283,8 +283,8 @@ impl Permit {
         self.number
     }
 
-    /// Asks whoever keeps the semaphore whether the permit is good still: before something that no [`Fence`] protects.
-    /// It was good when that was answered; a freeze may come between that and what follows.
+    /// Asks the keeper of the semaphore whether the permit is still good: before something that no [`Fence`]
+    /// protects. It was good when that was answered; a freeze may come between that and what follows.
     ///
     /// # Errors
     /// [`SemaphoreError::Lost`]; or nobody can be asked, and the permit may be somebody else's.
@@ -343,7 +343,8 @@ impl Barrier {
         self
     }
 
-    /// Waits until everybody has arrived. Who gives up, or dies, before that has not arrived.
+    /// Waits until everybody has arrived. A task that gives up, or dies, before that has not
+    /// arrived.
     ///
     /// # Errors
     /// [`SemaphoreError::Missing`] names those who have arrived.

@@ -40,9 +40,9 @@ pub struct Activity {
     /// The place of the last startup phase in their order, from 1 on; 0: none was entered.
     phase: AtomicU8,
     phase_since_ns: AtomicU64,
-    /// What whoever watches counts besides.
+    /// Further counters, for displays and metrics.
     pub meter: TaskMeter,
-    /// Its last messages, for whoever looks at it.
+    /// Its last messages, for displays.
     pub recent: Recent,
     /// Whom it waits for.
     pub(crate) waits: Waits,

@@ -3,8 +3,8 @@
 //!
 //! It holds rules only and starts nothing: the loop of a task (`runner.rs`) asks it, and so does the
 //! supervisor of a chassis. The rules are those of Erlang's supervisors (restart intensity: so many
-//! restarts within a window, then the failure goes up the tree), with a back-off that doubles, so that
-//! what fails at once does not fail a thousand times a second.
+//! restarts within a window, then the failure goes up the tree). A back-off that doubles keeps what
+//! fails at once from failing a thousand times a second.
 
 use std::{collections::VecDeque, time::Duration};
 

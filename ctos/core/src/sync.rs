@@ -2,13 +2,14 @@
 //! 108, section 3).
 //!
 //! A [`Cyclic`] function allocates nothing, locks nothing and never waits. The functions of one processor
-//! share a [`Schedule`], whichever tasks they belong to: time there is counted in base ticks, a
-//! function runs at every so many of them, and within a tick the order follows from what each function
-//! reads and writes ([`Synchronous`]). Deadlines are counted in whole periods, so they do not drift; what a
-//! processor does that comes late is its [`Overrun`] policy, and never a burst. Lateness and
-//! duration are kept in histograms that can be read without touching the loop.
+//! share a [`Schedule`], whichever tasks they belong to. Its time is counted in base ticks, and a function
+//! runs every so many of them. Within a tick the order follows from what each function reads and writes
+//! ([`Synchronous`]). Deadlines are counted in whole periods, so they do not drift. What a processor does
+//! that comes late is its [`Overrun`] policy, and never a burst. Lateness and duration are kept in
+//! histograms that can be read without touching the loop.
 //!
-//! Knows clocks and functions; knows no task, no message and no configuration file.
+//! Knows clocks, functions and two settings of a processor ([`Lead`], [`Overrun`]); knows no task,
+//! no message and no file.
 
 mod directory;
 mod flow;

@@ -130,7 +130,7 @@ pub trait Observer: Send + Sync {
     fn began(&self, at_hand: &AtHand);
     /// It has returned.
     fn ended(&self, at_hand: &AtHand, now: Instant, ending: Ending);
-    /// An answer to message `id` has come to whoever asked.
+    /// An answer to message `id` has come to its sender.
     fn answered(&self, id: u64, asked: &Asked, came: Came, answer: Result<&Data, &Fault>);
     /// A task of this chassis answers message `id`, which came over a link.
     fn replied(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>);

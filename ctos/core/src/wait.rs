@@ -17,7 +17,7 @@ pub(crate) struct Wait {
 }
 
 impl Wait {
-    /// Shows it to whoever wants to know what the task waits for.
+    /// Shows what the task waits for.
     pub(crate) fn show(&mut self, since: Instant) {
         if self.place.is_none() {
             let waits = &self.activity.waits;

@@ -1,8 +1,8 @@
 //! The control plane: how a person, or a program, looks at a running app and tells it what to do.
 //!
 //! The process that boots an app serves a Unix socket in a folder that belongs to its user alone
-//! ([`folder`]). Clients speak to it in lines of JSON ([`protocol`]); looking at an app sends its tasks
-//! nothing, so a task that is stuck is seen as well as any other.
+//! ([`folder`]). Clients speak to it in lines of JSON ([`protocol`]). To look at an app sends its tasks
+//! nothing, so a stuck task is seen as well as any other.
 
 pub mod protocol;
 

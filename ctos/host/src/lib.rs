@@ -1,5 +1,5 @@
-//! The host of an app in real time: its processes, on this machine and on others, the links between them, the control
-//! socket, and what is served to people and tools.
+//! The host of an app in real time: its processes, on this machine and on others, and the links between them. It also
+//! has the control socket, and serves people and tools.
 
 extern crate ctos_core as ctos;
 

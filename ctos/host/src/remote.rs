@@ -1,9 +1,9 @@
 //! Other hosts: the agent that waits there for boots, and the boot's link to it.
 //!
-//! A boot calls the agent of each host that its app names, sends it the app's files, and lets it start,
-//! signal and watch the chassis of that host ([`HostAgent`]; `ctos agent` is one). Chassis talk to each
-//! other without it, over links. Not to be confused with the task `agent` that each chassis has, which
-//! creates the chassis's tasks.
+//! A boot calls the agent of each host that its app names and sends it the app's files. The agent
+//! starts, signals and watches the chassis of that host ([`HostAgent`]; `ctos agent` is one). Chassis
+//! talk to each other without it, over links. Not to be confused with the task `agent` that each
+//! chassis has, which creates the chassis's tasks.
 
 mod agent;
 mod call;

@@ -1,5 +1,5 @@
-//! What is said over a stream before a session uses it: both ends belong to the same run of the same
-//! app, and up to which number each has heard the other.
+//! What is said over a stream before a session uses it. Both ends check that they belong to the same
+//! run of the same app, and say up to which number each has heard the other.
 //!
 //! Everything a stranger sends is bounded, and nothing of it is believed before the run's secret was
 //! said.

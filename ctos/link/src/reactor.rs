@@ -1,8 +1,8 @@
-//! The reactor of a chassis: whoever has nothing else to do reads what comes over the links.
+//! The reactor of a chassis: a processor with nothing else to do reads what comes over the links.
 //!
 //! A processor that runs out of work does not just sleep, it waits at the links, and handles what it
-//! reads there itself. So a message from another process costs one wake-up and no second thread.
-//! Only one thread at a time waits there, the leader; while all processors are busy a thread that has
+//! reads there itself. So a message from another process costs one wake-up and no second thread. Only
+//! one thread at a time waits there, the leader. While all processors are busy, a thread that has
 //! nothing else to do, the standby, leads, `TICK` to two of them late.
 //!
 //! Here is which thread leads, and how long it spins and sleeps; the links themselves are in `sources.rs`.
@@ -50,7 +50,7 @@ pub struct Reactor {
     /// How long to look at shared memory before sleeping; zero where that would keep others from their core.
     spin: Duration,
     sources: Sources,
-    /// Whoever leads polls.
+    /// The leader polls.
     leader: Mutex<Poller>,
     /// Somebody leads.
     is_led: AtomicBool,
@@ -262,7 +262,7 @@ impl Reactor {
         if !come && glance == Glance::AtMemory {
             return Seen::Nothing;
         }
-        // Whoever leads sees it, too.
+        // The leader sees it, too.
         let Some(mut poller) = self.lead() else {
             return Seen::Nothing;
         };
@@ -275,7 +275,7 @@ impl Reactor {
         let due = glance == Glance::Everywhere || poller.looked >= LOOKS_PER_POLL;
         if due && poller.has_sockets {
             poller.looked = 0;
-            // Should it fail, whoever sleeps there next says so.
+            // Should it fail, the next sleeper there reports it.
             if let Ok(()) = self.sources.poll(&mut poller, true, None) {
                 seen = self.sources.serve_events(&mut poller, seen);
             }
@@ -339,7 +339,7 @@ impl Reactor {
         self.sources.refresh(poller);
         nudges.at_links.store(true, Ordering::Relaxed);
         poller.set_asleep(true);
-        // Pairs with the fence of whoever writes into the memory, and with the nudge: either they see the
+        // Pairs with the fence of the writer to the memory, and with the nudge: either they see the
         // sleeper, or the sleeper sees what was written.
         fence(Ordering::SeqCst);
         let work = poller.has_come();

@@ -5,7 +5,7 @@
 //! # Why this is sound
 //!
 //! - A mapping is made by `mmap` of at least as many bytes as the file has, at an address that the kernel
-//!   chooses, so the pointer is valid, page-aligned, and overlaps nothing that Rust owns. It is unmapped
+//!   chooses. So the pointer is valid, page-aligned, and overlaps nothing that Rust owns. It is unmapped
 //!   once, on drop, and everything that borrows from it borrows `self`.
 //! - The memory is only reached as atomics, or by the copies below, never through a reference to plain
 //!   memory, so what other processes do to it is no data race. Every access is checked to lie inside, and
@@ -16,13 +16,13 @@
 //!   a relaxed atomic. A long one is made by one machine instruction, whose effect on memory is that of a
 //!   series of relaxed atomic byte accesses in no particular order. The other side of the copy is an
 //!   ordinary slice that Rust lends for the time.
-//! - Accesses of different sizes to the same bytes must not race. Who uses the memory sees to that: a word
-//!   with 32 bits is never reached with 64, and bytes that are copied while the other side changes them
+//! - Accesses of different sizes to the same bytes must not race. The users of the memory ensure that. A
+//!   word of 32 bits is never accessed with 64. Bytes that are copied while the other side changes them
 //!   (snapshots) are copied in whole words; those of a ring are ordered by its positions.
 //!
-//! What remains: a file that is shortened takes its pages with it, and whoever touches them is killed by the
-//! system (`SIGBUS`). Links seal theirs against that; a process of the same user that shortens a snapshot
-//! buffer could as well have sent the signal.
+//! What remains: a file that is shortened takes its pages with it, and the system kills a process that
+//! touches them (`SIGBUS`). Links seal theirs against that; a process of the same user that shortens a
+//! snapshot buffer could as well have sent the signal.
 
 #![allow(
     unsafe_code,

@@ -1,10 +1,10 @@
 //! Shared memory between two chassis of one host: a ring of bytes for each direction, and a bell for
 //! each side.
 //!
-//! The memory has no name: it is a memfd that one side makes and passes over the Unix socket that joins
-//! them, sealed so that neither can make it smaller; the system frees it when both are gone. What is in
-//! it was written by another process and is believed nowhere: positions are checked, bytes are copied
-//! out before anybody looks at them.
+//! The memory has no name. It is a memfd that one side makes and passes over the Unix socket that joins
+//! them, sealed so that neither can make it smaller. The system frees it when both are gone. Its
+//! content was written by another process and is not trusted: positions are checked, and bytes are
+//! copied out before they are read.
 
 pub mod pass;
 
@@ -180,7 +180,8 @@ fn sleeps(memory: &Memory, side: usize) -> &AtomicU32 {
     memory.short(at).unwrap_or(&NOWHERE)
 }
 
-/// Something that wakes whoever waits at the links: each write to it is an event.
+/// An event file descriptor that wakes the thread that waits at the links: each write to it is an
+/// event.
 ///
 /// # Errors
 /// What the system says.
@@ -200,7 +201,7 @@ struct Bell {
 }
 
 impl Bell {
-    /// Wakes whoever sleeps at it; costs nothing when nobody does.
+    /// Wakes the thread that sleeps at it; costs nothing when none does.
     fn ring(&self) {
         // Pairs with the fence of the one who goes to sleep: either this sees the sleeper, or the
         // sleeper sees what was written before this.
@@ -365,8 +366,8 @@ impl Receiver {
         written.wrapping_sub(read) < RING as u64
     }
 
-    /// This side's bell must ring from now on, or need no longer. Whoever goes to sleep looks for work
-    /// once more, behind a fence.
+    /// This side's bell must ring from now on, or need no longer. A thread that goes to sleep looks
+    /// for work once more, behind a fence.
     pub fn set_asleep(&self, asleep: bool) {
         let sleeps = sleeps(&self.ring.memory, self.side);
         sleeps.store(u32::from(asleep), Ordering::Relaxed);

@@ -218,7 +218,7 @@ pub fn is_http(said: &[u8]) -> bool {
 /// [`KeyError::Browser`] when it is one.
 async fn refuse_browser(stream: &mut TcpStream) -> Result<(), KeyError> {
     let mut first = [0; 64];
-    // Whoever calls a port of ours speaks first.
+    // The caller of a port of ours speaks first.
     let length = stream.peek(&mut first).await?;
     if !is_http(first.get(..length).unwrap_or_default()) {
         return Ok(());
@@ -307,7 +307,7 @@ impl Listener {
 }
 
 /// Listens at a socket that is this user's alone, in place of whatever has its name. It is bound under another
-/// name until it listens: a socket to which nobody listens is stale, and whoever finds it removes it.
+/// name until it listens: a socket to which nobody listens is stale, and the process that finds it removes it.
 ///
 /// # Errors
 /// What the system says.
@@ -321,8 +321,8 @@ fn listen_at(path: &Path) -> io::Result<UnixListener> {
     Ok(listener)
 }
 
-/// The file of a socket at which chassis `name` is called. No control socket has such a name, which is the number of its
-/// process to whoever looks for those of processes that have ended: the noise may consist of digits alone.
+/// The file of a socket at which chassis `name` is called. It cannot be taken for a control socket, which is named
+/// by the number of its process so that those of ended processes are found. (The noise may consist of digits alone.)
 pub fn socket_name(name: &str, noise: [u8; 6]) -> String {
     let short: String = name.chars().take(16).collect();
     format!("{short}-{}.{LINK}", noise::text(noise))
@@ -365,8 +365,8 @@ fn socket_folder() -> io::Result<PathBuf> {
     Err(error.unwrap_or_else(|| io::Error::other("there is no folder for sockets")))
 }
 
-/// Makes sure that `folder` exists and that nobody but `user` may enter it: whoever owns it could answer in the
-/// place of an app.
+/// Makes sure that `folder` exists and that nobody but `user` may enter it: its owner could answer in the place
+/// of an app.
 ///
 /// # Errors
 /// When it cannot be made, or somebody else may enter it.

@@ -1,10 +1,10 @@
 //! Byte streams over a zenoh network, for chassis that discovery and routers bring together.
 //!
-//! Who can be called has a key, `ctos/APP/NAME-NOISE`, and answers queries there; a caller draws the id
-//! of a stream, both declare its two keys ([`stream`]), and from then on it is a connection like any other:
-//! it carries bytes in order until either end goes or the network loses something, and the session above
-//! has a new one then. Nothing else of zenoh's is used: what it promises of single messages depends on
-//! queues, routes and routers that are not ours.
+//! A chassis that can be called has a key, `ctos/APP/NAME-NOISE`, and answers queries there. A caller draws
+//! the id of a stream, and both declare its two keys ([`stream`]). From then on the stream is a connection
+//! like any other. It carries bytes in order until either end goes or the network loses something; then the
+//! session above opens a new one. Nothing else of zenoh's is used: what it promises of single messages
+//! depends on queues, routes and routers that are not ours.
 //!
 //! zenoh waits on whatever thread it is called from and refuses those of a single-threaded runtime, so it
 //! is called from threads that belong to nobody else.
@@ -54,7 +54,7 @@ async fn on_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static)
     std::thread::Builder::new()
         .name("zenoh-call".to_owned())
         .spawn(move || {
-            // Whoever asked may have given up.
+            // The caller may have given up.
             let _ = sender.send(work());
         })?;
     done.await
@@ -227,7 +227,7 @@ impl Fabric {
     }
 }
 
-/// Makes a stream to who listens at `key`, until `ended`. Waits for the network.
+/// Makes a stream to the listener at `key`, until `ended`. Waits for the network.
 fn call(session: &Session, key: &str, ended: impl Fn() -> bool) -> io::Result<End> {
     let failed = || refused("cannot call");
     let querier = session

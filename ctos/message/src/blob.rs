@@ -2,13 +2,13 @@
 //! scans, recordings.
 //!
 //! To everybody else a [`Blob`] looks like a `Vec<u8>`: the same bytes on the wire, the same JSON. But a
-//! vector goes through its serializer number by number, and a blob as a whole; and where a message is
-//! written for a link, a large blob is not even copied: it is written to the link from where it is, and
-//! the receiver's blob is the memory in which the frame was put together as it came.
+//! vector goes through its serializer number by number, and a blob as a whole. A message for a link does
+//! not even copy a large blob: the blob is written to the link from where it is. The receiver's blob is
+//! the memory in which the frame was put together as it came.
 //!
 //! How: a serializer sees a slice and cannot keep it. So a blob that is being serialized is lent, for
-//! this thread and this moment, to the one who collects the bytes; and what a message is read from is
-//! lent to the blobs in it. Nothing of that is left behind when the message is written or read.
+//! this thread and this moment, to the collector of the bytes. What a message is read from is lent to
+//! the blobs in it. Nothing of that is left behind when the message is written or read.
 
 use std::{cell::RefCell, fmt, ops::Deref};
 
@@ -39,7 +39,7 @@ pub const LEAST: usize = 16 * 1024;
 pub struct Blob(Bytes);
 
 thread_local! {
-    /// The blob that is being serialized at this moment, for whoever collects.
+    /// The blob that is being serialized at this moment, for the collector.
     static LENT: RefCell<Option<Bytes>> = const { RefCell::new(None) };
     /// What was collected so far, with where in the other bytes it belongs; `None` when nobody does.
     static COLLECTED: RefCell<Option<Vec<(usize, Bytes)>>> = const { RefCell::new(None) };

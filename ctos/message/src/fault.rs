@@ -123,9 +123,10 @@ impl CallError {
         )
     }
 
-    /// Whether it is worth while to look for the receiver again and ask it once more, if it may be asked twice:
-    /// it is gone ([`Self::is_gone`]), or its handler panicked, or dropped the request, and may have been built anew.
-    /// Whether it does come back is what `cx.task(&error.to)` tells. False for what the receiver said itself, and for time limits.
+    /// Whether it is worth while to look for the receiver again and repeat the request, if that is permitted. True if
+    /// the receiver is gone ([`Self::is_gone`]), or its handler panicked or dropped the request and may have been
+    /// built anew. `cx.task(&error.to)` tells whether it comes back. False for what the receiver said itself, and for
+    /// time limits.
     #[must_use]
     pub fn may_come_back(&self) -> bool {
         self.is_gone() || matches!(self.fault, Fault::Panicked { .. } | Fault::NoReply)

@@ -1,5 +1,5 @@
-//! A value in fields: how many a type has, and the postcard bytes of each. For whoever carries replies of types
-//! that it does not know, and keeps their parts apart.
+//! A value in fields: how many a type has, and the postcard bytes of each. For code that carries replies of
+//! types that it does not know, and keeps their parts apart.
 
 use std::cell::Cell;
 

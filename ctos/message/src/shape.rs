@@ -1,6 +1,5 @@
-//! What the data of a command looks like, as it stands in a file: with it, whoever does not know the type
-//! reads postcard bytes as JSON.
-//! How it is found, `trace.rs` says.
+//! What the data of a command looks like, as it stands in a file. With it, a program that does not know
+//! the type reads postcard bytes as JSON. How it is found, `trace.rs` says.
 
 use std::panic::AssertUnwindSafe;
 

@@ -1,7 +1,7 @@
 //! What the numbers of a record mean: names of tasks and commands, and what the data of these looks like.
 //!
-//! It stands in the file itself, at its beginning and wherever something has become known since, so that a
-//! file can be read by programs that do not know the app.
+//! It stands in the file itself, at its beginning and wherever something has become known since. So
+//! programs that do not know the app can read the file.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -47,8 +47,8 @@ pub(crate) struct Glossary {
 }
 
 impl Glossary {
-    /// What is known of `app` before it runs: each agent counts its tasks in the order of the
-    /// configuration, so that the ids of the tasks of other chassis are known here too.
+    /// What is known of `app` before it runs. Each agent counts its tasks in the order of the
+    /// configuration, so the ids of the tasks of other chassis are known here too.
     pub(crate) fn of(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
         let mut all = Self::default();
         let system = [system::ALL, runtime, &semaphore::server::COMMANDS];

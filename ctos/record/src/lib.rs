@@ -1,11 +1,10 @@
-//! Recording: every message, handler, reply, phase, firing and log line of an app as MCAP, and what can
-//! be done with such a file: read it, and replay one task out of it.
+//! Recording: every message, handler, reply, phase, firing and log line of an app as MCAP. Such a file
+//! can be read, and one task can be replayed from it.
 //!
-//! Each process writes a file of its own, so that the end of one takes nothing from another; a simulated
-//! app, which is one process, writes one. What is noted costs its processor a lock that nobody else
-//! takes and some bytes in a buffer, which a writer next to it puts into the file as they are; lines that
-//! people and viewers read are made of them when the file is read. The page `docs/recording.md` shows how
-//! it is used.
+//! Each process writes a file of its own, so that the end of one takes nothing from another. A simulated
+//! app, which is one process, writes one. An entry costs its processor a lock that nobody else takes and
+//! some bytes in a buffer. A writer next to it puts these into the file as they are. Lines for people and
+//! viewers are made when the file is read. The page `docs/recording.md` shows how it is used.
 
 extern crate ctos_core as ctos;
 

@@ -1,8 +1,8 @@
 //! The files of a record: begun, filled up to their size, closed, the oldest removed.
 //!
-//! A disk that is full or broken ends the file at the last chunk that is whole; a new one is tried
-//! every few seconds, and what was lost meanwhile is counted, in the log and in the record. Nothing
-//! here fails towards the app.
+//! A disk that is full or broken ends the file at the last whole chunk. A new file is tried every
+//! few seconds. What was lost meanwhile is counted, in the log and in the record. Nothing here
+//! fails towards the app.
 
 use std::{
     collections::BTreeMap,
@@ -400,8 +400,8 @@ impl Part {
                 tracing::warn!(file = %old.display(), error = %error, "an old record was not removed");
             }
         }
-        // A chunk ends when it is flushed, so that it is known where the file is whole; it is written
-        // when it is whole, so that a process that is killed leaves whole ones.
+        // A chunk ends when it is flushed, so that it is known where the file is whole. It is written
+        // when it is whole, so a killed process leaves whole chunks.
         let options = WriteOptions::new().chunk_size(None).disable_seeking(true);
         let unwritten = Unwritten::default();
         let writer = LineWriter::new(options, NoSeek::new(unwritten.clone()));

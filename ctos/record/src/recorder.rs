@@ -2,7 +2,7 @@
 //! one writer.
 //!
 //! Noting takes a lock that only the writer ever contends for, and never waits for the disk: a buffer
-//! that is full drops what comes and counts it. In real time the writer is a thread of its own; in
+//! that is full drops what comes and counts it. In real time the writer is a thread of its own. In
 //! virtual time it is called where a buffer has grown, so that one seed gives one record.
 
 use std::{

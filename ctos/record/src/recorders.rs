@@ -58,7 +58,7 @@ impl Extension for Recorders {
 }
 
 impl Recorders {
-    /// Those of a chassis, who are shown everything that passes there.
+    /// Those of a chassis, which are shown everything that passes there.
     pub fn of(chassis: &Chassis) -> Arc<Self> {
         let all = chassis.extension::<Self>();
         chassis.tap.set(all.clone());

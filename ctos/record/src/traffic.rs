@@ -1,5 +1,5 @@
-//! The form in which what happens to messages is noted, waits and stands in a file: a sequence of events,
-//! each told by what distinguishes it from the one before.
+//! The form in which events of messages are noted, buffered and stored in a file. It is a sequence of
+//! events, each written as its difference from the one before.
 //!
 //! Messages mostly go to and fro between the same tasks, with numbers and moments that grow, so that an event
 //! takes ten bytes where nothing but these changes. `schemas/events.txt` describes the form for others who

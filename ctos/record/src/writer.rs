@@ -1,5 +1,5 @@
-//! The one who empties the buffers: puts their lines and stretches of events into files, with the names that
-//! belong to these, and keeps account of what was lost on the way.
+//! The writer empties the buffers. It puts their lines and stretches of events into files, with the names
+//! that belong to these, and counts what was lost.
 
 use std::sync::{Arc, Mutex};
 

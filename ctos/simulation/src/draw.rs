@@ -1,7 +1,7 @@
 //! Draws the faults of a profile from the seed, one after the other, as far as the app runs.
 //!
-//! Each kind of fault at each place is a Poisson process with a generator of its own: what the app
-//! does, and which other faults there are, changes nothing in it.
+//! Each kind of fault at each place is a Poisson process with a generator of its own. Neither the
+//! app nor other faults change it.
 
 use std::time::Duration;
 

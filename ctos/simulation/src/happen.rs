@@ -30,7 +30,7 @@ impl Simulation {
                 }
             }
         }
-        // Whoever makes the run again has the configuration anyway.
+        // A repetition of the run has the configuration anyway.
         if !self.injuries.contains(&fault) {
             self.happened.push(fault);
         }

@@ -1,5 +1,5 @@
-//! The injuries of an app's configuration as faults of a simulated run: a packet that is lost is sent
-//! again and comes late, a link that is cut breaks and heals.
+//! The injuries of an app's configuration as faults of a simulated run. A lost packet is sent again
+//! and comes late; a cut link breaks and heals.
 
 use crate::fault::{Fault, FaultKind};
 use ctos_config::InjuryConfig;

@@ -1,10 +1,10 @@
 //! The links of a simulated app: frames take a seeded time on the virtual clock and keep their order.
 //!
-//! What is modelled is a stream with a session above it, as the real links are: a frame that is lost
-//! is sent again and comes late, and so does everything behind it; a link that breaks and heals goes
-//! on where it was. Only a chassis that hears nothing of another one for longer than the peer
-//! time-out gives it up, and tells it so when it can. Frames between different chassis overtake each
-//! other freely.
+//! The model is a stream with a session above it, as the real links are. A frame that is lost is
+//! sent again and comes late, and so does everything behind it. A link that breaks and heals goes on
+//! where it was. Only a chassis that hears nothing of another one for longer than the peer time-out
+//! gives it up, and tells it so when it can. Frames between different chassis overtake each other
+//! freely.
 
 use std::{
     collections::BTreeMap,

@@ -42,7 +42,8 @@ const STEPS_AT_ONCE: u64 = 10_000_000;
 #[derive(derive_more::Debug)]
 #[debug("Setup(faults `{}`)", self.faults.name())]
 pub struct Setup {
-    /// The clock that shows the true time: [`Clock::virtual_clock`], kept by who wants to read it.
+    /// The clock that shows the true time: [`Clock::virtual_clock`], kept by the code that reads
+    /// it.
     pub clock: Clock,
     /// What goes wrong.
     pub faults: Faults,

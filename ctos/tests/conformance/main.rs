@@ -1,4 +1,4 @@
-//! One suite for every way in which two tasks can be placed: what holds on one processor must hold
+//! One suite for every way in which two tasks can be placed. What holds on one processor must hold
 //! between threads, over simulated links and over every kind of link between processes, whole or injured.
 //!
 //! Each trial boots an app of its own. Its own `main`, because the chassis of the real placements are

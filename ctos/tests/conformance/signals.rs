@@ -30,7 +30,8 @@ fn signal(pid: u32, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// Longer than the time of those who are given up: whoever notices first, the others have too.
+/// Longer than the time after which a peer is given up: when the first has noticed, the others have
+/// too.
 const LONG: Duration = Duration::from_millis(1_500);
 
 fn go_on_after(pid: u32, time: Duration) {

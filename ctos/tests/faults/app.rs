@@ -233,7 +233,7 @@ impl Actor {
             "conductor" => cx.spawn(conduct(cx2, ledger)),
             "ring" if cx.name() == "ring0" => cx.spawn(async move {
                 let first = resolve(&cx2, &ledger, "ring1").await.unwrap();
-                // Whoever does not take it ends the ring.
+                // A task that does not take it ends the ring.
                 let _ = cx2.send(&first, Token { number: 0 }).await;
             }),
             "sink" => {

@@ -213,7 +213,7 @@ impl Check<'_> {
         if failed && self.book.running {
             wrong.push("the boot failed, and the app ran".to_owned());
         }
-        // Whoever was built has been told to stop, if its chassis was there to be told.
+        // Every task that was built has been told to stop, if its chassis was there to be told.
         for task in &self.app.tasks {
             let built = self.book.incarnations.contains_key(&task.name);
             let told = self.book.stops.contains_key(&task.name);

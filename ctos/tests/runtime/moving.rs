@@ -1,5 +1,5 @@
-//! A running task is moved about while many send to it: nothing is lost, doubled or reordered, in
-//! virtual time under many seeds, and nothing is left behind by a move that fails.
+//! A running task is moved about while many send to it. Nothing is lost, doubled or reordered, in
+//! virtual time under many seeds. A move that fails leaves nothing behind.
 
 use std::{
     collections::{BTreeMap, VecDeque},

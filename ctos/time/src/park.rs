@@ -65,7 +65,7 @@ impl ThreadParker {
         self.is_nudged() && self.nudged.swap(false, Ordering::SeqCst)
     }
 
-    /// It has been woken; whoever calls this sees to it that the thread learns so.
+    /// It has been woken; the caller of this ensures that the thread learns so.
     pub fn nudge(&self) {
         self.nudged.store(true, Ordering::SeqCst);
     }

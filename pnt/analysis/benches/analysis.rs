@@ -140,8 +140,8 @@ transition end{i}\n  in eat{i}\n  out think{i}, fork{i}, fork{next}\n"
     text
 }
 
-/// 400 places and 1,000 transitions, one-safe: 40 tokens, each on a ring of ten places of its own with
-/// a step and a jump at each place, and 200 transitions that move two neighbours together.
+/// 400 places and 1,000 transitions, one-safe: 40 tokens, each on a ring of ten places of its own.
+/// There is a step and a jump at each place, and 200 transitions move two neighbours together.
 fn wide() -> Model {
     let places = (0..400_u32).map(|number| Place {
         name: format!("p{number}"),

@@ -1,10 +1,11 @@
-//! All nets of an app as one system for analysis: remote places joined, firings with actions split
-//! into start, completion and failure, and a commander at every input tape that puts any command as
-//! soon as the one before is answered. Knows how steps change a marking, not which are reachable.
+//! All nets of an app as one system for analysis. Remote places are joined, and firings with
+//! actions are split into start, completion and failure. A commander at every input tape puts any
+//! command as soon as the one before is answered. Knows how steps change a marking, not which are
+//! reachable.
 //!
-//! Tokens for another net are put there with the firing that sends them, unless their coming can keep
-//! something from firing (they go to a place with a capacity, an inhibitor or a reset arc, or call up a
-//! more urgent transition): then it matters that a message takes its time, and they are on their way
+//! Tokens for another net are put there with the firing that sends them, unless their arrival can keep
+//! something from firing. It can if they go to a place with a capacity, an inhibitor or a reset arc, or
+//! enable a more urgent transition. Then the delay of the message matters, and they are under way
 //! first.
 
 mod build;
@@ -384,8 +385,8 @@ fn check_retries(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
 /// Ways in which the places that a transition empties may be filled, as many as are told apart.
 const MOST_RESETS: u64 = 4096;
 
-/// What a reset arc takes out of a place where room is kept for actions depends on what is there, so
-/// each number of tokens becomes a step of its own.
+/// Where a place reserves space for actions, what a reset arc takes out depends on the tokens there.
+/// So each number of tokens becomes a step of its own.
 fn check_resets(net: &Net, findings: &mut Findings) {
     for transition in net.transitions() {
         let ways = transition.resets.iter().map(|id| {

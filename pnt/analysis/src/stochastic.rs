@@ -7,10 +7,10 @@
 //! - by simulation with the executor's own token game and race, with confidence intervals; for any
 //!   times.
 //!
-//! What is taken for granted, since a net does not say it: actions always succeed, and last what the
-//! transition's `time` says; enabling functions let pass, so that of a function and its negation the
-//! weights decide; and a new command is put on the tape as soon as the one before is answered, each with
-//! the same probability. Knows no clock and no task.
+//! Assumptions, since a net does not say it: actions always succeed, and last what the transition's
+//! `time` says. Enabling functions allow their transitions, so the weights decide between a function and
+//! its negation. A new command is put on the tape as soon as the one before is answered, each with the
+//! same probability. Knows no clock and no task.
 
 mod chain;
 mod error;

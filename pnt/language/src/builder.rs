@@ -1,5 +1,5 @@
-//! Nets built in Rust, checked like those of a file: what is wrong is found all at once, with the file, line and
-//! column of the Rust code that said it. Needs no runtime:
+//! Nets built in Rust, checked like those of a file. All mistakes are found at once, with the file, line and
+//! column of the Rust code. Needs no runtime:
 //!
 //! ```
 //! use std::sync::Arc;

@@ -1,13 +1,13 @@
 //! One net in motion: marking, input tape, two-phase firing (architecture report, section 6). A
 //! transition takes its tokens when it starts and puts tokens when its action is complete or has
 //! failed. The caller runs actions, calls enabling functions and carries tokens to other nets; this
-//! module only says which. It knows no clock and no task: the time of time limits is what the caller
-//! says it is ([`Execution::advance_to`]), and transitions that take time fire when the caller fires
-//! them, at the times that [`Race`] gives.
+//! module only says which. It knows no clock and no task. The caller says what time it is for time
+//! limits ([`Execution::advance_to`]). Transitions that take time fire when the caller fires them,
+//! at the times that [`Race`] gives.
 //!
-//! A net is flat arrays here, and only transitions whose conditions a changed place decides are looked
-//! at again: a firing costs the same in a net of ten transitions and in one of a hundred thousand, with
-//! one token or a million, and allocates nothing.
+//! A net is flat arrays here, and only transitions whose conditions a changed place decides are checked
+//! again. So a firing costs the same in a net of ten transitions and in one of a hundred thousand, with
+//! one token or a million. It allocates nothing.
 
 mod choice;
 mod enabling;

@@ -59,9 +59,9 @@ pub struct Place {
     pub name: String,
     /// Tokens of the initial marking.
     pub tokens: u32,
-    /// The most tokens it may hold, by the strict rule: a transition starts only if, once it has
-    /// taken its tokens, there is room for whatever it may put at its end (its `out` places, and its
-    /// `fail` places or what it took); that room is kept for it until then.
+    /// The most tokens it may hold, by the strict rule. A transition starts only if, after it has
+    /// taken its tokens, there is space for all that it may put at its end. That is its `out`
+    /// places, and its `fail` places or what it took. That space is reserved for it until then.
     pub capacity: Option<u32>,
     /// The data object whose validity it says.
     pub data: Option<String>,

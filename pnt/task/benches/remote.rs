@@ -1,5 +1,5 @@
-//! What a token costs that goes to another net, against a message call to the same place: a net on the same
-//! processor, on another one of the same chassis, and in another process.
+//! The cost of a token to another net, against a message call to the same place. That net is on the same
+//! processor, on another one of the same chassis, or in another process.
 //!
 //! A command is answered when two tokens have moved: to another net and back, or through two places of the
 //! same net. Half of the difference is what it costs that a token is remote. `--pin` keeps both processes on

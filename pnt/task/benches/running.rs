@@ -1,7 +1,7 @@
-//! What running a net costs around its firings: commands per second of a net that is durable and of one
-//! that is not, a token to another net beside a message call, and the time from one action's end to the
-//! start of the action that it enables; in one chassis, on the real clock, with a real redb file. The last of
-//! these also to another process, which `-- processes` measures alone.
+//! What running a net costs around its firings, in one chassis, on the real clock, with a real redb file.
+//! Measured are commands per second of a durable net and of one that is not, and a token to another net
+//! beside a message call. Then the time from one action's end to the start of the action that it enables. The
+//! last is also measured to another process, which `-- processes` measures alone.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,9 +1,10 @@
-//! What displays cost the net that they follow: the firings per second of one net, at its full speed on the
-//! real clock, alone and with 1, 10 and 100 displays. All are in one run and one chassis; displays have a
-//! processor of their own, as they have in an app. Rounds with displays stand between rounds without, and
-//! each is compared with its neighbours, so that what else the machine does falls on both.
+//! What displays cost the net that they follow. Measured are the firings per second of one net at full
+//! speed on the real clock, alone and with 1, 10 and 100 displays. All are in one run and one chassis;
+//! displays have a processor of their own, as they have in an app. Rounds with displays stand between
+//! rounds without, and each is compared with its neighbours, so that what else the machine does falls on
+//! both.
 //!
-//! The second figure is by the processor time of the net's thread: it is blind to who else wanted the core.
+//! The second figure is by the processor time of the net's thread: other programs on the core do not count.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,7 +1,7 @@
 //! Where the nodes of a net are drawn: from a layout file, and by rule for those that it does not name.
 //!
 //! A drawing is made once, always the same for the same net and file; nodes never move by themselves. It
-//! knows no screen: whoever shows it adds the marking.
+//! knows no screen: the display adds the marking.
 
 mod coordinates;
 mod drawing;

@@ -20,7 +20,7 @@ use pnt_analysis::check::FunctionNames;
 /// Something that ends later, on the task's processor.
 pub type Later<T> = Pin<Box<dyn Future<Output = T>>>;
 
-/// How an action ends; an error takes the failure branch and is told to whoever waits.
+/// How an action ends; an error takes the failure branch, and the waiting caller gets it.
 pub type Acted = Result<(), HandlerError>;
 
 type Act = Rc<dyn Fn(Action<()>) -> Later<Acted>>;
@@ -220,7 +220,7 @@ impl<S: 'static> Library<S> {
         self
     }
 
-    /// Adds a local function for `do` lines that name data objects: `do NAME(A, B -> C, D)` calls it with the
+    /// Adds a local function for `do` lines that name data objects. `do NAME(A, B -> C, D)` calls it with the
     /// fields `A` and `B` of its argument and stores the fields of its result as `C` and `D`. It may wait;
     /// when it fails, nothing is stored.
     #[must_use]

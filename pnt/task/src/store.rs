@@ -1,9 +1,9 @@
 //! Stable storage: what a net, a data object manager or any durable task must still know after its process has died.
 //!
-//! A store is a small map from names to bytes that changes by whole commits: after a crash it holds all
-//! of a commit or nothing of it. In real time it is a redb file, written and synced by a thread of its own,
-//! so that no processor waits for the disk; in virtual time it is in the memory of the simulated host.
-//! Whoever commits waits for the end of the commit before anybody else may see what led to it.
+//! A store is a small map from names to bytes that changes by whole commits: after a crash it holds all of
+//! a commit or nothing of it. In real time it is a redb file, written and synced by a thread of its own, so
+//! that no processor waits for the disk. In virtual time it is in the memory of the simulated host. Nobody
+//! else may see what led to a commit before the commit has ended.
 //!
 //! It knows no net: what the bytes mean is up to its owner.
 

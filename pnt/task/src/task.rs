@@ -1,6 +1,6 @@
-//! The event handler that runs one net: commands come to its input tape, tokens from other nets to
-//! its places; actions run as its children; tokens for other nets go out as messages that are
-//! acknowledged. What cannot be delivered stops the net and tells whoever waits for an answer.
+//! The event handler that runs one net. Commands come to its input tape, tokens from other nets to
+//! its places. Actions run as its children. Tokens for other nets go out as messages that are
+//! acknowledged. What cannot be delivered stops the net, and waiting callers get that as an error.
 //!
 //! A net's task bears the net's name: that is how other nets find its places.
 
@@ -62,8 +62,8 @@ pub use messages::{
 use pnt_language::{exec::Conflicts, net::Net};
 pub use settings::{KEYS, Settings, args, args_of, settings};
 
-/// Registers a handler that runs a net with the functions of `library`, whose only arguments are those
-/// of [`settings`], with all checks: of the task, and of all nets of the app together.
+/// Registers a handler that runs a net with the functions of `library`, with all checks: of the task,
+/// and of all nets of the app together. Its only arguments are those of [`settings`].
 pub fn register<S: 'static>(
     registry: &mut Registry,
     name: &str,

@@ -1,9 +1,9 @@
 //! Waking readers that wait, without cost to a writer for whom nobody waits.
 //!
-//! A reader that is about to sleep sets the bell to 1 and looks once more; a writer looks at the bell after
-//! each record, and only when it is 1 sets it to 0 and asks the system to wake whoever sleeps on it. Both put a
-//! full fence between their own store and the look at the other's, so that one of the two sees the other. A
-//! reader that dies with the bell set costs one call of the system, once.
+//! A reader that is about to sleep sets the bell to 1 and looks once more. A writer looks at the bell after
+//! each record. Only when it is 1 does the writer set it to 0 and ask the system to wake the sleeping readers.
+//! Both put a full fence between their own store and the look at the other's, so that one of the two sees the
+//! other. A reader that dies with the bell set costs one call of the system, once.
 
 use rustix::thread::futex::{self, Timespec};
 use std::sync::atomic::{AtomicU32, Ordering, fence};

@@ -18,9 +18,9 @@
 //! | 24 | number of the latest whole record |
 //! | 32 | bell: 1 while a reader waits |
 //!
-//! After the description, from the next multiple of 64 bytes on, come the slots: a sequence word, the stamp
-//! in ns, the generation of the writer, the number of opaque bytes, four spare words, the floats, the bytes;
-//! each slot a multiple of 64 bytes.
+//! The slots follow the description at the next multiple of 64 bytes, and each is a multiple of 64 bytes
+//! long. A slot is a sequence word, the stamp in ns, the generation of the writer, the number of opaque
+//! bytes, four spare words, the floats, the bytes.
 
 use super::error::SnapshotError;
 use super::protocol::{Load, Ring, SLOT_HEAD, Store, WORD};

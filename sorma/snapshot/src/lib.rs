@@ -1,11 +1,11 @@
-//! Snapshot buffers: cyclic buffers in shared memory, with which one writer hands records to any number of
-//! readers on the same host, in other processes or its own (SORMA technical report, section 1.7.2).
+//! Snapshot buffers: cyclic buffers in shared memory (SORMA technical report, section 1.7.2). One writer
+//! hands records to any number of readers on the same host, in other processes or its own.
 //!
 //! A record is a fixed number of floats and some opaque bytes; its number and a time stamp are added. The
 //! writer never waits, never allocates and does not know its readers. They take the latest record, or one
-//! after the other, or the recent history; they know of each its age and number, and are told how many they
-//! lost when they were too slow. No reader ever gets a torn record. A writer that was killed, even
-//! while it wrote, is succeeded by the next one, which goes on where it ended.
+//! after the other, or the recent history. They know the age and number of each, and are told how many they
+//! lost when they were too slow. No reader ever gets a torn record. A writer that was killed, even while it
+//! wrote, is succeeded by the next one, which goes on where it ended.
 //!
 //! ```
 //! use ctos::time::Clock;

@@ -111,7 +111,7 @@ impl Place {
         let mut removed = Vec::new();
         for name in self.names()? {
             let path = self.folder.join(&name);
-            // Whoever makes or writes a segment holds its lock.
+            // The maker or writer of a segment holds its lock.
             let Ok(file) = open(&path, OFlags::RDWR) else {
                 continue;
             };

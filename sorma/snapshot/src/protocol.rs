@@ -1,10 +1,10 @@
 //! The protocol of a cyclic snapshot buffer: how one writer and any number of readers share words of
-//! memory so that the writer never waits and no reader takes a torn record for a whole one.
+//! memory. The writer never waits, and no reader takes a torn record for a whole one.
 //!
 //! Each slot is a sequence lock (Boehm, "Can seqlocks get along with programming language memory
-//! models?", MSPC 2012): its first word is `2 n - 1` while record `n` is being written and `2 n` when
+//! models?", MSPC 2012). Its first word is `2 n - 1` while record `n` is being written and `2 n` when
 //! it is whole. All words, data too, are relaxed atomics, so that there is no data race; fences order
-//! them. As the word holds the number of the record and not only its parity, a reader also sees that
+//! them. The word holds the number of the record and not only its parity. So a reader also sees that
 //! a slot holds another record than the one it wants.
 //!
 //! Written against a trait, so that the same lines run over shared memory and in a model checker. It
@@ -144,7 +144,7 @@ impl Ring {
         memory.store_bytes(self.bytes_at(slot), bytes);
         memory.fence_release();
         memory.store(slot + SEQUENCE, whole);
-        // Whoever learns of the record finds it whole.
+        // A reader that learns of the record finds it whole.
         memory.fence_release();
         memory.store(self.head, mark.count);
     }
@@ -187,8 +187,9 @@ impl Ring {
         }
     }
 
-    /// Takes over from a writer that may have ended anywhere: the number of the latest whole record,
-    /// announced now if its writer did not come to that; `None` when the memory makes no sense.
+    /// Takes over from a writer that may have ended anywhere. Gives the number of the latest whole
+    /// record, and announces it if its writer did not come to that. `None` when the memory makes no
+    /// sense.
     ///
     /// The slot of a record that was begun and not ended is the one that is written next, so it needs
     /// no repair.

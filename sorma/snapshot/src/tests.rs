@@ -376,7 +376,7 @@ fn a_file_of_another_kind_version_or_size_is_refused_with_what_is_wrong() {
     );
     shop.file().write_at(&5000_u64.to_ne_bytes(), 24).unwrap();
     assert!(open().contains("and its records need"), "{}", open());
-    // Whoever writes next makes it anew.
+    // The next writer makes it anew.
     let mut writer = shop.writer(4, 4);
     put(&mut writer, 1);
     assert_eq!(rest(&mut shop.reader()), [(0, 1)]);

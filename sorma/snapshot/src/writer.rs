@@ -34,9 +34,9 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Makes the buffer `name`, or takes it over from a writer that has ended: with the same layout it goes on
-    /// with the next number, and readers just go on; with another layout a new segment takes the
-    /// place of the old one, and readers of the old one are told.
+    /// Makes the buffer `name`, or takes it over from a writer that has ended. With the same layout it goes on
+    /// with the next number, and readers just go on. With another layout a new segment takes the place of the
+    /// old one, and readers of the old one are told.
     ///
     /// # Errors
     /// Another writer has it, the name or the layout cannot be, or the system refuses.
@@ -302,7 +302,7 @@ impl Drop for Writer {
     }
 }
 
-/// Takes the lock of a segment, which whoever writes it holds.
+/// Takes the lock of a segment, which its writer holds.
 fn lock(file: File, path: &Path) -> Result<File, SnapshotError> {
     match file.try_lock() {
         Ok(()) => Ok(file),

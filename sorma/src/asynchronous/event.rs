@@ -1,4 +1,4 @@
-//! The class `event`: whoever asks it with EXEC notifies all who subscribe to it.
+//! The class `event`: an EXEC notifies all that subscribe to it.
 
 use crate::description::Form;
 use crate::object::{Context, Outcome, ServiceObject};

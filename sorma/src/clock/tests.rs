@@ -8,8 +8,8 @@ use rand_chacha::ChaCha8Rng;
 /// The clock there: by pieces, each with a rate of its own. What it shows is rounded to the nanosecond; what it
 /// carries from piece to piece is not, or it would drift faster than its rates say.
 struct There {
-    /// Moments here at which a piece begins, ns, with what the clock there has then, in parts of 10^9 of a
-    /// nanosecond, and how fast it runs, in parts of 10^9 more than the one here.
+    /// Moments here at which a piece begins, ns. With each stand the time of the clock there, in 10^-9 ns,
+    /// and how much faster it runs than the one here, in 10^-9.
     pieces: Vec<(i128, i128, i128)>,
 }
 

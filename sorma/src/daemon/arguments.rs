@@ -20,7 +20,7 @@ pub(super) struct Arguments {
     /// By which number, besides its name, it is found on its host: `foo.a@host:11`.
     #[serde(default)]
     pub(super) number: Option<u32>,
-    /// What it offers to whoever trades, by class.
+    /// What it offers in trades, by class.
     #[serde(default)]
     pub(super) offers: Offers,
 }

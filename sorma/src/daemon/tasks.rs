@@ -217,7 +217,7 @@ impl Comm for Tasks {
             let daemon = address::task_at(self.cx.app(), at, &request.name).map_err(not_asked)?;
             let ask = self.request(request);
             let object = ask.object.clone();
-            // One that is being restarted is not waited for: whoever asks so may ask another one.
+            // It does not wait for one that is being restarted: the caller may ask another one.
             let asked = async {
                 let task = self.cx.task(&daemon).deadline(Duration::ZERO).await?;
                 self.at(&task, ask).await

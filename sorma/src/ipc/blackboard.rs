@@ -1,5 +1,5 @@
-//! The class `blackboard`: values by key, for several callers, each with a version that goes up with every
-//! change, so that waiting for a change is asking for a later version (SORMA technical report, figure 1.10).
+//! The class `blackboard`: values by key, for several callers (SORMA technical report, figure 1.10). Each
+//! has a version that goes up with every change, so to wait for a change is to ask for a later version.
 
 use super::answer::{after, code, int, not_yet, number, split, wrong};
 use crate::description::Form;

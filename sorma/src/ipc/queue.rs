@@ -1,4 +1,4 @@
-//! The class `queue`: messages that wait for whoever takes them, first in, first out (SORMA technical report,
+//! The class `queue`: messages that wait until they are taken, first in, first out (SORMA technical report,
 //! section 1.7, "queuing requests and results").
 
 use super::answer::{after, code, int, not_yet, number, seconds, split, wrong};
@@ -205,7 +205,7 @@ impl ServiceObject for Queue {
             }
             ["drop", ticket] => {
                 let ticket = number("a ticket", ticket)?;
-                // It is taken out of the line, whoever's turn it is.
+                // It is taken out of the line, even out of its turn.
                 let _ = self.takers.ask(ticket, usize::MAX);
                 io.empty();
             }

@@ -2,7 +2,7 @@
 //! inspector, other daemons. Tasks of an app have `ctos::semaphore`, which wakes them.
 //!
 //! A permit is held under a number, for somebody with a name, and, when a process was named, only as long as
-//! that process of this host runs. Whoever dies without releasing is noticed with the next request.
+//! that process of this host runs. A holder that died without releasing is noticed with the next request.
 
 use super::answer::{NOT_YET, code, int, number, seconds, split, wrong};
 use super::host::Host;
@@ -213,7 +213,7 @@ impl ServiceObject for SemaphoreObject {
             }
             ["release", hold] => number("a hold", hold).and_then(|hold| self.release(hold, io)),
             ["drop", ticket] => number("a ticket", ticket).map(|ticket| {
-                // It is taken out of the line, whoever's turn it is.
+                // It is taken out of the line, even out of its turn.
                 let _ = self.semaphore.waiting.ask(ticket, usize::MAX);
                 io.empty();
             }),

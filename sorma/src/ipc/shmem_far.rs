@@ -1,5 +1,5 @@
-//! The class `shmem_far`: reads records from a snapshot buffer of another host through a daemon there, and turns their
-//! stamps into the time here, with a bound on the error (SORMA technical report, sections 1.7.2 and 2.2.5).
+//! The class `shmem_far`: reads records from a snapshot buffer of another host through a daemon there (SORMA
+//! technical report, sections 1.7.2 and 2.2.5). It turns their stamps into the time here, with a bound on the error.
 //!
 //! Every request is an exchange that teaches the estimate of the clocks' difference; nothing is sent for that alone.
 

@@ -66,7 +66,7 @@ struct Standing {
 }
 
 impl Standing {
-    /// Whether it is just being asked for the first time. Whoever asked may have gone without an answer.
+    /// Whether it is just being asked for the first time. The caller may have gone without an answer.
     fn is_first_question(&self, now: Instant) -> bool {
         let asked = self.asked.filter(|_| self.known.is_none());
         asked.is_some_and(|asked| now.since(asked) < FIRST)

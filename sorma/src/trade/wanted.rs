@@ -76,9 +76,9 @@ fn is_attribute(text: &str) -> bool {
 }
 
 impl Wanted {
-    /// Reads what stands in the dictionary for `index` after the word `trade`: requirements
-    /// (`arm=left`, `price<=3`, `!=`, `<`, `>=`, `>`), `-least ATTRIBUTE`, `-most ATTRIBUTE`,
-    /// `-among DAEMON,DAEMON` for those daemons only, and `-spread` for equal offers that take turns.
+    /// Reads what stands in the dictionary for `index` after the word `trade`. These are requirements
+    /// (`arm=left`, `price<=3`, `!=`, `<`, `>=`, `>`), `-least ATTRIBUTE`, `-most ATTRIBUTE`, `-among
+    /// DAEMON,DAEMON` for those daemons only, and `-spread` for equal offers that take turns.
     ///
     /// # Errors
     /// The word that is none of these.

@@ -466,7 +466,7 @@ fn in_text_requests_are_deferred_one_way_or_called_back() {
                 assert_eq!(count.body.ints, [2]);
                 let called = ask(&sorm, &cx, &format!("scale.minus{at} DBX -statistics")).await;
                 assert_eq!(called.body.text, "exec 1 ctrl 1 errors 0");
-                // And the other way round: who asks is there.
+                // And the other way round: the caller is there.
                 let far = format!("later{at} EXEC ask 'scale.two EXEC FMSG 1 21'");
                 let ticket = ask(&sorm, &cx, &far).await.body.ints[0];
                 let collect = format!("later{at} EXEC collect {ticket}");

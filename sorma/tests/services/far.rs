@@ -61,7 +61,7 @@ async fn ask(cx: &TaskContext, sorm: &Sorm, line: &str) -> Result<Transport, Str
 }
 
 /// Writes there and reads from here, again and again. Answers how often a clock was set, the least bound on the error
-/// in ns, how many records cannot be of the time that was said, and by how much the last stamp there was off.
+/// in ns, how many records contradict their stated time, and by how much the last stamp there was off.
 async fn job(cx: &TaskContext, sorm: &Sorm) -> Result<String, String> {
     ask(cx, sorm, "shmem_w.pose@d1 CTRL -floats 1 -slots 8").await?;
     ask(cx, sorm, "shmem_far.pose CTRL -daemon d1 -drift 1e-3").await?;
@@ -118,7 +118,7 @@ fn host(cx: &TaskContext, root: &Path) -> Host {
 /// Clock sets, least bound (ns), records outside of their bounds, stamp there minus time here (ns), estimated drift.
 fn run(faults: &[Fault]) -> Vec<f64> {
     let folder = tempfile::tempdir().unwrap();
-    // Made by whoever needs it, for this user alone.
+    // Made by the first that needs it, for this user alone.
     let root = folder.path().join("segments");
     let app = load_texts(&[("app.toml", APP)], &[], &[]).unwrap();
     let mut registry = Registry::new();

@@ -109,7 +109,7 @@ fn reports_come_back_over_processes_with_who_said_them() {
 fn opaque_bytes_reach_another_process_and_come_back() {
     let scenario: Scenario = |cx, sorm| {
         Box::pin(async move {
-            // Large ones are lent, not copied; whoever lends them sees nothing of what the borrower does.
+            // Large ones are lent, not copied; the lender sees nothing of what the borrower does.
             for size in [0, 1, 256, 16 * 1024 - 1, 16 * 1024, 1_000_003] {
                 let bytes: Vec<u8> = (0..size).map(|at| (at * 7 % 251) as u8).collect();
                 let mut request: Request = "scale.two@d1 EXEC FMSG 1 1".parse().unwrap();

@@ -2,9 +2,9 @@
 //!
 //! A target must answer any input with a value or an error: never with a panic, never without end, never
 //! by reserving what was only announced. The same seed makes the same inputs, so a run differs from the
-//! last one only in how far it comes; `CTOS_FUZZ_SECONDS` makes it longer (for all targets of a crate
-//! together) and `CTOS_FUZZ_SEED` other. An input that fails is written into the corpus beside the others,
-//! where the next run begins with it.
+//! last one only in how far it comes. `CTOS_FUZZ_SECONDS` makes it longer (for all targets of a crate
+//! together), and `CTOS_FUZZ_SEED` sets another seed. An input that fails is written into the corpus
+//! beside the others, where the next run begins with it.
 
 #![allow(
     clippy::panic,

@@ -1,5 +1,5 @@
-//! A frame of 750 kB that is made in shared memory, from one process to another and answered, with calls of
-//! ours and with iceoryx2 (publish-subscribe both ways): asleep until it comes, and looking for it all the time.
+//! A frame of 750 kB that is made in shared memory, sent from one process to another and answered. With calls of
+//! ours and with iceoryx2 (publish-subscribe both ways); asleep until it comes, and polling all the time.
 //!
 //! `cargo bench -p peers --features iceoryx2 --bench frames -- --pin | --pin2`: both processes on one core, or
 //! on two. The bytes of a frame are not counted: neither side writes or reads them all.
@@ -107,7 +107,7 @@ impl EventHandler for Caller {
     }
 }
 
-/// Who looks for messages all the time does so on a core of its own: the configuration says which, for a process
+/// A processor that polls all the time does so on a core of its own. The configuration says which, for a process
 /// that is kept on one core from outside never does it.
 fn app(spin: &str) -> App {
     let processor = |cpu: u8| match spin {

@@ -1,6 +1,6 @@
-//! What handing on a record costs with snapshot buffers and with iceoryx2, in one process, so that no
-//! scheduler has a say: publish-subscribe with a history of the same depth that overwrites, and the
-//! blackboard, which holds the latest value only.
+//! The cost of handing on a record with snapshot buffers and with iceoryx2, in one process, so that
+//! no scheduler matters. Of iceoryx2 these are publish-subscribe with an overwriting history of the
+//! same depth, and the blackboard, which holds the latest value only.
 //!
 //! `cargo bench -p peers --features iceoryx2`.
 

@@ -1,5 +1,4 @@
-//! CTOS as a contender in a process of its own, with the environment in which a boot starts a chassis: the kernel need
-//! not look after restartable sequences there, which the other libraries leave as the C library has them.
+//! CTOS as a contender in a process of its own, as a boot starts a chassis.
 
 use std::{
     io::{BufRead, BufReader, Write},

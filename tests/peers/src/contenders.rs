@@ -294,7 +294,7 @@ impl Pair for Floor {
         let other = word.clone();
         let server = std::thread::spawn(move || {
             pin(cpu);
-            // It begins on the core of whoever starts it, which must not spin before it has left.
+            // It begins on the core of its starter, which must not spin before it has left.
             other.store(2, Ordering::Release);
             loop {
                 match other.load(Ordering::Acquire) {

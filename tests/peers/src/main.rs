@@ -1,5 +1,5 @@
-//! CTOS's messages beside those of other libraries, measured in one run: every round measures each
-//! contender once, so that whatever else the machine does hits all of them alike. The table shows the
+//! CTOS's messages beside those of other libraries, measured in one run. Every round measures each
+//! contender once, so that other work of the machine disturbs all of them alike. The table shows the
 //! medians of the rounds and the ratios of the medians; the ratio is what counts.
 //!
 //! `cargo run --release -p peers --features peers [-- PART ...]`, parts: `local`, `core`, `cores`,

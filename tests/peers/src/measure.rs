@@ -196,8 +196,8 @@ fn resident() -> f64 {
 
 fn idle() {
     const COUNT: u32 = 100_000;
-    // Each in a process of its own would be cleaner; what is freed by one round is used by the next,
-    // so memory is taken from the first round only, and the order is such that nothing is there yet.
+    // An argument picks one of the two, so that each can be measured in a process of its own.
+    // Neither is freed, so the second reuses no memory of the first.
     let part = std::env::args().nth(2);
     let mut results = Vec::new();
     let mut measure = |name: &'static str, spawn: &mut dyn FnMut(), ask: &mut dyn FnMut()| {

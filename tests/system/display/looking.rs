@@ -46,7 +46,7 @@ fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_bac
     // What the log says of a task stands below.
     browser.ask("nets.lookAt('display')");
     browser.wait("document.querySelector('#side [aria-label=log] li')?.textContent.includes('nets are shown')");
-    // Its address is there for whoever looks on, and what opens it for control is not.
+    // Its address is there for viewers; what opens it for control is not.
     assert_eq!(
         browser.ask("nets.tasks.get('display').lines.some((one) => /token=\\w/.test(one.text))"),
         false
@@ -55,7 +55,7 @@ fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_bac
     browser.ask("nets.lookAt('mcs')");
     browser.wait("document.querySelector('#side h2').textContent.startsWith('mcs')");
 
-    // A message leads to its moment, and the task to who asks it.
+    // A message leads to its moment, and the task to its callers.
     browser.ask("document.querySelector('#side .messages li button').click()");
     browser.wait("nets.cursor !== null");
     browser.click("Live");
@@ -281,7 +281,7 @@ fn breakpoints_of_the_boot_are_marked_and_the_clock_is_that_of_the_app_whoever_c
             "document.querySelector('[data-key=\"dispatcher/{transition}\"].armed')"
         ));
     }
-    // Nothing happens, and time goes by: also for who comes only now.
+    // Nothing happens, and time goes by: also for a page that is opened only now.
     let waited = format!("nets.now() - {DISPATCHER}.head.at_ns");
     browser.wait(&format!("{waited} > 2e9"));
     let mut late = Browser::open(&page, SIZE);

@@ -106,7 +106,7 @@ fn a_panel_without_its_token_shows_the_objects_and_changes_nothing() {
         browser.ask("document.querySelector('#line')"),
         serde_json::Value::Null
     );
-    // Whoever asks all the same is refused.
+    // A request all the same is refused.
     let refused = "fetch('ask', { method: 'POST', body: 'mvpos CTRL -speed 0.125' }).then((reply) => reply.ok)";
     assert_eq!(browser.ask(refused), false);
     // On a narrow screen nothing has to be pushed sideways.

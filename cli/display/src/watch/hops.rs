@@ -1,5 +1,5 @@
-//! The neighbourhood of a node, in boxes of letters: what leads to it stands to its left, what it leads to
-//! to its right, and lines go between neighbouring columns. It knows no terminal.
+//! The neighbourhood of a node, in boxes of letters. Its predecessors stand to its left, its successors to
+//! its right, and lines go between neighbouring columns. It knows no terminal.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -155,8 +155,8 @@ impl Workspace {
         included.filter_map(|whole| whole.files.first().map(PathBuf::as_path))
     }
 
-    /// Everywhere where the word at a place stands for the same thing: in its file, in the nets that include
-    /// it, in what those include, and in nets that name a place of this one.
+    /// All places where the word stands for the same thing: in its file, in the nets that include it, in
+    /// what those include, and in nets that name a place of this one.
     pub fn same(&self, spot: &Spot) -> BTreeSet<Spot> {
         let mut found = BTreeSet::new();
         let mut waiting = vec![spot.clone()];

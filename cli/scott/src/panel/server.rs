@@ -21,7 +21,8 @@ use cli_common::page::{self, Right};
 const LONGEST: usize = 64 * 1024;
 /// How long a line may take to come.
 const LINE_DEADLINE: Duration = Duration::from_secs(5);
-/// In which header a page shows that it was opened by whoever started the panel. A page of another site cannot send it.
+/// The header in which a page shows that the user who started the panel opened it. A page of another site cannot send
+/// it.
 const TOKEN: &str = "x-scott-token";
 
 /// Serves until `stop` is over.
@@ -117,7 +118,7 @@ fn answered(value: &Value) -> Response {
     page::file("application/json", value.to_string())
 }
 
-/// What whoever sends a request may do.
+/// What the sender of a request may do.
 fn right(service: &Service, headers: &HeaderMap) -> Result<Right, &'static str> {
     let shown = headers.get(TOKEN).map_or(&b""[..], HeaderValue::as_bytes);
     let right = service.door.right(shown);

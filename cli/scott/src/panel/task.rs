@@ -139,7 +139,7 @@ async fn carry(cx: &Context, daemon: &str, mut asked: mpsc::Receiver<Asking>) {
     let permits = Arc::new(Semaphore::new(UNDER_WAY));
     while let Some((line, reply)) = asked.recv().await {
         let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = reply.send(refusal(&line, "too many requests are under way"));
             continue;
         };

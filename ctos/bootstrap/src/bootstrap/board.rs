@@ -1,5 +1,5 @@
-//! What the bootstrap service knows of the app and of each chassis: written by its handler, read by
-//! the sequence that boots the app and by the supervisor of each chassis.
+//! What the bootstrap service knows of the app and of each chassis. Its handler writes it; the
+//! sequence that boots the app and the supervisor of each chassis read it.
 
 use std::{
     cell::{Cell, RefCell},
@@ -86,7 +86,7 @@ impl<T> Inbox<T> {
 /// A chassis, seen by its supervisor.
 pub(super) struct Member {
     pub(super) index: u8,
-    /// What is told of it.
+    /// What the boot reports of it.
     pub(super) report: RefCell<MemberReport>,
     pub(super) policy: ChassisSupervision,
     /// How often its process was started again.
@@ -151,7 +151,7 @@ impl Member {
     /// Answers those who wait for it to come up.
     pub(super) fn answer_restarts(&self, answer: Result<(), &str>) {
         for reply in self.restarts.take() {
-            // Whoever asked may have gone; nobody else wants the answer.
+            // The caller may be gone; nobody else wants the answer.
             let _ = match answer {
                 Ok(()) => reply.ok(()),
                 Err(reason) => reply.fail(reason),
@@ -338,8 +338,8 @@ impl Board {
         }
     }
 
-    /// A task of chassis `index` failed for good: the failure of the app or, if the configuration says
-    /// so and the app has been up, of that chassis alone.
+    /// A task of chassis `index` failed for good. That is a failure of the app or, if the
+    /// configuration says so and the app has been up, of that chassis alone.
     pub(super) fn task_failed(&self, index: u8, task: String, reason: String) {
         let contains = |one: &&Rc<Member>| {
             self.is_up() && one.policy.on_task_failure == OnTaskFailure::RestartChassis

@@ -1,5 +1,5 @@
-//! Why a task did not do in time what it was asked, to acknowledge a startup phase or to come to rest: what it
-//! waits for, as far as its chassis can tell.
+//! Why a task has not acknowledged a startup phase, or has not come to rest, in time: what it waits for, as
+//! far as its chassis can tell.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! The supervisor of one chassis: brings its tasks through the phases, sees it fail, makes sure that its
-//! process is dead, and starts the next one as the policy allows. Steps through
+//! The supervisor of one chassis. It brings the tasks through the phases, notices a failure, makes sure
+//! that the process is dead, and starts the next one as the policy allows. Steps through
 //! [`ChassisState`](super::ChassisState); what may follow what stands there.
 
 use std::{convert::Infallible, future::pending, rc::Rc, time::Duration};
@@ -180,7 +180,7 @@ impl Supervisor {
         self.welcome().await
     }
 
-    /// The tasks have passed all phases: whoever waits for them is told.
+    /// The tasks have passed all phases: waiting callers are told.
     async fn welcome(&self) -> String {
         let board = &self.board;
         if let Some(failed_at) = self.member.failed_at.get() {

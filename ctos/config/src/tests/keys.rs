@@ -26,7 +26,7 @@ fn the_reader_knows_the_listed_keys_and_no_others() {
         let text = format!(
             "{header}{NOBODYS_KEY} = 1\n[task.a]\nhandler = \"h\"\non = \"c\"\n[chassis.c]\n"
         );
-        // Whoever reads the table tells all that it knows when nothing comes near.
+        // The reader of the table lists all keys that it knows when none is similar.
         let lines = refused(load_one(&text));
         let of_key = lines.iter().find(|line| line.contains(NOBODYS_KEY));
         let known = of_key.and_then(|line| line.split_once("known here: "));

@@ -137,7 +137,7 @@ impl Ask {
             return Poll::Ready(ended);
         }
         let State::Waits(waits) = &mut self.state else {
-            // Polled after its end, which is the fault of whoever polls.
+            // Polled after its end, which is the fault of the polling code.
             return Poll::Pending;
         };
         let (key, at_once) = (waits.key, !waits.waited);

@@ -238,7 +238,7 @@ impl Context {
         self.inner.config.as_deref()
     }
 
-    /// Says what the task is at besides its messages, for `ctos status` and whoever else looks at it.
+    /// Says what the task is at besides its messages, for `ctos status` and displays.
     pub fn is_at(&self, at: Option<AtReport>) {
         *lock(&self.inner.record.statistics.activity().at) = at;
     }

@@ -80,7 +80,7 @@ pub enum NameError {
 
 impl NameError {
     /// Whether the task may come back all the same: its chassis is still being restarted, or somebody may
-    /// still start it. Who asks again waits again. False when that is known not to happen.
+    /// still start it. A caller that asks again waits again. False when that is known not to happen.
     #[must_use]
     pub fn may_come_back(&self) -> bool {
         match self {
@@ -126,12 +126,12 @@ impl<'c> IntoFuture for Find<'c> {
 impl Context {
     /// Finds a task by its symbolic name. Found once, a name is remembered by the chassis.
     ///
-    /// A task of the configuration whose chassis is being restarted is waited for, from the moment that the
-    /// death is noticed until its tasks have passed their phases: as long as a call of this task waits,
-    /// unless [`Find::deadline`] says otherwise. So is one that the boot has not created yet. The answer comes at
-    /// once when the chassis is not started again, or the app is being stopped. It also does when the task has come to
-    /// its end, and when no task has the name and none is configured by it.
-    /// A task that alone is being restarted keeps its name and its queue: it is found, and calls wait there.
+    /// It waits for a task of the configuration whose chassis is being restarted: from the notice of the death until
+    /// its tasks have passed their phases. It waits as long as a call of this task does, unless [`Find::deadline`]
+    /// says otherwise. It also waits for a task that the boot has not created yet. The answer comes at once when the
+    /// chassis is not started again, or the app is being stopped. It also does when the task has come to its end, and
+    /// when no task has the name and none is configured by it. A task that alone is being restarted keeps its name
+    /// and its queue: it is found, and calls wait there.
     ///
     /// # Errors
     /// [`NameError`] when no task has the name, it is not back in time, or the service cannot be reached.
@@ -221,8 +221,8 @@ impl Context {
         }
     }
 
-    /// Finds a task by its symbolic name, and waits for the name to appear if there is none yet: another
-    /// task may be about to [start](Self::start) it, or its chassis is just being started again.
+    /// Finds a task by its symbolic name, and waits for the name if it is not there yet. Another task
+    /// may be about to [start](Self::start) it, or its chassis is just being started again.
     ///
     /// # Errors
     /// [`NameError::NotYet`] after `deadline`, with who waits for whom; [`NameError::Circle`] at once, when

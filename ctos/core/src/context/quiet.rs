@@ -72,7 +72,7 @@ impl Context {
         self.settle();
     }
 
-    /// The app is about to be stopped. Who waits for this task to be at rest is told later.
+    /// The app is about to be stopped. Tasks that wait for this one to be at rest are told later.
     pub(crate) fn begin_stop(&self, reason: &StopReason, reply: Option<Replier<Quiesce>>) {
         let mut family = self.inner.family();
         let quiet = family.quiet.get_or_insert_with(|| {
@@ -86,7 +86,7 @@ impl Context {
             })
         });
         let before = std::mem::replace(&mut quiet.reply, reply);
-        // Not held while whoever waited for it is told.
+        // Not held while the waiting task is told.
         drop(family);
         drop(before);
     }

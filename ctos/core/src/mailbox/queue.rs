@@ -24,7 +24,7 @@ use ctos_message::{Command, fault::Fault};
 #[derive(Default)]
 pub(super) struct Lane {
     pub(super) queue: VecDeque<Message>,
-    /// While it holds anybody, whoever comes waits, too: nobody is overtaken.
+    /// While a message waits here, later ones wait, too: none is overtaken.
     pub(super) waiting: VecDeque<Message>,
     /// Credits of messages that were taken out, to be given back together: senders on other cores use the same
     /// memory. None while the queue is empty.

@@ -109,7 +109,8 @@ impl TidServer {
             *one = Some(turned);
         }
         drop(state);
-        // Before anybody can send to the new place: whoever stops a chassis stops the tasks it has.
+        // Before anybody can send to the new place: the stop of a chassis stops the tasks that it
+        // has.
         let moved = TaskMoved {
             task: TaskRef::new(name.as_str(), new),
             old,

@@ -165,8 +165,8 @@ impl Processor {
         here.ok().flatten()
     }
 
-    /// [`Self::here_if`], unless something is on the way to it from other threads, which comes before what is to be
-    /// given to it now: of two messages of one sender, the first may have been read from their link by another thread.
+    /// [`Self::here_if`], unless the inbox holds something: that was sent earlier and comes first. (Of two messages
+    /// of one sender, another thread may have read the first from their link.)
     pub(crate) fn at_hand(handle: &Arc<ProcessorHandle>) -> Option<Rc<Self>> {
         Self::here_if(handle).filter(|here| here.inbox.is_empty())
     }

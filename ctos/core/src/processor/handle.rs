@@ -40,7 +40,8 @@ pub(crate) enum Item {
 }
 
 impl Item {
-    /// The processor, or the task, takes nothing more: whoever waits for a credit or an answer is told.
+    /// The processor, or the task, takes nothing more: senders that wait for a credit or an answer are
+    /// told.
     pub(super) fn refuse(self) {
         match self {
             Self::Delivery(_, delivery) => delivery.refuse(),

@@ -16,8 +16,8 @@ use super::{
 };
 use crate::contain::{drop_contained, panic_text};
 
-/// So many calls of one poll run their receivers at once; those after them go through the queue of ready futures,
-/// so that a task which calls without end keeps nobody from its processor.
+/// So many calls of one poll run their receivers at once. Later ones go through the queue of ready futures, so
+/// that a task which calls without end does not keep the processor.
 const HAND_OVERS: u32 = 32;
 
 /// Calls within calls that run at once: each takes stack.
@@ -124,9 +124,8 @@ impl Processor {
         }
     }
 
-    /// A call was delivered: a receiver on this processor that waited for it, so that it is ready now and was not
-    /// when `ready` futures were, handles it at once, within the poll of its caller. Not where synchronous functions
-    /// run between two polls.
+    /// Polls the receiver of a call at once if this delivery woke it: more than the `ready` futures from before are
+    /// ready. Not on a processor with synchronous functions.
     pub(crate) fn hand_over(&self, ready: usize) {
         let (handed_over, depth) = (self.handed_over.get(), self.depth.get());
         let may = handed_over < HAND_OVERS && depth < DEEPEST && self.schedule.is_idle();

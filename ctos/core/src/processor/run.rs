@@ -118,8 +118,8 @@ impl Processor {
     }
 
     /// Looks for work without sleeping, as long as the processor was told to: at what other threads brought,
-    /// and at the links of the chassis. Never yields: that would hand the core to whoever else wants it for a
-    /// whole slice. True when there is something to do.
+    /// and at the links of the chassis. Never yields: that would give the core to another thread for a whole
+    /// slice. True when there is something to do.
     pub(super) fn spin(&self, since: Instant) -> bool {
         /// Looks between two looks at the clock.
         const LOOKS: u32 = 32;

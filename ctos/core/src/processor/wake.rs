@@ -14,6 +14,6 @@ pub struct FutureId {
 pub(crate) enum LocalWake {
     /// It is polled again.
     Future(FutureId),
-    /// Whoever polls it within another future is told.
+    /// The future that polls it within itself is woken.
     Waker(Waker),
 }

@@ -1,34 +1,34 @@
-//! What a processor does before it sleeps where another one runs on the same core: it lets that have the core
-//! and looks once more. If the other one brings something then, neither has slept nor been woken, which is half
-//! of what a call between the two costs.
+//! Before it sleeps, a processor yields its core to others on it and checks its inbox once more. If another one
+//! has brought something, neither has slept nor been woken, which saves half of what a call between the two
+//! costs.
 //!
-//! Whoever gives way goes to the end of the line of all that want the core. Where programs that work all the
-//! time are among them, that is a few milliseconds long, and who sleeps and is woken is better off. So the
-//! way is given only while it comes back at once; after it did not, not for a while, longer each time. Nor is it
-//! given by who looks at the links, where other processes bring what it waits for, or has synchronous functions.
+//! A thread that yields goes to the end of the core's run queue. With busy programs in that queue a yield takes
+//! a few milliseconds, and to sleep and be woken is quicker. So a yield that returns late is not repeated for a
+//! while, longer each time. A processor that looks at the links, where other processes bring what it waits for,
+//! does not yield, nor does one with synchronous functions.
 
 use std::{cell::Cell, time::Duration};
 
 use ctos_time::Instant;
 
-/// The way came back at once if it did so within this time.
+/// A yield that returns within this time returned at once.
 const AT_ONCE: Duration = Duration::from_micros(50);
 
-/// For so long it is not given after it did not come back at once, ...
+/// After a first yield that returned late there is none for so long, ...
 const FIRST_PAUSE: Duration = Duration::from_micros(100);
 
-/// ... and for so long at most, after that has happened again and again.
+/// ... and after many of them for so long at most.
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// By this part the pause becomes shorter each time that the way came back at once.
+/// Each yield that returned at once shortens the pause by this part.
 const FORGIVEN: u32 = 64;
 
-/// When the way may be given.
+/// When the processor may yield.
 #[derive(Default)]
 pub(super) struct Yielding {
     /// Not before this moment.
     from: Cell<Instant>,
-    /// How long it was not given the last time.
+    /// The latest pause.
     pause: Cell<Duration>,
 }
 
@@ -37,7 +37,7 @@ impl Yielding {
         now >= self.from.get()
     }
 
-    /// The way was given at `yielded` and has come back now, or there was nobody to give it to.
+    /// A yield that began at `yielded` has returned now, or nothing else was ready to run.
     pub(super) fn came_back(&self, yielded: Instant, now: Instant) {
         if now.since(yielded) <= AT_ONCE {
             let pause = self.pause.get();
@@ -89,7 +89,7 @@ mod tests {
         assert!(pauses.is_sorted());
         assert_eq!(pauses.first(), Some(&FIRST_PAUSE));
         assert_eq!(pauses.last(), Some(&LONGEST_PAUSE));
-        // Once it comes back at once again and again, all is as before.
+        // After many yields that return at once, the pause is the first one again.
         for _ in 0..1000 {
             yielding.came_back(now, now);
         }

@@ -163,8 +163,8 @@ impl Runner {
         }
     }
 
-    /// The old incarnation is finished before anything of a new one begins: its state is kept where that
-    /// is allowed, and its children, its tasks and what it had not answered yet end now.
+    /// The old incarnation is finished before a new one begins. Its state is kept where that is allowed.
+    /// Its children, its tasks and its unanswered requests end now.
     pub(crate) async fn end_incarnation(&mut self, ending: Ending) {
         self.cx.next_incarnation();
         self.cx.cancel_children();
@@ -187,7 +187,7 @@ impl Runner {
         self.cx.end_all_started().await;
     }
 
-    /// It is not restarted: whoever must know is told, and its name is free.
+    /// It is not restarted: its starter or its chassis is told, and its name is free.
     async fn give_up(&mut self, ending: Ending, why: &str, verdict: Verdict) {
         let tried = match verdict {
             Verdict::GiveUp { restarts } => format!(" (after {restarts} restarts)"),

@@ -112,7 +112,7 @@ impl Ledger {
                     };
                     self.generation += 1;
                     let (generation, last) = (self.generation, false);
-                    // Whoever waits no longer gives it back with its ticket.
+                    // A task that waits no longer gives it back with its ticket.
                     let _ = waiter.send(Passage { generation, last });
                     self.holders.push((claim, now));
                 }
@@ -195,7 +195,7 @@ mod tests {
         Acquire {
             high: bool,
         },
-        /// One of those there are, or were: whoever holds, waits, or is gone already.
+        /// One of the claims that there are, or were: it holds, waits, or is gone already.
         End(prop::sample::Index),
         /// All of every third number, as when a chassis dies.
         EndThird(u64),
@@ -234,7 +234,7 @@ mod tests {
 
     proptest! {
         /// Never more permits out than there are, none free while somebody waits, served in order, high before
-        /// normal, whoever ends and however.
+        /// normal, whichever claim ends and however.
         #[test]
         fn permits_are_never_too_many_and_nobody_waits_for_a_free_one(
             permits in 1_u32..4,

@@ -215,7 +215,7 @@ impl Ticket {
         }
     }
 
-    /// Whether it stands for a permit still, as whoever keeps the semaphore says.
+    /// Whether it still stands for a permit, as the keeper of the semaphore says.
     pub(super) async fn is_good(&self, cx: &Context) -> Result<bool, CallError> {
         if self.kept.is_some() {
             return Ok(self.chassis.blocking().has(self.hold));

@@ -1,8 +1,8 @@
 //! The order of synchronous functions within a tick, derived from the data that flows between them.
 //!
-//! Whoever writes a signal runs before those who read it in the same tick, and after those who read its value
-//! of the tick before. Where the data leaves the order open, functions run as they were added, so the same program
-//! always has the same order.
+//! The writer of a signal runs before its readers in the same tick, and after those that read its value of the
+//! tick before. Where the data leaves the order open, functions run as they were added, so the same program always
+//! has the same order.
 
 use std::collections::{BTreeMap, BTreeSet};
 

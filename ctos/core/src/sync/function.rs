@@ -41,13 +41,13 @@ pub struct Synchronous {
 }
 
 impl Synchronous {
-    /// Reads these signals as they are written in the same tick: runs after whoever writes them.
+    /// Reads these signals as they are written in the same tick: runs after their writers.
     pub fn reads<S: Into<String>>(mut self, signals: impl IntoIterator<Item = S>) -> Self {
         self.view.reads.extend(signals.into_iter().map(Into::into));
         self
     }
 
-    /// Reads these signals as the tick before left them: runs before whoever writes them. A loop of data is
+    /// Reads these signals as the tick before left them: runs before their writers. A loop of data is
     /// opened here.
     pub fn reads_previous<S: Into<String>>(mut self, signals: impl IntoIterator<Item = S>) -> Self {
         let signals = signals.into_iter().map(Into::into);

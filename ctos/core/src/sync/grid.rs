@@ -188,7 +188,7 @@ impl Grid {
         };
         self.anchor = (self.next - 1, now);
         let reason = match paced.ticks.end() {
-            // Whoever had it there took it away.
+            // The task that installed the source removed it.
             Some(None) => return Begun::Nothing,
             Some(Some(reason)) => reason,
             None => format!("no tick for {} s", patience.as_secs_f64()),

@@ -1,7 +1,7 @@
 //! A histogram of durations that one thread fills and any number of others read, none of them waiting.
 //!
-//! Its buckets are linear within each power of two (the layout of Tene's HdrHistogram): 32 to the
-//! octave, so a value is known to 1/32 of itself, from 1 ns to a minute, in 8 kB.
+//! Its buckets are linear within each power of two (the layout of Tene's HdrHistogram). There are
+//! 32 to the octave, so a value is known to 1/32 of itself, from 1 ns to a minute, in 8 kB.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},

@@ -1,8 +1,8 @@
 //! How long before a tick a processor wakes up, to spin the rest of the way.
 //!
-//! A sleeping thread wakes up late: by some ten microseconds on a busy core, by hundreds where the core had gone to
-//! sleep and a host has to give it back. Whoever sleeps until shortly before the tick and then spins is exact if
-//! "shortly" is longer than that, and spins for nothing if it is much longer.
+//! A sleeping thread wakes up late, by some ten microseconds on a busy core. It is hundreds where the core had gone
+//! to sleep and a host has to give it back. A thread that sleeps until shortly before the tick and then spins is
+//! exact if "shortly" is longer than that. It spins for nothing if it is much longer.
 
 use std::{cell::Cell, time::Duration};
 

@@ -1,11 +1,11 @@
 //! The mesh: who connects to whom, for as long as the app runs.
 //!
-//! Every chassis has a mesh. The boot's is called by all others and tells them of each other; of any two
+//! Every chassis has a mesh. All others call the boot's, which tells them of each other; of any two
 //! others, one calls ([`calls`]). Calls are taken for the whole run, so a chassis that was started again
-//! (with a higher incarnation number) can join: the link of its predecessor goes down first, then its
-//! own comes up. Streams that break are had anew until the peer counts as silent.
+//! (with a higher incarnation number) can join. The link of its predecessor goes down first, then its
+//! own comes up. Streams that break are opened again until the peer counts as silent.
 //!
-//! Knows sessions and streams; what supervision makes of a chassis that is gone is not its business.
+//! Knows sessions and streams, but nothing of what supervision does about a chassis that is gone.
 
 mod call;
 mod door;

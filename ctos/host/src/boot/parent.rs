@@ -271,8 +271,9 @@ impl Newcomers {
     }
 }
 
-/// Waits until all chassis are connected to each other and to this one, but for those that were killed and may be
-/// started again: these are its result, for their supervisors. `missing` says at any time who is not there.
+/// Waits until all chassis are connected to each other and to this one. It does not wait for those that were
+/// killed and may be started again: they are its result, for their supervisors. `missing` says at any time who
+/// is not there.
 async fn connect(
     starter: &Starter,
     mesh: &mut Mesh,

@@ -46,7 +46,7 @@ impl Process {
     /// Waits until it has ended and its last words are known.
     pub(super) async fn ended(&mut self) -> Ending {
         let gone = || Ending::unseen("ended unseen");
-        // Whoever watches it goes only when the boot does.
+        // The thread that watches it ends only with the boot.
         let ended = self.ended.wait_for(Option::is_some).await;
         ended.map_or_else(|_| gone(), |ending| ending.clone().unwrap_or_else(gone))
     }

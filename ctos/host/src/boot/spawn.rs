@@ -130,7 +130,7 @@ async fn wait(
         // It has not been waited for, so its number is still its own.
         let pid = child.id().and_then(|pid| i32::try_from(pid).ok());
         if let Some(pid) = pid.and_then(Pid::from_raw) {
-            // It may have ended just now; whoever waits for it sees that.
+            // It may have ended just now; the wait for it sees that.
             let _ = match signal {
                 // What it has started itself goes with it.
                 Signal::KILL => kill_process_group(pid, signal),

@@ -1,7 +1,8 @@
-//! Where tools come in: those of the app's own user by its socket; of other hosts over TLS, each with what the
-//! role of its key permits; at the loopback without keys those of the same user, who know the secret of the port.
+//! Where tools come in. Tools of the app's own user come by its socket, those of other hosts over TLS with what
+//! the role of their key permits. At the loopback without keys, tools of the same user show the secret of the
+//! port.
 //!
-//! Everything a stranger does is bounded, and who is refused is logged and counted.
+//! All that a stranger does is bounded, and refusals are logged and counted.
 
 use std::{net::SocketAddr, sync::Arc};
 

@@ -1,4 +1,4 @@
-//! The last lines of every chassis's log, kept by the boot for whoever asks.
+//! The last lines of every chassis's log, kept by the boot for tools.
 
 use std::{
     collections::{BTreeMap, VecDeque},

@@ -17,7 +17,7 @@ pub(super) enum News {
     Ended(EndView),
 }
 
-/// What happens to an app, for whoever subscribes.
+/// What happens to an app, for subscribers.
 #[derive(Debug, Clone)]
 pub(crate) struct Ticker(pub(super) broadcast::Sender<News>);
 

@@ -1,6 +1,6 @@
-//! What is said over the control socket: one JSON object a line. Fields are only ever added; a request
-//! that this version does not know is answered with an error and the connection lives on; what is no request at all
-//! ends it. At a port without keys a first line says its secret: `{"token":"..."}`.
+//! What is said over the control socket: one JSON object a line. Fields are only ever added. A request that this
+//! version does not know is answered with an error, and the connection stays open. What is no request at all ends
+//! it. At a port without keys a first line says its secret: `{"token":"..."}`.
 
 use std::collections::VecDeque;
 
@@ -72,7 +72,7 @@ pub enum Request {
     },
     /// Records the running app: [`Answer::Recording`] at once and every second, [`Answer::Recorded`] at its
     /// end. It ends after its time, by [`Request::RecordStop`], with the client and with the app. Needs the
-    /// role `watch` from a client of the app's own user; a client of another host names a folder of the
+    /// role `watch` from a client of the app's own user. A client of another host names a folder of the
     /// app's hosts, which needs the role `control`.
     Record(RecordRequest),
     /// Ends a record: [`Answer::Done`], and [`Answer::Recorded`] to the client that began it. Needs the

@@ -146,7 +146,7 @@ impl Service {
                 // A client that asks for nothing must not be waited for when the app has ended.
                 () = ended(&mut news) => return Ok(()),
             }
-            // Whoever says what is no request is no tool: what else it says is not obeyed.
+            // A client that sends what is no request is no tool: nothing else of it is obeyed.
             let ask = match read_ask(&line) {
                 Ok(ask) => ask,
                 Err(unreadable) => return self.hang_up(client, &mut writer, unreadable).await,

@@ -1,5 +1,5 @@
 //! How pages are served: HTTP with a bound for everything that a stranger does, over TLS wherever others
-//! can reach it, and only to whoever means this server. Knows no page.
+//! can reach it. Only requests that name this server are served. Knows no page.
 
 use std::{
     convert::Infallible,

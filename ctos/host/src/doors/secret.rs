@@ -1,5 +1,5 @@
-//! The secret of a port at the loopback that has no keys: whoever may read a file of this user knows
-//! it, a page in the user's browser does not.
+//! The secret of a port at the loopback that has no keys. A program that may read files of this user
+//! knows it, a page in the user's browser does not.
 
 use std::{
     fs,

@@ -1,6 +1,6 @@
 //! The agent of a host: waits for boots, lets in who may boot, and has a [`Run`] for each.
 //!
-//! Everything a stranger does is bounded, as at the door of a mesh; who is refused is logged and
+//! Everything a stranger does is bounded, as at the door of a mesh; refusals are logged and
 //! counted.
 
 use std::{
@@ -58,7 +58,7 @@ pub struct AgentSetup {
     pub program: PathBuf,
 }
 
-/// What an agent sees and does, for whoever shows it.
+/// What an agent sees and does, for the code that shows it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]

@@ -1,9 +1,9 @@
-//! The boot's links to the agents of its hosts: calls them, sends them the app, and passes on what is
-//! asked of processes there and what is heard of them.
+//! The boot's links to the agents of its hosts. It calls them and sends them the app. It passes on
+//! orders to processes there, and news of them.
 //!
-//! A connection that breaks is had anew; an agent that is not heard of for longer than a peer may be
-//! silent is lost, and with it, to this end, every process of its host. What supervision makes of that
-//! is not its business; when it wants a process there again, the agent is called again.
+//! A connection that breaks is opened again. An agent that is silent for longer than a peer may be is
+//! lost, and with it, for the boot, every process of its host. Supervision decides what follows; when
+//! it wants a process there again, the agent is called again.
 
 #[cfg(test)]
 mod tests;

@@ -40,7 +40,7 @@ const FIRST: ProcessId = ProcessId {
 /// After this a hasty boot is missed: long for whatever must have happened before, also on a machine that is busy.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// What whoever does not end by itself is given, before it is ended.
+/// The time that a process has to end by itself, before it is ended.
 const STOP: Duration = Duration::from_millis(300);
 
 fn run<T>(test: impl Future<Output = T>) -> T {

@@ -84,7 +84,7 @@ fn config(bytes: &[u8]) {
     let sets: Vec<String> = sets.lines().take(8).map(str::to_owned).collect();
     match load_texts(&[("app.toml", file)], &sets, &[]) {
         Ok(app) => drop(ctos_core::registry::Registry::new().check(&app)),
-        // Whoever is told must be able to read it.
+        // The findings must be readable.
         Err(findings) => assert!(!findings.to_string().is_empty()),
     }
 }

@@ -184,7 +184,7 @@ impl Sources {
         }
     }
 
-    /// Wakes whoever polls.
+    /// Wakes the polling thread.
     pub(super) fn wake(&self) {
         // It can only fail when the system is out of memory for it.
         let _ = self.waker.wake();
@@ -291,9 +291,9 @@ impl Sources {
         }
     }
 
-    /// Sees to it that the timer rings at `deadline`, or before: a time-out of the poll itself is a whole number of
-    /// milliseconds. One that rings sooner is left alone: calls have deadlines, each a little later than that of
-    /// the call before, and setting the timer for each of them costs more than that it rings once in vain.
+    /// Lets the timer ring at `deadline`, or before: a time-out of the poll itself is a whole number of
+    /// milliseconds. A timer that rings sooner is left alone. Each call has a deadline a little later than that of
+    /// the call before, and to set the timer for each costs more than one ring in vain.
     fn ring_by(&self, poller: &mut Poller, deadline: Instant) -> io::Result<()> {
         if poller.rings_at.is_some_and(|at| at <= deadline) {
             return Ok(());
@@ -337,7 +337,7 @@ impl Poller {
     }
 }
 
-/// What the system is to say of a source: a bell only rings, and the first that is said of a socket, that it is
+/// The events that the system reports of a source. A bell only rings. The first event of a socket, that it is
 /// writable, makes it write what was posted before.
 fn interest(source: &dyn Source) -> Interest {
     match source.visible() {

@@ -14,7 +14,7 @@ use super::{
     *,
 };
 
-/// Says by which thread it was served, and nudges whoever shall handle it.
+/// Says by which thread it was served, and nudges the thread that shall handle it.
 struct Pipe {
     stream: UnixStream,
     served: mpsc::Sender<ThreadId>,

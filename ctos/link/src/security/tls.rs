@@ -79,7 +79,7 @@ impl Keys {
         &self.identity
     }
 
-    /// Proves who this is to whoever was called, and learns who that is.
+    /// Proves who this is to the called side, and learns who that is.
     ///
     /// # Errors
     /// [`KeyError`] when the other end has no key of this authority, or does not take this one.

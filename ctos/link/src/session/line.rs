@@ -1,4 +1,4 @@
-//! The line of requests that wait for credits of a link: as senders wait for a permit of a mailbox, they wait
+//! The line of requests that wait for credits of a link, as senders wait for a credit of a mailbox. They wait
 //! here, in their order, until there are some or they give up. Pure: knows no stream and no clock.
 
 use std::{collections::VecDeque, time::Duration};

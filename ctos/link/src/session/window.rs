@@ -14,14 +14,14 @@ use crate::{
 };
 
 /// Bodies up to this size, bytes, are copied behind their heads, so that many small packets leave
-/// with one system call; larger ones are written from where they are.
+/// with one system call. Larger ones are written from where they are.
 const COPIED: usize = 4 * 1024;
 
 /// How many bytes are made ready for the stream at a time, at least.
 const BATCH: usize = 64 * 1024;
 
 /// Frames with more data than this, bytes, are cut, so that signs of life and messages of high priority
-/// come between their pieces: on a line of 1 Gbit/s a piece takes 2 ms.
+/// come between their pieces. On a line of 1 Gbit/s a piece takes 2 ms.
 pub const PIECE: usize = 256 * 1024;
 
 /// The same between processes of one host, where a piece takes a tenth of a ms, and to begin each one a tenth of that.

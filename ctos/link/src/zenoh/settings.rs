@@ -1,7 +1,7 @@
 //! What zenoh is told: the configuration of the app in its words, and what must not be left to its defaults.
 //!
 //! Its defaults are made for discovery on a bench: multicast on every interface, listening at every address,
-//! whoever comes is let in, a client that gives up at once. Knows no session and no stream.
+//! everybody is let in, a client that gives up at once. Knows no session and no stream.
 
 use std::time::Duration;
 
@@ -61,7 +61,7 @@ pub(super) fn settings(
         ),
         ("listen/endpoints", json!(texts(listen))),
         ("scouting/timeout", json!(patience_ms)),
-        // Whom a stream is for is waited for by whoever calls it.
+        // The caller of a stream waits for its other end.
         ("scouting/delay", json!(0)),
         ("open/return_conditions/connect_scouted", json!(false)),
         ("open/return_conditions/declares", json!(false)),
@@ -87,9 +87,9 @@ pub(super) fn settings(
     settings
 }
 
-/// TLS with this app's keys, and with nobody who has none where everything configured is TLS. zenoh's
-/// own check is of the authority only and, for whoever is called, takes any authority that browsers trust: who is at
-/// the other end of a stream is proved over the stream itself.
+/// TLS with this app's keys; where everything configured is TLS, peers without keys are refused. zenoh checks the
+/// authority only, and the called side accepts any authority that browsers trust. So the identity of the other end
+/// is proved over the stream itself.
 fn tls(config: &ZenohConfig, keys: &KeyFiles) -> Vec<(&'static str, Value)> {
     let path = |path: &std::path::Path| json!(path.to_string_lossy());
     let mut endpoints = config.connect.iter().chain(&config.listen);

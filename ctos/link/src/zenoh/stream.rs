@@ -1,11 +1,10 @@
-//! A byte stream over two keys of the zenoh network, one for each direction, made of numbered chunks: a number
-//! that is missing shows a gap, credits keep a sender from what nobody reads, and the end is told.
+//! A byte stream over two keys of the zenoh network, one for each direction, made of numbered chunks. A
+//! missing number shows a gap, credits stop a sender that is not read, and the end is sent.
 //!
-//! A zenoh network gives way to congestion in its own manner: what does not fit is dropped, or the whole
-//! connection stands still, and with it the streams of all others. So no end ever sends more than the
-//! other one has credits for. The user's end never waits for zenoh, which hands over what arrives on threads of
-//! its own; what leaves is published by one thread for each stream, because publishing may have to wait for the
-//! network.
+//! A zenoh network handles congestion in its own manner: what does not fit is dropped, or the whole connection
+//! stands still, and with it the streams of all others. So no end ever sends more than the other one has
+//! credits for. The user's end never waits for zenoh, which hands over what arrives on threads of its own. One
+//! thread for each stream publishes what leaves, because publishing may have to wait for the network.
 
 use std::{
     io,

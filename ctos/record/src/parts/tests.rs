@@ -209,7 +209,7 @@ mod slow {
     use ctos_message::Tid;
     use ctos_time::Clock;
 
-    /// Nobody reads the pipe, so the writer hangs in its first large write; whoever takes notes goes on.
+    /// Nobody reads the pipe, so the writer hangs in its first large write; the recording threads go on.
     #[test]
     fn a_disk_that_takes_nothing_hangs_nobody_and_what_is_dropped_is_counted() {
         let folder = tempfile::tempdir().unwrap();

@@ -104,9 +104,9 @@ impl Others {
     }
 
     /// Finds a message among the recorded ones: the first that is like it, among those that the task
-    /// sent before it was given anything else. Whoever waits for its answer, or its acceptance, is given
-    /// that before it sends on, so what stands side by side here was sent by children side by side, in
-    /// an order that the scheduler drew.
+    /// sent before it was given anything else. A sender that waits for an answer or an acceptance gets
+    /// it before it sends on. So messages side by side here were sent by children side by side, in an
+    /// order that the scheduler drew.
     fn output(&self, message: &Message, now: Instant) -> Option<Number> {
         // What cannot be encoded is like nothing in the record.
         let data = message.envelope.data.to_bytes().ok();

@@ -1,6 +1,6 @@
 //! Comparisons of packed markings with numbers of tokens, several places at once and without unpacking. A
-//! place is compared by a subtraction that borrows, or does not, from a bit above its field, and all
-//! fields of a word that leave each other such a bit are subtracted together (Lamport 1975).
+//! place is compared by a subtraction that borrows, or does not, from a bit above its field. All fields
+//! of a word that leave each other such a bit are subtracted together (Lamport 1975).
 
 use super::layout::{Field, Layout};
 use super::model::{PlaceNumber, Weighted};

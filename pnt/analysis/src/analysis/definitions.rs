@@ -57,8 +57,8 @@ fn fire(model: &Model, transition: &Transition, marking: &[u32]) -> Option<Marki
     Some(after)
 }
 
-/// Transitions that may fire for some answers of the enabling functions, with where they lead; and those
-/// that are sure: one of a pair of a function and its negation fires whatever the function says.
+/// Transitions that may fire for some answers of the enabling functions, with where they lead, and those
+/// that are sure. Of a pair of a function and its negation, one fires for any answer.
 fn firings(model: &Model, marking: &[u32]) -> (BTreeMap<usize, Marking>, BTreeSet<usize>) {
     let transitions = model.transitions.iter().enumerate();
     let enabled: BTreeMap<usize, Marking> = transitions

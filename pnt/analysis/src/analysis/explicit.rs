@@ -110,7 +110,7 @@ pub struct Explored<'a> {
     /// What ends what is computed from it.
     pub(super) stop: Stop,
     /// Markings found. Where a limit has ended a search on several threads, those of the levels that were
-    /// found whole; all else is then about the levels before, so that nothing depends on timing.
+    /// found whole. All else is then about the levels before, so that nothing depends on timing.
     pub markings: usize,
     /// Pairs of a marking and a transition enabled in it.
     pub edges: u64,

@@ -1,4 +1,4 @@
-//! A flag by which whoever waits for an analysis ends it early; what is known by then is told.
+//! A flag by which the caller of an analysis ends it early; what is known by then is reported.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

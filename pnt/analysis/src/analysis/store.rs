@@ -1,13 +1,13 @@
 //! Packed markings by number, found again by their content: an arena in blocks that never move, and an open
 //! table of 32-bit slots, at most three quarters full. A number is smaller than the table is long, so the
-//! bits of a slot that it leaves over hold some of the hash: what differs there need not be looked up in the
-//! arena.
+//! other bits of a slot hold some of the hash. What differs there need not be looked up in the arena.
 //!
 //! Several threads may find and insert at once. Each has numbers of its own to give, a [`Share`]. It
 //! writes a new marking into the arena at one of them and then claims an empty slot of the table by
-//! compare-and-swap: the swap releases what was written, and whoever reads the slot acquires it. Who
-//! loses a slot looks at it again, and gives the number to the next marking. Slots never change once
-//! they are taken, but when the table grows, and for that the store must be somebody's alone.
+//! compare-and-swap. The swap releases what was written, and a thread that reads the slot acquires
+//! it. A thread that loses a slot looks at it again, and gives the number to the next marking. Slots
+//! never change once they are taken, except when the table grows; for that one thread must own the
+//! store.
 
 mod table;
 
@@ -35,9 +35,9 @@ const PIECE: usize = if cfg!(test) { 2 } else { 1 << 10 };
 /// Slots from which on several threads together move a table.
 const MOVED_TOGETHER: usize = if cfg!(test) { 16 } else { 1 << 16 };
 
-/// An empty slot. No number has all bits set: the table is never full. What a slot holds stands there with
-/// all bits turned over, so that an empty table is zeros, which the kernel makes page by page for whichever
-/// thread comes to them first.
+/// An empty slot. No number has all bits set: the table is never full. The value of a slot is stored with
+/// all bits inverted, so that an empty table is zeros. The kernel makes these page by page for the thread
+/// that comes to them first.
 const EMPTY: u32 = u32::MAX;
 
 /// The longest table, and the most markings of one store.
@@ -188,7 +188,7 @@ impl Store {
     /// The words of the marking with a number.
     fn at(&self, number: u32) -> &[AtomicU64] {
         let (block, within) = (number as usize / BLOCK, number as usize % BLOCK);
-        // Whoever took the number made its block, before the number came into the table.
+        // The thread that took the number made its block, before the number came into the table.
         let block = self.blocks[block].get().map_or(&[][..], |block| block);
         &block[within * self.words..(within + 1) * self.words]
     }
@@ -294,7 +294,7 @@ impl Store {
                 place.store(*word, Ordering::Relaxed);
             }
             let taken = &self.table[at];
-            // Released is the marking: who acquires the slot sees its words.
+            // This releases the marking: a thread that acquires the slot sees its words.
             if alone {
                 taken.store(!(tag | number), Ordering::Release);
             } else if taken
@@ -340,8 +340,8 @@ impl Store {
         new
     }
 
-    /// Looks for the markings with these sums, at all of them in the table, and then at all of what may be
-    /// they in the arena, so that the waiting for memory overlaps.
+    /// Looks for the markings with these sums: first all of them in the table, then all candidates in the
+    /// arena, so that the waits for memory overlap.
     fn look(&self, sums: &[u64], looks: &mut Vec<Look>) {
         looks.clear();
         looks.extend(sums.iter().map(|sum| {

@@ -1,5 +1,5 @@
-//! What follows from the arcs alone, whatever the tokens do: invariants, siphons and traps, and the
-//! classes of nets for which they say all (Murata 1989; Desel and Esparza 1995).
+//! What follows from the arcs alone, whatever the tokens do (Murata 1989; Desel and Esparza 1995).
+//! That is invariants, siphons and traps, and the classes of nets for which these suffice.
 
 pub mod classes;
 pub mod components;

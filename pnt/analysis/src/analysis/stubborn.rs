@@ -1,9 +1,9 @@
-//! Whether anything is dead, by stubborn sets: at each marking only some of the enabled transitions are
-//! fired, such that whatever the others do can be done afterwards just as well. Every dead marking is still
-//! reached; most of the markings between are not (Valmari 1989; the strong sets, with the enabled transition
-//! that gives the fewest).
+//! Whether anything is dead, by stubborn sets. At each marking only some of the enabled transitions are
+//! fired, chosen so that any firings of the others are possible afterwards just as well. Every dead marking
+//! is still reached; most of the markings between are not (Valmari 1989; the strong sets, with the enabled
+//! transition that gives the fewest).
 //!
-//! For dead markings nothing need be done about transitions that are put off for ever: one of the fired ones
+//! For dead markings nothing need be done about transitions that are put off for ever. One of the fired ones
 //! stays possible until it is fired, so a dead marking cannot be reached without it.
 
 use std::mem;
@@ -52,7 +52,7 @@ pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&P
     let mut scratch = Scratch::default();
     let mut marking = Vec::new();
     let mut expanded = 0_usize;
-    // The latest first: whoever looks for one dead marking is sooner at the ends than at all of the middle.
+    // The latest first: a search for one dead marking comes to the ends sooner than to all of the middle.
     while let Some(at) = search.open.pop() {
         search.store.read(at, &mut search.packed);
         search.layout.unpack(&search.packed, &mut marking);
@@ -427,8 +427,8 @@ mod tests {
         }
     }
 
-    /// Lines of steps that have nothing to do with each other, and all come back: n steps each in turn
-    /// suffice, of n to the power of their number.
+    /// Independent lines of steps that all come back. n steps each in turn suffice, of n to the power
+    /// of their number.
     #[test]
     fn what_has_nothing_to_do_with_each_other_is_looked_at_one_after_the_other() {
         use std::fmt::Write as _;

@@ -236,8 +236,9 @@ impl Counter<'_> {
         Ok(true)
     }
 
-    /// A shortest firing sequence into a set, and the marking it ends in: the sets from which it is
-    /// one firing, two firings and so on, until the initial marking is in one; then forward again.
+    /// A shortest firing sequence into a set, and the marking it ends in. It goes back through the
+    /// sets that are one firing, two firings and so on away, until the initial marking is in one,
+    /// and then forward again.
     fn nearest(&mut self, set: Node) -> Result<Option<Way>, Full> {
         let mut layers = vec![set];
         let mut known = set;

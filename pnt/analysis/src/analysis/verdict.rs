@@ -11,8 +11,8 @@ use super::{
     symbolic::{self, Counted, Effort},
 };
 
-/// How the two engines take turns where either may do: diagrams that work are soon done, so they are given up soon,
-/// and tried again only when listing has taken longer than they may.
+/// How the two engines take turns where either may succeed. Diagrams that work are soon done, so they are given up
+/// soon. They are tried again only when listing has taken longer than they may.
 #[derive(Debug, Clone, Copy)]
 struct Turns {
     /// Markings that are always listed before anything else is tried.
@@ -113,10 +113,10 @@ pub enum Engines {
     Symbolic,
 }
 
-/// Explores a model: lists its markings if they are few; else counts them by decision diagrams, where
-/// that is permitted and works; else lists them as far as the limits permit. Where either may do, the two take
-/// turns with growing effort, so that a net that suits only one of them does not wait long for the other.
-/// What is found dead of the rest is found by stubborn sets, where they apply.
+/// Explores a model. It lists the markings if they are few. Else it counts them by decision diagrams, where
+/// that is permitted and works, or lists them as far as the limits permit. Where either may do, the two take
+/// turns with growing effort, so that a net that suits only one of them does not wait long for the other. What
+/// is found dead of the rest is found by stubborn sets, where they apply.
 #[must_use]
 pub fn look<'a>(
     model: &'a Model,

@@ -1,5 +1,5 @@
-//! Whether each command of a tape is sound by itself, as a workflow: put once to nets at rest, every run
-//! comes to its end, and that is rest again with the answer written.
+//! Whether each command of a tape is sound by itself, as a workflow. After it is put once to nets at
+//! rest, every run ends, and the end is rest with the answer written.
 
 use crate::{
     analysis::{
@@ -61,8 +61,8 @@ pub fn workflows(system: &System, limits: &Limits) -> Vec<Workflow> {
         .collect()
 }
 
-/// Looks at every command that comes on tapes of which it is said what comes there: whether it can always
-/// be answered, from every marking that is reached with it.
+/// Checks every command on tapes with a given language: whether it can always be answered, from every
+/// marking that is reached with it.
 #[must_use]
 pub(super) fn on_tapes(
     system: &System,

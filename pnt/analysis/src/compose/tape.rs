@@ -1,5 +1,5 @@
-//! Tapes on which only the words of a language come, instead of any command at any time: the commander of
-//! the net puts what may come next, and knows by a token in which state of the language it is.
+//! Tapes on which only the words of a language come, instead of any command at any time. The commander of
+//! the net puts what may come next; a token marks its state in the language.
 
 use super::{Phase, Stands, Step, System, SystemPlace, SystemPlaceId};
 use pnt_language::{language::Language, net::CommandId};

@@ -1,6 +1,6 @@
-//! The composed nets beside the executor, which is the reference: random nets in pairs, with messages
-//! that take any time they like, are played in all ways, and the markings where no message is on its
-//! way are those of the composed system.
+//! The composed nets beside the executor, which is the reference. Random nets in pairs, with messages
+//! of any delay, are played in all ways. The markings where no message is under way are those of the
+//! composed system.
 
 use std::{
     cell::RefCell,

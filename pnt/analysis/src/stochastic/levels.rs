@@ -120,8 +120,8 @@ impl Chain {
         rows
     }
 
-    /// The group of each state, and how many there are: at most half as many as states, since each
-    /// state goes with the one that it is coupled to most strongly.
+    /// The group of each state, and the number of groups. It is at most half that of states, since
+    /// each state joins the one that it is coupled to most strongly.
     fn groups(&self) -> (Vec<u32>, usize) {
         const NONE: u32 = u32::MAX;
         let count = self.len();

@@ -1,7 +1,7 @@
 //! The markings in which time passes (tangible) and how one leads to the next. Markings in which a
-//! transition without time is enabled (vanishing) are left at once; they are eliminated as they are
-//! met: what counts is to which tangible markings they lead, how probably, and what fires on the way.
-//! The rule of enabling here is written from the definition and shares nothing with the executor.
+//! transition without time is enabled (vanishing) are left at once, and eliminated as they are met.
+//! What counts is to which tangible markings they lead, how probably, and what fires on the way. The
+//! rule of enabling here is written from the definition and shares nothing with the executor.
 
 use hashbrown::{HashMap, HashTable};
 

@@ -1,6 +1,6 @@
 //! Nets joined into one that has neither actions nor tapes nor other nets, which token game and
-//! analysis both run: a firing with an action becomes its start, a place that says that it goes on, and
-//! its end after the transition's time; a tape becomes places and a commander that puts commands.
+//! analysis both run. A firing with an action becomes its start, a place that is marked while it runs,
+//! and its end after the transition's time. A tape becomes places and a commander that puts commands.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -336,8 +336,8 @@ impl<'a> Builder<'a> {
         self.ending(origin, Part::Complete, number, net, transition, complete);
     }
 
-    /// A transition of the model for each way in which the places that it empties may be filled, of those
-    /// in which actions are kept room: how much room comes free depends on what is there.
+    /// One transition of the model for each way to fill the places that it empties and that reserve
+    /// space for actions. The freed space depends on their tokens.
     fn resets_apart(
         &self,
         number: usize,
@@ -490,7 +490,8 @@ const MOST_WAYS: u64 = 4096;
 
 /// Whether a transition that empties places in which actions are kept room can be one transition of the
 /// model for each number of tokens there. Each has a clock of its own, which begins again when the number
-/// changes: that is the same only if no time is waited, or an exponential one by one server.
+/// changes. That is the same only if the transition waits no time, or an exponential time with one
+/// server.
 fn can_be_told_apart(net: &Net, transition: &Transition) -> bool {
     let waits = match (transition.action.is_some(), transition.timing) {
         (true, _) | (false, Timing::Immediate) => false,

@@ -215,7 +215,7 @@ impl<'a> Game<'a> {
         Ok(())
     }
 
-    /// Fires what takes no time and then whoever wins the race, unless that is after `end_ns`.
+    /// Fires what takes no time and then the winner of the race, unless that is after `end_ns`.
     fn step(&mut self, end_ns: u64) -> Result<bool, PerfError> {
         self.settle()?;
         self.race.refresh(&mut self.execution, |_| true);

@@ -160,7 +160,7 @@ impl Enabling {
         }
     }
 
-    /// Whoever keeps the clocks must look at this timed transition again.
+    /// The keeper of the clocks must look at this timed transition again.
     fn touch(&mut self, rank: usize) {
         let Some(touched) = self.is_touched.get_mut(rank - self.first_timed) else {
             return;

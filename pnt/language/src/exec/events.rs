@@ -1,5 +1,5 @@
-//! What has happened in an execution, as numbered values for whoever records, stores or shows it. Off
-//! until asked for; the newest ones are kept, and nothing is allocated for an event.
+//! What has happened in an execution, as numbered values for code that records, stores or shows it.
+//! Off until asked for; the newest ones are kept, and nothing is allocated for an event.
 
 use std::collections::VecDeque;
 

@@ -1,10 +1,10 @@
 //! When timed transitions fire: the race of generalized stochastic Petri nets (architecture report,
 //! section 6, reference 4). A transition's clock is set when it becomes enabled, runs while it stays
-//! enabled and is thrown away when it is not (enabling memory); the first clock to run out wins. With
+//! enabled and is thrown away when it is not (enabling memory). The first clock to run out wins. With
 //! several servers a transition has as many clocks as its tokens allow.
 //!
 //! The race keeps clocks and draws times; it knows no clock of the world. The caller says what time it
-//! is, fires whoever wins, and lets transitions that take no time go first.
+//! is, fires the winner, and lets transitions that take no time go first.
 
 use std::{cmp::Reverse, collections::BinaryHeap, time::Duration};
 
@@ -45,9 +45,9 @@ struct Due {
 pub struct Race {
     rng: ChaCha8Rng,
     first_timed: usize,
-    /// Per timed transition, in the order of their starts. One that is exponential has one clock for
-    /// all its firings, which runs as many times faster and is set anew when their number changes: that
-    /// is the same, since exponential times have no memory.
+    /// Per timed transition, in the order of their starts. An exponential one has one clock for all its
+    /// firings, which runs as many times faster and is set anew when their number changes. That is the
+    /// same, since exponential times have no memory.
     clocks: Vec<Vec<Due>>,
     /// Per timed transition, how many firings its clocks stand for.
     busy: Vec<u32>,

@@ -1,6 +1,6 @@
 //! The weights of the enabled transitions of each priority, so that chance chooses among any number
-//! of them in a few steps. Sums of pairs, of pairs of pairs and so on: a sum depends on what is
-//! enabled now and on nothing that was before, so that a restored net chooses as the first one did.
+//! of them in a few steps. It keeps sums of pairs, of pairs of pairs and so on. A sum depends only
+//! on what is enabled now, so a restored net chooses as the first one did.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;

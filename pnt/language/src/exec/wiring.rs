@@ -1,10 +1,10 @@
 //! A net as flat arrays: what each firing adds to which counter, which conditions hang on a counter,
 //! and in which order transitions are chosen. Fixed for a net.
 //!
-//! A counter is the tokens of a place; or, for a place with a capacity, its tokens and what running
-//! firings may yet put there (`filled`), and that part alone where a transition empties the place
-//! (`claimed`); or whether a command can be read; or how many firings of a transition go on whose
-//! number is limited. So every condition of a transition is one comparison with one counter.
+//! A counter is the tokens of a place. For a place with a capacity it is its tokens and what
+//! running firings may yet put there (`filled`), and that part alone where a transition empties the
+//! place (`claimed`). Others say whether a command can be read, or how many firings of a transition
+//! with a limit are running. So every condition of a transition is one comparison with one counter.
 
 use std::{cmp::Reverse, collections::BTreeMap, ops::Range};
 

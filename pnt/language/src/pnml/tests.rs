@@ -478,8 +478,8 @@ fn a_mistake_in_our_own_section_is_told_where_it_stands() {
     );
 }
 
-/// A draft as PNML keeps it: names are different from each other and have no blanks around them, arcs of
-/// one kind go to different places, and come first those to places that are there.
+/// A draft as PNML keeps it. Names differ and have no blanks around them. Arcs of one kind go to
+/// different places; those to places that exist come first.
 fn in_pnml(mut draft: Draft) -> Draft {
     fn distinct<'a>(words: impl Iterator<Item = &'a mut Word>) -> BTreeSet<String> {
         let mut seen = BTreeSet::new();

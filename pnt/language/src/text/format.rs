@@ -35,9 +35,9 @@ impl Row {
     }
 }
 
-/// Lays a text out: declarations at the margin, clauses below them, lines of a subnet one level deeper;
-/// one blank between words, comments of lines that follow each other below each other, one empty line at
-/// most.
+/// Lays a text out: declarations at the margin, clauses below them, lines of a subnet one level deeper.
+/// There is one blank between words and at most one empty line. Comments of successive lines are
+/// aligned.
 ///
 /// # Errors
 /// What cannot be cut into words and numbers.

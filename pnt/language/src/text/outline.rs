@@ -1,5 +1,5 @@
-//! What each word of a net text stands for, for editors: read line by line, whatever is wrong in the other
-//! lines; also of a net together with the files that it includes. Knows no protocol and reads no files.
+//! What each word of a net text stands for, for editors. The text is read line by line, whatever is wrong
+//! in the other lines, alone or with the files that it includes. Knows no protocol and reads no files.
 
 use std::{collections::BTreeMap, ops::Range};
 

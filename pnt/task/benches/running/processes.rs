@@ -1,10 +1,10 @@
-//! From the moment in which a transition is enabled to the start of its action in another process: as the
-//! command that the action is, and as the action of a net that a token goes to; beside the time that one byte
-//! takes from process to process through a plain socket in the same place. Nothing else runs meanwhile: each of the two
-//! processes waits for the other, and nobody looks at how far they have come before they are done.
+//! The time from the moment when a transition is enabled to the start of its action in another process. The action is
+//! a command to that process, or an action of a net to which a token goes. Beside it stands the time of one byte
+//! through a plain socket between processes in the same place. Nothing else runs meanwhile: each of the two processes
+//! waits for the other, and their progress is read only after their end.
 //!
-//! `cargo bench -p pnt --bench running -- processes` has all of [`PLACEMENTS`], `--pin` (both on one core), `--pin2`
-//! (a core each, asleep until something comes) and `--spin` (a core each, looking for what comes) one of them.
+//! `cargo bench -p pnt --bench running -- processes` has all of [`PLACEMENTS`]. `--pin` (both on one core), `--pin2`
+//! (a core each, asleep until something comes) and `--spin` (a core each, polling) have one of them.
 
 use std::{
     ffi::OsString,

@@ -1,6 +1,6 @@
-//! The third step: coordinates. Layers stand side by side; within a layer every vertex is drawn to its
-//! neighbours as strongly as its order allows: the least squares under an order, solved exactly by pooling
-//! neighbours that would change places (Ayer and others 1955).
+//! The third step: coordinates. Layers stand side by side. Within a layer every vertex is drawn to its
+//! neighbours as strongly as its order allows. That is least squares under an order, solved exactly by
+//! pooling neighbours that would change places (Ayer and others 1955).
 
 use super::{layers::Layers, point::Point};
 

@@ -14,8 +14,8 @@ pub(super) struct Vertex {
     pub(super) after: Vec<usize>,
 }
 
-/// Points of long arcs, for each node and for a net as a whole: a net of many arcs over many layers would
-/// have more points than anybody can follow, and they would cost the time of all the rest.
+/// Points of long arcs, for each node and for a net as a whole. A net of many arcs over many layers would
+/// have more points than a person can follow, and they would take most of the time.
 const POINTS_PER_NODE: usize = 6;
 const POINTS: usize = 500;
 
@@ -190,8 +190,8 @@ fn circles(count: usize, arcs: &[Option<(usize, usize)>]) -> Vec<bool> {
     reversed
 }
 
-/// The layer of every node of a graph without circles: as far left as its arcs allow, and then as near
-/// to its followers as those that come before it allow.
+/// The layer of every node of a graph without circles. It is as far left as its arcs allow, and then
+/// as near to its successors as its predecessors allow.
 fn depths(count: usize, arcs: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
     let mut after: Vec<Vec<usize>> = vec![Vec::new(); count];
     let mut left = vec![0_usize; count];

@@ -1,5 +1,5 @@
-//! Nodes that a layout file does not name, where it names others: each is put near those that it is joined
-//! to, on the nearest free spot, and nothing else moves.
+//! Nodes that a layout file does not name, where it names others. Each is put on the nearest free spot
+//! near its neighbours, and nothing else moves.
 
 use std::collections::BTreeMap;
 

@@ -147,7 +147,8 @@ fn is_unmade(path: &Path) -> io::Result<bool> {
     }
 }
 
-/// Makes the store beside its place and renames it: whoever dies meanwhile leaves no half of one there.
+/// Makes the store beside its place and renames it: a process that dies meanwhile leaves no half of one
+/// there.
 fn make(path: &Path, owner: &Owner) -> Result<(), StoreError> {
     let beside = path.with_added_extension("new");
     match fs::remove_file(&beside) {

@@ -1,5 +1,5 @@
-//! A store in the memory of a simulated host. A commit takes a while, as a disk does; a process that
-//! dies meanwhile leaves all of it or nothing, by a coin that depends on the run's seed.
+//! A store in the memory of a simulated host. A commit takes a while, as on a disk. A process that
+//! dies meanwhile leaves all of it or nothing, by chance drawn from the run's seed.
 
 use std::{
     path::Path,
@@ -55,7 +55,7 @@ impl Simulated {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What a process finds that starts now: whoever had a commit under way is gone.
+    /// What a process finds that starts now: the one that had a commit under way is gone.
     pub(super) fn load(&self, cx: &Context) -> Contents {
         let mut inner = self.inner();
         if let Some(changes) = inner.pending.take() {

@@ -1,4 +1,4 @@
-//! The other end of the stream: the net as it is after each event, for whoever follows.
+//! The other end of the stream: the net as it is after each event, for followers.
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,6 @@
-//! The end of the stream in the net's task: the latest events in a short form, and those who wait for the
-//! next ones. It knows no task and no timer: the task says what time it is and when to answer.
+//! The end of the stream in the net's task: the latest events in a short form, and the followers that
+//! wait for the next ones. It keeps their [`Replier`]s and answers them, but reads no clock and sets no
+//! timer: the task says what time it is and when to answer.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
@@ -15,7 +16,7 @@ use pnt_language::{
     net::{self, Net, PlaceId, TransitionId},
 };
 
-/// Events that are kept: for whoever is a little behind.
+/// Events that are kept, for followers that are a little behind.
 const KEPT: usize = 4 * MOST_EVENTS;
 
 /// The least time between two answers to those who follow: one display, and more for each further one, so
@@ -132,8 +133,8 @@ impl Source {
         }
     }
 
-    /// Begins a new stream, of a net that is put in place of this one or goes on where it was; those who
-    /// follow see it as a whole.
+    /// Begins a new stream, of a net that is put in place of this one or goes on where it was. Followers
+    /// get its whole state.
     pub(crate) fn begin_again(&mut self, now: Instant, execution: &Execution) {
         let mut begun = Self::new(Arc::clone(execution.net()), now);
         begun.run = now.as_nanos().max(self.run + 1);
@@ -341,8 +342,8 @@ impl Source {
         });
     }
 
-    /// When those who follow are to be answered, if there is something to answer and nobody is on the
-    /// way to do it; whoever asks has to.
+    /// When the followers are to be answered, if there is something to answer and no answer is under
+    /// way; then the caller has to answer them.
     pub(crate) fn call(&mut self, now: impl FnOnce() -> Instant) -> Option<Instant> {
         if self.called || self.followers.is_empty() {
             return None;
@@ -385,8 +386,9 @@ impl Source {
         self.watched
     }
 
-    /// Answers those for whom there is something new. Who needs the net as a whole waits until there is
-    /// such a state that may be seen: the present one, if it is `settled`, or that of the latest commit.
+    /// Answers the followers for which there is something new. A follower that needs the net as a whole
+    /// waits for a state that may be seen. That is the present one, if it is `settled`, or that of the
+    /// latest commit.
     pub(crate) fn answer(&mut self, now: Instant, execution: &Execution, settled: bool) {
         if settled {
             self.show_all();

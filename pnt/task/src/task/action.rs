@@ -212,8 +212,8 @@ impl Engine {
         store(action, outputs, reply, info.reply).await
     }
 
-    /// The request that an action of this firing is, at whoever is asked by it: the same when it is asked
-    /// again by the next life of a net that survives.
+    /// The number of the request that an action of this firing makes. It is the same when the next life
+    /// of a durable net asks again.
     fn request(&self, firing: FiringId) -> RequestId {
         let core = self.core.borrow();
         let name = core.execution.net().name();

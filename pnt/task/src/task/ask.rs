@@ -1,5 +1,5 @@
-//! Commands to other nets that are put once, however often they are asked for: by an action, and by whoever
-//! else gives nets their commands.
+//! Commands to other nets that are put once, however often they are asked for: by an action, or by another
+//! task.
 
 use std::time::Duration;
 
@@ -16,9 +16,9 @@ use super::{
 /// The wait before a net that may have died is asked again.
 const ASK_AGAIN: Duration = Duration::from_millis(50);
 
-/// Puts a command on the tape of the net `net` and waits for its answer. A net that survives its process
-/// (`durable`) is asked again under the same number when it may have died before it answered, until `limit`
-/// is over: it takes the command once. Any other net is asked once, for it has forgotten what it was asked.
+/// Puts a command on the tape of the net `net` and waits for its answer. A durable net is asked again under
+/// the same number when it may have died before it answered, until `limit` is over. It takes the command
+/// once. Any other net is asked once, for it has forgotten what it was asked.
 ///
 /// # Errors
 /// Why the last asking failed.

@@ -1,9 +1,9 @@
 //! What must be stored before others see it.
 //!
 //! A net changes in memory and counts its changes. What others would see of a change (an answer, a
-//! transfer, the beginning of an action) is held until a commit has stored the state with that change in
-//! it; one commit stores all changes that came while the one before it was written (group commit). A net
-//! that is not durable holds nothing.
+//! transfer, the beginning of an action) is held until a commit has stored the changed state. One commit
+//! stores all changes that came while the one before it was written (group commit). A net that is not
+//! durable holds nothing.
 //!
 //! What is stored is the state itself, not a log: a net's state is small, and reading it back is all there
 //! is to a restart.
@@ -109,7 +109,7 @@ impl Engine {
     pub(super) fn show(self: &Rc<Self>, reply: Replier<Marking>) {
         let snapshot = self.snapshot();
         if self.durable.broken.get() {
-            // Answering never fails; who has asked and is gone needs no answer.
+            // Answering never fails; a caller that is gone needs no answer.
             let _ = reply.ok(snapshot);
             return;
         }
@@ -266,7 +266,8 @@ impl Engine {
         if let Some(why) = saved.paused {
             core.manual.pause(why);
         }
-        // Whoever was told of the objects may have forgotten, or was not told of the last change.
+        // The keeper of the objects may have forgotten what it was told, or was not told of the
+        // last change.
         core.objects = objects_of(&net, None);
         core.changed();
         core.journal

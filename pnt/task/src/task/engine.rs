@@ -271,7 +271,7 @@ impl Engine {
             }
             Known::Answered(answer) => {
                 self.when_stored(move |_| {
-                    // Answering never fails; who is gone asks again.
+                    // Answering never fails; a caller that is gone asks again.
                     let _ = reply.ok(answer);
                 });
                 Ok(())
@@ -532,7 +532,7 @@ impl Core {
         self.execution.put_each(&transfer.tokens).map(Some)
     }
 
-    /// A command has its answer: to who waits for it, or else to the output tape.
+    /// A command has its answer: it goes to the waiting caller, or else to the output tape.
     pub(super) fn answer(
         &mut self,
         on_tape: &OnTape,

@@ -147,12 +147,12 @@ pub enum Order {
     },
 }
 
-/// Which of all requests a command is: who asks again gives the same.
+/// Which of all requests a command is: a repeated request gives the same.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RequestId {
     /// Who asks, and in which of its lives, if it forgets.
     pub from: String,
-    /// The number of the request, used once by who asks.
+    /// The number of the request, which its caller uses once.
     pub number: u64,
 }
 

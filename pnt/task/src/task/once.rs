@@ -1,8 +1,8 @@
 //! Commands that may be asked for again because their answer was lost, and are put once all the same.
 //!
-//! Whoever asks gives each command a number of its own. A net remembers which of its commands was asked for
-//! under which number until it is answered, and then the answer, with the state that it is stored with:
-//! who asks again gets the same answer, or waits for it, whatever died in between.
+//! The caller gives each command a number of its own. A net stores the number with its state: until the
+//! command is answered, and then with the answer. A caller that repeats the command gets the same answer,
+//! or waits for it, whatever died in between.
 //!
 //! Data only: it sends nothing and knows no task.
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::messages::{RequestId, TapeAnswer};
 
-/// Answers that are kept for who asks again; the oldest is forgotten first.
+/// Answers that are kept for repeated requests; the oldest is forgotten first.
 const KEPT: usize = 256;
 
 /// What was asked for under a number.
@@ -87,12 +87,12 @@ impl Once {
         self.open.insert(number, Asked { request, symbol });
     }
 
-    /// A command was taken off the tape: who asks again asks anew.
+    /// A command was taken off the tape: a repeated request counts as new.
     pub(super) fn forget(&mut self, number: u64) {
         self.open.remove(&number);
     }
 
-    /// A command has its answer. Returns whether it is kept for who asked.
+    /// A command has its answer. Returns whether it is kept for the caller.
     pub(super) fn answered(&mut self, number: u64, answer: &TapeAnswer) -> bool {
         let Some(asked) = self.open.remove(&number) else {
             return false;

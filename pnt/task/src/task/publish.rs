@@ -25,8 +25,8 @@ struct Whole {
 }
 
 impl Engine {
-    /// Notes what happened, and publishes it once the change that it came with is stored. Whoever changes
-    /// something counts that first.
+    /// Notes what happened, and publishes it once the change that it came with is stored. The code that
+    /// changes something counts the change first.
     pub(super) fn note(self: &Rc<Self>, core: &mut Core, cx: &Context, what: Happened) {
         let Core {
             journal, execution, ..

@@ -1,5 +1,6 @@
-//! Putting another net in the place of a running one: checked with all other nets of the app first, then
-//! at a marking at which nothing is under way, without losing a token or a command.
+//! Putting another net in the place of a running one. It is checked with all other nets of the app
+//! first. Then it takes over at a marking at which nothing is under way, without losing a token or a
+//! command.
 
 use std::{rc::Rc, sync::Arc, time::Duration};
 

@@ -5,8 +5,8 @@
 //! link or a restart it sends it again. The receiver counts what it has taken of the stream, and takes
 //! nothing twice. Both counts are stored with the markings that they belong to.
 //!
-//! A sender that forgets (one that is not durable) begins a new stream with its next life, and a
-//! receiver that forgets takes a stream up wherever it stands.
+//! A sender that is not durable forgets, and begins a new stream with its next life. A receiver
+//! that forgets takes a stream up wherever it stands.
 //!
 //! Data only: it sends nothing and knows no task.
 

@@ -1,6 +1,6 @@
 //! The protocol in a model checker: every order of loads and stores that the memory model of Rust allows
-//! between one writer and one reader (up to a number of preemptions), also when the writer dies between any
-//! two stores and another takes over.
+//! between one writer and one reader, up to a number of preemptions. It also checks a writer that dies
+//! between any two stores while another takes over.
 
 use super::*;
 use loom::sync::Arc;

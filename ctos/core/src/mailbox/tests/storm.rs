@@ -1,5 +1,5 @@
 //! Several threads send to one queue as fast as they can, while its task takes, pauses, is about to move, and
-//! dies: nothing is lost, doubled or reordered, and whoever waits is told.
+//! dies. Nothing is lost, doubled or reordered, and waiting senders are told.
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
@@ -238,7 +238,7 @@ fn a_task_that_dies_under_load_leaves_nobody_waiting_and_nothing_half_taken() {
         let taken: BTreeSet<Label> = taken.into_iter().collect();
         for (label, (way, result)) in outcomes {
             match (way, result) {
-                // The reply is given by whoever takes it, and by nobody else.
+                // The taker of a call replies, and nobody else.
                 (Way::Call, result) => assert_eq!(taken.contains(&label), result.is_ok()),
                 // What the queue had taken when it was closed is gone with it.
                 (Way::Try | Way::Send, Ok(())) => {}

@@ -85,7 +85,7 @@ proptest! {
         }
     }
 
-    /// However late base ticks come: every release of a function is either taken or counted as missed, a tick
+    /// However late base ticks come, every release of a function is either taken or counted as missed. A tick
     /// takes one release at most, and only `run-late-once` takes one late.
     #[test]
     fn no_turn_is_lost_without_being_counted(
@@ -119,8 +119,8 @@ proptest! {
         prop_assert_eq!(told + pending, missed);
     }
 
-    /// Functions of any rates and phases, added at any tick in any order, run exactly at the base ticks that are
-    /// theirs, and in each tick in the order of the data flow.
+    /// Functions of any rates and phases, added at any tick in any order, run exactly at their base ticks.
+    /// Within a tick they run in the order of the data flow.
     #[test]
     fn rates_and_phases_are_counted_in_base_ticks(
         functions in proptest::collection::vec((1_u64..7, 0_u64..7, 0_u64..20), 1..6),

@@ -1,7 +1,7 @@
 //! The door of a mesh: takes calls for the whole run and lets in who belongs to it.
 //!
 //! Everything a stranger does is bounded: how many of them are heard at a time, for how long, and how
-//! much they may say. Who is refused is logged and counted.
+//! much they may say. Refusals are logged and counted.
 
 use std::sync::Arc;
 

@@ -78,7 +78,7 @@ impl Service {
         let data = STANDARD
             .decode(data)
             .map_err(|_| ErrorView::new(ErrorCode::BadRequest, "the data is not base64"))?;
-        // Whoever asks has a time-out of its own; what is absurd is bounded here.
+        // The tool has a time-out of its own; an absurd one is bounded here.
         let timeout = Duration::try_from_secs_f64(within_s).unwrap_or(CALL_TIMEOUT);
         let timeout = timeout.min(CALL_TIMEOUT);
         let tid = self.find(task, timeout).await?;

@@ -1,5 +1,5 @@
-//! Sessions whose peer is silent, frozen, gone or a liar, and two of them joined by streams that lose, break and
-//! are cut, all in memory and in virtual time.
+//! Sessions whose peer is silent, frozen, gone or a liar, in memory and in virtual time. Also two sessions
+//! joined by streams that lose, break and are cut.
 
 use std::collections::VecDeque;
 

@@ -188,9 +188,9 @@ impl Rules {
         self.tables = both.map(|(enabling, room)| Looked { enabling, room });
     }
 
-    /// The transitions that may fire at a packed marking, and whether each is sure to stay possible: one
-    /// with an enabling function is only sure when its negation is enabled as well, so that one of the
-    /// two must be allowed.
+    /// The transitions that may fire at a packed marking, and whether each is sure to stay possible. One
+    /// with an enabling function is only sure when its negation is enabled as well: one of the two must
+    /// be allowed.
     pub(in crate::analysis) fn enabled(&self, packed: &[u64], scratch: &mut Scratch) {
         scratch.enabled.clear();
         scratch.bits = None;
@@ -260,10 +260,10 @@ impl Rules {
         }
     }
 
-    /// A net never starts a transition while a more urgent one may fire. What its enabling functions say
-    /// is not known, only that each says one thing to all that ask it: so a transition waits for a more
-    /// urgent one without enabling function, for one with the same, and where the two sides of one
-    /// function are both more urgent.
+    /// A net never starts a transition while a more urgent one may fire. The answers of its enabling
+    /// functions are not known, only that each gives all transitions the same answer. So a transition
+    /// waits for a more urgent one if that has no enabling function, or the same. It also waits where
+    /// the two sides of one function are both more urgent.
     pub(in crate::analysis) fn drop_low_priorities(&self, scratch: &mut Scratch) {
         scratch.most.clear();
         scratch.most.resize(self.groups, 0);

@@ -50,7 +50,7 @@ struct List {
 }
 
 impl Queue {
-    /// The markings of a level, by who found them.
+    /// The markings of a level, by the worker that found them.
     pub(super) fn new(level: &[Vec<Range<u32>>]) -> Self {
         let cut = |range: &Range<u32>| {
             let end = range.end;

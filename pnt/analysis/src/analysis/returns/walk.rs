@@ -143,8 +143,8 @@ impl Walker<'_> {
         Some(())
     }
 
-    /// Of the firings at a marking that were not tried, the first that leads to one that returns or is not
-    /// known: what it is, where it leads, and how many are tried then. All others have been seen.
+    /// Of the untried firings at a marking, the first that leads to a marking that returns or is not
+    /// known. It gives the firing, where it leads, and how many are tried then. All others have been seen.
     fn next(&mut self, node: u32, tried: u32) -> Option<(u8, Step)> {
         self.graph.expand(node as usize);
         let firings = self.graph.scratch.enabled.len();

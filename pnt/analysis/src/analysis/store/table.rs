@@ -88,8 +88,9 @@ impl Store {
         left
     }
 
-    /// Puts what is not in the table into the first of some slots that is empty; false when none is. Nobody
-    /// else puts anything there, and nobody looks before all is done, and then through whoever waited for that.
+    /// Puts what is not in the table into the first of some slots that is empty; false when none is. No other
+    /// thread puts anything there. None looks before all is done, and then through the thread that waited for
+    /// that.
     fn settle_within(&self, slots: Range<usize>, held: u32) -> bool {
         let mut slots = self.table[slots].iter();
         let empty = slots.find(|slot| slot.load(Ordering::Relaxed) == !EMPTY);

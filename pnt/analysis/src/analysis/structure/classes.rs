@@ -1,5 +1,5 @@
-//! Classes of nets, by their arcs, and the rank theorem: of a free-choice net, arcs alone tell whether
-//! some marking makes it live and bounded (Desel and Esparza 1995, theorem 6.17).
+//! Classes of nets, by their arcs, and the rank theorem (Desel and Esparza 1995, theorem 6.17). The
+//! arcs of a free-choice net alone tell whether some marking makes it live and bounded.
 
 use super::{
     Arcs,

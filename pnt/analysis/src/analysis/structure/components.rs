@@ -156,9 +156,9 @@ pub struct Cycle {
     pub tokens: u32,
 }
 
-/// The cycle time of a marked graph and its bottleneck: the circuit with the largest sum of delays for
-/// each of its tokens (Ramamoorthy and Ho 1980; the maximum cycle mean of the max-plus matrix). Delays
-/// are by transition of the model. Nothing when a circuit holds no token: then nothing in it ever fires.
+/// The cycle time of a marked graph and its bottleneck. That is the circuit with the largest sum of
+/// delays per token (Ramamoorthy and Ho 1980; the maximum cycle mean of the max-plus matrix). Delays are
+/// by transition of the model. Nothing when a circuit holds no token: then nothing in it ever fires.
 #[must_use]
 pub fn cycle(model: &Model, part: &Component, delays: &[f64]) -> Option<Cycle> {
     let arcs = Arcs::of(model);

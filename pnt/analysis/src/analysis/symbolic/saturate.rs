@@ -1,6 +1,6 @@
 //! Firings on decision diagrams. Saturation (Ciardo, Luettgen and Siminiceanu 2001): from the bottom
-//! up, every node is closed under all firings that change nothing above it; backwards the same within
-//! a set that is not left (Zhao and Ciardo 2009).
+//! up, every node is closed under all firings that change nothing above it. Backwards it is the same
+//! within a set that is not left (Zhao and Ciardo 2009).
 
 use hashbrown::HashMap;
 

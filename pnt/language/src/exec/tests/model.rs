@@ -1,5 +1,5 @@
 //! Random nets and random events, beside a naive model that follows the definitions and shares no code
-//! with the executor: no token is lost or made, and nothing is enabled that should not be.
+//! with the executor. No token is lost or made, and nothing is enabled that should not be.
 
 use std::collections::BTreeMap;
 

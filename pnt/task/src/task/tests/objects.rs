@@ -1,4 +1,4 @@
-//! Data objects of actions: several that go along and several that a reply or a result is put back into, in one
+//! Data objects of actions: several that are sent along, and several that store a reply or a result. In one
 //! chassis, over a link, and when the net dies at any moment.
 
 use std::{collections::BTreeMap, sync::Mutex};

@@ -1,4 +1,4 @@
-//! What is seen of a durable net, and what is asked of it again, when it dies at any moment: nothing that was
+//! What is seen of a durable net, and what is asked of it again, when it dies at any moment. Nothing that was
 //! seen is lost, and nothing that was asked is done twice.
 
 use ctos::{

@@ -547,7 +547,8 @@ transition end
     let kept = r#"one 1, acts [], in work Some("go"), waiting ["go"]"#;
     let trace = trace.lock().unwrap();
     assert_eq!(trace.first().unwrap(), kept);
-    // As after every stop: who waits learns that the net has stopped, and the next boot goes on.
+    // As after every stop: waiting callers learn that the net has stopped, and the next boot goes
+    // on.
     let told = trace
         .iter()
         .filter(|one| one.contains("net `keeps` has stopped"));

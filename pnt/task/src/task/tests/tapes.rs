@@ -72,7 +72,7 @@ fn answers_that_nobody_waits_for_are_on_the_output_tape_in_order_and_it_is_bound
             said.push(ask_and_go(&cx, what).await);
         }
         said.push(read(&cx, 0).await?);
-        // Whoever reads says what it has: only that is removed.
+        // The reader says what it has: only that is removed.
         said.push(read(&cx, 1).await?);
         said.push(ask_and_go(&cx, "washer").await);
         said.push(read(&cx, 1).await?);

@@ -205,7 +205,8 @@ fn keys_are_proved_from_end_to_end_and_nobody_talks_to_strangers() {
         let sets = sets.each_ref().map(String::as_str);
         let (mut boot, others) = app(2, &sets).await;
         all_ask_all(&boot, &others).await;
-        // Whoever reaches it may join the network; to be a chassis takes a key, and the role for it.
+        // Every program that reaches it may join the network; a chassis needs a key with the role
+        // for it.
         let viewer = with(&security(&keys, "viewer"));
         let viewer = Node::start(1, 2, &viewer.each_ref().map(String::as_str)).await;
         viewer.mesh.join(&boot.address());
