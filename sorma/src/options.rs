@@ -364,7 +364,9 @@ pub fn form<'f>(forms: &'f [Form], io: &Transport) -> Result<&'f Form, Report> {
 fn no_form(forms: &[Form], text: &str) -> Report {
     let mut known: Vec<&str> = forms.iter().map(|form| form.text).collect();
     known.dedup();
+    known.retain(|text| !text.is_empty());
     let listed = known.join(", ");
+    let none_is_known = forms.is_empty();
     // The text when the numbers at its end are meant as numbers.
     let (mut words, mut count) = (text, 0);
     while let Some((before, last)) = words.rsplit_once(char::is_whitespace)
@@ -376,6 +378,18 @@ fn no_form(forms: &[Form], text: &str) -> Report {
     let meant = forms
         .iter()
         .find(|form| words != text && form.floats > 0 && form.text == words);
+    // A form with numbers, of which one cannot be read.
+    let misread = forms.iter().find_map(|form| {
+        let numbers = text.strip_prefix(form.text)?.strip_prefix(' ')?;
+        let mut numbers = numbers.split_whitespace();
+        let wrong = numbers.find(|number| number.parse::<f64>().is_err())?;
+        (form.floats > 0 && !form.text.is_empty()).then_some((form, wrong))
+    });
+    if let Some((form, wrong)) = misread {
+        let (text, takes, wrong) = (form.text, form.takes, clipped(wrong));
+        let why = format!("EXEC {text} takes numbers ({takes}), and `{wrong}` is none");
+        return Report::error(code::UNSUPPORTED, why);
+    }
     let text = match (known.as_slice(), text) {
         _ if meant.is_some() => format!(
             "the numbers of EXEC {words} stand after FMSG and their count: write FMSG {} and the numbers",
@@ -384,11 +398,17 @@ fn no_form(forms: &[Form], text: &str) -> Report {
                 floats => floats,
             })
         ),
-        ([], _) => "this class has no EXEC".to_owned(),
+        ([], _) if none_is_known => "this class has no EXEC".to_owned(),
         ([one], "") => format!("after EXEC stands {one}"),
         (_, "") => format!("after EXEC stands one of {listed}"),
         (_, given) => {
+            // What is known is listed anyway.
             let hint = suggestion(words, known);
+            let hint = if hint.contains("did you mean") {
+                hint
+            } else {
+                String::new()
+            };
             format!(
                 "EXEC `{}` is not known here: this class has {listed}{hint}",
                 clipped(given)

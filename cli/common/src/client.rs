@@ -46,7 +46,7 @@ pub enum ClientError {
         known: Vec<String>,
     },
     /// There are several.
-    #[error("several apps are running; choose one with `--app`: {}", .known.join(", "))]
+    #[error("several apps are running; name one of them: {}", .known.join(", "))]
     Several {
         /// Their names and processes, as `--app` takes them.
         known: Vec<String>,

@@ -94,9 +94,11 @@ pub fn run(args: &LogsArgs) -> u8 {
     if let Err(error) = asked {
         return remote::failed(&error);
     }
+    let mut any = false;
     loop {
         match client.read() {
             Ok(Some(Answer::Log(line))) => {
+                any = true;
                 if show::data(&shown(&line, args.json)).is_err() {
                     return exit::OK;
                 }
@@ -107,7 +109,12 @@ pub fn run(args: &LogsArgs) -> u8 {
                 ));
             }
             // The app was killed: what it said has been shown.
-            Ok(Some(_)) | Ok(None) => return exit::OK,
+            Ok(Some(_)) | Ok(None) => {
+                if !any {
+                    show::say("no line of the log is about that");
+                }
+                return exit::OK;
+            }
             Err(error) => {
                 let name = args.name.as_deref().unwrap_or_default();
                 return remote::failed_for(&[name], &error);

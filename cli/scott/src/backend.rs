@@ -1,5 +1,7 @@
 //! Whom a session asks: the objects of this very process, or those of a running app.
 
+use std::sync::atomic::Ordering;
+
 use futures_util::FutureExt as _;
 use sorma::{Alone, ClassInfo, Reply, Report, Sorm, report::code, watching::Trace, words};
 
@@ -26,6 +28,15 @@ impl Backend {
         match self {
             Self::Local(sorm) => Ok(here(sorm, line, trace)),
             Self::App(app) => app.dispatch(line, trace),
+        }
+    }
+
+    /// Whether the user has pressed Ctrl-C since it was asked last.
+    pub fn is_interrupted(&self) -> bool {
+        match self {
+            // Ctrl-C ends the program.
+            Self::Local(_) => false,
+            Self::App(app) => app.interrupt().swap(false, Ordering::Relaxed),
         }
     }
 

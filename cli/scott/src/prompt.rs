@@ -51,7 +51,7 @@ struct Names {
 
 type Shared = Arc<Mutex<Names>>;
 
-/// Runs a session at a terminal until Ctrl-D; the exit code.
+/// Runs a session at a terminal until Ctrl-D, `exit` or `quit`; the exit code.
 pub fn run(session: &mut Session, vi: bool) -> u8 {
     let names = Shared::default();
     let printer = ExternalPrinter::new(MESSAGES);
@@ -64,11 +64,16 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     }
     let mut editor = editor(&names, vi).with_external_printer(printer);
     session.show_to_people();
-    show::say("`list` tells what there is, `help` how it is asked; Tab completes, Ctrl-D leaves.");
+    show::say(
+        "`list` tells what there is, `help` how it is asked; Tab completes, Ctrl-D or `exit` leaves.",
+    );
     loop {
         refresh(&names, session);
         let prompt = Speaks::to(session.backend(), &gone);
         match editor.read_line(&prompt) {
+            Ok(Signal::Success(text)) if ["exit", "quit"].contains(&text.trim()) => {
+                return exit::OK;
+            }
             Ok(Signal::Success(text)) => {
                 let place = Place {
                     name: "scott",

@@ -335,7 +335,7 @@ impl Session {
             };
             times.push(self.clock.now() - start);
             let good = reply.parse::<Reply>().is_ok_and(|reply| reply.body.is_ok());
-            if !good {
+            if !good || self.backend.is_interrupted() {
                 break;
             }
         }

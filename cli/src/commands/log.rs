@@ -228,6 +228,9 @@ fn info_text(run: &Run) -> String {
 fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), ReadError> {
     let record = Record::read(&records::files(files), filter)?;
     warn_torn(&record);
+    if record.entries.is_empty() {
+        show::say("no line fits; `ctos log info` lists the topics");
+    }
     for entry in &record.entries {
         let text = if json {
             line_json(entry)

@@ -228,6 +228,14 @@ fn a_request_that_fits_no_form_is_told_what_fits() {
         "EXEC `mve 1 2` is not known here: this class has move, stop; did you mean `move`?"
     );
     assert_eq!(
+        wrong("move 1 x", &[]),
+        "EXEC move takes numbers (x and y, m), and `x` is none"
+    );
+    assert_eq!(
+        wrong("somewhere", &[]),
+        "EXEC `somewhere` is not known here: this class has move, stop"
+    );
+    assert_eq!(
         wrong("move", &[1.0]),
         "EXEC move takes 2 floats (x and y, m), not 1: write FMSG 2 and the numbers"
     );

@@ -93,13 +93,13 @@ impl Screen {
         }
         let page = usize::from(height.saturating_sub(5)).max(1);
         match key.code {
-            KeyCode::Esc => return Ok(Key::Leave),
+            KeyCode::Esc | KeyCode::Char('q') => return Ok(Key::Leave),
             KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {
                 return Ok(Key::Leave);
             }
             KeyCode::Char('b') => model.sort = Sort::Busy,
             KeyCode::Char('m') => model.sort = Sort::Messages,
-            KeyCode::Char('q') => model.sort = Sort::Queue,
+            KeyCode::Char('u') => model.sort = Sort::Queue,
             KeyCode::Char('w') => model.sort = Sort::Wait,
             KeyCode::Char('n') => model.sort = Sort::Name,
             KeyCode::Up => self.scrolled = self.scrolled.saturating_sub(1),
@@ -149,12 +149,12 @@ fn keys_line(sort: Sort, width: usize) -> Line<'static> {
         }
     };
     let text = format!(
-        "sort: {} {} {} {} {} · arrows scroll · Esc leaves",
-        mark("busy", Sort::Busy),
-        mark("messages", Sort::Messages),
-        mark("queue", Sort::Queue),
-        mark("wait", Sort::Wait),
-        mark("name", Sort::Name),
+        "sort: {} {} {} {} {} · arrows scroll · q leaves",
+        mark("b busy", Sort::Busy),
+        mark("m messages", Sort::Messages),
+        mark("u queue", Sort::Queue),
+        mark("w wait", Sort::Wait),
+        mark("n name", Sort::Name),
     );
     Line::styled(
         fitted(&text, width),
@@ -188,7 +188,7 @@ mod tests {
             if height >= 24 {
                 let shown = terminal.backend().to_string();
                 assert!(shown.contains("ENDED · cell · up"), "{shown}");
-                assert!(shown.contains("[queue]"), "{shown}");
+                assert!(shown.contains("[u queue]"), "{shown}");
                 assert!(shown.contains("MSG/S"), "{shown}");
             }
         }

@@ -296,7 +296,7 @@ impl Look<'_> {
                 continue;
             };
             let text = format!(
-                "synchronous function `{name}` does not keep its schedule: {} periods missed and {} overruns so far",
+                "synchronous function `{name}` does not keep its schedule; periods missed: {}, overruns: {}",
                 statistics.missed(),
                 statistics.overruns()
             );

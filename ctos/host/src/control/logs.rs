@@ -87,13 +87,15 @@ impl LogLine {
             || words.any(|word| word.trim_matches(|letter| "`,:;.()".contains(letter)) == name)
     }
 
-    /// Whether the line says in a field that it is about task `name`.
+    /// Whether the line says in a field that it is about task `name`; a net is the task that runs it.
     #[must_use]
     pub fn is_of(&self, name: &str) -> bool {
-        let fields = [format!("task={name}"), format!("task=\"{name}\"")];
-        let mut words = self.text.split_whitespace();
-        self.text.contains(&format!("\"task\":\"{name}\""))
-            || words.any(|word| fields.iter().any(|field| word == field))
+        ["task", "net"].iter().any(|field| {
+            let plain = [format!("{field}={name}"), format!("{field}=\"{name}\"")];
+            let mut words = self.text.split_whitespace();
+            self.text.contains(&format!("\"{field}\":\"{name}\""))
+                || words.any(|word| plain.iter().any(|plain| word == plain))
+        })
     }
 }
 

@@ -53,7 +53,13 @@ impl Engine {
             self.note(core, &self.cx, paused);
             let (of, at) = (std::sync::Arc::clone(&net), why.clone());
             self.when_change_stored(core.changes, move |_| {
-                tracing::warn!(target: "pnt::net", net = of.name(), why = at, "net paused");
+                let name = of.name();
+                tracing::warn!(
+                    target: "pnt::net",
+                    net = name,
+                    why = at,
+                    "net paused: `ctos net step {name}` and `ctos net resume {name}` go on"
+                );
             });
             if self.settings.break_ends {
                 let reason = format!("net `{}` is at {why}", net.name());

@@ -1,12 +1,16 @@
 //! What a person has done to a net: pauses, steps and breakpoints. It knows the net and its marking, and neither
 //! who orders nor what follows.
 
+use std::collections::BTreeSet;
+
 use ctos::diagnostic::Finding;
 use pnt_language::{
     exec::Execution,
     net::{Net, PlaceId, TransitionId},
 };
 use thiserror::Error;
+
+use crate::stream::NetView;
 
 /// What a person has done to a net, and where it shall stop.
 #[derive(Debug, Default)]
@@ -90,7 +94,12 @@ impl Breakpoint {
             At::Place(place, comparison, number)
         } else {
             let name = text.trim();
-            let names = || net.transitions().iter().map(|t| t.name.clone());
+            // As the author of the net calls them.
+            let names = || {
+                let all = NetView::new(net).transitions.into_iter();
+                let names: BTreeSet<String> = all.map(|one| one.shown).collect();
+                names.into_iter()
+            };
             // One that asks another net is two in the net: before it is asked, and after it has answered.
             let begins = || net.transition(&format!("start_{name}"));
             let transition = net.transition(name).or_else(begins);
