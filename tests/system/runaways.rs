@@ -122,7 +122,7 @@ fn an_app_whose_boot_is_frozen_keeps_no_command_for_ever() {
         &["record", "--for", "1s"],
         &["stop"],
     ];
-    let late = commands.map(|command| scratch.start(CTOS, command, &[]));
+    let late = commands.map(|command| scratch.start(MISBEHAVING, command, &[]));
     for late in late {
         late.end()
             .must_exit_leaving(6)

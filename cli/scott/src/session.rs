@@ -352,7 +352,7 @@ impl Session {
 
     /// The user has pressed Ctrl-C: nothing more is done, whatever was to be kept going.
     fn cancelled(&mut self, place: &Place<'_>) -> Flow {
-        let why = "cancelled; the app may still be at it, and what was locked for this session is free again";
+        let why = "cancelled; the app may still be at it, and what was locked for this session is free again. `pino EXEC stop` stops an arm";
         let _ = self.fail(place, why, exit::INTERRUPTED);
         Flow::Stop
     }

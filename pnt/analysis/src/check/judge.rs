@@ -1,7 +1,7 @@
 //! What is wrong with nets, judged by what was found about their markings.
 
 use ctos::diagnostic::{Finding, Findings};
-use pnt_language::net::{Part, Transition};
+use pnt_language::net::{Command, Part, Transition};
 
 use super::{
     ending::End,
@@ -56,6 +56,7 @@ impl<'a> Judge<'a> {
         if self.looked.verdict.complete {
             self.never(&mut findings);
         }
+        self.unwritten(&mut findings);
         findings
     }
 
@@ -376,5 +377,32 @@ impl<'a> Judge<'a> {
                 .help("nothing ever marks its input places together; check their names and weights")
         };
         push_some(never.map(finding), findings);
+    }
+
+    /// Answers that no transition writes: probably one was forgotten.
+    fn unwritten(&self, findings: &mut Findings) {
+        let commands = self.system.nets().iter().flat_map(|net| {
+            let commands = net.commands().iter();
+            commands.map(move |command| (net, command))
+        });
+        let answers = commands.flat_map(|(net, command)| {
+            let written = move |answer: &&String| {
+                let mut writes = net.transitions().iter().map(|one| one.write.as_ref());
+                writes.any(|write| write == Some(*answer))
+            };
+            let unwritten = command
+                .answers
+                .iter()
+                .filter(move |answer| !written(answer));
+            unwritten.map(move |answer| (command, answer))
+        });
+        let finding = |(command, answer): (&Command, &String)| {
+            let symbol = &command.symbol;
+            let text = format!("no transition writes `{answer}`, an answer of `{symbol}`");
+            Finding::warning("pnt::check::never_written", text)
+                .at(command.at.clone())
+                .help("write it where the command is done, or take it off the `command` line")
+        };
+        push_some(answers.map(finding), findings);
     }
 }
