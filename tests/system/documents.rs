@@ -281,6 +281,25 @@ fn every_call_of_the_app_that_ctos_new_writes_stands_in_the_documents() {
 const FILES: [&str; 4] = ["src/handlers.rs", "src/main.rs", "app.toml", "tea.net"];
 
 #[test]
+fn every_piece_of_configuration_in_the_documents_can_be_read() {
+    let mut wrong = Vec::new();
+    let mut count = 0;
+    for page in pages() {
+        let text = read(&page);
+        for (kind, block) in blocks(&text) {
+            if kind == "toml" {
+                count += 1;
+                if let Err(error) = block.parse::<toml::Table>() {
+                    wrong.push(format!("{page}: {error}\n{block}"));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(count > 30, "only {count} pieces were found");
+}
+
+#[test]
 fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
     let page = read("docs/tutorial.md");
     for file in FILES {
