@@ -686,4 +686,5 @@ mod maps;
 mod objects;
 mod pictures;
 mod planes;
+mod ratios;
 mod rigs;
