@@ -682,6 +682,7 @@ proptest! {
     }
 }
 
+mod fuzz;
 mod maps;
 mod objects;
 mod pictures;
