@@ -1,6 +1,8 @@
 //! Tools: one step of a Service each. A Tool that needs hardware asks the Vision Module Manager for it, calls the
 //! Vision Module, gives the hardware back, and gets the result directly from the Vision Module.
 
+mod disk;
+
 use std::collections::BTreeMap;
 
 use ctos::{
@@ -23,6 +25,9 @@ use crate::{
     service::ask,
     spot::{SpotOptions, SpotsOptions, find_spot, find_spots},
 };
+
+pub(crate) use disk::DiskFindArgs;
+pub use disk::{DISK_FIND_COMMANDS, DiskFindTool};
 
 /// The commands of `vss.tool_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[Snap::INFO];
