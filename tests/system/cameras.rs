@@ -1,5 +1,6 @@
 //! Five cameras under one manager, and the one that the arm carries.
 
+use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::harness::{CTOS, Run, SCOTT, Scratch};
@@ -34,7 +35,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn five_cameras_see_the_lamp_at_once_each_by_its_own_number() {
     let scratch = Scratch::new();
     let name = format!("five_{}", std::process::id());
-    let _run = up(&scratch, &name, &[]);
+    let run = up(&scratch, &name, &[]);
     // The noise makes small things that are no lamps.
     let set = "spot CTRL -threshold 90 -min-area 5 -most 10000";
     scratch.scott(&[&name, "-c", set]).must_exit_leaving(0);
@@ -51,6 +52,31 @@ fn five_cameras_see_the_lamp_at_once_each_by_its_own_number() {
         assert!((0.0..500.0).contains(&spot[0]) && (0.0..500.0).contains(&spot[1]));
         assert_eq!(answer["ints"][1], 0, "{camera}: {answer}");
     }
+    stopped(run);
+}
+
+/// Ends it in order, so that nothing stays in the memory of the host.
+fn stopped(run: Run<'_>) {
+    run.signal(Signal::TERM);
+    run.end();
+}
+
+/// The Tool that takes pictures is in one chassis, cameras and the daemon that looks at pictures are in another one.
+#[test]
+fn frames_cross_between_chassis_of_a_host_without_their_pixels() {
+    let scratch = Scratch::new();
+    let name = format!("crossing_{}", std::process::id());
+    let mut run = up(&scratch, &name, &["--log", "vss=debug"]);
+    let set = "spot CTRL -threshold 90 -min-area 5 -most 10000";
+    scratch.scott(&[&name, "-c", set]).must_exit_leaving(0);
+    let line = spot("side_south");
+    scratch.scott(&[&name, "-c", &line]).must_exit_leaving(0);
+    let fetched = run.line_with("pixels fetched");
+    assert!(
+        fetched.contains("side_south") && fetched.contains("250000"),
+        "{fetched}"
+    );
+    stopped(run);
 }
 
 #[test]

@@ -15,6 +15,7 @@ use crate::{
     frame::{Carried, Frame},
     pose::TargetPose,
     spot::{NoSpot, Spot, SpotFlags},
+    visual_jacobian::{Correction, Seen},
 };
 
 ctos::command! {
@@ -60,6 +61,25 @@ ctos::command! {
         /// The picture.
         pub frame: Frame,
     } => Result<TargetPose, VisionError>, 0x0462, "locate_target"
+
+    /// Takes a picture with the camera on a hand, and finds the disc before it: as an example when the gripper is known to be at
+    /// an offset from where it grips the disc, else to correct the gripper.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct DiskOffset {
+        /// The camera's name.
+        pub camera: String,
+        /// The known offset of the gripper, m; none to be told the correction.
+        pub taught: Option<[f64; 2]>,
+    } => Result<DiskReport, VisionError>, 0x0480, "disk_offset"
+
+    /// Tool: finds the disc before the camera on a hand in a picture.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LocateDisk {
+        /// The picture.
+        pub frame: Frame,
+        /// The known offset of the gripper, m; none to be told the correction.
+        pub taught: Option<[f64; 2]>,
+    } => Result<DiskSight, VisionError>, 0x0481, "locate_disk"
 
     /// Asks the manager for the hardware behind a Vision Module; answered when it is free.
     #[derive(Debug, Clone, PartialEq)]
@@ -252,6 +272,32 @@ pub struct TargetReport {
     pub frame: u64,
     /// What carried the camera then.
     pub carrier: Option<Carried>,
+}
+
+/// The disc before the camera on a hand.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct DiskSight {
+    /// Where it is in the picture.
+    pub seen: Seen,
+    /// Standard deviations of its middle, px.
+    pub sd_px: [f64; 2],
+    /// How many examples are taught so far, of four.
+    pub examples: usize,
+    /// The move of the gripper to where it grips the disc; none for an example.
+    pub correction: Option<Correction>,
+}
+
+/// What the Service DiskFind found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DiskReport {
+    /// The camera's name.
+    pub camera: String,
+    /// The disc.
+    pub disk: DiskSight,
+    /// The middle of the picture's exposure, since the start of the app.
+    pub stamp: Duration,
+    /// The number of the picture.
+    pub frame: u64,
 }
 
 /// A marker on a picture.

@@ -8,7 +8,7 @@ use std::{borrow::Cow, time::Duration};
 
 use ctos::Blob;
 use nalgebra::Isometry3;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 /// How the bytes of a picture are pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -40,11 +40,23 @@ pub struct Carried {
     pub world_t_link: Isometry3<f64>,
 }
 
+/// Where a Vision Module left the pixels of a frame: a record of a snapshot buffer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Left {
+    /// The app that owns the buffer.
+    pub app: String,
+    /// The buffer's name.
+    pub buffer: String,
+    /// The record's number.
+    pub record: u64,
+}
+
 /// A picture, 8 bit, row after row.
 ///
-/// Cloning shares the pixels. Inside a chassis a frame moves between tasks as a pointer; between chassis that
-/// share memory its pixels are read where they stand.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Cloning shares the pixels. Inside a chassis a frame moves between tasks as a pointer. To another chassis its pixels go with
+/// the message, unless they were [left](Self::left) in a snapshot buffer: then whoever needs them
+/// [fetches](Self::fetched) them from there.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Frame {
     /// The camera's name; empty when no camera took it.
     pub camera: String,
@@ -64,6 +76,46 @@ pub struct Frame {
     pub exposure: Duration,
     /// What carried the camera, if a link did and its pose is known.
     pub carrier: Option<Carried>,
+    /// Where its pixels were left, too, if they were.
+    pub left: Option<Left>,
+}
+
+/// As derived, without pixels that were left where the receiver finds them.
+impl Serialize for Frame {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        #[serde(rename = "Frame")]
+        struct Sent<'a> {
+            camera: &'a str,
+            number: u64,
+            width: usize,
+            height: usize,
+            format: PixelFormat,
+            pixels: &'a Blob,
+            stamp: Duration,
+            exposure: Duration,
+            carrier: &'a Option<Carried>,
+            left: &'a Option<Left>,
+        }
+        let nothing = Blob::default();
+        let sent = Sent {
+            camera: &self.camera,
+            number: self.number,
+            width: self.width,
+            height: self.height,
+            format: self.format,
+            pixels: if self.left.is_some() {
+                &nothing
+            } else {
+                &self.pixels
+            },
+            stamp: self.stamp,
+            exposure: self.exposure,
+            carrier: &self.carrier,
+            left: &self.left,
+        };
+        sent.serialize(serializer)
+    }
 }
 
 impl Frame {
@@ -80,6 +132,7 @@ impl Frame {
             stamp: Duration::ZERO,
             exposure: Duration::ZERO,
             carrier: None,
+            left: None,
         }
     }
 
@@ -204,6 +257,16 @@ pub enum FrameError {
         /// The camera's name.
         camera: String,
         /// What it says.
+        reason: String,
+    },
+    /// The pixels were left in a snapshot buffer and are not there any more.
+    #[error("the pixels of frame {number} of camera `{camera}` are gone: {reason}")]
+    Gone {
+        /// The camera's name.
+        camera: String,
+        /// The frame's number.
+        number: u64,
+        /// Why.
         reason: String,
     },
     /// The camera does what no good camera does: what is measured in its pictures may be wrong.

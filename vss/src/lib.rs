@@ -27,6 +27,7 @@ pub mod spot;
 pub mod target_map;
 pub mod tool;
 pub mod tracking;
+pub mod visual_jacobian;
 pub mod vm;
 pub mod vmm;
 pub mod vsm;

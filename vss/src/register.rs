@@ -47,6 +47,13 @@ fn services(registry: &mut Registry) {
             service::TargetFindService::new,
         )
         .args::<service::TargetFindArgs>();
+    registry
+        .handler(
+            "vss.svc_disk_find",
+            service::DISK_FIND_COMMANDS,
+            service::DiskFindService::new,
+        )
+        .args::<service::DiskFindArgs>();
     registry.handler("vss.svc_calibrate", service::CALIBRATE_COMMANDS, |_| {
         Ok(service::CalibrateService)
     });
@@ -77,6 +84,13 @@ fn tools(registry: &mut Registry) {
             tool::TargetFindTool::new,
         )
         .args::<tool::TargetFindArgs>();
+    registry
+        .handler(
+            "vss.tool_disk_find",
+            tool::DISK_FIND_COMMANDS,
+            tool::DiskFindTool::new,
+        )
+        .args::<tool::DiskFindArgs>();
     registry
         .handler(
             "vss.tool_spot_disp",

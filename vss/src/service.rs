@@ -12,8 +12,9 @@ use serde::Deserialize;
 use crate::{
     calibrate::calibrate,
     command::{
-        Calibrate, FindPair, FindTarget, LocateSpot, LocateTarget, Mark, MarkSpot, ShowImage, Snap,
-        SpotFind, SpotReport, TargetReport, VisionError,
+        Calibrate, DiskOffset, DiskReport, FindPair, FindTarget, LocateDisk, LocateSpot,
+        LocateTarget, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport, TargetReport,
+        VisionError,
     },
     concurrent::answer,
 };
@@ -24,6 +25,8 @@ pub const SPOT_FIND_COMMANDS: &[CommandInfo] = &[SpotFind::INFO];
 pub const PAIR_FIND_COMMANDS: &[CommandInfo] = &[FindPair::INFO];
 /// The commands of `vss.svc_target_find`.
 pub const TARGET_FIND_COMMANDS: &[CommandInfo] = &[FindTarget::INFO];
+/// The commands of `vss.svc_disk_find`.
+pub const DISK_FIND_COMMANDS: &[CommandInfo] = &[DiskOffset::INFO];
 /// The commands of `vss.svc_calibrate`.
 pub const CALIBRATE_COMMANDS: &[CommandInfo] = &[Calibrate::INFO];
 
@@ -203,6 +206,61 @@ async fn find_target(
         stamp,
         frame: number,
         carrier,
+    })
+}
+
+/// The tasks of the two Tools of DiskFind; the catalog writes them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct DiskFindArgs {
+    snap: String,
+    disk: String,
+}
+
+/// The Service DiskFind: toolSnap, toolDiskFind.
+#[derive(Debug)]
+pub struct DiskFindService {
+    args: DiskFindArgs,
+}
+
+impl DiskFindService {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self { args: cx.args()? })
+    }
+}
+
+impl EventHandler for DiskFindService {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != DiskOffset::CODE {
+            return cx.default_processing(message);
+        }
+        let tools = self.args.clone();
+        answer::<DiskOffset, _, _>(cx, message, |cx, request| async move {
+            Ok(find_disk(cx, tools, request).await)
+        })
+    }
+}
+
+async fn find_disk(
+    cx: Context,
+    tools: DiskFindArgs,
+    DiskOffset { camera, taught }: DiskOffset,
+) -> Result<DiskReport, VisionError> {
+    let snap = Snap {
+        camera: camera.clone(),
+    };
+    let frame = ask(&cx, &tools.snap, snap).await??;
+    let (stamp, number) = (frame.stamp, frame.number);
+    let located = ask(&cx, &tools.disk, LocateDisk { frame, taught }).await?;
+    let disk = located.map_err(|error| {
+        let reason = format!("camera `{camera}`: {error}");
+        VisionError { reason, ..error }
+    })?;
+    Ok(DiskReport {
+        camera,
+        disk,
+        stamp,
+        frame: number,
     })
 }
 

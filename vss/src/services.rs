@@ -147,7 +147,7 @@ pub fn classes() -> Vec<ClassInfo> {
     ]
 }
 
-/// So many findings are told one by one.
+/// So many findings, or rows that were not used, are told one by one.
 const MOST_TOLD: usize = 20;
 
 /// The text of a file that a request names.

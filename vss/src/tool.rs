@@ -1,6 +1,8 @@
 //! Tools: one step of a Service each. A Tool that needs hardware asks the Vision Module Manager for it, calls the
 //! Vision Module, gives the hardware back, and gets the result directly from the Vision Module.
 
+mod disk;
+
 use std::collections::BTreeMap;
 
 use ctos::{
@@ -24,6 +26,9 @@ use crate::{
     spot::{SpotOptions, SpotsOptions, find_spot, find_spots},
 };
 
+pub(crate) use disk::DiskFindArgs;
+pub use disk::{DISK_FIND_COMMANDS, DiskFindTool};
+
 /// The commands of `vss.tool_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[Snap::INFO];
 /// The commands of `vss.tool_image_disp`.
@@ -34,6 +39,21 @@ pub const SPOT_FIND_COMMANDS: &[CommandInfo] = &[LocateSpot::INFO];
 pub const TARGET_FIND_COMMANDS: &[CommandInfo] = &[LocateTarget::INFO];
 /// The commands of `vss.tool_spot_disp`.
 pub const SPOT_DISP_COMMANDS: &[CommandInfo] = &[MarkSpot::INFO];
+
+/// The frame with its pixels, which are fetched from the snapshot buffer where they were left if they did not come with the
+/// message. A record holds what was fetched.
+///
+/// # Errors
+/// [`Outcome::Unseen`] when later frames took their place, or the camera's chassis has ended.
+pub fn fetched(cx: &Context, frame: Frame) -> Result<Frame, VisionError> {
+    let unseen = |reason: String| VisionError::new(Outcome::Unseen, reason);
+    let fetch = |frame: Frame| frame.fetched().map_err(|error| error.to_string());
+    if !frame.is_elsewhere() {
+        return fetch(frame).map_err(unseen);
+    }
+    let whole = cx.outside("the pixels of a frame", || fetch(frame));
+    whole.map_err(unseen)
+}
 
 /// Calls a Vision Module while the manager grants its hardware to this Tool.
 async fn with_vm<C: Command>(
@@ -141,8 +161,9 @@ impl EventHandler for SpotFindTool {
             return cx.default_processing(message);
         }
         let (LocateSpot { frame }, reply) = message.open::<LocateSpot>()?;
-        let found = find_spot(&frame.into_grey(), &self.options);
-        reply.ok(found.map_err(VisionError::from))
+        let found =
+            fetched(cx, frame).and_then(|frame| Ok(find_spot(&frame.into_grey(), &self.options)?));
+        reply.ok(found)
     }
 }
 
@@ -220,7 +241,7 @@ impl EventHandler for TargetFindTool {
             return cx.default_processing(message);
         }
         let (LocateTarget { frame }, reply) = message.open::<LocateTarget>()?;
-        reply.ok(self.locate(frame))
+        reply.ok(fetched(cx, frame).and_then(|frame| self.locate(frame)))
     }
 }
 

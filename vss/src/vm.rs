@@ -22,6 +22,7 @@ use crate::{
     command::{DisplayImage, DisplayMark, InitializeVm, Mark, Shown, SnapNow, WhatIsShown},
     frame::{Doubt, Frame, FrameError, buffer::FrameWriter},
     source::{FrameSource, FrameSources},
+    tool::fetched,
 };
 
 use watch::{Watch, WatchArgs};
@@ -48,7 +49,7 @@ pub(crate) struct SnapArgs {
     /// The source's own.
     pub(crate) own: Node,
     watch: WatchArgs,
-    /// The snapshot buffer in which it leaves its frames; none, when none is named.
+    /// The snapshot buffer in which it leaves its frames for other programs, too.
     buffer: Option<String>,
 }
 
@@ -79,6 +80,8 @@ pub struct SnapModule {
     /// What was wrong with the last frame.
     doubt: Option<Doubt>,
     frames: Option<FrameWriter>,
+    /// Whether frames are left there only for the app's own chassis.
+    inner: bool,
 }
 
 impl SnapModule {
@@ -89,14 +92,18 @@ impl SnapModule {
         let args = snap_args(&args)?;
         let name = args.source.as_str().unwrap_or_default();
         let source = sources.build(name, cx, &args.camera, &args.own)?;
-        let frames = |buffer: String| {
+        let inner = args.buffer.is_none();
+        let usual = || format!("frames.{}", args.camera);
+        let buffer = args.buffer.unwrap_or_else(usual);
+        let frames = || {
             let place = (cx.app().name.as_str(), buffer.as_str());
             FrameWriter::new(place, cx.chassis().clock())
         };
         Ok(Self {
             watch: Watch::new(args.watch, source.is_live()),
             doubt: None,
-            frames: args.buffer.map(frames),
+            frames: (!inner || walls_share_memory(cx)).then(frames),
+            inner,
             camera: args.camera,
             source,
         })
@@ -125,18 +132,44 @@ impl SnapModule {
                 reason,
             });
         }
-        if let Some(frames) = &mut self.frames {
-            // A replay writes nothing. A buffer that cannot be written must not cost a measurement.
-            let write = || frames.write(&frame).map_err(|error| error.to_string());
-            let left = cx.outside("the buffer of frames", write);
-            if let Err(error) = left {
-                tracing::warn!(camera, "no more frames are left: {error}");
-                self.frames = None;
-            }
-        }
+        let frame = self.left(cx, frame);
+        let camera = &self.camera;
         tracing::debug!(camera, frame = number, "snapped");
         Ok(frame)
     }
+
+    /// The frame, left in the buffer. Where messages are recorded they bring the pixels, for no record holds the buffer.
+    fn left(&mut self, cx: &Context, mut frame: Frame) -> Frame {
+        let crosses = walls_share_memory(cx) && !cx.is_recording() && !cx.is_replay();
+        let Some(frames) = self.frames.as_mut().filter(|_| crosses || !self.inner) else {
+            return frame;
+        };
+        // A replay writes nothing. A buffer that cannot be written must not cost a measurement.
+        let write = || frames.write(&frame).map_err(|error| error.to_string());
+        match cx.outside("the buffer of frames", write) {
+            Ok(left) => frame.left = crosses.then_some(left),
+            Err(error) => {
+                let camera = &self.camera;
+                // Nobody asked for a buffer that has no name.
+                if self.inner {
+                    tracing::info!(camera, "frames go by message: {error}");
+                } else {
+                    tracing::warn!(camera, "no more frames are left: {error}");
+                }
+                self.frames = None;
+            }
+        }
+        frame
+    }
+}
+
+/// Whether chassis of the app are several processes of one host. In virtual time all are one process, and apps of one
+/// name must not meet in the memory of a host.
+fn walls_share_memory(cx: &Context) -> bool {
+    let mut hosts = cx.app().chassis.iter().map(|chassis| &chassis.host);
+    let real = cx.chassis().clock().origin_ns().is_some();
+    let first = hosts.next();
+    real && hosts.len() > 0 && hosts.all(|host| Some(host) == first)
 }
 
 impl EventHandler for SnapModule {
@@ -187,6 +220,10 @@ impl EventHandler for ImageDispModule {
             InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
             DisplayImage::CODE => {
                 let (DisplayImage { camera, frame }, reply) = message.open::<DisplayImage>()?;
+                let frame = match fetched(cx, frame) {
+                    Ok(frame) => frame,
+                    Err(error) => return reply.fail(error),
+                };
                 Monitor::of(cx).lock().insert(
                     camera,
                     Shown {

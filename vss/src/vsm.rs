@@ -11,7 +11,7 @@ use ctos::{
 use serde::Deserialize;
 
 use crate::{
-    command::{Calibrate, FindPair, FindTarget, InitializeVm, SpotFind, VisionError},
+    command::{Calibrate, DiskOffset, FindPair, FindTarget, InitializeVm, SpotFind, VisionError},
     concurrent::answer,
     service::ask,
 };
@@ -22,6 +22,7 @@ pub const COMMANDS: &[CommandInfo] = &[
     Calibrate::INFO,
     FindPair::INFO,
     FindTarget::INFO,
+    DiskOffset::INFO,
 ];
 
 /// Its arguments; the catalog writes them.
@@ -79,6 +80,7 @@ impl EventHandler for ServicesManager {
             SpotFind::CODE => self.route::<SpotFind>(cx, message, |error| Ok(Err(error))),
             FindPair::CODE => self.route::<FindPair>(cx, message, |error| Ok(Err(error))),
             FindTarget::CODE => self.route::<FindTarget>(cx, message, |error| Ok(Err(error))),
+            DiskOffset::CODE => self.route::<DiskOffset>(cx, message, |error| Ok(Err(error))),
             Calibrate::CODE => self.route::<Calibrate>(cx, message, |error| Err(error.into())),
             _ => cx.default_processing(message),
         }

@@ -22,7 +22,7 @@ use futures_util::future::LocalBoxFuture;
 use nalgebra::Isometry3;
 use vss::{
     catalog::VssExpander,
-    command::Snap,
+    command::{DiskOffset, DiskReport, Outcome, Snap, VisionError},
     frame::{Carried, Frame, PixelFormat, buffer::FrameWriter},
     source::{FrameSources, kinds},
 };
@@ -295,6 +295,71 @@ fn the_latest_frame_of_a_buffer_is_taken_once_with_its_stamp_and_what_carried_it
         found.contains("no frame came within 100ms after frame 41"),
         "{found}"
     );
+}
+
+/// A disc of `radius` px as a camera sees it that is off by so much: 2 px for each mm.
+fn disc([x, y]: [f64; 2], radius: f64) -> Vec<u8> {
+    let (width, height) = (200_u16, 160_u16);
+    let (u, v) = (100.0 + 2000.0 * x, 80.0 - 2000.0 * y);
+    let mut pgm = format!("P5 {width} {height} 255\n").into_bytes();
+    for at in 0..width * height {
+        let off = (f64::from(at % width) - u).hypot(f64::from(at / width) - v) - radius;
+        // Its border is as wide as a pixel.
+        pgm.push((60.0 + 120.0 * (0.5 - off).clamp(0.0, 1.0)) as u8);
+    }
+    pgm
+}
+
+/// What the Service answers.
+async fn offset(
+    cx: &Context,
+    taught: Option<[f64; 2]>,
+) -> Result<Result<DiskReport, VisionError>, HandlerError> {
+    let vsm = cx.task("vsm").await?;
+    let camera = "left".to_owned();
+    let call = cx.call(&vsm, DiskOffset { camera, taught });
+    Ok(call.deadline(Duration::from_secs(60)).await?)
+}
+
+#[test]
+fn four_pictures_teach_the_correction_of_a_gripper() {
+    const CORNERS: [[f64; 2]; 4] = [[-0.01, -0.01], [0.01, -0.01], [-0.01, 0.01], [0.01, 0.01]];
+    let folder = tempfile::tempdir().unwrap();
+    let between = [0.004, -0.006];
+    let all = [[0.0; 2]].into_iter().chain(CORNERS).chain([between; 2]);
+    for (k, place) in all.enumerate() {
+        let radius = if k == 6 { 24.0 } else { 20.0 };
+        fs::write(folder.path().join(format!("{k}.pgm")), disc(place, radius)).unwrap();
+    }
+    let camera = format!(
+        "source = \"vss.directory\"\nargs = {{ folder = \"{}\", period_s = 0.1 }}",
+        folder.path().display()
+    );
+    let app = text("hand", &camera, "[vss.args.toolDiskFind]\nradius_px = 20.0");
+    let app = app.replace("\"SpotFind\"", "\"DiskFind\"");
+    run(&app, move |cx| async move {
+        let untaught = offset(&cx, None).await?.unwrap_err();
+        assert_eq!(untaught.outcome, Outcome::Refused);
+        assert!(untaught.reason.contains("0 of 4 examples"), "{untaught}");
+        for (k, corner) in CORNERS.into_iter().enumerate() {
+            let report = offset(&cx, Some(corner)).await??;
+            assert_eq!((report.disk.examples, report.frame), (k + 1, k as u64 + 1));
+            assert_eq!(report.disk.correction, None);
+        }
+        let report = offset(&cx, None).await??;
+        let found = report.disk.correction.unwrap();
+        for (by, off) in found.by.iter().zip(between) {
+            assert!((by + off).abs() < 5e-5, "{found:?}");
+        }
+        assert!(
+            found.sd.iter().all(|sd| (5e-5..5e-4).contains(sd)),
+            "{found:?}"
+        );
+        // A larger disc, or a hand that is nearer.
+        let other = offset(&cx, None).await?.unwrap_err();
+        assert_eq!(other.outcome, Outcome::Unseen, "{other}");
+        Ok(String::new())
+    });
 }
 
 #[test]

@@ -20,6 +20,7 @@ use vss::{
     camera_info::{CameraInfo, CameraPose, poses_from_yaml},
     command::{Outcome, Snap, VisionError},
     frame::Frame,
+    tool::fetched,
 };
 use vss_board::discs::{DiscForm, bare, find_discs};
 use vss_board::pose::{BoardForm, View, find_board};
@@ -168,7 +169,8 @@ async fn look_over(
 async fn picture(cx: &Context, snap: &str, camera: &str) -> Result<Frame, VisionError> {
     let tool = cx.task(snap).await?;
     let camera = camera.to_owned();
-    cx.call(&tool, Snap { camera }).await?
+    let taken = cx.call(&tool, Snap { camera }).await?;
+    taken.and_then(|frame| fetched(cx, frame))
 }
 
 /// What pictures show.

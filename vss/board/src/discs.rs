@@ -63,7 +63,8 @@ pub struct SeenDisc {
     pub colour: usize,
     /// Root of the mean square of its edges' distances from where they should be, px.
     pub rms_px: f64,
-    /// Standard deviation of its place in each direction, m.
+    /// Standard deviation of its place in each direction, m, as the edges tell it: what is not known of the cameras' places
+    /// moves all discs alike, and the frame, if that was seen by them.
     pub sd_m: f64,
     /// How many cameras saw it. One alone does not tell heights.
     pub cameras: usize,
@@ -172,8 +173,11 @@ impl Search<'_> {
             let Some(start) = view.on_plane(middle, self.base_t_frame, half) else {
                 continue;
             };
+            let Some(expected) = self.area(view, start, *floor) else {
+                continue;
+            };
             // Too small or too large for a disc, which may be half covered.
-            let share = area / self.area(view, start, *floor)?;
+            let share = area / expected;
             if (0.3..2.0).contains(&share) {
                 all.extend(self.fitted(start, *floor));
             }

@@ -32,6 +32,9 @@ const NEAR: f64 = 0.25;
 /// The dot is brighter than the rim on the opposite side by so many grey values.
 const DOT_LEAST: f64 = 20.0;
 
+/// Another camera may see the opposite side brighter by this part of that.
+const DOT_DOUBT: f64 = 0.5;
+
 /// Cameras that are where their calibration says leave less, px.
 const MOST_RMS_PX: f64 = 1.0;
 
@@ -130,6 +133,9 @@ pub struct BoardPose {
 /// Why there is no pose.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoBoard {
+    /// The board has no fields.
+    #[error("the side of a field is {0} m; it is larger than 0")]
+    Field(f64),
     /// No camera sees a board.
     #[error("no camera sees the board: {0}")]
     Unseen(String),
@@ -150,7 +156,7 @@ pub enum NoBoard {
 
 /// A corner: where it is on the board (m), and where it was seen.
 struct Seen<'a> {
-    camera: &'a Camera,
+    view: &'a View,
     on_board: Point3<f64>,
     pixel: Vector2<f64>,
 }
@@ -160,61 +166,69 @@ struct Seen<'a> {
 /// # Errors
 /// [`NoBoard`] says what is missing.
 pub fn find_board(views: &[View], form: &BoardForm) -> Result<BoardPose, NoBoard> {
-    let (mut poses, mut reasons, mut seen, mut users) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for view in views {
-        match corners(view, form) {
-            Ok((pose, corners)) => {
-                poses.push(pose);
-                seen.push((view, corners));
-                users.push(view);
-            }
-            Err(error) => reasons.push(format!("camera `{}`: {error}", view.frame.camera)),
-        }
+    if !(form.field_m.is_finite() && form.field_m > 0.0) {
+        return Err(NoBoard::Field(form.field_m));
     }
-    let Some(start) = poses.first() else {
-        return Err(NoBoard::Unseen(reasons.join("; ")));
-    };
-    let start = the_right_way(start, &users, form).ok_or(NoBoard::Turned)?;
-    let mut all = Vec::new();
-    for ((view, corners), pose) in seen.iter().zip(&poses) {
-        // Each picture may count its fields from the other end.
-        let turned = (start.rotation.inverse() * pose.rotation) * Vector3::x();
-        let sign = if turned.x < 0.0 { -1.0 } else { 1.0 };
-        all.extend(corners.iter().map(|(on_board, pixel)| Seen {
-            camera: &view.camera,
-            on_board: Point3::new(sign * on_board.x, sign * on_board.y, 0.0),
-            pixel: *pixel,
-        }));
+    let (start, mut seen) = all_corners(views, form)?;
+    let few = |seen: &[Seen<'_>]| NoBoard::Undetermined(seen.len());
+    if seen.len() < FEWEST {
+        return Err(few(&seen));
     }
-    let few = NoBoard::Undetermined(all.len());
-    if all.len() < FEWEST {
-        return Err(few);
-    }
-    let (pose, _) = fitted(&start, &all).ok_or(few.clone())?;
+    let (pose, _) = fitted(&start, &seen).ok_or(few(&seen))?;
     // What is no corner of the board lies beside its place.
     let off = |one: &Seen<'_>| residual(&pose, one).map_or(f64::INFINITY, |off| off.norm());
-    let mut offs: Vec<f64> = all.iter().map(off).collect();
+    let mut offs: Vec<f64> = seen.iter().map(off).collect();
     offs.sort_by(f64::total_cmp);
     let limit = (4.0 * offs.get(offs.len() / 2).copied().unwrap_or(0.0)).max(0.3);
-    all.retain(|one| off(one) <= limit);
-    if all.len() < FEWEST {
-        return Err(few);
+    seen.retain(|one| off(one) <= limit);
+    if seen.len() < FEWEST {
+        return Err(few(&seen));
     }
-    let (pose, fit_sd) = fitted(&pose, &all).ok_or(few)?;
-    let squares = all.iter().filter_map(|one| residual(&pose, one));
+    let (pose, fit_sd) = fitted(&pose, &seen).ok_or(few(&seen))?;
+    let squares = seen.iter().filter_map(|one| residual(&pose, one));
     let squares: f64 = squares.map(|off| off.norm_squared()).sum();
-    let rms_px = (squares / all.len() as f64).sqrt();
+    let rms_px = (squares / seen.len() as f64).sqrt();
     if rms_px > MOST_RMS_PX {
         return Err(NoBoard::Contradiction(rms_px));
     }
+    let used = |view: &&View| seen.iter().any(|one| std::ptr::eq(one.view, *view));
+    let users: Vec<&View> = views.iter().filter(used).collect();
+    let pose = the_right_way(&pose, &users, form).ok_or(NoBoard::Turned)?;
     Ok(BoardPose {
         sd: with_cameras(fit_sd, &users, &pose),
         base_t_board: pose,
         rms_px,
-        corners: all.len(),
+        corners: seen.len(),
         cameras: users.iter().map(|view| view.frame.camera.clone()).collect(),
     })
+}
+
+/// The corners in all pictures, counted from the same end of the board, and about where that is.
+fn all_corners<'a>(
+    views: &'a [View],
+    form: &BoardForm,
+) -> Result<(Isometry3<f64>, Vec<Seen<'a>>), NoBoard> {
+    let (mut start, mut all, mut reasons) = (None, Vec::new(), Vec::new());
+    for view in views {
+        match corners(view, form) {
+            Ok((pose, corners)) => {
+                let start = *start.get_or_insert(pose);
+                // Each picture may count its fields from the other end.
+                let turned = (start.rotation.inverse() * pose.rotation) * Vector3::x();
+                let sign = if turned.x < 0.0 { -1.0 } else { 1.0 };
+                all.extend(corners.into_iter().map(|(on_board, pixel)| Seen {
+                    view,
+                    on_board: Point3::new(sign * on_board.x, sign * on_board.y, 0.0),
+                    pixel,
+                }));
+            }
+            Err(error) => reasons.push(format!("camera `{}`: {error}", view.frame.camera)),
+        }
+    }
+    match start {
+        Some(start) => Ok((start, all)),
+        None => Err(NoBoard::Unseen(reasons.join("; "))),
+    }
 }
 
 /// What is not known of the cameras' places adds to what is not known of the corners'.
@@ -301,7 +315,8 @@ fn laid_flat(view: &View, pairs: &Corners, form: &BoardForm) -> Option<Isometry3
     Some(Isometry3::from_parts(Translation3::from(shift), turn))
 }
 
-/// The pose, or that after half a turn: the dot is on the side where it is brighter. `None` where neither is.
+/// The pose, or that after half a turn: the dot is on the side where it is brighter. `None` where no camera sees that, or where
+/// one camera says so and another one the contrary about as clearly.
 fn the_right_way(
     pose: &Isometry3<f64>,
     views: &[&View],
@@ -312,18 +327,18 @@ fn the_right_way(
         let colour = view.colour(view.camera.project(&at)?)?;
         Some(Vector3::new(0.2126, 0.7152, 0.0722).dot(&colour))
     };
-    let mut best: f64 = 0.0;
+    let (mut here, mut there): (f64, f64) = (0.0, 0.0);
     for view in views {
-        if let (Some(here), Some(there)) = (light(view, 1.0), light(view, -1.0))
-            && (here - there).abs() > best.abs()
-        {
-            best = here - there;
+        if let (Some(one), Some(other)) = (light(view, 1.0), light(view, -1.0)) {
+            here = here.max(one - other);
+            there = there.max(other - one);
         }
     }
-    if best.abs() < DOT_LEAST {
+    let (most, least) = (here.max(there), here.min(there));
+    if most < DOT_LEAST || least > DOT_DOUBT * most {
         return None;
     }
-    let half = if best > 0.0 {
+    let half = if here > there {
         0.0
     } else {
         std::f64::consts::PI
@@ -332,7 +347,7 @@ fn the_right_way(
 }
 
 fn residual(pose: &Isometry3<f64>, seen: &Seen<'_>) -> Option<Vector2<f64>> {
-    Some(seen.camera.project(&(pose * seen.on_board))? - seen.pixel)
+    Some(seen.view.camera.project(&(pose * seen.on_board))? - seen.pixel)
 }
 
 /// Least squares of the pixels, and the standard deviations that the residuals tell.

@@ -20,7 +20,12 @@ pub(crate) trait Adjustable: Sized {
 }
 
 /// The place of least squares, by Levenberg's and Marquardt's method; `None` where it breaks down.
-pub(crate) fn adjusted<P: Adjustable>(mut problem: P) -> Option<P> {
+pub(crate) fn adjusted<P: Adjustable>(problem: P) -> Option<P> {
+    adjusted_until(problem, STILL)
+}
+
+/// The same; it ends when a step lowers the sum of squares by less than the part `still`.
+pub(crate) fn adjusted_until<P: Adjustable>(mut problem: P, still: f64) -> Option<P> {
     let mut squares = problem.squares().filter(|squares| squares.is_finite())?;
     let mut damping = 1e-3;
     for _ in 0..MOST_STEPS {
@@ -45,7 +50,7 @@ pub(crate) fn adjusted<P: Adjustable>(mut problem: P) -> Option<P> {
         damping = (0.1 * damping).max(1e-12);
         let fall = squares - next_squares;
         (problem, squares) = (next, next_squares);
-        if fall <= STILL * squares {
+        if fall <= still * squares {
             break;
         }
     }

@@ -80,14 +80,24 @@ pub enum BundleError {
     /// The robot's standard deviation is not positive.
     #[error("the robot's standard deviation is {0} m; it is larger than 0")]
     Robot(f64),
-    /// No camera at all, or a camera with another number of lights.
-    #[error("there are {cameras} cameras, and each tells where it saw all of {lights} lights")]
-    Shape {
-        /// Cameras.
-        cameras: usize,
-        /// Lights.
+    /// There is nothing to calibrate.
+    #[error("no camera saw the lights")]
+    NoCamera,
+    /// A camera with another number of lights.
+    #[error(
+        "camera {camera} has {places} places for {lights} lights; it has one for each, empty where it did not see it"
+    )]
+    Places {
+        /// Which.
+        camera: usize,
+        /// Its places.
+        places: usize,
+        /// The lights.
         lights: usize,
     },
+    /// A position of a light is NaN or infinite.
+    #[error("the position of light {0} is not finite")]
+    NotFinite(usize),
     /// A camera cannot be calibrated by itself.
     #[error("camera {0}: {1}")]
     Camera(usize, CalibrationError),
@@ -103,16 +113,7 @@ pub enum BundleError {
 /// # Errors
 /// [`BundleError`] with the reason.
 pub fn calibrate_together(rig: &Rig<'_>, rng: &mut ChaCha8Rng) -> Result<Bundle, BundleError> {
-    if !(rig.robot_sd_m.is_finite() && rig.robot_sd_m > 0.0) {
-        return Err(BundleError::Robot(rig.robot_sd_m));
-    }
-    let lights = rig.lights.len();
-    if rig.seen.is_empty() || rig.seen.iter().any(|seen| seen.len() != lights) {
-        return Err(BundleError::Shape {
-            cameras: rig.seen.len(),
-            lights,
-        });
-    }
+    checked(rig)?;
     let (mut problem, rejected) = start(rig, rng)?;
     let broken = BundleError::Undetermined(f64::INFINITY);
     for _ in 0..ROUNDS {
@@ -126,33 +127,62 @@ pub fn calibrate_together(rig: &Rig<'_>, rng: &mut ChaCha8Rng) -> Result<Bundle,
         }
     }
     let spread = problem.spread()?;
-    let cameras = problem.cameras.iter().zip(rejected).enumerate();
-    let cameras = cameras.map(|(index, (camera, rejected))| {
-        let free = problem.free;
-        let mut covariance = SMatrix::<f64, PARAMETERS, PARAMETERS>::zeros();
-        covariance.view_mut((0, 0), (free, free)).copy_from(
-            &spread
-                .cameras
-                .view((index * free, index * free), (free, free)),
-        );
-        BundleCamera {
-            camera: *camera,
-            uncertainty: covariance_means(camera, &problem.lights, &covariance, spread.condition),
-            rejected,
-        }
-    });
     let sd =
         |covariance: &Matrix3<f64>| covariance.diagonal().map(|one| one.max(0.0).sqrt()).into();
     let lights = problem.lights.iter().zip(&spread.lights);
+    let lights = lights.map(|(light, covariance)| (*light, sd(covariance)));
+    let cameras = rejected.into_iter().enumerate();
     Ok(Bundle {
-        cameras: cameras.collect(),
-        lights: lights
-            .map(|(light, covariance)| (*light, sd(covariance)))
+        cameras: cameras
+            .map(|(index, rejected)| problem.camera(index, &spread, rejected))
             .collect(),
+        lights: lights.collect(),
         rms_px: spread.rms_px,
         noise_px: problem.noise_px,
         robot_sd_m: problem.robot_shown(),
     })
+}
+
+/// What can be wrong before anything is computed.
+fn checked(rig: &Rig<'_>) -> Result<(), BundleError> {
+    if !(rig.robot_sd_m.is_finite() && rig.robot_sd_m > 0.0) {
+        return Err(BundleError::Robot(rig.robot_sd_m));
+    }
+    if rig.seen.is_empty() {
+        return Err(BundleError::NoCamera);
+    }
+    let lights = rig.lights.len();
+    if let Some(camera) = rig.seen.iter().position(|seen| seen.len() != lights) {
+        return Err(BundleError::Places {
+            camera,
+            places: rig.seen[camera].len(),
+            lights,
+        });
+    }
+    // A light that no camera saw is looked at nowhere else.
+    let finite = |light: &Point3<f64>| light.iter().all(|number| number.is_finite());
+    match rig.lights.iter().position(|light| !finite(light)) {
+        Some(light) => Err(BundleError::NotFinite(light)),
+        None => Ok(()),
+    }
+}
+
+/// The lights that one camera saw, by their index, and the table that they make.
+fn table(rig: &Rig<'_>, camera: usize) -> (Vec<usize>, Vec<LightPoint>) {
+    let seen = rig.seen.get(camera).into_iter().flatten();
+    let rows = rig.lights.iter().zip(seen).enumerate();
+    let rows = rows.filter_map(|(light, (at, pixel))| {
+        let pixel = (*pixel)?;
+        let point = LightPoint {
+            x: at.x,
+            y: at.y,
+            z: at.z,
+            u: pixel.x,
+            v: pixel.y,
+        };
+        Some((light, point))
+    });
+    rows.unzip()
 }
 
 /// Each camera by itself, and the lights that it does not use.
@@ -160,30 +190,17 @@ fn start(rig: &Rig<'_>, rng: &mut ChaCha8Rng) -> Result<(Together, Vec<Vec<usize
     let mut views: Vec<Vec<(usize, Vector2<f64>)>> = vec![Vec::new(); rig.lights.len()];
     let (mut cameras, mut weights, mut all_rejected) = (Vec::new(), Vec::new(), Vec::new());
     let mut noise_px = f64::INFINITY;
-    for (index, seen) in rig.seen.iter().enumerate() {
-        let rows = rig.lights.iter().zip(seen).enumerate();
-        let rows = rows.filter_map(|(light, (at, pixel))| Some((light, at, (*pixel)?)));
-        let rows: Vec<(usize, &Point3<f64>, Vector2<f64>)> = rows.collect();
-        let table: Vec<LightPoint> = rows
-            .iter()
-            .map(|(_, at, pixel)| LightPoint {
-                x: at.x,
-                y: at.y,
-                z: at.z,
-                u: pixel.x,
-                v: pixel.y,
-            })
-            .collect();
-        let (width, height) = rig.size;
+    let (width, height) = rig.size;
+    for index in 0..rig.seen.len() {
+        let (lights, table) = table(rig, index);
+        let light_of = |row: usize| lights.get(row).copied().unwrap_or(row);
         let alone = calibrate_as(&table, width, height, rig.model, rig.beforehand, rng)
-            .map_err(|why| BundleError::Camera(index, why))?;
-        let is_rejected = |row: usize| alone.rejected.iter().any(|point| point.row == row);
-        let mut rejected = Vec::new();
-        for (row, (light, _, pixel)) in rows.iter().enumerate() {
-            if is_rejected(row) {
-                rejected.push(*light);
-            } else {
-                views[*light].push((index, *pixel));
+            .map_err(|why| BundleError::Camera(index, why.of_row(light_of)))?;
+        let rejected = alone.rejected.iter().map(|point| light_of(point.row));
+        let rejected: Vec<usize> = rejected.collect();
+        for (light, point) in lights.iter().zip(&table) {
+            if rejected.binary_search(light).is_err() {
+                views[*light].push((index, point.pixel()));
             }
         }
         let mut known = lens_weights(&alone.camera, rig.size, rig.beforehand);
@@ -344,6 +361,8 @@ impl Together {
         shown.robot_sd_m
     }
 
+    /// How well everything is known here. The noises follow from how many parameters each kind of measurement determines:
+    /// all of them together determine all.
     fn spread(&self) -> Result<Spread, BundleError> {
         let undetermined = BundleError::Undetermined;
         let (normal, _, blocks) = self.reduced().ok_or(undetermined(f64::INFINITY))?;
@@ -351,36 +370,14 @@ impl Together {
         if condition.is_nan() || condition > WORST_CONDITION {
             return Err(undetermined(condition));
         }
-        let free = self.free;
         let lights: Vec<Matrix3<f64>> = blocks
             .iter()
-            .map(|light| {
-                let mut by_cameras = Matrix3::zeros();
-                for (one, with_one) in &light.mixed {
-                    for (other, with_other) in &light.mixed {
-                        let block = cameras.view((one * free, other * free), (free, free));
-                        by_cameras += with_one.transpose() * block * with_other;
-                    }
-                }
-                light.own + light.own * by_cameras * light.own
-            })
+            .map(|light| self.of_light_and_cameras(light, &cameras))
             .collect();
-        // How many parameters each kind of measurement determines: all of them together determine all.
         let robot = lights.iter().map(Matrix3::trace).sum::<f64>() / self.robot_sd_m.powi(2);
-        let lenses = self
-            .weights
-            .iter()
-            .enumerate()
-            .flat_map(|(index, weights)| {
-                let at = move |parameter: usize| index * free + parameter;
-                weights
-                    .iter()
-                    .map(move |(parameter, weight)| (at(*parameter), weight * weight))
-            });
-        let lenses: f64 = lenses.map(|(at, square)| square * cameras[(at, at)]).sum();
         let unknown = (cameras.nrows() + 3 * lights.len()) as f64;
         let seen: usize = self.views.iter().map(Vec::len).sum();
-        let spare = (2 * seen) as f64 - (unknown - robot - lenses);
+        let spare = (2 * seen) as f64 - (unknown - robot - self.known_of_lenses(&cameras));
         let robot_spare = (3 * lights.len()) as f64 - robot;
         let squares = self.pixel_squares().ok_or(undetermined(f64::INFINITY))?;
         let squares = squares * self.noise_px.powi(2);
@@ -395,6 +392,49 @@ impl Together {
             noise_px: (squares / spare.max(1.0)).sqrt(),
             robot_sd_m: (beside / robot_spare.max(1e-9)).sqrt() * self.robot_sd_m,
         })
+    }
+
+    /// The covariance of a light, from its own block and that of the cameras, m².
+    fn of_light_and_cameras(&self, light: &OfLight, cameras: &DMatrix<f64>) -> Matrix3<f64> {
+        let free = self.free;
+        let mut by_cameras = Matrix3::zeros();
+        for (one, with_one) in &light.mixed {
+            for (other, with_other) in &light.mixed {
+                let block = cameras.view((one * free, other * free), (free, free));
+                by_cameras += with_one.transpose() * block * with_other;
+            }
+        }
+        light.own + light.own * by_cameras * light.own
+    }
+
+    /// How many lens terms follow from what is known of lenses beforehand.
+    fn known_of_lenses(&self, cameras: &DMatrix<f64>) -> f64 {
+        let all = self.weights.iter().enumerate();
+        let terms = all.flat_map(|(index, weights)| {
+            let first = index * self.free;
+            weights
+                .iter()
+                .map(move |(term, weight)| (first + term, weight))
+        });
+        terms
+            .map(|(at, weight)| weight * weight * cameras[(at, at)])
+            .sum()
+    }
+
+    /// A camera with its standard deviations.
+    fn camera(&self, index: usize, spread: &Spread, rejected: Vec<usize>) -> BundleCamera {
+        let (free, camera) = (self.free, self.cameras[index]);
+        let own = spread
+            .cameras
+            .view((index * free, index * free), (free, free));
+        let mut covariance = SMatrix::<f64, PARAMETERS, PARAMETERS>::zeros();
+        covariance.view_mut((0, 0), (free, free)).copy_from(&own);
+        let condition = spread.condition;
+        BundleCamera {
+            camera,
+            uncertainty: covariance_means(&camera, &self.lights, &covariance, condition),
+            rejected,
+        }
     }
 
     /// Sum of squares of the pixels, in their standard deviations.

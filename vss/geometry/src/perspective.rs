@@ -45,6 +45,12 @@ const LEAST_NOISE_PX: f64 = 0.01;
 const CLEARLY: f64 = 16.0;
 /// Condition number, columns scaled, beyond which a pose is not determined.
 const WORST_CONDITION: f64 = 1e7;
+/// Three points allow so many poses.
+const POSES_OF_THREE: f64 = 4.0;
+/// Poses that leave matches out may come about by chance this seldom.
+const BY_CHANCE: f64 = 0.01;
+/// Objects are no further away, m: no laboratory is so large.
+const FARTHEST_M: f64 = 50.0;
 
 /// A point of the model and where it is seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,6 +132,11 @@ pub enum NoModelPose {
         /// The angle between them, rad.
         turn_rad: f64,
     },
+    /// The object is further away than any laboratory is large.
+    #[error(
+        "the object would be {0:.0} m before the camera: points of the model are in m; are these millimetres?"
+    )]
+    TooFar(f64),
     /// The matches leave the pose open.
     #[error(
         "the matches do not determine the pose (condition {0:.1e}): they are seen nearly at one place or in one line"
@@ -154,40 +165,52 @@ pub fn model_pose(
     let limit = AGREE * lens.focal();
     let mut candidates = candidates(matches, &rays, &lens, limit, rng);
     let agreeing = candidates.first().map_or(0, |best| best.agreeing);
-    let nowhere = NoModelPose::Nowhere {
+    let nowhere = |agreeing| NoModelPose::Nowhere {
         agreeing,
         matches: matches.len(),
     };
     if agreeing < FEWEST_MATCHES || 2 * agreeing < matches.len() {
-        return Err(nowhere);
+        return Err(nowhere(agreeing));
     }
     let first = candidates.remove(0);
     let best = settled(matches, first.camera, limit)
-        .filter(|best| noise(best.squares, best.used.len()) < WORST_NOISE * lens.focal())
-        .ok_or(nowhere)?;
+        .filter(|best| best.noise_px() < WORST_NOISE * lens.focal())
+        .ok_or(nowhere(agreeing))?;
+    if best.by_chance(matches) > BY_CHANCE {
+        return Err(nowhere(best.used.len()));
+    }
     // All others are fitted to the matches that the best one uses.
     let others = candidates.into_iter();
     let others = others.filter_map(|other| fitted(matches, &best.used, other.camera));
-    let mut all: Vec<(f64, Camera)> = others.collect();
-    all.push((best.squares, best.camera));
-    all.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let Some(&(squares, camera)) = all.first() else {
-        return Err(nowhere);
+    let mut fits: Vec<(f64, Camera)> = others.collect();
+    fits.push((best.squares, best.camera));
+    fits.sort_by(|a, b| a.0.total_cmp(&b.0));
+    the_only_one(matches, &best.used, &fits)
+}
+
+/// The best of all fits to the used matches, best first, unless another one explains them nearly as well.
+fn the_only_one(
+    matches: &[Match],
+    used: &[usize],
+    fits: &[(f64, Camera)],
+) -> Result<ModelPose, NoModelPose> {
+    let Some((&(squares, camera), others)) = fits.split_first() else {
+        return Err(NoModelPose::Nowhere {
+            agreeing: used.len(),
+            matches: matches.len(),
+        });
     };
-    let found = summary(matches, &best.used, camera, squares)?;
+    let found = summary(matches, used, camera, squares)?;
+    let away = found.camera_t_model.translation.vector.norm();
+    if away > FARTHEST_M {
+        return Err(NoModelPose::TooFar(away));
+    }
     let noise = found.noise_px.max(LEAST_NOISE_PX);
     let turn = |other: &Camera| (other.rotation * camera.rotation.inverse()).angle();
-    let apart = (10.0
-        * found.sd()[..3]
-            .iter()
-            .fold(0.0, |most: f64, sd| most.max(*sd)))
-    .max(1e-3);
-    let rms = |squares: f64| (squares / best.used.len() as f64).sqrt();
-    let another = all
-        .iter()
-        .skip(1)
-        .find(|(_, other)| turn(other) > apart.min(0.5));
-    match another {
+    let [rx, ry, rz, ..] = found.sd();
+    let apart = (10.0 * rx.max(ry).max(rz)).clamp(1e-3, 0.5);
+    let rms = |squares: f64| (squares / used.len() as f64).sqrt();
+    match others.iter().find(|(_, other)| turn(other) > apart) {
         Some((other_squares, other)) if other_squares - squares < CLEARLY * noise * noise => {
             Err(NoModelPose::Ambiguous {
                 first_px: rms(squares),
@@ -216,6 +239,10 @@ fn checked(
     for one in matches {
         if !different.iter().any(|other| other.point == one.point) {
             different.push(one);
+        }
+        // Of a table of millions no more need be compared.
+        if different.len() == FEWEST_MATCHES {
+            break;
         }
     }
     if different.len() < FEWEST_MATCHES {
@@ -337,6 +364,40 @@ struct Settled {
     camera: Camera,
     used: Vec<usize>,
     squares: f64,
+}
+
+impl Settled {
+    fn noise_px(&self) -> f64 {
+        noise(self.squares, self.used.len())
+    }
+
+    /// How many poses are expected to agree with so many of matches that have nothing to do with one another, where some are
+    /// left out; 0 where none is (L. Moisan and B. Stival, International Journal of Computer Vision 57, 2004, section 3).
+    fn by_chance(&self, matches: &[Match]) -> f64 {
+        let (all, used) = (matches.len(), self.used.len());
+        if used == all {
+            return 0.0;
+        }
+        let seen = matches.iter().map(|one| one.pixel);
+        let low = seen
+            .clone()
+            .fold(Vector2::repeat(f64::INFINITY), |a, b| a.inf(&b));
+        let high = seen.fold(Vector2::repeat(f64::NEG_INFINITY), |a, b| a.sup(&b));
+        let area = (high - low).map(|side| side.max(1.0)).product();
+        let near = 2.0 * REJECT_SD * self.noise_px().max(LEAST_NOISE_PX);
+        let share = (near * near / area).min(1.0);
+        // The logarithm: of many matches the numbers overflow.
+        let choices = ln_choose(all, used) + ln_choose(used, 3);
+        let poses = (POSES_OF_THREE * (all - 3) as f64).ln();
+        (poses + choices + (used - 3) as f64 * share.ln()).exp()
+    }
+}
+
+/// The logarithm of the number of ways to choose `k` of `n`.
+fn ln_choose(n: usize, k: usize) -> f64 {
+    (0..k.min(n))
+        .map(|i| ((n - i) as f64 / (k - i) as f64).ln())
+        .sum()
 }
 
 /// Fits, leaves out what is too far off, takes back what is near, and fits again until nothing changes.

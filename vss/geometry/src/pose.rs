@@ -27,6 +27,9 @@ const MOST_RMS_PX: f64 = 2.0;
 /// The second best choice must be worse by this factor, as a root of the mean square.
 const CLEARLY: f64 = 2.0;
 
+/// Ratio of height and longest side below which three lights lie on a line.
+const FLAT: f64 = 1e-3;
+
 /// A coordinate of a light is not known better in a picture, px.
 const LEAST_NOISE_PX: f64 = 1e-3;
 
@@ -81,6 +84,9 @@ pub fn find_target(
     let base = lights.first_chunk::<4>().filter(|_| flat);
     let base = base.filter(|_| lights.len() >= FEWEST_LIGHTS);
     let base = base.ok_or(NoPose::Target)?.map(|light| light.coords.xy());
+    if !spans_the_plane(&base) {
+        return Err(NoPose::Target);
+    }
     if places.len() < lights.len() {
         return Err(NoPose::TooFew(places.len(), lights.len()));
     }
@@ -152,6 +158,16 @@ pub fn find_target(
     }
 }
 
+/// Whether no three of four places lie on a line, or nearly.
+fn spans_the_plane(four: &[Vector2<f64>; 4]) -> bool {
+    let threes = [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]];
+    threes.iter().all(|three| {
+        let [a, b, c] = three.map(|k: usize| four[k]);
+        let (b, c) = (b - a, c - a);
+        b.perp(&c).abs() > FLAT * b.norm_squared().max(c.norm_squared())
+    })
+}
+
 /// All ordered choices of four out of `n`.
 fn fours(n: usize) -> impl Iterator<Item = [usize; 4]> {
     let all = (0..n.pow(4))
@@ -178,9 +194,8 @@ fn homography(from: &[Vector2<f64>; 4], to: &[Vector2<f64>; 4]) -> Option<Matrix
 /// The pose that a map of the plane z = 0 to the picture means, and the one that is tilted the other way.
 fn starts(map: &Matrix3<f64>) -> Vec<Isometry3<f64>> {
     let (one, other) = (map.column(0).into_owned(), map.column(1).into_owned());
+    // The map's last entry is 1, so the target's origin is before the camera.
     let scale = 2.0 / (one.norm() + other.norm());
-    // What is seen is before the camera.
-    let scale = if map.m33 < 0.0 { -scale } else { scale };
     let (one, other) = (one * scale, other * scale);
     let near = Matrix3::from_columns(&[one, other, one.cross(&other)]);
     let turn = Rotation3::from_matrix_eps(&near, 1e-12, 100, Rotation3::identity());
@@ -390,6 +405,11 @@ mod tests {
         let mut high = lights();
         high[5].z = 0.1;
         assert_eq!(find(&high, &places), Err(NoPose::Target));
+        let mut line = lights();
+        line[2] = Point3::new(0.1, 1e-6, 0.0);
+        assert_eq!(find(&line, &places), Err(NoPose::Target));
+        line[2] = Point3::new(f64::NAN, 0.1, 0.0);
+        assert_eq!(find(&line, &places), Err(NoPose::Target));
         assert_eq!(find(&lights(), &places[..5]), Err(NoPose::TooFew(5, 6)));
         let many = vec![Vector2::zeros(); MOST_PLACES + 1];
         assert_eq!(find(&lights(), &many), Err(NoPose::TooMany(15)));

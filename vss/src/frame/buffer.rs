@@ -1,6 +1,7 @@
 //! Frames through a snapshot buffer: a Vision Module leaves each of its frames there, and any process of the host reads
 //! them. The pixels are copied once into the buffer and once out of it, and neither side waits for the other (SORMA
-//! technical report, section 1.7.2). Knows no task.
+//! technical report, section 1.7.2). Messages between chassis bring a frame without its pixels, which are then fetched from
+//! its record. Knows no task.
 //!
 //! The opaque bytes of a record are the pixels. Its floats are [`FLOATS`]; the lines `camera NAME` and `link NAME` follow
 //! them in the buffer's description.
@@ -11,10 +12,10 @@ use ctos::time::Clock;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use sorma::snapshot::{Layout, Place, Reader, Snapshot, SnapshotError, Writer, WriterState};
 
-use super::{Carried, Frame, PixelFormat};
+use super::{Carried, Frame, FrameError, Left, PixelFormat};
 
-/// How many frames a buffer keeps.
-const SLOTS: usize = 4;
+/// How many frames a buffer keeps: a frame can be fetched until so many later ones are there.
+pub const SLOTS: usize = 8;
 
 /// The floats of a record, by name and unit. The pose is that of the link, where there is one; else it is 0.
 pub const FLOATS: [&str; 13] = [
@@ -71,11 +72,11 @@ impl FrameWriter {
         }
     }
 
-    /// Leaves a frame. A larger picture than before, or another link, makes the buffer anew.
+    /// Leaves a frame, and answers where. A larger picture than before, or another link, makes the buffer anew.
     ///
     /// # Errors
     /// Another process writes it, the name cannot be, or the system refuses.
-    pub fn write(&mut self, frame: &Frame) -> Result<(), BufferError> {
+    pub fn write(&mut self, frame: &Frame) -> Result<Left, BufferError> {
         let link = frame.carrier.as_ref().map_or("", |carrier| &carrier.link);
         let names = format!("camera {}\nlink {link}\n", frame.camera);
         let bytes = frame.pixels.len();
@@ -106,8 +107,12 @@ impl FrameWriter {
             let (place, turn) = (&world_t_link.translation, &world_t_link.rotation);
             pose.copy_from_slice(&[place.x, place.y, place.z, turn.i, turn.j, turn.k, turn.w]);
         }
-        writer.write(&floats, &frame.pixels)?;
-        Ok(())
+        let record = writer.write(&floats, &frame.pixels)?;
+        Ok(Left {
+            app: self.app.clone(),
+            buffer: self.buffer.clone(),
+            record,
+        })
     }
 }
 
@@ -137,29 +142,83 @@ impl FrameReader {
     /// # Errors
     /// There is none, nobody leaves one any more, or what is there is none.
     pub fn latest(&mut self) -> Result<Frame, BufferError> {
-        let buffer = self.buffer.clone();
-        let none = |reason| BufferError::None {
-            buffer: buffer.clone(),
-            reason,
-        };
         let written = |reader: &Reader| matches!(reader.writer(), WriterState::Writing(_));
         let reader = match self.reader.take().filter(written) {
             Some(reader) => reader,
             None => Reader::open(&Place::of_app(&self.app)?, &self.buffer)?,
         };
         if !written(&reader) {
-            return Err(none("the process that left frames there has ended"));
+            let reason = "the process that left frames there has ended";
+            return Err(none(&self.buffer, reason));
         }
         let reader = self.reader.insert(reader);
         if !reader.latest(&mut self.record)? {
-            return Err(none("nobody has left one yet"));
+            return Err(none(&self.buffer, "nobody has left one yet"));
         }
-        let description = reader.layout().description.clone();
-        // The pixels move out of the record: they are not copied again.
-        let pixels = std::mem::take(&mut self.record.opaque);
-        frame(&description, &self.record.floats, pixels)
-            .filter(Frame::is_whole)
-            .ok_or_else(|| none("the records are of another kind"))
+        let description = reader.layout().description.as_str();
+        taken(&self.buffer, description, &mut self.record)
+    }
+}
+
+fn none(buffer: &str, reason: &'static str) -> BufferError {
+    BufferError::None {
+        buffer: buffer.to_owned(),
+        reason,
+    }
+}
+
+/// The frame of a record. The pixels move out of it: they are not copied again.
+fn taken(buffer: &str, description: &str, record: &mut Snapshot) -> Result<Frame, BufferError> {
+    let pixels = std::mem::take(&mut record.opaque);
+    frame(description, &record.floats, pixels)
+        .filter(Frame::is_whole)
+        .ok_or_else(|| none(buffer, "the records are of another kind"))
+}
+
+/// The frame that was left there, whether or not its writer still lives.
+fn fetch(left: &Left) -> Result<Frame, BufferError> {
+    let mut reader = Reader::open(&Place::of_app(&left.app)?, &left.buffer)?;
+    let mut record = Snapshot::default();
+    reader.seek(left.record.saturating_sub(1));
+    match reader.next(&mut record)? {
+        Some(_) if record.count == left.record => {
+            taken(&left.buffer, &reader.layout().description, &mut record)
+        }
+        _ => Err(none(&left.buffer, "the record was written over")),
+    }
+}
+
+impl Frame {
+    /// Whether its pixels stay where they were left, and are to be fetched before anything is computed.
+    #[must_use]
+    pub fn is_elsewhere(&self) -> bool {
+        self.left.is_some() && self.pixels.is_empty()
+    }
+
+    /// The frame with its pixels, which are copied out of the buffer if they did not come along.
+    ///
+    /// # Errors
+    /// [`FrameError::Gone`] when [`SLOTS`] later frames were left meanwhile, or the process that left them has ended.
+    pub fn fetched(mut self) -> Result<Self, FrameError> {
+        let Some(left) = self.left.take().filter(|_| self.pixels.is_empty()) else {
+            return Ok(self);
+        };
+        let same = |there: &Self| there.number == self.number && there.stamp == self.stamp;
+        let reason = match fetch(&left) {
+            Ok(there) if same(&there) => {
+                let (camera, bytes) = (&self.camera, there.pixels.len());
+                tracing::debug!(camera, frame = self.number, bytes, "pixels fetched");
+                let pixels = there.pixels;
+                return Ok(Self { pixels, ..self });
+            }
+            Ok(there) => format!("frame {} is in their place", there.number),
+            Err(error) => error.to_string(),
+        };
+        Err(FrameError::Gone {
+            camera: self.camera,
+            number: self.number,
+            reason,
+        })
     }
 }
 
@@ -260,6 +319,47 @@ mod tests {
         }
         drop(writer);
         assert!(reader.latest().is_err(), "nobody leaves frames any more");
+    }
+
+    /// What another chassis gets: a message without the pixels, which are copied out of the buffer there.
+    #[test]
+    fn a_frame_that_was_left_crosses_without_its_pixels_and_is_fetched_whole() {
+        let app = format!("vss-crossing-{}", std::process::id());
+        let mut writer = FrameWriter::new((&app, "frames.left"), &Clock::real());
+        let numbered = |number: u64| Frame {
+            camera: "left".into(),
+            number,
+            stamp: Duration::from_millis(40 * number),
+            ..Frame::grey8(500, 500, vec![number as u8; 250_000])
+        };
+        let mut sent = Vec::new();
+        for number in 0..SLOTS as u64 + 2 {
+            let mut frame = numbered(number);
+            frame.left = Some(writer.write(&frame).unwrap());
+            // Here it keeps its pixels, without a copy.
+            let place = frame.pixels.as_ptr();
+            assert_eq!(frame.clone().fetched().unwrap().pixels.as_ptr(), place);
+            sent.push(postcard::to_allocvec(&frame).unwrap());
+            assert!(sent[0].len() < 200, "{} bytes", sent[0].len());
+        }
+        let come: Vec<Frame> = sent
+            .iter()
+            .map(|bytes| postcard::from_bytes(bytes).unwrap())
+            .collect();
+        assert!(come.iter().all(Frame::is_elsewhere));
+        let (gone, there) = come.split_at(2);
+        for (frame, number) in there.iter().zip(2..) {
+            assert_eq!(frame.clone().fetched().unwrap(), numbered(number));
+        }
+        for frame in gone {
+            let why = frame.clone().fetched().unwrap_err().to_string();
+            assert!(why.contains("camera `left` are gone"), "{why}");
+        }
+        drop(writer);
+        assert!(matches!(
+            there[0].clone().fetched(),
+            Err(FrameError::Gone { number: 2, .. })
+        ));
     }
 
     #[test]

@@ -9,13 +9,13 @@ use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
-    code, ended, opened,
+    MOST_TOLD, code, ended, opened,
     resect::{self, Options},
     table::{self, Columns, Table},
     told,
 };
 use crate::{
-    bundle::{Bundle, Rig, calibrate_together},
+    bundle::{Bundle, BundleError, Rig, calibrate_together},
     camera::Camera,
 };
 
@@ -124,6 +124,17 @@ fn lights(source: &Source, table: &Table) -> Result<(Vec<Point3<f64>>, Vec<Pixel
     Ok((positions, seen))
 }
 
+/// Why there are no cameras. The first one's columns are u1 and v1.
+fn refused(source: &Source, table: &Table, why: &BundleError) -> String {
+    match why {
+        BundleError::Camera(index, why) => {
+            let why = resect::refused(source, table, why);
+            format!("camera {}: {why}", index + 1)
+        }
+        other => format!("{}: {other}", source.name()),
+    }
+}
+
 impl Cameras {
     fn calibrate(&self, io: &mut Transport) -> Outcome {
         let options = &self.0;
@@ -141,7 +152,7 @@ impl Cameras {
         };
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed());
         let found = calibrate_together(&rig, &mut rng)
-            .map_err(|why| Report::error(code::NO_CAMERA, format!("{}: {why}", source.name())))?;
+            .map_err(|why| Report::error(code::NO_CAMERA, refused(&source, &table, &why)))?;
         self.warn(&source, &table, &found, io);
         io.floats.clear();
         for one in &found.cameras {
@@ -168,17 +179,15 @@ impl Cameras {
         for (index, one) in found.cameras.iter().enumerate() {
             if !one.rejected.is_empty() {
                 let rows = one.rejected.iter().map(|row| table.place(source, *row));
-                let rows: Vec<String> = rows.take(resect::MOST_TOLD).collect();
-                let count = one.rejected.len();
-                let text = format!(
-                    "camera {index}: {count} points are not used: {}{}",
-                    rows.join(", "),
-                    if count > rows.len() {
-                        ", and others"
-                    } else {
-                        ""
-                    }
-                );
+                let rows: Vec<String> = rows.take(MOST_TOLD).collect();
+                let (camera, count) = (index + 1, one.rejected.len());
+                let rest = if count > rows.len() {
+                    ", and others"
+                } else {
+                    ""
+                };
+                let rows = rows.join(", ");
+                let text = format!("camera {camera}: {count} points are not used: {rows}{rest}");
                 io.report(Report::warning(code::REJECTED, text));
             }
         }

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
-    code, ended, opened,
+    MOST_TOLD, code, ended, opened,
     table::{self, Columns, Table},
     told,
 };
@@ -18,9 +18,6 @@ use crate::{
     camera_info::CameraInfo,
     perspective::{Match, ModelPose, NoModelPose, model_pose},
 };
-
-/// So many matches that are not used are told one by one.
-const MOST_TOLD: usize = 20;
 
 const COLUMNS: Columns = Columns {
     names: &["X", "Y", "Z", "u", "v"],

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
-    code, ended, opened,
+    MOST_TOLD, code, ended, opened,
     table::{self, Columns, Table},
     told,
 };
@@ -18,9 +18,6 @@ use crate::calibrate::{
 
 /// A camera whose focal length has this standard deviation or more, relative to it, is told to be poor.
 const POOR_FOCAL: f64 = 0.02;
-
-/// So many rejected points are told one by one.
-pub(super) const MOST_TOLD: usize = 20;
 
 const COLUMNS: Columns = Columns {
     names: &["X", "Y", "Z", "u", "v"],

@@ -213,9 +213,11 @@ impl Spot {
         let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
         let taken = cx.call_task(tool, request, SOON).await;
         let taken = taken.map_err(|report| nothing(&report.text))?;
-        taken
-            .map(Frame::into_grey)
-            .map_err(|error| nothing(&error.reason))
+        let frame = taken.map_err(|error| nothing(&error.reason))?;
+        let whole = frame
+            .fetched()
+            .map_err(|error| nothing(&error.to_string()))?;
+        Ok(whole.into_grey())
     }
 
     /// Answers with the spots of a picture that is called `what`.

@@ -201,16 +201,31 @@ fn rigs_without_a_calibration_are_refused_with_their_reason() {
     let refused = together(&good, 1e-3).unwrap_err();
     assert!(matches!(refused, BundleError::Camera(2, _)), "{refused}");
     good.seen[1].pop();
-    let shape = BundleError::Shape {
-        cameras: 3,
+    let short = BundleError::Places {
+        camera: 1,
+        places: 39,
         lights: 40,
     };
-    assert_eq!(together(&good, 1e-3), Err(shape));
+    assert_eq!(together(&good, 1e-3), Err(short));
     good.seen.clear();
-    assert!(matches!(
-        together(&good, 1e-3),
-        Err(BundleError::Shape { cameras: 0, .. })
-    ));
+    assert_eq!(together(&good, 1e-3), Err(BundleError::NoCamera));
+}
+
+/// The table of one camera has fewer rows than there are lights.
+#[test]
+fn a_wrong_light_is_named_by_its_own_number() {
+    let mut set = set(40, 1e-3, 0.15, 3);
+    set.seen[1][..10].fill(None);
+    set.seen[1][25] = Some(Vector2::new(700.0, 20.0));
+    let refused = together(&set, 1e-3).unwrap_err();
+    let BundleError::Camera(1, CalibrationError::OutsidePicture { row, .. }) = refused else {
+        panic!("{refused}");
+    };
+    assert_eq!(row, 25);
+    // Nobody saw it, and it is told all the same.
+    set.seen.iter_mut().for_each(|seen| seen[7] = None);
+    set.told[7].y = f64::NAN;
+    assert_eq!(together(&set, 1e-3), Err(BundleError::NotFinite(7)));
 }
 
 /// The same least squares by somebody else: all cameras and lights at once, derivatives by differences.

@@ -1,10 +1,17 @@
 //! Least-squares fits of a camera to rows of the table, plain or with a Cauchy loss.
 
-use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
-use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Vector2, Vector3, storage::Owned};
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::{CalibrationError, LEAST_NOISE_PX, LensModel, LightPoint, held::Held};
-use crate::camera::{Camera, Distortion, PARAMETERS};
+use crate::{
+    adjust::{Adjustable, adjusted_until},
+    camera::{Camera, Distortion, PARAMETERS, ParameterJacobian},
+};
+
+/// A fit ends when a step lowers the sum of squares by less than this part of it. A robust one is only where the next one
+/// starts from.
+const STILL: f64 = 1e-12;
+const ROBUST_STILL: f64 = 1e-5;
 
 /// Turns a median of absolute normal deviates into their standard deviation.
 const MEDIAN_TO_SD: f64 = 1.482_602_218_505_602;
@@ -103,61 +110,57 @@ pub(super) fn fit(
     cauchy: Option<f64>,
     held: Option<&Held>,
 ) -> Result<Camera, CalibrationError> {
-    let problem = Problem {
-        points: used
-            .iter()
-            .filter_map(|row| table.get(*row))
-            .copied()
-            .collect(),
-        start,
-        change: DVector::zeros(model.parameters()),
+    let rows = used.iter().filter_map(|row| table.get(*row));
+    let points: Vec<LightPoint> = rows.copied().collect();
+    let start = Fit {
+        points: &points,
         camera: start,
+        free: model.parameters(),
         cauchy,
         held: held.copied(),
     };
-    // A robust fit is only where the next one starts from.
-    let tolerance = if cauchy.is_some() { 1e-5 } else { 1e-10 };
-    let method = LevenbergMarquardt::new()
-        .with_ftol(tolerance)
-        .with_xtol(tolerance);
-    let (problem, report) = method.minimize(problem);
-    match report.termination {
-        TerminationReason::User(_)
-        | TerminationReason::Numerical(_)
-        | TerminationReason::NoParameters
-        | TerminationReason::NoResiduals
-        | TerminationReason::WrongDimensions(_) => Err(CalibrationError::NoFit(format!(
-            "least squares over {} points stopped ({:?})",
-            used.len(),
-            report.termination
-        ))),
-        _ => Ok(problem.camera),
-    }
+    let still = if cauchy.is_some() {
+        ROBUST_STILL
+    } else {
+        STILL
+    };
+    let found = adjusted_until(start, still).map(|fit| fit.camera);
+    found.ok_or_else(|| {
+        let points = used.len();
+        CalibrationError::NoFit(format!("least squares over {points} points stopped"))
+    })
 }
 
-struct Problem {
-    points: Vec<LightPoint>,
-    start: Camera,
-    /// From `start`, in the order of `Camera::moved_by`, as many as are free.
-    change: DVector<f64>,
+#[derive(Clone)]
+struct Fit<'a> {
+    points: &'a [LightPoint],
     camera: Camera,
+    /// How many of the parameters of [`Camera::project_with_jacobian`] are free: the first ones.
+    free: usize,
     cauchy: Option<f64>,
     /// What is known of the lens beforehand.
     held: Option<Held>,
 }
 
-impl Problem {
+impl Fit<'_> {
     /// The lens terms that are free, with their indices among the parameters and their weights beforehand, px.
     fn held_terms(&self) -> impl Iterator<Item = (usize, f64, f64)> + use<> {
-        let (free, d) = (self.change.len(), self.camera.distortion);
+        let (free, d) = (self.free, self.camera.distortion);
         let held = self.held.into_iter().flat_map(move |held| held.terms(free));
         let terms = held.zip([d.k1, d.k2, d.p1, d.p2, d.k3]);
         terms.map(|((index, weight), term)| (index, weight, term))
     }
 
-    /// One for each coordinate of each point, and one for each lens term that is held.
-    fn equations(&self) -> usize {
-        2 * self.points.len() + self.held_terms().count()
+    /// What a point leaves, px, whose square is its loss, and the derivatives by all parameters.
+    fn row(&self, point: &LightPoint) -> Option<(Vector2<f64>, ParameterJacobian)> {
+        let (pixel, by) = self.camera.project_with_jacobian(&point.position())?;
+        let off = pixel - point.pixel();
+        let Some(scale) = self.cauchy else {
+            return Some((off, by));
+        };
+        let (factor, slope) = cauchy_factor(off.norm_squared(), scale);
+        let by = by * factor + off * (2.0 * slope) * (off.transpose() * by);
+        Some((off * factor, by))
     }
 }
 
@@ -177,60 +180,50 @@ fn cauchy_factor(square: f64, scale: f64) -> (f64, f64) {
     )
 }
 
-impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem {
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, Dyn>;
-    type ParameterStorage = Owned<f64, Dyn>;
+impl Adjustable for Fit<'_> {
+    fn squares(&self) -> Option<f64> {
+        let losses = self.points.iter().map(|point| {
+            let off = self.camera.project_unchecked(&point.position())? - point.pixel();
+            let square = off.norm_squared();
+            let loss = |scale: f64| scale * scale * (square / (scale * scale)).ln_1p();
+            Some(self.cauchy.map_or(square, loss))
+        });
+        let held = self.held_terms();
+        let held: f64 = held.map(|(_, weight, term)| (weight * term).powi(2)).sum();
+        let squares = losses.sum::<Option<f64>>()? + held;
+        squares.is_finite().then_some(squares)
+    }
 
-    fn set_params(&mut self, x: &DVector<f64>) {
-        self.change.copy_from(x);
-        let mut step = [0.0; PARAMETERS];
-        for (to, from) in step.iter_mut().zip(x) {
+    fn equations(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let free = self.free;
+        let mut normal = SMatrix::<f64, PARAMETERS, PARAMETERS>::zeros();
+        let mut right = SVector::<f64, PARAMETERS>::zeros();
+        for point in self.points {
+            let (off, by) = self.row(point)?;
+            for (off, by) in off.iter().zip(by.row_iter()) {
+                let by = by.transpose();
+                // The lower half of it.
+                normal.syger(1.0, &by, &by, 1.0);
+                right.axpy(-off, &by, 1.0);
+            }
+        }
+        for (index, weight, term) in self.held_terms() {
+            normal[(index, index)] += weight * weight;
+            right[index] -= weight * weight * term;
+        }
+        let normal = DMatrix::from_fn(free, free, |i, j| normal[(i.max(j), i.min(j))]);
+        Some((normal, right.rows(0, free).into_owned()))
+    }
+
+    fn moved(&self, step: &DVector<f64>) -> Self {
+        let mut by = [0.0; PARAMETERS];
+        for (to, from) in by.iter_mut().zip(step) {
             *to = *from;
         }
-        self.camera = self.start.moved_by(&step);
-    }
-
-    fn params(&self) -> DVector<f64> {
-        self.change.clone()
-    }
-
-    fn residuals(&self) -> Option<DVector<f64>> {
-        let mut residuals = DVector::zeros(self.equations());
-        for (k, point) in self.points.iter().enumerate() {
-            let mut r = self.camera.project_unchecked(&point.position())? - point.pixel();
-            if let Some(scale) = self.cauchy {
-                r *= cauchy_factor(r.norm_squared(), scale).0;
-            }
-            residuals.fixed_rows_mut::<2>(2 * k).copy_from(&r);
+        Self {
+            camera: self.camera.moved_by(&by),
+            ..self.clone()
         }
-        for (row, (_, weight, term)) in (2 * self.points.len()..).zip(self.held_terms()) {
-            residuals[row] = weight * term;
-        }
-        residuals.iter().all(|r| r.is_finite()).then_some(residuals)
-    }
-
-    fn jacobian(&self) -> Option<DMatrix<f64>> {
-        let free = self.change.len();
-        let mut jacobian = DMatrix::zeros(self.equations(), free);
-        let turn = left_jacobian(self.change.fixed_rows::<3>(0).into_owned());
-        for (k, point) in self.points.iter().enumerate() {
-            let (pixel, mut block) = self.camera.project_with_jacobian(&point.position())?;
-            let by_turn = block.fixed_view::<2, 3>(0, 0) * turn;
-            block.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_turn);
-            if let Some(scale) = self.cauchy {
-                let r = pixel - point.pixel();
-                let (factor, slope) = cauchy_factor(r.norm_squared(), scale);
-                block = block * factor + r * (2.0 * slope) * (r.transpose() * block);
-            }
-            jacobian
-                .view_mut((2 * k, 0), (2, free))
-                .copy_from(&block.columns(0, free));
-        }
-        for (row, (column, weight, _)) in (2 * self.points.len()..).zip(self.held_terms()) {
-            jacobian[(row, column)] = weight;
-        }
-        jacobian.iter().all(|j| j.is_finite()).then_some(jacobian)
     }
 }
 
@@ -250,10 +243,11 @@ pub(crate) fn left_jacobian(w: Vector3<f64>) -> Matrix3<f64> {
 mod tests {
     use super::*;
     use crate::camera::tests::ceiling_camera;
-    use levenberg_marquardt::differentiate_numerically;
 
+    /// The gradient is that of the sum of squares by differences, and the matrix that of Gauss and Newton: it foretells how the
+    /// gradient changes where residuals are small.
     #[test]
-    fn the_jacobian_is_right_for_plain_and_cauchy_losses_and_large_turns() {
+    fn the_equations_are_those_of_plain_and_cauchy_losses() {
         let camera = ceiling_camera();
         let points = [
             (0.3, 0.2, 0.5),
@@ -261,38 +255,77 @@ mod tests {
             (0.1, -0.6, 0.8),
             (0.5, 0.5, 1.4),
         ];
-        let points: Vec<LightPoint> = points
-            .map(|(x, y, z)| LightPoint {
-                x,
-                y,
-                z,
-                u: 300.0 + 10.0 * x,
-                v: 200.0,
-            })
-            .to_vec();
+        let points = points.map(|(x, y, z)| LightPoint {
+            x,
+            y,
+            z,
+            u: 300.0 + 10.0 * x,
+            v: 200.0,
+        });
         let held = Held::of(&camera, (500, 500), 0.3);
         for (cauchy, held) in [(None, None), (Some(20.0), None), (None, Some(held))] {
-            let mut problem = Problem {
-                points: points.clone(),
-                start: camera,
-                change: DVector::zeros(15),
+            let fit = Fit {
+                points: &points,
                 camera,
+                free: 15,
                 cauchy,
                 held,
             };
-            let mut change = DVector::from_element(15, 0.01);
-            change
-                .rows_mut(0, 3)
-                .copy_from(&Vector3::new(0.3, -0.2, 0.1));
-            problem.set_params(&change);
-            let numeric = differentiate_numerically(&mut problem).unwrap();
-            let exact = problem.jacobian().unwrap();
-            for (a, b) in numeric.iter().zip(&exact) {
+            let (normal, right) = fit.equations().unwrap();
+            assert!(normal.clone().symmetric_eigenvalues().min() > -1e-6 * normal.norm());
+            for k in 0..15 {
+                let step = 1e-6;
+                let at = |by: f64| {
+                    let mut change = DVector::zeros(15);
+                    change[k] = by;
+                    fit.moved(&change).squares().unwrap()
+                };
+                let slope = (at(step) - at(-step)) / (2.0 * step);
+                let expected = -2.0 * right[k];
                 assert!(
-                    (a - b).abs() < 1e-4 * (1.0 + b.abs()),
-                    "{cauchy:?}: {a} {b}"
+                    (slope - expected).abs() < 1e-4 * (1.0 + expected.abs()),
+                    "{cauchy:?} {k}: {slope} {expected}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn near_the_minimum_the_matrix_is_half_the_second_derivative() {
+        let camera = ceiling_camera();
+        let points: Vec<LightPoint> = (0..12)
+            .map(|k| {
+                let (x, y) = (0.3 * f64::from(k % 3) - 0.3, 0.3 * f64::from(k % 4) - 0.4);
+                let pixel = camera
+                    .project_unchecked(&nalgebra::Point3::new(x, y, 0.1 * f64::from(k)))
+                    .unwrap();
+                LightPoint {
+                    x,
+                    y,
+                    z: 0.1 * f64::from(k),
+                    u: pixel.x,
+                    v: pixel.y,
+                }
+            })
+            .collect();
+        let fit = Fit {
+            points: &points,
+            camera,
+            free: 15,
+            cauchy: Some(20.0),
+            held: None,
+        };
+        let (normal, _) = fit.equations().unwrap();
+        for k in 0..15 {
+            let step = 1e-3 / normal[(k, k)].sqrt();
+            let mut change = DVector::zeros(15);
+            change[k] = step;
+            let rise = fit.moved(&change).squares().unwrap() / (step * step);
+            let expected = normal[(k, k)];
+            assert!(
+                (rise / expected - 1.0).abs() < 1e-2,
+                "{k}: {rise} {expected}"
+            );
         }
     }
 }

@@ -145,6 +145,29 @@ pub enum CalibrationError {
     NoFit(String),
 }
 
+impl CalibrationError {
+    /// The same about a larger table, of which `of` says where the rows come from.
+    pub(crate) fn of_row(self, of: impl Fn(usize) -> usize) -> Self {
+        match self {
+            Self::NotFinite { row } => Self::NotFinite { row: of(row) },
+            Self::OutsidePicture {
+                row,
+                u,
+                v,
+                width,
+                height,
+            } => Self::OutsidePicture {
+                row: of(row),
+                u,
+                v,
+                width,
+                height,
+            },
+            other => other,
+        }
+    }
+}
+
 /// Checks numbers, counts and geometry before anything is estimated.
 pub(super) fn check(
     table: &[LightPoint],

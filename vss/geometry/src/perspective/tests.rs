@@ -207,6 +207,86 @@ fn matches_without_one_pose_are_refused_with_their_reason() {
     );
 }
 
+/// Eight places of nothing agree with some pose in half of their rows one time in three.
+#[test]
+fn matches_that_have_nothing_to_do_with_one_another_give_no_pose() {
+    let mut taken = 0;
+    for seed in 0..200 {
+        let mut rng = ChaCha8Rng::seed_from_u64(4000 + seed);
+        let points = model(8, 0.15, &mut rng);
+        let nothing = points.iter().map(|point| Match {
+            point: *point,
+            pixel: Vector2::new(rng.random_range(0.0..640.0), rng.random_range(0.0..480.0)),
+        });
+        let nothing: Vec<Match> = nothing.collect();
+        taken += u32::from(found(&nothing).is_ok());
+    }
+    assert!(taken <= 2, "{taken} of 200");
+}
+
+/// What one wrong match among few costs: the others must still make the pose.
+#[test]
+fn one_wrong_match_of_seven_is_left_out() {
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(5000 + seed);
+        let truth = pose(&mut rng);
+        let mut matches = seen(&model(7, 0.15, &mut rng), &truth, 0.2, &mut rng);
+        matches[3].pixel += Vector2::new(70.0, -50.0);
+        let found = found(&matches).unwrap();
+        assert_eq!(found.rejected, [3], "{seed}");
+    }
+}
+
+#[test]
+fn a_square_seen_from_straight_above_is_found() {
+    let corners = [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]];
+    let corners = corners.map(|[x, y]| Point3::new(x, y, 0.0));
+    let truth = Isometry3::new(
+        Vector3::new(0.0, 0.0, 0.5),
+        Vector3::new(std::f64::consts::PI, 0.0, 0.0),
+    );
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let (mut intrinsics, distortion) = (lens().0, Distortion::default());
+    intrinsics.fy = intrinsics.fx;
+    let camera = Camera {
+        rotation: truth.rotation,
+        centre: truth.inverse() * Point3::origin(),
+        intrinsics,
+        distortion,
+    };
+    let matches = corners.map(|point| Match {
+        point,
+        pixel: camera.project(&point).unwrap(),
+    });
+    let found = model_pose(&matches, &intrinsics, &distortion, &mut rng).unwrap();
+    let (shift, turn) = apart(&found.camera_t_model, &truth);
+    assert!(shift < 1e-6 && turn < 1e-4, "{shift} {turn}");
+}
+
+#[test]
+fn millimetres_for_metres_are_told() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let truth = pose(&mut rng);
+    let mut matches = seen(&model(12, 0.12, &mut rng), &truth, 0.2, &mut rng);
+    for one in &mut matches {
+        one.point *= 1000.0;
+    }
+    let refused = found(&matches).unwrap_err();
+    assert!(matches!(refused, NoModelPose::TooFar(_)), "{refused}");
+}
+
+/// To compare each row with all others would take minutes.
+#[test]
+fn a_table_of_half_a_million_rows_is_looked_through_at_once() {
+    let match_of = |k: u32| Match {
+        point: Point3::new(1e-5 * f64::from(k), f64::from(k % 7), f64::from(k % 11)),
+        pixel: Vector2::new(f64::from(k % 640), f64::from(k % 480)),
+    };
+    let matches: Vec<Match> = (0..500_000).map(match_of).collect();
+    let rays = checked(&matches, &lens().0, &Distortion::default());
+    assert_eq!(rays.unwrap().len(), matches.len());
+}
+
 /// Far away a small plane looks the same tilted to either side.
 #[test]
 fn a_small_flat_model_that_can_be_tilted_either_way_is_refused_as_ambiguous() {

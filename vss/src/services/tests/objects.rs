@@ -293,8 +293,35 @@ fn bundle_answers_cameras_and_lights_of_one_table() {
     let (number, text) = refused(&sorm, &format!("bundle EXEC {path}"));
     assert_eq!(number, code::NO_CAMERA);
     assert!(
-        text.contains("camera 0") && text.contains("1 points"),
+        text.contains("camera 1") && text.contains("1 points"),
         "{text}"
+    );
+}
+
+#[test]
+fn what_is_wrong_in_the_table_of_the_second_camera_is_told_at_its_line() {
+    let sorm = manager();
+    assert!(ask(&sorm, "bundle CTRL -size 640 480").is_ok());
+    let mut text = String::from("X,Y,Z,u1,v1,u2,v2\n");
+    for (nth, row) in table(&camera(LENS), 40, 0.0, 3).lines().skip(1).enumerate() {
+        let (at, pixel) = row
+            .match_indices(',')
+            .nth(2)
+            .map(|(k, _)| row.split_at(k))
+            .unwrap();
+        match nth {
+            // What camera 2 did not see.
+            0..10 => writeln!(text, "{at}{pixel},,").unwrap(),
+            20 => writeln!(text, "{at}{pixel},700,20").unwrap(),
+            _ => writeln!(text, "{at}{pixel}{pixel}").unwrap(),
+        }
+    }
+    let (_folder, path) = file("rig.csv", text.as_bytes());
+    let (number, said) = refused(&sorm, &format!("bundle EXEC {path}"));
+    assert_eq!(number, code::NO_CAMERA);
+    assert!(
+        said.contains("camera 2: ") && said.contains("rig.csv:22:1"),
+        "{said}"
     );
 }
 

@@ -5,15 +5,17 @@ use nalgebra::Isometry3;
 
 #[test]
 fn two_cameras_and_their_standard_deviations_come_from_one_table() {
-    let left = camera(LENS);
-    let mut right = left;
-    right.rotation = UnitQuaternion::new(Vector3::new(0.05, 0.2, -0.1)) * left.rotation;
-    right.centre = left.centre + Vector3::new(0.4, 0.1, 0.05);
-    right.intrinsics.fx = 820.0;
-    let sorm = manager();
-    ask(&sorm, "stereo CTRL -size 640 480 -free on");
-    let truth: Vec<f64> = {
-        let (l, r) = (expected(&left), expected(&right));
+    let rig = |seed: u64| {
+        let left = drawn_lens(2 * seed);
+        let mut right = left;
+        right.rotation = UnitQuaternion::new(Vector3::new(0.05, 0.2, -0.1)) * left.rotation;
+        right.centre = left.centre + Vector3::new(0.4, 0.1, 0.05);
+        right.intrinsics.fx = 820.0;
+        right.distortion = drawn_lens(2 * seed + 1).distortion;
+        (left, right)
+    };
+    let expected_of = |left: &Camera, right: &Camera| -> Vec<f64> {
+        let (l, r) = (expected(left), expected(right));
         let between = right.camera_from_world() * left.camera_from_world().inverse();
         let turn = between.rotation.scaled_axis();
         [
@@ -24,16 +26,25 @@ fn two_cameras_and_their_standard_deviations_come_from_one_table() {
         ]
         .concat()
     };
+    let sorm = manager();
+    ask(&sorm, "stereo CTRL -size 640 480");
     let (mut squares, runs) = (vec![0.0; 24], 30);
     for seed in 0..runs {
+        let (left, right) = rig(seed);
+        let truth = expected_of(&left, &right);
         let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
         let mut text = String::from("X,Y,Z,uL,vL,uR,vR\n");
-        for row in table(&left, 100, 0.3, seed).lines().skip(1) {
+        for row in table(&left, 150, 0.3, seed).lines().skip(1) {
             let numbers: Vec<f64> = row.split(',').map(|x| x.parse().unwrap()).collect();
             let point = Point3::new(numbers[0], numbers[1], numbers[2]);
-            let seen = right.project(&point).unwrap();
+            let Some(seen) = right.project(&point) else {
+                continue;
+            };
             let mut noise = || -> f64 { 0.3 * rng.sample::<f64, _>(StandardNormal) };
-            writeln!(text, "{row},{},{}", seen.x + noise(), seen.y + noise()).unwrap();
+            let (u, v) = (seen.x + noise(), seen.y + noise());
+            if is_inside(u, v) {
+                writeln!(text, "{row},{u},{v}").unwrap();
+            }
         }
         let (_folder, path) = file("stereo.csv", text.as_bytes());
         let reply = ask(&sorm, &format!("stereo EXEC {path}"));
