@@ -8,8 +8,10 @@
 mod arm;
 pub mod carry;
 pub mod dispatcher;
+mod dispatching;
 pub mod dom;
 pub mod hand_eye;
+mod handler;
 pub mod motion;
 pub mod objects;
 mod observations;
@@ -23,6 +25,8 @@ mod results;
 pub mod strategy;
 pub mod vision;
 
+#[cfg(test)]
+mod bench;
 #[cfg(test)]
 mod rig;
 #[cfg(test)]

@@ -6,24 +6,22 @@ use std::rc::Rc;
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::{Context, HandlerError},
 };
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 use super::{
     board::{Board, Field},
     errand::{ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS},
     sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
+    speaker::{self, Speaker},
     thing::Thing,
 };
 use crate::{
     dom::DomStore,
+    handler::{self, NetArgs},
     outcome::{Failure, Outcome},
 };
 
@@ -41,9 +39,19 @@ pub(super) struct CarryArgs {
     /// How far above the fields the gripper goes to and fro, m.
     #[serde(default = "clearance_m")]
     clearance_m: f64,
+    /// The service object that tells people in the room what went wrong, such as `fork.sound@speaker`; nobody when it is left
+    /// out.
+    speaker: Option<String>,
     /// The data object manager.
     #[serde(default = "crate::dom_task")]
     dom: String,
+}
+
+impl CarryArgs {
+    fn speaker(&self) -> Option<Speaker> {
+        let name = self.speaker.as_ref();
+        name.and_then(|name| Speaker::named(name).ok())
+    }
 }
 
 fn clearance_m() -> f64 {
@@ -51,7 +59,7 @@ fn clearance_m() -> f64 {
 }
 
 /// What the functions share.
-struct Dispatcher {
+pub(super) struct Dispatcher {
     args: Rc<CarryArgs>,
     store: DomStore,
     /// Number of the command in work, from 1.
@@ -69,26 +77,33 @@ struct Ends {
     to_is_taken: bool,
     /// After it was set down, the thing is not seen on TO.
     is_elsewhere: bool,
+    /// People in the room were told what went wrong.
+    said: bool,
 }
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: CarryArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<CarryArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args(check);
+    handler::register::<CarryArgs>(registry);
+}
+
+impl NetArgs for CarryArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Dispatcher;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Dispatcher> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        check(self, task, app, findings);
+    }
 }
 
 fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    crate::need_task(task, app, "dom", &args.dom, findings);
     let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
     if let Err((key, help)) = args.board.check() {
         let key = format!("board.{key}");
@@ -103,6 +118,19 @@ fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings
         let finding = Finding::error("coordinators::carry::board", text);
         findings.push(finding.at(place("clearance_m")).help("give from 0 to 2 m"));
     }
+    match args.speaker.as_deref().map(Speaker::named) {
+        Some(Ok(speaker)) => {
+            if let Some(daemon) = speaker.daemon() {
+                crate::need_task(task, app, "speaker", daemon, findings);
+            }
+        }
+        Some(Err(text)) => findings.push(
+            Finding::error("coordinators::carry::speaker", text)
+                .at(place("speaker"))
+                .help("name an object at its daemon, such as `fork.sound@speaker`"),
+        ),
+        None => {}
+    }
     match app.read(&args.thing) {
         Ok(source) => {
             if let Err(found) = Thing::parse(&source) {
@@ -111,11 +139,6 @@ fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings
         }
         Err(finding) => findings.push(finding.at(place("thing"))),
     }
-    check_args(task, app, &names(args), findings);
-}
-
-fn names(args: &CarryArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
 }
 
 fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
@@ -146,6 +169,7 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         .action("tell_unverified", tell_unverified)
         .action("tell_found", tell_found)
         .action("report", report)
+        .action("report_held", report_held)
         .action("refuse", refuse)
 }
 
@@ -165,7 +189,10 @@ async fn begin(action: Act) -> Acted {
         Err(error) => Err(error),
     };
     // What an action changes, it changes at its end: a process that dies before that begins it again.
-    action.with_state(|state| state.command = command);
+    action.with_state(|state| {
+        state.command = command;
+        state.ends = Ends::default();
+    });
     began
 }
 
@@ -246,11 +273,19 @@ async fn aim(action: Act) -> Acted {
         Ok(aimed) => return store.store(&cx, ERRAND, &aimed).await,
         Err(Hindrance::NothingAtFrom(text)) => {
             ends.from_is_empty = true;
+            ends.said = true;
             action.note(text);
+            let field = speaker::field(&errand.from);
+            say(&action, &format!("nothing at {field}"));
         }
         Err(Hindrance::Occupied(text)) => {
             ends.to_is_taken = true;
+            ends.said = true;
             action.note(text);
+            say(
+                &action,
+                &format!("no room at {}", speaker::field(&errand.to)),
+            );
         }
         Err(Hindrance::Other(text)) => return Err(HandlerError::new(text)),
     }
@@ -275,15 +310,56 @@ async fn judge(action: Act) -> Acted {
     for note in &found.notes {
         action.note(note);
     }
-    action.with_state(|state| state.ends.is_elsewhere = found.arrived == Some(false));
+    let is_elsewhere = found.arrived == Some(false);
+    if is_elsewhere {
+        say_lost(&action, &found).await;
+    }
+    action.with_state(|state| state.ends.is_elsewhere = is_elsewhere);
     Ok(())
+}
+
+fn say(action: &Act, words: &str) {
+    let args = action.with_state(|state| state.args.clone());
+    speaker::say(action.cx(), args.speaker().as_ref(), words);
+}
+
+/// Tells people in the room where the thing lies that is not where it should be.
+async fn say_lost(action: &Act, found: &Found) {
+    let (cx, _, store) = parts(action);
+    let Ok(errand) = store.fetch::<Errand>(&cx, ERRAND).await else {
+        return;
+    };
+    say(action, &lost(&errand, found));
+    action.with_state(|state| state.ends.said = true);
+}
+
+fn lost(errand: &Errand, found: &Found) -> String {
+    let (thing, board) = (&errand.thing, &found.board);
+    let Some(at) = found.lies.first() else {
+        return format!("{} lost", thing.name);
+    };
+    let lies = board.field(at, thing.height_m);
+    let name = speaker::field(&lies);
+    if !board.has(&Field {
+        height: 0.0,
+        ..lies
+    }) || at.z < -1e-3
+    {
+        format!("{} lost beside the board", thing.name)
+    } else if name == speaker::field(&errand.from) {
+        format!("{} still at {name}", thing.name)
+    } else {
+        format!("{} lost at {name}", thing.name)
+    }
 }
 
 /// Notes where the thing is that was not carried.
 async fn tell_found(action: Act) -> Acted {
-    for note in found(&action).await?.notes {
+    let found = found(&action).await?;
+    for note in &found.notes {
         action.note(note);
     }
+    say_lost(&action, &found).await;
     Ok(())
 }
 
@@ -301,9 +377,34 @@ async fn tell_unverified(action: Act) -> Acted {
     Ok(())
 }
 
-/// Notes, for the answer, what was not done and why, in the order of time, and where the thing is.
+/// Notes, for the answer, what was not done and why, in the order of time.
 async fn report(action: Act) -> Acted {
-    let (cx, _, store) = parts(&action);
+    note_problems(&action).await;
+    say_failed(&action, "not carried").await;
+    Ok(())
+}
+
+/// The same of an errand that ended with the thing in the hand.
+async fn report_held(action: Act) -> Acted {
+    note_problems(&action).await;
+    say_failed(&action, "still in the hand").await;
+    Ok(())
+}
+
+/// Tells people in the room, unless they know already.
+async fn say_failed(action: &Act, words: &str) {
+    let (cx, _, store) = parts(action);
+    let (command, said) = action.with_state(|state| (state.command, state.ends.said));
+    if let Ok(errand) = store.fetch::<Errand>(&cx, ERRAND).await
+        && errand.command == command
+        && !said
+    {
+        say(action, &format!("{} {words}", errand.thing.name));
+    }
+}
+
+async fn note_problems(action: &Act) {
+    let (cx, _, store) = parts(action);
     let command = action.with_state(|state| state.command);
     let mut all = Vec::new();
     for object in [ROBOT_PROBLEMS, HAND_PROBLEMS, VISION_PROBLEMS] {
@@ -325,7 +426,6 @@ async fn report(action: Act) -> Acted {
             _ => action.note(format!("{request}: {reason}")),
         }
     }
-    Ok(())
 }
 
 /// Says why a hand that is full takes nothing.

@@ -6,26 +6,21 @@
 use std::rc::Rc;
 
 use ctos::{
-    diagnostic::Finding,
-    registry::{Registry, Vocabulary},
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::Registry,
     task::Context,
 };
-use mcs::{
-    Joints,
-    client::{Move, MoveReport, PathKind, Plan, PlanReport, Target},
-};
-use nalgebra::{Isometry3, Matrix4, Translation3, Vector3};
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use mcs::client::{Move, PathKind, PlanReport, Target};
+use nalgebra::{Isometry3, Translation3, Vector3};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 use super::errand::{ERRAND, End, Errand, ROBOT_PROBLEMS, WAY, Way};
 use crate::{
-    arm::Arm,
+    arm::{self, Arm, ArmKeys},
     dom::DomStore,
+    handler::{self, NetArgs},
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
 };
@@ -152,55 +147,44 @@ struct Coordinator {
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: RobotArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<RobotArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<RobotArgs>(|args, task, app, findings| {
-            check_args(task, app, &names(args), findings);
-            crate::need_task(task, app, "mcs", &args.mcs, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            for (key, value) in [
-                ("resume_within_s", args.resume_within_s),
-                ("service_within_s", args.service_within_s),
-            ] {
-                crate::check_seconds(task, key, value, findings);
-            }
-            for (key, value) in [
-                ("speed", args.speed),
-                ("slow", args.slow),
-                ("gentle", args.gentle),
-            ] {
-                crate::check_speed(task, key, value, findings);
-            }
-            let mut wrong = |key: &str, text: String| {
-                let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-                findings.push(Finding::error("coordinators::carry::robot", text).at(place));
-            };
-            for (key, value) in [("arch_m", args.arch_m), ("gentle_m", args.gentle_m)] {
-                if !(0.0..=2.0).contains(&value) {
-                    wrong(key, format!("`{key}` is {value}; give from 0 to 2 m"));
-                }
-            }
-            if let Some(model) = mcs::manipulator(app)
-                && model.dof() != args.park_deg.len()
-            {
-                let (given, count) = (args.park_deg.len(), model.dof());
-                let text = format!("`park_deg` has {given} numbers, and the arm {count} joints");
-                wrong("park_deg", text);
-            }
-        });
+    handler::register::<RobotArgs>(registry);
 }
 
-fn names(args: &RobotArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
+impl NetArgs for RobotArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        let keys = ArmKeys {
+            mcs: &self.mcs,
+            resume_within_s: self.resume_within_s,
+            service_within_s: self.service_within_s,
+            speeds: &[
+                ("speed", self.speed),
+                ("slow", self.slow),
+                ("gentle", self.gentle),
+            ],
+            park_deg: Some(&self.park_deg),
+        };
+        keys.check(task, app, "coordinators::carry::robot", findings);
+        let mut wrong = |key: &str, text: String| {
+            let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+            findings.push(Finding::error("coordinators::carry::robot", text).at(place));
+        };
+        for (key, value) in [("arch_m", self.arch_m), ("gentle_m", self.gentle_m)] {
+            if !(0.0..=2.0).contains(&value) {
+                wrong(key, format!("`{key}` is {value}; give from 0 to 2 m"));
+            }
+        }
+    }
 }
 
 fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
@@ -295,7 +279,7 @@ impl<'a> Ride<'a> {
     }
 
     async fn go(&self, leg: Leg) -> Result<(), Failure> {
-        self.ask_arm().await?;
+        self.arm().acquire().await?;
         match leg {
             Leg::Approach => self.approach().await,
             Leg::Descend => {
@@ -312,7 +296,7 @@ impl<'a> Ride<'a> {
             }
             Leg::Lift => {
                 let up = self.errand.above(End::From, self.turn().await?);
-                self.line(up, self.args.slow, &[]).await.map(|_| ())
+                self.line(up, self.args.slow, &[]).await
             }
             Leg::Transfer => self.arch_to(End::To).await,
             Leg::SetDown => self.set_down(End::To).await,
@@ -330,11 +314,8 @@ impl<'a> Ride<'a> {
         self.errand.speed.unwrap_or(self.args.speed)
     }
 
-    /// Reserves the arm, or sees that it is still reserved.
-    async fn ask_arm(&self) -> Result<(), Failure> {
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| async move { arm.acquire().await }).await?;
-        Ok(())
+    fn arm(&self) -> Arm<'_> {
+        self.args.arm(self.cx)
     }
 
     /// The turn that was chosen for this errand.
@@ -362,8 +343,8 @@ impl<'a> Ride<'a> {
                     };
                     self.store.store(self.cx, WAY, &way).await?;
                     let target = Target::Joints(planned.joints);
-                    let order = self.order(target, PathKind::Joint, self.speed(), &[]);
-                    return self.moved(order, planned.duration_s).await.map(|_| ());
+                    let order = arm::order(target, PathKind::Joint, self.speed());
+                    return self.arm().go(order, planned.duration_s).await.map(|_| ());
                 }
                 Err(failure) if failure.outcome == Outcome::Unreachable => {
                     first.get_or_insert(failure);
@@ -394,45 +375,7 @@ impl<'a> Ride<'a> {
     }
 
     async fn plan(&self, pose: Isometry3<f64>, path: PathKind) -> Result<PlanReport, Failure> {
-        self.plan_to(Target::Pose(rows(&pose)), path, self.speed())
-            .await
-    }
-
-    async fn plan_to(
-        &self,
-        target: Target,
-        path: PathKind,
-        speed: f64,
-    ) -> Result<PlanReport, Failure> {
-        let request = Plan {
-            target,
-            path,
-            speed,
-            acceleration: None,
-            elbow: None,
-        };
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| {
-            let request = request.clone();
-            async move { arm.plan(request).await }
-        })
-        .await
-    }
-
-    fn order(&self, target: Target, path: PathKind, speed: f64, guards: &[String]) -> Move {
-        Move {
-            target,
-            path,
-            speed,
-            acceleration: None,
-            elbow: None,
-            guards: guards.to_vec(),
-            blend: 0.0.into(),
-        }
-    }
-
-    async fn moved(&self, order: Move, planned_s: f64) -> Result<MoveReport, Failure> {
-        self.args.arm(self.cx).go(order, planned_s).await
+        self.arm().plan(arm::pose(&pose), path, self.speed()).await
     }
 
     /// Straight to a pose.
@@ -441,7 +384,7 @@ impl<'a> Ride<'a> {
         pose: Isometry3<f64>,
         speed: f64,
         guards: &[String],
-    ) -> Result<MoveReport, Failure> {
+    ) -> Result<(), Failure> {
         self.along(pose, PathKind::StraightLine, speed, guards)
             .await
     }
@@ -452,15 +395,14 @@ impl<'a> Ride<'a> {
         path: PathKind,
         speed: f64,
         guards: &[String],
-    ) -> Result<MoveReport, Failure> {
-        let target = Target::Pose(rows(&pose));
-        let planned = self.plan_to(target, path, speed).await?;
+    ) -> Result<(), Failure> {
         let order = Move {
             // What goes gently stops as soon as anything else.
             acceleration: Some(speed.max(self.args.slow)),
-            ..self.order(target, path, speed, guards)
+            guards: guards.to_vec(),
+            ..arm::order(arm::pose(&pose), path, speed)
         };
-        self.moved(order, planned.duration_s).await
+        self.arm().travel(order).await.map(|_| ())
     }
 
     /// Straight down to a pose, the last of it gently. The guards of the ways down end it when they feel something.
@@ -470,7 +412,7 @@ impl<'a> Ride<'a> {
         if self.height().await? > near.translation.z {
             self.line(near, self.args.slow, touch).await?;
         }
-        self.line(pose, self.args.gentle, touch).await.map(|_| ())
+        self.line(pose, self.args.gentle, touch).await
     }
 
     /// Up, across and down to above an end of the way.
@@ -480,7 +422,7 @@ impl<'a> Ride<'a> {
             height: self.args.arch_m,
             corner: None,
         };
-        self.along(above, arch, self.speed(), &[]).await.map(|_| ())
+        self.along(above, arch, self.speed(), &[]).await
     }
 
     /// Down until the thing stands. What is felt earlier than that stands there already.
@@ -503,20 +445,12 @@ impl<'a> Ride<'a> {
 
     /// How high the tool is in the base frame, m.
     async fn height(&self) -> Result<f64, Failure> {
-        Ok(self.tool().await?.translation.z)
-    }
-
-    async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
-        let arm = self.args.arm(self.cx);
-        let position = arm.ask(|arm| async move { arm.position().await }).await?;
-        let matrix = Matrix4::from_row_slice(&position.base_t_tool);
-        nalgebra::try_convert(matrix)
-            .ok_or_else(|| Failure::new(Outcome::Fault, "the arm's pose is none"))
+        Ok(self.arm().tool().await?.translation.z)
     }
 
     /// Straight up from wherever it is to where the gripper goes to and fro.
     async fn withdraw(&self) -> Result<(), Failure> {
-        let now = self.tool().await?;
+        let now = self.arm().tool().await?;
         let [from, to] = [End::From, End::To].map(|end| self.errand.above(end, 0.0).translation.z);
         let up = from.max(to) - now.translation.z;
         if up <= 0.0 {
@@ -524,26 +458,12 @@ impl<'a> Ride<'a> {
         }
         let mut above = now;
         above.translation.vector += Vector3::z() * up;
-        self.line(above, self.args.slow, &[]).await.map(|_| ())
+        self.line(above, self.args.slow, &[]).await
     }
 
     /// To where the arm waits; there it is given back.
     async fn park(&self) -> Result<(), Failure> {
         let park = &self.args.park_deg;
-        let joints = Joints::from_fn(park.len(), |joint| park[joint].to_radians());
-        let target = Target::Joints(joints);
-        let planned = self.plan_to(target, PathKind::Joint, self.speed()).await?;
-        let order = self.order(target, PathKind::Joint, self.speed(), &[]);
-        self.moved(order, planned.duration_s).await?;
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| async move { arm.release().await }).await?;
-        Ok(())
+        self.arm().park(park, self.speed()).await
     }
-}
-
-fn rows(pose: &Isometry3<f64>) -> [f64; 16] {
-    let matrix = pose.to_homogeneous().transpose();
-    let mut rows = [0.0; 16];
-    rows.copy_from_slice(matrix.as_slice());
-    rows
 }

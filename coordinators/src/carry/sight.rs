@@ -62,6 +62,10 @@ pub struct Found {
     pub arrived: Option<bool>,
     /// Where it is, from the middle of the field along columns and rows, m; when it stands there.
     pub off_m: Option<[f64; 2]>,
+    /// The board by then.
+    pub board: Board,
+    /// The middles of what may be it where it does not stand on TO, in the board's frame, m.
+    pub lies: Vec<Point3<f64>>,
     /// Where it is, in words.
     pub notes: Vec<String>,
 }
@@ -214,6 +218,7 @@ pub fn arrival(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Fo
         let off = disc.at - middle;
         [off.x, off.y]
     });
+    let strays = strays(errand, before, now);
     match arrived {
         Some([x, y]) => notes.push(format!(
             "seen on {}: {:.1} mm along columns and {:.1} mm along rows from the middle of the field",
@@ -222,14 +227,19 @@ pub fn arrival(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Fo
             tenths(y)
         )),
         None => {
-            let lies = lies(errand, before, now, &board);
-            notes.push(format!("no {} is seen on {}; {lies}", thing.name, errand.to));
+            let words = in_words(errand, &board, &strays);
+            notes.push(format!("no {} is seen on {}; {words}", thing.name, errand.to));
         }
     }
     Found {
         command: errand.command,
         arrived: Some(arrived.is_some()),
         off_m: arrived,
+        board,
+        lies: match arrived {
+            Some(_) => Vec::new(),
+            None => strays.iter().map(|disc| disc.at).collect(),
+        },
         notes,
     }
 }
@@ -244,17 +254,20 @@ fn tenths(length_m: f64) -> f64 {
 pub fn whereabouts(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Found {
     let board = now.board(&errand.board);
     let mut notes = moved(&errand.board, &board);
-    notes.push(lies(errand, before, now, &board));
+    let strays = strays(errand, before, now);
+    notes.push(in_words(errand, &board, &strays));
     Found {
         command: errand.command,
         arrived: None,
         off_m: None,
+        board,
+        lies: strays.iter().map(|disc| disc.at).collect(),
         notes,
     }
 }
 
-/// Where the errand's thing lies now: on FROM, or wherever there is one of its colour that was not there before.
-fn lies(errand: &Errand, before: Option<&Overview>, now: &Overview, board: &Board) -> String {
+/// What may be the errand's thing now: what lies on FROM, or is of its colour and was not there before.
+fn strays<'n>(errand: &Errand, before: Option<&Overview>, now: &'n Overview) -> Vec<&'n SeenDisc> {
     let thing = &errand.thing;
     let first = before.and_then(|seen| seen.at(&errand.board, &errand.from, thing));
     let alike = |disc: &&SeenDisc| first.is_none_or(|first| first.colour == disc.colour);
@@ -263,8 +276,12 @@ fn lies(errand: &Errand, before: Option<&Overview>, now: &Overview, board: &Boar
         known.any(|known| Some(known) != first && (known.at - disc.at).norm() < SAME_M)
     };
     let others = now.discs.iter().filter(alike);
-    let others: Vec<&SeenDisc> = others.filter(|disc| !was_there(disc)).collect();
-    match others.as_slice() {
+    others.filter(|disc| !was_there(disc)).collect()
+}
+
+fn in_words(errand: &Errand, board: &Board, strays: &[&SeenDisc]) -> String {
+    let thing = &errand.thing;
+    match strays {
         [] => format!("the {} is seen nowhere", thing.name),
         all => {
             let all: Vec<String> = all

@@ -8,7 +8,10 @@ use mcs::{
 };
 use mcs_path::Way;
 
-use crate::{arm::Arm, outcome::Failure};
+use crate::{
+    arm::{self, Arm},
+    outcome::Failure,
+};
 
 /// So many motions are under way and wait at a time: fewer than a servo takes.
 const AHEAD: usize = 5;
@@ -39,16 +42,11 @@ pub(super) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Fa
     let orders = points.skip(1).scan(0.0, |before, (point, leeway)| {
         let blend = std::mem::replace(before, *leeway);
         Some(Move {
-            target: Target::Joints(*point),
-            path: straight(),
-            speed: pace.speed,
-            acceleration: None,
-            elbow: None,
-            guards: Vec::new(),
             blend: match pace.blends {
                 true => Blend::Joints(blend),
                 false => Blend::default(),
             },
+            ..arm::order(Target::Joints(*point), straight(), pace.speed)
         })
     });
     let moves = orders.map(|order| arm.go(order, longest_s));
