@@ -18,6 +18,7 @@ pub mod sight;
 mod speaker;
 pub mod thing;
 pub mod vision;
+mod ways;
 
 #[cfg(test)]
 mod tests;

@@ -22,6 +22,7 @@ pub mod positions;
 pub mod push;
 pub mod referee;
 mod results;
+pub mod services;
 pub mod strategy;
 pub mod vision;
 

@@ -14,7 +14,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     board::{Board, Field},
-    errand::{ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS},
+    errand::{
+        ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS, WAYS,
+        Ways,
+    },
     sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
     speaker::{self, Speaker},
     thing::Thing,
@@ -39,6 +42,12 @@ pub(super) struct CarryArgs {
     /// How far above the fields the gripper goes to and fro, m.
     #[serde(default = "clearance_m")]
     clearance_m: f64,
+    /// What is done when the thing was lost on the way and cameras see it.
+    #[serde(default)]
+    lost: Lost,
+    /// How often the thing is tried to grasp, each time with another turn of the gripper.
+    #[serde(default = "tries")]
+    tries: u32,
     /// The service object that tells people in the room what went wrong, such as `fork.sound@speaker`; nobody when it is left
     /// out.
     speaker: Option<String>,
@@ -58,6 +67,24 @@ fn clearance_m() -> f64 {
     0.1
 }
 
+/// What is done with a thing that was lost on the way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Lost {
+    /// It is told where it lies.
+    #[default]
+    Tell,
+    /// It is fetched, once.
+    Fetch,
+}
+
+fn tries() -> u32 {
+    2
+}
+
+/// More turns are not known.
+const MOST_TRIES: u32 = 100;
+
 /// What the functions share.
 pub(super) struct Dispatcher {
     args: Rc<CarryArgs>,
@@ -66,6 +93,11 @@ pub(super) struct Dispatcher {
     command: u32,
     /// What was seen of its ends.
     ends: Ends,
+    /// How often it was tried to grasp the thing, and whether it is tried once more.
+    tried: u32,
+    again: bool,
+    /// The thing was lost, and is being fetched from where it was seen.
+    fetches: bool,
 }
 
 /// What was seen of the ends of an errand.
@@ -113,6 +145,12 @@ fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings
         );
         findings.push(finding.at(place(&key)).help(help));
     }
+    if !(1..=MOST_TRIES).contains(&args.tries) {
+        let text = format!("`tries` is {}", args.tries);
+        let finding = Finding::error("coordinators::carry::board", text);
+        let help = format!("give from 1 to {MOST_TRIES}");
+        findings.push(finding.at(place("tries")).help(help));
+    }
     if !(0.0..=2.0).contains(&args.clearance_m) {
         let text = format!("`clearance_m` is {}", args.clearance_m);
         let finding = Finding::error("coordinators::carry::board", text);
@@ -147,13 +185,19 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         store,
         command: 0,
         ends: Ends::default(),
+        tried: 0,
+        again: false,
+        fetches: false,
     };
     Library::new(state)
         .kept(
-            |state| (state.command, state.ends),
-            |state, (command, ends)| {
-                state.command = command;
-                state.ends = ends;
+            |state| {
+                let tries = (state.tried, state.again, state.fetches);
+                (state.command, state.ends, tries)
+            },
+            |state, (command, ends, tries)| {
+                (state.command, state.ends) = (command, ends);
+                (state.tried, state.again, state.fetches) = tries;
             },
         )
         .enabling("from_is_empty", |state: &Dispatcher| {
@@ -163,9 +207,12 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         .enabling("stands_there", |state: &Dispatcher| {
             !state.ends.is_elsewhere
         })
+        .enabling("another_try", |state: &Dispatcher| state.again)
+        .enabling("is_fetched", |state: &Dispatcher| state.again)
         .action("begin", begin)
         .action("aim", aim)
         .action("judge", judge)
+        .action("weigh_trouble", weigh_trouble)
         .action("tell_unverified", tell_unverified)
         .action("tell_found", tell_found)
         .action("report", report)
@@ -192,6 +239,7 @@ async fn begin(action: Act) -> Acted {
     action.with_state(|state| {
         state.command = command;
         state.ends = Ends::default();
+        (state.tried, state.again, state.fetches) = (0, false, false);
     });
     began
 }
@@ -272,6 +320,10 @@ async fn aim(action: Act) -> Acted {
     match sight::aimed(&errand, &sight) {
         Ok(aimed) => return store.store(&cx, ERRAND, &aimed).await,
         Err(Hindrance::NothingAtFrom(text)) => {
+            if action.with_state(|state| state.tried > 0) {
+                // It was there before it was touched.
+                return Err(HandlerError::new(text));
+            }
             ends.from_is_empty = true;
             ends.said = true;
             action.note(text);
@@ -287,9 +339,46 @@ async fn aim(action: Act) -> Acted {
                 &format!("no room at {}", speaker::field(&errand.to)),
             );
         }
+        Err(Hindrance::Stuck(text)) => {
+            let field = speaker::field(&errand.from);
+            say(&action, &format!("stuck together at {field}"));
+            action.with_state(|state| state.ends.said = true);
+            return Err(HandlerError::new(text));
+        }
         Err(Hindrance::Other(text)) => return Err(HandlerError::new(text)),
     }
     action.with_state(|state| state.ends = ends);
+    Ok(())
+}
+
+/// Whether another turn of the gripper may grasp the thing: something was in the way down, or the jaws found no width that fits.
+async fn weigh_trouble(action: Act) -> Acted {
+    let (cx, args, store) = parts(&action);
+    let command = action.with_state(|state| state.command);
+    let mut latest: Option<Problem> = None;
+    for object in [ROBOT_PROBLEMS, HAND_PROBLEMS] {
+        if let Ok(found) = store.fetch::<Problems>(&cx, object).await
+            && found.command == command
+        {
+            let problems = found.problems.into_iter();
+            latest = latest
+                .into_iter()
+                .chain(problems)
+                .max_by_key(|problem| problem.at);
+        }
+    }
+    let may_do = latest.is_some_and(|problem| {
+        let outcome = problem.failure.outcome;
+        match problem.request.as_str() {
+            "descend" => outcome == Outcome::Guard,
+            "grasp" => outcome == Outcome::Absent,
+            _ => false,
+        }
+    });
+    action.with_state(|state| {
+        state.tried += 1;
+        state.again = may_do && state.tried < args.tries;
+    });
     Ok(())
 }
 
@@ -311,11 +400,27 @@ async fn judge(action: Act) -> Acted {
         action.note(note);
     }
     let is_elsewhere = found.arrived == Some(false);
+    if !is_elsewhere {
+        note_ways(&action).await;
+    }
     if is_elsewhere {
         say_lost(&action, &found).await;
     }
     action.with_state(|state| state.ends.is_elsewhere = is_elsewhere);
     Ok(())
+}
+
+/// Notes which ways the arm has gone, and what is believed of them by now.
+async fn note_ways(action: &Act) {
+    let (cx, _, store) = parts(action);
+    let command = action.with_state(|state| state.command);
+    if let Ok(ways) = store.fetch::<Ways>(&cx, WAYS).await
+        && ways.command == command
+    {
+        for line in ways.lines {
+            action.note(line);
+        }
+    }
 }
 
 fn say(action: &Act, words: &str) {
@@ -353,13 +458,28 @@ fn lost(errand: &Errand, found: &Found) -> String {
     }
 }
 
-/// Notes where the thing is that was not carried.
+/// Notes where the thing is that was not carried. One that was lost is fetched from there, where the configuration says so.
 async fn tell_found(action: Act) -> Acted {
+    action.with_state(|state| state.again = false);
     let found = found(&action).await?;
     for note in &found.notes {
         action.note(note);
     }
     say_lost(&action, &found).await;
+    let (cx, args, store) = parts(&action);
+    let has_fetched = action.with_state(|state| state.fetches);
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    if args.lost == Lost::Fetch
+        && !has_fetched
+        && let Some(there) = sight::at_found(&errand, &found)
+    {
+        let field = speaker::field(&there.from);
+        store.store(&cx, ERRAND, &there).await?;
+        let Field { column, row, .. } = there.from;
+        action.note(format!("it is fetched from {column:.2},{row:.2}"));
+        say(&action, &format!("fetching from {field}"));
+        action.with_state(|state| (state.again, state.fetches) = (true, true));
+    }
     Ok(())
 }
 
@@ -374,6 +494,7 @@ async fn tell_unverified(action: Act) -> Acted {
         let reason = &problem.failure.reason;
         action.note(format!("it was set down, and nobody sees it: {reason}"));
     }
+    note_ways(&action).await;
     Ok(())
 }
 
@@ -426,6 +547,7 @@ async fn note_problems(action: &Act) {
             _ => action.note(format!("{request}: {reason}")),
         }
     }
+    note_ways(action).await;
 }
 
 /// Says why a hand that is full takes nothing.

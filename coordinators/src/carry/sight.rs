@@ -21,6 +21,9 @@ const NEAR: f64 = 0.45;
 /// A thing that has not been touched is seen again within so much of its place, m.
 const SAME_M: f64 = 5e-3;
 
+/// Two things whose rims are nearer to one another are stuck together, m: no jaw goes between them.
+const STUCK_M: f64 = 4e-3;
+
 /// A field is bare when at least this part of what the thing would cover looks so.
 const BARE: f64 = 0.6;
 
@@ -77,6 +80,8 @@ pub enum Hindrance {
     NothingAtFrom(String),
     /// Something stands on TO.
     Occupied(String),
+    /// Another thing touches that on FROM.
+    Stuck(String),
     /// Something else.
     Other(String),
 }
@@ -127,6 +132,7 @@ pub fn aimed(errand: &Errand, sight: &Sight) -> Result<Errand, Hindrance> {
             return Err(nothing(seen, &board, errand));
         };
         points[0] = board.pose() * disc.at;
+        is_alone(seen, &board, thing, disc)?;
         is_free(seen, &board, to, thing, disc)?;
     }
     Ok(Errand {
@@ -159,6 +165,48 @@ fn nothing(seen: &Overview, board: &Board, errand: &Errand) -> Hindrance {
             all_in_words(seen, board, thing)
         )),
     }
+}
+
+/// Whether a jaw goes between the thing `taken` and what lies beside it.
+fn is_alone(
+    seen: &Overview,
+    board: &Board,
+    thing: &Thing,
+    taken: &SeenDisc,
+) -> Result<(), Hindrance> {
+    let mut others = seen.discs.iter().filter(|disc| *disc != taken);
+    let touching = others.find(|disc| {
+        let apart = (disc.at.xy() - taken.at.xy()).norm() - thing.width_m;
+        // What lies beneath is no neighbour.
+        let beside = (disc.at.z - taken.at.z).abs() < 0.5 * thing.height_m;
+        beside && apart < STUCK_M
+    });
+    match touching {
+        Some(other) => Err(Hindrance::Stuck(format!(
+            "a {} {} is stuck to it: push them apart",
+            colour_name(thing, other),
+            place_in_words(board, &other.at, thing)
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// The errand with the thing where it was found, when it was lost and may be only one thing.
+#[must_use]
+pub fn at_found(errand: &Errand, found: &Found) -> Option<Errand> {
+    let (thing, board) = (&errand.thing, found.board);
+    let [at] = found.lies.as_slice() else {
+        return None;
+    };
+    let there = board.pose() * at;
+    let is_lost = (there - errand.points[0]).norm() > NEAR * board.field_m;
+    is_lost.then(|| Errand {
+        from: board.field(at, thing.height_m),
+        board,
+        points: [there, board.point(&errand.to, thing.height_m)],
+        yaw: board.yaw(),
+        ..errand.clone()
+    })
 }
 
 /// Whether the thing `carried` can be set down on a field.

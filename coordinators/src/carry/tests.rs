@@ -5,6 +5,7 @@ mod errands;
 mod failures;
 mod kills;
 mod looks;
+mod strategies;
 mod world;
 
 pub(super) use world::errand;

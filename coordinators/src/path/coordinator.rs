@@ -12,7 +12,10 @@ use ctos::{
     registry::Registry,
     task::{Context, HandlerError},
 };
-use mcs::client::{PathKind, Target};
+use mcs::{
+    Joints,
+    client::{PathKind, Target},
+};
 use mcs_path::{Way, task::PlanWay};
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
@@ -372,20 +375,29 @@ async fn planned(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let trip: Trip = store.fetch(&cx, TRIP).await?;
     let from = drive::here(&args.arm(&cx)).await?;
-    let planner = cx
-        .task(&args.planner)
-        .await
-        .map_err(|error| Failure::new(Outcome::Lost, error))?;
+    let way = plan_around(&cx, &args.planner, from, trip.goal).await?;
+    Ok(store.store(&cx, PLANNED, &way).await?)
+}
+
+/// A way around everything, as the task `planner` finds it.
+pub(crate) async fn plan_around(
+    cx: &Context,
+    planner: &str,
+    from: Joints,
+    goal: Joints,
+) -> Result<Way, Failure> {
+    let planner = cx.task(planner).await;
+    let planner = planner.map_err(|error| Failure::new(Outcome::Lost, error))?;
     let ask = PlanWay {
         from,
-        goals: vec![trip.goal],
+        goals: vec![goal],
         others: Vec::new(),
         seed: None,
     };
     let answer = cx.call(&planner, ask).await;
     let answer = answer.map_err(|error| Failure::new(Outcome::Lost, error.reason()))?;
     let planned = answer.map_err(|error| Failure::new(Outcome::Unreachable, error))?;
-    Ok(store.store(&cx, PLANNED, &planned.way).await?)
+    Ok(planned.way)
 }
 
 /// Goes the way that was chosen.

@@ -18,7 +18,7 @@ const AHEAD: usize = 5;
 
 /// How a way is gone.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pace {
+pub(crate) struct Pace {
     /// Fraction of full speed.
     pub speed: f64,
     /// Whether points are passed without a stop.
@@ -26,7 +26,7 @@ pub(super) struct Pace {
 }
 
 /// Straight in the joints to a point.
-pub(super) fn straight() -> PathKind {
+pub(crate) fn straight() -> PathKind {
     PathKind::Named {
         // It is short enough: a test of the nets goes by it.
         name: "direct".parse().unwrap_or_default(),
@@ -35,7 +35,7 @@ pub(super) fn straight() -> PathKind {
 }
 
 /// Goes along a way from its start. The first motion that ends otherwise than it should ends it.
-pub(super) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Failure> {
+pub(crate) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Failure> {
     let points = way.points.iter().zip(&way.leeway);
     // Of a motion that waits, the time counts from when it is ordered.
     let longest_s = way.full_speed_s / pace.speed;
@@ -62,7 +62,7 @@ pub(super) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Fa
 }
 
 /// Where the arm is, joint by joint.
-pub(super) async fn here(arm: &Arm<'_>) -> Result<Joints, Failure> {
+pub(crate) async fn here(arm: &Arm<'_>) -> Result<Joints, Failure> {
     let position = arm.ask(|arm| async move { arm.position().await }).await?;
     Ok(position.joints)
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::world::{BOARD, CARRY, Place, World, motions, on, requests, run};
+use super::world::{BOARD, CARRY, Place, World, motions, on, requests, run, run_with};
 use crate::{
     bench::Fault,
     carry::board::{Board, Field},
@@ -113,4 +113,42 @@ fn cameras_that_see_nothing_end_an_errand_before_anything_moves_or_leave_it_to_t
         text.contains("it was set down, and nobody sees it"),
         "{text}"
     );
+}
+
+#[test]
+fn things_that_are_stuck_together_are_named_and_nothing_moves() {
+    let mut stuck = World::default();
+    stuck.others.push(on("3,4") + Vector3::new(0.0, 0.037, 0.0));
+    let world = run(stuck, &[CARRY]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried", "{text}");
+    assert!(
+        text.contains("a blue disc on ") && text.contains("is stuck to it"),
+        "{text}"
+    );
+    assert!(!world.moved());
+}
+
+#[test]
+fn a_thing_that_slipped_in_the_air_is_fetched_where_the_configuration_says_so_and_once_only() {
+    let moves = motions(&requests());
+    let slip = (moves[4], Fault::Slips);
+    let world = run_with(
+        World::new(&[slip]),
+        &["task.dispatcher.args.lost=\"fetch\""],
+    );
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    assert!(
+        text.contains("a red disc lies on") && text.contains("it is fetched from"),
+        "{text}"
+    );
+    assert!((world.stands_at() - on("4,5")).norm() < 1e-6, "{text}");
+    // Whatever slips again and again is told.
+    let slips: Vec<(usize, Fault)> = (moves[4]..500).map(|at| (at, Fault::Slips)).collect();
+    let world = run_with(World::new(&slips), &["task.dispatcher.args.lost=\"fetch\""]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried", "{text}");
+    assert_eq!(text.matches("it is fetched from").count(), 1, "{text}");
+    assert!(world.rests());
 }

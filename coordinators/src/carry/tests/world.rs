@@ -9,7 +9,7 @@ use ctos::{
 };
 use mcs::{
     Joints,
-    client::{MotionError, Move, Outcome as Motion, Plan, Target},
+    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, Target},
 };
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -83,6 +83,10 @@ pub(super) struct World {
     pub clutter: bool,
     /// Turns of the gripper that the arm does not reach, rad.
     pub unreachable: Vec<f64>,
+    /// Turns with which something is in the way down to a thing, rad.
+    pub blocked_turns: Vec<f64>,
+    /// Kinds of path that a guard ends half way.
+    pub blocked: Vec<&'static str>,
     pub is_open: bool,
     /// Let go where nothing was beneath.
     pub dropped: bool,
@@ -112,6 +116,8 @@ impl World {
             looks: 0,
             clutter: false,
             unreachable: Vec::new(),
+            blocked_turns: Vec::new(),
+            blocked: Vec::new(),
             is_open: false,
             dropped: false,
             motion: Duration::ZERO,
@@ -155,6 +161,12 @@ impl World {
                 _ => Isometry3::translation(0.3, 0.0, 0.8),
             },
         }
+    }
+
+    /// How the gripper is turned about the vertical of the board, rad.
+    fn turn(&self, tool: &Isometry3<f64>) -> f64 {
+        let across = tool * Vector3::x();
+        across.y.atan2(across.x) - self.board.yaw()
     }
 
     /// The middle of the bottom of what the pads would be around.
@@ -260,8 +272,7 @@ impl bench::World for World {
             Target::Pose(rows) => rows,
         };
         let to = pose(&rows);
-        let across = to * Vector3::x();
-        let turn = across.y.atan2(across.x) - BOARD.yaw();
+        let turn = self.turn(&to);
         let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
         if self.unreachable.iter().any(is_near) {
             return Err(MotionError::new(Motion::Unreachable, "out of reach"));
@@ -274,6 +285,22 @@ impl bench::World for World {
     fn goes(&mut self, order: &Move) -> Result<(), MotionError> {
         let mut to = self.target(order);
         let mut met = Ok(());
+        let kind = match order.path {
+            PathKind::Arch { .. } => "arch",
+            PathKind::StraightLine => "line",
+            _ => "joint",
+        };
+        // The ways down have guards of their own.
+        if order.guards.is_empty() && self.blocked.contains(&kind) {
+            self.tool = self.tool.lerp_slerp(&to, 0.5);
+            return Err(MotionError::new(Motion::Guard, "post is near"));
+        }
+        let turn = self.turn(&to);
+        let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
+        let empty = self.thing != Place::InHand;
+        if !order.guards.is_empty() && empty && self.blocked_turns.iter().any(is_near) {
+            return Err(MotionError::new(Motion::Guard, "force 9 N"));
+        }
         if !order.guards.is_empty() {
             let held = self.thing == Place::InHand;
             for other in &self.others {
@@ -375,8 +402,20 @@ service_within_s = 2.0
 pub(super) const STAND_INS: [&str; 3] = ["mcs", "gripper", "eyes"];
 
 pub(super) fn run(world: World, commands: &[&str]) -> World {
+    run_seeded(world, commands, 1)
+}
+
+/// One command, with settings as `--set` takes them.
+pub(super) fn run_with(world: World, sets: &[&str]) -> World {
     let app = bench::app(&tasks(world.believes), &STAND_INS);
-    bench::run(world, &app, commands)
+    let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
+    bench::run_with(world, (&app, &sets), &[CARRY], &[])
+}
+
+pub(super) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
+    let app = bench::app(&tasks(world.believes), &STAND_INS);
+    let sets = [format!("app.seed={seed}")];
+    bench::run_with(world, (&app, &sets), commands, &[])
 }
 
 /// One command: from field 3,4 to 4,5.
