@@ -434,6 +434,9 @@ async fn say_lost(action: &Act, found: &Found) {
     let Ok(errand) = store.fetch::<Errand>(&cx, ERRAND).await else {
         return;
     };
+    if !found.looked {
+        return;
+    }
     say(action, &lost(&errand, found));
     action.with_state(|state| state.ends.said = true);
 }
@@ -560,7 +563,37 @@ async fn refuse(action: Act) -> Acted {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Point3, Vector3};
+
     use super::*;
+    use crate::carry::tests::errand;
+
+    #[test]
+    fn people_are_told_where_a_thing_lies_by_the_nearest_field_or_that_it_is_beside_the_board() {
+        let errand = errand();
+        let found = |lies: &[Point3<f64>]| Found {
+            command: 1,
+            looked: true,
+            arrived: None,
+            off_m: None,
+            board: errand.board,
+            lies: lies.to_vec(),
+            notes: Vec::new(),
+        };
+        let on = |field: &str| errand.board.on_board(&field.parse().unwrap(), 0.01);
+        for (lies, said) in [
+            (vec![], "disc lost"),
+            (vec![on("4.3,4.6,0")], "disc lost at D 5"),
+            (vec![on("3.1,4,0")], "disc still at C 4"),
+            (vec![on("9,4,0")], "disc lost beside the board"),
+            (
+                vec![on("4,5,0") - Vector3::z() * 0.02],
+                "disc lost beside the board",
+            ),
+        ] {
+            assert_eq!(lost(&errand, &found(&lies)), said);
+        }
+    }
 
     const BOARD: Board = Board {
         at: [0.5, 0.0, 0.42],

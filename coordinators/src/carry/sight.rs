@@ -61,6 +61,8 @@ pub struct Sight {
 pub struct Found {
     /// The errand's command.
     pub command: u32,
+    /// Whether anybody has looked.
+    pub looked: bool,
     /// Whether the thing stands on TO, as far as anybody has looked.
     pub arrived: Option<bool>,
     /// Where it is, from the middle of the field along columns and rows, m; when it stands there.
@@ -281,6 +283,7 @@ pub fn arrival(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Fo
     }
     Found {
         command: errand.command,
+        looked: true,
         arrived: Some(arrived.is_some()),
         off_m: arrived,
         board,
@@ -306,6 +309,7 @@ pub fn whereabouts(errand: &Errand, before: Option<&Overview>, now: &Overview) -
     notes.push(in_words(errand, &board, &strays));
     Found {
         command: errand.command,
+        looked: true,
         arrived: None,
         off_m: None,
         board,

@@ -335,6 +335,7 @@ async fn known(
         Look::Verify | Look::Search => {
             let found = Found {
                 command,
+                looked: false,
                 arrived: None,
                 off_m: None,
                 board: errand.board,

@@ -163,3 +163,29 @@ fn whoever_is_killed_at_any_phase_of_any_transition_the_answer_is_true_and_the_t
         "{carried} of {tried} were carried"
     );
 }
+
+/// How often ways were tried that an answer's last line tells about.
+fn trials(text: &str) -> u32 {
+    let line = text.lines().last().unwrap_or_default();
+    let words = line.split(['(', ')']);
+    let counts = words.filter_map(|words| words.strip_suffix(" tried")?.parse::<u32>().ok());
+    counts.sum()
+}
+
+#[test]
+fn what_is_believed_of_ways_outlasts_the_process_that_believes_it() {
+    let (text, sets) = app();
+    let commands = [CARRY, "carry 4,5 3,4"];
+    let kills = |at| Fault::on("on_robot", FaultKind::Kill, Instant::from_nanos(at));
+    let one = bench::run_with(world(), (&text, &sets), &commands[..1], &[]);
+    let end = one.bench.firings.iter().map(|(_, event)| event.at_ns).max();
+    let kill = kills(end.unwrap() + 1_000_000);
+    let world = bench::run_with(world(), (&text, &sets), &commands, &[kill]);
+    let answers = &world.bench.answers;
+    assert_eq!(answers[1].0, "carried", "{answers:?}");
+    assert_eq!(
+        (trials(&answers[0].1), trials(&answers[1].1)),
+        (1, 2),
+        "{answers:?}"
+    );
+}
