@@ -1,9 +1,21 @@
-//! What Coordinators ask of MCS: again while it is gone and may be started again, and no motion is left in doubt.
+//! What Coordinators ask of MCS: again while it is gone and may be started again, and no motion is left in doubt. The arguments
+//! that all of them have are checked here.
 
 use std::{future::Future, time::Duration};
 
-use ctos::task::Context;
-use mcs::client::{Manipulator, MotionError, Move, MoveReport, Outcome as Motion};
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    task::Context,
+};
+use mcs::{
+    Joints,
+    client::{
+        Manipulator, MotionError, Move, MoveReport, Outcome as Motion, PathKind, Plan, PlanReport,
+        Target,
+    },
+};
+use nalgebra::{Isometry3, Matrix4};
 
 use crate::outcome::{Failure, Outcome};
 
@@ -15,6 +27,69 @@ const REST: Duration = Duration::from_millis(20);
 
 /// How often it is looked whether somebody has resumed.
 const LOOK: Duration = Duration::from_millis(200);
+
+/// The arguments that every Coordinator of an arm has.
+pub(crate) struct ArmKeys<'a> {
+    pub mcs: &'a str,
+    pub resume_within_s: f64,
+    pub service_within_s: f64,
+    /// Fractions of full speed, by their keys.
+    pub speeds: &'a [(&'a str, f64)],
+    /// Where the arm waits, degrees of its joints; for Coordinators that park it.
+    pub park_deg: Option<&'a [f64]>,
+}
+
+impl ArmKeys<'_> {
+    /// Findings where one of them makes no sense; `code` is that of a park position that is none.
+    pub(crate) fn check(
+        &self,
+        task: &TaskConfig,
+        app: &App,
+        code: &'static str,
+        findings: &mut Findings,
+    ) {
+        crate::need_task(task, app, "mcs", self.mcs, findings);
+        for (key, value) in [
+            ("resume_within_s", self.resume_within_s),
+            ("service_within_s", self.service_within_s),
+        ] {
+            crate::check_seconds(task, key, value, findings);
+        }
+        for (key, value) in self.speeds {
+            crate::check_speed(task, key, *value, findings);
+        }
+        if let (Some(model), Some(park)) = (mcs::manipulator(app), self.park_deg)
+            && model.dof() != park.len()
+        {
+            let (given, count) = (park.len(), model.dof());
+            let text = format!("`park_deg` has {given} numbers, and the arm {count} joints");
+            let place = task.args.locate("park_deg");
+            let place = place.unwrap_or_else(|| task.place.clone());
+            findings.push(Finding::error(code, text).at(place));
+        }
+    }
+}
+
+/// A target of the tool.
+pub(crate) fn pose(pose: &Isometry3<f64>) -> Target {
+    let matrix = pose.to_homogeneous().transpose();
+    let mut rows = [0.0; 16];
+    rows.copy_from_slice(matrix.as_slice());
+    Target::Pose(rows)
+}
+
+/// A motion that no guard watches besides those that always do.
+pub(crate) fn order(target: Target, path: PathKind, speed: f64) -> Move {
+    Move {
+        target,
+        path,
+        speed,
+        acceleration: None,
+        elbow: None,
+        guards: Vec::new(),
+        blend: 0.0.into(),
+    }
+}
 
 /// A manipulator of MCS, as one action asks it.
 pub(crate) struct Arm<'a> {
@@ -37,6 +112,62 @@ impl Arm<'_> {
             request(Manipulator::find(self.cx, self.mcs).await?).await
         });
         Ok(asked.await?)
+    }
+
+    /// Reserves the arm, or sees that it is still reserved.
+    pub(crate) async fn acquire(&self) -> Result<(), Failure> {
+        self.ask(|arm| async move { arm.acquire().await }).await?;
+        Ok(())
+    }
+
+    /// Gives the arm back.
+    pub(crate) async fn release(&self) -> Result<(), Failure> {
+        self.ask(|arm| async move { arm.release().await }).await?;
+        Ok(())
+    }
+
+    /// `base_t_tool`.
+    pub(crate) async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
+        let position = self.ask(|arm| async move { arm.position().await }).await?;
+        let matrix = Matrix4::from_row_slice(&position.base_t_tool);
+        nalgebra::try_convert(matrix)
+            .ok_or_else(|| Failure::new(Outcome::Fault, "the arm's pose is none"))
+    }
+
+    /// Plans a motion from where the arm stands, without going it.
+    pub(crate) async fn plan(
+        &self,
+        target: Target,
+        path: PathKind,
+        speed: f64,
+    ) -> Result<PlanReport, Failure> {
+        let request = Plan {
+            target,
+            path,
+            speed,
+            acceleration: None,
+            elbow: None,
+        };
+        let planned = self.ask(|arm| {
+            let request = request.clone();
+            async move { arm.plan(request).await }
+        });
+        planned.await
+    }
+
+    /// Plans a motion and goes it.
+    pub(crate) async fn travel(&self, order: Move) -> Result<MoveReport, Failure> {
+        let planned = self.plan(order.target, order.path, order.speed);
+        let planned = planned.await?;
+        self.go(order, planned.duration_s).await
+    }
+
+    /// To where the arm waits, degrees of its joints; there it is given back.
+    pub(crate) async fn park(&self, park_deg: &[f64], speed: f64) -> Result<(), Failure> {
+        let joints = Joints::from_fn(park_deg.len(), |joint| park_deg[joint].to_radians());
+        let target = Target::Joints(joints);
+        self.travel(order(target, PathKind::Joint, speed)).await?;
+        self.release().await
     }
 
     /// Moves, and waits until the arm has settled. A motion whose end is not known is cancelled.

@@ -15,8 +15,10 @@ pub mod referee;
 pub mod robot;
 pub mod service;
 pub mod sight;
+mod speaker;
 pub mod thing;
 pub mod vision;
+mod ways;
 
 #[cfg(test)]
 mod tests;

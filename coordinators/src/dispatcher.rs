@@ -10,20 +10,20 @@ use std::{path::PathBuf, rc::Rc, time::Duration};
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::Findings,
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::{Context, HandlerError},
 };
 use futures_util::future::join_all;
 use pnt::{
-    check::FunctionNames,
     library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
+    task::args as net_args,
 };
 use serde::Deserialize;
 use vss::command::{Calibrate, Outcome as Vss, VisionError};
 
 use crate::{
     dom::DomStore,
+    handler::{self, NetArgs},
     motion,
     objects::{
         CALIBRATIONS, Calibrations, DESTINATION, Destination, OBSERVATIONS, Observations, POSITION,
@@ -91,18 +91,7 @@ impl Dispatcher {
 
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: DispatcherArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<DispatcherArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args(check);
+    handler::register::<DispatcherArgs>(registry);
     registry.app_check("coordinators::lamp", |app, registry, findings| {
         for task in app.tasks.iter().filter(|task| task.handler == HANDLER) {
             if let Ok(args) = net_args::<DispatcherArgs>(task)
@@ -115,16 +104,27 @@ pub(crate) fn register(registry: &mut Registry) {
     });
 }
 
+impl NetArgs for DispatcherArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Dispatcher;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Dispatcher> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        check(self, task, app, findings);
+    }
+}
+
 fn check(args: &DispatcherArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    crate::need_task(task, app, "dom", &args.dom, findings);
     crate::need_task(task, app, "vsm", &args.vsm, findings);
     crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
     check_positions(task, app, args, findings);
-    check_args(task, app, &names(args), findings);
-}
-
-fn names(args: &DispatcherArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
 }
 
 /// Reads the positions and, where the app has a manipulator, checks that it reaches them.

@@ -8,8 +8,10 @@
 mod arm;
 pub mod carry;
 pub mod dispatcher;
+mod dispatching;
 pub mod dom;
 pub mod hand_eye;
+mod handler;
 pub mod motion;
 pub mod objects;
 mod observations;
@@ -20,9 +22,12 @@ pub mod positions;
 pub mod push;
 pub mod referee;
 mod results;
+pub mod services;
 pub mod strategy;
 pub mod vision;
 
+#[cfg(test)]
+mod bench;
 #[cfg(test)]
 mod rig;
 #[cfg(test)]

@@ -6,7 +6,9 @@
 use std::rc::Rc;
 
 use ctos::{
-    registry::{Registry, Vocabulary},
+    config::{App, TaskConfig},
+    diagnostic::Findings,
+    registry::Registry,
     task::{Context, HandlerError},
 };
 use mcs::{
@@ -14,16 +16,13 @@ use mcs::{
     model::inverse::Elbow,
     state::State,
 };
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 
 use crate::{
-    arm::Arm,
+    arm::{Arm, ArmKeys},
     dom::DomStore,
+    handler::{self, NetArgs},
     objects::{
         DESTINATION, Destination, GIVEN_PATH, GivenPath, MOTIONS, MotionLog, PATH, POSITION,
         PROBLEM, PathSpec, Problem, ReachedPosition,
@@ -82,7 +81,7 @@ fn speed() -> f64 {
 }
 
 /// What the functions share. Who holds the manipulator is not here: MCS knows.
-struct Coordinator {
+pub(crate) struct Coordinator {
     args: Rc<MotionArgs>,
     store: DomStore,
     /// Whether a path to the destination was given beforehand, so that none has to be planned.
@@ -94,35 +93,33 @@ struct Coordinator {
     log: MotionLog,
 }
 
-fn names(args: &MotionArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
-}
-
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: MotionArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<MotionArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<MotionArgs>(|args, task, app, findings| {
-            check_args(task, app, &names(args), findings);
-            crate::need_task(task, app, "mcs", &args.mcs, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            for (key, value) in [
-                ("resume_within_s", args.resume_within_s),
-                ("service_within_s", args.service_within_s),
-            ] {
-                crate::check_seconds(task, key, value, findings);
-            }
-            crate::check_speed(task, "speed", args.speed, findings);
-        });
+    handler::register::<MotionArgs>(registry);
+}
+
+impl NetArgs for MotionArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        let keys = ArmKeys {
+            mcs: &self.mcs,
+            resume_within_s: self.resume_within_s,
+            service_within_s: self.service_within_s,
+            speeds: &[("speed", self.speed)],
+            park_deg: None,
+        };
+        keys.check(task, app, "coordinators::motion::speed", findings);
+    }
 }
 
 fn library(args: MotionArgs, store: DomStore) -> Library<Coordinator> {

@@ -8,7 +8,7 @@
 
 pub mod coordinator;
 pub mod dispatcher;
-mod drive;
+pub(crate) mod drive;
 pub mod trip;
 
 #[cfg(test)]

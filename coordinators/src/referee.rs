@@ -5,6 +5,7 @@
 //! retries), or when it was seen and is an outlier of the fit. For each camera used and rejected spots
 //! together are the reached positions; `rejected` of the whole verdict is the sum over cameras.
 
+pub(crate) mod bodies;
 mod table;
 
 use ctos::{

@@ -5,20 +5,17 @@ use std::{rc::Rc, time::Duration};
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::{Context, HandlerError},
 };
 use futures_util::future::join_all;
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 use vss::command::{Outcome as Vss, SpotFind, SpotReport, VisionError};
 
 use crate::{
     dom::DomStore,
+    handler::{self, NetArgs},
     objects::{DESTINATION, Destination, SPOTS, Spots},
     outcome::Failure,
 };
@@ -62,38 +59,36 @@ struct Vision {
     tries_left: u32,
 }
 
-fn names(args: &VisionArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
-}
-
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: VisionArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<VisionArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<VisionArgs>(|args, task, app, findings| {
-            if args.cameras.is_empty() {
-                let place = task.args.locate("cameras");
-                findings.push(
-                    Finding::error("coordinators::vision::cameras", "no camera is named")
-                        .at(place.unwrap_or_else(|| task.place.clone()))
-                        .help("name at least one camera of [vss.cameras]"),
-                );
-            }
-            check_cameras(task, app, &args.cameras, findings);
-            crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
-            check_args(task, app, &names(args), findings);
-            crate::need_task(task, app, "vsm", &args.vsm, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-        });
+    handler::register::<VisionArgs>(registry);
+}
+
+impl NetArgs for VisionArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Vision;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Vision> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        if self.cameras.is_empty() {
+            let place = task.args.locate("cameras");
+            findings.push(
+                Finding::error("coordinators::vision::cameras", "no camera is named")
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help("name at least one camera of [vss.cameras]"),
+            );
+        }
+        check_cameras(task, app, &self.cameras, findings);
+        crate::check_seconds(task, "service_within_s", self.service_within_s, findings);
+        crate::need_task(task, app, "vsm", &self.vsm, findings);
+    }
 }
 
 /// Where the app has a vision system, each camera named must be one of its own.

@@ -269,7 +269,10 @@ impl ServiceObject for Sound {
         let pieces = pieces(&words, &self.options.folder)?;
         let text = words.join(" ");
         tracing::info!(target: "sorma::sound", object = %cx.name(), "{text}");
-        let mut is_heard = !self.options.mute && !self.is_virtual;
+        // Who wants errors only (`--quiet`) wants to hear nothing.
+        let is_quiet =
+            tracing::enabled!(tracing::Level::ERROR) && !tracing::enabled!(tracing::Level::WARN);
+        let mut is_heard = !self.options.mute && !self.is_virtual && !is_quiet;
         if is_heard {
             for piece in &pieces {
                 if let Err(error) = self.say(piece) {

@@ -32,6 +32,7 @@ fn carry(sets: &[&str]) -> Ended {
         "--set",
         "time.mode=\"virtual\"",
         "--json",
+        "-v",
     ];
     for set in sets {
         all.extend(["--set", set]);
@@ -57,6 +58,9 @@ fn without_cameras_a_disc_whose_target_is_occupied_is_back_where_it_was_and_the_
         "task.vision.args.board=\"known\"",
     ]);
     ended.must_say("something stands there already");
+    // Nobody looked, so nobody says where it is.
+    ended.must_say("said: disc not carried");
+    ended.must_say("object=sound").must_not_say("disc lost");
     assert_ne!(ended.code, Some(0));
 }
 

@@ -20,7 +20,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(mcs_hand::services::classes());
     classes.extend(mcs_path::services::classes());
     classes.extend(vss::services::classes());
-    classes.extend(coordinators::carry::service::classes());
+    classes.extend(coordinators::services::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
     classes
 });
@@ -33,8 +33,8 @@ const SHIPPED: &[(&str, &str)] = &[
     ("the hand's dictionary", mcs_hand::services::DICTIONARY),
     ("the dictionary of paths", mcs_path::services::DICTIONARY),
     (
-        "the dictionary of carry",
-        coordinators::carry::service::DICTIONARY,
+        "the dictionary of tasks",
+        coordinators::services::DICTIONARY,
     ),
 ];
 
@@ -75,7 +75,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     mcs_hand::services::register(sorm);
     mcs_path::services::register(sorm);
     vss::services::register(sorm);
-    coordinators::carry::service::register(sorm);
+    coordinators::services::register(sorm);
 }
 
 fn of_one(finding: Finding) -> Findings {

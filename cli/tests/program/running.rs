@@ -174,11 +174,13 @@ const CARRY: &[(&str, Then)] = &[
         "ctos boot configs/carry.toml --set task.operator.args.list=\"carry/short_tour.txt\"",
         ComesUp,
     ),
+    ("ctos boot configs/carry.toml --profile durable", ComesUp),
     (
         "ctos boot --detach --profile waiting configs/carry.toml",
         Ends,
     ),
     ("scott carry -c carry EXEC FMSG 6 3 4 0 4 5 0", Ends),
+    ("scott carry -c sound@speaker EXEC disc lost at D 4", Ends),
     (
         "scott carry -c dict CTRL -add carry.slow '-SUBST carry -transferSpeed 0.2' -c carry.slow EXEC FMSG 6 4 5 0 3 4 0",
         Ends,

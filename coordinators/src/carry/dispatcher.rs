@@ -6,24 +6,25 @@ use std::rc::Rc;
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::{Context, HandlerError},
 };
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 use super::{
     board::{Board, Field},
-    errand::{ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS},
+    errand::{
+        ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS, WAYS,
+        Ways,
+    },
     sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
+    speaker::{self, Speaker},
     thing::Thing,
 };
 use crate::{
     dom::DomStore,
+    handler::{self, NetArgs},
     outcome::{Failure, Outcome},
 };
 
@@ -41,23 +42,62 @@ pub(super) struct CarryArgs {
     /// How far above the fields the gripper goes to and fro, m.
     #[serde(default = "clearance_m")]
     clearance_m: f64,
+    /// What is done when the thing was lost on the way and cameras see it.
+    #[serde(default)]
+    lost: Lost,
+    /// How often the thing is tried to grasp, each time with another turn of the gripper.
+    #[serde(default = "tries")]
+    tries: u32,
+    /// The service object that tells people in the room what went wrong, such as `fork.sound@speaker`; nobody when it is left
+    /// out.
+    speaker: Option<String>,
     /// The data object manager.
     #[serde(default = "crate::dom_task")]
     dom: String,
+}
+
+impl CarryArgs {
+    fn speaker(&self) -> Option<Speaker> {
+        let name = self.speaker.as_ref();
+        name.and_then(|name| Speaker::named(name).ok())
+    }
 }
 
 fn clearance_m() -> f64 {
     0.1
 }
 
+/// What is done with a thing that was lost on the way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Lost {
+    /// It is told where it lies.
+    #[default]
+    Tell,
+    /// It is fetched, once.
+    Fetch,
+}
+
+fn tries() -> u32 {
+    2
+}
+
+/// More turns are not known.
+const MOST_TRIES: u32 = 100;
+
 /// What the functions share.
-struct Dispatcher {
+pub(super) struct Dispatcher {
     args: Rc<CarryArgs>,
     store: DomStore,
     /// Number of the command in work, from 1.
     command: u32,
     /// What was seen of its ends.
     ends: Ends,
+    /// How often it was tried to grasp the thing, and whether it is tried once more.
+    tried: u32,
+    again: bool,
+    /// The thing was lost, and is being fetched from where it was seen.
+    fetches: bool,
 }
 
 /// What was seen of the ends of an errand.
@@ -69,26 +109,33 @@ struct Ends {
     to_is_taken: bool,
     /// After it was set down, the thing is not seen on TO.
     is_elsewhere: bool,
+    /// People in the room were told what went wrong.
+    said: bool,
 }
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: CarryArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<CarryArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args(check);
+    handler::register::<CarryArgs>(registry);
+}
+
+impl NetArgs for CarryArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Dispatcher;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Dispatcher> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        check(self, task, app, findings);
+    }
 }
 
 fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    crate::need_task(task, app, "dom", &args.dom, findings);
     let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
     if let Err((key, help)) = args.board.check() {
         let key = format!("board.{key}");
@@ -98,10 +145,29 @@ fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings
         );
         findings.push(finding.at(place(&key)).help(help));
     }
+    if !(1..=MOST_TRIES).contains(&args.tries) {
+        let text = format!("`tries` is {}", args.tries);
+        let finding = Finding::error("coordinators::carry::board", text);
+        let help = format!("give from 1 to {MOST_TRIES}");
+        findings.push(finding.at(place("tries")).help(help));
+    }
     if !(0.0..=2.0).contains(&args.clearance_m) {
         let text = format!("`clearance_m` is {}", args.clearance_m);
         let finding = Finding::error("coordinators::carry::board", text);
         findings.push(finding.at(place("clearance_m")).help("give from 0 to 2 m"));
+    }
+    match args.speaker.as_deref().map(Speaker::named) {
+        Some(Ok(speaker)) => {
+            if let Some(daemon) = speaker.daemon() {
+                crate::need_task(task, app, "speaker", daemon, findings);
+            }
+        }
+        Some(Err(text)) => findings.push(
+            Finding::error("coordinators::carry::speaker", text)
+                .at(place("speaker"))
+                .help("name an object at its daemon, such as `fork.sound@speaker`"),
+        ),
+        None => {}
     }
     match app.read(&args.thing) {
         Ok(source) => {
@@ -111,11 +177,6 @@ fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings
         }
         Err(finding) => findings.push(finding.at(place("thing"))),
     }
-    check_args(task, app, &names(args), findings);
-}
-
-fn names(args: &CarryArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
 }
 
 fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
@@ -124,13 +185,19 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         store,
         command: 0,
         ends: Ends::default(),
+        tried: 0,
+        again: false,
+        fetches: false,
     };
     Library::new(state)
         .kept(
-            |state| (state.command, state.ends),
-            |state, (command, ends)| {
-                state.command = command;
-                state.ends = ends;
+            |state| {
+                let tries = (state.tried, state.again, state.fetches);
+                (state.command, state.ends, tries)
+            },
+            |state, (command, ends, tries)| {
+                (state.command, state.ends) = (command, ends);
+                (state.tried, state.again, state.fetches) = tries;
             },
         )
         .enabling("from_is_empty", |state: &Dispatcher| {
@@ -140,12 +207,16 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         .enabling("stands_there", |state: &Dispatcher| {
             !state.ends.is_elsewhere
         })
+        .enabling("another_try", |state: &Dispatcher| state.again)
+        .enabling("is_fetched", |state: &Dispatcher| state.again)
         .action("begin", begin)
         .action("aim", aim)
         .action("judge", judge)
+        .action("weigh_trouble", weigh_trouble)
         .action("tell_unverified", tell_unverified)
         .action("tell_found", tell_found)
         .action("report", report)
+        .action("report_held", report_held)
         .action("refuse", refuse)
 }
 
@@ -165,7 +236,11 @@ async fn begin(action: Act) -> Acted {
         Err(error) => Err(error),
     };
     // What an action changes, it changes at its end: a process that dies before that begins it again.
-    action.with_state(|state| state.command = command);
+    action.with_state(|state| {
+        state.command = command;
+        state.ends = Ends::default();
+        (state.tried, state.again, state.fetches) = (0, false, false);
+    });
     began
 }
 
@@ -245,16 +320,65 @@ async fn aim(action: Act) -> Acted {
     match sight::aimed(&errand, &sight) {
         Ok(aimed) => return store.store(&cx, ERRAND, &aimed).await,
         Err(Hindrance::NothingAtFrom(text)) => {
+            if action.with_state(|state| state.tried > 0) {
+                // It was there before it was touched.
+                return Err(HandlerError::new(text));
+            }
             ends.from_is_empty = true;
+            ends.said = true;
             action.note(text);
+            let field = speaker::field(&errand.from);
+            say(&action, &format!("nothing at {field}"));
         }
         Err(Hindrance::Occupied(text)) => {
             ends.to_is_taken = true;
+            ends.said = true;
             action.note(text);
+            say(
+                &action,
+                &format!("no room at {}", speaker::field(&errand.to)),
+            );
+        }
+        Err(Hindrance::Stuck(text)) => {
+            let field = speaker::field(&errand.from);
+            say(&action, &format!("stuck together at {field}"));
+            action.with_state(|state| state.ends.said = true);
+            return Err(HandlerError::new(text));
         }
         Err(Hindrance::Other(text)) => return Err(HandlerError::new(text)),
     }
     action.with_state(|state| state.ends = ends);
+    Ok(())
+}
+
+/// Whether another turn of the gripper may grasp the thing: something was in the way down, or the jaws found no width that fits.
+async fn weigh_trouble(action: Act) -> Acted {
+    let (cx, args, store) = parts(&action);
+    let command = action.with_state(|state| state.command);
+    let mut latest: Option<Problem> = None;
+    for object in [ROBOT_PROBLEMS, HAND_PROBLEMS] {
+        if let Ok(found) = store.fetch::<Problems>(&cx, object).await
+            && found.command == command
+        {
+            let problems = found.problems.into_iter();
+            latest = latest
+                .into_iter()
+                .chain(problems)
+                .max_by_key(|problem| problem.at);
+        }
+    }
+    let may_do = latest.is_some_and(|problem| {
+        let outcome = problem.failure.outcome;
+        match problem.request.as_str() {
+            "descend" => outcome == Outcome::Guard,
+            "grasp" => outcome == Outcome::Absent,
+            _ => false,
+        }
+    });
+    action.with_state(|state| {
+        state.tried += 1;
+        state.again = may_do && state.tried < args.tries;
+    });
     Ok(())
 }
 
@@ -275,14 +399,89 @@ async fn judge(action: Act) -> Acted {
     for note in &found.notes {
         action.note(note);
     }
-    action.with_state(|state| state.ends.is_elsewhere = found.arrived == Some(false));
+    let is_elsewhere = found.arrived == Some(false);
+    if !is_elsewhere {
+        note_ways(&action).await;
+    }
+    if is_elsewhere {
+        say_lost(&action, &found).await;
+    }
+    action.with_state(|state| state.ends.is_elsewhere = is_elsewhere);
     Ok(())
 }
 
-/// Notes where the thing is that was not carried.
+/// Notes which ways the arm has gone, and what is believed of them by now.
+async fn note_ways(action: &Act) {
+    let (cx, _, store) = parts(action);
+    let command = action.with_state(|state| state.command);
+    if let Ok(ways) = store.fetch::<Ways>(&cx, WAYS).await
+        && ways.command == command
+    {
+        for line in ways.lines {
+            action.note(line);
+        }
+    }
+}
+
+fn say(action: &Act, words: &str) {
+    let args = action.with_state(|state| state.args.clone());
+    speaker::say(action.cx(), args.speaker().as_ref(), words);
+}
+
+/// Tells people in the room where the thing lies that is not where it should be.
+async fn say_lost(action: &Act, found: &Found) {
+    let (cx, _, store) = parts(action);
+    let Ok(errand) = store.fetch::<Errand>(&cx, ERRAND).await else {
+        return;
+    };
+    if !found.looked {
+        return;
+    }
+    say(action, &lost(&errand, found));
+    action.with_state(|state| state.ends.said = true);
+}
+
+fn lost(errand: &Errand, found: &Found) -> String {
+    let (thing, board) = (&errand.thing, &found.board);
+    let Some(at) = found.lies.first() else {
+        return format!("{} lost", thing.name);
+    };
+    let lies = board.field(at, thing.height_m);
+    let name = speaker::field(&lies);
+    if !board.has(&Field {
+        height: 0.0,
+        ..lies
+    }) || at.z < -1e-3
+    {
+        format!("{} lost beside the board", thing.name)
+    } else if name == speaker::field(&errand.from) {
+        format!("{} still at {name}", thing.name)
+    } else {
+        format!("{} lost at {name}", thing.name)
+    }
+}
+
+/// Notes where the thing is that was not carried. One that was lost is fetched from there, where the configuration says so.
 async fn tell_found(action: Act) -> Acted {
-    for note in found(&action).await?.notes {
+    action.with_state(|state| state.again = false);
+    let found = found(&action).await?;
+    for note in &found.notes {
         action.note(note);
+    }
+    say_lost(&action, &found).await;
+    let (cx, args, store) = parts(&action);
+    let has_fetched = action.with_state(|state| state.fetches);
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    if args.lost == Lost::Fetch
+        && !has_fetched
+        && let Some(there) = sight::at_found(&errand, &found)
+    {
+        let field = speaker::field(&there.from);
+        store.store(&cx, ERRAND, &there).await?;
+        let Field { column, row, .. } = there.from;
+        action.note(format!("it is fetched from {column:.2},{row:.2}"));
+        say(&action, &format!("fetching from {field}"));
+        action.with_state(|state| (state.again, state.fetches) = (true, true));
     }
     Ok(())
 }
@@ -298,12 +497,38 @@ async fn tell_unverified(action: Act) -> Acted {
         let reason = &problem.failure.reason;
         action.note(format!("it was set down, and nobody sees it: {reason}"));
     }
+    note_ways(&action).await;
     Ok(())
 }
 
-/// Notes, for the answer, what was not done and why, in the order of time, and where the thing is.
+/// Notes, for the answer, what was not done and why, in the order of time.
 async fn report(action: Act) -> Acted {
-    let (cx, _, store) = parts(&action);
+    note_problems(&action).await;
+    say_failed(&action, "not carried").await;
+    Ok(())
+}
+
+/// The same of an errand that ended with the thing in the hand.
+async fn report_held(action: Act) -> Acted {
+    note_problems(&action).await;
+    say_failed(&action, "still in the hand").await;
+    Ok(())
+}
+
+/// Tells people in the room, unless they know already.
+async fn say_failed(action: &Act, words: &str) {
+    let (cx, _, store) = parts(action);
+    let (command, said) = action.with_state(|state| (state.command, state.ends.said));
+    if let Ok(errand) = store.fetch::<Errand>(&cx, ERRAND).await
+        && errand.command == command
+        && !said
+    {
+        say(action, &format!("{} {words}", errand.thing.name));
+    }
+}
+
+async fn note_problems(action: &Act) {
+    let (cx, _, store) = parts(action);
     let command = action.with_state(|state| state.command);
     let mut all = Vec::new();
     for object in [ROBOT_PROBLEMS, HAND_PROBLEMS, VISION_PROBLEMS] {
@@ -325,7 +550,7 @@ async fn report(action: Act) -> Acted {
             _ => action.note(format!("{request}: {reason}")),
         }
     }
-    Ok(())
+    note_ways(action).await;
 }
 
 /// Says why a hand that is full takes nothing.
@@ -338,7 +563,37 @@ async fn refuse(action: Act) -> Acted {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Point3, Vector3};
+
     use super::*;
+    use crate::carry::tests::errand;
+
+    #[test]
+    fn people_are_told_where_a_thing_lies_by_the_nearest_field_or_that_it_is_beside_the_board() {
+        let errand = errand();
+        let found = |lies: &[Point3<f64>]| Found {
+            command: 1,
+            looked: true,
+            arrived: None,
+            off_m: None,
+            board: errand.board,
+            lies: lies.to_vec(),
+            notes: Vec::new(),
+        };
+        let on = |field: &str| errand.board.on_board(&field.parse().unwrap(), 0.01);
+        for (lies, said) in [
+            (vec![], "disc lost"),
+            (vec![on("4.3,4.6,0")], "disc lost at D 5"),
+            (vec![on("3.1,4,0")], "disc still at C 4"),
+            (vec![on("9,4,0")], "disc lost beside the board"),
+            (
+                vec![on("4,5,0") - Vector3::z() * 0.02],
+                "disc lost beside the board",
+            ),
+        ] {
+            assert_eq!(lost(&errand, &found(&lies)), said);
+        }
+    }
 
     const BOARD: Board = Board {
         at: [0.5, 0.0, 0.42],

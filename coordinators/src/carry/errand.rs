@@ -14,6 +14,8 @@ use crate::{dom::DomStore, outcome::Failure};
 pub const ERRAND: &str = "errand";
 /// With which turn the arm does it: written by the Robot Coordinator.
 pub const WAY: &str = "way";
+/// Which ways it has gone: written by the Robot Coordinator.
+pub const WAYS: &str = "ways";
 /// What the Robot Coordinator could not do: [`Problems`].
 pub const ROBOT_PROBLEMS: &str = "robot_problems";
 /// What the Hand Coordinator could not do: [`Problems`].
@@ -83,6 +85,15 @@ pub struct Way {
     pub command: u32,
     /// The gripper about the vertical of the board, rad.
     pub turn: f64,
+}
+
+/// [`WAYS`].
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ways {
+    /// The errand's command.
+    pub command: u32,
+    /// Which ways were tried, how they ended, and what is believed of all by now, line by line.
+    pub lines: Vec<String>,
 }
 
 /// Something that a Coordinator could not do.

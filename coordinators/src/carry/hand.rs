@@ -3,22 +3,21 @@
 use std::{future::Future, rc::Rc, time::Duration};
 
 use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::Findings,
     message::Command,
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::Context,
 };
 use mcs::client::{MotionError, Outcome as Motion};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 
 use super::errand::{ERRAND, Errand, HAND_PROBLEMS};
 use crate::{
     dom::DomStore,
+    handler::{self, NetArgs},
     outcome::{Failure, Outcome},
 };
 
@@ -62,28 +61,26 @@ struct Coordinator {
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: HandArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<HandArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<HandArgs>(|args, task, app, findings| {
-            check_args(task, app, &names(args), findings);
-            crate::need_task(task, app, "gripper", &args.gripper, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
-            crate::check_speed(task, "speed", args.speed, findings);
-        });
+    handler::register::<HandArgs>(registry);
 }
 
-fn names(args: &HandArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
+impl NetArgs for HandArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        crate::need_task(task, app, "gripper", &self.gripper, findings);
+        crate::check_seconds(task, "service_within_s", self.service_within_s, findings);
+        crate::check_speed(task, "speed", self.speed, findings);
+    }
 }
 
 fn library(args: HandArgs, store: DomStore) -> Library<Coordinator> {
@@ -91,6 +88,8 @@ fn library(args: HandArgs, store: DomStore) -> Library<Coordinator> {
         args: Rc::new(args),
         store,
     })
+    // Between two requests there is nothing to know.
+    .kept(|_| (), |_, ()| ())
     .action("preshape", |action| done(action, "preshape", preshape))
     .action("grasp", |action| done(action, "grasp", grasp))
     .action("check", |action| done(action, "check", check))

@@ -2,18 +2,24 @@
 //! everything is done; nothing that plans may ask it.
 
 use ctos::{
-    diagnostic::Finding,
-    message::{Command, Message},
+    config::TaskConfig,
+    diagnostic::Findings,
     registry::Registry,
     system::AppResult,
-    task::{Context, EventHandler, Handled, HandlerError},
+    task::{Context, HandlerError},
 };
-use mcs_hand::command::{Body, ReadBodies};
-use nalgebra::{Isometry3, Matrix4, Point3, Translation3, Vector3};
+use mcs_hand::command::Body;
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::errand::{ERRAND, Errand};
-use crate::{dom::DomStore, referee::Judge};
+use crate::{
+    dom::DomStore,
+    referee::{
+        Judge,
+        bodies::{self, Judges, pose_of},
+    },
+};
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.carry_referee";
@@ -23,7 +29,7 @@ pub const HANDLER: &str = "coordinators.carry_referee";
 #[serde(deny_unknown_fields)]
 struct RefereeArgs {
     /// The task that knows where bodies are.
-    #[serde(default = "world_task")]
+    #[serde(default = "bodies::world_task")]
     world: String,
     /// The data object manager.
     #[serde(default = "crate::dom_task")]
@@ -35,10 +41,6 @@ struct RefereeArgs {
     /// How far from the middle of the field it may stand, m.
     #[serde(default = "within_m")]
     within_m: f64,
-}
-
-fn world_task() -> String {
-    "world".to_owned()
 }
 
 fn within_m() -> f64 {
@@ -63,44 +65,41 @@ struct Verdict {
     board_error_m: Option<f64>,
 }
 
-struct Referee {
-    args: RefereeArgs,
-}
-
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &[Judge::INFO], |cx| {
-            Ok(Referee { args: cx.args()? })
-        })
-        .checked_args::<RefereeArgs>(|args, task, app, findings| {
-            crate::need_task(task, app, "world", &args.world, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            if !(1e-5..=0.1).contains(&args.within_m) {
-                let place = task.args.locate("within_m");
-                let text = format!("`within_m` is {}", args.within_m);
-                findings.push(
-                    Finding::error("coordinators::carry::board", text)
-                        .at(place.unwrap_or_else(|| task.place.clone()))
-                        .help("give from 0.00001 to 0.1 m"),
-                );
-            }
-        });
+    bodies::register::<RefereeArgs>(registry);
 }
 
-impl Referee {
-    async fn judge(&self, cx: &Context, judge: &Judge) -> Result<AppResult, HandlerError> {
-        let store = DomStore::new(&self.args.dom);
+impl Judges for RefereeArgs {
+    const HANDLER: &'static str = HANDLER;
+
+    fn world(&self) -> &str {
+        &self.world
+    }
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn check(&self, task: &TaskConfig, findings: &mut Findings) {
+        let within = ("within_m", self.within_m, 0.1);
+        bodies::check_length(task, within, "coordinators::carry::board", findings);
+    }
+
+    async fn judge(
+        &self,
+        cx: &Context,
+        store: &DomStore,
+        bodies: &[Body],
+        judge: &Judge,
+    ) -> Result<AppResult, HandlerError> {
         let errand: Errand = store.fetch(cx, ERRAND).await?;
-        let world = cx.task(&self.args.world).await?;
-        let bodies = cx.call(&world, ReadBodies {}).await;
-        let bodies = bodies.map_err(|error| HandlerError::new(error.reason()))?;
-        let board = self.args.board.as_ref();
-        let board = board.map(|name| pose_of(&bodies, name)).transpose()?;
-        let body = pose_of(&bodies, &self.args.body)?;
+        let board = self.board.as_ref();
+        let board = board.map(|name| pose_of(bodies, name)).transpose()?;
+        let body = pose_of(bodies, &self.body)?;
         let verdict = verdict(&errand, board, body, judge.seconds);
-        let ok = verdict.error_m <= self.args.within_m
-            && verdict.above_m.abs() <= self.args.within_m
+        let ok = verdict.error_m <= self.within_m
+            && verdict.above_m.abs() <= self.within_m
             && verdict.lean_rad <= UPRIGHT;
         let verdict = Verdict { ok, ..verdict };
         let text = format!(
@@ -117,20 +116,6 @@ impl Referee {
             json: serde_json::to_string(&verdict)?,
         })
     }
-}
-
-/// `base_t_body`.
-fn pose_of(bodies: &[Body], name: &str) -> Result<Isometry3<f64>, HandlerError> {
-    let body = bodies.iter().find(|body| body.name == name);
-    let body = body.ok_or_else(|| {
-        let names: Vec<&str> = bodies.iter().map(|body| body.name.as_str()).collect();
-        HandlerError::new(format!(
-            "the world has no body `{name}`; it has {}",
-            names.join(", ")
-        ))
-    })?;
-    nalgebra::try_convert(Matrix4::from_row_slice(&body.world_t_body))
-        .ok_or_else(|| HandlerError::new(format!("the pose of `{name}` is none")))
 }
 
 fn verdict(
@@ -160,21 +145,6 @@ fn verdict(
             let off = board.translation.vector - Vector3::from(errand.board.at);
             off.xy().norm()
         }),
-    }
-}
-
-impl EventHandler for Referee {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        match message.command() {
-            Judge::CODE => {
-                let (judge, reply) = message.open::<Judge>()?;
-                match self.judge(cx, &judge).await {
-                    Ok(result) => reply.ok(result),
-                    Err(error) => reply.fail(error),
-                }
-            }
-            _ => cx.default_processing(message),
-        }
     }
 }
 

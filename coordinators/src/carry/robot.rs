@@ -1,33 +1,40 @@
 //! The Robot Coordinator: the functions of `nets/carry/robot.net`, which move the arm on the way of an errand.
 //!
-//! It knows several turns of the gripper about the vertical, and takes the first with which the arm reaches both ends of the
-//! way. What ends a motion at a touch is an end of it where something is set down, and a failure elsewhere.
+//! It knows several turns of the gripper about the vertical and several ways above both ends, and takes those most likely to succeed
+//! for their cost among those with which the arm reaches both ends. What ends a motion at a touch is an end of it where something is
+//! set down, and a failure elsewhere.
 
 use std::rc::Rc;
 
 use ctos::{
-    diagnostic::Finding,
-    registry::{Registry, Vocabulary},
-    task::Context,
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::Registry,
+    task::{Context, HandlerError},
 };
-use mcs::{
-    Joints,
-    client::{Move, MoveReport, PathKind, Plan, PlanReport, Target},
-};
-use nalgebra::{Isometry3, Matrix4, Translation3, Vector3};
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use mcs::client::{Move, PathKind, PlanReport};
+use nalgebra::{Isometry3, Translation3, Vector3};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
-use super::errand::{ERRAND, End, Errand, ROBOT_PROBLEMS, WAY, Way};
+use super::{
+    errand::{ERRAND, End, Errand, ROBOT_PROBLEMS, WAY, WAYS, Way, Ways},
+    ways::{Going, Turn, WaysArgs, costs, turns},
+};
 use crate::{
-    arm::Arm,
+    arm::{self, Arm, ArmKeys},
     dom::DomStore,
+    handler::{self, NetArgs},
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
+    path::{
+        coordinator::plan_around,
+        drive::{self, Pace},
+    },
+    strategy::{
+        Belief, Figures, Step,
+        step::{self, Tried},
+    },
 };
 
 /// The handler's name.
@@ -61,6 +68,12 @@ struct RobotArgs {
     /// How far above the higher end the arch to the target goes, m.
     #[serde(default = "arch_m")]
     arch_m: f64,
+    /// The ways that it knows to above the thing and to above the target.
+    #[serde(default)]
+    ways: WaysArgs,
+    /// The task that plans ways around everything; needed by the way `planned`.
+    #[serde(default = "planner")]
+    planner: String,
     /// Recipes of guards that watch the ways down.
     #[serde(default)]
     touch: Vec<String>,
@@ -88,6 +101,10 @@ fn gentle() -> f64 {
 
 fn gentle_m() -> f64 {
     0.015
+}
+
+fn planner() -> String {
+    "paths".to_owned()
 }
 
 fn arch_m() -> f64 {
@@ -148,59 +165,62 @@ struct Coordinator {
     leg: Leg,
     /// What ended the latest motion before its end.
     ended: Option<Failure>,
+    /// The way above an end that is in work.
+    step: Step<Going>,
+    /// The grasp of the command in work.
+    grasp: Step<Turn>,
+    belief: Belief,
+    choices: u64,
+    /// What has been tried for this command, line by line.
+    lines: Vec<String>,
 }
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: RobotArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<RobotArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<RobotArgs>(|args, task, app, findings| {
-            check_args(task, app, &names(args), findings);
-            crate::need_task(task, app, "mcs", &args.mcs, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            for (key, value) in [
-                ("resume_within_s", args.resume_within_s),
-                ("service_within_s", args.service_within_s),
-            ] {
-                crate::check_seconds(task, key, value, findings);
-            }
-            for (key, value) in [
-                ("speed", args.speed),
-                ("slow", args.slow),
-                ("gentle", args.gentle),
-            ] {
-                crate::check_speed(task, key, value, findings);
-            }
-            let mut wrong = |key: &str, text: String| {
-                let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-                findings.push(Finding::error("coordinators::carry::robot", text).at(place));
-            };
-            for (key, value) in [("arch_m", args.arch_m), ("gentle_m", args.gentle_m)] {
-                if !(0.0..=2.0).contains(&value) {
-                    wrong(key, format!("`{key}` is {value}; give from 0 to 2 m"));
-                }
-            }
-            if let Some(model) = mcs::manipulator(app)
-                && model.dof() != args.park_deg.len()
-            {
-                let (given, count) = (args.park_deg.len(), model.dof());
-                let text = format!("`park_deg` has {given} numbers, and the arm {count} joints");
-                wrong("park_deg", text);
-            }
-        });
+    handler::register::<RobotArgs>(registry);
 }
 
-fn names(args: &RobotArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
+impl NetArgs for RobotArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        let keys = ArmKeys {
+            mcs: &self.mcs,
+            resume_within_s: self.resume_within_s,
+            service_within_s: self.service_within_s,
+            speeds: &[
+                ("speed", self.speed),
+                ("slow", self.slow),
+                ("gentle", self.gentle),
+            ],
+            park_deg: Some(&self.park_deg),
+        };
+        keys.check(task, app, "coordinators::carry::robot", findings);
+        if self.ways.are_planned() {
+            crate::need_task(task, app, "planner", &self.planner, findings);
+        }
+        let mut wrong = |key: &str, text: String| {
+            let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+            findings.push(Finding::error("coordinators::carry::robot", text).at(place));
+        };
+        if let Err((key, text)) = self.ways.check() {
+            wrong(&key, text);
+        }
+        for (key, value) in [("arch_m", self.arch_m), ("gentle_m", self.gentle_m)] {
+            if !(0.0..=2.0).contains(&value) {
+                wrong(key, format!("`{key}` is {value}; give from 0 to 2 m"));
+            }
+        }
+    }
 }
 
 fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
@@ -209,12 +229,48 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         store,
         leg: Leg::Park,
         ended: None,
+        step: Step::default(),
+        grasp: Step::default(),
+        belief: Belief::default(),
+        choices: 0,
+        lines: Vec::new(),
     };
-    let save = |state: &Coordinator| (state.leg, state.ended.clone());
+    let save = |state: &Coordinator| {
+        let motion = (state.leg, state.ended.clone());
+        let (step, grasp) = (state.step.clone(), state.grasp.clone());
+        let (belief, lines) = (state.belief.clone(), state.lines.clone());
+        (motion, step, grasp, belief, state.choices, lines)
+    };
+    let is_chosen = |way: Going| move |state: &Coordinator| state.step.chosen == Some(way);
     let mut library = Library::new(state)
-        .kept(save, |state, (leg, ended)| {
-            (state.leg, state.ended) = (leg, ended);
+        .kept(
+            save,
+            |state, (motion, step, grasp, belief, choices, lines)| {
+                (state.leg, state.ended) = motion;
+                (state.step, state.grasp) = (step, grasp);
+                (state.belief, state.choices, state.lines) = (belief, choices, lines);
+            },
+        )
+        .enabling("ways_left", |state: &Coordinator| {
+            !state.step.open.is_empty()
         })
+        .enabling("by_arch", is_chosen(Going::Arch))
+        .enabling("by_line", is_chosen(Going::Line))
+        .enabling("by_planned_way", is_chosen(Going::Planned))
+        .enabling("way_stopped", |state: &Coordinator| state.step.is_stopped())
+        .enabling("another_may_do", |state: &Coordinator| {
+            state.step.may_go_on()
+        })
+        .action("begin_approach", |action| begin(action, Leg::Approach))
+        .action("begin_transfer", |action| begin(action, Leg::Transfer))
+        .action("choose", choose)
+        .action("go_arch", go_way)
+        .action("go_line", go_way)
+        .action("go_joint", go_way)
+        .action("go_planned_way", go_way)
+        .action("await_resume_on_way", await_resume_on_way)
+        .action("next_way", next_way)
+        .action("give_up_way", give_up_way)
         .enabling("stopped", |state: &Coordinator| {
             let ended = state.ended.as_ref();
             ended.is_some_and(|failure| failure.outcome == Outcome::Stopped)
@@ -225,10 +281,8 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         })
         .action("await_resume", await_resume);
     for leg in [
-        Leg::Approach,
         Leg::Descend,
         Leg::Lift,
-        Leg::Transfer,
         Leg::SetDown,
         Leg::Withdraw,
         Leg::GoBack,
@@ -252,7 +306,239 @@ async fn go(action: Act, leg: Leg) -> Acted {
         state.leg = leg;
         state.ended = gone.as_ref().err().cloned();
     });
+    note_grasp(&action, leg, &gone).await;
     pass_up(&action, gone).await
+}
+
+/// Notes how the grasp ended, as far as that shows in a leg: what is lifted was grasped.
+async fn note_grasp(action: &Act, leg: Leg, gone: &Result<(), Failure>) {
+    let ended = match (leg, gone) {
+        (Leg::Lift, Ok(())) => Ok(String::new()),
+        (Leg::Descend, Err(failure)) if failure.outcome == Outcome::Guard => Err(failure.clone()),
+        (Leg::Descend, Err(failure)) if failure.outcome != Outcome::Stopped => {
+            // It has nothing to do with the grasp.
+            action.with_state(|state| state.grasp.chosen = None);
+            return;
+        }
+        (Leg::Withdraw, Ok(())) => Err(Failure::new(Outcome::Guard, "it was not grasped")),
+        _ => return,
+    };
+    let now = action.cx().now();
+    let noted = action.with_state(|state| {
+        let grasp = &mut state.grasp;
+        let was = grasp.tried.len();
+        grasp.note(&mut state.belief, now, ended);
+        let line = grasp.tried[was..].first();
+        let line = line.map(|tried| tried.line(&grasp.context));
+        state.lines.extend(line.clone());
+        line.is_some()
+    });
+    if noted {
+        tell(action).await;
+    }
+}
+
+/// Begins a way above an end; all ways are open. To the thing, a turn of the gripper is chosen before.
+async fn begin(action: Act, leg: Leg) -> Acted {
+    action.with_state(|state| state.leg = leg);
+    let begun = begun(&action, leg).await;
+    pass_up(&action, begun).await
+}
+
+async fn begun(action: &Act, leg: Leg) -> Result<(), Failure> {
+    let ride = Ride::of(action).await?;
+    ride.arm().acquire().await?;
+    let (command, args) = (ride.errand.command, ride.args.clone());
+    let ways = match leg {
+        Leg::Transfer => &args.ways.transfer,
+        _ => {
+            choose_turn(action, &ride).await?;
+            &args.ways.approach
+        }
+    };
+    let step = Step::new(command, leg.name().to_owned(), &costs(ways));
+    action.with_state(|state| state.step = step);
+    Ok(())
+}
+
+/// Chooses a turn of the gripper that was not tried for this command, among those with which the arm reaches all of the way.
+async fn choose_turn(action: &Act, ride: &Ride<'_>) -> Result<(), Failure> {
+    let errand = &ride.errand;
+    let costs = turns(&errand.thing);
+    action.with_state(|state| {
+        if state.grasp.command != errand.command {
+            let context = format!("grasp of {}", errand.thing.name);
+            state.grasp = Step::new(errand.command, context, &costs);
+            state.lines = Vec::new();
+        }
+    });
+    let mut first = None;
+    loop {
+        let (grasp, belief, choices) = action.with_state(|state| {
+            state.choices += 1;
+            (state.grasp.clone(), state.belief.clone(), state.choices)
+        });
+        let mut rng = action.cx().rng(&format!("turn {choices}"));
+        let Some((turn, figures)) = grasp.choose(&belief, &costs, &mut rng) else {
+            let none = || Failure::new(Outcome::Unreachable, "every turn of the gripper was tried");
+            return Err(first.unwrap_or_else(none));
+        };
+        let now = action.cx().now();
+        match ride.plan_all(turn.radians()).await {
+            Ok(()) => {
+                let way = Way {
+                    command: errand.command,
+                    turn: turn.radians(),
+                };
+                ride.store.store(ride.cx, WAY, &way).await?;
+                log_choice(action, &grasp.context, turn, &figures);
+                action.with_state(|state| state.grasp.begin(turn, now));
+                return Ok(());
+            }
+            Err(failure) if failure.outcome == Outcome::Unreachable => {
+                first.get_or_insert(failure);
+                action.with_state(|state| state.grasp.open.retain(|open| *open != turn));
+            }
+            Err(failure) => return Err(failure),
+        }
+    }
+}
+
+fn log_choice(action: &Act, step: &str, way: impl step::Way, figures: &[Figures]) {
+    tracing::info!(
+        task = action.cx().name(),
+        step,
+        way = way.name(),
+        figures = step::in_words(figures),
+        "a way was chosen"
+    );
+}
+
+/// The ways of a step with what each is assumed to cost.
+fn known(args: &RobotArgs, step: &Step<Going>) -> Vec<(Going, f64)> {
+    match step.context == Leg::Transfer.name() {
+        true => costs(&args.ways.transfer),
+        false => costs(&args.ways.approach),
+    }
+}
+
+/// Chooses the way most likely to succeed for its cost among those that were not tried yet.
+async fn choose(action: Act) -> Acted {
+    let (args, step, belief, choices) = action.with_state(|state| {
+        state.choices += 1;
+        let (step, belief) = (state.step.clone(), state.belief.clone());
+        (state.args.clone(), step, belief, state.choices)
+    });
+    // The same app with the same seed chooses the same, also after a restart.
+    let mut rng = action.cx().rng(&format!("choice {choices}"));
+    let chosen = step.choose(&belief, &known(&args, &step), &mut rng);
+    let (way, figures) = chosen.ok_or_else(|| HandlerError::new("no way is left"))?;
+    log_choice(&action, &step.context, way, &figures);
+    let now = action.cx().now();
+    action.with_state(|state| state.step.begin(way, now));
+    Ok(())
+}
+
+/// Goes the way that was chosen, from where the arm stands.
+async fn go_way(action: Act) -> Acted {
+    let gone = gone(&action).await;
+    match gone {
+        Ok(about) => {
+            note_way(&action, Ok(about)).await;
+            Ok(())
+        }
+        Err(failure) => {
+            action.with_state(|state| state.step.ended = Some(failure.clone()));
+            Err(failure.into())
+        }
+    }
+}
+
+async fn gone(action: &Act) -> Result<String, Failure> {
+    let ride = Ride::of(action).await?;
+    ride.arm().acquire().await?;
+    let (leg, chosen) = action.with_state(|state| (state.leg, state.step.chosen));
+    let end = match leg {
+        Leg::Transfer => End::To,
+        _ => End::From,
+    };
+    let chosen = chosen.ok_or_else(|| Failure::new(Outcome::Fault, "no way was chosen"))?;
+    ride.go_above(end, chosen).await
+}
+
+/// Notes how the chosen way ended.
+async fn note_way(action: &Act, ended: Result<String, Failure>) {
+    let now = action.cx().now();
+    action.with_state(|state| {
+        let step = &mut state.step;
+        step.note(&mut state.belief, now, ended);
+        let line = step.tried.last();
+        let line = line.map(|tried| tried.line(&step.context));
+        state.lines.extend(line);
+    });
+    tell(action).await;
+}
+
+/// Tells the Dispatcher which ways were tried, and what is believed of them by now.
+async fn tell(action: &Act) {
+    let (store, ways) = action.with_state(|state| {
+        let mut lines = state.lines.clone();
+        let believed = |context: &str, figures: &[Figures]| {
+            format!("believed of {context}: {}", step::in_words(figures))
+        };
+        let going = known(&state.args, &state.step);
+        let context = &state.step.context;
+        let figures = step::figures(&state.belief, context, &going);
+        lines.push(believed(context, &figures));
+        let command = state.grasp.command;
+        (state.store.clone(), Ways { command, lines })
+    });
+    for line in ways.lines.iter().rev().take(2).rev() {
+        tracing::info!(task = action.cx().name(), "{line}");
+    }
+    if let Err(untold) = store.store(action.cx(), WAYS, &ways).await {
+        tracing::warn!(%untold, "which ways were gone could not be passed up");
+    }
+}
+
+/// Waits until somebody ends the protective stop that ended the chosen way.
+async fn await_resume_on_way(action: Act) -> Acted {
+    let (args, ended) = action.with_state(|state| (state.args.clone(), state.step.ended.clone()));
+    let reason = ended.map_or_else(String::new, |ended| ended.reason);
+    let arm = args.arm(action.cx());
+    let resumed = arm.resumed(args.resume_within_s, &reason).await;
+    if let Err(failure) = &resumed {
+        note_way(&action, Err(failure.clone())).await;
+    }
+    pass_up(&action, resumed).await
+}
+
+/// Notes that a way failed for which another one may do.
+async fn next_way(action: Act) -> Acted {
+    if let Some(failure) = action.with_state(|state| state.step.ended.take()) {
+        note_way(&action, Err(failure)).await;
+    }
+    Ok(())
+}
+
+/// Passes up why the arm is not above the end.
+async fn give_up_way(action: Act) -> Acted {
+    let ended = action.with_state(|state| state.step.ended.take());
+    if let Some(failure) = ended {
+        note_way(&action, Err(failure.clone())).await;
+        // Why it failed is told; that this was told is no failure.
+        let _ = pass_up(&action, Err(failure)).await;
+        return Ok(());
+    }
+    let tried = action.with_state(|state| state.step.tried.last().cloned());
+    if let Some(Tried {
+        ended: Err(failure),
+        ..
+    }) = tried
+    {
+        let _ = pass_up(&action, Err(failure)).await;
+    }
+    Ok(())
 }
 
 /// Waits until somebody ends the protective stop that ended the motion; the part of the way is then begun anew.
@@ -295,9 +581,8 @@ impl<'a> Ride<'a> {
     }
 
     async fn go(&self, leg: Leg) -> Result<(), Failure> {
-        self.ask_arm().await?;
+        self.arm().acquire().await?;
         match leg {
-            Leg::Approach => self.approach().await,
             Leg::Descend => {
                 let down = self.errand.pose(End::From, self.turn().await?);
                 self.guarded(down)
@@ -312,9 +597,8 @@ impl<'a> Ride<'a> {
             }
             Leg::Lift => {
                 let up = self.errand.above(End::From, self.turn().await?);
-                self.line(up, self.args.slow, &[]).await.map(|_| ())
+                self.line(up, self.args.slow, &[]).await
             }
-            Leg::Transfer => self.arch_to(End::To).await,
             Leg::SetDown => self.set_down(End::To).await,
             Leg::Withdraw => self.withdraw().await,
             Leg::GoBack => {
@@ -322,6 +606,10 @@ impl<'a> Ride<'a> {
                 self.set_down(End::From).await
             }
             Leg::Park => self.park().await,
+            Leg::Approach | Leg::Transfer => Err(Failure::new(
+                Outcome::Fault,
+                "above an end the arm goes by a way that is chosen",
+            )),
         }
     }
 
@@ -330,11 +618,8 @@ impl<'a> Ride<'a> {
         self.errand.speed.unwrap_or(self.args.speed)
     }
 
-    /// Reserves the arm, or sees that it is still reserved.
-    async fn ask_arm(&self) -> Result<(), Failure> {
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| async move { arm.acquire().await }).await?;
-        Ok(())
+    fn arm(&self) -> Arm<'_> {
+        self.args.arm(self.cx)
     }
 
     /// The turn that was chosen for this errand.
@@ -349,34 +634,50 @@ impl<'a> Ride<'a> {
         ))
     }
 
-    /// To above the thing, with the first turn that reaches both ends of the way and what is above them.
-    async fn approach(&self) -> Result<(), Failure> {
-        let mut first = None;
-        for turn in &self.errand.thing.grasp.turns_deg {
-            let turn = turn.to_radians();
-            match self.plan_all(turn).await {
-                Ok(planned) => {
-                    let way = Way {
-                        command: self.errand.command,
-                        turn,
-                    };
-                    self.store.store(self.cx, WAY, &way).await?;
-                    let target = Target::Joints(planned.joints);
-                    let order = self.order(target, PathKind::Joint, self.speed(), &[]);
-                    return self.moved(order, planned.duration_s).await.map(|_| ());
-                }
-                Err(failure) if failure.outcome == Outcome::Unreachable => {
-                    first.get_or_insert(failure);
-                }
-                Err(failure) => return Err(failure),
-            }
-        }
-        let none = || Failure::new(Outcome::Fault, "the thing's file names no turn");
-        Err(first.unwrap_or_else(none))
+    /// To above an end by a way; words about it.
+    async fn go_above(&self, end: End, way: Going) -> Result<String, Failure> {
+        let above = self.errand.above(end, self.turn().await?);
+        let path = match way {
+            Going::Joint => PathKind::Joint,
+            Going::Line => PathKind::StraightLine,
+            Going::Arch => self.arch(),
+            Going::Planned => return self.go_planned(above).await,
+        };
+        let gone = self.along(above, path, self.speed(), &[]).await;
+        // What the planner refuses, an arch without a way across, say, is no way; who may move was settled before.
+        gone.map_err(|failure| match failure.outcome {
+            Outcome::Refused => Failure::new(Outcome::Unreachable, failure.reason),
+            _ => failure,
+        })?;
+        Ok(String::new())
     }
 
-    /// Whether the arm reaches all of the way with this turn; the plan to its beginning.
-    async fn plan_all(&self, turn: f64) -> Result<PlanReport, Failure> {
+    /// Around everything, as the planner finds it.
+    async fn go_planned(&self, above: Isometry3<f64>) -> Result<String, Failure> {
+        let arm = self.arm();
+        let goal = self.plan(above, PathKind::Joint).await?.joints;
+        let way = plan_around(self.cx, &self.args.planner, drive::here(&arm).await?, goal).await?;
+        let pace = Pace {
+            speed: self.speed(),
+            blends: true,
+        };
+        drive::along(&arm, &way, pace).await?;
+        Ok(format!(
+            "{} points, {:.2} m, ",
+            way.points.len(),
+            way.length_m
+        ))
+    }
+
+    fn arch(&self) -> PathKind {
+        PathKind::Arch {
+            height: self.args.arch_m,
+            corner: None,
+        }
+    }
+
+    /// Whether the arm reaches all of the way with this turn.
+    async fn plan_all(&self, turn: f64) -> Result<(), Failure> {
         for (end, name) in [(End::From, "from"), (End::To, "to")] {
             for pose in [self.errand.pose(end, turn), self.errand.above(end, turn)] {
                 let planned = self.plan(pose, PathKind::Joint).await;
@@ -389,50 +690,11 @@ impl<'a> Ride<'a> {
                 })?;
             }
         }
-        let above = self.errand.above(End::From, turn);
-        self.plan(above, PathKind::Joint).await
+        Ok(())
     }
 
     async fn plan(&self, pose: Isometry3<f64>, path: PathKind) -> Result<PlanReport, Failure> {
-        self.plan_to(Target::Pose(rows(&pose)), path, self.speed())
-            .await
-    }
-
-    async fn plan_to(
-        &self,
-        target: Target,
-        path: PathKind,
-        speed: f64,
-    ) -> Result<PlanReport, Failure> {
-        let request = Plan {
-            target,
-            path,
-            speed,
-            acceleration: None,
-            elbow: None,
-        };
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| {
-            let request = request.clone();
-            async move { arm.plan(request).await }
-        })
-        .await
-    }
-
-    fn order(&self, target: Target, path: PathKind, speed: f64, guards: &[String]) -> Move {
-        Move {
-            target,
-            path,
-            speed,
-            acceleration: None,
-            elbow: None,
-            guards: guards.to_vec(),
-            blend: 0.0.into(),
-        }
-    }
-
-    async fn moved(&self, order: Move, planned_s: f64) -> Result<MoveReport, Failure> {
-        self.args.arm(self.cx).go(order, planned_s).await
+        self.arm().plan(arm::pose(&pose), path, self.speed()).await
     }
 
     /// Straight to a pose.
@@ -441,7 +703,7 @@ impl<'a> Ride<'a> {
         pose: Isometry3<f64>,
         speed: f64,
         guards: &[String],
-    ) -> Result<MoveReport, Failure> {
+    ) -> Result<(), Failure> {
         self.along(pose, PathKind::StraightLine, speed, guards)
             .await
     }
@@ -452,15 +714,14 @@ impl<'a> Ride<'a> {
         path: PathKind,
         speed: f64,
         guards: &[String],
-    ) -> Result<MoveReport, Failure> {
-        let target = Target::Pose(rows(&pose));
-        let planned = self.plan_to(target, path, speed).await?;
+    ) -> Result<(), Failure> {
         let order = Move {
             // What goes gently stops as soon as anything else.
             acceleration: Some(speed.max(self.args.slow)),
-            ..self.order(target, path, speed, guards)
+            guards: guards.to_vec(),
+            ..arm::order(arm::pose(&pose), path, speed)
         };
-        self.moved(order, planned.duration_s).await
+        self.arm().travel(order).await.map(|_| ())
     }
 
     /// Straight down to a pose, the last of it gently. The guards of the ways down end it when they feel something.
@@ -470,17 +731,13 @@ impl<'a> Ride<'a> {
         if self.height().await? > near.translation.z {
             self.line(near, self.args.slow, touch).await?;
         }
-        self.line(pose, self.args.gentle, touch).await.map(|_| ())
+        self.line(pose, self.args.gentle, touch).await
     }
 
     /// Up, across and down to above an end of the way.
     async fn arch_to(&self, end: End) -> Result<(), Failure> {
         let above = self.errand.above(end, self.turn().await?);
-        let arch = PathKind::Arch {
-            height: self.args.arch_m,
-            corner: None,
-        };
-        self.along(above, arch, self.speed(), &[]).await.map(|_| ())
+        self.along(above, self.arch(), self.speed(), &[]).await
     }
 
     /// Down until the thing stands. What is felt earlier than that stands there already.
@@ -503,20 +760,12 @@ impl<'a> Ride<'a> {
 
     /// How high the tool is in the base frame, m.
     async fn height(&self) -> Result<f64, Failure> {
-        Ok(self.tool().await?.translation.z)
-    }
-
-    async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
-        let arm = self.args.arm(self.cx);
-        let position = arm.ask(|arm| async move { arm.position().await }).await?;
-        let matrix = Matrix4::from_row_slice(&position.base_t_tool);
-        nalgebra::try_convert(matrix)
-            .ok_or_else(|| Failure::new(Outcome::Fault, "the arm's pose is none"))
+        Ok(self.arm().tool().await?.translation.z)
     }
 
     /// Straight up from wherever it is to where the gripper goes to and fro.
     async fn withdraw(&self) -> Result<(), Failure> {
-        let now = self.tool().await?;
+        let now = self.arm().tool().await?;
         let [from, to] = [End::From, End::To].map(|end| self.errand.above(end, 0.0).translation.z);
         let up = from.max(to) - now.translation.z;
         if up <= 0.0 {
@@ -524,26 +773,12 @@ impl<'a> Ride<'a> {
         }
         let mut above = now;
         above.translation.vector += Vector3::z() * up;
-        self.line(above, self.args.slow, &[]).await.map(|_| ())
+        self.line(above, self.args.slow, &[]).await
     }
 
     /// To where the arm waits; there it is given back.
     async fn park(&self) -> Result<(), Failure> {
         let park = &self.args.park_deg;
-        let joints = Joints::from_fn(park.len(), |joint| park[joint].to_radians());
-        let target = Target::Joints(joints);
-        let planned = self.plan_to(target, PathKind::Joint, self.speed()).await?;
-        let order = self.order(target, PathKind::Joint, self.speed(), &[]);
-        self.moved(order, planned.duration_s).await?;
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| async move { arm.release().await }).await?;
-        Ok(())
+        self.arm().park(park, self.speed()).await
     }
-}
-
-fn rows(pose: &Isometry3<f64>) -> [f64; 16] {
-    let matrix = pose.to_homogeneous().transpose();
-    let mut rows = [0.0; 16];
-    rows.copy_from_slice(matrix.as_slice());
-    rows
 }

@@ -1,9 +1,8 @@
 //! The class `carry`: has a thing carried, by the Dispatcher of an app (SORMA technical report, section 2.1.4).
 
-use std::{sync::LazyLock, time::Duration};
+use std::sync::LazyLock;
 
 use futures_util::future::LocalBoxFuture;
-use pnt::task::PutTape;
 use sorma::{
     Class, ClassInfo, Context, Form, OptionTable, Outcome, Report, ServiceObject, Sorm, Transport,
     Waiting,
@@ -14,9 +13,6 @@ use super::board::Field;
 /// Version of the class.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// No errand lasts longer.
-const LONGEST: Duration = Duration::from_secs(1800);
-
 sorma::prototypes! {
     /// The codes of the reports of this class.
     pub mod code {
@@ -26,9 +22,6 @@ sorma::prototypes! {
         NO_CARRIER = 171, Error, "nobody carries outside an app", "attach to an app that has a Dispatcher for it: `scott carry`";
     }
 }
-
-/// The recipe that is shipped with the class, from which others are derived.
-pub const DICTIONARY: &str = "carry -task dispatcher\n";
 
 const FORMS: &[Form] = &[
     Form {
@@ -133,11 +126,7 @@ impl Carry {
             _ => (("put_back", Vec::new()), "put_down"),
         };
         let (symbol, arguments) = put;
-        let put = PutTape {
-            symbol: symbol.to_owned(),
-            arguments,
-        };
-        let answer = cx.call_task(&self.options.task, put, LONGEST).await?;
+        let answer = crate::services::put(cx, &self.options.task, symbol, arguments).await?;
         if answer.symbol == success {
             io.text = answer.text;
             return Ok(());

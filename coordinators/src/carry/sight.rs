@@ -21,6 +21,9 @@ const NEAR: f64 = 0.45;
 /// A thing that has not been touched is seen again within so much of its place, m.
 const SAME_M: f64 = 5e-3;
 
+/// Two things whose rims are nearer to one another are stuck together, m: no jaw goes between them.
+const STUCK_M: f64 = 4e-3;
+
 /// A field is bare when at least this part of what the thing would cover looks so.
 const BARE: f64 = 0.6;
 
@@ -58,10 +61,16 @@ pub struct Sight {
 pub struct Found {
     /// The errand's command.
     pub command: u32,
+    /// Whether anybody has looked.
+    pub looked: bool,
     /// Whether the thing stands on TO, as far as anybody has looked.
     pub arrived: Option<bool>,
     /// Where it is, from the middle of the field along columns and rows, m; when it stands there.
     pub off_m: Option<[f64; 2]>,
+    /// The board by then.
+    pub board: Board,
+    /// The middles of what may be it where it does not stand on TO, in the board's frame, m.
+    pub lies: Vec<Point3<f64>>,
     /// Where it is, in words.
     pub notes: Vec<String>,
 }
@@ -73,6 +82,8 @@ pub enum Hindrance {
     NothingAtFrom(String),
     /// Something stands on TO.
     Occupied(String),
+    /// Another thing touches that on FROM.
+    Stuck(String),
     /// Something else.
     Other(String),
 }
@@ -123,6 +134,7 @@ pub fn aimed(errand: &Errand, sight: &Sight) -> Result<Errand, Hindrance> {
             return Err(nothing(seen, &board, errand));
         };
         points[0] = board.pose() * disc.at;
+        is_alone(seen, &board, thing, disc)?;
         is_free(seen, &board, to, thing, disc)?;
     }
     Ok(Errand {
@@ -155,6 +167,48 @@ fn nothing(seen: &Overview, board: &Board, errand: &Errand) -> Hindrance {
             all_in_words(seen, board, thing)
         )),
     }
+}
+
+/// Whether a jaw goes between the thing `taken` and what lies beside it.
+fn is_alone(
+    seen: &Overview,
+    board: &Board,
+    thing: &Thing,
+    taken: &SeenDisc,
+) -> Result<(), Hindrance> {
+    let mut others = seen.discs.iter().filter(|disc| *disc != taken);
+    let touching = others.find(|disc| {
+        let apart = (disc.at.xy() - taken.at.xy()).norm() - thing.width_m;
+        // What lies beneath is no neighbour.
+        let beside = (disc.at.z - taken.at.z).abs() < 0.5 * thing.height_m;
+        beside && apart < STUCK_M
+    });
+    match touching {
+        Some(other) => Err(Hindrance::Stuck(format!(
+            "a {} {} is stuck to it: push them apart",
+            colour_name(thing, other),
+            place_in_words(board, &other.at, thing)
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// The errand with the thing where it was found, when it was lost and may be only one thing.
+#[must_use]
+pub fn at_found(errand: &Errand, found: &Found) -> Option<Errand> {
+    let (thing, board) = (&errand.thing, found.board);
+    let [at] = found.lies.as_slice() else {
+        return None;
+    };
+    let there = board.pose() * at;
+    let is_lost = (there - errand.points[0]).norm() > NEAR * board.field_m;
+    is_lost.then(|| Errand {
+        from: board.field(at, thing.height_m),
+        board,
+        points: [there, board.point(&errand.to, thing.height_m)],
+        yaw: board.yaw(),
+        ..errand.clone()
+    })
 }
 
 /// Whether the thing `carried` can be set down on a field.
@@ -214,6 +268,7 @@ pub fn arrival(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Fo
         let off = disc.at - middle;
         [off.x, off.y]
     });
+    let strays = strays(errand, before, now);
     match arrived {
         Some([x, y]) => notes.push(format!(
             "seen on {}: {:.1} mm along columns and {:.1} mm along rows from the middle of the field",
@@ -222,14 +277,20 @@ pub fn arrival(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Fo
             tenths(y)
         )),
         None => {
-            let lies = lies(errand, before, now, &board);
-            notes.push(format!("no {} is seen on {}; {lies}", thing.name, errand.to));
+            let words = in_words(errand, &board, &strays);
+            notes.push(format!("no {} is seen on {}; {words}", thing.name, errand.to));
         }
     }
     Found {
         command: errand.command,
+        looked: true,
         arrived: Some(arrived.is_some()),
         off_m: arrived,
+        board,
+        lies: match arrived {
+            Some(_) => Vec::new(),
+            None => strays.iter().map(|disc| disc.at).collect(),
+        },
         notes,
     }
 }
@@ -244,17 +305,21 @@ fn tenths(length_m: f64) -> f64 {
 pub fn whereabouts(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Found {
     let board = now.board(&errand.board);
     let mut notes = moved(&errand.board, &board);
-    notes.push(lies(errand, before, now, &board));
+    let strays = strays(errand, before, now);
+    notes.push(in_words(errand, &board, &strays));
     Found {
         command: errand.command,
+        looked: true,
         arrived: None,
         off_m: None,
+        board,
+        lies: strays.iter().map(|disc| disc.at).collect(),
         notes,
     }
 }
 
-/// Where the errand's thing lies now: on FROM, or wherever there is one of its colour that was not there before.
-fn lies(errand: &Errand, before: Option<&Overview>, now: &Overview, board: &Board) -> String {
+/// What may be the errand's thing now: what lies on FROM, or is of its colour and was not there before.
+fn strays<'n>(errand: &Errand, before: Option<&Overview>, now: &'n Overview) -> Vec<&'n SeenDisc> {
     let thing = &errand.thing;
     let first = before.and_then(|seen| seen.at(&errand.board, &errand.from, thing));
     let alike = |disc: &&SeenDisc| first.is_none_or(|first| first.colour == disc.colour);
@@ -263,8 +328,12 @@ fn lies(errand: &Errand, before: Option<&Overview>, now: &Overview, board: &Boar
         known.any(|known| Some(known) != first && (known.at - disc.at).norm() < SAME_M)
     };
     let others = now.discs.iter().filter(alike);
-    let others: Vec<&SeenDisc> = others.filter(|disc| !was_there(disc)).collect();
-    match others.as_slice() {
+    others.filter(|disc| !was_there(disc)).collect()
+}
+
+fn in_words(errand: &Errand, board: &Board, strays: &[&SeenDisc]) -> String {
+    let thing = &errand.thing;
+    match strays {
         [] => format!("the {} is seen nowhere", thing.name),
         all => {
             let all: Vec<String> = all

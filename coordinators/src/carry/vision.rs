@@ -6,15 +6,12 @@
 use std::{rc::Rc, time::Duration};
 
 use ctos::{
-    diagnostic::Finding,
-    registry::{Registry, Vocabulary},
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::Registry,
     task::Context,
 };
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 use vss::command::{Outcome as Vss, VisionError};
 use vss_board::discs::DiscForm;
@@ -28,6 +25,7 @@ use super::{
 };
 use crate::{
     dom::DomStore,
+    handler::{self, NetArgs},
     outcome::{Failure, Outcome},
 };
 
@@ -115,42 +113,40 @@ struct Coordinator {
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: VisionArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<VisionArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<VisionArgs>(|args, task, app, findings| {
-            check_args(task, app, &names(args), findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
-            if args.board != Where::Known {
-                crate::need_task(task, app, "eyes", &args.eyes, findings);
-            }
-            if args.retries > MOST_RETRIES {
-                let place = task.args.locate("retries");
-                let text = format!("`retries` is {}", args.retries);
-                findings.push(
-                    Finding::error("coordinators::carry::eyes", text)
-                        .at(place.unwrap_or_else(|| task.place.clone()))
-                        .help(format!("give up to {MOST_RETRIES}")),
-                );
-            }
-        });
+    handler::register::<VisionArgs>(registry);
+}
+
+impl NetArgs for VisionArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        crate::check_seconds(task, "service_within_s", self.service_within_s, findings);
+        if self.board != Where::Known {
+            crate::need_task(task, app, "eyes", &self.eyes, findings);
+        }
+        if self.retries > MOST_RETRIES {
+            let place = task.args.locate("retries");
+            let text = format!("`retries` is {}", self.retries);
+            findings.push(
+                Finding::error("coordinators::carry::eyes", text)
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help(format!("give up to {MOST_RETRIES}")),
+            );
+        }
+    }
 }
 
 /// Nobody looks more often.
 const MOST_RETRIES: u32 = 100;
-
-fn names(args: &VisionArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
-}
 
 fn library(args: VisionArgs, store: DomStore) -> Library<Coordinator> {
     let state = Coordinator {
@@ -339,8 +335,11 @@ async fn known(
         Look::Verify | Look::Search => {
             let found = Found {
                 command,
+                looked: false,
                 arrived: None,
                 off_m: None,
+                board: errand.board,
+                lies: Vec::new(),
                 notes,
             };
             store.store(cx, FOUND, &found).await?;

@@ -9,29 +9,32 @@ use std::rc::Rc;
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::{Context, HandlerError},
-    time::Instant,
 };
-use mcs::client::{Move, PathKind, Plan, Target};
+use mcs::{
+    Joints,
+    client::{PathKind, Target},
+};
 use mcs_path::{Way, task::PlanWay};
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 use super::{
     drive::{self, Pace},
-    trip::{ACCOUNT, Account, CHOSEN, Chosen, PLANNED, TRIP, Tried, Trip},
+    trip::{ACCOUNT, Account, CHOSEN, Chosen, PLANNED, TRIP, Trip},
 };
 use crate::{
-    arm::Arm,
+    arm::{self, Arm, ArmKeys},
+    dispatching::Told,
     dom::DomStore,
+    handler::{self, NetArgs},
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
-    strategy::{Belief, Candidate, Choice, Figures},
+    strategy::{
+        Belief, Step,
+        step::{self, Way as _},
+    },
 };
 
 /// The handler's name.
@@ -67,18 +70,21 @@ impl Kind {
         Self::PlannedSlowly,
     ];
 
-    fn name(self) -> &'static str {
-        match self {
+    fn is_planned(self) -> bool {
+        matches!(self, Self::Planned | Self::PlannedSlowly)
+    }
+}
+
+impl step::Way for Kind {
+    fn name(self) -> String {
+        let name = match self {
             Self::Line => "line",
             Self::Joint => "joint",
             Self::Arch => "arch",
             Self::Planned => "planned",
             Self::PlannedSlowly => "planned_slowly",
-        }
-    }
-
-    fn is_planned(self) -> bool {
-        matches!(self, Self::Planned | Self::PlannedSlowly)
+        };
+        name.to_owned()
     }
 }
 
@@ -145,6 +151,10 @@ fn ways() -> Vec<WayArgs> {
 }
 
 impl PathArgs {
+    fn costs(&self) -> Vec<(Kind, f64)> {
+        self.ways.iter().map(|way| (way.way, way.cost_s)).collect()
+    }
+
     fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
         Arm {
             cx,
@@ -154,27 +164,11 @@ impl PathArgs {
     }
 }
 
-/// What is kept of the trip in work.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Work {
-    command: u32,
-    context: String,
-    /// Ways that were not tried yet.
-    open: Vec<Kind>,
-    /// The way that was chosen last.
-    chosen: Option<Kind>,
-    /// When it began.
-    began: Option<Instant>,
-    tried: Vec<Tried>,
-    /// What ended it before its end, until that is judged.
-    ended: Option<Failure>,
-}
-
 /// What the functions share.
 struct Coordinator {
     args: Rc<PathArgs>,
     store: DomStore,
-    work: Work,
+    step: Step<Kind>,
     belief: Belief,
     /// The place that was reached last, and the choices so far.
     at: Option<Trip>,
@@ -183,35 +177,38 @@ struct Coordinator {
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: PathArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<PathArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args(check);
+    handler::register::<PathArgs>(registry);
+}
+
+impl NetArgs for PathArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        check(self, task, app, findings);
+    }
 }
 
 fn check(args: &PathArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    check_args(task, app, &names(args), findings);
-    crate::need_task(task, app, "mcs", &args.mcs, findings);
-    crate::need_task(task, app, "dom", &args.dom, findings);
+    let keys = ArmKeys {
+        mcs: &args.mcs,
+        resume_within_s: args.resume_within_s,
+        service_within_s: args.service_within_s,
+        speeds: &[("speed", args.speed), ("slow", args.slow)],
+        park_deg: None,
+    };
+    keys.check(task, app, "coordinators::path::way", findings);
     if args.ways.iter().any(|way| way.way.is_planned()) {
         crate::need_task(task, app, "planner", &args.planner, findings);
     }
-    for (key, value) in [
-        ("resume_within_s", args.resume_within_s),
-        ("service_within_s", args.service_within_s),
-    ] {
-        crate::check_seconds(task, key, value, findings);
-    }
-    crate::check_speed(task, "speed", args.speed, findings);
-    crate::check_speed(task, "slow", args.slow, findings);
     let mut wrong = |key: &str, text: String| {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
         findings.push(Finding::error("coordinators::path::way", text).at(place));
@@ -239,44 +236,36 @@ fn check(args: &PathArgs, task: &TaskConfig, app: &App, findings: &mut Findings)
     }
 }
 
-fn names(args: &PathArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
-}
-
 fn library(args: PathArgs, store: DomStore) -> Library<Coordinator> {
     let state = Coordinator {
         args: Rc::new(args),
         store,
-        work: Work::default(),
+        step: Step::default(),
         belief: Belief::default(),
         at: None,
         choices: 0,
     };
     let save = |state: &Coordinator| {
-        let (work, belief) = (state.work.clone(), state.belief.clone());
-        (work, belief, state.at.clone(), state.choices)
+        let (step, belief) = (state.step.clone(), state.belief.clone());
+        (step, belief, state.at.clone(), state.choices)
     };
-    let chosen = |kind: Kind| move |state: &Coordinator| state.work.chosen == Some(kind);
+    let chosen = |kind: Kind| move |state: &Coordinator| state.step.chosen == Some(kind);
     Library::new(state)
-        .kept(save, |state, (work, belief, at, choices)| {
-            (state.work, state.belief) = (work, belief);
+        .kept(save, |state, (step, belief, at, choices)| {
+            (state.step, state.belief) = (step, belief);
             (state.at, state.choices) = (at, choices);
         })
         .enabling("ways_left", |state: &Coordinator| {
-            !state.work.open.is_empty()
+            !state.step.open.is_empty()
         })
         .enabling("by_planned_way", |state: &Coordinator| {
-            state.work.chosen.is_some_and(Kind::is_planned)
+            state.step.chosen.is_some_and(Kind::is_planned)
         })
         .enabling("by_arch", chosen(Kind::Arch))
         .enabling("by_line", chosen(Kind::Line))
-        .enabling("stopped", |state: &Coordinator| {
-            let ended = state.work.ended.as_ref();
-            ended.is_some_and(|failure| failure.outcome == Outcome::Stopped)
-        })
+        .enabling("stopped", |state: &Coordinator| state.step.is_stopped())
         .enabling("another_may_do", |state: &Coordinator| {
-            let ended = state.work.ended.as_ref();
-            ended.is_some_and(|failure| another_may_do(failure.outcome))
+            state.step.may_go_on()
         })
         .action("begin", begin)
         .action("choose", choose)
@@ -293,11 +282,6 @@ fn library(args: PathArgs, store: DomStore) -> Library<Coordinator> {
 
 type Act = Action<Coordinator>;
 
-/// Whether another way may do where one ended so.
-fn another_may_do(outcome: Outcome) -> bool {
-    matches!(outcome, Outcome::Unreachable | Outcome::Guard)
-}
-
 fn parts(action: &Act) -> (Context, Rc<PathArgs>, DomStore) {
     let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
     (action.cx().clone(), args, store)
@@ -309,8 +293,8 @@ async fn begin(action: Act) -> Acted {
     let failed = begun.as_ref().err().cloned();
     let (cx, _, store) = parts(&action);
     match begun {
-        Ok(work) => {
-            action.with_state(|state| state.work = work);
+        Ok(step) => {
+            action.with_state(|state| state.step = step);
             Ok(())
         }
         Err(failure) => {
@@ -319,9 +303,9 @@ async fn begin(action: Act) -> Acted {
                 .await
                 .map(|trip| trip.command);
             action.with_state(|state| {
-                state.work = Work {
+                state.step = Step {
                     command: command.unwrap_or_default(),
-                    ..Work::default()
+                    ..Step::default()
                 };
             });
             tell(&action, failed).await;
@@ -330,11 +314,11 @@ async fn begin(action: Act) -> Acted {
     }
 }
 
-async fn begun(action: &Act) -> Result<Work, Failure> {
+async fn begun(action: &Act) -> Result<Step<Kind>, Failure> {
     let (cx, args, store) = parts(action);
     let trip: Trip = store.fetch(&cx, TRIP).await?;
     let arm = args.arm(&cx);
-    arm.ask(|arm| async move { arm.acquire().await }).await?;
+    arm.acquire().await?;
     let here = drive::here(&arm).await?;
     let from = action.with_state(|state| {
         let at = state.at.as_ref();
@@ -346,67 +330,37 @@ async fn begun(action: &Act) -> Result<Work, Failure> {
         at.filter(is_there)
             .map_or_else(|| ELSEWHERE.to_owned(), |at| at.to.clone())
     });
-    Ok(Work {
-        command: trip.command,
-        context: format!("{from} to {}", trip.to),
-        open: args.ways.iter().map(|way| way.way).collect(),
-        ..Work::default()
-    })
-}
-
-/// The ways that are open, and what they are assumed to cost.
-fn candidates(args: &PathArgs, open: &[Kind]) -> Vec<Candidate> {
-    let ways = args.ways.iter().filter(|way| open.contains(&way.way));
-    let candidates = ways.map(|way| Candidate {
-        name: way.way.name().to_owned(),
-        cost: way.cost_s,
-    });
-    candidates.collect()
+    let context = format!("{from} to {}", trip.to);
+    Ok(Step::new(trip.command, context, &args.costs()))
 }
 
 /// Chooses the way most likely to succeed for its cost among those that were not tried yet.
 async fn choose(action: Act) -> Acted {
     let (cx, args, store) = parts(&action);
-    let (choices, open, context, command) = action.with_state(|state| {
-        let work = &state.work;
-        (
-            state.choices,
-            work.open.clone(),
-            work.context.clone(),
-            work.command,
-        )
+    let (choices, step, belief) = action.with_state(|state| {
+        let (step, belief) = (state.step.clone(), state.belief.clone());
+        (state.choices, step, belief)
     });
     // The same app with the same seed chooses the same, also after a restart.
     let mut rng = cx.rng(&format!("choice {choices}"));
-    let candidates = candidates(&args, &open);
-    let choice = action.with_state(|state| state.belief.choose(&context, &candidates, &mut rng));
-    let none = || HandlerError::new("no way is left");
-    let Choice { name, figures } = choice.ok_or_else(none)?;
-    let kind = Kind::ALL.into_iter().find(|kind| kind.name() == name);
-    let kind = kind.ok_or_else(none)?;
+    let chosen = step.choose(&belief, &args.costs(), &mut rng);
+    let (way, figures) = chosen.ok_or_else(|| HandlerError::new("no way is left"))?;
     tracing::info!(
         task = cx.name(),
-        step = context,
-        way = name,
-        figures = figures
-            .iter()
-            .map(ToString::to_string)
-            .collect::<Vec<_>>()
-            .join(", "),
+        step = step.context,
+        way = way.name(),
+        figures = step::in_words(&figures),
         "a way was chosen"
     );
     let chosen = Chosen {
-        command,
-        context,
+        command: step.command,
+        context: step.context,
         figures,
     };
     store.store(&cx, CHOSEN, &chosen).await?;
     action.with_state(|state| {
         state.choices = choices + 1;
-        state.work.open.retain(|open| *open != kind);
-        state.work.chosen = Some(kind);
-        state.work.began = Some(cx.now());
-        state.work.ended = None;
+        state.step.begin(way, cx.now());
     });
     Ok(())
 }
@@ -421,20 +375,29 @@ async fn planned(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let trip: Trip = store.fetch(&cx, TRIP).await?;
     let from = drive::here(&args.arm(&cx)).await?;
-    let planner = cx
-        .task(&args.planner)
-        .await
-        .map_err(|error| Failure::new(Outcome::Lost, error))?;
+    let way = plan_around(&cx, &args.planner, from, trip.goal).await?;
+    Ok(store.store(&cx, PLANNED, &way).await?)
+}
+
+/// A way around everything, as the task `planner` finds it.
+pub(crate) async fn plan_around(
+    cx: &Context,
+    planner: &str,
+    from: Joints,
+    goal: Joints,
+) -> Result<Way, Failure> {
+    let planner = cx.task(planner).await;
+    let planner = planner.map_err(|error| Failure::new(Outcome::Lost, error))?;
     let ask = PlanWay {
         from,
-        goals: vec![trip.goal],
+        goals: vec![goal],
         others: Vec::new(),
         seed: None,
     };
     let answer = cx.call(&planner, ask).await;
     let answer = answer.map_err(|error| Failure::new(Outcome::Lost, error.reason()))?;
     let planned = answer.map_err(|error| Failure::new(Outcome::Unreachable, error))?;
-    Ok(store.store(&cx, PLANNED, &planned.way).await?)
+    Ok(planned.way)
 }
 
 /// Goes the way that was chosen.
@@ -446,7 +409,7 @@ async fn go(action: Act) -> Acted {
 async fn gone(action: &Act) -> Result<(Trip, String), Failure> {
     let (cx, args, store) = parts(action);
     let trip: Trip = store.fetch(&cx, TRIP).await?;
-    let chosen = action.with_state(|state| state.work.chosen);
+    let chosen = action.with_state(|state| state.step.chosen);
     let arm = args.arm(&cx);
     let path = match chosen {
         Some(Kind::Line) => PathKind::StraightLine,
@@ -468,31 +431,13 @@ async fn gone(action: &Act) -> Result<(Trip, String), Failure> {
         _ => PathKind::Joint,
     };
     let target = Target::Joints(trip.goal);
-    let plan = Plan {
-        target,
-        path,
-        speed: args.speed,
-        acceleration: None,
-        elbow: None,
-    };
-    let planned = arm.ask(|arm| {
-        let plan = plan.clone();
-        async move { arm.plan(plan).await }
-    });
+    let planned = arm.plan(target, path, args.speed);
     // What the planner refuses, an arch without a way across, say, is no way; who may move was settled before.
     let planned = planned.await.map_err(|failure| match failure.outcome {
         Outcome::Refused => Failure::new(Outcome::Unreachable, failure.reason),
         _ => failure,
     })?;
-    let order = Move {
-        target,
-        path,
-        speed: args.speed,
-        acceleration: None,
-        elbow: None,
-        guards: Vec::new(),
-        blend: 0.0.into(),
-    };
+    let order = arm::order(target, path, args.speed);
     arm.go(order, planned.duration_s).await?;
     Ok((trip, String::new()))
 }
@@ -508,64 +453,31 @@ async fn ended(action: &Act, part: Result<Option<(Trip, String)>, Failure>) -> A
             Ok(())
         }
         Err(failure) => {
-            action.with_state(|state| state.work.ended = Some(failure.clone()));
+            action.with_state(|state| state.step.ended = Some(failure.clone()));
             Err(failure.into())
         }
     }
 }
 
-/// Notes how the way that was chosen ended: in the account of the trip, and in what is believed of the way where that has
-/// to do with the way.
+/// Notes how the way that was chosen ended.
 fn note(action: &Act, ended: Result<String, Failure>) {
     let now = action.cx().now();
-    action.with_state(|state| {
-        let work = &mut state.work;
-        let Some(kind) = work.chosen.take() else {
-            return;
-        };
-        let seconds = work
-            .began
-            .map_or(0.0, |began| now.since(began).as_secs_f64());
-        let counts = match &ended {
-            Ok(_) => Some(true),
-            Err(failure) => another_may_do(failure.outcome).then_some(false),
-        };
-        if let Some(succeeded) = counts {
-            state
-                .belief
-                .note(&work.context, kind.name(), succeeded, seconds);
-        }
-        work.tried.push(Tried {
-            way: kind.name().to_owned(),
-            seconds,
-            ended,
-        });
-    });
+    action.with_state(|state| state.step.note(&mut state.belief, now, ended));
 }
 
 /// Tells the Dispatcher, and the log, how the trip went.
 async fn tell(action: &Act, problem: Option<Failure>) {
     let (cx, args, store) = parts(action);
     let account = action.with_state(|state| {
-        let work = &state.work;
-        let all = candidates(&args, &Kind::ALL);
-        let figures = all.into_iter().map(|way| {
-            let seen = state.belief.seen(&work.context, &way.name);
-            Figures {
-                trials: seen.trials,
-                chance: seen.chance(),
-                cost: seen.cost(way.cost),
-                name: way.name,
-            }
-        });
+        let step = &state.step;
         Account {
-            command: work.command,
-            context: work.context.clone(),
-            tried: work.tried.clone(),
+            command: step.command,
+            context: step.context.clone(),
+            tried: step.tried.clone(),
             problem,
-            figures: match work.tried.is_empty() {
+            figures: match step.tried.is_empty() {
                 true => Vec::new(),
-                false => figures.collect(),
+                false => step::figures(&state.belief, &step.context, &args.costs()),
             },
         }
     });
@@ -581,7 +493,7 @@ async fn tell(action: &Act, problem: Option<Failure>) {
 async fn await_resume(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
     let reason =
-        action.with_state(|state| state.work.ended.as_ref().map(|ended| ended.reason.clone()));
+        action.with_state(|state| state.step.ended.as_ref().map(|ended| ended.reason.clone()));
     let resumed = args
         .arm(&cx)
         .resumed(args.resume_within_s, &reason.unwrap_or_default())
@@ -596,7 +508,7 @@ async fn await_resume(action: Act) -> Acted {
 
 /// Notes that a way failed for which another one may do.
 async fn next_way(action: Act) -> Acted {
-    if let Some(failure) = action.with_state(|state| state.work.ended.take()) {
+    if let Some(failure) = action.with_state(|state| state.step.ended.take()) {
         note(&action, Err(failure));
     }
     Ok(())
@@ -604,7 +516,7 @@ async fn next_way(action: Act) -> Acted {
 
 /// Passes up why the trip could not be done.
 async fn give_up(action: Act) -> Acted {
-    if let Some(failure) = action.with_state(|state| state.work.ended.take()) {
+    if let Some(failure) = action.with_state(|state| state.step.ended.take()) {
         note(&action, Err(failure));
     }
     tell(&action, None).await;
@@ -614,12 +526,9 @@ async fn give_up(action: Act) -> Acted {
 /// Gives the arm back.
 async fn give_back(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
-    let given = args
-        .arm(&cx)
-        .ask(|arm| async move { arm.release().await })
-        .await;
+    let given = args.arm(&cx).release().await;
     if let Err(failure) = &given {
         tracing::warn!(%failure, "the arm could not be given back");
     }
-    Ok(given.map(|_| ())?)
+    Ok(given?)
 }

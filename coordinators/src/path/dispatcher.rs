@@ -1,24 +1,24 @@
 //! The Dispatcher: the functions of `nets/path/dispatcher.net`, which turns the name of a place into a trip, and tells how it
 //! went.
 
-use std::{collections::BTreeMap, rc::Rc};
+use std::collections::BTreeMap;
 
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::{Registry, Vocabulary},
-    task::{Context, HandlerError},
+    registry::Registry,
+    task::HandlerError,
 };
 use mcs::Joints;
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::Library;
 use serde::Deserialize;
 
 use super::trip::{ACCOUNT, Account, TRIP, Trip};
-use crate::dom::DomStore;
+use crate::{
+    dispatching::{self, Dispatcher, Orders},
+    dom::DomStore,
+    handler::{self, NetArgs},
+};
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.go";
@@ -34,32 +34,29 @@ struct GoArgs {
     dom: String,
 }
 
-/// What the functions share.
-struct Dispatcher {
-    args: Rc<GoArgs>,
-    store: DomStore,
-    /// Number of the command in work, from 1.
-    command: u32,
-}
-
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: GoArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<GoArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args(check);
+    handler::register::<GoArgs>(registry);
+}
+
+impl NetArgs for GoArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Dispatcher<Self>;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Dispatcher<Self>> {
+        dispatching::library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        check(self, task, app, findings);
+    }
 }
 
 fn check(args: &GoArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    crate::need_task(task, app, "dom", &args.dom, findings);
     let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
     let mut wrong = |key: &str, text: String, help: &str| {
         let finding = Finding::error("coordinators::path::place", text).at(place(key));
@@ -85,7 +82,6 @@ fn check(args: &GoArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
             }
         }
     }
-    check_args(task, app, &names(args), findings);
 }
 
 /// Joint positions in degrees, as this arm has only joints that turn.
@@ -93,45 +89,15 @@ fn radians(position: &[f64]) -> Joints {
     Joints::from_fn(position.len(), |joint| position[joint].to_radians())
 }
 
-fn names(args: &GoArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
-}
+impl Orders for GoArgs {
+    type Order = Trip;
+    const ORDER: &'static str = TRIP;
+    type Account = Account;
+    const ACCOUNT: &'static str = ACCOUNT;
 
-fn library(args: GoArgs, store: DomStore) -> Library<Dispatcher> {
-    let state = Dispatcher {
-        args: Rc::new(args),
-        store,
-        command: 0,
-    };
-    Library::new(state)
-        .kept(
-            |state| state.command,
-            |state, command| state.command = command,
-        )
-        .action("begin", begin)
-        .action("report", report)
-}
-
-type Act = Action<Dispatcher>;
-
-fn parts(action: &Act) -> (Context, Rc<GoArgs>, DomStore) {
-    let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
-    (action.cx().clone(), args, store)
-}
-
-/// Reads the name of a place, and makes the trip of it. Why it makes none goes into the answer.
-async fn begin(action: Act) -> Acted {
-    let (cx, args, store) = parts(&action);
-    let command = action.with_state(|state| state.command.wrapping_add(1));
-    let began = match trip(command, action.arguments(), &args) {
-        Ok(trip) => store.store(&cx, TRIP, &trip).await,
-        Err(error) => {
-            action.note(error.to_string());
-            Err(error)
-        }
-    };
-    action.with_state(|state| state.command = command);
-    began
+    fn order(&self, command: u32, arguments: &[String]) -> Result<Trip, HandlerError> {
+        trip(command, arguments, self)
+    }
 }
 
 fn trip(command: u32, arguments: &[String], args: &GoArgs) -> Result<Trip, HandlerError> {
@@ -152,18 +118,4 @@ fn trip(command: u32, arguments: &[String], args: &GoArgs) -> Result<Trip, Handl
         to: to.clone(),
         goal: radians(position),
     })
-}
-
-/// Tells, in the answer, which ways were tried and how they ended.
-async fn report(action: Act) -> Acted {
-    let (cx, _, store) = parts(&action);
-    let command = action.with_state(|state| state.command);
-    if let Ok(account) = store.fetch::<Account>(&cx, ACCOUNT).await
-        && account.command == command
-    {
-        for line in account.lines() {
-            action.note(line);
-        }
-    }
-    Ok(())
 }

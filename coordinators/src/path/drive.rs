@@ -8,14 +8,17 @@ use mcs::{
 };
 use mcs_path::Way;
 
-use crate::{arm::Arm, outcome::Failure};
+use crate::{
+    arm::{self, Arm},
+    outcome::Failure,
+};
 
 /// So many motions are under way and wait at a time: fewer than a servo takes.
 const AHEAD: usize = 5;
 
 /// How a way is gone.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pace {
+pub(crate) struct Pace {
     /// Fraction of full speed.
     pub speed: f64,
     /// Whether points are passed without a stop.
@@ -23,7 +26,7 @@ pub(super) struct Pace {
 }
 
 /// Straight in the joints to a point.
-pub(super) fn straight() -> PathKind {
+pub(crate) fn straight() -> PathKind {
     PathKind::Named {
         // It is short enough: a test of the nets goes by it.
         name: "direct".parse().unwrap_or_default(),
@@ -32,23 +35,18 @@ pub(super) fn straight() -> PathKind {
 }
 
 /// Goes along a way from its start. The first motion that ends otherwise than it should ends it.
-pub(super) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Failure> {
+pub(crate) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Failure> {
     let points = way.points.iter().zip(&way.leeway);
     // Of a motion that waits, the time counts from when it is ordered.
     let longest_s = way.full_speed_s / pace.speed;
     let orders = points.skip(1).scan(0.0, |before, (point, leeway)| {
         let blend = std::mem::replace(before, *leeway);
         Some(Move {
-            target: Target::Joints(*point),
-            path: straight(),
-            speed: pace.speed,
-            acceleration: None,
-            elbow: None,
-            guards: Vec::new(),
             blend: match pace.blends {
                 true => Blend::Joints(blend),
                 false => Blend::default(),
             },
+            ..arm::order(Target::Joints(*point), straight(), pace.speed)
         })
     });
     let moves = orders.map(|order| arm.go(order, longest_s));
@@ -64,7 +62,7 @@ pub(super) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Fa
 }
 
 /// Where the arm is, joint by joint.
-pub(super) async fn here(arm: &Arm<'_>) -> Result<Joints, Failure> {
+pub(crate) async fn here(arm: &Arm<'_>) -> Result<Joints, Failure> {
     let position = arm.ask(|arm| async move { arm.position().await }).await?;
     Ok(position.joints)
 }

@@ -3,7 +3,14 @@
 use mcs::Joints;
 use serde::{Deserialize, Serialize};
 
-use crate::{outcome::Failure, strategy::Figures};
+use crate::{
+    dispatching::Told,
+    outcome::Failure,
+    strategy::{
+        Figures,
+        step::{self, Tried},
+    },
+};
 
 /// Where to go: written by the Dispatcher.
 pub const TRIP: &str = "trip";
@@ -36,17 +43,6 @@ pub struct Chosen {
     pub figures: Vec<Figures>,
 }
 
-/// One way that was tried.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Tried {
-    /// Its name.
-    pub way: String,
-    /// How long it took, s.
-    pub seconds: f64,
-    /// What came of it: words about the way, or why it led nowhere.
-    pub ended: Result<String, Failure>,
-}
-
 /// [`ACCOUNT`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Account {
@@ -62,35 +58,18 @@ pub struct Account {
     pub figures: Vec<Figures>,
 }
 
-impl Account {
-    /// What there is to say of it, line by line.
-    #[must_use]
-    pub fn lines(&self) -> Vec<String> {
-        let mut lines: Vec<String> = self
-            .tried
-            .iter()
-            .map(
-                |Tried {
-                     way,
-                     seconds,
-                     ended,
-                 }| match ended {
-                    Ok(about) => format!("{}: {way}, {about}{seconds:.1} s", self.context),
-                    Err(failure) => format!(
-                        "{}: {way} failed after {seconds:.1} s: {}",
-                        self.context, failure.reason
-                    ),
-                },
-            )
-            .collect();
+impl Told for Account {
+    fn command(&self) -> u32 {
+        self.command
+    }
+
+    fn lines(&self) -> Vec<String> {
+        let tried = self.tried.iter().map(|tried| tried.line(&self.context));
+        let mut lines: Vec<String> = tried.collect();
         lines.extend(self.problem.as_ref().map(|failure| failure.reason.clone()));
         if !self.figures.is_empty() {
-            let figures: Vec<String> = self.figures.iter().map(ToString::to_string).collect();
-            lines.push(format!(
-                "believed of {}: {}",
-                self.context,
-                figures.join(", ")
-            ));
+            let figures = step::in_words(&self.figures);
+            lines.push(format!("believed of {}: {figures}", self.context));
         }
         lines
     }

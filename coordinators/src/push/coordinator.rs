@@ -8,25 +8,19 @@ use std::rc::Rc;
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::{Registry, Vocabulary},
+    registry::Registry,
     task::Context,
 };
-use mcs::{
-    Joints,
-    client::{Move, PathKind, Plan, PlanReport, Target},
-};
-use nalgebra::{Isometry3, Matrix4, Point2};
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use mcs::client::{Move, PathKind, PlanReport, Target};
+use nalgebra::{Isometry3, Point2};
+use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 use super::job::{ACCOUNT, Account, JOB, Job};
 use crate::{
-    arm::Arm,
+    arm::{self, Arm, ArmKeys},
     dom::DomStore,
+    handler::{self, NetArgs},
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
 };
@@ -209,37 +203,39 @@ struct Coordinator {
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: ArmArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<ArmArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args(check);
+    handler::register::<ArmArgs>(registry);
+}
+
+impl NetArgs for ArmArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Coordinator;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Coordinator> {
+        library(self, store)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        check(self, task, app, findings);
+    }
 }
 
 fn check(args: &ArmArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    check_args(task, app, &names(args), findings);
-    crate::need_task(task, app, "mcs", &args.mcs, findings);
-    crate::need_task(task, app, "dom", &args.dom, findings);
-    for (key, value) in [
-        ("resume_within_s", args.resume_within_s),
-        ("service_within_s", args.service_within_s),
-    ] {
-        crate::check_seconds(task, key, value, findings);
-    }
-    for (key, value) in [
-        ("speed", args.speed),
-        ("gentle", args.gentle),
-        ("softly", args.softly),
-    ] {
-        crate::check_speed(task, key, value, findings);
-    }
+    let keys = ArmKeys {
+        mcs: &args.mcs,
+        resume_within_s: args.resume_within_s,
+        service_within_s: args.service_within_s,
+        speeds: &[
+            ("speed", args.speed),
+            ("gentle", args.gentle),
+            ("softly", args.softly),
+        ],
+        park_deg: Some(&args.park_deg),
+    };
+    keys.check(task, app, "coordinators::push::range", findings);
     let mut wrong = |key: &str, text: String| {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
         findings.push(Finding::error("coordinators::push::range", text).at(place));
@@ -263,17 +259,6 @@ fn check(args: &ArmArgs, task: &TaskConfig, app: &App, findings: &mut Findings) 
             "`turns_deg` needs at least one turn".to_owned(),
         );
     }
-    if let Some(model) = mcs::manipulator(app)
-        && model.dof() != args.park_deg.len()
-    {
-        let (given, count) = (args.park_deg.len(), model.dof());
-        let text = format!("`park_deg` has {given} numbers, and the arm {count} joints");
-        wrong("park_deg", text);
-    }
-}
-
-fn names(args: &ArmArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
 }
 
 fn library(args: ArmArgs, store: DomStore) -> Library<Coordinator> {
@@ -422,8 +407,7 @@ impl<'a> Pushing<'a> {
     }
 
     async fn act(&mut self, part: Part) -> Result<(), Failure> {
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| async move { arm.acquire().await }).await?;
+        self.arm().acquire().await?;
         match part {
             Part::Approach => self.approach().await,
             Part::Touch => self.touch().await,
@@ -452,7 +436,9 @@ impl<'a> Pushing<'a> {
             let mut planned = Err(Failure::new(Outcome::Fault, "a way has ends"));
             for (along, height) in ends {
                 let pose = self.job.pose(along, height, turn);
-                planned = self.plan(pose, PathKind::Joint, self.args.speed).await;
+                let target = arm::pose(&pose);
+                let arm = self.arm();
+                planned = arm.plan(target, PathKind::Joint, self.args.speed).await;
                 if planned.is_err() {
                     break;
                 }
@@ -463,8 +449,8 @@ impl<'a> Pushing<'a> {
                 }) => {
                     self.account.turn = Some(turn);
                     let target = Target::Joints(joints);
-                    let order = self.order(target, PathKind::Joint, self.args.speed);
-                    self.moved(order, duration_s).await?;
+                    let order = arm::order(target, PathKind::Joint, self.args.speed);
+                    self.arm().go(order, duration_s).await?;
                     let down = self.job.pose(0.0, height, turn);
                     return self.line(down, self.args.speed, &[&self.args.touch]).await;
                 }
@@ -533,7 +519,7 @@ impl<'a> Pushing<'a> {
 
     /// The failure, when the guard of that name ended the motion; else as an error.
     async fn was(&self, guard: &str, failure: Failure) -> Result<Failure, Failure> {
-        let arm = self.args.arm(self.cx);
+        let arm = self.arm();
         let guards = arm.ask(|arm| async move { arm.guards().await }).await?;
         let is_it = guards.last.is_some_and(|last| last.guard.as_str() == guard);
         if is_it { Ok(failure) } else { Err(failure) }
@@ -546,7 +532,7 @@ impl<'a> Pushing<'a> {
             return Ok(());
         };
         let up = self.args.height_m + self.args.clearance_m;
-        let tool = self.tool().await?;
+        let tool = self.arm().tool().await?;
         let along = self.job.along(&Point2::from(tool.translation.vector.xy()));
         if tool.translation.z < up - 1e-3 {
             let back = along - self.args.back_m;
@@ -564,21 +550,11 @@ impl<'a> Pushing<'a> {
     async fn park(&self) -> Result<(), Failure> {
         self.law(&self.args.stiff).await?;
         let park = &self.args.park_deg;
-        let target = Target::Joints(Joints::from_fn(park.len(), |joint| {
-            park[joint].to_radians()
-        }));
-        let planned = self
-            .plan_to(target, PathKind::Joint, self.args.speed)
-            .await?;
-        let order = self.order(target, PathKind::Joint, self.args.speed);
-        self.moved(order, planned.duration_s).await?;
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| async move { arm.release().await }).await?;
-        Ok(())
+        self.arm().park(park, self.args.speed).await
     }
 
     async fn law(&self, law: &str) -> Result<(), Failure> {
-        let arm = self.args.arm(self.cx);
+        let arm = self.arm();
         arm.ask(|arm| async move { arm.law(law).await }).await?;
         Ok(())
     }
@@ -592,82 +568,21 @@ impl<'a> Pushing<'a> {
 
     /// How far along the way the tool is, m.
     async fn along(&self) -> Result<f64, Failure> {
-        let tool = self.tool().await?;
+        let tool = self.arm().tool().await?;
         Ok(self.job.along(&Point2::from(tool.translation.vector.xy())))
-    }
-
-    async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
-        let arm = self.args.arm(self.cx);
-        let position = arm.ask(|arm| async move { arm.position().await }).await?;
-        let matrix = Matrix4::from_row_slice(&position.base_t_tool);
-        nalgebra::try_convert(matrix)
-            .ok_or_else(|| Failure::new(Outcome::Fault, "the arm's pose is none"))
     }
 
     /// Straight to a pose.
     async fn line(&self, pose: Isometry3<f64>, speed: f64, guards: &[&str]) -> Result<(), Failure> {
-        let target = Target::Pose(rows(&pose));
-        let path = PathKind::StraightLine;
-        let planned = self.plan_to(target, path, speed).await?;
         let order = Move {
             acceleration: Some(speed.max(self.args.softly)),
             guards: guards.iter().map(ToString::to_string).collect(),
-            ..self.order(target, path, speed)
+            ..arm::order(arm::pose(&pose), PathKind::StraightLine, speed)
         };
-        self.moved(order, planned.duration_s).await
+        self.arm().travel(order).await.map(|_| ())
     }
 
-    async fn plan(
-        &self,
-        pose: Isometry3<f64>,
-        path: PathKind,
-        speed: f64,
-    ) -> Result<PlanReport, Failure> {
-        self.plan_to(Target::Pose(rows(&pose)), path, speed).await
+    fn arm(&self) -> Arm<'_> {
+        self.args.arm(self.cx)
     }
-
-    async fn plan_to(
-        &self,
-        target: Target,
-        path: PathKind,
-        speed: f64,
-    ) -> Result<PlanReport, Failure> {
-        let request = Plan {
-            target,
-            path,
-            speed,
-            acceleration: None,
-            elbow: None,
-        };
-        let arm = self.args.arm(self.cx);
-        arm.ask(|arm| {
-            let request = request.clone();
-            async move { arm.plan(request).await }
-        })
-        .await
-    }
-
-    fn order(&self, target: Target, path: PathKind, speed: f64) -> Move {
-        Move {
-            target,
-            path,
-            speed,
-            acceleration: None,
-            elbow: None,
-            guards: Vec::new(),
-            blend: 0.0.into(),
-        }
-    }
-
-    async fn moved(&self, order: Move, planned_s: f64) -> Result<(), Failure> {
-        let arm = self.args.arm(self.cx);
-        arm.go(order, planned_s).await.map(|_| ())
-    }
-}
-
-fn rows(pose: &Isometry3<f64>) -> [f64; 16] {
-    let matrix = pose.to_homogeneous().transpose();
-    let mut rows = [0.0; 16];
-    rows.copy_from_slice(matrix.as_slice());
-    rows
 }

@@ -1,23 +1,22 @@
 //! The Dispatcher of `push`: the functions of `nets/push/dispatcher.net`, which turns a command into a job, and tells what
 //! became of it.
 
-use std::rc::Rc;
-
 use ctos::{
-    diagnostic::Finding,
-    registry::{Registry, Vocabulary},
-    task::{Context, HandlerError},
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::Registry,
+    task::HandlerError,
 };
 use nalgebra::Point2;
-use pnt::{
-    check::FunctionNames,
-    library::{Acted, Action, Library},
-    task::{COMMANDS, KEYS, NetTask, args as net_args, args_of, check_args},
-};
+use pnt::library::Library;
 use serde::Deserialize;
 
 use super::job::{ACCOUNT, Account, JOB, Job};
-use crate::dom::DomStore;
+use crate::{
+    dispatching::{self, Dispatcher, Orders},
+    dom::DomStore,
+    handler::{self, NetArgs},
+};
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.push";
@@ -38,81 +37,45 @@ fn longest_m() -> f64 {
     1.0
 }
 
-/// What the functions share.
-struct Dispatcher {
-    args: Rc<PushArgs>,
-    store: DomStore,
-    /// Number of the command in work, from 1.
-    command: u32,
-}
-
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &COMMANDS, |cx| {
-            let args: PushArgs = args_of(cx)?;
-            let store = DomStore::new(&args.dom);
-            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
-        })
-        .speaks(|task| match net_args::<PushArgs>(task) {
-            Ok(args) => names(&args).vocabulary(),
-            Err(_) => Vocabulary::new(),
-        })
-        .keys(&KEYS)
-        .checked_args::<PushArgs>(|args, task, app, findings| {
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            if !(0.01..=10.0).contains(&args.longest_m) {
-                let place = task.args.locate("longest_m");
-                let text = format!("`longest_m` is {}", args.longest_m);
-                findings.push(
-                    Finding::error("coordinators::push::range", text)
-                        .at(place.unwrap_or_else(|| task.place.clone()))
-                        .help("give from 0.01 to 10 m"),
-                );
-            }
-            check_args(task, app, &names(args), findings);
-        });
+    handler::register::<PushArgs>(registry);
 }
 
-fn names(args: &PushArgs) -> FunctionNames {
-    library(args.clone(), DomStore::new(&args.dom)).names()
-}
+impl NetArgs for PushArgs {
+    const HANDLER: &'static str = HANDLER;
+    type State = Dispatcher<Self>;
 
-fn library(args: PushArgs, store: DomStore) -> Library<Dispatcher> {
-    let state = Dispatcher {
-        args: Rc::new(args),
-        store,
-        command: 0,
-    };
-    Library::new(state)
-        .kept(
-            |state| state.command,
-            |state, command| state.command = command,
-        )
-        .action("begin", begin)
-        .action("report", report)
-}
+    fn dom(&self) -> &str {
+        &self.dom
+    }
 
-type Act = Action<Dispatcher>;
+    fn library(self, store: DomStore) -> Library<Dispatcher<Self>> {
+        dispatching::library(self, store)
+    }
 
-fn parts(action: &Act) -> (Context, Rc<PushArgs>, DomStore) {
-    let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
-    (action.cx().clone(), args, store)
-}
-
-/// Reads `FROM TO`, two points, and makes the job of them. Why it makes none goes into the answer.
-async fn begin(action: Act) -> Acted {
-    let (cx, args, store) = parts(&action);
-    let command = action.with_state(|state| state.command.wrapping_add(1));
-    let began = match job(command, action.arguments(), args.longest_m) {
-        Ok(job) => store.store(&cx, JOB, &job).await,
-        Err(error) => {
-            action.note(error.to_string());
-            Err(error)
+    fn check(&self, task: &TaskConfig, _app: &App, findings: &mut Findings) {
+        if !(0.01..=10.0).contains(&self.longest_m) {
+            let place = task.args.locate("longest_m");
+            let text = format!("`longest_m` is {}", self.longest_m);
+            findings.push(
+                Finding::error("coordinators::push::range", text)
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help("give from 0.01 to 10 m"),
+            );
         }
-    };
-    action.with_state(|state| state.command = command);
-    began
+    }
+}
+
+impl Orders for PushArgs {
+    type Order = Job;
+    const ORDER: &'static str = JOB;
+    type Account = Account;
+    const ACCOUNT: &'static str = ACCOUNT;
+
+    fn order(&self, command: u32, arguments: &[String]) -> Result<Job, HandlerError> {
+        job(command, arguments, self.longest_m)
+    }
 }
 
 fn job(command: u32, arguments: &[String], longest_m: f64) -> Result<Job, HandlerError> {
@@ -152,20 +115,6 @@ fn job(command: u32, arguments: &[String], longest_m: f64) -> Result<Job, Handle
         )));
     }
     Ok(job)
-}
-
-/// Tells, in the answer, how far the thing was pushed, and what was not done and why.
-async fn report(action: Act) -> Acted {
-    let (cx, _, store) = parts(&action);
-    let command = action.with_state(|state| state.command);
-    if let Ok(account) = store.fetch::<Account>(&cx, ACCOUNT).await
-        && account.command == command
-    {
-        for line in account.lines() {
-            action.note(line);
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::outcome::Failure;
+use crate::{dispatching::Told, outcome::Failure};
 
 /// What is to be pushed from where to where: written by the Dispatcher.
 pub const JOB: &str = "push_job";
@@ -71,10 +71,12 @@ pub struct Account {
     pub problems: Vec<(String, Failure)>,
 }
 
-impl Account {
-    /// What there is to say of it, line by line.
-    #[must_use]
-    pub fn lines(&self) -> Vec<String> {
+impl Told for Account {
+    fn command(&self) -> u32 {
+        self.command
+    }
+
+    fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if let (Some(touched), Some(ended)) = (self.touched_m, self.ended_m) {
             let again = match self.again {

@@ -1,18 +1,24 @@
 //! The referee of `push`: holds where the thing stands against what was told, which only a stand-in for the world can know.
 
 use ctos::{
-    diagnostic::Finding,
-    message::{Command, Message},
+    config::TaskConfig,
+    diagnostic::Findings,
     registry::Registry,
     system::AppResult,
-    task::{Context, EventHandler, Handled, HandlerError},
+    task::{Context, HandlerError},
 };
-use mcs_hand::command::ReadBodies;
+use mcs_hand::command::Body;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::job::{ACCOUNT, Account, JOB, Job};
-use crate::{dom::DomStore, referee::Judge};
+use crate::{
+    dom::DomStore,
+    referee::{
+        Judge,
+        bodies::{self, Judges, pose_of},
+    },
+};
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.push_referee";
@@ -22,7 +28,7 @@ pub const HANDLER: &str = "coordinators.push_referee";
 #[serde(deny_unknown_fields)]
 struct RefereeArgs {
     /// The task that knows where bodies are.
-    #[serde(default = "world_task")]
+    #[serde(default = "bodies::world_task")]
     world: String,
     /// The data object manager.
     #[serde(default = "crate::dom_task")]
@@ -34,10 +40,6 @@ struct RefereeArgs {
     /// How far from where it should be it may stand, m, along and across.
     #[serde(default = "within_m")]
     within_m: f64,
-}
-
-fn world_task() -> String {
-    "world".to_owned()
 }
 
 fn within_m() -> f64 {
@@ -57,56 +59,48 @@ struct Verdict {
     across_m: f64,
 }
 
-struct Referee {
-    args: RefereeArgs,
-}
-
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
-    registry
-        .handler(HANDLER, &[Judge::INFO], |cx| {
-            Ok(Referee { args: cx.args()? })
-        })
-        .checked_args::<RefereeArgs>(|args, task, app, findings| {
-            crate::need_task(task, app, "world", &args.world, findings);
-            crate::need_task(task, app, "dom", &args.dom, findings);
-            for (key, value) in [("half_m", args.half_m), ("within_m", args.within_m)] {
-                if !(1e-5..=1.0).contains(&value) {
-                    let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-                    let text = format!("`{key}` is {value}");
-                    findings.push(
-                        Finding::error("coordinators::push::range", text)
-                            .at(place)
-                            .help("give from 0.00001 to 1 m"),
-                    );
-                }
-            }
-        });
+    bodies::register::<RefereeArgs>(registry);
 }
 
-impl Referee {
-    async fn judge(&self, cx: &Context, judge: &Judge) -> Result<AppResult, HandlerError> {
-        let store = DomStore::new(&self.args.dom);
+impl Judges for RefereeArgs {
+    const HANDLER: &'static str = HANDLER;
+
+    fn world(&self) -> &str {
+        &self.world
+    }
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn check(&self, task: &TaskConfig, findings: &mut Findings) {
+        for (key, value) in [("half_m", self.half_m), ("within_m", self.within_m)] {
+            let length = (key, value, 1.0);
+            bodies::check_length(task, length, "coordinators::push::range", findings);
+        }
+    }
+
+    async fn judge(
+        &self,
+        cx: &Context,
+        store: &DomStore,
+        bodies: &[Body],
+        judge: &Judge,
+    ) -> Result<AppResult, HandlerError> {
         let job: Job = store.fetch(cx, JOB).await?;
         let account: Account = store.fetch(cx, ACCOUNT).await?;
-        let world = cx.task(&self.args.world).await?;
-        let bodies = cx.call(&world, ReadBodies {}).await;
-        let bodies = bodies.map_err(|error| HandlerError::new(error.reason()))?;
-        let body = bodies.iter().find(|body| body.name == self.args.body);
-        let body = body.ok_or_else(|| {
-            HandlerError::new(format!("the world has no body `{}`", self.args.body))
-        })?;
-        let [_, _, _, x, _, _, _, y, ..] = body.world_t_body;
-        let verdict = verdict(&job, &account, Point2::new(x, y), self.args.half_m);
+        let middle = pose_of(bodies, &self.body)?.translation.vector.xy();
+        let verdict = verdict(&job, &account, middle.into(), self.half_m);
         let verdict = Verdict {
-            ok: verdict.error_m.abs() <= self.args.within_m
-                && verdict.across_m.abs() <= self.args.within_m,
+            ok: verdict.error_m.abs() <= self.within_m && verdict.across_m.abs() <= self.within_m,
             seconds: judge.seconds,
             ..verdict
         };
         let text = format!(
             "{} stands {:.1} mm from where it was left, {:.1} mm off the line, {:.1} s\n{}",
-            self.args.body,
+            self.body,
             verdict.error_m * 1e3,
             verdict.across_m * 1e3,
             verdict.seconds,
@@ -130,21 +124,6 @@ fn verdict(job: &Job, account: &Account, middle: Point2<f64>, half_m: f64) -> Ve
         along_m,
         error_m: along_m - left,
         across_m: direction.perp(&(middle - job.from)),
-    }
-}
-
-impl EventHandler for Referee {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        match message.command() {
-            Judge::CODE => {
-                let (judge, reply) = message.open::<Judge>()?;
-                match self.judge(cx, &judge).await {
-                    Ok(result) => reply.ok(result),
-                    Err(error) => reply.fail(error),
-                }
-            }
-            _ => cx.default_processing(message),
-        }
     }
 }
 

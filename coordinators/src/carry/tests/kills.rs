@@ -1,0 +1,258 @@
+//! Every process around an errand is killed at every phase of every transition, one after the other. All nets are durable, and each
+//! process comes back.
+
+use std::{collections::BTreeSet, time::Duration};
+
+use ctos::{
+    boot::{Fault, FaultKind},
+    time::Instant,
+};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::world::{CARRY, Place, STAND_INS, World, on, tasks};
+use crate::bench::{self, FAULTS, Fault as Wrong};
+
+/// The tasks, each in a process of its own. The first five are durable.
+const TASKS: [&str; 8] = [
+    "dispatcher",
+    "robot",
+    "hand",
+    "vision",
+    "dom",
+    "mcs",
+    "gripper",
+    "eyes",
+];
+
+/// The app with each task in a process that comes back.
+fn app() -> (String, Vec<String>) {
+    let mut text = bench::app(&tasks("seen"), &STAND_INS);
+    let mut sets = Vec::new();
+    for (number, task) in TASKS.iter().enumerate() {
+        text += &format!(
+            "[chassis.on_{task}]\nrestart = \"always\"\nmax_restarts = 100\nrestart_backoff_s = 0.05\n"
+        );
+        sets.push(format!("task.{task}.on=\"on_{task}\""));
+        if number < 5 {
+            sets.push(format!("task.{task}.args.durable=true"));
+        }
+    }
+    (text, sets)
+}
+
+/// A world in which motions take a while, so that a process may die in one.
+fn world() -> World {
+    let mut world = World::default();
+    world.motion = Duration::from_millis(400);
+    world
+}
+
+/// An errand, and then whatever is in the hand is put back.
+fn run(kills: &[Fault]) -> World {
+    run_in(world(), kills, 1)
+}
+
+fn run_in(world: World, kills: &[Fault], seed: u64) -> World {
+    let (text, mut sets) = app();
+    sets.push(format!("app.seed={seed}"));
+    bench::run_with(world, (&text, &sets), &[CARRY, "put_back"], kills)
+}
+
+fn kill(task: &str, at_ns: u64) -> Fault {
+    let at = Instant::from_nanos(at_ns);
+    Fault::on(format!("on_{task}"), FaultKind::Kill, at)
+}
+
+/// Moments at which something changes in a run that nobody disturbs, ns: every phase of every transition, a little later, when what
+/// it changed is being stored, and in the midst of what takes longer.
+fn moments() -> Vec<u64> {
+    let plain = run(&[]);
+    assert_eq!(
+        plain.bench.answers[0].0, "carried",
+        "{:?}",
+        plain.bench.answers
+    );
+    let phases: BTreeSet<u64> = plain
+        .bench
+        .firings
+        .iter()
+        .map(|(_, event)| event.at_ns)
+        .collect();
+    let first = plain.bench.firings.iter();
+    let mut first = first.map(|(_, event)| event.transition.as_str());
+    assert!(
+        first.any(|transition| transition == "begin"),
+        "the beginning is not known"
+    );
+    assert!(phases.len() > 50, "{}", phases.len());
+    let phases: Vec<u64> = phases.into_iter().collect();
+    let mut all: BTreeSet<u64> = phases.iter().flat_map(|at| [*at, at + 1_000_000]).collect();
+    let pauses = phases
+        .windows(2)
+        .filter(|pair| pair[1] - pair[0] > 20_000_000);
+    all.extend(pauses.map(|pair| (pair[0] + pair[1]) / 2));
+    all.into_iter().collect()
+}
+
+fn is_near(place: &Place, field: &str) -> bool {
+    matches!(place, Place::At(at) if (at - on(field)).norm() < 6e-3)
+}
+
+/// What must hold of a run, whatever went wrong besides.
+fn is_true(world: &World, case: &str) {
+    let case = format!(
+        "{case}: {:?}; the thing was {:?}, now {:?}",
+        world.bench.answers, world.at_answers, world.thing
+    );
+    assert!(!world.dropped, "dropped: {case}");
+    assert!(world.rests(), "no rest: {case}");
+    let (symbol, text) = &world.bench.answers[0];
+    if symbol == "carried" {
+        assert!(is_near(&world.at_answers[0], "4,5"), "{case}");
+    } else {
+        assert!(!text.is_empty(), "no reason: {case}");
+    }
+    let (symbol, _) = &world.bench.answers[1];
+    let held = usize::from(world.thing == Place::InHand);
+    assert!(
+        held <= world.hand_full() as usize,
+        "nobody knows of it: {case}"
+    );
+    assert_eq!(symbol == "put_down", world.hand_full() == 0, "{case}");
+}
+
+/// What must hold of a run, whatever was killed.
+fn must_hold(world: &World, case: &str) {
+    is_true(world, case);
+    let (symbol, text) = &world.bench.answers[0];
+    let case = format!(
+        "{case}: {:?}; the thing was {:?}, now {:?}",
+        world.bench.answers, world.at_answers, world.thing
+    );
+    match symbol.as_str() {
+        "carried" => {}
+        "not_carried" => {
+            let late = ["let_go", "withdraw", "park", "verify", "4.00,5.00"];
+            let is_told = late.iter().any(|word| text.contains(word));
+            let has_arrived = is_near(&world.at_answers[0], "4,5");
+            assert!(
+                !has_arrived || is_told,
+                "it is there, and nobody says so: {case}"
+            );
+        }
+        _ => panic!("{case}"),
+    }
+    // Whatever was left in the hand has been put back by now.
+    assert_eq!(world.bench.answers[1].0, "put_down", "{case}");
+    let stands = ["3,4", "4,5"]
+        .iter()
+        .any(|field| is_near(&world.thing, field));
+    assert!(stands && world.hand_full() == 0, "{case}");
+    assert!(!world.bench.reserved, "nobody gave the arm back: {case}");
+}
+
+/// How many kills are tried in the short run; every one with `CTOS_CARRY_SEEDS`.
+const SHORT: usize = 24;
+
+#[test]
+fn whoever_is_killed_at_any_phase_of_any_transition_the_answer_is_true_and_the_thing_is_in_one_place()
+ {
+    let moments = moments();
+    let all: Vec<(&str, u64)> = TASKS
+        .iter()
+        .flat_map(|task| moments.iter().map(move |at| (*task, *at)))
+        .collect();
+    let every = std::env::var("CTOS_CARRY_SEEDS").is_ok();
+    let step = if every { 1 } else { (all.len() / SHORT).max(1) };
+    let (mut carried, mut tried) = (0, 0);
+    let mut failed = Vec::new();
+    for (task, at) in all.iter().step_by(step) {
+        let kill = kill(task, *at);
+        let case = format!("{task} was killed at {} ms", *at as f64 / 1e6);
+        tried += 1;
+        let ran = std::panic::catch_unwind(|| {
+            let world = run(&[kill]);
+            must_hold(&world, &case);
+            world.bench.answers[0].0 == "carried"
+        });
+        match ran {
+            Ok(was_carried) => carried += usize::from(was_carried),
+            Err(_) => failed.push(case),
+        }
+    }
+    assert!(
+        failed.is_empty(),
+        "{} of {tried}: {failed:#?}",
+        failed.len()
+    );
+    // What died does not keep the thing from being carried, as a rule.
+    assert!(
+        10 * carried > 9 * tried,
+        "{carried} of {tried} were carried"
+    );
+}
+
+/// How often ways were tried that an answer's last line tells about.
+fn trials(text: &str) -> u32 {
+    let line = text.lines().last().unwrap_or_default();
+    let words = line.split(['(', ')']);
+    let counts = words.filter_map(|words| words.strip_suffix(" tried")?.parse::<u32>().ok());
+    counts.sum()
+}
+
+#[test]
+fn what_is_believed_of_ways_outlasts_the_process_that_believes_it() {
+    let (text, sets) = app();
+    let commands = [CARRY, "carry 4,5 3,4"];
+    let one = bench::run_with(world(), (&text, &sets), &commands[..1], &[]);
+    let end = one.bench.firings.iter().map(|(_, event)| event.at_ns).max();
+    let kill = kill("robot", end.unwrap() + 1_000_000);
+    let world = bench::run_with(world(), (&text, &sets), &commands, &[kill]);
+    let answers = &world.bench.answers;
+    assert_eq!(answers[1].0, "carried", "{answers:?}");
+    assert_eq!(
+        (trials(&answers[0].1), trials(&answers[1].1)),
+        (1, 2),
+        "{answers:?}"
+    );
+}
+
+/// Seeds of the campaign; few unless `CTOS_CARRY_SEEDS` says how many.
+fn seeds() -> u64 {
+    let given = std::env::var("CTOS_CARRY_SEEDS").ok();
+    given.map_or(12, |text| text.parse().unwrap())
+}
+
+#[test]
+fn with_kills_and_faults_drawn_together_every_answer_is_true_and_the_markings_say_what_is_in_the_hand()
+ {
+    let end = moments().last().copied().unwrap();
+    let mut failed = Vec::new();
+    for seed in 0..seeds() {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let kills: Vec<Fault> = (0..rng.random_range(1..4))
+            .map(|_| {
+                let task = TASKS[rng.random_range(0..TASKS.len())];
+                kill(task, rng.random_range(0..end))
+            })
+            .collect();
+        let mut world = world();
+        for _ in 0..rng.random_range(0..3) {
+            let wrong = match rng.random_range(0..=FAULTS.len()) {
+                number if number < FAULTS.len() => FAULTS[number],
+                _ => Wrong::Slips,
+            };
+            world.bench.faults.push((rng.random_range(0..60), wrong));
+        }
+        let case = format!("seed {seed}: {kills:?} {:?}", world.bench.faults);
+        let ran = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            is_true(&run_in(world, &kills, seed), &case);
+        }));
+        if ran.is_err() {
+            failed.push(case);
+        }
+    }
+    assert!(failed.is_empty(), "{}: {failed:#?}", failed.len());
+}

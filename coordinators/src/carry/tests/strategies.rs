@@ -1,0 +1,105 @@
+//! Which ways the Robot Coordinator takes, and what it learns of them.
+
+use super::world::{CARRY, World, on, run, run_seeded};
+
+/// To and fro between two fields, so often.
+fn tour(count: usize) -> Vec<&'static str> {
+    let both = ["carry 3,4 4,5", "carry 4,5 3,4"];
+    both.into_iter().cycle().take(count).collect()
+}
+
+/// How often something failed on the way, by errand; all of them were carried.
+fn failures(world: &World, word: &str) -> Vec<usize> {
+    let answers = world.bench.answers.iter();
+    let failed = answers.map(|(symbol, text)| {
+        assert_eq!(symbol, "carried", "{text}");
+        text.matches(word).count()
+    });
+    failed.collect()
+}
+
+/// The answers at first and at last of several seeds.
+fn early_and_late(world: impl Fn() -> World, word: &str) -> (usize, usize) {
+    let (mut early, mut late) = (0, 0);
+    for seed in 0..4 {
+        let world = run_seeded(world(), &tour(40), seed);
+        let failures = failures(&world, word);
+        early += failures[..6].iter().sum::<usize>();
+        late += failures[34..].iter().sum::<usize>();
+    }
+    (early, late)
+}
+
+#[test]
+fn a_way_with_the_thing_that_is_made_bad_is_hardly_tried_first_any_more_after_some_errands() {
+    let world = || {
+        let mut world = World::default();
+        world.blocked = vec!["arch"];
+        world
+    };
+    let (early, late) = early_and_late(world, "transfer: arch failed");
+    assert!(
+        3 * late < early,
+        "{early} ways failed at first, {late} at last"
+    );
+}
+
+#[test]
+fn a_turn_of_the_gripper_that_meets_something_gives_way_to_another_and_is_hardly_tried_any_more() {
+    let world = || {
+        let mut world = World::default();
+        world.blocked_turns = vec![0.0];
+        world
+    };
+    let (early, late) = early_and_late(world, "grasp of disc: turned by 0 degrees failed");
+    assert!(
+        3 * late < early,
+        "{early} grasps failed at first, {late} at last"
+    );
+}
+
+#[test]
+fn where_every_way_is_blocked_the_answer_has_the_reason_of_each_and_nothing_was_touched() {
+    let mut world = World::default();
+    world.blocked = vec!["arch", "line", "joint"];
+    let world = run(world, &[CARRY]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried");
+    for way in ["arch", "line", "joint"] {
+        let said = format!("approach: {way} failed");
+        assert!(text.contains(&said), "{said}: {text}");
+    }
+    assert_eq!(world.stands_at(), on("3,4"));
+    assert!(world.rests());
+}
+
+#[test]
+fn where_every_turn_meets_something_the_thing_is_not_carried_after_two_tries() {
+    let mut world = World::default();
+    world.blocked_turns = [0.0_f64, 90.0, 45.0, -45.0].map(f64::to_radians).to_vec();
+    let world = run(world, &[CARRY]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried");
+    assert_eq!(text.matches("grasp of disc: turned").count(), 2, "{text}");
+    assert_eq!(world.stands_at(), on("3,4"));
+}
+
+#[test]
+fn the_answer_tells_which_ways_were_gone_and_what_is_believed_of_all() {
+    let world = run(World::default(), &[CARRY]);
+    let (_, text) = &world.bench.answers[0];
+    for said in [
+        "approach: ",
+        "grasp of disc: turned by",
+        "transfer: ",
+        "believed of transfer: ",
+    ] {
+        assert!(text.contains(said), "{said}: {text}");
+    }
+}
+
+#[test]
+fn the_same_seed_takes_the_same_ways() {
+    let answers = |seed| run_seeded(World::default(), &tour(4), seed).bench.answers;
+    assert_eq!(answers(3), answers(3));
+}

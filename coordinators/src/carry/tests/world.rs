@@ -1,0 +1,433 @@
+//! The stand-ins: an arm, a gripper and cameras that know where the thing is.
+
+use std::time::Duration;
+
+use ctos::{
+    diagnostic::Source,
+    message::{Command, CommandInfo, Message},
+    task::{Context, Handled},
+};
+use mcs::{
+    Joints,
+    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, Target},
+};
+use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
+use nalgebra::{Isometry3, Point3, Vector3};
+use vss::command::{Outcome as Vss, VisionError};
+use vss_board::{discs::SeenDisc, pose::BoardPose};
+
+use crate::{
+    bench::{self, Bench, Fault, StandIn, configs, lock, pose},
+    carry::{board::Board, errand::Errand, eyes::LookOver, sight::Overview, thing::Thing},
+};
+
+pub(super) const BOARD: Board = Board {
+    at: [0.5, 0.0, 0.42],
+    yaw_deg: 20.0,
+    field_m: 0.06,
+    fields: 8,
+    thick_m: 0.02,
+    dot: Some([-0.255, -0.21]),
+};
+
+pub(super) fn disc() -> Thing {
+    let disc = include_str!("../../../../configs/carry/disc.toml");
+    Thing::parse(&Source::new("disc.toml", disc)).unwrap()
+}
+
+/// The middle of the bottom of a disc on a field.
+pub(super) fn on(field: &str) -> Point3<f64> {
+    BOARD.point(&field.parse().unwrap(), disc().height_m)
+}
+
+/// From field 3,4 to 4,5 of a board that is turned.
+pub(in crate::carry) fn errand() -> Errand {
+    let thing = disc();
+    let [from, to] = ["3,4", "4,5"].map(|text| text.parse().unwrap());
+    Errand {
+        command: 1,
+        from,
+        to,
+        board: BOARD,
+        points: [from, to].map(|field| BOARD.point(&field, thing.height_m)),
+        yaw: BOARD.yaw(),
+        clearance_m: 0.1,
+        speed: None,
+        thing,
+    }
+}
+
+/// Where the thing is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Place {
+    /// The middle of its bottom.
+    At(Point3<f64>),
+    InHand,
+}
+
+/// What the stand-ins share.
+pub(super) struct World {
+    pub bench: Bench,
+    tool: Isometry3<f64>,
+    planned: Vec<Isometry3<f64>>,
+    pub thing: Place,
+    /// Other discs.
+    pub others: Vec<Point3<f64>>,
+    /// Where the board truly is, and how it is known: an argument of the Vision Coordinator.
+    pub board: Board,
+    pub believes: &'static str,
+    /// Looks at the table from this one on show nothing.
+    pub dark_from: usize,
+    pub looks: usize,
+    /// Something that is no disc stands on TO.
+    pub clutter: bool,
+    /// Turns of the gripper that the arm does not reach, rad.
+    pub unreachable: Vec<f64>,
+    /// Turns with which something is in the way down to a thing, rad.
+    pub blocked_turns: Vec<f64>,
+    /// Kinds of path that a guard ends half way.
+    pub blocked: Vec<&'static str>,
+    pub is_open: bool,
+    /// Let go where nothing was beneath.
+    pub dropped: bool,
+    /// How long a motion takes.
+    pub motion: Duration,
+    /// Where the thing was at each answer.
+    pub at_answers: Vec<Place>,
+}
+
+impl Default for World {
+    fn default() -> Self {
+        Self::new(&[])
+    }
+}
+
+impl World {
+    pub fn new(faults: &[(usize, Fault)]) -> Self {
+        Self {
+            bench: Bench::new(faults),
+            tool: Isometry3::translation(0.3, 0.0, 0.8),
+            planned: Vec::new(),
+            thing: Place::At(on("3,4")),
+            others: Vec::new(),
+            board: BOARD,
+            believes: "seen",
+            dark_from: usize::MAX,
+            looks: 0,
+            clutter: false,
+            unreachable: Vec::new(),
+            blocked_turns: Vec::new(),
+            blocked: Vec::new(),
+            is_open: false,
+            dropped: false,
+            motion: Duration::ZERO,
+            at_answers: Vec::new(),
+        }
+    }
+
+    /// Where the thing stands.
+    ///
+    /// # Panics
+    /// When it is in the hand.
+    pub fn stands_at(&self) -> Point3<f64> {
+        match self.thing {
+            Place::At(at) => at,
+            Place::InHand => panic!("it is in the hand"),
+        }
+    }
+
+    /// Whether the Dispatcher is at rest.
+    pub fn rests(&self) -> bool {
+        self.bench.tokens("hand_empty") + self.hand_full() == 1
+    }
+
+    /// Whether the Dispatcher knows that something is in the hand.
+    pub fn hand_full(&self) -> u32 {
+        self.bench.tokens("hand_full")
+    }
+
+    /// Whether anything was asked but the cameras.
+    pub fn moved(&self) -> bool {
+        let mut asked = self.bench.asked.iter();
+        asked.any(|request| request != "look_over")
+    }
+
+    /// Where a motion leads.
+    fn target(&self, order: &Move) -> Isometry3<f64> {
+        match order.target {
+            Target::Pose(rows) => pose(&rows),
+            Target::Joints(joints) => match self.planned.get(joints[0] as usize) {
+                Some(planned) if joints[1] < -1.0 => *planned,
+                _ => Isometry3::translation(0.3, 0.0, 0.8),
+            },
+        }
+    }
+
+    /// How the gripper is turned about the vertical of the board, rad.
+    fn turn(&self, tool: &Isometry3<f64>) -> f64 {
+        let across = tool * Vector3::x();
+        across.y.atan2(across.x) - self.board.yaw()
+    }
+
+    /// The middle of the bottom of what the pads would be around.
+    fn bottom(&self) -> Point3<f64> {
+        let at = Point3::from(self.tool.translation.vector);
+        at - Vector3::z() * disc().grasp.above_m
+    }
+
+    /// What the cameras see.
+    fn overview(&mut self) -> Result<Overview, VisionError> {
+        self.looks += 1;
+        if self.looks > self.dark_from {
+            return Err(VisionError::new(Vss::Unseen, "no camera sees the board"));
+        }
+        let pose = self.board.pose();
+        let disc = |at: &Point3<f64>, colour: usize| SeenDisc {
+            at: pose.inverse() * at,
+            colour,
+            rms_px: 0.1,
+            sd_m: 1e-4,
+            cameras: 2,
+        };
+        let mut discs: Vec<SeenDisc> = self.others.iter().map(|at| disc(at, 1)).collect();
+        if let Place::At(at) = &self.thing {
+            discs.push(disc(at, 0));
+        }
+        Ok(Overview {
+            board: BoardPose {
+                base_t_board: pose,
+                sd: [1e-4; 6],
+                rms_px: 0.1,
+                corners: 98,
+                cameras: vec!["left".to_owned(), "right".to_owned()],
+            },
+            discs,
+            bare: vec![Some(if self.clutter { 0.1 } else { 1.0 })],
+            doubts: Vec::new(),
+        })
+    }
+
+    fn closes(&mut self) {
+        self.is_open = false;
+        if let Place::At(at) = self.thing
+            && (at - self.bottom()).norm() < 2e-3
+        {
+            self.thing = Place::InHand;
+        }
+    }
+
+    /// Whether there is a field right beneath what the pads would be around.
+    fn stands(&self) -> bool {
+        let bottom = self.bottom();
+        let height_m = disc().height_m;
+        let fields =
+            ["3,4", "4,5"].map(|field| self.board.point(&field.parse().unwrap(), height_m));
+        fields.iter().any(|field| (bottom - field).norm() < 6e-3)
+    }
+
+    fn opens(&mut self) {
+        self.is_open = true;
+        if self.thing == Place::InHand {
+            self.dropped |= !self.stands();
+            self.thing = Place::At(self.bottom());
+        }
+    }
+
+    fn held(&self) -> Held {
+        let holds = self.thing == Place::InHand;
+        Held {
+            holds,
+            width_m: if holds { disc().width_m } else { 0.0 },
+            force_n: 15.0,
+        }
+    }
+}
+
+impl bench::World for World {
+    const MORE: &'static [CommandInfo] = &[Grasp::INFO, Open::INFO, ReadHeld::INFO, LookOver::INFO];
+
+    fn bench(&mut self) -> &mut Bench {
+        &mut self.bench
+    }
+
+    fn strikes(&mut self, _request: &str, fault: Option<Fault>) {
+        // What stands slips no more.
+        if fault == Some(Fault::Slips) && self.thing == Place::InHand && !self.stands() {
+            let below = self.bottom();
+            self.thing = Place::At(Point3::new(below.x + 0.03, below.y, 0.42));
+        }
+    }
+
+    fn takes(&self, request: &str) -> Duration {
+        match request {
+            Move::NAME => self.motion,
+            Grasp::NAME | Open::NAME => self.motion / 4,
+            _ => Duration::ZERO,
+        }
+    }
+
+    fn plans(&mut self, plan: &Plan) -> Result<Joints, MotionError> {
+        let rows = match plan.target {
+            Target::Joints(joints) => return Ok(joints),
+            Target::Pose(rows) => rows,
+        };
+        let to = pose(&rows);
+        let turn = self.turn(&to);
+        let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
+        if self.unreachable.iter().any(is_near) {
+            return Err(MotionError::new(Motion::Unreachable, "out of reach"));
+        }
+        self.planned.push(to);
+        let number = self.planned.len() as f64 - 1.0;
+        Ok([number, -99.0, 0.0, 0.0, 0.0, 0.0].into())
+    }
+
+    fn goes(&mut self, order: &Move) -> Result<(), MotionError> {
+        let mut to = self.target(order);
+        let mut met = Ok(());
+        let kind = match order.path {
+            PathKind::Arch { .. } => "arch",
+            PathKind::StraightLine => "line",
+            _ => "joint",
+        };
+        // The ways down have guards of their own.
+        if order.guards.is_empty() && self.blocked.contains(&kind) {
+            self.tool = self.tool.lerp_slerp(&to, 0.5);
+            return Err(MotionError::new(Motion::Guard, "post is near"));
+        }
+        let turn = self.turn(&to);
+        let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
+        let empty = self.thing != Place::InHand;
+        if !order.guards.is_empty() && empty && self.blocked_turns.iter().any(is_near) {
+            return Err(MotionError::new(Motion::Guard, "force 9 N"));
+        }
+        if !order.guards.is_empty() {
+            let held = self.thing == Place::InHand;
+            for other in &self.others {
+                let over = (other.xy() - Point3::from(to.translation.vector).xy()).norm() < 0.02;
+                let top = other.z + disc().height_m + disc().grasp.above_m;
+                if held && over && to.translation.z < top {
+                    to.translation.z = top;
+                    met = Err(MotionError::new(Motion::Guard, "force 9 N"));
+                }
+            }
+        }
+        self.tool = to;
+        met
+    }
+
+    fn is_broken_off(&mut self, order: &Move) {
+        let to = self.target(order);
+        self.tool = self.tool.lerp_slerp(&to, 0.5);
+    }
+
+    fn tool(&self) -> Isometry3<f64> {
+        self.tool
+    }
+
+    fn is_answered(&mut self) {
+        self.at_answers.push(self.thing);
+    }
+
+    /// The gripper and the cameras.
+    fn more(stand_in: &StandIn<Self>, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Grasp::CODE => stand_in.typed::<Grasp, _>(cx, message, |world, _| {
+                world.closes();
+                Ok(world.held())
+            }),
+            Open::CODE => stand_in.typed::<Open, _>(cx, message, |world, _| {
+                world.opens();
+                Ok(world.held())
+            }),
+            ReadHeld::CODE => {
+                stand_in.typed::<ReadHeld, _>(cx, message, |world, _| Ok(world.held()))
+            }
+            LookOver::CODE => {
+                let (LookOver { .. }, reply) = message.open::<LookOver>()?;
+                let error = |outcome| Err(VisionError::new(outcome, "no picture on purpose"));
+                match stand_in.meets("look_over").0 {
+                    Some(Fault::Meets(Motion::Lost)) => reply.fail("it is broken"),
+                    Some(Fault::Meets(Motion::Unreachable)) => reply.ok(error(Vss::Unseen)),
+                    Some(Fault::Meets(Motion::Refused)) => reply.ok(error(Vss::Refused)),
+                    Some(Fault::Meets(_)) => reply.ok(error(Vss::Fault)),
+                    Some(Fault::AnswerLost) => reply.ok(error(Vss::Lost)),
+                    Some(Fault::Slips) | None => reply.ok(lock(&stand_in.0).overview()),
+                }
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// The tasks of the nets.
+pub(super) fn tasks(believes: &str) -> String {
+    let configs = configs();
+    format!(
+        r#"
+[task.dispatcher]
+handler = "coordinators.carry"
+on = "ws1"
+[task.dispatcher.args]
+net = "{configs}/nets/carry/dispatcher.net"
+thing = "{configs}/carry/disc.toml"
+board = {{ at = [0.5, 0.0, 0.42], yaw_deg = 20.0, field_m = 0.06, dot = [-0.255, -0.21] }}
+[task.robot]
+handler = "coordinators.carry_robot"
+on = "ws1"
+[task.robot.args]
+net = "{configs}/nets/carry/robot.net"
+touch = ["touch"]
+park_deg = [0, 75, -180, 0, -75, 0]
+service_within_s = 2.0
+[task.hand]
+handler = "coordinators.carry_hand"
+on = "ws1"
+[task.hand.args]
+net = "{configs}/nets/carry/hand.net"
+service_within_s = 2.0
+[task.vision]
+handler = "coordinators.carry_vision"
+on = "ws1"
+[task.vision.args]
+net = "{configs}/nets/carry/vision.net"
+board = "{believes}"
+service_within_s = 2.0
+"#,
+        configs = configs.display()
+    )
+}
+
+/// The stand-ins by the names of their tasks.
+pub(super) const STAND_INS: [&str; 3] = ["mcs", "gripper", "eyes"];
+
+pub(super) fn run(world: World, commands: &[&str]) -> World {
+    run_seeded(world, commands, 1)
+}
+
+/// One command, with settings as `--set` takes them.
+pub(super) fn run_with(world: World, sets: &[&str]) -> World {
+    let app = bench::app(&tasks(world.believes), &STAND_INS);
+    let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
+    bench::run_with(world, (&app, &sets), &[CARRY], &[])
+}
+
+pub(super) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
+    let app = bench::app(&tasks(world.believes), &STAND_INS);
+    let sets = [format!("app.seed={seed}")];
+    bench::run_with(world, (&app, &sets), commands, &[])
+}
+
+/// One command: from field 3,4 to 4,5.
+pub(super) const CARRY: &str = "carry 3,4,0 4,5,0";
+
+/// What an errand without faults asks.
+pub(super) fn requests() -> Vec<String> {
+    run(World::default(), &[CARRY]).bench.asked
+}
+
+/// The requests that are motions.
+pub(super) fn motions(requests: &[String]) -> Vec<usize> {
+    let all = 0..requests.len();
+    all.filter(|at| requests[*at] == Move::NAME).collect()
+}
