@@ -15,7 +15,7 @@ use vss::{
 };
 use vss_board::pose::{BoardForm, NoBoard, View, find_board};
 
-const SIZE: (usize, usize) = (640, 480);
+const SIZE: (usize, usize) = (480, 360);
 const FIELD: f64 = 0.06;
 const FORM: BoardForm = BoardForm {
     field_m: FIELD,
@@ -30,10 +30,10 @@ fn camera(eye: Point3<f64>) -> Camera {
         rotation: UnitQuaternion::from_rotation_matrix(&view).inverse(),
         centre: eye,
         intrinsics: Intrinsics {
-            fx: 700.0,
-            fy: 700.0,
-            cx: 320.0,
-            cy: 240.0,
+            fx: 525.0,
+            fy: 525.0,
+            cx: 240.0,
+            cy: 180.0,
         },
         distortion: Distortion::default(),
     }
@@ -75,7 +75,7 @@ fn misleading(at: Point2<f64>) -> f64 {
     let dot = Point2::from(FORM.dot);
     if (at - dot).norm() < DOT_RADIUS {
         90.0
-    } else if (at + dot.coords).norm() < DOT_RADIUS {
+    } else if (at + dot.coords).coords.norm() < DOT_RADIUS {
         245.0
     } else {
         as_made(at)
@@ -92,11 +92,11 @@ fn view(name: &str, camera: Camera, board: &Isometry3<f64>, look: Look) -> View 
     };
     let pixels = (0..width * height).map(|at| {
         let (u, v) = ((at % width) as f64, (at / width) as f64);
-        let parts = (0..9).map(|k| {
-            let (du, dv) = (f64::from(k % 3 - 1) / 3.0, f64::from(k / 3 - 1) / 3.0);
-            grey(u + du, v + dv)
+        let parts = (0..4).map(|k| {
+            let (du, dv) = (f64::from(k % 2) / 2.0, f64::from(k / 2) / 2.0);
+            grey(u + du - 0.25, v + dv - 0.25)
         });
-        (parts.sum::<f64>() / 9.0).round() as u8
+        (parts.sum::<f64>() / 4.0).round() as u8
     });
     View {
         frame: Frame {

@@ -23,8 +23,10 @@ use crate::{
 /// The commands of `vss.tool_disk_find`.
 pub const DISK_FIND_COMMANDS: &[CommandInfo] = &[LocateDisk::INFO];
 
-/// Places where a disc is looked for, along each axis, in radii from the middle: each place finds what is within a radius.
-const AROUND: [f64; 5] = [0.0, -1.0, 1.0, -2.0, 2.0];
+/// Places where a disc is looked for, along each axis, in radii from the middle. Each finds what is within 1.1 radii, and all of
+/// them what is within two.
+const AROUND: [f64; 3] = [0.0, -1.5, 1.5];
+const WITHIN: f64 = 2.0;
 
 /// Arguments of toolDiskFind.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -124,7 +126,7 @@ impl DiskFindTool {
         best.ok_or_else(|| {
             let text = format!(
                 "no disc of about {radius} px is within {:.0} px of ({u:.0}, {v:.0})",
-                3.0 * radius
+                WITHIN * radius
             );
             VisionError::new(Outcome::Unseen, text)
         })
