@@ -165,6 +165,8 @@ struct Coordinator {
     leg: Leg,
     /// What ended the latest motion before its end.
     ended: Option<Failure>,
+    /// The part was begun again since MCS had gone in the midst of it.
+    begun_again: bool,
     /// The way above an end that is in work.
     step: Step<Going>,
     /// The grasp of the command in work.
@@ -229,6 +231,7 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         store,
         leg: Leg::Park,
         ended: None,
+        begun_again: false,
         step: Step::default(),
         grasp: Step::default(),
         belief: Belief::default(),
@@ -236,7 +239,7 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         lines: Vec::new(),
     };
     let save = |state: &Coordinator| {
-        let motion = (state.leg, state.ended.clone());
+        let motion = (state.leg, state.ended.clone(), state.begun_again);
         let (step, grasp) = (state.step.clone(), state.grasp.clone());
         let (belief, lines) = (state.belief.clone(), state.lines.clone());
         (motion, step, grasp, belief, state.choices, lines)
@@ -246,7 +249,7 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         .kept(
             save,
             |state, (motion, step, grasp, belief, choices, lines)| {
-                (state.leg, state.ended) = motion;
+                (state.leg, state.ended, state.begun_again) = motion;
                 (state.step, state.grasp) = (step, grasp);
                 (state.belief, state.choices, state.lines) = (belief, choices, lines);
             },
@@ -275,8 +278,20 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
             let ended = state.ended.as_ref();
             ended.is_some_and(|failure| failure.outcome == Outcome::Stopped)
         })
+        .enabling("was_gone", |state: &Coordinator| {
+            let ended = state.ended.as_ref();
+            let was_gone = ended.is_some_and(|failure| failure.outcome == Outcome::Lost);
+            was_gone && !state.begun_again
+        })
         .action("again", |action: Act| async move {
             let leg = action.with_state(|state| state.leg);
+            go(action, leg).await
+        })
+        .action("begin_again", |action: Act| async move {
+            let leg = action.with_state(|state| {
+                state.begun_again = true;
+                state.leg
+            });
             go(action, leg).await
         })
         .action("await_resume", await_resume);
@@ -288,7 +303,10 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         Leg::GoBack,
         Leg::Park,
     ] {
-        library = library.action(leg.name(), move |action: Act| go(action, leg));
+        library = library.action(leg.name(), move |action: Act| async move {
+            action.with_state(|state| state.begun_again = false);
+            go(action, leg).await
+        });
     }
     library
 }

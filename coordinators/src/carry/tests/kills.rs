@@ -194,6 +194,30 @@ fn whoever_is_killed_at_any_phase_of_any_transition_the_answer_is_true_and_the_t
     );
 }
 
+#[test]
+fn an_arm_whose_motion_control_dies_on_a_way_goes_on_when_it_is_back_and_is_given_back() {
+    let plain = run(&[]);
+    for transition in [
+        "do_descend",
+        "do_lift",
+        "do_set_down",
+        "do_withdraw",
+        "do_park",
+    ] {
+        let mut firings = plain.bench.firings.iter().map(|(_, event)| event);
+        let begun = firings
+            .find(|event| event.transition == transition && event.phase == "started")
+            .unwrap_or_else(|| panic!("{transition} never started"));
+        let world = run(&[kill("mcs", begun.at_ns + 100_000_000)]);
+        must_hold(&world, transition);
+        assert_eq!(
+            world.bench.answers[0].0, "carried",
+            "{transition}: {:?}",
+            world.bench.answers
+        );
+    }
+}
+
 /// How often ways were tried that an answer's last line tells about.
 fn trials(text: &str) -> u32 {
     let line = text.lines().last().unwrap_or_default();
