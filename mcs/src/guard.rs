@@ -22,7 +22,7 @@ use crate::driver::SlotReading;
 use crate::joints::Joints;
 use crate::latest::Latest;
 use crate::model::{Data, Joint, JointKind, Model, Placement};
-use crate::trajectory::Setpoint;
+use crate::trajectory::{REST_PARTS, Setpoint, WayToRest};
 pub use rack::{GuardSet, MAX_GUARDS, Mounted};
 pub use registry::{Around, GuardRegistry, GuardSettings};
 pub use words::Words;
@@ -40,13 +40,20 @@ pub trait Guard: Send {
     /// is well. A motion out of what is forbidden must be allowed, and one further into it must not: compare where the
     /// arm would come to rest with where it is.
     fn check(&mut self, seen: &Seen<'_>) -> Option<Words>;
+
+    /// Whether what it finds is that the arm presses on something. Then the arm does not go on along its path while it
+    /// brakes: it goes back, within the limits of its joints, to where it was measured when that was found, and rests there.
+    fn feels(&self) -> bool {
+        false
+    }
 }
 
 /// What happens when a guard finds something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Reaction {
-    /// The arm brakes along its path to rest. The next motion may begin at once.
+    /// The arm brakes along its path to rest, or gives way where the guard [feels](Guard::feels) a touch. The next motion may
+    /// begin at once.
     #[default]
     Stop,
     /// As [`Self::Stop`]; then the arm goes back to where it was when all was still well.
@@ -55,33 +62,30 @@ pub enum Reaction {
     Report,
 }
 
-/// How the arm would come to rest if it braked along its path from the next tick on.
+/// How the arm would come to rest if it braked from the next tick on.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stopping {
-    /// Time until rest, s.
+    /// Time from then until rest, s.
     pub time: f64,
-    /// Travel until rest from there: so many seconds at the speed of that tick ([`Setpoint::pace`]). Half the time where
-    /// the deceleration is even.
-    pub lead: f64,
+    /// Where the joints are meanwhile, rad or m: when the braking begins, and at the end of each of
+    /// [`REST_PARTS`](crate::trajectory::REST_PARTS) equal parts of that time.
+    pub way: WayToRest,
 }
 
 impl Stopping {
-    /// The share of all the travel that is behind at `t` (s) from now, when the braking begins after `late` (s) more at
-    /// the present speed.
+    /// Of an arm that stands there, rad or m.
     #[must_use]
-    pub fn share(&self, t: f64, late: f64) -> f64 {
-        let whole = self.lead + late;
-        if whole <= 0.0 {
-            return 1.0;
-        }
-        if t <= late {
-            return t.max(0.0) / whole;
-        }
-        let left = (1.0 - (t - late) / self.time).max(0.0);
-        match self.time > 0.0 {
-            true => (late + self.lead * (1.0 - left * left)) / whole,
-            false => 1.0,
-        }
+    pub fn standing(position: &Joints) -> Self {
+        let mut way = WayToRest::default();
+        way.fill(*position);
+        Self { time: 0.0, way }
+    }
+
+    /// Where the joints rest, rad or m.
+    #[must_use]
+    pub fn at_rest(&self) -> &Joints {
+        let [.., last] = &self.way;
+        last
     }
 }
 
@@ -102,7 +106,7 @@ pub struct Seen<'a> {
     /// What was read from the slots in this tick.
     pub readings: &'a [SlotReading],
     /// How the arm would come to rest.
-    pub stopping: Stopping,
+    pub stopping: &'a Stopping,
     /// Force (N) and torque (N m) on the tool in the sensor's frame; `None` where there is no sensor.
     pub force: Option<[f64; 6]>,
     /// Servo period, s.
@@ -174,35 +178,43 @@ impl Neighbour {
     /// One that nobody moves yet: all zeros.
     #[must_use]
     pub fn new(model: Arc<Model>) -> Self {
-        let row = vec![0.0; 2 + 2 * model.dof()];
+        let row = vec![0.0; Self::width(model.dof())];
         Self {
             model,
             latest: Arc::new(Latest::new(&row)),
         }
     }
 
+    /// What it shows of `n` joints: a time, and as many rows of joints as a way to rest has, and two more.
+    const fn width(n: usize) -> usize {
+        1 + (REST_PARTS + 3) * n
+    }
+
     /// Shows what one tick left; the servo of the arm alone does it. Neither waits nor allocates.
-    pub(crate) fn show(&self, setpoint: &Setpoint, stopping: Stopping, period: f64) {
-        let row = [stopping.time, stopping.lead].into_iter();
-        let speeds = (0..setpoint.position.len()).map(|joint| setpoint.pace(joint, period));
+    pub(crate) fn show(&self, setpoint: &Setpoint, stopping: &Stopping, period: f64) {
+        let n = setpoint.position.len();
+        let speeds = (0..n).map(|joint| setpoint.pace(joint, period));
         let joints = setpoint.position.iter().copied().chain(speeds);
-        self.latest.write(row.chain(joints));
+        let way = stopping.way.iter().flat_map(|place| place.iter().copied());
+        let time = std::iter::once(stopping.time);
+        self.latest.write(time.chain(joints).chain(way));
     }
 
     /// What its servo showed last. Takes no lock and does not allocate.
     #[must_use]
     pub fn read(&self) -> Shown {
-        let n = self.model.dof();
-        let mut row = [0.0; 2 + 2 * crate::MAX_SLOTS];
-        let row = &mut row[..2 + 2 * n.min(crate::MAX_SLOTS)];
+        let n = self.model.dof().min(crate::MAX_SLOTS);
+        let mut row = [0.0; Self::width(crate::MAX_SLOTS)];
+        let row = &mut row[..Self::width(n)];
         let ticks = self.latest.read(row);
+        let joints = |place: usize| Joints::from_fn(n, |index| row[1 + place * n + index]);
         Shown {
             ticks,
-            position: Joints::from_fn(n, |index| row[2 + index]),
-            velocity: Joints::from_fn(n, |index| row[2 + n + index]),
+            position: joints(0),
+            velocity: joints(1),
             stopping: Stopping {
                 time: row[0],
-                lead: row[1],
+                way: std::array::from_fn(|place| joints(2 + place)),
             },
         }
     }

@@ -6,7 +6,6 @@
 //! here knows tasks or messages; all time is counted in ticks.
 
 mod blend;
-mod chase;
 mod motion;
 pub mod port;
 mod queue;
@@ -96,6 +95,8 @@ pub struct ServoConfig {
     pub settling: Settling,
     /// What a slot that is no joint has read, and that is older than this, is stale.
     pub stale_after: Duration,
+    /// Whether stops and streams keep the limits of jerk that the model's joints have. Planned motions bring their own.
+    pub limit_jerk: bool,
 }
 
 impl Default for ServoConfig {
@@ -114,6 +115,7 @@ impl Default for ServoConfig {
             following_timeout: Duration::from_millis(100),
             settling: Settling::default(),
             stale_after: Duration::from_millis(100),
+            limit_jerk: false,
         }
     }
 }
@@ -305,7 +307,8 @@ impl Servo {
             shown: None,
             stopping: Stopping::default(),
             slots,
-            follower: Follower::new(QUEUE, config.period.as_secs_f64(), config.setpoint_every),
+            follower: Follower::new(QUEUE, config.period.as_secs_f64(), config.setpoint_every)
+                .limiting_jerk(config.limit_jerk),
             ids: VecDeque::with_capacity(QUEUE),
             after_rest: None,
             releasing: false,
@@ -512,19 +515,18 @@ impl Servo {
     /// Asks the guards of the motion under way; one that is braking or at rest already needs none.
     fn guard(&mut self) {
         let period = self.config.period.as_secs_f64();
-        let (mut joints_at_rest, mut tool_at_rest) = (None, None);
-        self.stopping = Stopping::default();
+        let mut tool_at_rest = None;
+        self.stopping = Stopping::standing(&self.setpoint.position);
         let (rests, stopping) = self.ends();
         if self.status.stale != 0 && self.motion.is_some() && !stopping {
             self.watch_slots();
         }
         if self.motion.is_some() && !rests {
             let rest = match &self.stream {
-                Some(_) => Stream::rest(&self.setpoint, self.solver.model(), period),
+                Some(stream) => stream.rest(self.solver.model(), period),
                 None => self.follower.rest(&self.solver),
             };
             self.stopping = Motion::stopping(&rest, &self.setpoint, period);
-            joints_at_rest = rest.joints;
             tool_at_rest = rest.tool.map(|tool| Placement::from(&tool));
         }
         if self.motion.is_none() || self.ends() != (false, false) {
@@ -534,15 +536,21 @@ impl Servo {
             motion: self.status.motion.id,
             setpoint: &self.setpoint,
             readings: &self.readings,
-            stopping: self.stopping,
-            joints_at_rest,
+            stopping: &self.stopping,
             tool_at_rest,
             force: self.force(),
             period,
         });
-        let Some(found) = found else { return };
+        let Some((found, feels)) = found else { return };
         self.status.guard = Some(found);
-        if found.reaction != Reaction::Report {
+        if found.reaction == Reaction::Report {
+            return;
+        }
+        if feels && self.stream.is_none() {
+            let here = self.status.position;
+            self.follower
+                .yield_to(&here, &mut self.setpoint, &self.solver);
+        } else {
             self.brake(words!("guard `{}`: {}", found.guard, found.measured));
         }
     }
@@ -717,7 +725,7 @@ impl Servo {
         if let Some(board) = &self.shown {
             board.show(
                 &self.setpoint,
-                self.stopping,
+                &self.stopping,
                 self.config.period.as_secs_f64(),
             );
         }

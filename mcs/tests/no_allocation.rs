@@ -82,17 +82,21 @@ impl ChannelDriver for Arm {
     }
 }
 
-fn rig(name: &str, law: Box<dyn ControlLaw>) -> (Servo, ServoPort, Planner) {
+fn rig(name: &str, law: Box<dyn ControlLaw>, limit_jerk: bool) -> (Servo, ServoPort, Planner) {
     let arm = Arm {
         model: model(name),
         data: model(name).data(),
         q: joints(name, [0.0, 0.1, 0.0], START),
         qd: Joints::zeros(model(name).dof()),
     };
-    let (model, config) = (Arc::new(model(name)), ServoConfig::default());
+    let model = Arc::new(model(name));
+    let config = ServoConfig {
+        limit_jerk,
+        ..ServoConfig::default()
+    };
     let (servo, port) = Servo::new(Arc::clone(&model), Box::new(arm), law, config).unwrap();
     let planner = Planner::new(model, CartesianLimits::default(), 0.018).unwrap();
-    (servo, port, planner)
+    (servo, port, planner.limiting_jerk(limit_jerk))
 }
 
 /// Ticks until the motion is over (or 3000 times) and counts what was allocated in the ticks alone.
@@ -126,11 +130,10 @@ fn laws(name: &str) -> [Box<dyn ControlLaw>; 2] {
 
 #[test]
 fn no_tick_of_any_arm_allocates_in_any_state() {
-    for (name, law) in ARMS
-        .into_iter()
-        .flat_map(|name| laws(name).map(|law| (name, law)))
-    {
-        let (mut servo, port, mut planner) = rig(name, law);
+    // One of the laws with limits of jerk.
+    let each = |name| laws(name).into_iter().zip([(name, false), (name, true)]);
+    for (law, (name, limit_jerk)) in ARMS.into_iter().flat_map(each) {
+        let (mut servo, port, mut planner) = rig(name, law, limit_jerk);
         let mut count = 0;
         for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
             port.order(command).unwrap();
@@ -188,7 +191,7 @@ fn no_tick_of_any_arm_allocates_in_any_state() {
 fn no_tick_allocates_while_guards_watch_are_changed_and_end_a_motion() {
     for name in ARMS {
         let law = laws(name).into_iter().next().unwrap();
-        let (mut servo, port, mut planner) = rig(name, law);
+        let (mut servo, port, mut planner) = rig(name, law, true);
         for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
             port.order(command).unwrap();
             servo.tick(0);
@@ -328,9 +331,12 @@ impl Source for Fed {
 
 #[test]
 fn no_tick_allocates_while_a_stream_is_followed_and_ends() {
-    for name in ARMS {
+    for (name, limit_jerk) in ARMS
+        .into_iter()
+        .flat_map(|name| [(name, false), (name, true)])
+    {
         let law = laws(name).into_iter().next().unwrap();
-        let (mut servo, port, planner) = rig(name, law);
+        let (mut servo, port, planner) = rig(name, law, limit_jerk);
         for command in [ServoCommand::PowerOn, ServoCommand::ReleaseBrakes] {
             port.order(command).unwrap();
             servo.tick(0);

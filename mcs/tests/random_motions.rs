@@ -1,7 +1,7 @@
 //! The planner and the servo's queue under random orders, on drives that are always where they are told to be: segments of all
 //! kinds at random moments, with and without blends, stops of categories 1 and 2, cancellations with a new plan at once. At
-//! every period of 4.5 ms positions, speeds and accelerations are within the limits of the joints, no speed has a step, and
-//! in the end the arm rests. `CTOS_MOTION_SEEDS=1000` runs a thousand seeds, `CTOS_MOTION_SEEDS=17..18` repeats one.
+//! every period of 4.5 ms positions, speeds, accelerations and, where that is asked for, jerks are within the limits of the
+//! joints, no speed has a step, and in the end the arm rests. `CTOS_MOTION_SEEDS=1000` runs a thousand seeds, `CTOS_MOTION_SEEDS=17..18` repeats one.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
 
@@ -27,6 +27,8 @@ const READY: [f64; 6] = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
 const TICKS: usize = 3_000;
 /// How far a limit of acceleration may be exceeded: paths of the tool are checked at three moments between two solved poses.
 const TOLERANCE: f64 = 0.01;
+/// How far a limit of jerk may be exceeded, for the same reason.
+const JERK_TOLERANCE: f64 = 0.02;
 
 fn seeds() -> Range<u64> {
     let asked = std::env::var("CTOS_MOTION_SEEDS").unwrap_or_else(|_| "12".to_owned());
@@ -92,6 +94,7 @@ struct Rig {
     servo: Servo,
     port: ServoPort,
     planner: Planner,
+    limit_jerk: bool,
     told: Told,
     setpoints: Vec<Setpoint>,
     random: ChaCha8Rng,
@@ -117,8 +120,10 @@ impl Rig {
         let model: Arc<Model> = Arc::new(model);
         let start = Joints::try_from(&start[..]).unwrap();
         let told = Arc::new(Mutex::new(Setpoint::at_rest(start)));
+        let limit_jerk = random.random();
         let config = ServoConfig {
             period: PERIOD,
+            limit_jerk,
             ..ServoConfig::default()
         };
         let (driver, law) = (
@@ -131,7 +136,8 @@ impl Rig {
         Self {
             servo,
             port,
-            planner: planner.limiting_jerk(random.random()),
+            planner: planner.limiting_jerk(limit_jerk),
+            limit_jerk,
             told,
             setpoints: Vec::new(),
             random,
@@ -340,6 +346,26 @@ impl Rig {
         self.rest();
     }
 
+    /// That the accelerations between the setpoints, seen once a period, change no faster than the limits of jerk allow.
+    fn check_jerk(&self) -> Result<(), String> {
+        let period = PERIOD.as_secs_f64();
+        let joints = self.planner.model().joints();
+        for (tick, triple) in self.setpoints.windows(3).enumerate() {
+            let [a, b, c] = triple else { continue };
+            for (index, joint) in joints.iter().enumerate() {
+                let [a, b, c] = [a, b, c].map(|setpoint| setpoint.velocity[index]);
+                let found = (c - 2.0 * b + a).abs() / (period * period);
+                let most = joint.limits.jerk * (1.0 + JERK_TOLERANCE) + 1e-4;
+                if found > most {
+                    return Err(format!(
+                        "period {tick}, joint {index}: jerk {found}, at most {most}"
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// That what the drives were told is within the limits, seen once a period.
     fn check(&self) -> Result<(), String> {
         let period = PERIOD.as_secs_f64();
@@ -373,6 +399,9 @@ impl Rig {
                     return wrong("the speed is not that of the positions:", moved, mean);
                 }
             }
+        }
+        if self.limit_jerk {
+            self.check_jerk()?;
         }
         let end = self.setpoints[self.setpoints.len() - 1];
         match end == Setpoint::at_rest(end.position) {

@@ -227,15 +227,15 @@ impl Guard for Collision {
             ticks: 0,
             position: seen.setpoint.position,
             velocity: mcs::Joints::from_fn(seen.setpoint.position.len(), pace),
-            stopping: seen.stopping,
+            stopping: *seen.stopping,
         };
-        self.scene.see(0, &own, seen.period);
+        self.scene.see(0, &own, seen.period, seen.period);
         for (other, arm) in self.others.iter().zip(1..) {
             let shown = other.read();
             if shown.ticks == 0 {
                 return Some("where the other arm is is not known: its servo has not begun".into());
             }
-            self.scene.see(arm, &shown, 2.0 * seen.period);
+            self.scene.see(arm, &shown, 2.0 * seen.period, seen.period);
         }
         let Looked { nearest, touches } = self.scene.look();
         self.found.nearest = nearest.map(|near| (near.pair, near.now));

@@ -1,20 +1,26 @@
 //! Arms and the room as solids, what of them can touch what, and whether anything will before all have come to rest.
 //!
-//! The way of all joints to rest is known in closed form. It is cut in halves, again and again, where that is needed:
-//! two solids whose distances at both ends of a piece of the way are together more than what they can move meanwhile do
-//! not touch in it. What one can move at most is bounded by the travel of the joints that carry it and its greatest
-//! distance from their axes, so the answer is on the safe side however the joints turn.
+//! Of the way of all joints to rest some places are known, and between two of them the joints go in proportion. The way is
+//! cut in halves, again and again, where that is needed: two solids whose distances at both ends of a piece of it are together
+//! more than what they can move meanwhile do not touch in it. What one can move at most is bounded by the travel of the joints
+//! that carry it and its greatest distance from their axes, so the answer is on the safe side however the joints turn.
+//!
+//! Most pairs are far apart: the balls around their solids say so at once.
 
 use std::sync::Arc;
 
 use mcs::Joints;
 use mcs::guard::{Shown, Stopping};
 use mcs::model::{Data, JointKind, Model, Placement, Solid};
+use mcs::trajectory::REST_PARTS;
+use nalgebra::Vector3;
 
 use crate::distance::between;
 
 /// A way is cut into so many pieces at most: a power of two.
 pub const PIECES: usize = 32;
+/// The places of a way that are known: now, and those of a way to rest.
+const NODES: usize = REST_PARTS + 2;
 /// Positions at which pairs are looked at when a scene is made.
 const SAMPLES: u32 = 256;
 /// The room for a joint without limits on either side, rad or m.
@@ -28,6 +34,8 @@ struct Part {
     name: String,
     carrier: Option<usize>,
     solid: Solid,
+    /// The radius of the ball around it, m.
+    radius: f64,
     /// The joints that carry it, each with the solid's greatest distance from its axis, m (1 of a joint that slides).
     levers: Vec<(usize, f64)>,
 }
@@ -39,15 +47,25 @@ struct Arm {
     data: Data,
     base: Placement,
     parts: Vec<Part>,
-    position: Joints,
-    /// How far each joint goes until rest, rad or m.
-    travel: Joints,
-    stopping: Stopping,
-    late: f64,
-    /// For each place on the way to rest, by index: the share of the travel behind, and the solids when they are placed.
-    share: [f64; PIECES + 1],
+    way: Way,
+    /// For each place on the way, by index: the solids when they are placed,
     placed: Vec<Vec<Solid>>,
     ready: [bool; PIECES + 1],
+    /// and the middles of the balls around them now, m.
+    middles: Vec<Vector3<f64>>,
+}
+
+/// How joints go from where they are to rest.
+#[derive(Debug, Clone, Copy)]
+struct Way {
+    nodes: [Joints; NODES],
+    /// How far each joint has gone when it is at a node, rad or m.
+    gone: [Joints; NODES],
+    /// The time from now until the braking begins, and from then until rest, s.
+    late: f64,
+    time: f64,
+    /// For each place: the node behind it, and how far from that to the next it is, 0 to 1.
+    at: [(usize, f64); PIECES + 1],
 }
 
 /// Which solid: of an arm, or of the room.
@@ -93,7 +111,11 @@ pub struct Looked {
 pub struct Scene {
     arms: Vec<Arm>,
     room: Vec<(String, Solid)>,
+    /// The balls around the solids of the room.
+    balls: Vec<(Vector3<f64>, f64)>,
     pairs: Vec<Pair>,
+    /// The pair that was nearest at the last look: it probably is again.
+    nearest: usize,
     margin: f64,
 }
 
@@ -124,11 +146,119 @@ impl Part {
                     name: model.at(shape.frame).name.clone(),
                     carrier: shape.carrier,
                     solid: shape.solid,
+                    radius: shape.solid.ball().1,
                     levers,
                 }
             })
             .collect()
     }
+}
+
+impl Default for Way {
+    fn default() -> Self {
+        Self {
+            nodes: Default::default(),
+            gone: Default::default(),
+            late: 0.0,
+            time: 0.0,
+            at: [(0, 0.0); PIECES + 1],
+        }
+    }
+}
+
+impl Way {
+    /// Of joints that are at `position` now. After `late` (s) of their speeds in the next period they begin to brake.
+    fn new(position: &Joints, speed: &Joints, stopping: &Stopping, late: f64, period: f64) -> Self {
+        let mut way = Self {
+            late,
+            time: stopping.time,
+            ..Self::default()
+        };
+        let [now, then @ ..] = &mut way.nodes;
+        *now = *position;
+        for (node, place) in then.iter_mut().zip(&stopping.way) {
+            // Who brakes later is farther by then.
+            *node = Joints::from_fn(position.len(), |index| {
+                place[index] + speed[index] * (late - period)
+            });
+        }
+        way.sum_up()
+    }
+
+    /// Straight from one position to another, evenly, in a time of 1.
+    fn straight(from: &Joints, to: &Joints) -> Self {
+        let mut way = Self {
+            late: 1.0,
+            nodes: [*to; NODES],
+            ..Self::default()
+        };
+        way.nodes[0] = *from;
+        way.sum_up()
+    }
+
+    fn sum_up(mut self) -> Self {
+        self.gone[0] = Joints::zeros(self.nodes[0].len());
+        for node in 1..NODES {
+            let [from, to] = [&self.nodes[node - 1], &self.nodes[node]];
+            let gone = &self.gone[node - 1];
+            self.gone[node] = Joints::from_fn(to.len(), |index| {
+                gone[index] + (to[index] - from[index]).abs()
+            });
+        }
+        self
+    }
+
+    fn duration(&self) -> f64 {
+        self.late + self.time
+    }
+
+    /// All are at rest after `horizon` (s), which is cut into equal pieces.
+    fn until(&mut self, horizon: f64) {
+        for (place, at) in self.at.iter_mut().enumerate() {
+            let t = horizon * place as f64 / PIECES as f64;
+            *at = match place {
+                // A way of no time at all is behind at its end, and not at its beginning.
+                0 => (0, 0.0),
+                _ if t < self.late => (0, t / self.late),
+                _ if t >= self.late + self.time => (NODES - 2, 1.0),
+                _ => braked((t - self.late) / self.time),
+            };
+        }
+    }
+
+    fn position(&self, place: usize) -> Joints {
+        let (node, share) = self.at[place];
+        let [from, to] = [&self.nodes[node], &self.nodes[node + 1]];
+        Joints::from_fn(from.len(), |index| {
+            from[index] + (to[index] - from[index]) * share
+        })
+    }
+
+    /// How far a joint has gone at a place, rad or m.
+    fn gone(&self, place: usize, joint: usize) -> f64 {
+        let (node, share) = self.at[place];
+        let [from, to] = [self.gone[node][joint], self.gone[node + 1][joint]];
+        from + (to - from) * share
+    }
+
+    /// How far a joint goes in all, rad or m.
+    fn travel(&self, joint: usize) -> f64 {
+        let [.., all] = &self.gone;
+        all[joint]
+    }
+}
+
+/// The node behind a share of the time of braking, and how far to the next one a joint is that brakes evenly until rest.
+fn braked(share: f64) -> (usize, f64) {
+    let behind = |share: f64| share * (2.0 - share);
+    let parts = REST_PARTS as f64;
+    // The share is at least 0, and less than 1.
+    let part = ((share * parts) as usize).min(REST_PARTS - 1);
+    let [from, to] = [part, part + 1].map(|part| behind(part as f64 / parts));
+    (
+        1 + part,
+        ((behind(share) - from) / (to - from)).clamp(0.0, 1.0),
+    )
 }
 
 impl Arm {
@@ -139,55 +269,31 @@ impl Arm {
         Self {
             data: model.data(),
             placed: vec![nowhere; PIECES + 1],
+            middles: vec![Vector3::zeros(); parts.len()],
             model,
             base,
             parts,
-            position: still,
-            travel: still,
-            stopping: Stopping::default(),
-            late: 0.0,
-            share: [0.0; PIECES + 1],
+            way: Way::straight(&still, &still),
             ready: [false; PIECES + 1],
         }
     }
 
-    /// Takes what an arm does, whose braking begins `late` (s) from now.
-    fn see(
-        &mut self,
-        position: &Joints,
-        speed: impl Fn(usize) -> f64,
-        stopping: Stopping,
-        late: f64,
-    ) {
-        let whole = late + stopping.lead;
-        self.position = *position;
-        self.travel = Joints::from_fn(position.len(), |index| speed(index) * whole);
-        self.stopping = stopping;
-        self.late = late;
+    /// Takes how the joints go.
+    fn goes(&mut self, way: Way) {
+        self.way = way;
         self.ready = [false; PIECES + 1];
     }
 
-    fn duration(&self) -> f64 {
-        self.late + self.stopping.time
-    }
-
-    /// All are at rest after `horizon` (s).
-    fn until(&mut self, horizon: f64) {
-        for (index, share) in self.share.iter_mut().enumerate() {
-            let t = horizon * index as f64 / PIECES as f64;
-            *share = self.stopping.share(t, self.late);
-        }
-        // A way of no time at all is behind at its end, and not at its beginning.
-        self.share[0] = 0.0;
+    /// Takes that the joints stand there.
+    fn stands(&mut self, position: &Joints) {
+        self.goes(Way::straight(position, position));
+        self.way.until(0.0);
     }
 
     /// Where the arm's solids are at a place of the way.
     fn at(&mut self, place: usize) -> &[Solid] {
         if !std::mem::replace(&mut self.ready[place], true) {
-            let share = self.share[place];
-            let q = Joints::from_fn(self.position.len(), |index| {
-                self.position[index] + self.travel[index] * share
-            });
+            let q = self.way.position(place);
             self.model.forward(&mut self.data, &q);
             for (placed, part) in self.placed[place].iter_mut().zip(&self.parts) {
                 let carrier = self.base.then(&self.data.carrier(part.carrier));
@@ -195,6 +301,22 @@ impl Arm {
             }
         }
         &self.placed[place]
+    }
+
+    /// Finds the middles of the balls around the solids.
+    fn see_middles(&mut self) {
+        self.at(0);
+        for (middle, solid) in self.middles.iter_mut().zip(&self.placed[0]) {
+            *middle = middle_of(solid);
+        }
+    }
+}
+
+/// The middle of the ball around a solid, m.
+fn middle_of(solid: &Solid) -> Vector3<f64> {
+    match solid {
+        Solid::Capsule { a, b, .. } => 0.5 * (a + b),
+        Solid::Block { at, .. } => at.origin,
     }
 }
 
@@ -232,8 +354,10 @@ impl Scene {
         let arms = arms.into_iter().map(|(model, base)| Arm::new(model, base));
         let mut scene = Self {
             arms: arms.collect(),
+            balls: room.iter().map(|(_, solid)| solid.ball()).collect(),
             room,
             pairs: Vec::new(),
+            nearest: 0,
             margin,
         };
         scene.pairs = scene.candidates();
@@ -296,8 +420,7 @@ impl Scene {
             // Other arms at other places than this one at the same time.
             for (arm, step) in self.arms.iter_mut().zip(1..) {
                 let q = spread(&arm.model, sample * step + step);
-                arm.see(&q, |_| 0.0, Stopping::default(), 0.0);
-                arm.until(0.0);
+                arm.stands(&q);
             }
             for (index, apart) in apart.iter_mut().enumerate() {
                 *apart = *apart || self.distance(index, 0) > self.margin;
@@ -329,14 +452,12 @@ impl Scene {
     }
 
     /// Takes what an arm is to do: `late` (s) from now it begins to brake, `period` (s) is that of its servo.
-    pub fn see(&mut self, arm: usize, shown: &Shown, late: f64) {
+    pub fn see(&mut self, arm: usize, shown: &Shown, late: f64, period: f64) {
         if let Some(arm) = self.arms.get_mut(arm) {
-            arm.see(
-                &shown.position,
-                |joint| shown.velocity[joint],
-                shown.stopping,
-                late,
-            );
+            let Shown {
+                position, velocity, ..
+            } = shown;
+            arm.goes(Way::new(position, velocity, &shown.stopping, late, period));
         }
     }
 
@@ -356,40 +477,72 @@ impl Scene {
     fn moves(&self, pair: usize, from: usize, to: usize) -> f64 {
         let levers = self.pairs[pair].levers.iter();
         levers.fold(0.0, |sum, (arm, joint, lever)| {
-            let arm = &self.arms[*arm];
-            sum + arm.travel[*joint].abs() * (arm.share[to] - arm.share[from]) * lever
+            let way = &self.arms[*arm].way;
+            sum + (way.gone(to, *joint) - way.gone(from, *joint)) * lever
         })
+    }
+
+    /// The same on all of the way.
+    fn moves_in_all(&self, pair: &Pair) -> f64 {
+        let levers = pair.levers.iter();
+        levers.fold(0.0, |sum, (arm, joint, lever)| {
+            sum + self.arms[*arm].way.travel(*joint) * lever
+        })
+    }
+
+    /// The ball around a solid now: its middle, and its radius, m.
+    fn ball(&self, (owner, index): Which) -> (&Vector3<f64>, f64) {
+        match owner {
+            Owner::Arm(arm) => {
+                let arm = &self.arms[arm];
+                (&arm.middles[index], arm.parts[index].radius)
+            }
+            Owner::Room => {
+                let (middle, radius) = &self.balls[index];
+                (middle, *radius)
+            }
+        }
+    }
+
+    /// Whether the balls around a pair are farther apart now than this, m.
+    fn is_far(&self, pair: &Pair, apart: f64) -> bool {
+        let ((centre, radius), (middle, thick)) = (self.ball(pair.one), self.ball(pair.other));
+        (centre - middle).norm_squared() > (radius + thick + apart).powi(2)
     }
 
     /// Looks whether anything comes nearer than the margin before all arms have come to rest, and what is nearest now.
     /// What is nearer already may move away, and no nearer. Allocates nothing.
     pub fn look(&mut self) -> Looked {
-        let longest = self.arms.iter().map(Arm::duration).fold(0.0, f64::max);
+        let ways = self.arms.iter().map(|arm| arm.way.duration());
+        let longest = ways.fold(0.0, f64::max);
         for arm in &mut self.arms {
-            arm.until(longest);
+            arm.way.until(longest);
+            arm.see_middles();
         }
         let mut looked = Looked::default();
-        for pair in 0..self.pairs.len() {
-            let Pair { one, other, .. } = self.pairs[pair];
-            let (one, other) = (self.placed(one, 0), self.placed(other, 0));
-            let ((centre, radius), (middle, thick)) = (one.ball(), other.ball());
-            let at_least = (centre - middle).norm() - radius - thick;
-            let moves = self.moves(pair, 0, PIECES);
-            let nearest = looked.nearest.map_or(f64::INFINITY, |near| near.now);
-            if at_least > self.margin + moves && at_least > nearest {
+        let again = self.nearest.min(self.pairs.len());
+        let all = (again..self.pairs.len()).take(1).chain(0..self.pairs.len());
+        for (order, index) in all.enumerate() {
+            if order > 0 && index == again {
                 continue;
             }
-            let now = between(&one, &other);
+            let pair = &self.pairs[index];
+            let nearest = looked.nearest.map_or(f64::INFINITY, |near| near.now);
+            let keeps = self.margin + self.moves_in_all(pair);
+            if self.is_far(pair, keeps.max(nearest)) {
+                continue;
+            }
+            let now = self.distance(index, 0);
             let mut near = Near {
-                pair,
+                pair: index,
                 now,
                 least: now,
             };
             if now < nearest {
                 looked.nearest = Some(near);
             }
-            if looked.touches.is_none() && now <= self.margin + moves {
-                near.least = self.least(pair, now, self.margin);
+            if looked.touches.is_none() && now <= keeps {
+                near.least = self.least(index, now, self.margin);
                 let touches = match now > self.margin {
                     true => near.least <= self.margin,
                     false => near.least < now - ROUNDING,
@@ -399,6 +552,7 @@ impl Scene {
                 }
             }
         }
+        self.nearest = looked.nearest.map_or(0, |near| near.pair);
         looked
     }
 
@@ -465,8 +619,7 @@ impl Scene {
     /// Places an arm, which stands still.
     pub fn stands(&mut self, arm: usize, position: &Joints) {
         if let Some(arm) = self.arms.get_mut(arm) {
-            arm.see(position, |_| 0.0, Stopping::default(), 0.0);
-            arm.until(0.0);
+            arm.stands(position);
         }
     }
 
@@ -503,32 +656,27 @@ impl Scene {
     /// its joints in proportion, and the others stand still. The way is cut into [`PIECES`] places at most: between two of
     /// them a pair may be nearer by half of what it can move meanwhile. Allocates nothing.
     pub fn straight(&mut self, [from, to]: [&Joints; 2], margins: &[f64]) -> Option<Near> {
-        let own = self.arms.first_mut()?;
-        // Without braking the time it is late is all of the way, at an even speed.
-        own.see(
-            from,
-            |joint| to[joint] - from[joint],
-            Stopping::default(),
-            1.0,
-        );
+        self.arms.first_mut()?.goes(Way::straight(from, to));
         for arm in &mut self.arms {
-            arm.until(1.0);
+            arm.way.until(1.0);
+            arm.see_middles();
         }
-        for (pair, margin) in margins.iter().enumerate().take(self.pairs.len()) {
-            let Pair { one, other, .. } = self.pairs[pair];
-            let (one, other) = (self.placed(one, 0), self.placed(other, 0));
-            let ((centre, radius), (middle, thick)) = (one.ball(), other.ball());
-            let at_least = (centre - middle).norm() - radius - thick;
-            if at_least > margin + self.moves(pair, 0, PIECES) {
+        for (index, margin) in margins.iter().enumerate().take(self.pairs.len()) {
+            let pair = &self.pairs[index];
+            if self.is_far(pair, margin + self.moves_in_all(pair)) {
                 continue;
             }
-            let now = between(&one, &other);
+            let now = self.distance(index, 0);
             let (keeps, least) = match now > *margin {
-                true => self.keeps(pair, now, *margin, Smallest::Seen),
+                true => self.keeps(index, now, *margin, Smallest::Seen),
                 false => (false, now),
             };
             if !keeps {
-                return Some(Near { pair, now, least });
+                return Some(Near {
+                    pair: index,
+                    now,
+                    least,
+                });
             }
         }
         None

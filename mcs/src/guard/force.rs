@@ -146,6 +146,10 @@ impl Guard for Force {
     fn check(&mut self, seen: &Seen<'_>) -> Option<Words> {
         self.check_load(seen.force.as_ref())
     }
+
+    fn feels(&self) -> bool {
+        true
+    }
 }
 
 #[cfg(test)]

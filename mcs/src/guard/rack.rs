@@ -90,9 +90,8 @@ pub(crate) struct Now<'a> {
     pub motion: u64,
     pub setpoint: &'a Setpoint,
     pub readings: &'a [SlotReading],
-    pub stopping: Stopping,
-    /// Where these are known better than from the speeds of the joints.
-    pub joints_at_rest: Option<Joints>,
+    pub stopping: &'a Stopping,
+    /// Where this is known better than from the joints.
     pub tool_at_rest: Option<Placement>,
     pub force: Option<[f64; 6]>,
     pub period: f64,
@@ -166,8 +165,8 @@ impl Rack {
         }
     }
 
-    /// What a guard has found in this tick; of several the first one that ends the motion.
-    pub fn check(&mut self, now: &Now<'_>) -> Option<GuardReport> {
+    /// What a guard has found in this tick, and whether it feels a touch; of several the first one that ends the motion.
+    pub fn check(&mut self, now: &Now<'_>) -> Option<(GuardReport, bool)> {
         let holding = self.holding;
         let asked = |(slot, mounted): &(usize, &mut Mounted)| {
             (mounted.always || holding.has(*slot)) && !mounted.told
@@ -183,18 +182,13 @@ impl Rack {
         }
         let [data, rest] = &mut self.data;
         let tip = self.model.tip();
-        let late = now.stopping.lead + now.period;
-        let at_rest = now.joints_at_rest.unwrap_or_else(|| {
-            Joints::from_fn(now.setpoint.position.len(), |index| {
-                now.setpoint.position[index] + now.setpoint.pace(index, now.period) * late
-            })
-        });
+        let at_rest = now.stopping.at_rest();
         let seen = Seen {
             model: &self.model,
             tool: self.model.placement(data, &now.setpoint.position, tip),
             tool_at_rest: match now.tool_at_rest {
                 Some(there) => there,
-                None => self.model.placement(rest, &at_rest, tip),
+                None => self.model.placement(rest, at_rest, tip),
             },
             data,
             setpoint: now.setpoint,
@@ -212,13 +206,14 @@ impl Rack {
                 continue;
             };
             mounted.told = true;
-            found = Some(GuardReport {
+            let report = GuardReport {
                 motion: now.motion,
                 guard: mounted.name,
                 measured,
                 reaction: mounted.reaction,
                 allowed: self.allowed,
-            });
+            };
+            found = Some((report, mounted.guard.feels()));
             if mounted.reaction != Reaction::Report {
                 return found;
             }

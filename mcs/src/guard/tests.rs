@@ -352,7 +352,7 @@ fn the_speed_of_the_tool_is_that_of_the_jacobian() {
         tool_at_rest: tool,
         setpoint: &Setpoint::at_rest(q.into()),
         readings: &[],
-        stopping: Stopping::default(),
+        stopping: &Stopping::default(),
         force: None,
         period: 0.0045,
     };
@@ -361,23 +361,6 @@ fn the_speed_of_the_tool_is_that_of_the_jacobian() {
         assert!((linear[axis] - wanted[axis]).abs() < 1e-12);
         assert!((angular[axis] - wanted[3 + axis]).abs() < 1e-12);
     }
-}
-
-#[test]
-fn the_share_of_the_travel_runs_evenly_and_then_ever_more_slowly_to_all_of_it() {
-    let stopping = Stopping {
-        time: 0.2,
-        lead: 0.1,
-    };
-    let late = 0.01;
-    assert_eq!(stopping.share(0.0, late), 0.0);
-    assert_eq!(stopping.share(0.21, late), 1.0);
-    assert_eq!(stopping.share(9.0, late), 1.0);
-    assert_eq!(Stopping::default().share(0.0, 0.0), 1.0);
-    let way = |t: f64| stopping.share(t, late) * (stopping.lead + late);
-    assert!((way(0.005) - 0.005).abs() < 1e-12);
-    // At speed v for 10 ms, then v t - v t^2 / 2T.
-    assert!((way(0.11) - (0.01 + 0.1 - 0.1 * 0.1 / 0.4)).abs() < 1e-12);
 }
 
 #[test]
@@ -424,5 +407,135 @@ fn two_ticks_after_a_contact_at_most_the_torques_are_other_ones() {
         assert!(changed.is_some(), "contact in tick {contact}");
         let found = rigs[0].port.status().guard.unwrap();
         assert_eq!(found.guard.as_str(), "fragile");
+    }
+}
+
+/// An arm before a wall across y, which gives way by 1 mm under 30 N.
+struct Walled {
+    touched: Touched,
+    data: Data,
+    model: Model,
+    position: Joints,
+    wall: f64,
+    force: f64,
+}
+
+const WALL_STIFFNESS: f64 = 3e4;
+
+impl Walled {
+    /// So far (m) before the tool.
+    fn ahead(by: f64) -> Self {
+        let model = built_in_arm("puma560");
+        let mut data = model.data();
+        let tool = model.placement(&mut data, &START, model.tip());
+        Self {
+            touched: Touched::by(&Arc::default()),
+            data,
+            model,
+            position: START.into(),
+            wall: tool.origin.y + by,
+            force: 0.0,
+        }
+    }
+}
+
+impl ChannelDriver for Walled {
+    fn slots(&self) -> usize {
+        self.touched.slots()
+    }
+
+    fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
+        self.touched.read(readings)?;
+        self.position = Joints::from_fn(readings.len(), |index| readings[index].position);
+        let (model, data) = (&self.model, &mut self.data);
+        let tool = model.placement(data, &self.position, model.tip());
+        self.force = WALL_STIFFNESS * (tool.origin.y - self.wall).max(0.0);
+        Ok(())
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        self.touched.sensors()
+    }
+
+    fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
+        numbers[2] = self.force;
+        Ok(())
+    }
+
+    fn write(
+        &mut self,
+        torques: &[f64],
+        power: Power,
+        period: Duration,
+    ) -> Result<(), DriverError> {
+        let (model, data) = (&self.model, &mut self.data);
+        let jacobian = model.jacobian(data, &self.position, model.tip());
+        let pushed = Joints::from_fn(torques.len(), |index| {
+            torques[index] - jacobian[(1, index)] * self.force
+        });
+        self.touched.write(&pushed, power, period)
+    }
+}
+
+/// Feels no touch: the arm brakes on its path.
+struct Blunt(Box<dyn Guard>);
+
+impl Guard for Blunt {
+    fn begin(&mut self, seen: &Seen<'_>) {
+        self.0.begin(seen);
+    }
+
+    fn check(&mut self, seen: &Seen<'_>) -> Option<Words> {
+        self.0.check(seen)
+    }
+}
+
+/// Runs into a wall at a speed (m/s) under a guard of 25 N; the largest force, and that which stays, N.
+fn pressed(speed: f64, feels: bool) -> [f64; 2] {
+    let args = Source::new("recipe", "force = 25.0");
+    let settings = GuardSettings {
+        args: &Node::from_toml(&args, &mut Findings::new()),
+        model: &Arc::new(built_in_arm("puma560")),
+        period: Duration::from_micros(4500),
+        servo: "servo",
+        around: &Nobody,
+        cx: None,
+    };
+    let force = Force::from_args(&settings).unwrap();
+    let guard = if feels { force } else { Box::new(Blunt(force)) };
+    let wall = Walled::ahead(0.02);
+    let place = wall.wall;
+    let mut rig = Rig::driving(wall);
+    let mounted = Mounted::new("touch", Reaction::Stop, true, guard);
+    rig.port.mount(0, Some(mounted)).unwrap();
+    let start = rig.port.status().setpoint;
+    let goal = Translation3::new(0.0, 0.06, 0.0) * rig.planner.tool_pose(&start);
+    let segment = rig.planner.line(&start, &goal, speed / 0.5).unwrap();
+    let id = 1;
+    rig.port.order(ServoCommand::Move { id, segment }).unwrap();
+    let (mut most, mut stays) = (0.0_f64, 0.0);
+    for _ in 0..2000 {
+        rig.servo.tick(0);
+        let status = rig.port.status();
+        let tool = rig.planner.tool_pose(&status.position).translation.vector;
+        stays = WALL_STIFFNESS * (tool.y - place).max(0.0);
+        most = most.max(stays);
+    }
+    let status = rig.port.status();
+    assert_eq!(status.fault, None);
+    assert_eq!(status.motion.phase, MotionPhase::Stopped);
+    [most, stays]
+}
+
+#[test]
+fn an_arm_that_feels_a_wall_gives_way_and_presses_no_harder_than_when_that_was_found() {
+    for speed in [0.02, 0.04, 0.08] {
+        let ([most, stays], [blunt, keeps]) = (pressed(speed, true), pressed(speed, false));
+        let _ = std::io::Write::write_fmt(
+            &mut std::io::stderr(),
+            format_args!("PRESSED {speed} {most} {stays} {blunt} {keeps}\n"),
+        );
+        assert!(most < blunt, "{speed}: {most} {blunt}");
+        assert!(stays < keeps, "{speed}: {stays} {keeps}");
     }
 }

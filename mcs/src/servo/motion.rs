@@ -4,12 +4,9 @@ use super::Settling;
 use super::port::{MotionPhase, MotionStatus};
 use crate::driver::SlotReading;
 use crate::guard::Stopping;
-use crate::joints::Distances;
+use crate::joints::{Distances, Joints};
 use crate::model::Model;
-use crate::trajectory::{Rest, Setpoint};
-
-/// A joint (rad/s or m/s) that is slower does not move yet.
-const STANDING: f64 = 1e-9;
+use crate::trajectory::{Rest, Setpoint, way_to_rest};
 
 /// What a tick made of the motion.
 pub(super) enum Progress {
@@ -86,25 +83,22 @@ impl Motion {
         self.max_error = self.max_error.or(self.error);
     }
 
-    /// How it comes to rest as `rest` says, `setpoint` being that of this tick: no joint goes farther than this says.
+    /// How it comes to rest as `rest` says, `setpoint` being that of this tick. On a path of the tool the joints are taken to go
+    /// on in proportion to their speeds.
     pub(super) fn stopping(rest: &Rest, setpoint: &Setpoint, period: f64) -> Stopping {
-        let lead = match (&rest.joints, rest.lead) {
-            (Some(joints), _) => {
-                let all = joints.iter().zip(&setpoint.position).enumerate();
-                all.fold(0.0, |most: f64, (index, (then, now))| {
-                    let pace = setpoint.pace(index, period);
-                    match pace.abs() > STANDING {
-                        true => most.max((then - now) / pace),
-                        false => most,
-                    }
+        let straight = || {
+            // Before the braking begins a period goes by.
+            let lead = (rest.lead - period).max(0.0);
+            way_to_rest(1.0, |share| {
+                let seconds = period + lead * share * (2.0 - share);
+                Joints::from_fn(setpoint.position.len(), |index| {
+                    setpoint.position[index] + setpoint.pace(index, period) * seconds
                 })
-            }
-            (None, lead) => lead,
+            })
         };
         Stopping {
             time: rest.time.max(2.0 * period),
-            // Who counts with it adds the period before the braking begins.
-            lead: (lead - period).max(0.0),
+            way: rest.way.unwrap_or_else(straight),
         }
     }
 

@@ -2,20 +2,21 @@
 //! be followed, and then the arm comes to rest.
 //!
 //! Between two values a joint goes along a line, or with speeds along a cubic, in the time that lay between them in whole
-//! servo periods. A joint goes after that point within its limits (`servo::chase`), so that a jump of the stream is none
-//! of the arm. Allocates nothing in a tick.
+//! servo periods. A joint goes after that point within its limits (`trajectory::chase`, or `trajectory::pursuit` where jerk is
+//! limited), so that a jump of the stream is none of the arm. Allocates nothing in a tick.
 
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
-use super::chase::{brake, chase};
 use crate::guard::{GuardSet, Words};
 use crate::joints::Joints;
 use crate::model::inverse::Branch;
-use crate::model::{Data, Joint, Model};
-use crate::trajectory::{Rest, Setpoint, Solver};
+use crate::model::{Data, Joint, Limits, Model};
+use crate::trajectory::chase::{brake, chase};
+use crate::trajectory::timing::{JointBounds, JointState};
+use crate::trajectory::{Course, Pursuit, REST_PARTS, Rest, Setpoint, Solver, WayToRest};
 use crate::words;
 
 /// How far the rotation of a pose may be from a rotation, per entry.
@@ -152,8 +153,11 @@ pub struct Stream {
     /// Periods since the last value was taken, and how many its way takes.
     passed: u32,
     periods: u32,
-    /// Where the joints are to be in the next tick, and how fast.
+    /// Where the joints are to be in the next tick, how fast, and with which accelerations.
     next: Setpoint,
+    /// Whether the limits of jerk count, and what finds ways under them.
+    limits_jerk: bool,
+    pursuit: Pursuit,
     /// Where the tool was when it began, and in which posture.
     origin: Isometry3<f64>,
     posture: Option<Branch>,
@@ -180,6 +184,8 @@ impl Stream {
             passed: 0,
             periods: 1,
             next: Setpoint::default(),
+            limits_jerk: false,
+            pursuit: Pursuit::default(),
             origin: Isometry3::identity(),
             posture: None,
             torques: None,
@@ -196,9 +202,10 @@ impl Stream {
         self.status
     }
 
-    /// Begins where the arm is held.
-    pub(super) fn begin(&mut self, held: &Joints, solver: &mut Solver) {
+    /// Begins where the arm is held; whether the limits of jerk count.
+    pub(super) fn begin(&mut self, held: &Joints, solver: &mut Solver, limits_jerk: bool) {
         self.next = Setpoint::at_rest(*held);
+        self.limits_jerk = limits_jerk;
         for (way, held) in self.ways.iter_mut().zip(held) {
             *way = Way::standing(*held);
         }
@@ -248,7 +255,7 @@ impl Stream {
             self.end(why);
         }
         if self.is_direct() {
-            match strayed(&self.next, solver.model(), period) {
+            match strayed(&self.next, solver.model(), self.limits_jerk, period) {
                 Some(why) => self.end(why),
                 None => return self.next,
             }
@@ -258,18 +265,16 @@ impl Stream {
         let share = f64::from(self.passed) / f64::from(self.periods);
         self.passed = self.passed.saturating_add(1);
         for (index, joint) in solver.model().joints().iter().enumerate() {
-            let (limits, at) = (&joint.limits, (now.position[index], now.velocity[index]));
-            let speed = match (self.phase, self.ways.get(index)) {
-                (Phase::Following, Some(way)) => {
-                    let aim = way.at(share, whole);
-                    let held = aim.0.clamp(limits.lower, limits.upper);
-                    chase(at, (held, aim.1), limits, self.how.pace, period)
-                }
-                _ => brake(at.1, limits, period),
+            let aim = match (self.phase, self.ways.get(index)) {
+                (Phase::Following, Some(way)) => Some(way.at(share, whole)),
+                _ => None,
             };
-            now.acceleration[index] = (speed - at.1) / period;
-            self.next.position[index] = at.0 + 0.5 * (at.1 + speed) * period;
-            self.next.velocity[index] = speed;
+            let at = state(&now, index);
+            let then = self.one_period(&at, aim, &joint.limits, period);
+            now.acceleration[index] = (then.velocity - at.velocity) / period;
+            self.next.position[index] = then.position;
+            self.next.velocity[index] = then.velocity;
+            self.next.acceleration[index] = then.acceleration;
         }
         let stands = |number: &f64| *number == 0.0;
         let still = now.velocity.iter().chain(&now.acceleration).all(stands);
@@ -277,6 +282,38 @@ impl Stream {
             self.phase = Phase::Resting;
         }
         now
+    }
+
+    /// Where a joint is a period later: on its way after an aim, a position and a speed, or braking.
+    fn one_period(
+        &mut self,
+        now: &JointState,
+        aim: Option<(f64, f64)>,
+        limits: &Limits,
+        period: f64,
+    ) -> JointState {
+        let pace = self.how.pace;
+        let aim = aim.map(|(position, speed)| {
+            let held = position.clamp(limits.lower, limits.upper);
+            (held, speed)
+        });
+        let bounds = JointBounds::of(limits, (1.0, 1.0), self.limits_jerk);
+        if bounds.jerk > 0.0 {
+            return match aim {
+                Some(aim) => self.pursuit.next(now, aim, limits, pace, period),
+                None => Course::to_rest(now, &bounds, 0.0).at(period),
+            };
+        }
+        let (position, speed) = (now.position, now.velocity);
+        let then = match aim {
+            Some(aim) => chase((position, speed), aim, limits, pace, period),
+            None => brake(speed, limits, period),
+        };
+        JointState {
+            position: position + 0.5 * (speed + then) * period,
+            velocity: then,
+            acceleration: 0.0,
+        }
     }
 
     /// Takes the newest value in, if it is another one.
@@ -394,22 +431,43 @@ impl Stream {
     }
 
     /// How it would come to rest if it braked from the next period on.
-    pub(super) fn rest(setpoint: &Setpoint, model: &Model, period: f64) -> Rest {
-        let mut joints = setpoint.position;
-        let mut time = 0.0_f64;
-        for (index, joint) in model.joints().iter().enumerate() {
-            let speed = setpoint.velocity[index];
-            let then = speed + setpoint.acceleration[index] * period;
-            let braking = then.abs() / joint.limits.acceleration;
-            joints[index] += 0.5 * (speed + then) * period + 0.5 * then * braking;
-            time = time.max(braking);
+    pub(super) fn rest(&self, model: &Model, period: f64) -> Rest {
+        let joints = model.joints();
+        let braking = |index: usize| {
+            let mut next = state(&self.next, index);
+            if self.is_direct() {
+                // The arm goes on as it was measured.
+                next.position += next.velocity * period;
+            }
+            let bounds = JointBounds::of(&joints[index].limits, (1.0, 1.0), self.limits_jerk);
+            Course::to_rest(&next, &bounds, 0.0)
+        };
+        let durations = (0..joints.len()).map(|index| braking(index).duration());
+        let time = durations.fold(0.0, f64::max);
+        let mut way = WayToRest::default();
+        way.fill(self.next.position);
+        for index in 0..joints.len() {
+            let braking = braking(index);
+            for (part, place) in way.iter_mut().enumerate() {
+                let after = time * part as f64 / REST_PARTS as f64;
+                place[index] = braking.at(after).position;
+            }
         }
         Rest {
             time,
-            joints: Some(joints),
+            way: Some(way),
             tool: None,
             lead: time,
         }
+    }
+}
+
+/// The state of a joint at a setpoint.
+fn state(setpoint: &Setpoint, joint: usize) -> JointState {
+    JointState {
+        position: setpoint.position[joint],
+        velocity: setpoint.velocity[joint],
+        acceleration: setpoint.acceleration[joint],
     }
 }
 
@@ -433,7 +491,7 @@ fn within(
 }
 
 /// Why an arm under direct torques must be stopped: a joint is too fast, or would pass a limit before it rests.
-fn strayed(now: &Setpoint, model: &Model, period: f64) -> Option<Words> {
+fn strayed(now: &Setpoint, model: &Model, limits_jerk: bool, period: f64) -> Option<Words> {
     let mut joints = model.joints().iter().enumerate();
     joints.find_map(|(index, joint)| {
         let (at, speed, limits) = (now.position[index], now.velocity[index], &joint.limits);
@@ -444,8 +502,10 @@ fn strayed(now: &Setpoint, model: &Model, period: f64) -> Option<Words> {
                 "joint {number} went at {speed:.4} {unit}/s, its limit is {limit:.4}"
             ));
         }
-        let braking = CAUTION * 0.5 * speed.abs() / limits.acceleration;
-        let rest = at + speed * (braking + LATE * period);
+        let bounds = JointBounds::of(limits, (1.0, 1.0), limits_jerk);
+        let braking = Course::to_rest(&state(now, index), &bounds, 0.0);
+        let way = braking.at(braking.duration()).position - at;
+        let rest = at + CAUTION * way + LATE * speed * period;
         let (low, high) = (limits.lower, limits.upper);
         let outward = (rest > high && speed >= 0.0) || (rest < low && speed <= 0.0);
         outward.then(|| {

@@ -28,7 +28,8 @@ impl Servo {
                 self.streams.retire(stream);
                 continue;
             }
-            stream.begin(&self.setpoint.position, &mut self.solver);
+            let held = self.setpoint.position;
+            stream.begin(&held, &mut self.solver, self.config.limit_jerk);
             self.guards
                 .begin(&self.setpoint.position, stream.how().guards);
             self.status.stream = stream.status();

@@ -90,7 +90,7 @@ pub struct ServoArgs {
     /// Registered name of the solver of inverse kinematics: `closed_form` where the arm has one, else `search`, unless it is
     /// given.
     pub inverse: Option<String>,
-    /// Whether motions keep the limits of jerk that the model's joints have.
+    /// Whether motions, stops and streams keep the limits of jerk that the model's joints have.
     #[serde(default)]
     pub limit_jerk: bool,
     /// The tool's limits on lines, arcs and arches.
@@ -338,6 +338,7 @@ impl ServoArgs {
             following_timeout: Duration::from_secs_f64(self.following_timeout_s),
             settling: self.settling,
             stale_after: Duration::from_secs_f64(self.slot_timeout_s),
+            limit_jerk: self.limit_jerk,
         }
     }
 

@@ -17,6 +17,8 @@ pub struct Along {
     course: Course<SECTIONS>,
     /// The hardest braking that each section allows, 1/s^2.
     braking: [f64; SECTIONS],
+    /// The limit of jerk, 1/s^3; 0 for none.
+    jerk: f64,
 }
 
 /// The largest speed, 1/s, and acceleration, 1/s^2, of each section, all above 0.
@@ -35,6 +37,7 @@ impl Along {
         Self {
             course: Course::rest_to_rest(0.0, 1.0, bounds).widened(),
             braking: [bounds.acceleration; SECTIONS],
+            jerk: bounds.jerk,
         }
     }
 
@@ -72,6 +75,7 @@ impl Along {
         Self {
             course: Course::of_phases(begins[SECTIONS], end, phase),
             braking: sections.map(|(_, hardest)| hardest),
+            jerk: 0.0,
         }
     }
 
@@ -80,6 +84,7 @@ impl Along {
         Self {
             course: self.course.stretched(factor),
             braking: self.braking.map(|hardest| hardest / (factor * factor)),
+            jerk: self.jerk / (factor * factor * factor),
         }
     }
 
@@ -98,6 +103,12 @@ impl Along {
     /// What speed and acceleration are between two times, s.
     pub(super) fn ranges(&self, from: f64, to: f64) -> Ranges {
         self.course.ranges(from, to)
+    }
+
+    /// The limit of jerk, 1/s^3; 0 for none.
+    #[must_use]
+    pub fn jerk(&self) -> f64 {
+        self.jerk
     }
 
     /// The hardest braking that is allowed all the way between two times (s), 1/s^2.

@@ -173,6 +173,87 @@ impl Course {
         };
         course
     }
+
+    /// From a state to rest under limits of acceleration and jerk, a jerk of 0 being none: in `within` (s), braking no harder
+    /// than that needs, or in the least time where that is longer. The limit of speed does not matter. Without a limit of
+    /// jerk the acceleration of the state does not either.
+    #[must_use]
+    pub fn to_rest(from: &JointState, bounds: &JointBounds, within: f64) -> Self {
+        let (hardest, jerk) = (bounds.acceleration, bounds.jerk);
+        let (speed, pull) = (from.velocity, from.acceleration);
+        // How long, from which acceleration, and under which jerk; all along the way on which the joint brakes.
+        let (sign, phases) = if jerk > 0.0 {
+            // The speed that is left when the acceleration is gone says which way the joint must brake.
+            let sign = (speed + 0.5 * pull * pull.abs() / jerk).signum();
+            (
+                sign,
+                braking(sign * speed, sign * pull, (hardest, jerk), within),
+            )
+        } else {
+            let lasts = (speed.abs() / hardest).max(within);
+            let even = match lasts > 0.0 {
+                true => (lasts, -speed.abs() / lasts, 0.0),
+                false => (0.0, 0.0, 0.0),
+            };
+            (speed.signum(), [even, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+        };
+        let mut course = Self::still(from.position);
+        let mut state = *from;
+        for (index, phase) in course.phases.iter_mut().enumerate() {
+            let (lasts, acceleration, jerk) = phases.get(index).copied().unwrap_or_default();
+            state.acceleration = sign * acceleration;
+            *phase = Phase {
+                begin: course.duration,
+                state,
+                jerk: sign * jerk,
+            };
+            course.duration += lasts;
+            state = phase.at(course.duration);
+        }
+        course.end = JointState {
+            position: state.position,
+            ..JointState::default()
+        };
+        course
+    }
+}
+
+/// The phases in which a joint with a speed and an acceleration, which is above zero where the acceleration is gone, comes to
+/// rest: how long each lasts, the acceleration with which it begins, and its jerk.
+fn braking(
+    speed: f64,
+    pull: f64,
+    (hardest, jerk): (f64, f64),
+    within: f64,
+) -> [(f64, f64, f64); 3] {
+    // With the hardest braking p it takes (pull + p + square / p) / jerk, where p is at most the root of the square.
+    let square = jerk * speed + 0.5 * pull * pull;
+    let wanted = within * jerk - pull;
+    let spread = (wanted * wanted - 4.0 * square).max(0.0).sqrt();
+    let most = square.max(0.0).sqrt().min(hardest).max(-pull);
+    let gentle = 2.0 * square / (wanted + spread);
+    let takes = most > 0.0 && within * jerk > pull + most + square / most;
+    let peak = if takes { gentle } else { most };
+    if peak >= -pull {
+        let keep = match peak > 0.0 {
+            true => ((square / peak - peak) / jerk).max(0.0),
+            false => 0.0,
+        };
+        return [
+            ((pull + peak) / jerk, pull, -jerk),
+            (keep, -peak, 0.0),
+            (peak / jerk, -peak, jerk),
+        ];
+    }
+    // It brakes harder already than it needs to.
+    let left = speed - 0.5 * pull * pull / jerk;
+    let peak = (left / (within + pull / jerk)).max(0.0);
+    let keep = if peak > 0.0 { left / peak } else { 0.0 };
+    [
+        ((-pull - peak) / jerk, pull, jerk),
+        (keep, -peak, 0.0),
+        (peak / jerk, -peak, jerk),
+    ]
 }
 
 impl<const N: usize> Course<N> {
@@ -399,6 +480,65 @@ mod tests {
             prop_assert!(holds(ranges.velocity, now.velocity), "{ranges:?} {now:?}");
             prop_assert!(holds(ranges.acceleration, now.acceleration), "{ranges:?} {now:?}");
             prop_assert!(holds(course.positions(), now.position), "{:?} {now:?}", course.positions());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn to_rest_takes_the_time_and_the_way_that_ruckig_finds_and_keeps_its_limits(
+            speed in -5.0..5.0_f64, pull in -1.0..1.0_f64, bounds in bounds(), stretch in 0.0..3.0_f64,
+        ) {
+            let from = JointState { position: 0.7, velocity: speed, acceleration: pull * bounds.acceleration };
+            let (least, way) = timing::stops(&[(from, bounds)]).unwrap()[0];
+            let course = Course::to_rest(&from, &bounds, 0.0);
+            prop_assert!((course.duration() - least).abs() < 1e-8 * (1.0 + least), "{} {least}", course.duration());
+            prop_assert!((course.at(least + 1.0).position - 0.7 - way).abs() < 1e-7 * (1.0 + way.abs()));
+            // As long as is asked for, where that is longer and the joint is not at rest anyway before its acceleration is gone.
+            let longer = least * stretch;
+            let slow = Course::to_rest(&from, &bounds, longer);
+            let moves = bounds.jerk == 0.0 || (speed + 0.5 * from.acceleration * from.acceleration.abs() / bounds.jerk).abs() > 1e-6;
+            if moves {
+                let expected = least.max(longer);
+                prop_assert!((slow.duration() - expected).abs() < 1e-6 * (1.0 + expected), "{} {expected}", slow.duration());
+            }
+            for course in [course, slow] {
+                let dt = course.duration() / 500.0;
+                let begin = course.at(0.0);
+                prop_assert!((begin.velocity - speed).abs() < 1e-12 && begin.position == 0.7);
+                prop_assert!(bounds.jerk == 0.0 || (begin.acceleration - from.acceleration).abs() < 1e-9);
+                let mut before = begin;
+                for step in 1..=500_u32 {
+                    let now = course.at(dt * f64::from(step));
+                    prop_assert!(now.acceleration.abs() <= bounds.acceleration * (1.0 + 1e-9) + 1e-12);
+                    let mean = (now.position - before.position) / dt;
+                    prop_assert!((mean - 0.5 * (now.velocity + before.velocity)).abs() <= bounds.acceleration * dt + 1e-9);
+                    prop_assert!((now.velocity - before.velocity).abs() <= bounds.acceleration * dt * (1.0 + 1e-9) + 1e-9);
+                    if bounds.jerk > 0.0 {
+                        let harder = (now.acceleration - before.acceleration).abs();
+                        prop_assert!(harder <= bounds.jerk * dt * (1.0 + 1e-9) + 1e-8, "{harder}");
+                    }
+                    before = now;
+                }
+                let end = course.at(course.duration());
+                prop_assert_eq!(end, at_rest(end.position));
+                prop_assert!((end.position - before.position).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn what_rests_already_comes_to_rest_in_no_time() {
+        for jerk in [0.0, 100.0] {
+            let bounds = JointBounds {
+                velocity: 1.0,
+                acceleration: 10.0,
+                jerk,
+            };
+            for within in [0.0, 1.0] {
+                let course = Course::to_rest(&at_rest(2.0), &bounds, within);
+                assert_eq!(course.at(0.0), at_rest(2.0));
+                assert_eq!(course.at(course.duration()), at_rest(2.0));
+            }
         }
     }
 

@@ -6,12 +6,14 @@
 
 pub mod along;
 pub mod bridge;
+pub mod chase;
 pub mod course;
 pub mod curve;
 pub mod follow;
 pub mod interpolate;
 pub mod passage;
 pub mod plan;
+pub mod pursuit;
 pub mod registry;
 pub mod route;
 pub mod segment;
@@ -21,9 +23,10 @@ pub mod timing;
 pub use bridge::{Blend, Bridge};
 pub use course::Course;
 pub use curve::{Curve, CurveError};
-pub use follow::{Follower, Rest};
+pub use follow::{Follower, REST_PARTS, Rest, WayToRest, way_to_rest};
 pub use passage::Passage;
 pub use plan::{CartesianLimits, PlanError, Planner};
+pub use pursuit::Pursuit;
 pub use registry::{Name, PathRequest, PlanningRegistry};
 pub use route::{Goal, Pace, PathKind, Route};
 pub use segment::{Path, Segment};

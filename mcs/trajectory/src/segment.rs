@@ -6,10 +6,10 @@ use super::along::Along;
 use super::course::Course;
 use super::curve::Curve;
 use super::interpolate::Knot;
-use super::timing::JointState;
+use super::timing::{JointBounds, JointState};
 use super::{Setpoint, Solver};
 use mcs_model::inverse::{Branch, IkError};
-use mcs_model::{Joints, MAX_SLOTS};
+use mcs_model::{Joint, Joints, MAX_SLOTS};
 
 /// The shape of a segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,6 +40,30 @@ impl Courses {
             *own = given;
         }
         Self { courses, joints }
+    }
+
+    /// How joints come to rest from their states, under their limits of acceleration and of jerk: in the time that the slowest
+    /// of them needs, so that all keep about the direction in which they go. One that would leave its range by that, where it
+    /// need not, brakes harder.
+    pub(super) fn to_rest(joints: &[Joint], state: impl Fn(usize) -> JointState) -> Self {
+        let course = |index: usize, within: f64| match joints.get(index) {
+            Some(joint) => {
+                let bounds = JointBounds::of(&joint.limits, (1.0, 1.0), true);
+                Course::to_rest(&state(index), &bounds, within)
+            }
+            None => Course::still(state(index).position),
+        };
+        let together = (0..joints.len()).map(|index| course(index, 0.0).duration());
+        let together = together.fold(0.0, f64::max);
+        Self::new(joints.len(), |index| {
+            let gentle = course(index, together);
+            let end = gentle.at(gentle.duration()).position;
+            let limits = joints.get(index).map(|joint| &joint.limits);
+            match limits.is_some_and(|limits| end < limits.lower || end > limits.upper) {
+                true => course(index, 0.0),
+                false => gentle,
+            }
+        })
     }
 
     /// One for each joint.
@@ -196,6 +220,15 @@ impl Segment {
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.duration
+    }
+
+    /// How many joints it moves.
+    #[must_use]
+    pub fn joints(&self) -> usize {
+        match &self.path {
+            Path::Joint(courses) => courses.each().len(),
+            Path::Tool(path) => path.start_joints.len(),
+        }
     }
 
     /// The smallest singular value of the tool's Jacobian along a path of the tool, and how many times as long that takes

@@ -4,6 +4,7 @@
 //!
 //! Positions are in rad or m, all else per s, s^2 and s^3.
 
+use mcs_model::Limits;
 use rsruckig::prelude::{
     ControlInterface, InputParameter, Ruckig, RuckigError, RuckigResult, Synchronization,
     ThrowErrorHandler, Trajectory,
@@ -32,6 +33,22 @@ pub struct JointBounds {
     pub acceleration: f64,
     /// rad/s^3, or m/s^3; 0 for none.
     pub jerk: f64,
+}
+
+impl JointBounds {
+    /// Fractions of a joint's limits: of its speed, and of acceleration and jerk, that of jerk where it counts and there is one.
+    #[must_use]
+    pub fn of(limits: &Limits, (speed, acceleration): (f64, f64), with_jerk: bool) -> Self {
+        let jerk = with_jerk && limits.jerk > 0.0 && limits.jerk.is_finite();
+        Self {
+            velocity: limits.velocity * speed,
+            acceleration: limits.acceleration * acceleration,
+            jerk: match jerk {
+                true => limits.jerk * acceleration,
+                false => 0.0,
+            },
+        }
+    }
 }
 
 /// How long a motion takes.

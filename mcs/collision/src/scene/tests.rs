@@ -16,8 +16,21 @@ fn at_rest(position: &[f64]) -> Shown {
     Shown {
         ticks: 1,
         velocity: Joints::zeros(position.len()),
+        stopping: Stopping::standing(&position),
         position,
-        stopping: Stopping::default(),
+    }
+}
+
+/// The way of joints that brake evenly to rest, in a time (s), from their speeds.
+fn braking(position: &Joints, speed: &Joints, time: f64) -> Stopping {
+    Stopping {
+        time,
+        way: mcs::trajectory::way_to_rest(1.0, |share| {
+            let seconds = 0.0045 + 0.5 * time * share * (2.0 - share);
+            Joints::from_fn(position.len(), |index| {
+                position[index] + speed[index] * seconds
+            })
+        }),
     }
 }
 
@@ -65,11 +78,8 @@ fn before_a_ball(speed: f64, angle: f64) -> Looked {
     // Stretched out, at the height of the ball.
     let mut shown = at_rest(&[0.0, 0.0, -std::f64::consts::FRAC_PI_2, 0.0, 0.0, 0.0]);
     shown.velocity[0] = speed;
-    shown.stopping = Stopping {
-        time: 0.2,
-        lead: 0.1,
-    };
-    scene.see(0, &shown, 0.0045);
+    shown.stopping = braking(&shown.position, &shown.velocity, 0.2);
+    scene.see(0, &shown, 0.0045, 0.0045);
     scene.look()
 }
 
@@ -102,16 +112,9 @@ fn no_solid_moves_more_than_its_levers_say() {
         let q = spread(&model, sample);
         let to = spread(&model, sample + 1000);
         let by = Joints::from_fn(9, |joint| (to[joint] - q[joint]) * 0.1);
-        arm.see(
-            &q,
-            |joint| by[joint],
-            Stopping {
-                time: 2.0,
-                lead: 1.0,
-            },
-            0.0,
-        );
-        arm.until(2.0);
+        let end = Joints::from_fn(9, |joint| q[joint] + by[joint]);
+        arm.goes(Way::straight(&q, &end));
+        arm.way.until(1.0);
         let (first, last) = (arm.at(0).to_vec(), arm.at(PIECES).to_vec());
         for (part, (first, last)) in arm.parts.iter().zip(first.iter().zip(&last)) {
             let most: f64 = part

@@ -44,7 +44,12 @@ struct Streamed {
 
 impl Streamed {
     fn new() -> Self {
+        Self::limiting_jerk(false)
+    }
+
+    fn limiting_jerk(limits: bool) -> Self {
         let mut rig = Rig::pid();
+        rig.servo.config.limit_jerk = limits;
         rig.release();
         Self {
             rig,
@@ -139,6 +144,21 @@ impl Streamed {
             }
         }
     }
+
+    /// Holds that the accelerations between setpoints changed no faster than the limits of jerk allow.
+    #[track_caller]
+    fn held_jerk(&self) {
+        for (tick, four) in self.setpoints.windows(4).enumerate() {
+            for (joint, own) in self.rig.planner.model().joints().iter().enumerate() {
+                let [a, b, c, d] = [0, 1, 2, 3].map(|at: usize| four[at][joint]);
+                let jerk = (d - 3.0 * c + 3.0 * b - a).abs() / PERIOD.powi(3);
+                assert!(
+                    jerk <= own.limits.jerk * (1.0 + 1e-6) + 1e-3,
+                    "tick {tick}, joint {joint}: {jerk}"
+                );
+            }
+        }
+    }
 }
 
 fn away(by: f64) -> [f64; 6] {
@@ -160,6 +180,38 @@ fn a_jump_of_a_stream_is_made_within_the_limits_and_held() {
         streamed.hold(&away(-0.3), 40);
         streamed.hold(&away(0.5), 400);
         streamed.held_limits(pace);
+    }
+}
+
+#[test]
+fn a_stream_keeps_limits_of_jerk_in_jumps_when_it_ends_and_when_it_is_stopped() {
+    for pace in [1.0, 0.3] {
+        let mut streamed = Streamed::limiting_jerk(true);
+        streamed.begin(StreamKind::Joints, pace);
+        streamed.hold(&away(0.5), 600);
+        assert!(distance(&streamed.status().setpoint, &away(0.5).into()) < 1e-9);
+        // Back in the midst of the way, and beyond what a joint may do.
+        streamed.hold(&away(-0.3), 40);
+        streamed.hold(&away(0.5), 30);
+        streamed.hold(&away(0.8), 80);
+        streamed.held_limits(pace);
+        streamed.held_jerk();
+        // Silence.
+        streamed.rest();
+        assert!(streamed.end().starts_with("the newest value is"));
+        streamed.held_limits(1.0);
+        streamed.held_jerk();
+    }
+    for stop in [ServoCommand::Stop, ServoCommand::ControlledStop] {
+        let mut streamed = Streamed::limiting_jerk(true);
+        streamed.begin(StreamKind::Joints, 1.0);
+        streamed.hold(&away(0.8), 40);
+        streamed.rig.order(stop);
+        streamed.rest();
+        // The arm itself is what is shown once its power is off.
+        streamed.setpoints.pop();
+        streamed.held_limits(1.0);
+        streamed.held_jerk();
     }
 }
 

@@ -32,13 +32,13 @@ fn within_limits(name: &'static str) -> impl Strategy<Value = Joints> {
 
 /// All setpoints of a segment from `start`, to a stop asked for before some period if that comes.
 fn followed(
-    solver: &mut Solver,
+    planner: &mut Planner,
     (segment, start): (&Segment, &Joints),
     stop_before: usize,
 ) -> Vec<Setpoint> {
-    let mut follower = Follower::new(1, PERIOD, 4);
+    let mut follower = Follower::new(1, PERIOD, 4).limiting_jerk(planner.limits_jerk);
     assert!(follower.push(*segment, None));
-    setpoints(solver, &mut follower, start, stop_before)
+    setpoints(&mut planner.solver, &mut follower, start, stop_before)
 }
 
 /// All setpoints to the next rest.
@@ -110,6 +110,22 @@ fn check(model: &Model, setpoints: &[Setpoint], pace: Pace, stop_before: usize) 
     }
 }
 
+/// That setpoints keep the limits of jerk of all joints as they are seen once a period, by a share more or less.
+fn check_jerk(model: &Model, setpoints: &[Setpoint], share: f64) {
+    for (period, triple) in setpoints.windows(3).enumerate() {
+        let [a, b, c] = triple else { continue };
+        for (index, joint) in model.joints().iter().enumerate() {
+            let [a, b, c] = [a, b, c].map(|setpoint| setpoint.velocity[index]);
+            let found = (c - 2.0 * b + a).abs() / (PERIOD * PERIOD);
+            let most = share * joint.limits.jerk * (1.0 + 1e-6) + 1e-5;
+            assert!(
+                found <= most,
+                "joint {index}, period {period}: jerk {found}, at most {most}"
+            );
+        }
+    }
+}
+
 /// How far a position is from where its segment is at some time: the least over all times, by halving in the travel of the
 /// joint that goes furthest.
 fn off_the_path(segment: &Segment, position: &Joints) -> f64 {
@@ -152,7 +168,7 @@ fn joint_motion(
     let planner = Planner::new(Arc::clone(&model), CartesianLimits::default(), 0.018);
     let mut planner = planner.unwrap().limiting_jerk(limits_jerk);
     let segment = planner.joint(&start, &end, pace).unwrap();
-    let whole = followed(&mut planner.solver, (&segment, &start), usize::MAX);
+    let whole = followed(&mut planner, (&segment, &start), usize::MAX);
     check(&model, &whole, pace, usize::MAX);
     let planned = (segment.duration() / PERIOD).ceil() as usize + 1;
     assert_eq!(whole.len(), planned);
@@ -160,7 +176,7 @@ fn joint_motion(
     assert_eq!(whole.first().unwrap().position, start);
 
     let stop_before = (stop_at * planned as f64) as usize;
-    let stopped = followed(&mut planner.solver, (&segment, &start), stop_before);
+    let stopped = followed(&mut planner, (&segment, &start), stop_before);
     check(&model, &stopped, pace, stop_before);
     // A stop is no longer than the rest of the motion, but for the parts of periods.
     let most = planned.max(stop_before) + 2;
@@ -172,7 +188,18 @@ fn joint_motion(
     let rest = stopped.last().unwrap();
     assert_eq!(*rest, Setpoint::at_rest(rest.position));
     let off = off_the_path(&segment, &rest.position);
-    assert!(off < 1e-6, "{off}");
+    if limits_jerk {
+        for all in [&whole, &stopped] {
+            check_jerk(&model, all, 1.0);
+        }
+        // Beside the path, and never by as much as the way to rest.
+        let before = &stopped[stop_before.saturating_sub(1).min(stopped.len() - 1)];
+        let pairs = rest.position.iter().zip(&before.position);
+        let way = pairs.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+        assert!(off < way + 1e-3, "{off} {way}");
+    } else {
+        assert!(off < 1e-6, "{off}");
+    }
 }
 
 proptest! {
@@ -192,7 +219,7 @@ proptest! {
 
     #[test]
     fn a_line_is_kept_within_every_limit_on_the_way_and_in_a_stop_at_any_moment(
-        cart in any::<bool>(), pace in pace(), stop_at in 0.0..1.0_f64,
+        cart in any::<bool>(), jerk in any::<bool>(), pace in pace(), stop_at in 0.0..1.0_f64,
         (x, y, z) in (-0.1..0.1_f64, 0.05..0.25_f64, -0.1..0.1_f64), turn in -0.3..0.3_f64,
     ) {
         let ready = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
@@ -201,7 +228,7 @@ proptest! {
             false => (arm("puma560"), Joints::from(ready)),
         };
         let planner = Planner::new(Arc::clone(&model), CartesianLimits::default(), 0.018);
-        let mut planner = planner.unwrap();
+        let mut planner = planner.unwrap().limiting_jerk(jerk);
         let from = planner.tool_pose(&start);
         let goal = Isometry3::from_parts(
             Translation3::from(from.translation.vector + Vector3::new(x, y, z)),
@@ -213,8 +240,11 @@ proptest! {
         let segment = segment.unwrap();
         let planned = (segment.duration() / PERIOD).ceil() as usize + 1;
         for stop_before in [usize::MAX, (stop_at * planned as f64) as usize] {
-            let setpoints = followed(&mut planner.solver, (&segment, &start), stop_before);
+            let setpoints = followed(&mut planner, (&segment, &start), stop_before);
             check(&model, &setpoints, Pace::from(1.0), stop_before);
+            if jerk {
+                check_jerk(&model, &setpoints, 1.02);
+            }
             let along = goal.translation.vector - from.translation.vector;
             for setpoint in &setpoints {
                 let way = planner.tool_pose(&setpoint.position).translation.vector - from.translation.vector;
@@ -246,10 +276,13 @@ fn two_segments(
     let whole = first.duration() + second.duration() - bridge.gain(first);
     let planned = (whole / PERIOD).ceil() as usize + 1;
     for stop_before in [usize::MAX, (stop_at * planned as f64) as usize] {
-        let mut follower = Follower::new(2, PERIOD, 4);
+        let mut follower = Follower::new(2, PERIOD, 4).limiting_jerk(planner.limits_jerk);
         assert!(follower.push(*first, None) && follower.push(*second, Some(bridge)));
         let setpoints = setpoints(&mut planner.solver, &mut follower, start, stop_before);
         check(&model, &setpoints, Pace::from(1.0), stop_before);
+        if planner.limits_jerk {
+            check_jerk(&model, &setpoints, 1.02);
+        }
         if stop_before == usize::MAX {
             assert!(setpoints.len().abs_diff(planned) <= 1);
             assert_eq!(follower.passed(), 1);
@@ -280,11 +313,12 @@ proptest! {
 
     #[test]
     fn bridges_lead_from_lines_to_lines_and_to_joint_motions(
-        kinds in (any::<bool>(), any::<bool>()), blend in 0.05..=1.0_f64, stop_at in 0.0..1.0_f64, pace in 0.1..1.0_f64,
+        kinds in (any::<bool>(), any::<bool>()), jerk in any::<bool>(), blend in 0.05..=1.0_f64, stop_at in 0.0..1.0_f64,
+        pace in 0.1..1.0_f64,
         by in (prop::array::uniform3(-0.15..0.15_f64), prop::array::uniform3(-0.15..0.15_f64)),
     ) {
         let planner = Planner::new(arm("puma560"), CartesianLimits::default(), 0.018);
-        let (mut planner, pace) = (planner.unwrap(), Pace::from(pace));
+        let (mut planner, pace) = (planner.unwrap().limiting_jerk(jerk), Pace::from(pace));
         let start = Joints::from([0.1, 0.8, -2.6, 0.2, 0.7, 0.1]);
         let mut from = start;
         let mut segments = Vec::new();
@@ -380,7 +414,7 @@ fn a_stop_takes_the_closed_forms_time_where_one_joint_moves() {
     let segment = planner.joint(&start, &end, 1.0).unwrap();
     let gaining = (limits.velocity / limits.acceleration / PERIOD) as usize;
     for stop_before in [gaining / 2, gaining + 20] {
-        let setpoints = followed(&mut planner.solver, (&segment, &start), stop_before);
+        let setpoints = followed(&mut planner, (&segment, &start), stop_before);
         let speed = setpoints[stop_before - 1].velocity[0];
         let took = (setpoints.len() - stop_before) as f64 * PERIOD;
         let least = speed / limits.acceleration;
@@ -395,9 +429,9 @@ fn a_stop_takes_the_closed_forms_time_where_one_joint_moves() {
 #[test]
 fn a_segment_of_no_length_rests_at_once() {
     let model = arm("puma560");
-    let mut solver = Solver::new(model).unwrap();
+    let mut planner = Planner::new(model, CartesianLimits::default(), 0.018).unwrap();
     let here = Joints::from([0.1, 0.8, -2.6, 0.2, 0.7, 0.1]);
-    let setpoints = followed(&mut solver, (&Segment::hold(here), &here), usize::MAX);
+    let setpoints = followed(&mut planner, (&Segment::hold(here), &here), usize::MAX);
     assert_eq!(setpoints, [Setpoint::at_rest(here)]);
 }
 

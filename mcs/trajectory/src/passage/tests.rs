@@ -168,6 +168,87 @@ fn through_two_random_way_points_a_passage_is_much_shorter_than_with_stops() {
     }
 }
 
+/// A time that no motion through the points can go below: in each section the slowest joint goes at full speed, but for the
+/// gaining of speed in the first one and the losing in the last.
+fn least_possible(points: &[f64], bounds: &[JointBounds]) -> f64 {
+    let gaining = |way: f64, bounds: &JointBounds| {
+        let (v, a) = (bounds.velocity, bounds.acceleration);
+        let lag = if bounds.jerk > 0.0 {
+            a / bounds.jerk
+        } else {
+            0.0
+        };
+        let (soft, ramp) = (a * lag * lag, v * v / (2.0 * a));
+        if way >= ramp + soft / 24.0 {
+            way / v + v / (2.0 * a) + 0.5 * lag - soft / (24.0 * v)
+        } else if way >= soft / 6.0 {
+            0.5 * lag + (2.0 * (way - soft / 24.0) / a).sqrt()
+        } else {
+            (6.0 * way / bounds.jerk).cbrt()
+        }
+    };
+    let pairs: Vec<_> = points.chunks_exact(bounds.len()).collect();
+    let last = pairs.len() - 2;
+    let sections = pairs.windows(2).enumerate();
+    let each = sections.map(|(number, ends)| {
+        let joints = ends[0].iter().zip(ends[1]).zip(bounds);
+        joints.fold(0.0_f64, |most, ((from, to), bounds)| {
+            let way = (to - from).abs();
+            most.max(match number == 0 || number == last {
+                true => gaining(way, bounds),
+                false => way / bounds.velocity,
+            })
+        })
+    });
+    each.sum()
+}
+
+/// Of two way points in a share of a PUMA's range: how long a passage takes, and how long the least possible time is, as shares of
+/// the time with stops.
+fn of_a_puma(share: f64, with_jerk: bool) -> [f64; 2] {
+    let model = mcs_model::built_in::model("puma560", mcs_model::file::Inertias::Identified);
+    let model = model.unwrap().unwrap();
+    let limits = || model.joints().iter().map(|joint| joint.limits);
+    let bounds: Vec<_> = limits()
+        .map(|limits| JointBounds::of(&limits, (1.0, 1.0), with_jerk))
+        .collect();
+    let mut random = ChaCha8Rng::seed_from_u64(11);
+    let mut sums = [0.0; 2];
+    for _ in 0..40 {
+        let points: Vec<f64> = (0..4)
+            .flat_map(|_| limits())
+            .map(|limits| {
+                let (middle, half) = (
+                    0.5 * (limits.upper + limits.lower),
+                    0.5 * (limits.upper - limits.lower),
+                );
+                middle + share * half * random.random_range(-1.0..1.0)
+            })
+            .collect();
+        let stops = with_stops(&points, &bounds);
+        let passage = Passage::through(&points, &bounds).unwrap();
+        sums[0] += passage.duration() / stops / 40.0;
+        sums[1] += least_possible(&points, &bounds) / stops / 40.0;
+    }
+    sums
+}
+
+#[test]
+fn on_a_pumas_long_ways_no_motion_takes_0_85_of_one_that_stops_and_a_passage_takes_little_more_than_the_least()
+ {
+    for with_jerk in [false, true] {
+        let [found, least] = of_a_puma(1.0, with_jerk);
+        assert!(least > 0.87, "with a limit of jerk: {with_jerk}: {least}");
+        assert!(
+            found < least + 0.035,
+            "with a limit of jerk: {with_jerk}: {found} {least}"
+        );
+    }
+    // Where speeds are hardly reached there is more to save.
+    let [found, _] = of_a_puma(0.3, true);
+    assert!(found < 0.85, "{found}");
+}
+
 /// How long a passage takes that rsruckig's own search for way points finds in so many sweeps.
 fn by_rsruckig(points: &[f64], bounds: &[JointBounds], sweeps: usize) -> f64 {
     use rsruckig::prelude::{DataArrayOrVec, InputParameter, Ruckig, ThrowErrorHandler};

@@ -1,6 +1,7 @@
 //! The planner on random and on awkward targets.
 
 use super::*;
+use crate::timing::JointState;
 use crate::{Setpoint, timing};
 use mcs_model::{Placement, built_in, file::Inertias};
 use nalgebra::Translation3;

@@ -4,7 +4,7 @@
 //! beside what it goes after: the discrete form of a time-optimal course, without overshoot and without chatter (R. Zanasi,
 //! C. Guarino Lo Bianco and A. Tonielli, Nonlinear filters for the generation of smooth trajectories, Automatica 36, 2000).
 
-use crate::model::Limits;
+use mcs_model::Limits;
 
 /// The speed at the end of the next `period` with which a joint that goes at `speed` gets over a `gap` soonest and rests
 /// there, braking no harder than `acceleration`. It may ask for a quicker change of the speed than that; the caller holds it.
@@ -28,7 +28,8 @@ fn approach(gap: f64, speed: f64, acceleration: f64, period: f64) -> f64 {
 
 /// The speed after the next `period` (s) of a joint at `position` with `speed` that goes after `aim`, a position and a speed:
 /// at most the fraction `pace` of the largest speed and acceleration in `limits`. It rests before a limit of its position.
-pub(super) fn chase(
+#[must_use]
+pub fn chase(
     (position, speed): (f64, f64),
     (aim, aim_speed): (f64, f64),
     limits: &Limits,
@@ -50,7 +51,8 @@ pub(super) fn chase(
 }
 
 /// The speed after the next `period` (s) of a joint that brakes as hard as it may.
-pub(super) fn brake(speed: f64, limits: &Limits, period: f64) -> f64 {
+#[must_use]
+pub fn brake(speed: f64, limits: &Limits, period: f64) -> f64 {
     let step = limits.acceleration * period;
     speed - speed.clamp(-step, step)
 }
