@@ -200,7 +200,7 @@ impl<T> Begun<T> for LocalBoxFuture<'static, T> {
     }
 }
 
-const SOON: Duration = Duration::from_millis(20);
+const DEADLINE: Duration = Duration::from_millis(20);
 
 async fn a_trace_and_the_time_left_travel_with_the_message(suite: Suite) -> Outcome {
     let cx = suite.cx.new_trace();
@@ -404,9 +404,9 @@ async fn a_call_ends_at_its_deadline_and_is_not_begun_afterwards(suite: Suite) -
         sender: 0,
         number: 1,
     };
-    let answer = suite.cx.call(&suite.peer, late).deadline(SOON).await;
+    let answer = suite.cx.call(&suite.peer, late).deadline(DEADLINE).await;
     faulty(answer, "note", |fault| {
-        *fault == Fault::Deadline { after: SOON }
+        *fault == Fault::Deadline { after: DEADLINE }
     })?;
     let never = suite.cx.call(&suite.peer, Ping {}).deadline(Duration::ZERO);
     faulty(never.await, "ping", |fault| {
@@ -439,9 +439,9 @@ async fn a_send_that_is_given_up_is_not_delivered_afterwards(suite: Suite) -> Ou
         sender: 0,
         number: 4,
     };
-    let answer = suite.cx.send(&suite.peer, note).deadline(SOON).await;
+    let answer = suite.cx.send(&suite.peer, note).deadline(DEADLINE).await;
     faulty(answer, "note", |fault| {
-        *fault == Fault::Deadline { after: SOON }
+        *fault == Fault::Deadline { after: DEADLINE }
     })?;
     suite.open().await?;
     blocked.await?;
@@ -462,7 +462,7 @@ async fn a_full_queue_makes_senders_wait_and_loses_nothing(suite: Suite) -> Outc
         begin(sent).await;
     }
     // The queue holds four; nobody else is told that its message was taken.
-    suite.cx.sleep(SOON).await;
+    suite.cx.sleep(DEADLINE).await;
     for sent in &mut waiting {
         begin(sent).await;
     }
@@ -482,7 +482,7 @@ async fn more_than_may_wait_is_refused_and_counted(suite: Suite) -> Outcome {
     let calls: Vec<_> = (0..100).map(|number| suite.note(number)).collect();
     let opened = async {
         suite.cx.call(&suite.near, Ping {}).await?;
-        suite.cx.sleep(SOON).await;
+        suite.cx.sleep(DEADLINE).await;
         suite.open().await
     };
     let (answers, opened) = join(join_all(calls), opened).await;

@@ -27,7 +27,7 @@ use crate::trajectory::{Blend, Goal, Pace, Route};
 /// A motion is answered at its end.
 const LONGEST_MOVE: Duration = Duration::from_secs(3600);
 /// Anything else is answered at once, but for coming to rest.
-const SOON: Duration = Duration::from_secs(30);
+const DEADLINE: Duration = Duration::from_secs(30);
 
 const FORMS: &[Form] = &[
     Form {
@@ -447,7 +447,7 @@ impl MvPos {
             "release" => {
                 io.floats.clear();
                 if cx.is_in_app() {
-                    let released = cx.call_task(&self.options.client, Release {}, SOON);
+                    let released = cx.call_task(&self.options.client, Release {}, DEADLINE);
                     released.await?.map_err(in_the_way)?;
                 }
                 Ok(String::new())
@@ -562,7 +562,7 @@ impl MvPos {
             joints,
             base_t_tool,
             ..
-        } = cx.call_task(client, ReadPosition {}, SOON).await?;
+        } = cx.call_task(client, ReadPosition {}, DEADLINE).await?;
         let mut pose = Transport::floats(base_t_tool);
         Ok((joints, kinematics::pose(&mut pose)?))
     }
@@ -628,14 +628,14 @@ impl MvPos {
                 acceleration,
                 elbow,
             };
-            let planned = cx.call_task(client, plan, SOON).await?;
+            let planned = cx.call_task(client, plan, DEADLINE).await?;
             return planned.map_err(in_the_way);
         }
         let guards = self.guards(cx, io).await?;
-        let status = cx.call_task(client, Status {}, SOON).await?;
+        let status = cx.call_task(client, Status {}, DEADLINE).await?;
         let acquires = status.state == State::Cold;
         if acquires {
-            let acquired = cx.call_task(client, Acquire {}, SOON).await?;
+            let acquired = cx.call_task(client, Acquire {}, DEADLINE).await?;
             acquired.map_err(in_the_way)?;
         }
         let moves = goals.iter().map(|goal| {
@@ -656,7 +656,7 @@ impl MvPos {
         let moved: Result<Vec<MoveReport>, Report> = moved.collect();
         if acquires && (!self.options.keep || moved.is_err()) {
             // It was had for this motion, whatever became of it.
-            let released = cx.call_task(client, Release {}, SOON).await;
+            let released = cx.call_task(client, Release {}, DEADLINE).await;
             let moved = moved?;
             released?.map_err(in_the_way)?;
             return Ok(last_of(&moved));

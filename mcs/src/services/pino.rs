@@ -15,7 +15,7 @@ use crate::client::{
 };
 
 /// Everything here is answered at once, but for coming to rest.
-const SOON: Duration = Duration::from_secs(30);
+const DEADLINE: Duration = Duration::from_secs(30);
 
 const FORMS: &[Form] = &[
     Form {
@@ -182,7 +182,7 @@ impl Pino {
         let client = &self.options.client;
         match form {
             "control" => {
-                let control = cx.call_task(client, ReadControl {}, SOON).await?;
+                let control = cx.call_task(client, ReadControl {}, DEADLINE).await?;
                 control_answer(io, &control.law, control.numbers());
             }
             "set" => {
@@ -191,11 +191,11 @@ impl Pino {
                     bandwidth_hz,
                     damping,
                 };
-                let control = cx.call_task(client, set, SOON).await?;
+                let control = cx.call_task(client, set, DEADLINE).await?;
                 control_answer(io, &control.law, control.numbers());
             }
             "sensors" => {
-                let report = cx.call_task(client, ReadSensors {}, SOON).await?;
+                let report = cx.call_task(client, ReadSensors {}, DEADLINE).await?;
                 let named = report.sensors.iter();
                 let named = named.map(|sensor| {
                     let stale = report.stale.contains(&sensor.name);
@@ -209,34 +209,35 @@ impl Pino {
                 let (name, (value, _)) = (named.to_owned(), numbers(io));
                 io.floats.clear();
                 let set = cx
-                    .call_task(client, SetOutput { name, value }, SOON)
+                    .call_task(client, SetOutput { name, value }, DEADLINE)
                     .await?;
                 set.map_err(super::in_the_way)?;
             }
             "law NAME" => {
                 let law = named.to_owned();
-                let control = cx.call_task(client, SetLaw { law }, SOON).await?;
+                let control = cx.call_task(client, SetLaw { law }, DEADLINE).await?;
                 control_answer(io, &control.law, control.numbers());
             }
-            "stop" => cx.call_task(client, Stop {}, SOON).await?,
+            "stop" => cx.call_task(client, Stop {}, DEADLINE).await?,
             "records" => {
                 let buffer = Some(self.options.records.clone()).filter(|name| !name.is_empty());
                 io.text = match &buffer {
                     Some(name) => format!("every tick writes to buffer `{name}`"),
                     None => "no buffer is written".to_owned(),
                 };
-                cx.call_task(client, RecordStates { buffer }, SOON).await?;
+                cx.call_task(client, RecordStates { buffer }, DEADLINE)
+                    .await?;
             }
-            "stop1" => cx.call_task(client, ControlledStop {}, SOON).await?,
-            "estop" => cx.call_task(client, EmergencyStop {}, SOON).await?,
-            "resume" => cx.call_task(client, Resume {}, SOON).await?,
+            "stop1" => cx.call_task(client, ControlledStop {}, DEADLINE).await?,
+            "estop" => cx.call_task(client, EmergencyStop {}, DEADLINE).await?,
+            "resume" => cx.call_task(client, Resume {}, DEADLINE).await?,
             "reset" => {
-                let reset = cx.call_task(client, Reset {}, SOON).await?;
+                let reset = cx.call_task(client, Reset {}, DEADLINE).await?;
                 reset.map_err(super::in_the_way)?;
             }
             _ => {
-                let status = cx.call_task(client, Status {}, SOON).await?;
-                let position = cx.call_task(client, ReadPosition {}, SOON).await?;
+                let status = cx.call_task(client, Status {}, DEADLINE).await?;
+                let position = cx.call_task(client, ReadPosition {}, DEADLINE).await?;
                 let holder = status.holder.as_deref().unwrap_or("nobody");
                 io.text = format!(
                     "{}, held by {holder}, motion {:?}",

@@ -11,7 +11,7 @@ use super::local::SharedArm;
 use crate::client::ReadSlots;
 
 /// It is answered at once.
-const SOON: Duration = Duration::from_secs(30);
+const DEADLINE: Duration = Duration::from_secs(30);
 
 const FORMS: &[Form] = &[Form {
     text: "",
@@ -82,7 +82,7 @@ impl Slots {
                 io.floats.extend(numbers);
             }
         } else {
-            let report = cx.call_task(&self.options.client, ReadSlots {}, SOON);
+            let report = cx.call_task(&self.options.client, ReadSlots {}, DEADLINE);
             let report = report.await?;
             for joint in &report.joints {
                 lines.push(line(&joint.name, joint.kind));

@@ -14,7 +14,7 @@ use crate::client::{
 use crate::state::State;
 
 /// Everything here is answered at once, but for coming to rest.
-const SOON: Duration = Duration::from_secs(30);
+const DEADLINE: Duration = Duration::from_secs(30);
 /// By then a tick has seen a value.
 const SEEN: Duration = Duration::from_millis(10);
 
@@ -212,26 +212,28 @@ impl Streaming {
         let numbers = std::mem::take(&mut io.floats);
         match form {
             "acquire" => {
-                let acquired = cx.call_task(client, Acquire {}, SOON).await?;
+                let acquired = cx.call_task(client, Acquire {}, DEADLINE).await?;
                 acquired.map_err(in_the_way)?;
             }
             "release" => {
-                let released = cx.call_task(client, Release {}, SOON).await?;
+                let released = cx.call_task(client, Release {}, DEADLINE).await?;
                 released.map_err(in_the_way)?;
             }
-            "end" => cx.call_task(client, Cancel {}, SOON).await?,
+            "end" => cx.call_task(client, Cancel {}, DEADLINE).await?,
             "begin" => {
-                let begun = cx.call_task(client, self.request(), SOON).await?;
+                let begun = cx.call_task(client, self.request(), DEADLINE).await?;
                 told(io, begun.map_err(in_the_way)?);
             }
             form if form == "state" || numbers.is_empty() => {
-                told(io, cx.call_task(client, ReadStream {}, SOON).await?)
+                told(io, cx.call_task(client, ReadStream {}, DEADLINE).await?)
             }
             _ => {
-                let taken = cx.call_task(client, StreamValue { numbers }, SOON).await?;
+                let taken = cx
+                    .call_task(client, StreamValue { numbers }, DEADLINE)
+                    .await?;
                 taken.map_err(in_the_way)?;
                 cx.sleep(SEEN).await;
-                let report = cx.call_task(client, ReadStream {}, SOON).await?;
+                let report = cx.call_task(client, ReadStream {}, DEADLINE).await?;
                 if let Some(end) = report.end {
                     return Err(Report::error(code::MOTION, end));
                 }
@@ -256,16 +258,16 @@ pub(super) async fn listen(
         let text = "no buffer is named; name one: CTRL -listen BUFFER";
         return Err(Report::error(sorma::report::code::VALUE, text));
     }
-    let cold = cx.call_task(client, Status {}, SOON).await?.state == State::Cold;
+    let cold = cx.call_task(client, Status {}, DEADLINE).await?.state == State::Cold;
     if cold {
-        let acquired = cx.call_task(client, Acquire {}, SOON).await?;
+        let acquired = cx.call_task(client, Acquire {}, DEADLINE).await?;
         acquired.map_err(in_the_way)?;
     }
-    let begun = cx.call_task(client, request, SOON).await;
+    let begun = cx.call_task(client, request, DEADLINE).await;
     let begun = begun.and_then(|begun| begun.map_err(in_the_way));
     if cold && begun.is_err() {
         // It was had for this, and nothing came of it.
-        let _ = cx.call_task(client, Release {}, SOON).await;
+        let _ = cx.call_task(client, Release {}, DEADLINE).await;
     }
     told(io, begun?);
     Ok(())

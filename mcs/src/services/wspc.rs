@@ -12,7 +12,7 @@ use crate::client::{GuardsReport, ReadGuards, RemoveGuard, SetGuard};
 use crate::guard::Reaction;
 
 /// The servo answers after a tick.
-const SOON: Duration = Duration::from_secs(30);
+const DEADLINE: Duration = Duration::from_secs(30);
 
 const FOR: &str = "for TASK";
 
@@ -302,10 +302,10 @@ impl Wspc {
         let name = guard_name(cx.name()).to_owned();
         match form {
             "list" => {
-                let report = cx.call_task(client, ReadGuards {}, SOON).await?;
+                let report = cx.call_task(client, ReadGuards {}, DEADLINE).await?;
                 io.text = listed(&report);
             }
-            "remove" => cx.call_task(client, RemoveGuard { name }, SOON).await?,
+            "remove" => cx.call_task(client, RemoveGuard { name }, DEADLINE).await?,
             _ => {
                 let request = SetGuard {
                     name,
@@ -314,7 +314,7 @@ impl Wspc {
                     reaction: self.options.reaction(),
                     args: self.options.args(),
                 };
-                cx.call_task(client, request, SOON).await?;
+                cx.call_task(client, request, DEADLINE).await?;
             }
         }
         Ok(())

@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// A picture is taken when the camera is free.
-const SOON: Duration = Duration::from_secs(60);
+const DEADLINE: Duration = Duration::from_secs(60);
 
 /// The first word of a request for a camera's picture.
 const CAMERA: &str = "camera";
@@ -211,7 +211,7 @@ impl Spot {
             camera: camera.to_owned(),
         };
         let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
-        let taken = cx.call_task(tool, request, SOON).await;
+        let taken = cx.call_task(tool, request, DEADLINE).await;
         let taken = taken.map_err(|report| nothing(&report.text))?;
         let frame = taken.map_err(|error| nothing(&error.reason))?;
         let whole = frame

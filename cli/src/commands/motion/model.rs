@@ -12,7 +12,7 @@ use mcs::client::{JointReport, ReadSlots, SlotsReport, Status, StatusReport};
 use serde::Serialize;
 
 /// A manipulator answers at once, or something keeps its tasks.
-const SOON: Duration = Duration::from_secs(2);
+const DEADLINE: Duration = Duration::from_secs(2);
 /// A joint this near to a limit, as part of its range, stands out.
 const NEAR: f64 = 0.05;
 /// How wide the range of a joint is drawn, and its torque.
@@ -121,9 +121,9 @@ impl Sample {
             .iter()
             .filter(|name| names.is_empty() || names.contains(name))
         {
-            let asked = client.call(name, Status {}, SOON);
+            let asked = client.call(name, Status {}, DEADLINE);
             let asked =
-                asked.and_then(|status| Ok((status, client.call(name, ReadSlots {}, SOON)?)));
+                asked.and_then(|status| Ok((status, client.call(name, ReadSlots {}, DEADLINE)?)));
             let answer = match asked {
                 Ok((status, slots)) => Answer::Seen(Seen::new(&status, slots)),
                 // It may be one of several, and the others answer.
