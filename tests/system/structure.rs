@@ -283,7 +283,7 @@ const PROCESSES: &[&str] = &[
     "std::process::Command",
     "std::process::Child",
     "tokio::process",
-    "rustix::process",
+    "rustix::process::Pid",
 ];
 
 /// What crates may not know of the standard library and others, as the table of crates says.

@@ -36,7 +36,7 @@ mod tests;
 
 use std::rc::Rc;
 
-use serde::{Deserialize, de::DeserializeOwned};
+use serde::de::DeserializeOwned;
 
 use ctos::{
     diagnostic::Findings,
@@ -69,13 +69,18 @@ pub fn register<S: 'static>(
     name: &str,
     library: impl Fn() -> Library<S> + Clone + Send + Sync + 'static,
 ) {
-    register_with(registry, name, move |NoArgs {}| library());
+    let (build, spoken) = (library.clone(), library.clone());
+    registry
+        .handler(name, &COMMANDS, move |cx| {
+            NetTask::from_args(cx, build(), None)
+        })
+        .keys(&KEYS)
+        .check_in_app(move |task, app, findings| {
+            check_args(task, app, &library().names(), findings);
+        })
+        .speaks(move |_| spoken().names().vocabulary());
+    check_nets(registry);
 }
-
-/// No arguments but those of [`settings`].
-#[derive(Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct NoArgs {}
 
 /// [`register`] for a library with arguments of its own, which stand among those of [`settings`]. They are read when the
 /// app is checked, too.
