@@ -68,7 +68,7 @@ pub struct Stopping {
     /// Time from then until rest, s.
     pub time: f64,
     /// Where the joints are meanwhile, rad or m: when the braking begins, and at the end of each of
-    /// [`REST_PARTS`](crate::trajectory::REST_PARTS) equal parts of that time.
+    /// [`REST_PARTS`] equal parts of that time.
     pub way: WayToRest,
 }
 
