@@ -1,7 +1,7 @@
 //! The planner and the servo's queue under random orders, on drives that are always where they are told to be: segments of all
 //! kinds at random moments, with and without blends, stops of categories 1 and 2, cancellations with a new plan at once. At
-//! every period of 4.5 ms positions, speeds, accelerations and, where that is asked for, jerks are within the limits of the
-//! joints, no speed has a step, and in the end the arm rests. `CTOS_MOTION_SEEDS=1000` runs a thousand seeds, `CTOS_MOTION_SEEDS=17..18` repeats one.
+//! every period of 4.5 ms positions, speeds and accelerations are within the limits of the joints, and jerks where that is
+//! asked for. No speed has a step, and in the end the arm rests. `CTOS_MOTION_SEEDS=1000` runs a thousand seeds, `CTOS_MOTION_SEEDS=17..18` repeats one.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
 

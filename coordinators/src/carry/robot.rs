@@ -1,8 +1,8 @@
 //! The Robot Coordinator: the functions of `nets/carry/robot.net`, which move the arm on the way of an errand.
 //!
-//! It knows several turns of the gripper about the vertical and several ways above both ends, and takes those most likely to succeed
-//! for their cost among those with which the arm reaches both ends. What ends a motion at a touch is an end of it where something is
-//! set down, and a failure elsewhere.
+//! It knows several turns of the gripper about the vertical, and several ways above both ends. Of those with which the arm reaches
+//! both ends, it takes the ones most likely to succeed for their cost. A touch that ends a motion is its end where something is set
+//! down, and a failure elsewhere.
 
 use std::rc::Rc;
 

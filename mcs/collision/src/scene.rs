@@ -2,8 +2,8 @@
 //!
 //! Of the way of all joints to rest some places are known, and between two of them the joints go in proportion. The way is
 //! cut in halves, again and again, where that is needed: two solids whose distances at both ends of a piece of it are together
-//! more than what they can move meanwhile do not touch in it. What one can move at most is bounded by the travel of the joints
-//! that carry it and its greatest distance from their axes, so the answer is on the safe side however the joints turn.
+//! more than what they can move meanwhile do not touch in it. The travel of the joints that carry a solid, and its greatest
+//! distance from their axes, bound what it can move. So the answer is on the safe side, however the joints turn.
 //!
 //! Most pairs are far apart: the balls around their solids say so at once.
 
