@@ -312,6 +312,7 @@ const FILES: &[(&str, Then)] = &[
     ("ctos check apps/*.toml", Ends),
     ("ctos net perf queue.net", Ends),
     ("ctos new my-app", Ends),
+    ("ctos new --task my-task", Ends),
     (
         "scott --local -c resect CTRL -size 640 480 -model k1k2 -c resect EXEC lights.csv",
         Ends,
