@@ -1,5 +1,5 @@
-//! A configuration as one value that can be sent to another host: its files, the data files that
-//! its checks read, and the settings of the command line and the environment here.
+//! A configuration as one value that can be sent to another host. It holds its files, the data
+//! files that its checks read, and the settings of the command line and the environment here.
 
 use super::app::App;
 use super::expander::Expander;
@@ -18,8 +18,8 @@ pub struct Bundle {
     pub files: BTreeMap<String, String>,
     /// Which of `files` is the app's, the profiles that were chosen and the `--set` texts.
     pub selection: Selection,
-    /// The environment variables that the files name; `None` = not set where the bundle was made,
-    /// and must not be set where the app is read again.
+    /// The environment variables that the files name. `None` = not set where the bundle was made;
+    /// it must not be set where the app is read again.
     pub variables: BTreeMap<String, Option<String>>,
 }
 

@@ -246,8 +246,8 @@ impl Node {
     /// [`Duration`] is; nothing else is converted.
     ///
     /// # Errors
-    /// The first mistake, at its key or value: an unknown key (with what was probably
-    /// meant), a missing key (at the table), a wrong type, a refused value.
+    /// The first mistake, at its key or value. It is an unknown key (with what was probably meant),
+    /// a missing key (at the table), a wrong type or a refused value.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, Finding> {
         super::de::read(self)
     }
@@ -267,8 +267,8 @@ impl Node {
         }
     }
 
-    /// Reads the dotted key that is the text of `source` before `end`, as the tables that it stands for with an
-    /// integer innermost; `None` when it is no key.
+    /// Reads the dotted key that is the text of `source` before `end`. Returns the tables that it stands for,
+    /// with an integer innermost; `None` when it is no key.
     pub(super) fn from_toml_key(source: &Source, end: usize) -> Option<Self> {
         let text = source.text().get(..end)?;
         let document = format!("{text} = 0");

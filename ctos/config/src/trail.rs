@@ -1,5 +1,5 @@
-//! What an app was made of: the files that were read, the variables that were looked up, the
-//! profiles that were applied, and the data files that its checks opened.
+//! What an app was made of: the files that were read, and the variables that were looked up. Also
+//! the profiles that were applied, and the data files that its checks opened.
 
 use super::node::Entry;
 use super::variables::Used;

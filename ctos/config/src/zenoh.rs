@@ -1,5 +1,5 @@
-//! What `[zenoh]` says: the network by which the chassis of an app find and reach each other beyond the
-//! handful of machines that one lists by hand.
+//! What `[zenoh]` says: the network by which the chassis of an app find and reach each other. It is for
+//! more machines than one lists by hand.
 
 use std::{
     fmt,

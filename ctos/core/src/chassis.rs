@@ -1,6 +1,6 @@
 //! A chassis: the tasks of one process, where their messages go, and what they share.
 //!
-//! `delivery` alone decides how a message travels: a task of this chassis gets a value, a task of
+//! `delivery` alone decides how a message travels. A task of this chassis gets a value; a task of
 //! another one gets a frame over the link. The sender waits the same way for both.
 
 pub(crate) mod delivery;

@@ -88,8 +88,8 @@ pub trait EventHandler: 'static {
     }
 }
 
-/// An event handler that can pass on its state: to its next incarnation after a restart, and to
-/// another processor, process or host when its task is moved. Registered with
+/// An event handler that can pass on its state: to its next incarnation after a restart. When its
+/// task is moved, it passes the state to another processor, process or host. Registered with
 /// [`Registry::handover`](crate::registry::Registry::handover).
 ///
 /// What belongs to the place (children, synchronous functions, files) is not passed on: it ends with the

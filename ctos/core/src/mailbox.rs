@@ -35,8 +35,8 @@ pub struct Mailbox {
     credits: LaneCredits,
 }
 
-/// The credits of both priorities. Senders write them for each message, while the task reads the rest of its mailbox:
-/// on one cache line, the two would wait for one another.
+/// The credits of both priorities. Senders write them for each message, while the task reads the rest of its mailbox.
+/// On one cache line, the two would wait for one another.
 #[derive(Default)]
 #[repr(align(64))]
 struct LaneCredits {

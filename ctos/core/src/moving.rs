@@ -9,7 +9,7 @@
 //!    any failure leaves the task where it was, with its state and its queue. After it, the old place
 //!    only sends on what still comes to it, and replies take the way back.
 //! 4. Every chassis redirects itself to the new place and sends a fence by the old one. The new place
-//!    keeps what comes straight from a chassis until the fence of that chassis has arrived, so the two
+//!    keeps what comes straight from a chassis until the fence of that chassis has arrived. So the two
 //!    ways of one sender never mix. When all fences are through, the old place is given up.
 //!
 //! It knows how a task leaves (`depart`, `forward`) and how it comes (`arrive`, [`deliver`]). Who

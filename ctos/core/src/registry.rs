@@ -124,7 +124,7 @@ impl HandlerKind {
         commands.find(|command| command.name == name)
     }
 
-    /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]: what does not
+    /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]. What does not
     /// fit, and what nobody reads, is found before anything starts.
     pub fn args<T: DeserializeOwned + 'static>(&mut self) -> &mut Self {
         self.checked_args::<T>(|_, _, _, _| {})

@@ -130,7 +130,7 @@ pub(crate) enum State {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Event {
     /// Its handler, a child or a synchronous function panicked, or it was shut down, or it could not be
-    /// rebuilt; and the policy says that it is restarted.
+    /// rebuilt. The policy says that it is restarted.
     RestartAllowed,
     /// It failed, and the policy says that it stays down, or that it was restarted often enough.
     RestartRefused,

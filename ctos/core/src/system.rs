@@ -89,7 +89,7 @@ command! {
     pub struct RegisterTid { pub task: TaskRef } => (), 0xff10, "register_tid";
 
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
-    /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
+    /// the asker is not linked to. With `waits`, the answer comes when the task is back or will never be.
     pub struct FindTid {
         pub name: String,
         pub gone: Option<Tid>,

@@ -339,7 +339,7 @@ impl Reactor {
         self.sources.refresh(poller);
         nudges.at_links.store(true, Ordering::Relaxed);
         poller.set_asleep(true);
-        // Pairs with the fence of the writer to the memory, and with the nudge: either they see the
+        // Pairs with the fence of the writer to the memory, and with the nudge. Either they see the
         // sleeper, or the sleeper sees what was written.
         fence(Ordering::SeqCst);
         let work = poller.has_come();

@@ -1,6 +1,6 @@
 //! Byte streams between chassis: where one listens, how it is called, and what comes of a call.
 //!
-//! Unix sockets stay in a folder that only this user may enter; TCP is for the loopback and, with keys,
+//! Unix sockets stay in a folder that only this user may enter. TCP is for the loopback and, with keys,
 //! for other hosts; zenoh finds its own way. Knows nothing of sessions and frames.
 
 use std::{
@@ -228,8 +228,8 @@ async fn refuse_browser(stream: &mut TcpStream) -> Result<(), KeyError> {
     Err(KeyError::Browser)
 }
 
-/// Ends a stream whose last words the other end shall hear: what that has said and nobody reads would take them with it
-/// when the stream is closed.
+/// Ends a stream whose last words the other end shall hear. What the other end has said and nobody reads would take
+/// these words with it when the stream is closed.
 ///
 /// # Errors
 /// What the system says.

@@ -50,7 +50,7 @@ pub enum FaultKind {
     /// is lost. Each then holds the other for gone.
     Cut,
     /// The link between two chassis breaks and heals. What was not received is sent again, in its
-    /// order; but a chassis that hears nothing for longer than the peer time-out gives the other up.
+    /// order. But a chassis that hears nothing for longer than the peer time-out gives the other up.
     Break,
     /// As [`Self::Break`], but what is under way already still arrives.
     Stall,

@@ -1,5 +1,5 @@
-//! Tasks and their supervision in virtual time: handlers made of methods, restarts, shutdown, state that is
-//! handed over, monitors, children, and waiting that can never end.
+//! Tasks and their supervision in virtual time: handlers made of methods, restarts, shutdown, and state
+//! that is handed over. Also monitors, children, and waiting that can never end.
 
 use std::{
     future::Future,

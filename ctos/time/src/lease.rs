@@ -1,5 +1,5 @@
-//! A lease: until when a process may go on. The first thread that looks at the clock later finds out that it is over,
-//! so nothing that asks for the time goes on behind it.
+//! A lease: until when a process may go on. The first thread that looks at the clock later finds out that it is over.
+//! So nothing that asks for the time goes on behind it.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},

@@ -1,5 +1,5 @@
-//! The supervisor of one chassis. It brings the tasks through the phases, notices a failure, makes sure
-//! that the process is dead, and starts the next one as the policy allows. Steps through
+//! The supervisor of one chassis. It brings the tasks through the phases and notices a failure. Then it
+//! makes sure that the process is dead, and starts the next one as the policy allows. Steps through
 //! [`ChassisState`](super::ChassisState); what may follow what stands there.
 
 use std::{convert::Infallible, future::pending, rc::Rc, time::Duration};

@@ -292,7 +292,7 @@ impl Chassis {
         lock(&self.links).up.contains_key(&peer)
     }
 
-    /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
+    /// Chassis `peer` is gone: every call that waits for it ends. What it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub fn link_down(self: &Arc<Self>, peer: u8) {
         let ended: Vec<(u64, Pending)> = {

@@ -108,9 +108,9 @@ impl Context {
         self.inner.chassis.tap.recorder().is_some()
     }
 
-    /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
-    /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
-    /// it is taken off the schedule, and the task's restart policy decides.
+    /// Puts a synchronous function on the schedule of this task's processor until the handle is dropped.
+    /// It shares that schedule with the functions of the other tasks there. Its name becomes
+    /// `task.function`. If it panics, it is taken off the schedule, and the task's restart policy decides.
     ///
     /// # Errors
     /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
@@ -130,8 +130,8 @@ impl Context {
         self.inner.chassis.post_system(system::BOOTSTRAP, finish);
     }
 
-    /// How many recorders have come to this chassis so far, those that are gone included: who records
-    /// changes only can see that a newcomer lacks the whole.
+    /// How many recorders have come to this chassis so far, those that are gone included. By that, a
+    /// task that records only changes sees that a newcomer lacks the whole.
     #[must_use]
     pub fn recorders(&self) -> u64 {
         self.inner.chassis.tap.came()

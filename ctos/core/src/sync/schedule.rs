@@ -119,8 +119,8 @@ impl Schedule {
         self.idle.get()
     }
 
-    /// A grid of base ticks. Where the configuration gives the period it counts from the start of the
-    /// app, so that the processors of a host tick together; else from now.
+    /// A grid of base ticks. If the configuration gives the period, the grid counts from the start of
+    /// the app, so that the processors of a host tick together. Else it counts from now.
     fn grid(&self, base: Duration) -> Grid {
         let now = self.clock.now();
         match self.settings.period {

@@ -293,7 +293,7 @@ async fn connect(
             exit = first_exit(&mut living) => Err(exit),
             event = mesh.next() => Ok(event),
         };
-        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // A connection that breaks off mostly belongs to a process that is just ending. One that
         // said why it cannot start has said more than its end would.
         let exit = match event {
             Err(exit) => exit,

@@ -319,8 +319,8 @@ impl Run {
         }
     }
 
-    /// Ends what is left of the run: lets it go, which it takes as the loss of its boot and stops in
-    /// order, then SIGTERM, then SIGKILL.
+    /// Ends what is left of the run. First it lets the run go, which the run takes as the loss of
+    /// its boot and stops in order. Then SIGTERM, then SIGKILL.
     async fn end(&mut self) {
         let rung = self.about.stop;
         // The end of the last one is seen when its log is read, for which it has some time.

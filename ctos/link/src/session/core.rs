@@ -1,7 +1,7 @@
 //! A session without its streams: what one end knows of what it sent and what it heard, as a state machine.
 //!
 //! Bytes, events and the present moment go in; what came, a new state and bytes to write come out. It knows
-//! no stream, no thread and no clock: its driver says what has come and when, hands on what it gets back,
+//! no stream, no thread and no clock. Its driver says what has come and when, hands on what it gets back,
 //! and lets it write ([`Core::pump`]).
 
 use std::{io, io::IoSlice, time::Duration};

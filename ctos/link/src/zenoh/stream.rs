@@ -1,7 +1,7 @@
 //! A byte stream over two keys of the zenoh network, one for each direction, made of numbered chunks. A
 //! missing number shows a gap, credits stop a sender that is not read, and the end is sent.
 //!
-//! A zenoh network handles congestion in its own manner: what does not fit is dropped, or the whole connection
+//! A zenoh network handles congestion in its own manner. What does not fit is dropped, or the whole connection
 //! stands still, and with it the streams of all others. So no end ever sends more than the other one has
 //! credits for. The user's end never waits for zenoh, which hands over what arrives on threads of its own. One
 //! thread for each stream publishes what leaves, because publishing may have to wait for the network.

@@ -1,5 +1,5 @@
-//! In place of all other tasks: takes what the replayed task sends, compares it with the record, and
-//! gives the recorded answers when their time has come.
+//! In place of all other tasks: takes what the replayed task sends and compares it with the record.
+//! It gives the recorded answers when their time has come.
 
 use std::{
     collections::{BTreeMap, VecDeque},

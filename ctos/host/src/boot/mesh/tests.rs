@@ -135,7 +135,7 @@ async fn app(count: u8, sets: &[&str]) -> (Node, Vec<Node>) {
     (boot, others)
 }
 
-/// A call from the first chassis to a task that the other one has not: that the error comes back shows
+/// A call from the first chassis to a task that the other one has not. That the error comes back shows
 /// that the link carries both ways.
 async fn asks(from: &Arc<Chassis>, to: u8) -> Fault {
     let (to, sender) = (Tid::new(to, 1, 0), Tid::new(from.index(), 0, 0));
