@@ -2,7 +2,7 @@
 //!
 //! `CTOS_REVISION` says the revision, else git does; `SOURCE_DATE_EPOCH` says the time (s since 1970), else the clock
 //! does. Without git it compiles all the same, and says so. Only this crate, which stands above all others, is compiled
-//! anew for it, and only when a source of the workspace has changed, or the revision.
+//! anew for it. That happens only when a source of the workspace has changed, or the revision.
 
 #![allow(
     clippy::print_stdout,

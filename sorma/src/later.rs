@@ -76,8 +76,8 @@ impl Sorm {
         })
     }
 
-    /// [`Self::ask_later`], begun when `turns` has a permit: so many of all that share it are under way at once, in
-    /// the order in which they are asked.
+    /// [`Self::ask_later`], begun when `turns` has a permit. So that many of all that share it are under way at
+    /// once, in the order in which they are asked.
     ///
     /// # Errors
     /// Nothing can go on beside the caller here.

@@ -2,7 +2,7 @@
 //!
 //! From one table come the parser (`-option value ...`), `-help`, `-dump`, and the description that
 //! completion, panels and the page of services are made from. Options of one request are taken
-//! together or not at all: when one is wrong the state stays as it was, and every wrong one is
+//! together or not at all. When one is wrong the state stays as it was, and every wrong one is
 //! reported. The forms of EXEC that a class understands stand in the same table and are checked by it.
 
 mod kind;
@@ -217,8 +217,9 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
         }
     }
 
-    /// Which form of EXEC a request has, when its numbers are what that form takes: the right count
-    /// of floats, all of them finite, and nothing else. Allocates nothing when all is well.
+    /// Which form of EXEC a request has, when its numbers are what that form takes. That is the
+    /// right count of floats, all of them finite, and nothing else. Allocates nothing when all is
+    /// well.
     ///
     /// # Errors
     /// What is wrong with the request, and what would have been right.

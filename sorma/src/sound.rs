@@ -1,5 +1,5 @@
-//! The class `sound`: tells people in the room by recorded comments, spoken words and a beep (the speaker daemon of the
-//! SORMA technical report, section 2.1.3).
+//! The class `sound` tells people in the room by recorded comments, spoken words and a beep. It is the speaker daemon
+//! of the SORMA technical report, section 2.1.3.
 //!
 //! What is said also stands in the log and in the answer, which goes to all who subscribe to the object. `fork.sound`
 //! keeps messages in order without anybody waiting for them.

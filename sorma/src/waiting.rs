@@ -145,7 +145,8 @@ impl Sorm {
         Reply { name, body }
     }
 
-    /// The object of that name in this process; what is to be built for a request of `from` is built on a thread of its own.
+    /// The object of that name in this process. If it has to be built for a request of `from`, that is done on a thread of
+    /// its own.
     async fn built(
         &self,
         comm: &dyn Comm,

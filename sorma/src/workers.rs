@@ -1,5 +1,5 @@
-//! Threads on which a daemon has its objects built and called: one that takes its time, or never comes to an end, keeps
-//! nobody else waiting. A thread that an object does not give back ends with its process.
+//! Threads on which a daemon has its objects built and called. So an object that takes its time, or never comes to an
+//! end, keeps nobody else waiting. A thread that an object does not give back ends with its process.
 
 use crate::raise;
 use crate::report::{Report, code};

@@ -1,5 +1,6 @@
-//! A trace leads from a message to the handler that took it, to the firings of a net that it caused, and
-//! to the messages sent by these. Followed through the record of a calibration in virtual time.
+//! A trace leads from a message to the handler that took it and to the firings of a net that it caused.
+//! From there it leads to the messages that these sent. Followed through the record of a calibration in
+//! virtual time.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -383,8 +383,8 @@ impl Client {
         }
     }
 
-    /// Sends a task one of its commands and waits for its answer, as long as the app does, and for an app that does not
-    /// answer at all a little longer. Needs the role `call`.
+    /// Sends a task one of its commands and waits for its answer as long as the app does. For an app that does not
+    /// answer at all it waits a little longer. Needs the role `call`.
     ///
     /// # Errors
     /// As [`Self::read`], and [`ClientError::Garbled`] when the answer is no `C::Reply`.

@@ -196,7 +196,7 @@ fn shown(findings: Findings, args: &CheckArgs) {
     show::findings_up_to(findings, most);
 }
 
-/// The nets of the files and of the app, and warnings about them; or else everything that is wrong with them, also
+/// The nets of the files and of the app, and warnings about them. Or else everything that is wrong with them, also
 /// how they fit together as far as that is known.
 fn nets(
     args: &CheckArgs,
@@ -295,8 +295,8 @@ pub(crate) fn others_of_app(
     Ok(others.into_iter().filter(|net| !is_given(net)).collect())
 }
 
-/// The nets of an app but for those that are given, and what the boot finds wrong about all of them, with the given
-/// ones in the place of its own.
+/// The nets of an app but for those that are given, and what the boot finds wrong about all of them. The given ones
+/// take the place of the app's own.
 fn of_app(
     file: &Path,
     given: &[(Arc<Net>, &Path)],

@@ -1,4 +1,4 @@
-//! A running app as scott asks it: over its control socket, by lines of text to its daemons, which are the tasks with
+//! A running app as scott asks it: over its control socket, by lines of text to its daemons. These are the tasks with
 //! the handler `sorma.daemon`. A connection that is lost is made again by the next request.
 
 use std::{
@@ -356,8 +356,8 @@ impl App {
         }
     }
 
-    /// What a program may know about the classes of the daemon that is asked first, as the app itself tells it;
-    /// nothing, when it does not tell in time.
+    /// What a program may know about the classes of the daemon that is asked first, as the app itself tells it.
+    /// Nothing, when the app does not tell in time.
     pub fn classes(&mut self) -> Option<&[ClassInfo]> {
         if self.classes.is_none() {
             let text = self.glance(&self.entry.clone(), "sorm CTRL -describe")?;

@@ -1,5 +1,5 @@
-//! What an app says while somebody sits at the prompt: its warnings and errors, and that it is gone or back, above the
-//! line that is being edited.
+//! What an app says while somebody sits at the prompt: its warnings and errors, and that it is gone or back. It
+//! stands above the line that is being edited.
 
 use std::{
     sync::{

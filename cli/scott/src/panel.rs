@@ -1,9 +1,9 @@
 //! Panels (the report's `scottwish`): buttons, sliders, plots and joysticks for service objects, as a web page. A panel is
 //! a short file, or made of the option table of a class; every control is one line of text to an object.
 //!
-//! `script` reads what stands on a panel, `logic` what follows from its values, `service` knows what a page may ask and what it is told, `server` serves it. Two
-//! offer them: `task` is an event handler that anyone can put into an app, `sorma.panel`; `pool` asks for `scott --panel`.
-//! Knows objects by their names only.
+//! `script` reads what stands on a panel, `logic` what follows from its values. `service` knows what a page may ask and what
+//! it is told; `server` serves it. Two offer them: `task` is an event handler that anyone can put into an app,
+//! `sorma.panel`; `pool` asks for `scott --panel`. Knows objects by their names only.
 
 mod args;
 mod logic;

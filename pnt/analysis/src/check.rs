@@ -1,6 +1,6 @@
-//! What the nets of an app prove before anything moves: bounded, no end but rest, every transition
-//! of use, rest always within reach, every command answered by one of its output symbols. What they
-//! do not prove becomes findings that point into the net texts.
+//! What the nets of an app prove before anything moves. They are bounded, have no end but rest, and
+//! use every transition. Rest is always within reach, and every command is answered by one of its
+//! output symbols. What they do not prove becomes findings that point into the net texts.
 
 pub mod commands;
 mod ending;
@@ -131,8 +131,8 @@ pub fn prove(
     Ok(proof)
 }
 
-/// What is seen of nets, and whether the check before a boot sees less. Of nets that are to be run, first as much is
-/// seen as that check sees, in the same way, so that both say the same.
+/// What is seen of nets, and whether the check before a boot sees less. Of nets that are to be run, it first sees
+/// what that check sees, in the same way, so that both say the same.
 fn look_as_boot_first<'a>(
     model: &'a Model,
     options: &Options,

@@ -115,8 +115,8 @@ pub struct Step {
     pub puts: Vec<(SystemPlaceId, u32)>,
     /// Enabling function (numbered over the system) and whether it is negated.
     pub when: Option<(usize, bool)>,
-    /// Its urgency, for steps that the net chooses among: the transition's priority, and above all
-    /// priorities of timed transitions if it is an immediate one beside such.
+    /// Its urgency, for steps that the net chooses among: the transition's priority. An immediate
+    /// one beside timed transitions is above all their priorities.
     pub priority: Option<u32>,
     /// Whether it writes an output symbol that answers no command in progress.
     pub unasked: bool,

@@ -258,8 +258,8 @@ impl<S: 'static> Library<S> {
         self
     }
 
-    /// Changes the state when the app is about to be stopped, so that enabling functions may lead a command that is
-    /// in work to its end: no more positions, say.
+    /// Changes the state when the app is about to be stopped. So enabling functions may lead a command that is in
+    /// work to its end: no more positions, say.
     #[must_use]
     pub fn when_stopping(mut self, change: impl Fn(&mut S) + 'static) -> Self {
         let state = Rc::clone(&self.state);

@@ -19,7 +19,7 @@ use std::time::Duration;
 const ATTEMPTS: u32 = 16;
 
 /// The one writer of a snapshot buffer. When it is dropped the buffer is closed, and its segment removed unless
-/// it is [kept](Self::keep); readers that have it open can still read what is there.
+/// it is [kept](Self::keep). Readers that have it open can still read what is there.
 #[derive(Debug)]
 pub struct Writer {
     page: Page,

@@ -1,5 +1,5 @@
-//! The class `fork`: several requests at once, or with `-object` one object that is asked without waiting (the
-//! `FORK.sound` of the SORMA technical report, section 2.1.2).
+//! The class `fork`: several requests at once, or with `-object` one object that is asked without waiting. It
+//! is the `FORK.sound` of the SORMA technical report, section 2.1.2.
 
 use super::answer::{begin, request};
 use super::tickets::Tickets;

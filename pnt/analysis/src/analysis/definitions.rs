@@ -1,5 +1,5 @@
-//! Every analysis beside the definitions of the textbooks: random small models whose markings, firings
-//! and reachability are written down in full, by code that shares nothing with the analyses.
+//! Every analysis beside the definitions of the textbooks, on random small models. Their markings,
+//! firings and reachability are written down in full, by code that shares nothing with the analyses.
 
 use std::collections::{BTreeMap, BTreeSet};
 

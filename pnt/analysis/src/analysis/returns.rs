@@ -143,7 +143,7 @@ impl<'a> Graph<'a> {
         }
     }
 
-    /// The markings that the sure firings at a marking lead to, in order, are then `self.numbers`; nothing
+    /// Puts the markings that the sure firings at a marking lead to, in order, into `self.numbers`. `None`
     /// when the search had stopped before one was found.
     fn successors(&mut self, node: usize) -> Option<()> {
         self.expand(node);

@@ -399,8 +399,8 @@ impl Builder {
         self.step(id, transition, Phase::Fail, fail, false);
     }
 
-    /// The step that puts a transition's outputs: one variant for each command that the symbol it
-    /// writes may answer, and one for none of them being in progress.
+    /// The step that puts a transition's outputs. It has one variant for each command that the
+    /// symbol it writes may answer, and one for none of them being in progress.
     fn ending(
         &mut self,
         net: &Net,

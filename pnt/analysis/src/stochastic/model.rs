@@ -420,8 +420,8 @@ impl<'a> Builder<'a> {
         }
     }
 
-    /// The end of a firing: one variant for each command that the symbol it writes may answer, and one
-    /// for none of them being in progress.
+    /// The end of a firing. It has one variant for each command that the symbol it writes may answer,
+    /// and one for none of them being in progress.
     fn ending(
         &mut self,
         origin: usize,

@@ -10,7 +10,7 @@ use crate::{
     timing::{Servers, Timing},
 };
 
-/// The most that a weight, a capacity or an initial marking can say; a few of them still add up to
+/// The most that a weight, a capacity or an initial marking can say. A few of them still add up to
 /// something that can be counted.
 pub(crate) const MOST_TOKENS: u32 = 1_000_000_000;
 

@@ -114,8 +114,8 @@ impl LayoutFile {
         }
     }
 
-    /// Puts what the file says of nodes that the net has into its view; returns the names of the others,
-    /// which are another net's or are not there any more.
+    /// Puts what the file says of nodes that the net has into its view. Returns the names of the others,
+    /// which are another net's or no longer exist.
     pub fn pin(self, view: &mut NetView) -> Vec<String> {
         let shown = |name: &str| {
             view.place(name).is_some()

@@ -1,5 +1,6 @@
-//! The net's task at its end of the stream: puts events into the record, and answers those who follow, in
-//! its own time and never in the net's. Neither sees an event before the change that it tells of is stored.
+//! The net's task at its end of the stream. It puts events into the record, and answers those who follow,
+//! in its own time and never in the net's. Neither sees an event before the change that it tells of is
+//! stored.
 
 use std::rc::Rc;
 

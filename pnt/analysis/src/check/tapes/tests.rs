@@ -249,7 +249,7 @@ fn random_net() -> impl Strategy<Value = String> {
 /// What has come on the tape, and the marking.
 type Point = (Vec<usize>, Vec<u32>);
 
-/// All runs of a net under words up to a length, from the definition: a command comes when the one
+/// All runs of a net under words up to a length, from the definition. A command comes when the one
 /// before is answered, if a word goes on with it.
 struct Runs {
     /// Where each point leads; those from which nothing leads are dead.

@@ -187,8 +187,8 @@ struct Ran {
     quiet: Duration,
 }
 
-/// Runs nets on chassis of their own, with the device on one that is stopped first, until the person (or the result)
-/// ends it after two seconds.
+/// Runs nets on chassis of their own, with the device on one that is stopped first. The person (or the result) ends
+/// it after two seconds.
 fn run(
     nets: &[&str],
     commands: &'static [(&'static str, &'static str)],
