@@ -1,4 +1,5 @@
-//! The agent: the task of each chassis that creates the configured tasks, and ends the process.
+//! The agent: the task of each chassis that creates the configured tasks, takes in those that move there, and ends
+//! the process. It also tells what is known of the tasks, and begins and ends records.
 
 use std::{sync::Arc, time::Duration};
 

@@ -12,8 +12,8 @@
 //!    keeps what comes straight from a chassis until the fence of that chassis has arrived. So the two
 //!    ways of one sender never mix. When all fences are through, the old place is given up.
 //!
-//! It knows how a task leaves (`depart`, `forward`) and how it comes (`arrive`, [`deliver`]). Who
-//! decides is `names.rs`, who carries out is `agent.rs`.
+//! It knows how a task leaves (`depart`, `forward`) and how it comes (`arrive`, [`deliver`]). The
+//! task identification service decides (`names/moves.rs`). The agents of both chassis carry the move out.
 
 mod arrive;
 mod depart;

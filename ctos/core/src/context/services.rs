@@ -1,5 +1,5 @@
-//! The services of the runtime that a task reaches: synchronous functions, semaphores, and the person who
-//! booted the app.
+//! The services of the runtime that a task reaches: synchronous functions, the record, and the person who
+//! booted the app. (Semaphores and barriers are in [`crate::semaphore`].)
 
 use std::time::Duration;
 
