@@ -26,7 +26,7 @@ fn main() {
     println!("cargo::rustc-env=CTOS_BUILD_REVISION={revision}");
     println!("cargo::rustc-env=CTOS_BUILD_TIME={}", date(seconds()));
     println!("cargo::rerun-if-changed=build.rs");
-    // What is listed is looked at file by file; what is not there would have this run each time.
+    // Cargo looks at each listed folder file by file. A path that does not exist would have this run each time.
     for folder in sources() {
         println!("cargo::rerun-if-changed={}", folder.display());
     }

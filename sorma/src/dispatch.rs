@@ -39,7 +39,7 @@ impl Sorm {
         } = request;
         match self.resolve(&name) {
             Ok(handle) => {
-                // As far as nobody has to be waited for.
+                // Only what is done without waiting for anybody.
                 let met = self.meet(&Alone, None, &handle, method, &mut body);
                 if met.now_or_never().is_none() {
                     let report = raise!(

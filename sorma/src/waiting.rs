@@ -270,7 +270,7 @@ async fn ask(
             slot.exec_waiting(sorm, comm, outer, io).await;
         }
         (None, _) if slot.waits() || workers.is_some() => slot.refuse_busy(sorm, io),
-        // Without a turn the object is still in a call, which this finds.
+        // Without the lock `turn` the object is still in a call, which this finds.
         _ => slot.call_unseen(sorm, outer, method, io),
     }
 }

@@ -95,7 +95,7 @@ impl Filter {
     }
 }
 
-/// Whether a name fits a pattern, in which `*` stands for any letters. Linear but for the number of stars.
+/// Whether a name fits a pattern, in which `*` stands for any characters. Linear but for the number of stars.
 pub(crate) fn matches(pattern: &str, name: &str) -> bool {
     let mut parts = pattern.split('*');
     let first = parts.next().unwrap_or_default();

@@ -435,7 +435,8 @@ fn questions(args: &CheckArgs) -> Vec<(Asks, String)> {
     asked.map(|(asks, text)| (asks, text.clone())).collect()
 }
 
-/// Not proved for want of room or time is no fault of the nets; a question may be answered all the same.
+/// That nothing was proved for want of memory or time is not a fault of the nets; a question may be
+/// answered all the same.
 fn code(proof: &Proof, ending: &Ending) -> u8 {
     let unknown = proof
         .answers

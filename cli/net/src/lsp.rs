@@ -323,7 +323,7 @@ impl Editor {
         document.ok_or_else(|| Refused::invalid(format!("`{}` is not open", uri.as_str())))
     }
 
-    // -- what is looked for in more files than one ------------------------------------------
+    // -- what the server looks for in more files than one ------------------------------------------
 
     /// All nets around a document.
     fn around(&self, document: &Document) -> Workspace {

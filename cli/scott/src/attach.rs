@@ -20,9 +20,9 @@ use cli_common::{
     remote::{self, AtArgs, RemoteArgs, connect_to},
 };
 
-/// How often it is looked whether the user has given up waiting.
+/// How often `scott` looks whether the user has given up waiting.
 const LOOK: Duration = Duration::from_millis(100);
-/// How long an answer is waited for, unless the user says otherwise, s.
+/// How long `scott` waits for an answer, unless the user says otherwise, s.
 pub const LIMIT_S: f64 = 60.0;
 /// What the app may need besides, to say that the answer did not come.
 const GRACE: Duration = Duration::from_secs(5);
@@ -38,11 +38,11 @@ pub struct Where {
     pub at: AtArgs,
     /// The daemon that is asked when a name says none.
     pub daemon: Option<String>,
-    /// How long an answer is waited for.
+    /// How long `scott` waits for an answer.
     pub limit: Limit,
 }
 
-/// How long an answer is waited for.
+/// How long `scott` waits for an answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limit(pub Duration);
 

@@ -22,7 +22,7 @@ use cli_common::{
     remote::{connect_to, log_text},
 };
 
-/// How often it is looked whether an app that is gone is back.
+/// How often the prompt looks whether an app that is gone is back.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// Sends what the app says, line by line, until nobody takes it any more. `gone` says at any moment whether it is

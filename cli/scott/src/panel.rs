@@ -97,7 +97,7 @@ fn serve(pages: Pages, pool: Pool, panel: Panel) -> io::Result<()> {
     };
     let service = Service::new("scott", vec![panel], door, pool);
     runtime.block_on(server::serve(pages, service, async {
-        // Where Ctrl-C cannot be waited for, it ends the process by itself.
+        // Where the program cannot wait for Ctrl-C, Ctrl-C ends the process by itself.
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;
         }

@@ -289,7 +289,7 @@ impl Session {
     }
 
     fn fail(&mut self, place: &dyn fmt::Display, why: &str, code: u8) -> Flow {
-        // At the prompt it is known where that was.
+        // At the prompt the person knows where that was.
         match self.for_people {
             true => show::say(&table::for_terminal(&format!("error: {why}"))),
             false => show::say(&format!("{place}: {why}")),

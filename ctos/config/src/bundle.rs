@@ -49,7 +49,7 @@ impl App {
     /// registry has checked the app: it holds the data files that checks have read through [`App::read`].
     ///
     /// # Errors
-    /// A file that is named by an absolute path: it would be looked for there on the other host.
+    /// A file that is named by an absolute path: the other host would look for it there.
     pub fn bundle(&self) -> Result<Bundle, Finding> {
         let mut files = BTreeMap::new();
         for read in self.trail.read().iter() {

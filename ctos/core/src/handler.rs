@@ -55,7 +55,7 @@ pub trait EventHandler: 'static {
 
     /// The app is about to be stopped: begins to come to rest, while every task still takes messages.
     /// Returning `Ok` acknowledges that it is at rest. No message is handled until this returns, so what
-    /// takes longer than a moment goes on beside it: [`Context::quiet_after`].
+    /// takes longer than a moment runs concurrently: [`Context::quiet_after`].
     async fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> Handled {
         Ok(())
     }

@@ -35,7 +35,7 @@ pub use arrive::{Arrival, Arrivals, arrive, deliver};
 pub(crate) use depart::{Departed, depart, forward};
 pub use place::{NoPlace, find_place, place_text};
 
-/// How often a message that is on its way is looked after: does its sender still wait?
+/// How often both places look whether the sender of a message that is on its way still waits.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// The deadline of what must end by itself: the last resort against a chassis that stands still.

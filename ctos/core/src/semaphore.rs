@@ -217,7 +217,7 @@ impl Semaphore {
     }
 }
 
-/// A permit that has not been waited for yet; `.await` waits.
+/// A permit for which nobody has waited yet; `.await` waits.
 #[must_use = "a permit is waited for when this is awaited"]
 #[derive(Debug)]
 pub struct Acquire {

@@ -137,7 +137,7 @@ async fn answer(
 /// How much of what the other end says is still read when it is hung up on, bytes.
 const UNHEARD_LIMIT: u64 = 64 << 10;
 
-/// After how long without a word it is asked whether the other end is there.
+/// After how long without a word the system asks whether the other end is there.
 const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
 
 /// A caller who has not said anything yet.

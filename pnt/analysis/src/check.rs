@@ -254,7 +254,7 @@ pub fn check(nets: &[Arc<Net>], limits: &Limits) -> (Report, Findings) {
     (report, findings)
 }
 
-/// What keeps nets from being put together, and warnings about that; no marking is looked at.
+/// What keeps nets from being put together, and warnings about that; the check looks at no marking.
 #[must_use]
 pub fn fit(nets: &[Arc<Net>]) -> Findings {
     System::fit(nets)

@@ -120,8 +120,7 @@ pub struct Step {
     pub priority: Option<u32>,
     /// Whether it writes an output symbol that answers no command in progress.
     pub unasked: bool,
-    /// The place for which it brings more tokens than the place has room for: they are refused, and
-    /// their sender stops.
+    /// The place whose capacity it would exceed: the tokens are refused, and their sender stops.
     pub overfills: Option<SystemPlaceId>,
 }
 

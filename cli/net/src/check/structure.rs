@@ -18,7 +18,7 @@ use pnt::{
 };
 use serde::Serialize;
 
-/// So much of anything is looked for at most.
+/// A check looks for so much of anything at most.
 const MOST: usize = 5_000;
 
 /// What follows from the arcs. `None` is written as `null`: there was too much of it.

@@ -38,7 +38,7 @@ pub struct Document {
     path: PathBuf,
 }
 
-/// How far an editor's net is looked at, so that it answers while its author types.
+/// The limits of the search for an editor's net, so that the server answers while its author types.
 const LIMITS: Limits = Limits {
     markings: 20_000,
     bytes: 64 << 20,

@@ -67,7 +67,7 @@ impl Board {
         });
     }
 
-    /// Ends when the person asks once more; what is said of a task that is not waited for any longer.
+    /// Ends when the person asks once more; returns what the boot says of a task for which it no longer waits.
     pub(super) async fn interrupted(&self) -> &'static str {
         loop {
             match self.next_end().await {

@@ -285,7 +285,7 @@ impl Supervisor {
                 return Ok(Death::of(ending));
             }
             Event::Lost if !self.may_return() => {
-                // Its end need not be waited for: the app ends, and that waits for all processes.
+                // Nobody waits for its end here: the app ends, and that waits for all processes.
                 let chassis = self.name();
                 self.board.end(End::ChassisDown { chassis });
                 return Err(Done);

@@ -210,7 +210,7 @@ impl Chassis {
     }
 
     /// Whether it is news to the tasks here that `peer` is gone. While the app is taken down the others go
-    /// in their turn, and the boot once this chassis has been told to end.
+    /// in order, and the boot once this chassis has been told to end.
     fn tells_of(&self, peer: u8) -> bool {
         let leaving = self.leaving.load(Ordering::Acquire);
         !leaving && (peer == 0 || !self.is_stopping())

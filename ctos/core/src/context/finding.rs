@@ -31,7 +31,7 @@ pub enum NameError {
         /// The names there are.
         known: Vec<String>,
     },
-    /// The chassis of the task is being restarted, and was waited for.
+    /// The chassis of the task is being restarted, and the caller has waited for it.
     #[error("chassis `{chassis}` is being restarted; it was not back within {:.3} s (`{from}` waits for `{name}`)", .after.as_secs_f64())]
     NotBack {
         /// The waiting task.
@@ -40,7 +40,7 @@ pub enum NameError {
         name: String,
         /// The chassis.
         chassis: String,
-        /// How long it was waited for.
+        /// How long the caller waited for it.
         after: Duration,
     },
     /// The chassis of the task is gone for good.

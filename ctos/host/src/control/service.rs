@@ -143,7 +143,7 @@ impl Service {
                         return Ok(());
                     }
                 }
-                // A client that asks for nothing must not be waited for when the app has ended.
+                // The service must not wait for a client that asks for nothing when the app has ended.
                 () = ended(&mut news) => return Ok(()),
             }
             // A client that sends what is no request is no tool: nothing else of it is obeyed.

@@ -103,7 +103,7 @@ impl Pages {
         format!("{scheme}://{}/", self.address)
     }
 
-    /// Serves them for as long as it is waited for.
+    /// Serves them for as long as the caller polls this.
     ///
     /// # Errors
     /// What the system says before anybody is served.

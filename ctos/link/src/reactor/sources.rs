@@ -49,7 +49,7 @@ pub enum Seen {
     Frames,
     /// The same, and there may be more: it is to be told again.
     More,
-    /// It is over and need not be looked at again.
+    /// It is over, and the reactor need not look at it again.
     End,
 }
 

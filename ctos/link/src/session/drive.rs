@@ -27,7 +27,7 @@ const CHUNK: usize = 64 * 1024;
 /// How often a driver looks whether late packets of an injured link may leave.
 const INJURED_TICK: Duration = Duration::from_millis(1);
 
-/// How long what the other end said last is waited for when it takes no more.
+/// How long the driver waits for the last words of the other end when that takes no more.
 const LAST_WORDS_DEADLINE: Duration = Duration::from_millis(500);
 
 /// Carries `session` over `stream` until that ends; `received` is what the other end has. Plain sockets are

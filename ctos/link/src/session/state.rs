@@ -11,7 +11,7 @@ pub enum State {
     Waiting,
     /// A stream carries frames.
     Up,
-    /// The stream broke; what is under way is kept, and a new stream is looked for.
+    /// The stream broke; what is under way is kept, and the mesh looks for a new stream.
     Broken,
     /// The peer's process has ended; what it still said is read.
     Draining,

@@ -16,10 +16,11 @@ use crate::{
 /// the windows of a few streams let out.
 const BATCHES: u32 = 16;
 
-/// A connection that is lost is looked for after so long, ms; each time later, up to the last.
+/// zenoh tries a lost connection again after so long, ms; each time later, up to the last.
 const RETRY_MS: (u32, u32) = (50, 500);
 
-/// zenoh's settings by their keys, for the boot or for a chassis. A router that does not answer is waited for as long as `patience`.
+/// zenoh's settings by their keys, for the boot or for a chassis. zenoh waits for a router that does not answer as long as
+/// `patience`.
 pub(super) fn settings(
     config: &ZenohConfig,
     is_boot: bool,

@@ -22,7 +22,7 @@ use ctos_core::{
 use ctos_message::{Command, Data, Flags, Shape, Tid, fault::Fault};
 use ctos_time::{Clock, Instant, lock::lock};
 
-/// Text of data in a difference is cut here, letters.
+/// Text of data in a difference is cut here, characters.
 const SHOWN: usize = 300;
 
 #[derive(Default)]

@@ -105,7 +105,7 @@ impl Transition {
         self.resets.iter().map(put).collect()
     }
 
-    /// Enabled only while the place holds fewer: inhibitor arcs, and room for what it puts. A weight of
+    /// Enabled only while the place holds fewer: inhibitor arcs, and capacities for what it puts. A weight of
     /// zero is never met.
     #[must_use]
     pub fn forbids(&self, places: &[Place]) -> Vec<Weighted> {

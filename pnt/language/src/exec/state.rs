@@ -140,7 +140,7 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Claims the room of a firing that goes on, as its start did.
+    /// Reserves the capacity for a firing that goes on, as its start did.
     fn claim_again(&mut self, running: &RunningFiring) -> Result<(), RestoreError> {
         let wiring = Arc::clone(&self.wiring);
         let Some(phases) = wiring.phases.get(running.transition.index()) else {

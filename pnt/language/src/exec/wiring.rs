@@ -203,7 +203,7 @@ impl Around {
         all
     }
 
-    /// What a running firing may put, which the place must have room for.
+    /// What a running firing may put, for which the place must have free capacity.
     fn claim(&self) -> u64 {
         self.completes.max(self.fails).max(self.takes)
     }

@@ -1,4 +1,4 @@
-//! The second phase of a firing: its action, and the end of the action within its time limit. Also
+//! The second phase of a firing: its action, and the end of the action within its deadline. Also
 //! the tries of an action that has no failure branch.
 
 use std::{rc::Rc, time::Duration};
@@ -137,7 +137,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Runs a transition's action within its limit.
+    /// Runs a transition's action within its deadline.
     async fn action(&self, id: TransitionId, firing: FiringId, action: Action<()>) -> Acted {
         let net = self.net();
         let transition = &net[id];

@@ -23,7 +23,7 @@ use super::{
 const FIRST_PAUSE: Duration = Duration::from_millis(20);
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
-/// How long a net is waited for that is not there, before it is looked for again.
+/// How long a net waits for another one that is not there, before it looks again.
 const COME_BACK: Duration = Duration::from_secs(5);
 
 impl Engine {

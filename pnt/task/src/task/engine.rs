@@ -241,7 +241,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Puts a command that may have been put before: then its answer is waited for, or given again.
+    /// Puts a command that may have been put before: then the asker waits for its answer, or gets it again.
     pub(super) fn put_once(
         self: &Rc<Self>,
         cx: &Context,
@@ -422,7 +422,7 @@ impl Core {
         }
     }
 
-    /// Whether the tapes have room for a command that some transition may read one day.
+    /// Whether the tapes have space for a command that some transition may read one day.
     pub(super) fn require_room(&self, symbol: &str, room: usize) -> Handled {
         let net = self.execution.net();
         let read = |command| net.transitions().iter().any(|t| t.tape == Some(command));
@@ -467,7 +467,7 @@ impl Core {
     }
 
     /// Takes what of a message is new, and notes each transfer; the number of the last one that is taken. A
-    /// transfer for which there is no room now is left, with those after it, for the sender to send again.
+    /// transfer for which there is no free capacity now is left, with those after it, for the sender to send again.
     fn receive(
         &mut self,
         message: Tokens,

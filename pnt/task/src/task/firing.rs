@@ -262,7 +262,7 @@ impl Engine {
 
     // -- data objects -----------------------------------------------------------------------
 
-    /// Tells the store of data objects what became valid and invalid, beside whatever goes on.
+    /// Tells the store of data objects what became valid and invalid, concurrently with whatever goes on.
     fn tell_data(self: &Rc<Self>, cx: &Context) {
         if self.data.is_some() && !self.core.borrow().untold.is_empty() {
             let cx = cx.clone();

@@ -15,7 +15,7 @@ use std::time::Duration;
 use super::engine::{Core, Engine};
 use crate::stream::{Follow, Happened, NetView, State};
 
-/// How often the patience of those who follow is looked at.
+/// How often the task looks whose patience has ended among those who follow.
 const WATCH: Duration = Duration::from_millis(500);
 
 /// A net as it stands in a record as a whole.

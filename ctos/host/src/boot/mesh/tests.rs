@@ -216,7 +216,7 @@ fn idle_strangers_keep_no_member_out() {
         let a = Node::start(1, 1, &["same_host=tcp"]).await;
         a.mesh.join(&boot.address());
         boot.joined_by(&[1]).await;
-        // It was not waited for those who said nothing: the longest silent of them went.
+        // The mesh did not wait for those who said nothing: the longest silent of them went.
         assert!(boot.mesh.refused() >= 6);
         assert!(boot.mesh.refused() < STRANGERS as u64);
     });

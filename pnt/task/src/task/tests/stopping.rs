@@ -123,7 +123,7 @@ fn register_device(registry: &mut Registry, trace: &Trace) {
     });
 }
 
-/// Puts each command on the tape of its net beside the others, and notes what it is told.
+/// Puts each command on the tape of its net concurrently with the others, and notes what it is told.
 struct Asks {
     commands: &'static [(&'static str, &'static str)],
     trace: Trace,

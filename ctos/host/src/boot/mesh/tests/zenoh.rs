@@ -26,7 +26,7 @@ fn bystander(mode: &str, address: SocketAddr) -> Session {
         .unwrap()
 }
 
-/// zenoh does not let itself be waited for on a thread of a single-threaded runtime.
+/// zenoh refuses to be awaited on a thread of a single-threaded runtime.
 fn leave(session: Session) {
     std::thread::spawn(move || session.close().wait().unwrap())
         .join()
