@@ -21,7 +21,6 @@ const LIMIT: Duration = Duration::from_secs(600);
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CounterArgs {
-    /// The nets.
     nets: Vec<String>,
     /// The file whose appearance, in the folder of the configuration, begins the count.
     when: String,

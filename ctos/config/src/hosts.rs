@@ -13,7 +13,6 @@ use super::{
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
-/// Reads the tables of all hosts.
 pub(super) fn hosts(root: &Node, findings: &mut Findings) -> Vec<HostConfig> {
     let read = root.tables("host").iter().filter_map(|entry| {
         let name = entry.key.clone();

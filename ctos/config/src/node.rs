@@ -106,7 +106,6 @@ impl Node {
         self.place.as_ref()
     }
 
-    /// Whether it is a table.
     pub(super) fn is_table(&self) -> bool {
         matches!(self.value, Value::Table(_))
     }

@@ -23,7 +23,6 @@ pub(crate) struct Trail {
 pub(crate) struct Read {
     /// Its path as it was put together.
     pub(super) path: PathBuf,
-    /// Its text.
     pub(super) text: String,
     /// Whether it is named by an absolute path.
     pub(super) absolute: bool,

@@ -321,7 +321,6 @@ impl Functions {
         Ok(())
     }
 
-    /// The names of all functions.
     pub(crate) fn names(&self) -> FunctionNames {
         let names = |keys: &mut dyn Iterator<Item = &String>| -> BTreeSet<String> {
             keys.cloned().collect()

@@ -24,7 +24,6 @@ const NAME: usize = 17;
 /// One look.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sample {
-    /// The app.
     app: String,
     /// How long ago it was started, s.
     up_s: f64,

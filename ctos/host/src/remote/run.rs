@@ -69,7 +69,6 @@ type Gone = (ProcessId, Ending);
 /// Why a run is over: the error when its boot is not there to hear of it.
 type Over = Result<String, String>;
 
-/// A run.
 pub(super) struct Run {
     common: Arc<Common>,
     about: About,

@@ -118,7 +118,6 @@ impl Shared {
         (shared, arrived)
     }
 
-    /// Takes a chunk that arrived.
     fn arrive(&self, chunk: &[u8]) {
         if let Err(broken) = self.take(chunk) {
             self.fail(broken);

@@ -83,7 +83,6 @@ impl Layout {
         }
     }
 
-    /// Unpacks a marking.
     pub(super) fn unpack(&self, packed: &[u64], marking: &mut Vec<u32>) {
         marking.clear();
         marking.extend(self.fields.iter().map(|field| field.get(packed)));

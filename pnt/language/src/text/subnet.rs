@@ -84,7 +84,6 @@ pub(super) fn cut(source: &Source, text: &str, start: usize, findings: &mut Find
 }
 
 impl Line {
-    /// Whether it begins with that keyword.
     pub(super) fn begins(&self, keyword: &str) -> bool {
         matches!(self.tokens.first(), Some(Token { symbol: Symbol::Name(name), .. }) if name == keyword)
     }

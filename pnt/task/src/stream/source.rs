@@ -236,7 +236,6 @@ impl Source {
         self.from(self.kept.len().saturating_sub(most))
     }
 
-    /// The latest event.
     pub(crate) fn last(&self) -> Option<Event> {
         self.latest(1).last()
     }
@@ -248,7 +247,6 @@ impl Source {
         seqs.filter_map(|seq| Some(self.event(seq, self.kept.get(place(seq))?)))
     }
 
-    /// The net as it is now.
     pub(crate) fn state(&self, now: Instant, execution: &Execution) -> State {
         let symbol = |on_tape: &OnTape| self.net[on_tape.command].symbol.clone();
         State {

@@ -585,7 +585,6 @@ impl Core {
         }
     }
 
-    /// The name of a transition.
     pub(super) fn name_of(&self, id: TransitionId) -> &str {
         &self.execution.net()[id].name
     }

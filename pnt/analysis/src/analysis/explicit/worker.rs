@@ -163,7 +163,6 @@ impl Tally {
         }
     }
 
-    /// Notes a dead marking.
     fn note_dead(&mut self, distance: usize, marking: &[u32]) {
         self.dead_count += 1;
         let worst = self.worst_dead.as_ref();
