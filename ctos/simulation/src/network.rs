@@ -290,7 +290,7 @@ impl State {
             .flights
             .range(..(until, 0))
             .filter(|(_, flight)| (flight.from, flight.to) == (from, to))
-            // That nothing came is noticed without anything that comes.
+            // Silence is noticed by the clock: nothing has to come for it.
             .filter(|(_, flight)| !matches!(flight.arrival, Arrival::Silence))
             .map(|(key, _)| *key)
             .collect();

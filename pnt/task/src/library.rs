@@ -341,7 +341,7 @@ impl Functions {
         }
     }
 
-    /// What an enabling function says; nothing when there is no such function.
+    /// What an enabling function says; `None` when there is no such function.
     pub(crate) fn ask(&self, name: &str) -> Option<bool> {
         let function = self.enabling.get(name)?;
         Some(function())

@@ -27,7 +27,7 @@ const NAP: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub struct Reader {
     view: View,
-    /// For the bell; none where the file may only be read, and then waiting is looking again and again.
+    /// For the bell; `None` where the file may only be read, and then waiting is looking again and again.
     page: Option<Page>,
     header: Header,
     path: PathBuf,

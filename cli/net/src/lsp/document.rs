@@ -420,7 +420,7 @@ impl Document {
         self.outline.words().iter().filter_map(shown).collect()
     }
 
-    /// The whole text laid out; nothing when it cannot be read.
+    /// The whole text laid out; `None` when it cannot be read.
     pub fn formatted(&self) -> Option<Vec<TextEdit>> {
         let text = text::formatted(&self.source).ok()?;
         if text == self.text() {

@@ -98,7 +98,7 @@ impl Value {
         }
     }
 
-    /// Its worth in an answer; nothing when the answer does not have it.
+    /// Its worth in an answer; `None` when the answer does not have it.
     pub(super) fn of(&self, answer: &Transport) -> Option<Worth> {
         if !answer.is_ok() {
             return None;
@@ -236,7 +236,7 @@ impl Expression {
         }
     }
 
-    /// What it is worth; nothing when a value that it needs is not there.
+    /// What it is worth; `None` when a value that it needs is not there.
     pub(super) fn worth(&self, values: &BTreeMap<String, Worth>) -> Option<Worth> {
         let number = |side: &Self| match side.worth(values)? {
             Worth::Number(number) => Some(number),

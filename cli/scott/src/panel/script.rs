@@ -96,7 +96,7 @@ pub enum Widget {
         /// How often, s.
         #[serde(default = "often")]
         every_s: f64,
-        /// The first float and the last, from 1; none when it is left out.
+        /// The first float and the last, from 1; `None` when it is left out.
         floats: Option<[usize; 2]>,
         /// Their unit.
         #[serde(default)]

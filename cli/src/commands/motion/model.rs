@@ -271,7 +271,7 @@ impl Joint {
         }
     }
 
-    /// Where it is in its range, 0 to 1; nothing where that has no end.
+    /// Where it is in its range, 0 to 1; `None` where that has no end.
     fn part(&self) -> Option<f64> {
         let [low, high] = self.range;
         let part = (self.position - low) / (high - low);

@@ -128,7 +128,7 @@ impl Context {
     }
 
     /// Whether the app is being stopped, as far as this task was told: from the call of its handler's
-    /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin nothing then that need not be.
+    /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin only what must be begun then.
     #[must_use]
     pub fn is_stopping(&self) -> bool {
         self.quiet(|_| ()).is_some()

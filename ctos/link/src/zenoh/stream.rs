@@ -91,7 +91,7 @@ struct Arrivals {
     unread: usize,
     /// Bytes that were read without the other end knowing.
     untold: usize,
-    /// The user; none when no more comes.
+    /// The user; `None` when no more comes.
     to: Option<mpsc::UnboundedSender<Bytes>>,
 }
 

@@ -114,7 +114,7 @@ pub struct Explored<'a> {
     pub markings: usize,
     /// Pairs of a marking and a transition enabled in it.
     pub edges: u64,
-    /// Why this is not all; nothing when it is.
+    /// Why this is not all; `None` when it is.
     pub stopped: Option<Stopped>,
     /// Markings that nothing is sure to leave, nearest first, at most [`DEAD_KEPT`].
     pub dead: Vec<Reached>,

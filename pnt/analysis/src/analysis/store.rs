@@ -168,7 +168,7 @@ impl Store {
         self.peak.max(self.bytes())
     }
 
-    /// Bytes, at most at any time, when so many more numbers are taken; nothing when a store cannot hold
+    /// Bytes, at most at any time, when so many more numbers are taken; `None` when a store cannot hold
     /// so many.
     pub(super) fn bytes_with(&self, more: usize) -> Option<usize> {
         let numbers = self.numbers().checked_add(more)?;
@@ -368,7 +368,7 @@ impl Store {
         }
     }
 
-    /// The numbers of some markings, one behind the other, with these sums; nothing if one is not here.
+    /// The numbers of some markings, one behind the other, with these sums; `None` if one is not here.
     pub(super) fn find_all(
         &self,
         markings: &[u64],

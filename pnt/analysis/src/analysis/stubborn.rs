@@ -381,7 +381,7 @@ impl Rules {
         fewest.map_or(&[], Vec::as_slice)
     }
 
-    /// The marking after a firing; nothing when a place would hold more than 32 bits can say.
+    /// The marking after a firing; `None` when a place would hold more than 32 bits can say.
     fn fire(&self, transition: TransitionNumber, marking: &[u32]) -> Option<Vec<u32>> {
         let fact = &self.facts[transition as usize];
         let mut after = marking.to_vec();

@@ -55,7 +55,7 @@ pub struct Counted {
     pub deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
     /// Per transition, whether it is enabled somewhere.
     pub seen: Vec<bool>,
-    /// Whether the initial marking can be reached from every reachable one; none when the effort
+    /// Whether the initial marking can be reached from every reachable one; `None` when the effort
     /// was not enough.
     pub reversible: Option<bool>,
     /// Per label of the model, whether it can become enabled again from every reachable marking;

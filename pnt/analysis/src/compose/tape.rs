@@ -25,7 +25,7 @@ struct Commander {
     idle: SystemPlaceId,
     /// Where a word may end: one of these places is marked. Nothing when it may end anywhere.
     ends: Option<Vec<SystemPlaceId>>,
-    /// The place that is marked when no command may follow; nothing when one always may.
+    /// The place that is marked when no command may follow; `None` when one always may.
     last: Option<Last>,
 }
 

@@ -81,8 +81,8 @@ impl Engine {
         self.when_change_stored(change, effect);
     }
 
-    /// The same, once this change is stored. What nobody will store any more is never seen: who waits
-    /// for it learns that nobody answers.
+    /// The same, once this change is stored. A change that nobody will store any more is never seen:
+    /// who waits for it learns that no answer comes.
     pub(super) fn when_change_stored(
         self: &Rc<Self>,
         change: u64,

@@ -84,7 +84,7 @@ pub fn marked_graphs(model: &Model, most: usize) -> Option<Vec<MarkedGraph>> {
     Some(parts.map(|part| with_choices(&arcs, part)).collect())
 }
 
-/// The numbers with weight one; nothing when another weight occurs.
+/// The numbers with weight one; `None` when another weight occurs.
 fn support(weights: &[u64]) -> Option<Vec<usize>> {
     let plain = weights.iter().all(|weight| *weight <= 1);
     plain.then(|| {

@@ -412,7 +412,7 @@ proptest! {
     }
 }
 
-/// Symbols of the longest word; nothing when there is none.
+/// Symbols of the longest word; `None` when there is none.
 fn longest(expression: &Expression<usize>) -> Option<u32> {
     match expression {
         Expression::Symbol(_) | Expression::Any => Some(1),
