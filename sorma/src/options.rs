@@ -32,7 +32,7 @@ struct Opt<T> {
     at: Box<At<T>>,
 }
 
-/// The option at one state. What is done with it knows no `T`, and so is compiled once.
+/// The option at one state. The code that works with it knows no `T`, so it is compiled once.
 type At<T> = dyn Fn(&mut T) -> Bound<'_> + Send + Sync;
 
 impl<T: Clone + Default + 'static> OptionTable<T> {
@@ -257,7 +257,7 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
     }
 }
 
-/// The options of a class at one state. What is done with them is compiled once, and not for every class.
+/// The options of a class at one state. The code that works with them is compiled once, and not for every class.
 trait Options {
     /// The option that stands at `index` in the table.
     fn get(&mut self, index: usize) -> Option<Named<'_>>;

@@ -117,7 +117,7 @@ pub fn classes() -> Vec<ClassInfo> {
 /// An object of the class.
 struct Sound {
     options: Options,
-    /// Whether no time passes while something is said.
+    /// Whether the clock is virtual: no time passes while something is said.
     is_virtual: bool,
 }
 

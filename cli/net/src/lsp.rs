@@ -182,7 +182,7 @@ impl Editor {
     /// Takes what the editor tells about a document; the findings about it, and about those that include it.
     fn take(&mut self, told: Notification) -> Vec<PublishDiagnosticsParams> {
         let Notification { method, params } = told;
-        // What cannot be read is told to nobody: a notification has no answer.
+        // A notification that cannot be read is dropped, because it has no answer.
         match method.as_str() {
             DidOpenTextDocument::METHOD => {
                 let read = serde_json::from_value(params);

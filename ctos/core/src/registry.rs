@@ -149,8 +149,8 @@ impl HandlerKind {
         self
     }
 
-    /// Adds a check of a task of this kind and the rest of the app that runs before anything starts. What nobody
-    /// reads is found without it.
+    /// Adds a check of a task of this kind and the rest of the app that runs before anything starts. Arguments
+    /// that nobody reads are found without such a check.
     pub fn check_in_app(
         &mut self,
         check: impl Fn(&TaskConfig, &App, &mut Findings) + Send + Sync + 'static,

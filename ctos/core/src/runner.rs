@@ -101,7 +101,7 @@ pub struct Runner {
     pub(crate) kept: Option<Vec<u8>>,
     /// The last phase that was entered: a restarted handler is brought back to it.
     pub(crate) phase: Option<Phase>,
-    /// Who is told when it fails for good, in place of the bootstrap service.
+    /// Who hears of it when it fails for good, in place of the bootstrap service.
     parent: Option<TellParent>,
 }
 

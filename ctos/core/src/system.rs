@@ -31,7 +31,7 @@ pub const SEMAPHORE_SERVER: Tid = Tid::new(0, 0, 7);
 pub struct AppResult {
     /// Whether it did what it was asked.
     pub ok: bool,
-    /// What a person is told: a table or a reason, several lines.
+    /// The text for a person: a table or a reason, several lines.
     pub text: String,
     /// The same for a program, one JSON object.
     pub json: String,

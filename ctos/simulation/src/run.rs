@@ -112,7 +112,7 @@ pub(super) struct Simulation {
     pub(super) network: Network,
     pub(super) rng: ChaCha8Rng,
     pub(super) end: EndSlot,
-    /// What is given, by moment.
+    /// The given faults, by moment.
     pub(super) script: BTreeMap<Instant, Vec<Fault>>,
     pub(super) drawn: Drawn,
     /// When it is stopped as by Ctrl-C.

@@ -145,7 +145,7 @@ fn look_as_boot_first<'a>(
         engines,
         ..
     } = *options;
-    // What is told about nets with a tape, and of several dead markings, needs the markings one by one.
+    // The report about nets with a tape, and of several dead markings, needs the markings one by one.
     let one_by_one = rule == Rule::Rest || !options.questions.is_empty() || options.deadlocks > 1;
     let all = |progress: &mut dyn FnMut(&Progress)| match one_by_one {
         true => list(model, &limits, progress),

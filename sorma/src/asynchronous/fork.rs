@@ -24,7 +24,7 @@ pub(super) struct Fork {
     object: String,
     width: i64,
     capacity: i64,
-    /// What a CTRL request asks for besides options, before any of it is done.
+    /// What a CTRL request asks for besides options, before the object does any of it.
     orders: Vec<Order>,
 }
 

@@ -1,5 +1,5 @@
-//! The first step of a stop: all tasks come to rest, while every device still answers. What is late is named,
-//! and the stop goes on.
+//! The first step of a stop: all tasks come to rest, while every device still answers. The boot names tasks
+//! that are late, and the stop goes on.
 
 use std::{cell::RefCell, collections::BTreeSet, pin::pin, time::Duration};
 

@@ -26,9 +26,10 @@ pub(crate) enum Outcome {
 
 #[doc(hidden)]
 impl Chassis {
-    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault. For a message
-    /// that asks for no reply it is made only if that is not known at once. Every message of this chassis passes
-    /// here: a recorder sees it, and a replay takes the place of the receiver. Tells the sender whom it reached.
+    /// Brings `message` to its receiver. The reply slot that `slot` makes gets what `wait` names, or the fault.
+    /// For a message that asks for no reply, `slot` runs only if that is not known at once. Every message of this
+    /// chassis passes here: a recorder sees it, and a replay takes the place of the receiver. Tells the sender
+    /// whom it reached.
     pub(crate) fn deliver(
         self: &Arc<Self>,
         mut message: Message,

@@ -11,7 +11,7 @@ type Words = Box<dyn Fn() -> String>;
 /// What a task knows of the end of its app.
 pub(crate) struct Quiet {
     reason: StopReason,
-    /// Who is told that it is at rest.
+    /// Who hears that it is at rest.
     reply: Option<Replier<Quiesce>>,
     /// Whether its handler has said that it is, but for what still runs concurrently.
     said: bool,

@@ -135,7 +135,7 @@ impl Ledger {
         self.holders.iter().any(|(claim, _)| claim.hold == hold)
     }
 
-    /// What somebody is told whose time is over.
+    /// The answer to a waiter whose deadline has passed.
     pub(super) fn late(&self, hold: Hold, now: Instant) -> Late {
         let holders = self.holders.iter();
         let mut lines = self.waiting.iter().flatten();

@@ -42,7 +42,7 @@ pub struct Setup<'a> {
     pub launcher: &'a Launcher,
     /// What chassis of other hosts are told besides the app.
     pub options: &'a [String],
-    /// Who is told what happens.
+    /// Who hears what happens.
     pub observer: &'a Observer,
 }
 
@@ -324,7 +324,7 @@ async fn connect(
         let config = starter.chassis.config_of(id.chassis);
         let restarts =
             config.is_some_and(|config| config.supervision.restart.when != ChassisRestart::Never);
-        // What ends by itself, before it is asked for anything, would only do so again.
+        // A process that ends by itself, before anybody asks it for anything, would only do so again.
         if !(ending.by_signal && restarts) {
             return Err(ended(starter, id.chassis, &ending.how));
         }

@@ -530,7 +530,7 @@ const BEFORE_TIMED: u32 = 1 << 31;
 
 /// How urgent a transition is among all of its net.
 fn urgency(all: &[Transition], transition: &Transition) -> u32 {
-    // What has an action starts at once, whatever time it is taken to last.
+    // A transition with an action starts at once, whatever time its action is taken to last.
     let timed = |t: &Transition| !t.timing.is_immediate() && t.action.is_none();
     if all.iter().any(timed) && !timed(transition) {
         transition.priority.saturating_add(BEFORE_TIMED)

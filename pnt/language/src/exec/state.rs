@@ -1,5 +1,5 @@
-//! The state of an execution as one value that can be stored and taken up again. What is taken up is
-//! checked against the net, since it may come from a file.
+//! The state of an execution as one value that can be stored and taken up again. Taking it up checks
+//! it against the net, since it may come from a file.
 
 use std::sync::Arc;
 

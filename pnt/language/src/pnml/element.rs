@@ -239,7 +239,7 @@ impl<'a, 'i> Elements<'a, 'i> {
         match self.ids.get(id) {
             Some(Target::Node(end)) => Some(*end),
             Some(Target::Reference(reference)) if name(node) == "arc" => {
-                // What is wrong with a reference is told once, about the reference.
+                // A mistake of a reference is one finding, about the reference.
                 self.follow(source, *reference, &mut Findings::new())
             }
             Some(Target::Reference(_)) => None,

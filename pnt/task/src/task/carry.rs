@@ -118,7 +118,8 @@ impl Engine {
         }
     }
 
-    /// The other net has all up to a number. What is not stored of that is told again, and known.
+    /// The other net has all up to a number. If a crash takes that back, the other net says it
+    /// again and takes nothing twice.
     fn arrived(self: &Rc<Self>, net: &Arc<str>, last: u64) -> bool {
         let news = {
             let mut core = self.core.borrow_mut();

@@ -487,7 +487,8 @@ impl Core {
             let put = match self.take_in(&transfer, room) {
                 Ok(Some(put)) => put,
                 Ok(None) => break,
-                // What came before it is taken; it comes again first in its message and is refused then.
+                // The transfers before this one are taken. This one comes again, first in its message,
+                // and is refused then.
                 Err(_) if last >= first => break,
                 Err(error) => return Err(error.into()),
             };

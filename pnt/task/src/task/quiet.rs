@@ -46,8 +46,8 @@ impl Engine {
             }
     }
 
-    /// Whether somebody gets no answer, which is no refusal: the next process of a durable net takes the command that is
-    /// asked for again.
+    /// Whether the net leaves an asker without an answer instead of refusing: the next process of a durable net takes
+    /// the command when it is repeated.
     pub(super) fn leaves_unanswered(&self, asker: &Asker) -> bool {
         self.stopping.get() && self.durable.is_kept() && matches!(asker, Asker::Once(..))
     }
