@@ -1,5 +1,5 @@
-//! What `ctos new` makes is compiled, tested and run. The compiler and the libraries are those that these
-//! tests are built with: for a package of its own cargo would build all of them once more.
+//! What `ctos new` makes is compiled, tested and run. The compiler and the libraries are those of these
+//! tests: for a package of its own cargo would build all of them once more.
 
 use std::{
     fs,

@@ -1,5 +1,5 @@
 //! What one chassis knows of the places of tasks: known names, ids that others replaced, and the
-//! slots of its own processors that it gave away.
+//! slots of its processors that it gave away.
 //!
 //! A task id is given away once in a run. When a task moves, or its chassis is started again, its name
 //! gets a new id. The old id is kept and leads to the new one. So a holder of the old id still reaches

@@ -46,8 +46,8 @@ impl Engine {
             }
     }
 
-    /// Whether the net leaves an asker without an answer instead of refusing: the next process of a durable net takes
-    /// the command when it is repeated.
+    /// Whether the net leaves an asker unanswered instead of refusing: the next process of a durable net takes the
+    /// repeated command.
     pub(super) fn leaves_unanswered(&self, asker: &Asker) -> bool {
         self.stopping.get() && self.durable.is_kept() && matches!(asker, Asker::Once(..))
     }
