@@ -54,7 +54,7 @@ impl Sorm {
     /// waits for them. It asks the others again at the same time, without waiting.
     ///
     /// # Errors
-    /// Nobody offers the class as it is wanted; what is missing is told.
+    /// Nobody offers the class as it is wanted; the report says what is missing.
     pub async fn offers_for(
         &self,
         comm: &dyn Comm,

@@ -80,7 +80,7 @@ impl Default for Filter {
 }
 
 impl Filter {
-    /// What can be told before the request is met.
+    /// The part of the filter that can be decided before the request is met.
     fn wants(&self, object: &str, method: &str, io: &Transport) -> bool {
         let trace = u64::try_from(self.trace).unwrap_or(0);
         (trace == 0 || trace == io.trace.id)
@@ -89,7 +89,7 @@ impl Filter {
             && matches(&self.from, &io.from)
     }
 
-    /// What can be told only afterwards.
+    /// The part that can be decided only afterwards.
     fn wants_result(&self, took: Duration, io: &Transport) -> bool {
         took.as_secs_f64() >= self.slower_s && (!self.failed || !io.is_ok())
     }
@@ -179,7 +179,7 @@ pub(crate) struct Begun {
     at: Instant,
     /// What is known of it so far.
     seen: Seen,
-    /// Those who want it, by what can be told so far.
+    /// Those who want it, by what can be decided so far.
     by: Vec<Arc<Watcher>>,
 }
 

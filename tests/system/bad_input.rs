@@ -1,5 +1,5 @@
-//! Bad input: everything that is wrong in an app is found before anything starts. It is told with its
-//! file, line and column and with what to do.
+//! Bad input: everything that is wrong in an app is found before anything starts. Each finding has
+//! its file, line and column and says what to do.
 
 use serde_json::Value;
 

@@ -324,7 +324,7 @@ fn of_app(
     let mut findings = Findings::new();
     for finding in registry.check(&app).into_sorted() {
         let code = finding.code;
-        // The proof itself is told with its numbers.
+        // The report has the proof itself, with its numbers.
         let told = code.starts_with("pnt::check::") || code.starts_with("pnt::app::");
         if code.starts_with("pnt::") && !told {
             findings.push(finding);
@@ -352,7 +352,7 @@ fn of_app(
     Ok((others, findings))
 }
 
-/// What is said to come on tapes.
+/// The tapes that the command line gives.
 fn tapes(args: &CheckArgs, nets: &[Arc<Net>]) -> Result<Vec<Tape>, Findings> {
     let mut findings = Findings::new();
     let mut all = Vec::new();

@@ -191,7 +191,7 @@ impl Session {
             Ok(Statement::Nothing) => return Flow::On,
             Ok(statement) => statement,
             Err(why) => {
-                // What came before is told first.
+                // Earlier messages come first.
                 return match self.settle() {
                     Flow::On => self.fail(place, &why, place.wrong),
                     Flow::Stop => Flow::Stop,

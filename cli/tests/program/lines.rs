@@ -308,7 +308,7 @@ fn missing(line: &Line) -> Option<String> {
         && !place.starts_with('-')
         && app.task(net).is_some()
     {
-        // The marking is told apart from a transition by what is asked of it.
+        // What is asked of it distinguishes the marking from a transition.
         let place = match words.get(2).map(String::as_str) {
             Some("put" | "take") => format!("{place}>=0"),
             _ => place.clone(),

@@ -96,7 +96,7 @@ pub enum BootEvent {
     NotQuiet {
         /// The task.
         task: String,
-        /// Why not: what it waits for, as far as that can be told.
+        /// Why not: what it waits for, as far as its chassis can say.
         reason: String,
     },
     /// The first step of the stop is over.

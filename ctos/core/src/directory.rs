@@ -53,7 +53,7 @@ impl TaskDirectory {
     }
 
     /// Remembers an answer of the task identification service, which may be older than a change that
-    /// was told since.
+    /// arrived since.
     pub fn learn(&self, name: &str, tid: Tid) -> Tid {
         let tid = self.current(tid);
         lock(&self.known).insert(name.into(), tid);

@@ -71,7 +71,7 @@ type TellParent = Box<dyn Fn(&str)>;
 pub(crate) enum Origin {
     /// By the configuration, or as a part of the runtime.
     Boot,
-    /// By another task of its processor, which is told when it fails.
+    /// By another task of its processor, which hears when it fails.
     StartedBy(TellParent),
     /// From another place, with its state.
     Moved(Arrival),

@@ -118,7 +118,7 @@ pub(crate) enum State {
     Rebuilding,
     /// It ended in order by itself: its name is free.
     Ended,
-    /// It failed for good: its chassis, and by default the app, is told.
+    /// It failed for good; its chassis, and by default the app, hears of it.
     Failed,
     /// It came to rest with the app. It takes no more messages, or hardware at rest would move again.
     Stopped,

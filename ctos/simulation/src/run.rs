@@ -51,7 +51,7 @@ pub struct Setup {
     pub events: Option<EventSink>,
     /// When the app is stopped as by Ctrl-C.
     pub stop_after: Option<Duration>,
-    /// When that is said once more.
+    /// When the second interrupt comes.
     pub stop_again_after: Option<Duration>,
     #[doc(hidden)]
     pub tamper: Option<Tamper>,

@@ -381,7 +381,7 @@ fn check_retries(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
     }
 }
 
-/// Ways in which the places that a transition empties may be filled, as many as are told apart.
+/// Ways in which the places that a transition empties may be filled, as many as are distinguished.
 const MOST_RESETS: u64 = 4096;
 
 /// Where a place reserves space for actions, what a reset arc takes out depends on the tokens there.
@@ -442,7 +442,7 @@ fn check_unused(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
     push_some(unused.map(finding), findings);
 }
 
-/// Findings of one kind about one net that are told; each costs as much as there are before it.
+/// How many findings of one kind about one net are reported; each costs as much as there are before it.
 const MOST_ALIKE: usize = 200;
 
 /// Tells findings of one kind, or of very many the first, and how many there are.

@@ -36,7 +36,7 @@ pub struct Writer {
 impl Writer {
     /// Makes the buffer `name`, or takes it over from a writer that has ended. With the same layout it goes on
     /// with the next number, and readers just go on. With another layout a new segment takes the place of the
-    /// old one, and readers of the old one are told.
+    /// old one, and readers of the old one learn so.
     ///
     /// # Errors
     /// Another writer has it, the name or the layout cannot be, or the system refuses.

@@ -46,8 +46,8 @@ const LIMITS: Limits = Limits {
     stop: Stop::NEVER,
 };
 
-/// What a net that stands by itself does not prove. Of one that works with others nothing is told, nor of
-/// one with too many markings: `ctos net check` looks at those.
+/// What a net that stands by itself does not prove. A net that works with others has no such finding, nor
+/// has one with too many markings: `ctos net check` checks those.
 fn soundness(net: Net) -> Findings {
     let alone =
         net.remote_nets().is_empty() && net.coordinators().is_empty() && net.serves().is_empty();

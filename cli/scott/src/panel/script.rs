@@ -187,7 +187,7 @@ pub struct Slider {
     pub name: String,
     /// The least and the largest.
     pub range: [f64; 2],
-    /// Where it begins; in the middle when nothing is said.
+    /// Where it begins; in the middle by default.
     pub value: Option<f64>,
     /// Its unit.
     #[serde(default)]

@@ -247,7 +247,7 @@ impl Supervisor {
                 self.member.report.borrow_mut().tasks = created.tasks;
                 none(created.failed)
             }
-            // The process is gone, which is told in another way.
+            // The process is gone; another event says so.
             Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
             Err(error) => Err(vec![(name, error.to_string())]),
         }
@@ -263,7 +263,7 @@ impl Supervisor {
             async move {
                 match call.await {
                     Ok(()) => None,
-                    // The process is gone, which is told in another way.
+                    // The process is gone; another event says so.
                     Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
                     Err(error) => {
                         let asked = format!("acknowledge phase {phase}");

@@ -65,7 +65,7 @@ impl Chassis {
         }
     }
 
-    /// Sends a message to another chassis; what `slot` makes is told what `wait` names.
+    /// Sends a message to another chassis; the reply slot that `slot` makes gets what `wait` names.
     pub(super) fn post(
         &self,
         message: Message,

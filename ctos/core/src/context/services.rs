@@ -49,7 +49,7 @@ impl Context {
         let handle = self.inner.processor.handle.clone();
         let prepare = move || {
             let config = chassis.processor_config(usize::from(index));
-            // Memory was locked for the whole chassis; a refusal was said for the processor.
+            // Memory was locked for the whole chassis; a refusal was reported for the processor.
             let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
         };
         let schedule = &self.inner.processor.schedule;

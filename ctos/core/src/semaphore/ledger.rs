@@ -213,7 +213,7 @@ mod tests {
         numbers.iter().map(|number| format!("t{number}")).collect()
     }
 
-    /// Takes out what was told by now: the numbers of those who were served, and of those whose wait was ended.
+    /// Takes out the numbers of those who were served by now, and of those whose wait was ended.
     fn told(
         waits: &mut BTreeMap<u64, oneshot::Receiver<Passage>>,
     ) -> (Vec<(u64, Passage)>, Vec<u64>) {

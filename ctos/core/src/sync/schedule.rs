@@ -461,7 +461,7 @@ fn has(grid: &Grid, name: &str) -> bool {
     grid.views().any(|view| view.name == name)
 }
 
-/// Tells those who asked to be told; says it in the log when there is nobody.
+/// Calls the hooks of those who asked for that; logs it when there are none.
 fn report(hooks: impl IntoIterator<Item = FailureHook>, text: &str) {
     let mut told = false;
     for hook in hooks {

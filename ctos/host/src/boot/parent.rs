@@ -365,7 +365,7 @@ fn ended(starter: &Starter, chassis: u8, how: &str) -> BootError {
     unable(starter, chassis, reason)
 }
 
-/// What asks for the end of the app: Ctrl-C, and SIGTERM, of which the observer is told.
+/// What asks for the end of the app: Ctrl-C, and SIGTERM, of which the observer hears.
 struct Interrupts {
     interrupt: Signal,
     terminate: Signal,

@@ -22,7 +22,7 @@ pub const VERSION: u32 = 1;
 /// The longest request with its end of line, bytes.
 pub const REQUEST_LIMIT: usize = 1 << 20;
 
-/// What is said of a longer one.
+/// The error for a longer one.
 #[must_use]
 pub fn too_long(length: Option<usize>) -> String {
     let has = length.map_or_else(String::new, |length| format!(", and this one has {length}"));

@@ -79,7 +79,7 @@ impl Lobby {
         Some(Guest { seat, turned })
     }
 
-    /// The next caller that there is a place for, and its place. `refuse` is told of each that is lost, and
+    /// The next caller that there is a place for, and its place. `refuse` hears of each that is lost, and
     /// that came when all were being served.
     pub(crate) async fn next<C, F: Future<Output = io::Result<C>>>(
         self: &Arc<Self>,

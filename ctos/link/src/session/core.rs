@@ -79,7 +79,7 @@ pub struct Core {
     heard: Instant,
     /// When the driver was to look next: a process that was frozen must not blame its peers.
     due: Instant,
-    /// Why it is down, or will be, until that was told.
+    /// Why it is down, or will be, until that was reported.
     reason: Option<DownReason>,
     counts: Counts,
 }

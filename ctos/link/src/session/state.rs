@@ -1,6 +1,6 @@
 //! The states of a session as a table, which is also drawn into `docs/links.md`.
 //!
-//! Knows no stream, no clock and no frame: what moves the session is told to it as an event.
+//! Knows no stream, no clock and no frame: what moves the session comes as an event.
 
 use std::time::Duration;
 

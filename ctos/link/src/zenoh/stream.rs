@@ -39,7 +39,7 @@ const WINDOW: usize = 512 * 1024;
 /// The most data of a chunk, bytes: with its head it fits into one batch of zenoh's.
 const CHUNK: usize = 60 * 1024;
 
-/// The other end is told what was read when it is this much, bytes.
+/// This end says what it has read whenever it is this much, bytes.
 const TELL: usize = WINDOW / 4;
 
 /// How many writes of the user may wait to be sent.
@@ -67,7 +67,7 @@ enum Broken {
 enum Chunk {
     /// What the user has written, which stands behind.
     Data(#[serde(skip)] Bytes),
-    /// So many bytes were read since that was said last.
+    /// So many bytes were read since the last report of that.
     Read(usize),
     /// No more data follows.
     Last,

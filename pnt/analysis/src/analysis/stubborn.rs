@@ -44,7 +44,7 @@ pub fn deadlock(model: &Model, limits: &Limits) -> Found {
     deadlock_with(model, limits, &mut |_| {})
 }
 
-/// The same; `progress` is told from time to time.
+/// The same; `progress` is called from time to time.
 #[must_use]
 pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&Progress)) -> Found {
     let rules = Rules::new(model);

@@ -55,7 +55,7 @@ pub struct Proof {
     pub verdict: Verdict,
     /// Why they are not sound; and warnings.
     pub findings: Findings,
-    /// Of nets without bound, what they can cover, where that can be told.
+    /// Of nets without bound, what they can cover, where that can be computed.
     pub cover: Option<Cover>,
     /// The place that was found to grow without bound.
     pub grows: Option<PlaceNumber>,

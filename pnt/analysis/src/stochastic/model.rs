@@ -485,7 +485,7 @@ impl<'a> Builder<'a> {
 /// Per place that a firing empties, in which capacity is reserved for actions: what it holds.
 type Held = BTreeMap<usize, u32>;
 
-/// Ways in which the places that a transition empties may be filled, as many as are told apart.
+/// Ways in which the places that a transition empties may be filled, as many as are distinguished.
 const MOST_WAYS: u64 = 4096;
 
 /// Whether a transition that empties places with capacity reserved for actions can be one transition of the

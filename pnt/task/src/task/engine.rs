@@ -48,7 +48,7 @@ pub(super) struct Engine {
     pub(super) library: Functions,
     pub(super) data: Option<Rc<dyn DataStore>>,
     pub(super) settings: Settings,
-    /// What displays and records are told of the net once.
+    /// What displays and records get of the net once.
     pub(super) view: RefCell<NetView>,
     pub(super) core: RefCell<Core>,
     /// What waits until the changes that led to it are stored.
@@ -115,9 +115,9 @@ pub(super) struct Core {
     /// The output tape: answers that nobody was there to take.
     pub(super) output: VecDeque<Output>,
     pub(super) outputs: u64,
-    /// Data objects, their places, and what their store was told last, if anything.
+    /// Data objects, their places, and the last news that their store got, if any.
     pub(super) objects: BTreeMap<String, (Vec<PlaceId>, Option<bool>)>,
-    /// What their store must be told, with the change that it came with.
+    /// News that their store must get, with the change that it came with.
     pub(super) untold: Vec<(u64, String, bool)>,
     /// Failures in a row, per transition.
     pub(super) failures: Vec<u32>,
@@ -359,7 +359,7 @@ impl Engine {
         }
     }
 
-    /// The net fires no more; everybody who waits for an answer is told why.
+    /// The net fires no more; everybody who waits for an answer learns why.
     pub(super) fn stop(self: &Rc<Self>, why: &str) {
         let (name, waiting, replacing) = {
             let mut core = self.core.borrow_mut();

@@ -1,6 +1,6 @@
 //! Components of a net that have no choice, or no concurrency, and how fast those without choice can
 //! run. Once every choice of a robot's net is settled, what is left is a marked graph. Its timing can
-//! be told exactly (Freedman 1991, the architecture report's reference 2).
+//! be computed exactly (Freedman 1991, the architecture report's reference 2).
 
 use super::{
     Arcs,
