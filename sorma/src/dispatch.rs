@@ -54,7 +54,7 @@ impl Sorm {
         Reply { name, body }
     }
 
-    /// One line of text in, one line of text out. A line that is no request is answered in the name
+    /// One line of text in, one line of text out. A line that is not a request is answered in the name
     /// of `sorm`.
     #[must_use]
     pub fn dispatch(&self, line: &str) -> String {

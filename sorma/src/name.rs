@@ -34,7 +34,7 @@ pub enum Location {
     },
 }
 
-/// Why a text is no name.
+/// Why a text is not a name.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum NameError {
     /// The class part is empty or has other characters.

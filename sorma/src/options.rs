@@ -183,7 +183,7 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
         self.option(name, help, move |state| Bound::Word(field(state), what))
     }
 
-    /// `-name a b`: does something with that many words and may answer with a text. It is no state,
+    /// `-name a b`: does something with that many words and may answer with a text. It is not a state,
     /// so `-dump` leaves it out.
     #[must_use]
     pub fn action(

@@ -190,7 +190,7 @@ impl Sound {
             Piece::Recording(file) => run(&self.options.player, file, &[]),
             Piece::Beep => run(&self.options.player, Path::new("-"), &tone()),
             Piece::Spoken(text) => {
-                // A text that begins with a dash is no option of the program.
+                // A text that begins with a dash is not an option of the program.
                 let text = text.trim_start_matches('-');
                 run(&self.options.voice, Path::new(text), &[])
             }

@@ -71,7 +71,7 @@ fn every_firing_has_the_trace_of_a_message_and_gives_it_to_what_it_sends(lines: 
         let (came, taken) = (first(&message), first(&began));
         let mut fired: BTreeSet<&str> = BTreeSet::new();
         let topic = format!("/firing/{net}");
-        // The end of the app is no message's doing.
+        // No message causes the end of the app.
         let led_to = |line: &&Line| line.topic == topic && line.text("phase") != "stopped";
         for firing in lines.iter().filter(led_to) {
             let trace = firing.text("trace");

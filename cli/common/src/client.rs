@@ -625,7 +625,7 @@ mod tests {
         for part in [&b"{\"kind\":\"do"[..], b"ne\"}\n{\"kind"] {
             say.send(part).unwrap();
             said.recv().unwrap();
-            // The end of a line is no silence; a part of one may be what somebody waits for.
+            // The end of a line is not silence; a part of one may be what somebody waits for.
             let whole = part.contains(&b'\n');
             assert!(whole || !client.has_ended());
         }

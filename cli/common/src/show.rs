@@ -95,7 +95,7 @@ pub fn says_json() -> bool {
     JSON.load(Ordering::Relaxed)
 }
 
-/// Writes to standard error. A closed stream is no reason to fail.
+/// Writes to standard error. A closed stream is not a reason to fail.
 pub fn say(text: &str) {
     let line = if says_json() {
         json_line(text)

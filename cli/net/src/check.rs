@@ -336,7 +336,7 @@ fn of_app(
     let others = task::nets(&app, registry)?;
     let is_given = |net: &Arc<Net>| given.iter().any(|(other, _)| other.name() == net.name());
     let others: Vec<_> = others.into_iter().filter(|net| !is_given(net)).collect();
-    // What a message action asks of a task that is no net has findings of the runtime.
+    // What a message action asks of a task that is not a net has findings of the runtime.
     let given = given.iter().map(|(net, _)| Arc::clone(net));
     let all: Vec<_> = given.chain(others.iter().cloned()).collect();
     let mut messages = Findings::new();

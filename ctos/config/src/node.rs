@@ -267,7 +267,7 @@ impl Node {
     }
 
     /// Reads the dotted key that is the text of `source` before `end`. Returns the tables that it stands for,
-    /// with an integer innermost; `None` when it is no key.
+    /// with an integer innermost; `None` when it is not a key.
     pub(super) fn from_toml_key(source: &Source, end: usize) -> Option<Self> {
         let text = source.text().get(..end)?;
         let document = format!("{text} = 0");

@@ -77,7 +77,7 @@ impl fmt::Display for ZenohEndpoint {
     }
 }
 
-/// A text that is no endpoint.
+/// A text that is not an endpoint.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not an endpoint; write tcp/HOST:PORT or tls/HOST:PORT")]
 pub struct ZenohEndpointError(String);

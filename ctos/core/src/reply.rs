@@ -107,7 +107,7 @@ pub(crate) trait Home: Send + Sync {
     fn take_answer(&self, key: CallKey, answer: Returned);
 }
 
-/// A caller that is no task of this chassis: a task of another one, or somebody outside of all tasks.
+/// A caller that is not a task of this chassis: a task of another one, or somebody outside of all tasks.
 pub(crate) trait Caller: Send + Sync {
     /// Gives it the answer; nothing comes of it when that was done already.
     fn answer(&self, answer: Answer);
@@ -184,7 +184,7 @@ impl ReplySlot {
         Self::of(ReplyTo::Local(ticket))
     }
 
-    /// To somebody in this process who is no task.
+    /// To somebody in this process who is not a task.
     pub fn outside(promise: Arc<Promise>) -> Self {
         Self::other(promise)
     }

@@ -425,7 +425,7 @@ impl Runner {
     }
 }
 
-/// Drops a handler; a destructor that panics is no reason to lose the task.
+/// Drops a handler; a destructor that panics is not a reason to lose the task.
 pub(crate) fn drop_handler(cx: &Context, handler: Box<dyn DynHandler>) {
     if let Err(panic) = contained(|| drop(handler)) {
         tracing::error!(task = %cx.name(), %panic, "its destructor panicked");

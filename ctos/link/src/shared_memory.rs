@@ -8,7 +8,7 @@
 //!   chooses. So the pointer is valid, page-aligned, and overlaps nothing that Rust owns. It is unmapped
 //!   once, on drop, and everything that borrows from it borrows `self`.
 //! - The memory is only reached as atomics, or by the copies below, never through a reference to plain
-//!   memory. So what other processes do to it is no data race. Every access is checked to lie inside, and
+//!   memory. So what other processes do to it is not a data race. Every access is checked to lie inside, and
 //!   no bit pattern is invalid.
 //! - A [`View`] is mapped for reading only. It has relaxed loads and no others, which are the ones that the
 //!   documentation of `std::sync::atomic` ("Atomic accesses to read-only memory") allows on such memory.

@@ -192,7 +192,7 @@ impl Call {
     }
 }
 
-/// What a browser is told at a port that is no page.
+/// What a browser is told at a port that is not a page.
 pub const NO_PAGE: &str = "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\n\
     Content-Length: 23\r\nConnection: close\r\n\r\nthis port is no page.\r\n";
 
@@ -212,7 +212,7 @@ pub fn is_http(said: &[u8]) -> bool {
         || line.windows(6).any(|part| part == b" HTTP/")
 }
 
-/// Tells a browser that this is no page.
+/// Tells a browser that this is not a page.
 ///
 /// # Errors
 /// [`KeyError::Browser`] when it is one.

@@ -297,7 +297,7 @@ impl Parts {
         self.begun
     }
 
-    /// Puts something into the present file that is no line.
+    /// Puts something into the present file that is not a line.
     pub(crate) fn note(&mut self, name: &str, metadata: BTreeMap<String, String>) {
         if let Some(part) = &mut self.part {
             let bytes: usize = metadata.values().map(String::len).sum();

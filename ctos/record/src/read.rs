@@ -40,7 +40,7 @@ pub enum ReadError {
         /// What the system said.
         error: io::Error,
     },
-    /// It is no MCAP file.
+    /// It is not an MCAP file.
     #[error("{path} is no MCAP file: {reason}")]
     Format {
         /// The file.
@@ -329,7 +329,7 @@ impl<'a> Scan<'a> {
 /// rest is counted.
 ///
 /// # Errors
-/// [`ReadError`] when it cannot be opened, or is no MCAP file from its first byte.
+/// [`ReadError`] when it cannot be opened, or is not an MCAP file from its first byte.
 pub fn scan_only(
     path: &Path,
     filter: &Filter,

@@ -124,7 +124,7 @@ pub(crate) static KINDS: [Kind; 9] = [
 
 impl FaultKind {
     /// What a file calls `kind`. `extent` is how bad it is: a share, or a time in s. `None` for a drift, and for
-    /// a word that is no kind.
+    /// a word that is not a kind.
     pub(crate) fn of(kind: &str, extent: f64) -> Option<Self> {
         Some(match kind {
             "kill" => Self::Kill,

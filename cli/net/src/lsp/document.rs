@@ -162,7 +162,7 @@ impl Document {
             Ok(net) => soundness(net),
             Err(found) => found,
         };
-        // A file of subnets only is included by others and is no net.
+        // A file of subnets only is included by others and is not a net.
         let library = self
             .outline
             .words()

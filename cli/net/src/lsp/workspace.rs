@@ -15,7 +15,7 @@ use pnt::text::{
 
 /// Files that are read at most; an editor's folder may be a large one.
 const MOST_FILES: usize = 2000;
-/// A longer file is no net that a person wrote.
+/// A longer file is not a net that a person wrote.
 const LONGEST: u64 = 4 << 20;
 
 /// A word's place: its file, and its bytes in it.

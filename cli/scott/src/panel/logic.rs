@@ -1,4 +1,4 @@
-//! The little logic of a panel: values that are read of answers, and what follows from them. It is no program: it has no
+//! The little logic of a panel: values that are read of answers, and what follows from them. It is not a program: it has no
 //! variables of its own, no loops, and it asks nothing. What may happen to an arm is for the arm's object to say, not for
 //! a page.
 //!

@@ -194,7 +194,7 @@ pub struct Slider {
     pub unit: String,
 }
 
-/// What a jog moves that is no joint.
+/// What a jog moves that is not a joint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {

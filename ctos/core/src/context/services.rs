@@ -15,7 +15,7 @@ impl Context {
 
     /// Calls a synchronous function every `period` on this task's processor, until the handle is dropped. If it
     /// panics, it is taken off the schedule and the task's restart policy decides. It has failed if the processor has
-    /// a base period of which `period` is no multiple. [`Self::schedule`] says more of a function, and refuses
+    /// a base period of which `period` is not a multiple. [`Self::schedule`] says more of a function, and refuses
     /// instead.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {

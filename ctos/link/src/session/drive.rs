@@ -97,7 +97,7 @@ fn plain(stream: Stream) -> io::Result<Carrier> {
         return Ok(Carrier::Socket { fd, is_nearby });
     }
     let stream = socket::<UnixStream>(stream)?.into_std()?;
-    // An image leaves at once, and its receiver is woken once. What the system refuses is no reason to do
+    // An image leaves at once, and its receiver is woken once. What the system refuses is not a reason to do
     // without the socket.
     if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
         tracing::debug!(error = %error, "a socket keeps its small buffer");

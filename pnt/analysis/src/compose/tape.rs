@@ -57,7 +57,7 @@ impl Ends {
 
 impl System {
     /// Lets only the given languages come on the tapes of the nets they name. Other tapes stay open. The
-    /// end of the last word is no deadlock: there, a step goes on that changes nothing.
+    /// end of the last word is not a deadlock: there, a step goes on that changes nothing.
     pub fn with_tapes(&mut self, tapes: &[Tape]) -> Ends {
         let commanders: Vec<Commander> = (0..self.nets.len())
             .filter_map(|net| {

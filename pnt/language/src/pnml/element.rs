@@ -158,7 +158,7 @@ impl<'a, 'i> Elements<'a, 'i> {
         }
     }
 
-    /// An element that is no node, arc or page.
+    /// An element that is not a node, arc or page.
     fn other(&mut self, source: &Source, node: Node<'a, 'i>, findings: &mut Findings) {
         let kind = name(node);
         let parent = node.parent().map_or("net", name);

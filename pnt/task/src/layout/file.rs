@@ -171,7 +171,7 @@ impl LayoutFile {
 
 /// A whole pixel within what is drawn.
 fn pixel(at: f64) -> i32 {
-    // It is no number, or within the range of `i32`.
+    // It is not a number, or within the range of `i32`.
     #[allow(clippy::cast_possible_truncation, reason = "it is clamped")]
     if at.is_nan() {
         0

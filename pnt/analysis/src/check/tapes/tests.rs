@@ -155,7 +155,7 @@ fn tapes_of_two_nets_are_independent_and_the_end_is_that_of_both() {
         (ended.verdict.markings, ended.verdict.deadlocks),
         (5 * 3, 0)
     );
-    // The one stands still when the other has ended: that is no end.
+    // The one stands still when the other has ended: that is not an end.
     let stuck = proved(&nets, "toggle: a b other: b");
     assert_eq!(
         (stuck.verdict.markings, stuck.verdict.deadlocks),
