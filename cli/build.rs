@@ -2,7 +2,7 @@
 //!
 //! `CTOS_REVISION` says the revision, else git does; `SOURCE_DATE_EPOCH` says the time (s since 1970), else the clock
 //! does. Without git it compiles all the same, and says so. Only this crate, which stands above all others, is compiled
-//! anew for it, and only when a source of the workspace has changed, or the revision.
+//! anew for it. That happens only when a source of the workspace has changed, or the revision.
 
 #![allow(
     clippy::print_stdout,
@@ -26,7 +26,7 @@ fn main() {
     println!("cargo::rustc-env=CTOS_BUILD_REVISION={revision}");
     println!("cargo::rustc-env=CTOS_BUILD_TIME={}", date(seconds()));
     println!("cargo::rerun-if-changed=build.rs");
-    // What is listed is looked at file by file; what is not there would have this run each time.
+    // Cargo looks at each listed folder file by file. A path that does not exist would have this run each time.
     for folder in sources() {
         println!("cargo::rerun-if-changed={}", folder.display());
     }

@@ -132,7 +132,7 @@ pub enum Command {
 pub fn main(mut registry: Registry) -> ExitCode {
     crate::tell_build();
     pnt::store::keep_states(&mut registry);
-    // What a handler's panic is told by, also in a command without a log.
+    // Reports a handler's panic, also in a command without a log.
     let shown = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         ctos::note_panic(panic);

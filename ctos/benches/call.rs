@@ -165,7 +165,7 @@ enum Order {
     Tell,
 }
 
-/// A booted app whose near task does as it is told.
+/// A booted app whose local task does as it is told.
 struct Booted {
     socket: Option<TcpStream>,
     boot: Option<JoinHandle<()>>,

@@ -1,5 +1,5 @@
-//! A call and an image between two processes, over every kind of link on one host, beside a raw blocking
-//! socket that carries the same bytes.
+//! A call and an image between two processes, over every kind of link on one host. Their peer is a raw
+//! blocking socket that carries the same bytes.
 //!
 //! What counts is the ratio in one run: figures on a virtual machine are mostly wake-ups, and depend on
 //! where the system puts the threads. `--pin` keeps everything on one core, `--pin2` the two processes on

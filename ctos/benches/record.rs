@@ -1,10 +1,10 @@
 //! What recording costs: calls and one-way messages between two tasks, recorded and not, in turns.
 //!
-//! Two apps are booted, one of which is recorded to a file; rounds of both are interleaved, so that what else the
-//! machine does hits both. The two tasks share a processor, or have one each, or are two processes. The handler
-//! of the message works for 0, 1, 10 or 100 us, since the share of the recording depends on the other work of a
-//! message. Prints medians and the median ratio of the rates, and what the record lacks: a rate that is kept by
-//! dropping events is none.
+//! Two apps are booted, one of which is recorded to a file. The bench interleaves rounds of both, so that other
+//! load of the machine hits both. The two tasks share a processor, or have one each, or are two processes. The
+//! handler of the message works for 0, 1, 10 or 100 us, since the share of the recording depends on that work.
+//! Prints medians and the median ratio of the rates, and what the record lacks: a rate that is kept by dropping
+//! events is none.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,5 +1,5 @@
-//! CTOS, the runtime that everything else stands on: event handler tasks, found by symbolic name, that
-//! exchange messages across threads, processes and machines, booted from a configuration file.
+//! CTOS, the runtime that everything else stands on. Its event handler tasks are found by symbolic
+//! name and exchange messages across threads, processes and machines; a configuration file boots them.
 //!
 //! It re-creates the five services of the CIRSSE Testbed Operating System (CIRSSE report 108, section 3). These are
 //! bootstrap ([`boot`]), task identification ([`task::Context::task`]), message passing ([`message`], [`call`]),

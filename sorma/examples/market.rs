@@ -1,4 +1,4 @@
-//! Trading, load balancing and demand streams: three daemons offer the same class with different prices, and a client
+//! Trading, load balancing and demand streams. Three daemons offer the same class with different prices, and a client
 //! has the best of them work on a stream of frames. In virtual time, so that it is the same every time.
 //!
 //! ```text

@@ -1,6 +1,6 @@
-//! Asynchronous invocation by text: the classes `later` (deferred, one-way, callback), `fork` (several at
-//! once; with `-object` one object asked without waiting), `stream` (another object's results) and `event` (notification). In code it is
-//! [`Sorm::ask_later`], [`Sorm::fork`], [`Sorm::subscribe`] and their like.
+//! Asynchronous invocation by text. The classes are `later` (deferred, one-way, callback), `fork` (several at once; with
+//! `-object` one object asked without waiting), `stream` (another object's results) and `event` (notification). In code it
+//! is [`Sorm::ask_later`], [`Sorm::fork`], [`Sorm::subscribe`] and their like.
 //!
 //! None of them keeps its caller waiting for longer than it was asked to. What is not there yet is answered
 //! with [`NOT_YET`](crate::ipc::NOT_YET), as by the other classes for communication.

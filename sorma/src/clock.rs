@@ -210,7 +210,7 @@ impl ClockDifference {
         }
     }
 
-    /// Whether there is a moment at which what it says and what is known exclude each other.
+    /// Whether there is a moment at which the sample and the known bounds exclude each other.
     fn contradicts(&self, sample: &Sample) -> bool {
         let known = |moment: f64| self.bounds(moment);
         let at_odds = |moment: f64| {

@@ -1,5 +1,6 @@
 //! The demo classes of the report: `foo` serves a meal, `bar` mixes a drink (SORMA technical report,
-//! section 1.5), for trying out names, flavors, the dictionary and nested calls without any hardware.
+//! section 1.5). They are for trying out names, flavors, the dictionary and nested calls without any
+//! hardware.
 
 use crate::class::Class;
 use crate::description::{ClassInfo, Form};
@@ -21,8 +22,8 @@ crate::prototypes! {
     }
 }
 
-/// The dictionary that goes with the classes: the entries of section 1.5 as printed, and a plain `foo`
-/// to derive flavors from, as section 2.1.5 does with `carry`.
+/// The dictionary that goes with the classes. It has the entries of section 1.5 as printed, and a
+/// plain `foo` to derive flavors from, as section 2.1.5 does with `carry`.
 pub const DICTIONARY: &str = "\
 foo.a -breakfast -where kitchen -tempo presto
 foo.b -breakfast -where garden -freshJuice -tempo adagio

@@ -158,7 +158,7 @@ pub struct OptionInfo {
     pub help: String,
 }
 
-/// No word of a help is longer than so many letters.
+/// No word of a help is longer than so many characters.
 const LONGEST_WORD: usize = 60;
 
 impl OptionInfo {

@@ -46,8 +46,8 @@ impl Dictionary {
 
     /// Adds the entries of a text; those that are there already are replaced.
     ///
-    /// A line is `indexWord word word ...`. A word that begins with `#` begins a comment; a line that
-    /// ends with `\` goes on in the next one; words with white space are quoted.
+    /// A line is `indexWord word word ...`. A word that begins with `#` begins a comment, and a line
+    /// that ends with `\` goes on in the next one. Words with white space are quoted.
     ///
     /// # Errors
     /// Every wrong line with its place: quotes that do not close, an index word that stands in the
@@ -59,7 +59,7 @@ impl Dictionary {
         Ok(())
     }
 
-    /// Adds an entry for each variable whose name begins with `SORMA_`: the rest of the name is the
+    /// Adds an entry for each variable whose name begins with `SORMA_`. The rest of the name is the
     /// index word, with `__` for `.`, so that `SORMA_foo__a` is `foo.a`.
     ///
     /// # Errors

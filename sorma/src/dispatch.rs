@@ -39,7 +39,7 @@ impl Sorm {
         } = request;
         match self.resolve(&name) {
             Ok(handle) => {
-                // As far as nobody has to be waited for.
+                // Only what is done without waiting for anybody.
                 let met = self.meet(&Alone, None, &handle, method, &mut body);
                 if met.now_or_never().is_none() {
                     let report = raise!(
@@ -54,7 +54,7 @@ impl Sorm {
         Reply { name, body }
     }
 
-    /// One line of text in, one line of text out. A line that is no request is answered in the name
+    /// One line of text in, one line of text out. A line that is not a request is answered in the name
     /// of `sorm`.
     #[must_use]
     pub fn dispatch(&self, line: &str) -> String {

@@ -1,6 +1,6 @@
-//! The IPC service classes: snapshot buffers in shared memory (`shmem_w`, `shmem_r`, `flight`; of other hosts `shmem_far`,
-//! with `stamp`), and queues,
-//! counting semaphores and blackboards (SORMA technical report, sections 1.7.1 and 1.7.2).
+//! The IPC service classes (SORMA technical report, sections 1.7.1 and 1.7.2). They are snapshot buffers in shared memory
+//! (`shmem_w`, `shmem_r`, `flight`; of other hosts `shmem_far`, with `stamp`), queues, counting semaphores and
+//! blackboards.
 //!
 //! None of them waits in EXEC: a call that cannot be done now says `not yet` at once and is asked again. So
 //! a waiting caller blocks no other caller of the object, or of its manager. `docs/snapshots.md` and

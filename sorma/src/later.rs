@@ -23,7 +23,7 @@ use tokio::sync::{Semaphore, oneshot};
 #[derive(Debug)]
 pub struct Deferred<T> {
     answer: oneshot::Receiver<T>,
-    /// What was found when it was looked for.
+    /// The answer that `is_ready` has already found.
     found: Option<T>,
     /// Stands in for an answer that never comes, because the task that should make it has ended.
     instead: Option<T>,
@@ -67,7 +67,7 @@ impl Sorm {
     /// Deferred: asks, and has the answer collected later. The answer always comes, errors and all.
     ///
     /// # Errors
-    /// Nothing can go on beside the caller here.
+    /// Nothing can run concurrently with the caller here.
     pub fn ask_later(&self, comm: &dyn Comm, request: Request) -> Result<Deferred<Reply>, Report> {
         let never = self.never(&request);
         let sorm = self.clone();
@@ -76,11 +76,11 @@ impl Sorm {
         })
     }
 
-    /// [`Self::ask_later`], begun when `turns` has a permit: so many of all that share it are under way at once, in
-    /// the order in which they are asked.
+    /// [`Self::ask_later`], begun when `turns` has a permit. So that many of all that share it are under way at
+    /// once, in the order in which they are asked.
     ///
     /// # Errors
-    /// Nothing can go on beside the caller here.
+    /// Nothing can run concurrently with the caller here.
     pub(crate) fn ask_in_turn(
         &self,
         comm: &dyn Comm,
@@ -101,7 +101,7 @@ impl Sorm {
     /// Callback: asks, and hands the answer, errors and all, to `then` when it comes.
     ///
     /// # Errors
-    /// Nothing can go on beside the caller here.
+    /// Nothing can run concurrently with the caller here.
     pub fn ask_then(
         &self,
         comm: &dyn Comm,
@@ -159,7 +159,7 @@ impl Sorm {
     /// [`Self::fork`], whose replies are collected later: the caller is not kept.
     ///
     /// # Errors
-    /// Nothing can go on beside the caller here.
+    /// Nothing can run concurrently with the caller here.
     pub fn fork_later(
         &self,
         comm: &dyn Comm,

@@ -16,7 +16,7 @@ use std::rc::Rc;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// How long an object is waited for that shall only tell of itself.
+/// How long the manager waits for an object that shall only tell of itself.
 const GLANCE: Duration = Duration::from_millis(20);
 /// No lock is for longer.
 const LONGEST_LOCK_S: f64 = 86_400.0;

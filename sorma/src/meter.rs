@@ -1,5 +1,5 @@
-//! Metering: how often each caller used an object, for how long, and how much data went in and out (what the SORMA
-//! technical report, section 3.2, leaves open).
+//! Metering: how often each caller used an object, for how long, and how much data went in and out. The SORMA
+//! technical report, section 3.2, leaves this open.
 
 use crate::request::Method;
 use crate::transport::Transport;

@@ -34,13 +34,13 @@ pub enum Location {
     },
 }
 
-/// Why a text is no name.
+/// Why a text is not a name.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum NameError {
-    /// The class part is empty or has other letters.
+    /// The class part is empty or has other characters.
     #[error("`{0}`: a class name begins with a letter and goes on with letters, digits or `_`")]
     Class(String),
-    /// The flavor part is empty or has other letters.
+    /// The flavor part is empty or has other characters.
     #[error("`{0}`: a flavor has letters, digits, `_`, `-` and `.`, at least one")]
     Flavor(String),
     /// The part after `@` is neither an alias nor `host:number`.

@@ -2,7 +2,7 @@
 //!
 //! From one table come the parser (`-option value ...`), `-help`, `-dump`, and the description that
 //! completion, panels and the page of services are made from. Options of one request are taken
-//! together or not at all: when one is wrong the state stays as it was, and every wrong one is
+//! together or not at all. When one is wrong the state stays as it was, and every wrong one is
 //! reported. The forms of EXEC that a class understands stand in the same table and are checked by it.
 
 mod kind;
@@ -32,7 +32,7 @@ struct Opt<T> {
     at: Box<At<T>>,
 }
 
-/// The option at one state. What is done with it knows no `T`, and so is compiled once.
+/// The option at one state. The code that works with it knows no `T`, so it is compiled once.
 type At<T> = dyn Fn(&mut T) -> Bound<'_> + Send + Sync;
 
 impl<T: Clone + Default + 'static> OptionTable<T> {
@@ -183,7 +183,7 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
         self.option(name, help, move |state| Bound::Word(field(state), what))
     }
 
-    /// `-name a b`: does something with that many words and may answer with a text. It is no state,
+    /// `-name a b`: does something with that many words and may answer with a text. It is not a state,
     /// so `-dump` leaves it out.
     #[must_use]
     pub fn action(
@@ -217,8 +217,9 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
         }
     }
 
-    /// Which form of EXEC a request has, when its numbers are what that form takes: the right count
-    /// of floats, all of them finite, and nothing else. Allocates nothing when all is well.
+    /// Which form of EXEC a request has, when its numbers are what that form takes. That is the
+    /// right count of floats, all of them finite, and nothing else. Allocates nothing when all is
+    /// well.
     ///
     /// # Errors
     /// What is wrong with the request, and what would have been right.
@@ -256,7 +257,7 @@ impl<T: Clone + Default + 'static> OptionTable<T> {
     }
 }
 
-/// The options of a class at one state. What is done with them is compiled once, and not for every class.
+/// The options of a class at one state. The code that works with them is compiled once, and not for every class.
 trait Options {
     /// The option that stands at `index` in the table.
     fn get(&mut self, index: usize) -> Option<Named<'_>>;

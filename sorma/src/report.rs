@@ -75,7 +75,7 @@ pub struct Prototype {
 }
 
 /// Defines the codes of a class in one place: a module with a constant for each and the table
-/// `PROTOTYPES`, which is registered with the class. Classes use codes from 100.
+/// `PROTOTYPES`. That table is registered with the class. Classes use codes from 100.
 ///
 /// ```
 /// sorma::prototypes! {

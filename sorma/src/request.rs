@@ -68,7 +68,7 @@ pub struct Reply {
     pub body: Transport,
 }
 
-/// Why a text is no request or reply, or why a body has no textual form.
+/// Why a text is not a request or reply, or why a body has no textual form.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum RequestError {
     /// Quotes are wrong.

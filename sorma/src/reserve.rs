@@ -12,7 +12,6 @@ pub(crate) struct Reservation {
 }
 
 impl Reservation {
-    /// A lock.
     pub(crate) fn lock(by: &str, until: Instant) -> Self {
         Self {
             by: by.to_owned(),

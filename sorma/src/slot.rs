@@ -213,7 +213,7 @@ impl Slot {
         }
     }
 
-    /// [`Self::call`], of which no watcher is told.
+    /// [`Self::call`], of which no watcher hears.
     pub(crate) fn call_unseen(
         &self,
         sorm: &Sorm,

@@ -186,7 +186,7 @@ impl Sorm {
         removed.is_some()
     }
 
-    /// From now on what CTRL changes is kept, beginning with what an earlier process has kept: an object that is built
+    /// From now on what CTRL changes is kept, beginning with what an earlier process has kept. An object that is built
     /// takes it after its recipe.
     pub fn keep(&self, kept: Kept) {
         *self.inner.kept.lock() = Some(kept);

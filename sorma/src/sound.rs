@@ -1,5 +1,5 @@
-//! The class `sound`: tells people in the room by recorded comments, spoken words and a beep (the speaker daemon of the
-//! SORMA technical report, section 2.1.3).
+//! The class `sound` tells people in the room by recorded comments, spoken words and a beep. It is the speaker daemon
+//! of the SORMA technical report, section 2.1.3.
 //!
 //! What is said also stands in the log and in the answer, which goes to all who subscribe to the object. `fork.sound`
 //! keeps messages in order without anybody waiting for them.
@@ -117,7 +117,7 @@ pub fn classes() -> Vec<ClassInfo> {
 /// An object of the class.
 struct Sound {
     options: Options,
-    /// Whether no time passes while something is said.
+    /// Whether the clock is virtual: no time passes while something is said.
     is_virtual: bool,
 }
 
@@ -190,7 +190,7 @@ impl Sound {
             Piece::Recording(file) => run(&self.options.player, file, &[]),
             Piece::Beep => run(&self.options.player, Path::new("-"), &tone()),
             Piece::Spoken(text) => {
-                // A text that begins with a dash is no option of the program.
+                // A text that begins with a dash is not an option of the program.
                 let text = text.trim_start_matches('-');
                 run(&self.options.voice, Path::new(text), &[])
             }

@@ -50,11 +50,11 @@ impl Sorm {
         self.inner.market.lock().lines(self.now())
     }
 
-    /// The offers for an object, the best first. Daemons that are not known yet are asked and waited for,
-    /// the others are asked again beside it.
+    /// The offers for an object, the best first. The process asks daemons that it does not know yet, and
+    /// waits for them. It asks the others again at the same time, without waiting.
     ///
     /// # Errors
-    /// Nobody offers the class as it is wanted; what is missing is told.
+    /// Nobody offers the class as it is wanted; the report says what is missing.
     pub async fn offers_for(
         &self,
         comm: &dyn Comm,

@@ -145,7 +145,8 @@ impl Sorm {
         Reply { name, body }
     }
 
-    /// The object of that name in this process; what is to be built for a request of `from` is built on a thread of its own.
+    /// The object of that name in this process. If it has to be built for a request of `from`, that is done on a thread of
+    /// its own.
     async fn built(
         &self,
         comm: &dyn Comm,
@@ -269,7 +270,7 @@ async fn ask(
             slot.exec_waiting(sorm, comm, outer, io).await;
         }
         (None, _) if slot.waits() || workers.is_some() => slot.refuse_busy(sorm, io),
-        // Without a turn the object is still in a call, which this finds.
+        // Without the lock `turn` the object is still in a call, which this finds.
         _ => slot.call_unseen(sorm, outer, method, io),
     }
 }

@@ -80,7 +80,7 @@ impl Default for Filter {
 }
 
 impl Filter {
-    /// What can be told before the request is met.
+    /// The part of the filter that can be decided before the request is met.
     fn wants(&self, object: &str, method: &str, io: &Transport) -> bool {
         let trace = u64::try_from(self.trace).unwrap_or(0);
         (trace == 0 || trace == io.trace.id)
@@ -89,13 +89,13 @@ impl Filter {
             && matches(&self.from, &io.from)
     }
 
-    /// What can be told only afterwards.
+    /// The part that can be decided only afterwards.
     fn wants_result(&self, took: Duration, io: &Transport) -> bool {
         took.as_secs_f64() >= self.slower_s && (!self.failed || !io.is_ok())
     }
 }
 
-/// Whether a name fits a pattern, in which `*` stands for any letters. Linear but for the number of stars.
+/// Whether a name fits a pattern, in which `*` stands for any characters. Linear but for the number of stars.
 pub(crate) fn matches(pattern: &str, name: &str) -> bool {
     let mut parts = pattern.split('*');
     let first = parts.next().unwrap_or_default();
@@ -179,7 +179,7 @@ pub(crate) struct Begun {
     at: Instant,
     /// What is known of it so far.
     seen: Seen,
-    /// Those who want it, by what can be told so far.
+    /// Those who want it, by what can be decided so far.
     by: Vec<Arc<Watcher>>,
 }
 

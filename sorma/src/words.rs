@@ -3,7 +3,7 @@
 //! One grammar for requests, CTRL options and dictionary recipes. Words are separated by ASCII white
 //! space. A word that begins with `'` runs to the next `'` and is literal. A word that begins with
 //! `"` runs to the next `"` and knows `\"`, `\\`, `\n`, `\r`, `\t` and `\u{HEX}`. A quote inside a
-//! word is an ordinary letter.
+//! word is an ordinary character.
 
 use std::ops::Range;
 use thiserror::Error;

@@ -1,5 +1,5 @@
-//! Threads on which a daemon has its objects built and called: one that takes its time, or never comes to an end, keeps
-//! nobody else waiting. A thread that an object does not give back ends with its process.
+//! Threads on which a daemon has its objects built and called. So an object that takes its time, or never comes to an
+//! end, keeps nobody else waiting. A thread that an object does not give back ends with its process.
 
 use crate::raise;
 use crate::report::{Report, code};
@@ -18,7 +18,7 @@ const MOST: usize = 256;
 /// How long a thread without work is kept.
 const KEPT: Duration = Duration::from_secs(60);
 
-/// What has been at work for so long is not waited for, when everything is.
+/// When all threads have been at work for so long, a request does not wait for one.
 const LONG: Duration = Duration::from_secs(1);
 
 /// So many of them are named.
@@ -115,7 +115,7 @@ impl Workers {
     }
 }
 
-/// Nobody else has a turn; why.
+/// Nobody else gets a thread; why.
 fn crowded<'a>(
     at_work: impl ExactSizeIterator<Item = &'a Work>,
     process: &str,

@@ -21,7 +21,6 @@ const LIMIT: Duration = Duration::from_secs(600);
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CounterArgs {
-    /// The nets.
     nets: Vec<String>,
     /// The file whose appearance, in the folder of the configuration, begins the count.
     when: String,
@@ -54,8 +53,9 @@ impl EventHandler for Counter {
     }
 }
 
-/// Puts one command after the other on the tape of the net `net`, each once, until there is a file `enough` in the folder of
-/// the configuration. What it is told goes to the file `told`, in which a process after it finds what was answered.
+/// Puts one command after the other on the tape of the net `net`, each once. It ends when there is a file `enough` in the
+/// folder of the configuration. What it is told goes to the file `told`, in which a process after it finds what was
+/// answered.
 struct Putter;
 
 /// Adds a line to `told`.

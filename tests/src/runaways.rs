@@ -83,8 +83,8 @@ impl EventHandler for Dying {
     }
 }
 
-/// Looks the task `dying` up all the time, and with `deaths` tells it to die as soon as it is found, so often; then the
-/// app ends. It also ends when a lookup fails.
+/// Looks the task `dying` up all the time. With `deaths` it tells that task to die as soon as it is found, so often;
+/// then the app ends. It also ends when a lookup fails.
 struct Finder {
     deaths: Option<usize>,
 }
@@ -178,8 +178,8 @@ struct OwnerArgs {
     after: Option<String>,
 }
 
-/// Takes the only permit of the app and, in a handler that never waits, writes as long as it believes to have it: the
-/// number of the permit.
+/// Takes the only permit of the app. Then, in a handler that never waits, it writes the number of the permit as long
+/// as it believes to have it.
 struct Owner(OwnerArgs);
 
 impl Owner {

@@ -1,5 +1,5 @@
-//! Bad input: everything that is wrong in an app is found before anything starts, and is told with its
-//! file, line and column and with what to do.
+//! Bad input: everything that is wrong in an app is found before anything starts. Each finding has
+//! its file, line and column and says what to do.
 
 use serde_json::Value;
 
@@ -45,8 +45,8 @@ fn text<'a>(finding: &'a Value, key: &str) -> &'a str {
     finding[key].as_str().unwrap_or_default()
 }
 
-/// The app must be refused for exactly the `expected` errors (warnings may come along): by `check`, and
-/// by `boot`, which must start nothing and show each place.
+/// The app must be refused for exactly the `expected` errors (warnings may come along). `check` refuses
+/// it, and so does `boot`, which must start nothing and show each place.
 #[track_caller]
 fn refused(scratch: &Scratch, expected: &[Expected<'_>]) {
     let mut findings = check(scratch, &[]);

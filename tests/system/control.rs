@@ -269,7 +269,7 @@ fn rubbish_on_the_control_socket_is_answered_with_an_error() {
             "{line}"
         );
     }
-    // One that is too long is said to be so, and ends the connection.
+    // A line that is too long gets that as an error, and ends the connection.
     let stream = connect();
     let long = vec![b'x'; 3 << 20];
     // It need not be taken to its end.

@@ -1,4 +1,4 @@
-//! Recording to a disk that takes no more: the app goes on, says so once with what to do, counts what is
+//! Recording to a disk that takes no more. The app goes on, says so once with what to do, counts what is
 //! lost, and keeps what it had.
 
 use std::process::Command;

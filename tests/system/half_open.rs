@@ -1,4 +1,4 @@
-//! Peers whose packets vanish while nobody closes anything: the loopback of a network of the test's own is
+//! Peers whose packets vanish while nobody closes anything. The loopback of a network of the test's own is
 //! taken down under an app whose links are TCP.
 
 use std::process::Command;

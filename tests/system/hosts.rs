@@ -59,7 +59,6 @@ impl<'a> Agent<'a> {
     }
 }
 
-/// The folders of runs on a host.
 fn run_folders(host: &Scratch) -> Vec<PathBuf> {
     let folder = fs::read_dir(host.path(".")).unwrap();
     let paths = folder.map(|entry| entry.unwrap().path());

@@ -323,7 +323,7 @@ fn the_clocks_of_two_processes_differ_by_no_more_than_is_said() {
         ended.must_exit_leaving(0);
         ended.json()
     };
-    // Both have the clock of this machine: the truth is zero, and lies within what is said.
+    // Both have the clock of this machine: the truth is zero, and lies within the stated error.
     let mut errors = Vec::new();
     for _ in 0..5 {
         let clock = asked("shmem_far.beat EXEC clock");

@@ -30,7 +30,7 @@ fn kill(scratch: &Scratch, chassis: &str) -> Ended {
     assert_eq!(result["ok"], false);
     assert!(result["reason"].as_str().unwrap().contains(&error));
     assert!(scratch.results().is_empty(), "results of a run that failed");
-    // What does not come to rest would be told, and ended by a signal.
+    // The boot would report what does not come to rest, and end it by a signal.
     ended
         .must_not_say("stop     servo")
         .must_not_say("does not end");

@@ -1,5 +1,5 @@
 //! Faults of the machine and of its users, on real processes: too many tasks for one processor, a
-//! configuration that changes under a running app, a process that is stopped and resumes.
+//! configuration that changes under a running app. Also a process that is stopped and resumes.
 
 use std::{fmt::Write as _, time::Duration};
 

@@ -56,7 +56,7 @@ fn a_daemon_goes_on_beside_an_object_that_never_ends_which_is_named_and_ended_by
     let turning = ["--limit", "4", "-c", "mill@d2 EXEC"];
     let turning = scratch.start(SCOTT, &turning, &[]);
     until(&scratch, "sorm@d2 CTRL -busy", "mill: EXEC of ");
-    // Another one that wants the same object does not wait for ever either, whatever its own limit is.
+    // Another one that wants the same object does not wait for ever either, whatever its own deadline is.
     let second = scratch.start(SCOTT, &["-c", "mill@d2 EXEC"], &[]);
     let other = scratch.scott(&["-c", "foo@d2 EXEC", "-c", "sorm@d2 CTRL -statistics"]);
     other.must_exit_leaving(0);

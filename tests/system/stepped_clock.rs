@@ -2,7 +2,7 @@
 //! matters to nobody.
 //!
 //! The machine's own clock is left alone. A few lines of C stand before the system's functions in every process
-//! of the run and tell the time of day that a test wants.
+//! of the run. They tell the time of day that a test wants.
 
 use std::{
     fs::{self, OpenOptions},

@@ -1,5 +1,6 @@
-//! A trace leads from a message to the handler that took it, to the firings of a net that it caused, and
-//! to the messages sent by these. Followed through the record of a calibration in virtual time.
+//! A trace leads from a message to the handler that took it and to the firings of a net that it caused.
+//! From there it leads to the messages that these sent. Followed through the record of a calibration in
+//! virtual time.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -70,7 +71,7 @@ fn every_firing_has_the_trace_of_a_message_and_gives_it_to_what_it_sends(lines: 
         let (came, taken) = (first(&message), first(&began));
         let mut fired: BTreeSet<&str> = BTreeSet::new();
         let topic = format!("/firing/{net}");
-        // The end of the app is no message's doing.
+        // No message causes the end of the app.
         let led_to = |line: &&Line| line.topic == topic && line.text("phase") != "stopped";
         for firing in lines.iter().filter(led_to) {
             let trace = firing.text("trace");

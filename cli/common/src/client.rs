@@ -173,7 +173,7 @@ pub enum Pass {
     Key(Box<Keys>),
     /// The secret of a port without keys.
     Secret(Secret),
-    /// The secret of a port of this host and user, which is looked up.
+    /// The secret of a port of this host and user. The client looks it up.
     OwnPort,
 }
 
@@ -201,7 +201,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects to an app whose answers are waited for `timeout` long.
+    /// Connects to an app. Waits for its answers as long as `timeout`.
     ///
     /// # Errors
     /// [`ClientError::Unreachable`].
@@ -215,7 +215,7 @@ impl Client {
     }
 
     /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
-    /// `pass` there. Its answers are waited for `timeout` long.
+    /// `pass` there. The client waits for its answers as long as `timeout`.
     ///
     /// # Errors
     /// [`ClientError::Unreachable`], also when nobody knows the secret of the port, and [`ClientError::Key`]
@@ -348,8 +348,8 @@ impl Client {
         }
     }
 
-    /// Whether the app has closed a connection over which nothing is awaited, or says what nobody has asked for. It does not
-    /// wait: a time-out, however short, costs a tick of the system's clock.
+    /// Whether the app has closed a connection over which the client awaits nothing, or says what nobody has asked for. It
+    /// does not wait: a time-out, however short, costs a tick of the system's clock.
     pub fn has_ended(&mut self) -> bool {
         let set = ioctl_fionbio(&self.socket, true);
         let read = self.stream.read_until(b'\n', &mut self.begun);
@@ -383,8 +383,8 @@ impl Client {
         }
     }
 
-    /// Sends a task one of its commands and waits for its answer, as long as the app does, and for an app that does not
-    /// answer at all a little longer. Needs the role `call`.
+    /// Sends a task one of its commands and waits for its answer as long as the app does. For an app that does not
+    /// answer at all it waits a little longer. Needs the role `call`.
     ///
     /// # Errors
     /// As [`Self::read`], and [`ClientError::Garbled`] when the answer is no `C::Reply`.
@@ -625,7 +625,7 @@ mod tests {
         for part in [&b"{\"kind\":\"do"[..], b"ne\"}\n{\"kind"] {
             say.send(part).unwrap();
             said.recv().unwrap();
-            // The end of a line is no silence; a part of one may be what somebody waits for.
+            // The end of a line is not silence; a part of one may be what somebody waits for.
             let whole = part.contains(&b'\n');
             assert!(whole || !client.has_ended());
         }

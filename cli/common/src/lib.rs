@@ -1,5 +1,6 @@
-//! What the programs `ctos` and `scott` share: output, exit codes, tables, how a running app is reached, how a page
-//! is served, the files of records, the names of forms of nets. Knows no command, no net and no service object.
+//! What the programs `ctos` and `scott` share: output, exit codes, tables, and how a running app is reached. Also
+//! how a page is served, the files of records, and the names of forms of nets. Knows no command, no net and no
+//! service object.
 
 pub mod client;
 pub mod exit;

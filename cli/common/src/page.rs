@@ -1,5 +1,5 @@
-//! What the tasks that serve a page have in common: who may do what there, how files are sent, and a server on a
-//! thread of its own. The address is bound before anything else is done. Knows no page.
+//! What the tasks that serve a page have in common: who may do what there, and how files are sent. Also a server
+//! on a thread of its own. The address is bound before anything else is done. Knows no page.
 
 use std::{
     io,

@@ -80,7 +80,7 @@ static JSON: AtomicBool = AtomicBool::new(false);
 /// The clock of the app that is spoken of, once there is one.
 static CLOCK: OnceLock<Clock> = OnceLock::new();
 
-/// Settles for this process that what is said is a JSON object per line, and by which clock.
+/// Settles for this process that its output is a JSON object per line, and by which clock.
 pub fn say_json(clock: Option<Clock>) {
     JSON.store(true, Ordering::Relaxed);
     if let Some(clock) = clock {
@@ -89,13 +89,13 @@ pub fn say_json(clock: Option<Clock>) {
     }
 }
 
-/// Whether what is said is JSON.
+/// Whether the output is JSON.
 #[must_use]
 pub fn says_json() -> bool {
     JSON.load(Ordering::Relaxed)
 }
 
-/// Writes to standard error. A closed stream is no reason to fail.
+/// Writes to standard error. A closed stream is not a reason to fail.
 pub fn say(text: &str) {
     let line = if says_json() {
         json_line(text)

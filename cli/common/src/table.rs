@@ -131,7 +131,7 @@ fn line<T: ToString>(cells: impl Iterator<Item = T>) -> Row {
     line
 }
 
-/// `text`, cut to `width` letters.
+/// `text`, cut to `width` characters.
 pub fn fitted(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();

@@ -5,8 +5,8 @@
 //! cargo run --release -p cli --example picture -- docs/calibrate.svg
 //! ```
 //!
-//! The frame is rendered by the simulator, the spots in it are found by the vision tool, and the marking is
-//! reached by firing the net. Only the places of the net's nodes are made by hand.
+//! The simulator renders the frame, and the vision tool finds the spots in it. The net reaches the marking
+//! by firing. Only the places of the net's nodes are made by hand.
 
 mod camera;
 mod net;

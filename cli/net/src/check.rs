@@ -196,7 +196,7 @@ fn shown(findings: Findings, args: &CheckArgs) {
     show::findings_up_to(findings, most);
 }
 
-/// The nets of the files and of the app, and warnings about them; or else everything that is wrong with them, also
+/// The nets of the files and of the app, and warnings about them. Or else everything that is wrong with them, also
 /// how they fit together as far as that is known.
 fn nets(
     args: &CheckArgs,
@@ -295,8 +295,8 @@ pub(crate) fn others_of_app(
     Ok(others.into_iter().filter(|net| !is_given(net)).collect())
 }
 
-/// The nets of an app but for those that are given, and what the boot finds wrong about all of them, with the given
-/// ones in the place of its own.
+/// The nets of an app but for those that are given, and what the boot finds wrong about all of them. The given ones
+/// take the place of the app's own.
 fn of_app(
     file: &Path,
     given: &[(Arc<Net>, &Path)],
@@ -324,7 +324,7 @@ fn of_app(
     let mut findings = Findings::new();
     for finding in registry.check(&app).into_sorted() {
         let code = finding.code;
-        // The proof itself is told with its numbers.
+        // The report has the proof itself, with its numbers.
         let told = code.starts_with("pnt::check::") || code.starts_with("pnt::app::");
         if code.starts_with("pnt::") && !told {
             findings.push(finding);
@@ -336,7 +336,7 @@ fn of_app(
     let others = task::nets(&app, registry)?;
     let is_given = |net: &Arc<Net>| given.iter().any(|(other, _)| other.name() == net.name());
     let others: Vec<_> = others.into_iter().filter(|net| !is_given(net)).collect();
-    // What a message action asks of a task that is no net has findings of the runtime.
+    // What a message action asks of a task that is not a net has findings of the runtime.
     let given = given.iter().map(|(net, _)| Arc::clone(net));
     let all: Vec<_> = given.chain(others.iter().cloned()).collect();
     let mut messages = Findings::new();
@@ -352,7 +352,7 @@ fn of_app(
     Ok((others, findings))
 }
 
-/// What is said to come on tapes.
+/// The tapes that the command line gives.
 fn tapes(args: &CheckArgs, nets: &[Arc<Net>]) -> Result<Vec<Tape>, Findings> {
     let mut findings = Findings::new();
     let mut all = Vec::new();
@@ -435,7 +435,8 @@ fn questions(args: &CheckArgs) -> Vec<(Asks, String)> {
     asked.map(|(asks, text)| (asks, text.clone())).collect()
 }
 
-/// Not proved for want of room or time is no fault of the nets; a question may be answered all the same.
+/// That nothing was proved for want of memory or time is not a fault of the nets; a question may be
+/// answered all the same.
 fn code(proof: &Proof, ending: &Ending) -> u8 {
     let unknown = proof
         .answers

@@ -182,7 +182,7 @@ impl Editor {
     /// Takes what the editor tells about a document; the findings about it, and about those that include it.
     fn take(&mut self, told: Notification) -> Vec<PublishDiagnosticsParams> {
         let Notification { method, params } = told;
-        // What cannot be read is told to nobody: a notification has no answer.
+        // A notification that cannot be read is dropped, because it has no answer.
         match method.as_str() {
             DidOpenTextDocument::METHOD => {
                 let read = serde_json::from_value(params);
@@ -323,7 +323,7 @@ impl Editor {
         document.ok_or_else(|| Refused::invalid(format!("`{}` is not open", uri.as_str())))
     }
 
-    // -- what is looked for in more files than one ------------------------------------------
+    // -- what the server looks for in more files than one ------------------------------------------
 
     /// All nets around a document.
     fn around(&self, document: &Document) -> Workspace {

@@ -18,7 +18,7 @@ use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
 use cli_common::show;
 
-/// Off a terminal, progress is told every so many steps.
+/// Off a terminal, a line of progress comes every so many steps.
 const PLAIN_EVERY: u64 = 10;
 
 /// Shows events on standard error.

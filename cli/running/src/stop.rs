@@ -14,7 +14,7 @@ use cli_common::{
 
 use crate::progress;
 
-/// After how long without a word it is looked whether the app answers at all.
+/// After how long without a word the command looks whether the app answers at all.
 const LOOK: Duration = Duration::from_secs(5);
 
 /// Stop an app in order

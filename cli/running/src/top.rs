@@ -96,7 +96,7 @@ fn print(args: &TopArgs, client: &mut Client) -> Result<(), ClientError> {
         pause(args.interval);
         match remote::view(client) {
             Ok(view) => model.see(view),
-            // An app that has ended is no error to one who watches it.
+            // An app that has ended is not an error to one who watches it.
             Err(ClientError::Unreachable { .. }) => {
                 show::say("the app has ended");
                 return Ok(());
@@ -126,7 +126,7 @@ fn printed(sample: &Sample, json: bool) -> String {
     lines.join("\n")
 }
 
-/// Waits, for as long as a person would: this is no part of an app, and has no clock of one.
+/// Waits, for as long as a person would: this is not a part of an app, and has no clock of one.
 fn pause(duration: Duration) {
     std::thread::park_timeout(duration);
 }

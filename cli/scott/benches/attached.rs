@@ -1,7 +1,7 @@
 //! The cost of a request that comes by the control socket of an app, as those of `scott` do. It goes from this
-//! process to the boot, to the daemon in a process of its own, to the thread that calls the object, and back. A byte
-//! over Unix sockets between processes and back is measured in turns with it: the ratio does not depend on the
-//! machine.
+//! process to the boot and to the daemon in a process of its own. There it goes to the thread that calls the object,
+//! and back. A byte over Unix sockets between processes and back is measured in turns with it: the ratio does not
+//! depend on the machine.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,4 +1,4 @@
-//! A running app as scott asks it: over its control socket, by lines of text to its daemons, which are the tasks with
+//! A running app as scott asks it: over its control socket, by lines of text to its daemons. These are the tasks with
 //! the handler `sorma.daemon`. A connection that is lost is made again by the next request.
 
 use std::{
@@ -20,9 +20,9 @@ use cli_common::{
     remote::{self, AtArgs, RemoteArgs, connect_to},
 };
 
-/// How often it is looked whether the user has given up waiting.
+/// How often `scott` looks whether the user has given up waiting.
 const LOOK: Duration = Duration::from_millis(100);
-/// How long an answer is waited for, unless the user says otherwise, s.
+/// How long `scott` waits for an answer, unless the user says otherwise, s.
 pub const LIMIT_S: f64 = 60.0;
 /// What the app may need besides, to say that the answer did not come.
 const GRACE: Duration = Duration::from_secs(5);
@@ -38,11 +38,11 @@ pub struct Where {
     pub at: AtArgs,
     /// The daemon that is asked when a name says none.
     pub daemon: Option<String>,
-    /// How long an answer is waited for.
+    /// How long `scott` waits for an answer.
     pub limit: Limit,
 }
 
-/// How long an answer is waited for.
+/// How long `scott` waits for an answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limit(pub Duration);
 
@@ -356,8 +356,8 @@ impl App {
         }
     }
 
-    /// What a program may know about the classes of the daemon that is asked first, as the app itself tells it;
-    /// nothing, when it does not tell in time.
+    /// What a program may know about the classes of the daemon that is asked first, as the app itself tells it.
+    /// Nothing, when the app does not tell in time.
     pub fn classes(&mut self) -> Option<&[ClassInfo]> {
         if self.classes.is_none() {
             let text = self.glance(&self.entry.clone(), "sorm CTRL -describe")?;

@@ -1,5 +1,5 @@
-//! What an app says while somebody sits at the prompt: its warnings and errors, and that it is gone or back, above the
-//! line that is being edited.
+//! What an app says while somebody sits at the prompt: its warnings and errors, and that it is gone or back. It
+//! stands above the line that is being edited.
 
 use std::{
     sync::{
@@ -22,7 +22,7 @@ use cli_common::{
     remote::{connect_to, log_text},
 };
 
-/// How often it is looked whether an app that is gone is back.
+/// How often the prompt looks whether an app that is gone is back.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// Sends what the app says, line by line, until nobody takes it any more. `gone` says at any moment whether it is

@@ -147,7 +147,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(&Cli::parse()))
 }
 
-/// Reads how long an answer is waited for, s.
+/// Reads how long `scott` waits for an answer, s.
 fn limit(text: &str) -> Result<f64, String> {
     let limit = text.parse().ok();
     let limit = limit.filter(|limit| (0.0..=LONGEST_LIMIT_S).contains(limit));

@@ -1,4 +1,4 @@
-//! The lines of a script, of any length and kind of bytes: what is no line is said, and skipped.
+//! The lines of a script, of any length and kind of bytes: what is not a line is reported and skipped.
 
 use std::io::{self, BufRead, Read as _};
 

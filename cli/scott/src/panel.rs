@@ -1,9 +1,9 @@
 //! Panels (the report's `scottwish`): buttons, sliders, plots and joysticks for service objects, as a web page. A panel is
 //! a short file, or made of the option table of a class; every control is one line of text to an object.
 //!
-//! `script` reads what stands on a panel, `logic` what follows from its values, `service` knows what a page may ask and what it is told, `server` serves it. Two
-//! offer them: `task` is an event handler that anyone can put into an app, `sorma.panel`; `pool` asks for `scott --panel`.
-//! Knows objects by their names only.
+//! `script` reads what stands on a panel, `logic` what follows from its values. `service` knows what a page may ask and what
+//! it is told; `server` serves it. Two offer them: `task` is an event handler that anyone can put into an app,
+//! `sorma.panel`; `pool` asks for `scott --panel`. Knows objects by their names only.
 
 mod args;
 mod logic;
@@ -97,7 +97,7 @@ fn serve(pages: Pages, pool: Pool, panel: Panel) -> io::Result<()> {
     };
     let service = Service::new("scott", vec![panel], door, pool);
     runtime.block_on(server::serve(pages, service, async {
-        // Where Ctrl-C cannot be waited for, it ends the process by itself.
+        // Where the program cannot wait for Ctrl-C, Ctrl-C ends the process by itself.
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;
         }

@@ -191,7 +191,7 @@ impl Session {
             Ok(Statement::Nothing) => return Flow::On,
             Ok(statement) => statement,
             Err(why) => {
-                // What came before is told first.
+                // Earlier messages come first.
                 return match self.settle() {
                     Flow::On => self.fail(place, &why, place.wrong),
                     Flow::Stop => Flow::Stop,
@@ -289,7 +289,7 @@ impl Session {
     }
 
     fn fail(&mut self, place: &dyn fmt::Display, why: &str, code: u8) -> Flow {
-        // At the prompt it is known where that was.
+        // At the prompt the person knows where that was.
         match self.for_people {
             true => show::say(&table::for_terminal(&format!("error: {why}"))),
             false => show::say(&format!("{place}: {why}")),

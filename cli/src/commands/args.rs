@@ -1,4 +1,4 @@
-//! Arguments that several commands have: which app, and how much is said.
+//! Arguments that several commands have: which app, and how much the log says.
 
 use std::path::PathBuf;
 

@@ -146,7 +146,7 @@ impl From<Until> for Phase {
 pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     let mut args = args.clone();
     if args.log.log_format == LogFormat::Json {
-        // What is wrong with the configuration is told before there is a clock.
+        // Findings about the configuration come before there is a clock.
         show::say_json(None);
     }
     if let Some(file) = &args.record {
@@ -166,7 +166,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         let display = display_sets(listen, args.allow_control);
         args.app.sets.splice(0..0, display);
         if args.allow_control
-            // What is wrong with the configuration is told below.
+            // Findings about the configuration are shown below.
             && let Ok(app) = program::app(&args.app.selection())
         {
             let nets = pnt::task::net_tasks(&app, &registry).into_iter();
@@ -287,7 +287,7 @@ fn not_started(args: &BootArgs, findings: Findings) -> u8 {
 /// A file that the logs of the chassis go to.
 struct LogFile {
     file: Mutex<std::fs::File>,
-    /// A full disk is told once.
+    /// A full disk is reported once.
     told: AtomicBool,
 }
 

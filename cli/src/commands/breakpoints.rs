@@ -62,7 +62,7 @@ impl Breakpoints {
                 findings.push(at(no_net(text, &tasks)));
                 continue;
             };
-            // A net that cannot be read is told of when the app is checked.
+            // The check of the app reports a net that cannot be read.
             let checked = known.iter().find(|known| known.name() == net);
             if let Some(Err(finding)) = checked.map(|known| check_breakpoint(place, known)) {
                 findings.push(at(finding));

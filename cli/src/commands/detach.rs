@@ -19,7 +19,7 @@ use crate::log::private_file;
 /// Where a service manager, or [`run`], waits to be told that the app is ready.
 const NOTIFY: &str = "NOTIFY_SOCKET";
 
-/// How often it is looked whether the app has ended instead of becoming ready.
+/// How often the parent looks whether the app has ended instead of becoming ready.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// How much of the log of an app that did not become ready is shown, bytes.

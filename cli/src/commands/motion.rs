@@ -82,11 +82,11 @@ fn print(args: &MotionArgs, client: &mut Client, first: Sample) -> Result<(), Cl
         if show::data(&printed(&sample, args.json)).is_err() || args.once {
             return Ok(());
         }
-        // As long as a person would wait: this is no part of an app, and has no clock of one.
+        // As long as a person would wait: this is not a part of an app, and has no clock of one.
         std::thread::park_timeout(args.interval);
         sample = match Sample::look(client, &args.names) {
             Ok(sample) => sample,
-            // An app that has ended is no error to one who watches it.
+            // An app that has ended is not an error to one who watches it.
             Err(ClientError::Unreachable { .. }) => {
                 show::say("the app has ended");
                 return Ok(());

@@ -16,8 +16,8 @@ pub fn root() -> PathBuf {
 /// dependencies, and build all of them again.
 pub fn build(name: &str) -> Command {
     let mut build = Command::new(env!("CARGO"));
-    // What cargo tells a test of its own package makes build scripts that look at it (ring's) run again, and
-    // half of the workspace be compiled anew. What a person tells cargo stays.
+    // What cargo tells a test of its own package makes build scripts that look at it (ring's) run again.
+    // Then half of the workspace is compiled anew. What a person tells cargo stays.
     for (key, _) in std::env::vars_os() {
         let of_package = [
             "CARGO_MANIFEST_",

@@ -31,7 +31,7 @@ impl Line {
     }
 }
 
-/// The commands of a line of a shell, each as its words: quotes are taken off, comments left out, and what stands behind
+/// The commands of a line of a shell, each as its words. Quotes are taken off and comments left out; what stands behind
 /// a gap is an explanation.
 fn commands(line: &str) -> Vec<Vec<String>> {
     let mut commands = vec![Vec::new()];
@@ -69,8 +69,8 @@ fn commands(line: &str) -> Vec<Vec<String>> {
     commands
 }
 
-/// What lines of cargo begin with that build, measure or run something else than these two programs, and where that is
-/// done, or why it is not.
+/// What lines of cargo begin with that build, measure or run something else than these two programs. Each says where
+/// that is done, or why it is not.
 const OF_CARGO: [(&str, &str); 13] = [
     ("cargo bench", "takes minutes, and an idle machine"),
     ("cargo build", "every test needs what it makes"),
@@ -308,7 +308,7 @@ fn missing(line: &Line) -> Option<String> {
         && !place.starts_with('-')
         && app.task(net).is_some()
     {
-        // The marking is told apart from a transition by what is asked of it.
+        // What is asked of it distinguishes the marking from a transition.
         let place = match words.get(2).map(String::as_str) {
             Some("put" | "take") => format!("{place}>=0"),
             _ => place.clone(),

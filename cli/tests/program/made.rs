@@ -1,5 +1,5 @@
-//! What `ctos new` makes is compiled, tested and run. That is done with the compiler and the libraries that these
-//! tests are built with: for a package of its own cargo would build all of them once more.
+//! What `ctos new` makes is compiled, tested and run. The compiler and the libraries are those of these
+//! tests: for a package of its own cargo would build all of them once more.
 
 use std::{
     fs,
@@ -11,8 +11,8 @@ use serde_json::Value;
 
 use crate::common::{build, good};
 
-/// The libraries that the app names, and those that cargo made for them: more than one of a name where something
-/// else has been built with other features.
+/// The libraries that the app names, and those that cargo made for them. A name has more than one where
+/// something else has been built with other features.
 fn libraries() -> Vec<(&'static str, Vec<PathBuf>)> {
     let mut cargo = build("template");
     let made = cargo.arg("--message-format=json").output().unwrap();

@@ -1,5 +1,5 @@
-//! Panels as a browser meets them, of `scott --panel` and of an app with a task `sorma.panel`: the page, its token, and
-//! lines that reach the objects.
+//! Panels as a browser meets them, of `scott --panel` and of an app with a task `sorma.panel`. That is the page, its
+//! token, and lines that reach the objects.
 
 use std::{
     io::{BufRead, BufReader, Read, Write},

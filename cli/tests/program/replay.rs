@@ -1,5 +1,5 @@
-//! Every task of every app in `configs/` does the same again, out of a record of any kind of run, or is refused at once
-//! with the reason.
+//! Every task of every app in `configs/` does the same again, out of a record of any kind of run. Or it is refused at
+//! once with the reason.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -431,7 +431,7 @@ fn scripts_have_help_and_list_and_their_replies_stay_as_they_were() {
         first["names"],
         serde_json::json!(["dyn.puma560", "dyn.puma600"])
     );
-    // Numbers need FMSG in a script, and the answer says so; a name alone is no request.
+    // Numbers need FMSG in a script, and the answer says so; a name alone is not a request.
     let plain = run(&["-c", "kin EXEC fkine 0 0 0 0 0 0"]);
     assert_eq!(plain.code, Some(1));
     assert!(

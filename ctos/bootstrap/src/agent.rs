@@ -1,4 +1,5 @@
-//! The agent: the task of each chassis that creates the configured tasks, and ends the process.
+//! The agent: the task of each chassis that creates the configured tasks, takes in those that move there, and ends
+//! the process. It also tells what is known of the tasks, and begins and ends records.
 
 use std::{sync::Arc, time::Duration};
 
@@ -234,7 +235,7 @@ impl Agent {
                 for chassis in gone {
                     record.mailbox.open_gate(chassis);
                 }
-                // Those that went while the place was made ready were told to nobody here.
+                // Nobody here has heard of the chassis that went while the place was made ready.
                 let chassis = cx.chassis();
                 for other in chassis.others().filter(|other| !chassis.is_linked(*other)) {
                     record.mailbox.forget_gate(other);

@@ -96,7 +96,7 @@ pub enum BootEvent {
     NotQuiet {
         /// The task.
         task: String,
-        /// Why not: what it waits for, as far as that can be told.
+        /// Why not: what it waits for, as far as its chassis can say.
         reason: String,
     },
     /// The first step of the stop is over.
@@ -298,8 +298,8 @@ impl End {
 /// What the service found out, left where the process that boots picks it up.
 pub type EndSlot = Arc<Mutex<Option<End>>>;
 
-/// What the service wants of the processes of chassis. What becomes of them is told to it with
-/// [`ChassisLinked`] and [`ProcessEnded`].
+/// What the service wants of the processes of chassis. [`ChassisLinked`] and [`ProcessEnded`] tell
+/// the service what becomes of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProcessOrder {
     /// Start the process of chassis `index` with this incarnation. The one before it is dead.

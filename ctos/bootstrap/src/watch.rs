@@ -2,7 +2,7 @@
 //!
 //! A chassis looks at itself from its system processor, on which no handler of the app runs: one that
 //! never returns is still seen. In virtual time the simulation lets it look at the same intervals. The
-//! page `docs/watching.md` lists what is told.
+//! page `docs/watching.md` lists lints and metrics.
 
 mod lint;
 mod metrics;

@@ -53,8 +53,8 @@ pub struct App {
     pub semaphores: Vec<SharedConfig>,
     /// The barriers that the configuration declares, in declared order.
     pub barriers: Vec<SharedConfig>,
-    /// What makes the same app again in another process of this host: the file and the `--set` texts as given,
-    /// and the profiles that were chosen.
+    /// What makes the same app again in another process of this host: the file, the `--set` texts as given,
+    /// and the chosen profiles.
     pub selection: Selection,
     /// The folder that relative paths of the app start from: that of its file.
     pub folder: PathBuf,
@@ -285,8 +285,8 @@ impl App {
         }
     }
 
-    /// The path of a data file of the app: in [`App::folder`], or, if there is none, in the folder of a
-    /// file that the app includes.
+    /// The path of a data file of the app: in [`App::folder`]. If it is not there, the path is in the
+    /// folder of a file that the app includes.
     #[must_use]
     pub fn file_at(&self, relative: impl AsRef<Path>) -> PathBuf {
         let own = self.folder.join(&relative);

@@ -1,5 +1,5 @@
-//! A configuration as one value that can be sent to another host: its files, the data files that
-//! its checks read, and the settings of the command line and the environment here.
+//! A configuration as one value that can be sent to another host. It holds its files, the data
+//! files that its checks read, and the settings of the command line and the environment here.
 
 use super::app::App;
 use super::expander::Expander;
@@ -18,8 +18,8 @@ pub struct Bundle {
     pub files: BTreeMap<String, String>,
     /// Which of `files` is the app's, the profiles that were chosen and the `--set` texts.
     pub selection: Selection,
-    /// The environment variables that the files name; `None` = not set where the bundle was made,
-    /// and must not be set where the app is read again.
+    /// The environment variables that the files name. `None` = not set where the bundle was made;
+    /// it must not be set where the app is read again.
     pub variables: BTreeMap<String, Option<String>>,
 }
 
@@ -49,7 +49,7 @@ impl App {
     /// registry has checked the app: it holds the data files that checks have read through [`App::read`].
     ///
     /// # Errors
-    /// A file that is named by an absolute path: it would be looked for there on the other host.
+    /// A file that is named by an absolute path: the other host would look for it there.
     pub fn bundle(&self) -> Result<Bundle, Finding> {
         let mut files = BTreeMap::new();
         for read in self.trail.read().iter() {

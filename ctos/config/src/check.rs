@@ -1,5 +1,5 @@
-//! Holds the merged tree of an app against the list of keys: reports all that is not as [`keys`] says, takes wrong
-//! values out, and fills in the defaults.
+//! Holds the merged tree of an app against the list of keys. It reports all that is not as [`keys`] says, takes
+//! wrong values out, and fills in the defaults.
 //!
 //! Knows what may stand where. What a value is for, and whether a name leads anywhere, is for [`build`](super::build)
 //! to say.

@@ -167,7 +167,7 @@ fn describe(found: Unexpected<'_>) -> String {
 struct At<'de>(&'de Node, Option<(&'de str, &'static [&'static str])>);
 
 impl<'de> At<'de> {
-    /// A value that is no field of a struct.
+    /// A value that is not a field of a struct.
     fn outermost(node: &'de Node) -> Self {
         Self(node, None)
     }

@@ -178,8 +178,8 @@ impl Finding {
         self
     }
 
-    /// Adds "did you mean `x`?" when one of `known` is close to `given`, else lists what is known: of a long
-    /// list only what is nearest.
+    /// Adds "did you mean `x`?" when one of `known` is close to `given`, else lists what is known. Of a long
+    /// list it names only the nearest.
     #[must_use]
     pub fn suggest<'a>(self, given: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
         self.suggest_of(given, known.into_iter().collect())

@@ -1,5 +1,5 @@
-//! Other hosts of an app: `[host.NAME]`, where each chassis and the boot listen so that those on other
-//! hosts reach them, and `[control]`, where tools do.
+//! Other hosts of an app: `[host.NAME]`, and where each chassis and the boot listen so that those on
+//! other hosts reach them. Also `[control]`, where tools reach the app.
 //!
 //! Knows addresses; who waits at them is not asked here.
 
@@ -13,7 +13,6 @@ use super::{
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
-/// Reads the tables of all hosts.
 pub(super) fn hosts(root: &Node, findings: &mut Findings) -> Vec<HostConfig> {
     let read = root.tables("host").iter().filter_map(|entry| {
         let name = entry.key.clone();

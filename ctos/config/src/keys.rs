@@ -10,7 +10,6 @@ pub(super) struct Table {
     pub(super) keys: &'static [Key],
 }
 
-/// One key.
 pub(super) struct Key {
     pub(super) name: &'static str,
     pub(super) kind: Kind,
@@ -188,7 +187,6 @@ pub(super) const TABLES: &[Table] = &[
     },
 ];
 
-/// The table of that path.
 pub(super) fn table(path: &str) -> &'static [Key] {
     let found = TABLES.iter().find(|table| table.path == path);
     found.map_or(&[], |table| table.keys)

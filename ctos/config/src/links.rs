@@ -1,5 +1,5 @@
-//! What the configuration says of links: how chassis of one host are joined, how long a peer may be
-//! silent, which faults are injected, and whose keys count.
+//! What the configuration says of links: how chassis of one host are joined, and how long a peer
+//! may be silent. Also which faults are injected, and whose keys count.
 
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 

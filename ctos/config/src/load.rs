@@ -165,8 +165,8 @@ struct Loader<'v, 'f> {
     findings: &'f mut Findings,
     /// The files being read now, outermost first: identity and the name shown.
     chain: Vec<(PathBuf, String)>,
-    /// Files already merged. One that is reached twice counts where it was reached first, so that
-    /// a common file does not undo what another included file says on top of it.
+    /// Files already merged. One that is reached twice counts where it was reached first. So a
+    /// common file does not undo what another included file says on top of it.
     done: Vec<PathBuf>,
     /// Every file that was read.
     sources: Vec<Read>,

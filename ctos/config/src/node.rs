@@ -106,7 +106,6 @@ impl Node {
         self.place.as_ref()
     }
 
-    /// Whether it is a table.
     pub(super) fn is_table(&self) -> bool {
         matches!(self.value, Value::Table(_))
     }
@@ -246,8 +245,8 @@ impl Node {
     /// [`Duration`] is; nothing else is converted.
     ///
     /// # Errors
-    /// The first mistake, at its key or value: an unknown key (with what was probably
-    /// meant), a missing key (at the table), a wrong type, a refused value.
+    /// The first mistake, at its key or value. It is an unknown key (with what was probably meant),
+    /// a missing key (at the table), a wrong type or a refused value.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, Finding> {
         super::de::read(self)
     }
@@ -267,8 +266,8 @@ impl Node {
         }
     }
 
-    /// Reads the dotted key that is the text of `source` before `end`, as the tables that it stands for with an
-    /// integer innermost; `None` when it is no key.
+    /// Reads the dotted key that is the text of `source` before `end`. Returns the tables that it stands for,
+    /// with an integer innermost; `None` when it is not a key.
     pub(super) fn from_toml_key(source: &Source, end: usize) -> Option<Self> {
         let text = source.text().get(..end)?;
         let document = format!("{text} = 0");

@@ -59,7 +59,6 @@ pub(super) fn declared(entry: Option<Entry>, findings: &mut Findings) -> Vec<Ent
     profiles.cloned().collect()
 }
 
-/// Lays a profile over an app.
 pub(super) fn lay_over(profile: &Entry, root: &mut Node, findings: &mut Findings) {
     // A task that the app has not, and that is not whole either, is a typing error.
     let there = root.tables("task");

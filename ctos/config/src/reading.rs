@@ -110,8 +110,8 @@ const ASKED: [&str; 5] = [
     "ctos::config::number",
 ];
 
-/// Looks through a profile that is not chosen, so that a typing error in it is found today and not on the day when it
-/// is needed. `root` is the app without any profile.
+/// Looks through a profile that is not chosen, so that a typing error in it is found before the profile is needed.
+/// `root` is the app without any profile.
 fn check_idle(
     profile: &Entry,
     mut root: Node,

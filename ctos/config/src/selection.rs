@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Which app: its file, and what the command line chooses and overrides.
 ///
-/// The same selection makes the same app in any process with the same environment, so a child
+/// The same selection makes the same app in any process with the same environment. So a child
 /// process of an app is given it and reads the app again.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Selection {

@@ -67,17 +67,17 @@ impl fmt::Display for Scope {
 }
 
 /// What a processor does with base ticks that it could not begin before the next one came due. They are always
-/// skipped and counted, never caught up in a burst; the policies differ in the functions whose turn was
-/// among them.
+/// skipped and counted, never caught up in a burst; the policies differ in the functions that were due in
+/// them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Overrun {
-    /// They wait for their next turn.
+    /// They wait until they are due again.
     #[default]
     Skip,
-    /// They run once, late, in the tick that comes next, however many turns they lost.
+    /// They run once, late, in the tick that comes next, however many runs they missed.
     RunLateOnce,
-    /// They wait for their next turn, and the tasks of the schedule have failed. The app is stopped
+    /// They wait until they are due again, and the tasks of the schedule have failed. The app is stopped
     /// in order, with the schedule still running, so that hardware can come to rest.
     Stop,
 }

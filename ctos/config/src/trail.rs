@@ -1,5 +1,5 @@
-//! What an app was made of: the files that were read, the variables that were looked up, the
-//! profiles that were applied, and the data files that its checks opened.
+//! What an app was made of: the files that were read, and the variables that were looked up. Also
+//! the profiles that were applied, and the data files that its checks opened.
 
 use super::node::Entry;
 use super::variables::Used;
@@ -23,7 +23,6 @@ pub(crate) struct Trail {
 pub(crate) struct Read {
     /// Its path as it was put together.
     pub(super) path: PathBuf,
-    /// Its text.
     pub(super) text: String,
     /// Whether it is named by an absolute path.
     pub(super) absolute: bool,

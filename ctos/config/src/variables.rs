@@ -9,8 +9,8 @@ use crate::diagnostic::{Finding, Findings, Place};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 
-/// The variables that an app's files name: each with its value, or `None` when it was not set and
-/// the default that the file gives was taken.
+/// The variables that an app's files name, each with its value. `None`: it was not set, and the
+/// file's default was taken.
 pub(super) type Used = BTreeMap<String, Option<String>>;
 
 /// Where the values come from, and which were asked for.

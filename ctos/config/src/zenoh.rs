@@ -1,5 +1,5 @@
-//! What `[zenoh]` says: the network by which the chassis of an app find and reach each other beyond the
-//! handful of machines that one lists by hand.
+//! What `[zenoh]` says: the network by which the chassis of an app find and reach each other. It is for
+//! more machines than one lists by hand.
 
 use std::{
     fmt,
@@ -77,7 +77,7 @@ impl fmt::Display for ZenohEndpoint {
     }
 }
 
-/// A text that is no endpoint.
+/// A text that is not an endpoint.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not an endpoint; write tcp/HOST:PORT or tls/HOST:PORT")]
 pub struct ZenohEndpointError(String);

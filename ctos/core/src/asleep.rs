@@ -25,7 +25,7 @@ impl Asleep {
         self.0.swap(false, Ordering::SeqCst);
     }
 
-    /// Something was brought: whether the caller must wake the processor. Only one is told so.
+    /// Something was brought: whether the caller must wake the processor. Only one caller hears so.
     pub(crate) fn must_be_woken(&self) -> bool {
         fence(Ordering::SeqCst);
         // Looked at first: a swap would take the line from those who only bring.

@@ -1,6 +1,6 @@
 //! A chassis: the tasks of one process, where their messages go, and what they share.
 //!
-//! `delivery` alone decides how a message travels: a task of this chassis gets a value, a task of
+//! `delivery` alone decides how a message travels. A task of this chassis gets a value; a task of
 //! another one gets a frame over the link. The sender waits the same way for both.
 
 pub(crate) mod delivery;
@@ -340,9 +340,9 @@ impl Chassis {
         }
     }
 
-    /// Forgets all tasks and links. What waits in the queues is answered; what waits for others is told
-    /// that they are gone. Without it a chassis that ends inside a process that goes on would keep
-    /// itself alive through its messages.
+    /// Forgets all tasks and links. Messages that wait in the queues are answered; calls that wait for
+    /// others end with the fault that these are gone. Without it a chassis that ends inside a process
+    /// that goes on would keep itself alive through its messages.
     pub fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));

@@ -1,4 +1,4 @@
-//! Tasks that a task starts while it runs: event handlers of their own beside it, which end with it.
+//! Tasks that a task starts while it runs: event handlers of their own, which run concurrently and end with it.
 //!
 //! A child is named after its parent (`PARENT.NAME`). So the name shows to whom it belongs, and a task
 //! that waits for the name waits for the parent. It fails into its parent: what its own restart policy

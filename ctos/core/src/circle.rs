@@ -2,8 +2,8 @@
 //!
 //! A task that waits takes no message, so tasks that wait for one another in a circle wait until the
 //! deadline of their calls. Each task notes whom it asked. When a call has waited `LONG`, the notes are
-//! followed from task to task, chassis by chassis, and a circle is reported. Nothing is looked for
-//! while calls are answered in time.
+//! followed from task to task, chassis by chassis, and a circle is reported. While calls are answered
+//! in time, nobody looks for circles.
 
 use std::time::Duration;
 

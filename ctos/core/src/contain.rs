@@ -7,7 +7,7 @@ use std::{
 };
 
 thread_local! {
-    /// Where the last panic of this thread was, until it is told.
+    /// Where the last panic of this thread was, until somebody reports it.
     static PLACE: Cell<Option<String>> = const { Cell::new(None) };
 }
 

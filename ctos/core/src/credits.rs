@@ -70,7 +70,7 @@ impl Credits {
         self.waiting.fetch_sub(1, Ordering::AcqRel);
     }
 
-    /// Whether no credit is given at all.
+    /// While `shut`, nobody gets a credit.
     pub(crate) fn shut(&self, shut: bool) {
         self.shut.store(shut, Ordering::Release);
     }

@@ -1,5 +1,5 @@
-//! What one chassis knows of the places of tasks: known names, ids that were replaced by others, and
-//! the slots of its own processors that were given away.
+//! What one chassis knows of the places of tasks: known names, ids that others replaced, and the
+//! slots of its processors that it gave away.
 //!
 //! A task id is given away once in a run. When a task moves, or its chassis is started again, its name
 //! gets a new id. The old id is kept and leads to the new one. So a holder of the old id still reaches
@@ -53,7 +53,7 @@ impl TaskDirectory {
     }
 
     /// Remembers an answer of the task identification service, which may be older than a change that
-    /// was told since.
+    /// arrived since.
     pub fn learn(&self, name: &str, tid: Tid) -> Tid {
         let tid = self.current(tid);
         lock(&self.known).insert(name.into(), tid);

@@ -55,7 +55,7 @@ pub trait EventHandler: 'static {
 
     /// The app is about to be stopped: begins to come to rest, while every task still takes messages.
     /// Returning `Ok` acknowledges that it is at rest. No message is handled until this returns, so what
-    /// takes longer than a moment goes on beside it: [`Context::quiet_after`].
+    /// takes longer than a moment runs concurrently: [`Context::quiet_after`].
     async fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> Handled {
         Ok(())
     }
@@ -88,8 +88,8 @@ pub trait EventHandler: 'static {
     }
 }
 
-/// An event handler that can pass on its state: to its next incarnation after a restart, and to
-/// another processor, process or host when its task is moved. Registered with
+/// An event handler that can pass on its state: to its next incarnation after a restart. When its
+/// task is moved, it passes the state to another processor, process or host. Registered with
 /// [`Registry::handover`](crate::registry::Registry::handover).
 ///
 /// What belongs to the place (children, synchronous functions, files) is not passed on: it ends with the

@@ -18,10 +18,10 @@ pub(crate) struct Kept {
     held: Mutex<Vec<(ReplySlot, Answer)>>,
 }
 
-/// What is known of the store.
+/// What is known of the stored state.
 #[derive(Default)]
 pub(crate) struct Stored {
-    /// Whether that is known yet: nothing may be stored over what was not loaded.
+    /// Whether it was loaded: nothing may be stored over what was not loaded.
     pub(crate) loaded: bool,
     /// What was stored last; empty: nothing.
     pub(crate) state: Vec<u8>,

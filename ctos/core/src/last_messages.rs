@@ -127,7 +127,7 @@ mod tests {
         let recent = Recent::default();
         recent.began(FROM, 1, at(1));
         assert!(recent.look(&[9]).is_empty());
-        // The end of a message that was begun before is no message.
+        // The end of a message that was begun before is not a message.
         recent.ended(1, at(2), || Ending::Done);
         assert!(recent.look(&[]).is_empty());
         for count in 0..100 {

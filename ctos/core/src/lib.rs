@@ -7,7 +7,7 @@
 //!
 //! The layers, lowest first:
 //!
-//! - what is told: [`report`], [`phase`], [`handled`];
+//! - plain data: [`report`], [`phase`], [`handled`];
 //! - messages and their answers: [`reply`], [`envelope`], [`delivery`];
 //! - the executor, and the calls that wait there: [`processor`], [`exchange`];
 //! - queues and the chassis: [`mailbox`], [`chassis`]; `kept`: answers that wait for a state to be stored;

@@ -13,7 +13,7 @@ const DEADLINE: Duration = Duration::from_secs(2);
 
 impl Context {
     /// Looks at a task without disturbing it: one that is busy, or stuck, is seen as well as one that is idle.
-    /// Its last messages are kept from the first look on, but for those of the commands `without`: what comes
+    /// Its last messages are kept from the first look on, but for those of the commands `without`. What comes
     /// often because somebody looks on would hide everything else.
     ///
     /// # Errors

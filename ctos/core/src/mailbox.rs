@@ -35,8 +35,8 @@ pub struct Mailbox {
     credits: LaneCredits,
 }
 
-/// The credits of both priorities. Senders write them for each message, while the task reads the rest of its mailbox:
-/// on one cache line, the two would wait for one another.
+/// The credits of both priorities. Senders write them for each message, while the task reads the rest of its mailbox.
+/// On one cache line, the two would wait for one another.
 #[derive(Default)]
 #[repr(align(64))]
 struct LaneCredits {
@@ -126,7 +126,7 @@ impl Mailbox {
         Ok(())
     }
 
-    /// Puts a message in or lets it wait for a credit. A sender that waits for that is told when it is in. A
+    /// Puts a message in or lets it wait for a credit. A sender that waits for that hears when it is in. A
     /// refused message is answered with the reason.
     pub fn put(&self, message: Message) {
         match self.take_credit(message) {
@@ -173,7 +173,7 @@ impl Mailbox {
         self.bring(Delivery::OpenGate(chassis));
     }
 
-    /// Drops what came straight from `chassis`, which is gone: nobody was told that it was taken.
+    /// Drops what came straight from `chassis`, which is gone: no sender has heard that it was taken.
     pub fn forget_gate(&self, chassis: u8) {
         self.bring(Delivery::ForgetGate(chassis));
     }

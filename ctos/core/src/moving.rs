@@ -9,11 +9,11 @@
 //!    any failure leaves the task where it was, with its state and its queue. After it, the old place
 //!    only sends on what still comes to it, and replies take the way back.
 //! 4. Every chassis redirects itself to the new place and sends a fence by the old one. The new place
-//!    keeps what comes straight from a chassis until the fence of that chassis has arrived, so the two
+//!    keeps what comes straight from a chassis until the fence of that chassis has arrived. So the two
 //!    ways of one sender never mix. When all fences are through, the old place is given up.
 //!
-//! It knows how a task leaves (`depart`, `forward`) and how it comes (`arrive`, [`deliver`]). Who
-//! decides is `names.rs`, who carries out is `agent.rs`.
+//! It knows how a task leaves (`depart`, `forward`) and how it comes (`arrive`, [`deliver`]). The
+//! task identification service decides (`names/moves.rs`). The agents of both chassis carry the move out.
 
 mod arrive;
 mod depart;
@@ -35,7 +35,7 @@ pub use arrive::{Arrival, Arrivals, arrive, deliver};
 pub(crate) use depart::{Departed, depart, forward};
 pub use place::{NoPlace, find_place, place_text};
 
-/// How often a message that is on its way is looked after: does its sender still wait?
+/// How often both places look whether the sender of a message that is on its way still waits.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// The deadline of what must end by itself: the last resort against a chassis that stands still.

@@ -124,7 +124,7 @@ impl HandlerKind {
         commands.find(|command| command.name == name)
     }
 
-    /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]: what does not
+    /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]. What does not
     /// fit, and what nobody reads, is found before anything starts.
     pub fn args<T: DeserializeOwned + 'static>(&mut self) -> &mut Self {
         self.checked_args::<T>(|_, _, _, _| {})
@@ -149,8 +149,8 @@ impl HandlerKind {
         self
     }
 
-    /// Adds a check of a task of this kind and the rest of the app that runs before anything starts. What nobody
-    /// reads is found without it.
+    /// Adds a check of a task of this kind and the rest of the app that runs before anything starts. Arguments
+    /// that nobody reads are found without such a check.
     pub fn check_in_app(
         &mut self,
         check: impl Fn(&TaskConfig, &App, &mut Findings) + Send + Sync + 'static,

@@ -1,5 +1,5 @@
-//! The way of an answer: the right to give it, wherever that goes, and the futures of those who wait for
-//! it outside of all tasks. (Tasks wait in [`crate::exchange`].)
+//! The way of an answer: the right to give it, wherever that goes. Also the futures of those who wait
+//! for it outside of all tasks. (Tasks wait in [`crate::exchange`].)
 
 use std::{
     cell::{Cell, RefCell},
@@ -107,7 +107,7 @@ pub(crate) trait Home: Send + Sync {
     fn take_answer(&self, key: CallKey, answer: Returned);
 }
 
-/// A caller that is no task of this chassis: a task of another one, or somebody outside of all tasks.
+/// A caller that is not a task of this chassis: a task of another one, or somebody outside of all tasks.
 pub(crate) trait Caller: Send + Sync {
     /// Gives it the answer; nothing comes of it when that was done already.
     fn answer(&self, answer: Answer);
@@ -169,8 +169,8 @@ enum ReplyTo {
 }
 
 /// The right to answer one message. Dropped without an answer, it tells the caller [`Fault::NoReply`]
-/// at once. If the handler of the message itself drops it, the caller is told when that handler has
-/// ended, because its end may be a better answer.
+/// at once. If the handler of the message itself drops it, the caller is told when that handler ends:
+/// that end may be a better answer.
 #[derive(derive_more::Debug)]
 #[debug("ReplySlot {{ open: {} }}", self.to.is_some())]
 pub struct ReplySlot {
@@ -184,7 +184,7 @@ impl ReplySlot {
         Self::of(ReplyTo::Local(ticket))
     }
 
-    /// To somebody in this process who is no task.
+    /// To somebody in this process who is not a task.
     pub fn outside(promise: Arc<Promise>) -> Self {
         Self::other(promise)
     }
@@ -307,8 +307,8 @@ pub(crate) fn next_serial() -> u64 {
     NEXT.with(|next| next.replace(next.get() + 1))
 }
 
-/// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
-/// until it is known how the handler ended.
+/// Runs code of the handler of message `serial`. If that code drops the right to answer the
+/// message, the right is kept until the end of the handler is known.
 pub(crate) fn handling<T>(serial: u64, code: impl FnOnce() -> T) -> T {
     let _restore = scopeguard::guard(HANDLING.replace(serial), |before| HANDLING.set(before));
     code()

@@ -71,7 +71,7 @@ type TellParent = Box<dyn Fn(&str)>;
 pub(crate) enum Origin {
     /// By the configuration, or as a part of the runtime.
     Boot,
-    /// By another task of its processor, which is told when it fails.
+    /// By another task of its processor, which hears when it fails.
     StartedBy(TellParent),
     /// From another place, with its state.
     Moved(Arrival),
@@ -101,7 +101,7 @@ pub struct Runner {
     pub(crate) kept: Option<Vec<u8>>,
     /// The last phase that was entered: a restarted handler is brought back to it.
     pub(crate) phase: Option<Phase>,
-    /// Who is told when it fails for good, in place of the bootstrap service.
+    /// Who hears of it when it fails for good, in place of the bootstrap service.
     parent: Option<TellParent>,
 }
 
@@ -425,7 +425,7 @@ impl Runner {
     }
 }
 
-/// Drops a handler; a destructor that panics is no reason to lose the task.
+/// Drops a handler; a destructor that panics is not a reason to lose the task.
 pub(crate) fn drop_handler(cx: &Context, handler: Box<dyn DynHandler>) {
     if let Err(panic) = contained(|| drop(handler)) {
         tracing::error!(task = %cx.name(), %panic, "its destructor panicked");

@@ -2,11 +2,11 @@
 //! section 3).
 //!
 //! One of *chassis* scope is shared by the processors of a chassis and costs no message. One of *app* scope is
-//! shared by all chassis of the app; a task of the runtime, on the chassis that boots, keeps it. Both
-//! serve those who wait first come, first served, high priority before normal, and hand a released permit
-//! straight on, so nobody can slip in between. A [`Permit`] is released when it is dropped, when the task that
-//! holds it ends or is built anew after a panic, and when its chassis dies. Waiting ends with the permit or an
-//! error that names the holders, always.
+//! shared by all chassis of the app; a task of the runtime, on the chassis that boots, keeps it. Both serve
+//! waiters first come, first served, high priority before normal. A released permit goes straight to the next,
+//! so nobody can slip in between. A [`Permit`] is released when it is dropped, and when its chassis dies. It
+//! is also released when the task that holds it ends or is built anew after a panic. Waiting ends with the
+//! permit or an error that names the holders, always.
 //!
 //! A synchronous function must not use them: they take a lock, and their waiters are woken.
 
@@ -217,7 +217,7 @@ impl Semaphore {
     }
 }
 
-/// A permit that has not been waited for yet; `.await` waits.
+/// A permit for which nobody has waited yet; `.await` waits.
 #[must_use = "a permit is waited for when this is awaited"]
 #[derive(Debug)]
 pub struct Acquire {
@@ -374,8 +374,8 @@ impl Context {
     }
 
     /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
-    /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
-    /// configuration says so or its name begins with `app/`.
+    /// says how many. The tasks of this chassis share it. Those of the whole app do if the configuration
+    /// says so or its name begins with `app/`.
     ///
     /// # Errors
     /// [`SemaphoreError`]: no permits at all, or another number than others use.

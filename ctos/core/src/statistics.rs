@@ -1,4 +1,4 @@
-//! What is known of a task while it runs: counted by its loop, readable from any thread without
+//! The statistics of a task while it runs. Its loop counts them; any thread can read them without
 //! disturbing it.
 
 use crate::{
@@ -18,7 +18,7 @@ use std::{
     time::Duration,
 };
 
-/// What is known of one task: nothing, until it has something to do.
+/// The statistics of one task: empty until it has something to do.
 #[derive(Default)]
 pub struct TaskStatistics {
     commands: Arc<[CommandInfo]>,

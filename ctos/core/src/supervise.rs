@@ -118,7 +118,7 @@ pub(crate) enum State {
     Rebuilding,
     /// It ended in order by itself: its name is free.
     Ended,
-    /// It failed for good: its chassis, and by default the app, is told.
+    /// It failed for good; its chassis, and by default the app, hears of it.
     Failed,
     /// It came to rest with the app. It takes no more messages, or hardware at rest would move again.
     Stopped,
@@ -130,7 +130,7 @@ pub(crate) enum State {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Event {
     /// Its handler, a child or a synchronous function panicked, or it was shut down, or it could not be
-    /// rebuilt; and the policy says that it is restarted.
+    /// rebuilt. The policy says that it is restarted.
     RestartAllowed,
     /// It failed, and the policy says that it stays down, or that it was restarted often enough.
     RestartRefused,

@@ -31,7 +31,7 @@ pub const SEMAPHORE_SERVER: Tid = Tid::new(0, 0, 7);
 pub struct AppResult {
     /// Whether it did what it was asked.
     pub ok: bool,
-    /// What a person is told: a table or a reason, several lines.
+    /// The text for a person: a table or a reason, several lines.
     pub text: String,
     /// The same for a program, one JSON object.
     pub json: String,
@@ -89,7 +89,7 @@ command! {
     pub struct RegisterTid { pub task: TaskRef } => (), 0xff10, "register_tid";
 
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
-    /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
+    /// the asker is not linked to. With `waits`, the answer comes when the task is back or will never be.
     pub struct FindTid {
         pub name: String,
         pub gone: Option<Tid>,

@@ -13,9 +13,9 @@ use crate::{
 };
 use ctos_time::lock::lock;
 
-/// Starts a thread for each processor of `chassis`. When it returns, it is known what the system granted
-/// to each ([`Chassis::realtime`]). The receivers end, one way or the other, when their threads have dropped everything
-/// that they ran.
+/// Starts a thread for each processor of `chassis`. When it returns, the chassis knows what the system granted to each
+/// ([`Chassis::realtime`]). The receivers end, one way or the other, when their threads have dropped everything that
+/// they ran.
 ///
 /// # Errors
 /// When the system refuses a thread; those that were started are stopped.
@@ -30,7 +30,7 @@ pub fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<oneshot::
     let cpus = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let mut threads = Vec::new();
     let (prepared, grants) = mpsc::channel();
-    // Nothing runs before it is known what was granted: the agent asks.
+    // Nothing runs before the chassis knows what was granted: the agent asks for that.
     let gate = Arc::new(Mutex::new(()));
     let closed = lock(&gate);
     for (index, (name, handle)) in chassis.processors.iter().enumerate() {

@@ -36,7 +36,7 @@ impl<T> Timers<T> {
         key
     }
 
-    /// Takes a timer out; none if it was due before.
+    /// Takes a timer out; `None` if it was due before.
     pub(crate) fn remove(&mut self, key: TimerKey) -> Option<T> {
         self.by_moment.remove(&key)
     }

@@ -11,7 +11,7 @@ use syn::{DeriveInput, ItemImpl, parse_macro_input};
 
 /// Makes a type a typed command.
 ///
-/// `#[command(reply = TYPE, code = NUMBER)]` says what the task answers and the code in the header;
+/// `#[command(reply = TYPE, code = NUMBER)]` says what the task answers and the code in the header.
 /// `name = "TEXT"` is the name in nets, text and logs, by default the type's in snake_case. Without
 /// `reply` it answers nothing, `()`. The first paragraph of the documentation is the command's line of
 /// help, and has to be there. The type must be serializable both ways.

@@ -1,5 +1,6 @@
-//! What all listeners have in common: how many strangers they hear and for how long, their answer to
-//! browsers, how often they log refusals, the secrets of their ports, how pages are served.
+//! What all listeners have in common: how many strangers they hear and for how long, and their
+//! answer to browsers. Also how often they log refusals, the secrets of their ports, and how pages
+//! are served.
 //!
 //! Knows nothing of what is said to a caller who has shown who it is.
 

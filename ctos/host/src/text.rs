@@ -1,5 +1,5 @@
-//! Lines of text for tasks: what a person at an inspector says to a task that takes such lines, and what it is told
-//! when that person is gone. Knows no form of the text.
+//! Lines of text for tasks: what a person at an inspector says to a task that takes such lines. The task is also
+//! told when that person is gone. Knows no form of the text.
 
 ctos_message::command! {
     /// Asks by one line of text.

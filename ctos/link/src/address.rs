@@ -19,7 +19,7 @@ pub enum Address {
     Zenoh(String),
 }
 
-/// A text that is no address.
+/// A text that is not an address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not an address; write tcp:IP:PORT, unix:/PATH or zenoh:KEY")]
 pub struct AddressError(String);

@@ -12,7 +12,7 @@ pub(crate) fn bytes<const COUNT: usize>() -> io::Result<[u8; COUNT]> {
     Ok(bytes)
 }
 
-/// Bytes as text, two letters for each.
+/// Bytes as text, two characters for each.
 pub(crate) fn text<const COUNT: usize>(bytes: [u8; COUNT]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

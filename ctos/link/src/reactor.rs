@@ -232,7 +232,7 @@ impl Reactor {
             Err(TryLockError::Poisoned(leader)) => leader.into_inner(),
             Err(TryLockError::WouldBlock) => {
                 if self.standby.leads.load(Ordering::SeqCst) {
-                    // Not waited for here, where nobody could wake this thread: the standby wakes it when
+                    // The thread does not wait here, where nobody could wake it: the standby wakes it when
                     // it may try again.
                     *lock(&self.standby.wanted_by) = Some(std::thread::current());
                     self.standby.wanted.store(true, Ordering::SeqCst);
@@ -339,7 +339,7 @@ impl Reactor {
         self.sources.refresh(poller);
         nudges.at_links.store(true, Ordering::Relaxed);
         poller.set_asleep(true);
-        // Pairs with the fence of the writer to the memory, and with the nudge: either they see the
+        // Pairs with the fence of the writer to the memory, and with the nudge. Either they see the
         // sleeper, or the sleeper sees what was written.
         fence(Ordering::SeqCst);
         let work = poller.has_come();
@@ -397,7 +397,7 @@ impl Reactor {
             };
             standby.leads.store(true, Ordering::SeqCst);
             loop {
-                // Before it is asked for what: a nudge after that ends the sleep at once.
+                // Before the standby reads what the nudge is for: a nudge after that ends the sleep at once.
                 standby.parker.thread.take_nudge();
                 if standby.wanted.load(Ordering::SeqCst)
                     || standby.stop.load(Ordering::SeqCst)

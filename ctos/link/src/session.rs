@@ -295,7 +295,7 @@ impl Session {
 
     // -- what happens to it -----------------------------------------------------------------
 
-    /// Something happened. Down is told to the receiver, once.
+    /// Something happened. The receiver hears of the state down once.
     pub fn event(&self, event: Event, reason: DownReason) {
         self.change(|core, _| core.event(event, reason));
     }

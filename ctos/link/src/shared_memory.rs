@@ -8,13 +8,13 @@
 //!   chooses. So the pointer is valid, page-aligned, and overlaps nothing that Rust owns. It is unmapped
 //!   once, on drop, and everything that borrows from it borrows `self`.
 //! - The memory is only reached as atomics, or by the copies below, never through a reference to plain
-//!   memory, so what other processes do to it is no data race. Every access is checked to lie inside, and
+//!   memory. So what other processes do to it is not a data race. Every access is checked to lie inside, and
 //!   no bit pattern is invalid.
 //! - A [`View`] is mapped for reading only. It has relaxed loads and no others, which are the ones that the
 //!   documentation of `std::sync::atomic` ("Atomic accesses to read-only memory") allows on such memory.
-//! - A copy goes byte by byte to the next whole word, word by word, and byte by byte to its end, each as
-//!   a relaxed atomic. A long one is made by one machine instruction, whose effect on memory is that of a
-//!   series of relaxed atomic byte accesses in no particular order. The other side of the copy is an
+//! - A copy goes byte by byte to the next whole word, word by word, and byte by byte to its end. Each
+//!   access is a relaxed atomic. One machine instruction makes a long copy. Its effect on memory is that
+//!   of a series of relaxed atomic byte accesses in no particular order. The other side of the copy is an
 //!   ordinary slice that Rust lends for the time.
 //! - Accesses of different sizes to the same bytes must not race. The users of the memory ensure that. A
 //!   word of 32 bits is never accessed with 64. Bytes that are copied while the other side changes them
@@ -347,8 +347,8 @@ mod tests {
         }
     }
 
-    /// One thread fills areas of many sizes with one byte each, releases that and takes the next when it was
-    /// read; the other must find each area whole.
+    /// One thread fills areas of many sizes with one byte each, releases each, and takes the next when it
+    /// was read. The other must find each area whole.
     fn play(writer: &Memory, reader: &Memory, rounds: u64) {
         let area = |round: u64| {
             (

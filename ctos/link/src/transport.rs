@@ -1,6 +1,6 @@
 //! Byte streams between chassis: where one listens, how it is called, and what comes of a call.
 //!
-//! Unix sockets stay in a folder that only this user may enter; TCP is for the loopback and, with keys,
+//! Unix sockets stay in a folder that only this user may enter. TCP is for the loopback and, with keys,
 //! for other hosts; zenoh finds its own way. Knows nothing of sessions and frames.
 
 use std::{
@@ -137,7 +137,7 @@ async fn answer(
 /// How much of what the other end says is still read when it is hung up on, bytes.
 const UNHEARD_LIMIT: u64 = 64 << 10;
 
-/// After how long without a word it is asked whether the other end is there.
+/// After how long without a word the system asks whether the other end is there.
 const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
 
 /// A caller who has not said anything yet.
@@ -192,7 +192,7 @@ impl Call {
     }
 }
 
-/// What a browser is told at a port that is no page.
+/// What a browser is told at a port that is not a page.
 pub const NO_PAGE: &str = "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\n\
     Content-Length: 23\r\nConnection: close\r\n\r\nthis port is no page.\r\n";
 
@@ -212,7 +212,7 @@ pub fn is_http(said: &[u8]) -> bool {
         || line.windows(6).any(|part| part == b" HTTP/")
 }
 
-/// Tells a browser that this is no page.
+/// Tells a browser that this is not a page.
 ///
 /// # Errors
 /// [`KeyError::Browser`] when it is one.
@@ -228,8 +228,8 @@ async fn refuse_browser(stream: &mut TcpStream) -> Result<(), KeyError> {
     Err(KeyError::Browser)
 }
 
-/// Ends a stream whose last words the other end shall hear: what that has said and nobody reads would take them with it
-/// when the stream is closed.
+/// Ends a stream whose last words the other end shall hear. What the other end has said and nobody reads would take
+/// these words with it when the stream is closed.
 ///
 /// # Errors
 /// What the system says.

@@ -6,8 +6,8 @@
 //! session above opens a new one. Nothing else of zenoh's is used: what it promises of single messages
 //! depends on queues, routes and routers that are not ours.
 //!
-//! zenoh waits on whatever thread it is called from and refuses those of a single-threaded runtime, so it
-//! is called from threads that belong to nobody else.
+//! zenoh waits on whatever thread calls it, and refuses those of a single-threaded runtime. So threads
+//! that belong to nobody else call it.
 
 mod settings;
 mod stream;
@@ -333,8 +333,8 @@ fn stream_id(payload: &ZBytes) -> Option<String> {
     plain.then(|| text.into_owned())
 }
 
-/// A name as one part of a key: letters, digits, `_`, `-` and `.` as they are, all else by its bytes, so
-/// that different names stay different.
+/// A name as one part of a key: letters, digits, `_`, `-` and `.` as they are, all else by its bytes. So
+/// different names stay different.
 fn key_part(name: &str) -> String {
     let mut part = String::new();
     for byte in name.bytes() {

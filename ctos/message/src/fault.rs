@@ -126,7 +126,7 @@ impl CallError {
     /// Whether it is worth while to look for the receiver again and repeat the request, if that is permitted. True if
     /// the receiver is gone ([`Self::is_gone`]), or its handler panicked or dropped the request and may have been
     /// built anew. `cx.task(&error.to)` tells whether it comes back. False for what the receiver said itself, and for
-    /// time limits.
+    /// deadlines.
     #[must_use]
     pub fn may_come_back(&self) -> bool {
         self.is_gone() || matches!(self.fault, Fault::Panicked { .. } | Fault::NoReply)

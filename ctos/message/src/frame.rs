@@ -13,8 +13,8 @@ pub const FRAME_FIXED: usize = Header::BYTES + 3 * 8;
 /// The most data that one message carries between chassis, bytes.
 pub const BODY_LIMIT: usize = FRAME_LIMIT - FRAME_FIXED;
 
-/// A message on its way between two chassis: the 16-byte header, what a message needs in addition to
-/// be answered, followed and given up in time, and the data.
+/// A message on its way between two chassis: the 16-byte header and the data. It also has what a
+/// message needs to be answered, followed and given up in time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
     /// Who asks whom for what.

@@ -134,7 +134,7 @@ impl Glossary {
     /// What has become known after the first `known` things, as metadata.
     pub(crate) fn page(&self, known: usize) -> BTreeMap<String, String> {
         let news = self.news.get(known..).unwrap_or(&[]);
-        // What is told is text and numbers: nothing of it cannot be written.
+        // News is text and numbers, all of which JSON can hold.
         let json = serde_json::to_string(news).unwrap_or_default();
         BTreeMap::from([(MEMBER.to_owned(), json)])
     }

@@ -1,5 +1,5 @@
 //! The log's way into the record: a layer of `tracing-subscriber` that the program adds to its
-//! subscriber, and to which the recorder attaches itself when it begins.
+//! subscriber. The recorder attaches itself to it when it begins.
 
 use std::sync::{Arc, Mutex};
 

@@ -297,7 +297,7 @@ impl Parts {
         self.begun
     }
 
-    /// Puts something into the present file that is no line.
+    /// Puts something into the present file that is not a line.
     pub(crate) fn note(&mut self, name: &str, metadata: BTreeMap<String, String>) {
         if let Some(part) = &mut self.part {
             let bytes: usize = metadata.values().map(String::len).sum();
@@ -400,7 +400,7 @@ impl Part {
                 tracing::warn!(file = %old.display(), error = %error, "an old record was not removed");
             }
         }
-        // A chunk ends when it is flushed, so that it is known where the file is whole. It is written
+        // A chunk ends when it is flushed, so that the writer knows where the file is whole. It is written
         // when it is whole, so a killed process leaves whole chunks.
         let options = WriteOptions::new().chunk_size(None).disable_seeking(true);
         let unwritten = Unwritten::default();

@@ -40,7 +40,7 @@ pub enum ReadError {
         /// What the system said.
         error: io::Error,
     },
-    /// It is no MCAP file.
+    /// It is not an MCAP file.
     #[error("{path} is no MCAP file: {reason}")]
     Format {
         /// The file.
@@ -105,7 +105,7 @@ impl Run {
 /// Which lines of a record are wanted.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Filter {
-    /// Names of channels, in which `*` stands for any letters; none: all.
+    /// Names of channels, in which `*` stands for any characters; none: all.
     pub topics: Vec<String>,
     /// Nothing before this moment.
     pub from: Option<Instant>,
@@ -124,7 +124,7 @@ impl Filter {
     }
 }
 
-/// Whether `text` is `pattern`, in which `*` stands for any letters.
+/// Whether `text` is `pattern`, in which `*` stands for any characters.
 pub(super) fn matches(pattern: &str, text: &str) -> bool {
     let mut parts = pattern.split('*');
     let Some(mut rest) = parts.next().and_then(|first| text.strip_prefix(first)) else {
@@ -329,7 +329,7 @@ impl<'a> Scan<'a> {
 /// rest is counted.
 ///
 /// # Errors
-/// [`ReadError`] when it cannot be opened, or is no MCAP file from its first byte.
+/// [`ReadError`] when it cannot be opened, or is not an MCAP file from its first byte.
 pub fn scan_only(
     path: &Path,
     filter: &Filter,

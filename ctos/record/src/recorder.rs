@@ -1,7 +1,7 @@
 //! Between those who note what happens and the disk: a bounded buffer for each processor, emptied by
 //! one writer.
 //!
-//! Noting takes a lock that only the writer ever contends for, and never waits for the disk: a buffer
+//! Noting takes a lock that only the writer ever contends for, and never waits for the disk. A buffer
 //! that is full drops what comes and counts it. In real time the writer is a thread of its own. In
 //! virtual time it is called where a buffer has grown, so that one seed gives one record.
 

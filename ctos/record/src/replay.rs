@@ -1,5 +1,5 @@
 //! Replay: one task out of a record, alone on a virtual clock. It gets its messages at the recorded
-//! moments and the recorded answers to what it asks; what it sends, answers and returns is compared
+//! moments and the recorded answers to what it asks. What it sends, answers and returns is compared
 //! with the record.
 //!
 //! The record says when each part of the task, its loop or a child, was polled, and what it read there besides

@@ -1,7 +1,7 @@
 //! The form in which events of messages are noted, buffered and stored in a file. It is a sequence of
 //! events, each written as its difference from the one before.
 //!
-//! Messages mostly go to and fro between the same tasks, with numbers and moments that grow, so that an event
+//! Messages mostly go to and fro between the same tasks, with numbers and moments that grow. So an event
 //! takes ten bytes where nothing but these changes. `schemas/events.txt` describes the form for others who
 //! want to read it.
 

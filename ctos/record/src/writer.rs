@@ -19,7 +19,7 @@ pub(crate) struct Writer {
     /// Which file has been told how much of them.
     told: (u64, usize),
     pub(crate) parts: Parts,
-    /// Which channels are written, in whose names `*` stands for any letters; none: all.
+    /// Which channels are written, in whose names `*` stands for any characters; none: all.
     channels: Vec<String>,
     /// Events that found no space in the buffers.
     dropped: u64,

@@ -50,7 +50,7 @@ pub enum FaultKind {
     /// is lost. Each then holds the other for gone.
     Cut,
     /// The link between two chassis breaks and heals. What was not received is sent again, in its
-    /// order; but a chassis that hears nothing for longer than the peer time-out gives the other up.
+    /// order. But a chassis that hears nothing for longer than the peer time-out gives the other up.
     Break,
     /// As [`Self::Break`], but what is under way already still arrives.
     Stall,
@@ -124,7 +124,7 @@ pub(crate) static KINDS: [Kind; 9] = [
 
 impl FaultKind {
     /// What a file calls `kind`. `extent` is how bad it is: a share, or a time in s. `None` for a drift, and for
-    /// a word that is no kind.
+    /// a word that is not a kind.
     pub(crate) fn of(kind: &str, extent: f64) -> Option<Self> {
         Some(match kind {
             "kill" => Self::Kill,

@@ -1,7 +1,7 @@
 //! A whole app in one thread on the virtual clock.
 //!
 //! All chassis live in this process and exchange encoded frames over simulated links. One loop polls
-//! the tasks that can run, in an order drawn from the app's seed; when none can, it moves the clock to
+//! the tasks that can run, in an order drawn from the app's seed. When none can, it moves the clock to
 //! the next deadline. What goes wrong meanwhile is drawn from the same seed, or given. The same seed
 //! and the same faults give the same run, event for event.
 

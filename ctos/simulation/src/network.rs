@@ -213,8 +213,8 @@ impl Network {
         }
     }
 
-    /// Chassis `to` gives `from` up: what is between them is lost, and `from` is told when it can be
-    /// reached.
+    /// Chassis `to` gives `from` up: what is between them is lost, and `from` learns so when it can
+    /// be reached.
     pub(crate) fn give_up(&self, from: u8, to: u8) {
         let now = self.clock.now();
         let mut state = lock(&self.state);
@@ -290,7 +290,7 @@ impl State {
             .flights
             .range(..(until, 0))
             .filter(|(_, flight)| (flight.from, flight.to) == (from, to))
-            // That nothing came is noticed without anything that comes.
+            // Silence is noticed by the clock: nothing has to come for it.
             .filter(|(_, flight)| !matches!(flight.arrival, Arrival::Silence))
             .map(|(key, _)| *key)
             .collect();

@@ -96,7 +96,6 @@ impl<'n, 'f> Reader<'n, 'f> {
             .unwrap_or_default()
     }
 
-    /// A number.
     pub(crate) fn number(&mut self, key: &str, range: RangeInclusive<f64>) -> Option<f64> {
         self.value(key)?;
         self.needed(key, range)

@@ -51,7 +51,7 @@ pub struct Setup {
     pub events: Option<EventSink>,
     /// When the app is stopped as by Ctrl-C.
     pub stop_after: Option<Duration>,
-    /// When that is said once more.
+    /// When the second interrupt comes.
     pub stop_again_after: Option<Duration>,
     #[doc(hidden)]
     pub tamper: Option<Tamper>,
@@ -112,7 +112,7 @@ pub(super) struct Simulation {
     pub(super) network: Network,
     pub(super) rng: ChaCha8Rng,
     pub(super) end: EndSlot,
-    /// What is given, by moment.
+    /// The given faults, by moment.
     pub(super) script: BTreeMap<Instant, Vec<Fault>>,
     pub(super) drawn: Drawn,
     /// When it is stopped as by Ctrl-C.

@@ -15,7 +15,6 @@ const MOST: f64 = 1e6;
 /// The keys of a drift.
 const DRIFT: [&str; 4] = ["kind", "chassis", "ahead_s", "rate_ppm"];
 
-/// The keys of a kind.
 fn keys_of(kind: &Kind) -> Vec<&'static str> {
     let place = if kind.on_link { "between" } else { "chassis" };
     let lasts = kind.lasts.then_some("lasts_s");

@@ -1,8 +1,9 @@
 //! Finds fewer faults that still make a run fail.
 //!
-//! Delta debugging (Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE
-//! Transactions on Software Engineering 28(2), 2002): leave out ever smaller parts of the list while the
-//! run still fails. The result is 1-minimal: without any one of its faults the run does not fail.
+//! Delta debugging: leave out ever smaller parts of the list while the run still fails (Zeller and
+//! Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Transactions on Software
+//! Engineering 28(2), 2002). The result is 1-minimal: without any one of its faults the run does not
+//! fail.
 
 use crate::fault::Fault;
 

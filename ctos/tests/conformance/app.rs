@@ -1,4 +1,4 @@
-//! The app of every trial: the task that runs the case, and those it plays with, near it and far.
+//! The app of every trial: the task that runs the case, and those it plays with, local and remote.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::{cases, peer};
 /// The folder of the keys that some placements need.
 pub const KEYS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/conformance-keys");
 
-/// Where the far tasks live, seen from the near ones.
+/// Where the remote tasks live, seen from the local ones.
 pub struct Placement {
     pub name: &'static str,
     mode: &'static str,

@@ -16,7 +16,7 @@ use crate::ledger::{Book, Ledger, Sent, Step};
 /// Timers end at the nanosecond; a clock that drifts rounds.
 const ROUNDING: Duration = Duration::from_micros(1);
 
-/// Everything that is wrong with a run. `broken` links are no reason not to tell.
+/// Everything that is wrong with a run. Where a rule of the links is `broken` on purpose, the run may end in any way.
 pub fn all(app: &App, run: &Run, ledger: &Ledger, broken: bool) -> Vec<String> {
     let mut book = ledger.book();
     let mut wrong = std::mem::take(&mut book.wrong);

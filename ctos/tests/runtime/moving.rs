@@ -517,7 +517,7 @@ fn what_cannot_be_moved_stays_and_says_why() {
         // It goes on where it is, with what it knows.
         assert_eq!(cx.call(&sink, note).await?, 0);
         assert_eq!(cx.task("sink").await?.tid(), sink.tid());
-        // Where it is already is no move.
+        // Where it is already is not a move.
         assert_eq!(cx.move_task("sink", "a:second").await?, "a:second");
         Ok(said.join("\n"))
     });

@@ -36,7 +36,7 @@ fn note(log: &Log, what: impl Into<String>) {
     log.lock().unwrap().push(what.into());
 }
 
-/// Plays a script in the phase `run`. When all scripts of an app are played, the app has finished; when it is
+/// Plays a script in the phase `run`. When all scripts of an app are played, the app has finished. When it is
 /// stopped before, each task plays its script to the end first.
 struct Player {
     script: Script,

@@ -1,5 +1,5 @@
-//! Tasks and their supervision in virtual time: handlers made of methods, restarts, shutdown, state that is
-//! handed over, monitors, children, and waiting that can never end.
+//! Tasks and their supervision in virtual time: handlers made of methods, restarts, shutdown, and state
+//! that is handed over. Also monitors, children, and waiting that can never end.
 
 use std::{
     future::Future,
@@ -839,7 +839,7 @@ fn calls_that_wait_for_each_other_end_with_the_circle_in_words() {
             ),
             "{said}"
         );
-        // A chain that only takes long is no circle.
+        // A chain that only takes long is not a circle.
         let ask = AskAlong {
             list: vec!["along2".to_owned(), "arm".to_owned()],
             deadline_ms: 1_500,

@@ -1,7 +1,7 @@
 //! Time as a service: one clock for the whole app, real or virtual.
 //!
 //! Nothing in the workspace asks the operating system for the time; it asks the [`Clock`] that its
-//! chassis was started with. A virtual clock moves only when the simulation moves it, so a whole app
+//! chassis was started with. A virtual clock moves only when the simulation moves it. So a whole app
 //! can run faster than the wall clock and the same way every time.
 
 use std::{

@@ -1,5 +1,5 @@
-//! A lease: until when a process may go on. The first thread that looks at the clock later finds out that it is over,
-//! so nothing that asks for the time goes on behind it.
+//! A lease: until when a process may go on. The first thread that looks at the clock later finds out that it is over.
+//! So nothing that asks for the time goes on behind it.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},
@@ -26,8 +26,8 @@ pub struct Lease {
 }
 
 impl Lease {
-    /// One without a limit until it is extended first. `over` ends the process. It is told for how long the lease was not
-    /// extended, nothing when it was revoked, and may be called by several threads.
+    /// A lease without a deadline until it is extended first. `over` ends the process. It is told for how long the lease
+    /// was not extended, nothing when it was revoked, and may be called by several threads.
     pub fn new(term: Duration, over: impl Fn(Option<Duration>) + Send + Sync + 'static) -> Self {
         Self {
             term,
@@ -41,7 +41,7 @@ impl Lease {
         self.set((now + self.term).as_nanos());
     }
 
-    /// Without a limit from now on.
+    /// Without a deadline from now on.
     pub fn lift(&self) {
         self.set(UNLIMITED);
     }

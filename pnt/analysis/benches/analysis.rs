@@ -1,5 +1,5 @@
-//! Markings per second of the explicit state space, on one thread and two; counting by decision
-//! diagrams; and the whole check of a net as large as a robot's.
+//! Markings per second of the explicit state space, on one thread and two. Also counting by
+//! decision diagrams, and the whole check of a net as large as a robot's.
 //!
 //! With `-- threads`, instead of all this: one thread and two in turns, wall and processor time, and the
 //! ratios.

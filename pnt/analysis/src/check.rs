@@ -1,6 +1,6 @@
-//! What the nets of an app prove before anything moves: bounded, no end but rest, every transition
-//! of use, rest always within reach, every command answered by one of its output symbols. What they
-//! do not prove becomes findings that point into the net texts.
+//! What the nets of an app prove before anything moves. They are bounded, have no end but rest, and
+//! use every transition. Rest is always within reach, and every command is answered by one of its
+//! output symbols. What they do not prove becomes findings that point into the net texts.
 
 pub mod commands;
 mod ending;
@@ -131,8 +131,8 @@ pub fn prove(
     Ok(proof)
 }
 
-/// What is seen of nets, and whether the check before a boot sees less. Of nets that are to be run, first as much is
-/// seen as that check sees, in the same way, so that both say the same.
+/// What is seen of nets, and whether the check before a boot sees less. Of nets that are to be run, it first sees
+/// what that check sees, in the same way, so that both say the same.
 fn look_as_boot_first<'a>(
     model: &'a Model,
     options: &Options,
@@ -145,7 +145,7 @@ fn look_as_boot_first<'a>(
         engines,
         ..
     } = *options;
-    // What is told about nets with a tape, and of several dead markings, needs the markings one by one.
+    // The report about nets with a tape, and of several dead markings, needs the markings one by one.
     let one_by_one = rule == Rule::Rest || !options.questions.is_empty() || options.deadlocks > 1;
     let all = |progress: &mut dyn FnMut(&Progress)| match one_by_one {
         true => list(model, &limits, progress),
@@ -254,7 +254,7 @@ pub fn check(nets: &[Arc<Net>], limits: &Limits) -> (Report, Findings) {
     (report, findings)
 }
 
-/// What keeps nets from being put together, and warnings about that; no marking is looked at.
+/// What keeps nets from being put together, and warnings about that; the check looks at no marking.
 #[must_use]
 pub fn fit(nets: &[Arc<Net>]) -> Findings {
     System::fit(nets)

@@ -115,13 +115,12 @@ pub struct Step {
     pub puts: Vec<(SystemPlaceId, u32)>,
     /// Enabling function (numbered over the system) and whether it is negated.
     pub when: Option<(usize, bool)>,
-    /// Its urgency, for steps that the net chooses among: the transition's priority, and above all
-    /// priorities of timed transitions if it is an immediate one beside such.
+    /// Its urgency, for steps that the net chooses among: the transition's priority. An immediate
+    /// one beside timed transitions is above all their priorities.
     pub priority: Option<u32>,
     /// Whether it writes an output symbol that answers no command in progress.
     pub unasked: bool,
-    /// The place for which it brings more tokens than the place has room for: they are refused, and
-    /// their sender stops.
+    /// The place whose capacity it would exceed: the tokens are refused, and their sender stops.
     pub overfills: Option<SystemPlaceId>,
 }
 
@@ -382,7 +381,7 @@ fn check_retries(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
     }
 }
 
-/// Ways in which the places that a transition empties may be filled, as many as are told apart.
+/// Ways in which the places that a transition empties may be filled, as many as are distinguished.
 const MOST_RESETS: u64 = 4096;
 
 /// Where a place reserves space for actions, what a reset arc takes out depends on the tokens there.
@@ -443,7 +442,7 @@ fn check_unused(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
     push_some(unused.map(finding), findings);
 }
 
-/// Findings of one kind about one net that are told; each costs as much as there are before it.
+/// How many findings of one kind about one net are reported; each costs as much as there are before it.
 const MOST_ALIKE: usize = 200;
 
 /// Tells findings of one kind, or of very many the first, and how many there are.

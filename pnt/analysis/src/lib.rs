@@ -1,7 +1,7 @@
 //! What can be proved and computed about nets before they run. From bottom to top:
 //!
 //! - [`compose`]: all nets of an app as one system; [`analysis`]: what can be proved about it;
-//!   [`check`]: that as findings that point into the net texts;
+//!   [`check`]: that as findings in the net texts;
 //! - [`invariants`]: what no firing of a net by itself can change;
 //! - [`stochastic`]: how fast a net goes that says what its transitions take.
 //!

@@ -1,8 +1,8 @@
-//! Performance of nets that say how long their transitions take (generalized stochastic Petri nets;
-//! architecture report, section 6, reference 4): mean tokens, throughput and utilisation in steady
-//! state. Two ways that share no arithmetic:
+//! Performance of nets that say how long their transitions take: mean tokens, throughput and
+//! utilisation in steady state. (Generalized stochastic Petri nets; architecture report, section 6,
+//! reference 4.) Two ways that share no arithmetic:
 //!
-//! - exactly, when every time is exponential and the markings are few enough: markings that take no
+//! - exactly, when every time is exponential and the markings are few enough. Markings that take no
 //!   time are eliminated, and the embedded Markov chain of the others is solved;
 //! - by simulation with the executor's own token game and race, with confidence intervals; for any
 //!   times.

@@ -118,8 +118,8 @@ fn two_phases(bencher: Bencher, (length, tokens): (usize, usize)) {
     });
 }
 
-/// Actions that are done by worker threads (arguments: how many): the net's thread starts firings and
-/// completes those that come back, the workers take what is started. The actions themselves do nothing.
+/// Actions that are done by worker threads (arguments: how many). The net's thread starts firings and
+/// completes those that come back; the workers take what is started. The actions themselves do nothing.
 #[divan::bench(args = [1, 2], sample_count = 5)]
 fn through_workers(bencher: Bencher, workers: usize) {
     let mut execution = Execution::new(ring(100, 1_000, "  do something\n"));
@@ -175,7 +175,7 @@ fn timed(bencher: Bencher, (length, tokens): (usize, usize)) {
     });
 }
 
-/// What the same ring costs when a loop is written for it by hand: which transition fires is known
+/// What the same ring costs when a loop is written for it by hand. Which transition fires is known
 /// before, and nothing but the marking is kept.
 #[divan::bench(args = [(10, 1), (1_000, 1), (100_000, 1)], sample_count = 5)]
 fn by_hand(bencher: Bencher, (length, tokens): (usize, u32)) {

@@ -54,7 +54,7 @@ pub struct Read {
     pub findings: Findings,
 }
 
-/// Reads a text. Names are looked at, too, where some lines cannot be read: but for those that may stand on these.
+/// Reads a text. Where some lines cannot be read it checks names too, but for those that may stand on these lines.
 pub(crate) fn read(source: &Source, include: text::Include<'_>) -> Read {
     let (draft, mut findings) = text::parse_all(source, include);
     if findings.has_errors() && !enough(&findings) {

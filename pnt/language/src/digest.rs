@@ -1,5 +1,5 @@
-//! A number that tells whether two nets have states of the same form: what a stored marking, tape and
-//! running action refer to by number is the same in both.
+//! A number that tells whether two nets have states of the same form. Then what a stored marking,
+//! tape and running action refer to by number is the same in both.
 
 use crate::net::{Action, Arc, Net, Outputs};
 

@@ -13,7 +13,7 @@ pub use file::{Format, NetFile, Positions};
 /// The longest file that is read, bytes.
 const LONGEST: u64 = 256 << 20;
 
-/// The longest PNML file, bytes: the largest public models of robots and factories have a tenth of it, and reading
+/// The longest PNML file, bytes. The largest public models of robots and factories have a tenth of it, and reading
 /// one takes some fifteen times as much memory.
 const LONGEST_PNML: usize = 16 << 20;
 

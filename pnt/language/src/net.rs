@@ -205,7 +205,7 @@ pub struct Transition {
     pub priority: u32,
     /// Limit of the action.
     pub within: Option<Duration>,
-    /// How long it takes from enabled to fired; of a transition with an action, what the action is
+    /// How long it takes from enabled to fired. Of a transition with an action, what the action is
     /// taken to last in stochastic simulation and analysis.
     pub timing: Timing,
     /// Its share in conflicts of equal priority that chance decides, above zero.

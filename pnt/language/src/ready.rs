@@ -62,7 +62,6 @@ impl ReadySet {
         }
     }
 
-    /// Removes a number.
     pub(crate) fn remove(&mut self, number: usize) {
         let mut bit = number;
         for level in 0..self.levels {

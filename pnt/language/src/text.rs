@@ -29,7 +29,7 @@ use subnet::{Expansion, Line, Subnets};
 pub(crate) use words::MOST_TOKENS;
 use words::Words;
 
-/// A name as net text has it: as it is, or in quotes where it is no identifier.
+/// A name as net text has it: as it is, or in quotes where it is not an identifier.
 #[must_use]
 pub fn name_in_text(name: &str) -> String {
     InText(name).to_string()

@@ -1,5 +1,5 @@
-//! When a transition fires and how many of its firings may go on at once: words of generalized
-//! stochastic Petri nets (architecture report, section 6, reference 4). Knows no clock.
+//! When a transition fires and how many of its firings may go on at once. The words are those of
+//! generalized stochastic Petri nets (architecture report, section 6, reference 4). Knows no clock.
 
 use std::{num::NonZeroU32, time::Duration};
 

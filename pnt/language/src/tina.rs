@@ -1,6 +1,6 @@
 //! The textual nets of TINA (`.net`), as its manual describes them: `net`, `tr`, `pl`, `lb`, `nt` and
-//! `pr` lines, one of each element's descriptions may be split over several lines. Times other than
-//! fixed ones, stopwatch arcs and priorities have no counterpart here and are refused by name.
+//! `pr` lines. One element's description may be split over several lines. Times other than fixed
+//! ones, stopwatch arcs and priorities have no counterpart here and are refused by name.
 
 use std::{collections::BTreeMap, fmt::Write as _, time::Duration};
 

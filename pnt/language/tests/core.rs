@@ -99,7 +99,7 @@ fn a_net_runs_without_the_runtime_from_states_and_events_alone() {
         (Comes::Turn, &["answer 1 fetched"]),
         (Comes::Command, &[]),
         (Comes::Turn, &["begin go 2"]),
-        // Begun when it was 0: two seconds are its limit.
+        // Begun when it was 0: two seconds are its deadline.
         (Comes::Time(1_999_999_999), &[]),
         (Comes::Time(2_000_000_000), &["end 2"]),
         (Comes::Turn, &["answer 2 fetched"]),

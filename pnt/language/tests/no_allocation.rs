@@ -1,5 +1,5 @@
-//! The token game allocates nothing once it runs: not in one step, not in two phases, not with chance,
-//! weights, time limits or the event log.
+//! The token game allocates nothing once it runs. That holds in one step and in two phases, with
+//! chance, weights, time limits and the event log.
 
 #![allow(clippy::unwrap_used, reason = "a test may end when its input is wrong")]
 

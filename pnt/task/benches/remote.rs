@@ -3,7 +3,7 @@
 //!
 //! A command is answered when two tokens have moved: to another net and back, or through two places of the
 //! same net. Half of the difference is what it costs that a token is remote. `--pin` keeps both processes on
-//! one core, `--pin2` gives each a core of its own; with `--local` there is one row, of the net on the same
+//! one core, `--pin2` gives each a core of its own. With `--local` there is one row, of the net on the same
 //! processor.
 
 #![allow(

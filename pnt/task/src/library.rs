@@ -258,8 +258,8 @@ impl<S: 'static> Library<S> {
         self
     }
 
-    /// Changes the state when the app is about to be stopped, so that enabling functions may lead a command that is
-    /// in work to its end: no more positions, say.
+    /// Changes the state when the app is about to be stopped. So enabling functions may lead a command that is in
+    /// work to its end: no more positions, say.
     #[must_use]
     pub fn when_stopping(mut self, change: impl Fn(&mut S) + 'static) -> Self {
         let state = Rc::clone(&self.state);
@@ -321,7 +321,6 @@ impl Functions {
         Ok(())
     }
 
-    /// The names of all functions.
     pub(crate) fn names(&self) -> FunctionNames {
         let names = |keys: &mut dyn Iterator<Item = &String>| -> BTreeSet<String> {
             keys.cloned().collect()
@@ -342,7 +341,7 @@ impl Functions {
         }
     }
 
-    /// What an enabling function says; nothing when there is no such function.
+    /// What an enabling function says; `None` when there is no such function.
     pub(crate) fn ask(&self, name: &str) -> Option<bool> {
         let function = self.enabling.get(name)?;
         Some(function())

@@ -1,6 +1,6 @@
 //! Stable storage: what a net, a data object manager or any durable task must still know after its process has died.
 //!
-//! A store is a small map from names to bytes that changes by whole commits: after a crash it holds all of
+//! A store is a small map from names to bytes that changes by whole commits. After a crash it holds all of
 //! a commit or nothing of it. In real time it is a redb file, written and synced by a thread of its own, so
 //! that no processor waits for the disk. In virtual time it is in the memory of the simulated host. Nobody
 //! else may see what led to a commit before the commit has ended.

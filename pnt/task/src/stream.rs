@@ -1,10 +1,10 @@
 //! What a net does, as one stream of numbered events. A follower knows the marking at every moment
 //! (architecture report, section 6: displays are connected to subnets many to many).
 //!
-//! A net's task answers [`Describe`] with what does not change ([`NetView`]) and [`Follow`] with what does:
-//! a [`State`] once, then the [`Event`]s after it, numbered without a gap. A follower asks again when it has
-//! taken in the last [`Batch`]. So a slow display is not pressed, and a stuck one costs nothing. A net
-//! answers at most every few milliseconds, to all at once, with at most [`MOST_EVENTS`] events each. A
+//! A net's task answers [`Describe`] with what does not change ([`NetView`]). It answers [`Follow`] with
+//! what does: a [`State`] once, then the [`Event`]s after it, numbered without a gap. A follower asks again
+//! when it has taken in the last [`Batch`]. So a slow display is not pressed, and a stuck one costs nothing.
+//! A net answers at most every few milliseconds, to all at once, with at most [`MOST_EVENTS`] events each. A
 //! follower further behind gets a new state and the number of events that it missed.
 //!
 //! The page, the terminal, the record of a run and what is drawn from a record all live on these types.

@@ -62,8 +62,8 @@ pub use messages::{
 use pnt_language::{exec::Conflicts, net::Net};
 pub use settings::{KEYS, Settings, args, args_of, settings};
 
-/// Registers a handler that runs a net with the functions of `library`, with all checks: of the task,
-/// and of all nets of the app together. Its only arguments are those of [`settings`].
+/// Registers a handler that runs a net with the functions of `library`. It has all checks: of the
+/// task, and of all nets of the app together. Its only arguments are those of [`settings`].
 pub fn register<S: 'static>(
     registry: &mut Registry,
     name: &str,

@@ -28,7 +28,7 @@ fn wake(bell: &AtomicU32) {
 }
 
 /// The reader's side: sleeps until the bell rings, at most `limit`, unless `is_there` says that what
-/// is waited for is there already. May end early for no reason.
+/// the reader waits for is there already. May end early for no reason.
 pub(super) fn sleep(bell: &AtomicU32, limit: Duration, is_there: impl Fn() -> bool) {
     bell.store(WAITED_FOR, Ordering::Relaxed);
     fence(Ordering::SeqCst);

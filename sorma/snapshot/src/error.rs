@@ -50,7 +50,7 @@ pub enum SnapshotError {
         /// What is wrong with it.
         why: &'static str,
     },
-    /// The file is no snapshot buffer.
+    /// The file is not a snapshot buffer.
     #[error("{}: this is no snapshot buffer", path.display())]
     NoSnapshots {
         /// The file.

@@ -1,5 +1,5 @@
-//! The structure of a snapshot buffer: what its writer says about the records, where everything lies in
-//! the segment, and the header that tells it to any reader. It knows no files.
+//! The structure of a snapshot buffer: what its writer says about the records, and where everything
+//! lies in the segment. Also the header that tells it to any reader. It knows no files.
 //!
 //! The header is the first page of the segment, in words of 64 bits in the order of the host:
 //!
@@ -19,8 +19,8 @@
 //! | 32 | bell: 1 while a reader waits |
 //!
 //! The slots follow the description at the next multiple of 64 bytes, and each is a multiple of 64 bytes
-//! long. A slot is a sequence word, the stamp in ns, the generation of the writer, the number of opaque
-//! bytes, four spare words, the floats, the bytes.
+//! long. A slot is a sequence word, the stamp in ns, the generation of the writer and the number of
+//! opaque bytes. Four spare words, the floats and the bytes follow.
 
 use super::error::SnapshotError;
 use super::protocol::{Load, Ring, SLOT_HEAD, Store, WORD};

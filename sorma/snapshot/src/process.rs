@@ -29,7 +29,7 @@ impl Process {
         })
     }
 
-    /// Whether it still runs. Where that cannot be told, it does.
+    /// Whether it still runs. Where the system does not say, it does.
     #[must_use]
     pub fn is_alive(&self) -> bool {
         exists(self.pid)

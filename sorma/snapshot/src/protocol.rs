@@ -80,7 +80,6 @@ pub(super) struct Ring {
     pub(super) stride: usize,
     /// How many slots there are; never 0.
     pub(super) slots: u64,
-    /// Floats of a record.
     pub(super) floats: usize,
     /// The most opaque bytes of a record.
     pub(super) bytes: usize,

@@ -27,7 +27,7 @@ const NAP: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub struct Reader {
     view: View,
-    /// For the bell; none where the file may only be read, and then waiting is looking again and again.
+    /// For the bell; `None` where the file may only be read, and then waiting is looking again and again.
     page: Option<Page>,
     header: Header,
     path: PathBuf,
@@ -291,8 +291,8 @@ impl Reader {
     }
 
     /// Waits until there is a record that was not taken yet: looks for a moment without sleeping, then sleeps
-    /// until the writer wakes it. The thread waits with it, so a task does not do this but looks
-    /// again after a while; with a virtual clock it does not wait at all.
+    /// until the writer wakes it. The thread waits with it, so a task does not do this but looks again after
+    /// a while. With a virtual clock it does not wait at all.
     pub fn wait(&self, limit: Duration, clock: &Clock) -> Waited {
         let begin = clock.now();
         let is_there = || self.head() != self.last;

@@ -1,5 +1,5 @@
 //! What writers and readers of one process see; see `tests/snapshots.rs` for two processes and
-//! `snapshot/protocol/tests.rs` for the protocol itself.
+//! `protocol/tests.rs` for the protocol itself.
 
 use super::layout::{HEADER, MAGIC};
 use super::record::host_ns;

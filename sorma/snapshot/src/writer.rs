@@ -19,7 +19,7 @@ use std::time::Duration;
 const ATTEMPTS: u32 = 16;
 
 /// The one writer of a snapshot buffer. When it is dropped the buffer is closed, and its segment removed unless
-/// it is [kept](Self::keep); readers that have it open can still read what is there.
+/// it is [kept](Self::keep). Readers that have it open can still read what is there.
 #[derive(Debug)]
 pub struct Writer {
     page: Page,
@@ -36,7 +36,7 @@ pub struct Writer {
 impl Writer {
     /// Makes the buffer `name`, or takes it over from a writer that has ended. With the same layout it goes on
     /// with the next number, and readers just go on. With another layout a new segment takes the place of the
-    /// old one, and readers of the old one are told.
+    /// old one, and readers of the old one learn so.
     ///
     /// # Errors
     /// Another writer has it, the name or the layout cannot be, or the system refuses.

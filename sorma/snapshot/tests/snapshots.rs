@@ -133,8 +133,8 @@ fn is_in_mid_write(reader: &Reader) -> bool {
     })
 }
 
-/// Stops the writer in the middle of a record. That it is there at some moment is no matter of chance then: a
-/// writer that has just woken its reader on a core that both share never is.
+/// Stops the writer in the middle of a record. It waits for that instead of killing at random: a writer that
+/// has just woken its reader on a shared core is never there.
 fn stop_in_mid_write(writer: &Child, reader: &Reader) {
     let writer = Pid::from_child(writer);
     loop {

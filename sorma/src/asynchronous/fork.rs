@@ -1,5 +1,5 @@
-//! The class `fork`: several requests at once, or with `-object` one object that is asked without waiting (the
-//! `FORK.sound` of the SORMA technical report, section 2.1.2).
+//! The class `fork`: several requests at once, or with `-object` one object that is asked without waiting. It
+//! is the `FORK.sound` of the SORMA technical report, section 2.1.2.
 
 use super::answer::{begin, request};
 use super::tickets::Tickets;
@@ -24,7 +24,7 @@ pub(super) struct Fork {
     object: String,
     width: i64,
     capacity: i64,
-    /// What a CTRL request asks for besides options, before any of it is done.
+    /// What a CTRL request asks for besides options, before the object does any of it.
     orders: Vec<Order>,
 }
 

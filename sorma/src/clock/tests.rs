@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The clock there: by pieces, each with a rate of its own. What it shows is rounded to the nanosecond; what it
+/// The clock there: by pieces, each with a rate of its own. What it shows is rounded to the nanosecond. What it
 /// carries from piece to piece is not, or it would drift faster than its rates say.
 struct There {
     /// Moments here at which a piece begins, ns. With each stand the time of the clock there, in 10^-9 ns,

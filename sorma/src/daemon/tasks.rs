@@ -53,7 +53,7 @@ impl Tasks {
         }
     }
 
-    /// With another time limit than that of every call.
+    /// With another deadline than that of every call.
     #[must_use]
     pub fn deadline(mut self, deadline: Duration) -> Self {
         self.deadline = Some(deadline);
@@ -68,8 +68,8 @@ impl Tasks {
         self
     }
 
-    /// The daemon's task. One of this app that is not there is being started again, which is waited for:
-    /// nothing was asked of it yet.
+    /// The daemon's task. One of this app that is not there is being started again. The caller waits for
+    /// that: nothing was asked of it yet.
     async fn found(&self, daemon: &str) -> Result<TaskRef, NameError> {
         match self.cx.task(daemon).await {
             Err(NameError::Unknown { .. }) if self.cx.app().task(daemon).is_some() => {
@@ -338,7 +338,7 @@ impl Comm for Tasks {
     }
 }
 
-/// Begins some work now, which keeps requests in their order. It goes on with it beside the task: an object that
+/// Begins some work now, which keeps requests in their order. The work goes on concurrently with the task: an object that
 /// waits keeps no other waiting.
 pub(super) fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
     let mut work = Box::pin(work);

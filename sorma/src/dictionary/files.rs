@@ -89,8 +89,8 @@ impl Dictionary {
     }
 
     /// Writes all files: changed entries in their places, new ones at the end of the last file, removed
-    /// ones left out; comments and everything else as they stand. A file is replaced as a whole or not
-    /// at all.
+    /// ones left out. Comments and everything else stay as they stand. A file is replaced as a whole or
+    /// not at all.
     ///
     /// # Errors
     /// There is no file, or one cannot be written; the text says which.

@@ -1,5 +1,5 @@
 //! The flight recorder of snapshot buffers: what is in one, and what comes, as lines of text, as CSV or as
-//! MCAP; as a library and as the class `flight`.
+//! MCAP. It is a library and the class `flight`.
 
 mod sink;
 

@@ -1,8 +1,9 @@
 //! The class `semaphore`: a counting semaphore for those that are no tasks: programs, scripts, people at an
 //! inspector, other daemons. Tasks of an app have `ctos::semaphore`, which wakes them.
 //!
-//! A permit is held under a number, for somebody with a name, and, when a process was named, only as long as
-//! that process of this host runs. A holder that died without releasing is noticed with the next request.
+//! A permit is held under a number, for somebody with a name. When a process was named, it is held only as
+//! long as that process of this host runs. A holder that died without releasing is noticed with the next
+//! request.
 
 use super::answer::{NOT_YET, code, int, number, seconds, split, wrong};
 use super::host::Host;

@@ -131,7 +131,7 @@ impl ShmemW {
         {
             writer.keep(next.keep);
         } else if self.writer.is_some() || next.open {
-            // What can be told beforehand is told before the old buffer is given up.
+            // Checks what it can before it gives the old buffer up.
             layout(&next)
                 .check()
                 .map_err(|error| buffer_error(&error))?;

@@ -1,4 +1,4 @@
-//! A line of those who wait: each has a number and a time limit, and is served in its turn when it asks.
+//! A line of those who wait: each has a number and a deadline, and is served in order when it asks.
 
 use ctos::time::Instant;
 use std::collections::VecDeque;
@@ -23,7 +23,7 @@ struct Ticket<T> {
 /// What becomes of somebody who asks with a ticket.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Turn<T> {
-    /// It is his turn, and the ticket is used up.
+    /// The asker is served, and the ticket is used up.
     Now(T),
     /// Others come first, or there is nothing to have.
     NotYet,

@@ -1,4 +1,4 @@
-//! Option tables: what is taken, what is refused, what is told about them.
+//! Option tables: what they take, what they refuse, how they describe themselves.
 
 use super::*;
 use crate::description::OptionKind;

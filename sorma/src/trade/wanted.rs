@@ -8,7 +8,7 @@ use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Attributes of an offer by name; numbers are told by their form.
+/// Attributes of an offer by name; numbers are recognised by their form.
 pub type Attributes = BTreeMap<String, String>;
 
 /// Requirements and preferences, as they stand in a dictionary after the word `trade`.

@@ -1,5 +1,5 @@
-//! An app of a client and a few daemons, each on a chassis of its own, in virtual time; and the classes that
-//! its processes know.
+//! An app of a client and a few daemons, each on a chassis of its own, in virtual time. Also the classes
+//! that its processes know.
 
 use ctos::boot::{BootEvent, End, Fault, FaultKind, Observer, simulate};
 use ctos::config::load_texts;

@@ -1,5 +1,5 @@
 //! The demonstration of the technical report's section 1.5: `foo.a`, `foo.b` and `bar`, built from
-//! their recipes, and of its section 2.1.5: a flavor added by one line of text.
+//! their recipes. Also that of its section 2.1.5: a flavor added by one line of text.
 
 use ctos::diagnostic::Source;
 use sorma::report::code;

@@ -1,6 +1,6 @@
 //! Records of a snapshot buffer of another host, whose clock is wrong and drifts: read through a daemon there, in
-//! virtual time. What the stamps are turned into is held against what must be true: a record was written after it was
-//! asked to be and before that was confirmed.
+//! virtual time. It holds the converted stamps against what must be true: a record was written after it was asked
+//! to be and before that was confirmed.
 
 use ctos::boot::{BootEvent, End, Fault, FaultKind, Observer, simulate};
 use ctos::config::load_texts;
@@ -60,8 +60,8 @@ async fn ask(cx: &TaskContext, sorm: &Sorm, line: &str) -> Result<Transport, Str
     }
 }
 
-/// Writes there and reads from here, again and again. Answers how often a clock was set, the least bound on the error
-/// in ns, how many records contradict their stated time, and by how much the last stamp there was off.
+/// Writes there and reads from here, again and again. Answers how often a clock was set and the least bound on the
+/// error in ns. Also how many records contradict their stated time, and by how much the last stamp there was off.
 async fn job(cx: &TaskContext, sorm: &Sorm) -> Result<String, String> {
     ask(cx, sorm, "shmem_w.pose@d1 CTRL -floats 1 -slots 8").await?;
     ask(cx, sorm, "shmem_far.pose CTRL -daemon d1 -drift 1e-3").await?;

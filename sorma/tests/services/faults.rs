@@ -86,7 +86,7 @@ const BUSY: Scenario = |cx, sorm| {
             for name in ["ledger@d1", "LEDGER"] {
                 number += 10;
                 let line = |number: i64| request(&format!("{name} EXEC IMSG 1 {number}"));
-                // What cannot be had is said, and that is all.
+                // A refusal is an error here, and has no further effect.
                 let _ = sorm.tell_only(&comm, line(number)).await;
                 let deferred = sorm.ask_later(&comm, line(number + 1)).unwrap();
                 let requests = (2..5).map(|index| line(number + index)).collect();

@@ -57,7 +57,7 @@ fn the_first_request_starts_it_and_those_after_it_find_it() {
     .run_seen();
     assert_eq!(result, Ok(String::new()));
     assert_eq!(starts(&seen, "shelf"), 1, "{seen:?}");
-    // It is no restart, and who asked first is told.
+    // It is not a restart, and who asked first is told.
     let asked = seen.iter().find_map(|event| match event {
         BootEvent::Wanted { chassis, task, by } => Some((chassis, task.as_deref(), by)),
         _ => None,

@@ -165,7 +165,7 @@ fn offers_are_made_and_withdrawn_while_the_app_runs() {
                 code::VALUE
             );
             cx.sleep(seconds(2.0)).await;
-            // The first question is asked beside it, so it is the second request that knows.
+            // The first question runs concurrently with the request, so it is the second request that knows.
             for _ in 0..2 {
                 assert!(ask("SCALE.two EXEC FMSG 1 1").await.is_ok());
                 cx.sleep(seconds(0.5)).await;

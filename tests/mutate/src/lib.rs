@@ -1,10 +1,10 @@
 //! Feeds whatever reads bytes or texts from outside with mutations of a kept corpus.
 //!
-//! A target must answer any input with a value or an error: never with a panic, never without end, never
-//! by reserving what was only announced. The same seed makes the same inputs, so a run differs from the
-//! last one only in how far it comes. `CTOS_FUZZ_SECONDS` makes it longer (for all targets of a crate
-//! together), and `CTOS_FUZZ_SEED` sets another seed. An input that fails is written into the corpus
-//! beside the others, where the next run begins with it.
+//! A target must answer any input with a value or an error. It must never panic, never go on without
+//! end, and never reserve what was only announced. The same seed makes the same inputs, so a run differs
+//! from the last one only in how far it comes. `CTOS_FUZZ_SECONDS` makes it longer (for all targets of a
+//! crate together), and `CTOS_FUZZ_SEED` sets another seed. An input that fails is written into the
+//! corpus beside the others, where the next run begins with it.
 
 #![allow(
     clippy::panic,

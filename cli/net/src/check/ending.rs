@@ -1,4 +1,4 @@
-//! What ends a check before it is done: Ctrl-C, or its time is over. What is known by then is told.
+//! What ends a check before it is done: Ctrl-C, or the end of its time. The check then reports what it knows.
 
 use std::{
     io,

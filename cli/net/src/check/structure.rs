@@ -18,7 +18,7 @@ use pnt::{
 };
 use serde::Serialize;
 
-/// So much of anything is looked for at most.
+/// A check looks for so much of anything at most.
 const MOST: usize = 5_000;
 
 /// What follows from the arcs. `None` is written as `null`: there was too much of it.
@@ -47,7 +47,7 @@ struct Graph {
     transitions: Vec<String>,
     /// By place, the transition that takes its token, where others could.
     choices: BTreeMap<String, String>,
-    /// Best time from one round to the next; none when some circuit of it has no token.
+    /// Best time from one round to the next; `None` when some circuit of it has no token.
     cycle_time_s: Option<f64>,
     /// The circuit that takes longest for each of its tokens.
     bottleneck: Vec<String>,

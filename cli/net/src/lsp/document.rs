@@ -38,7 +38,7 @@ pub struct Document {
     path: PathBuf,
 }
 
-/// How far an editor's net is looked at, so that it answers while its author types.
+/// The limits of the search for an editor's net, so that the server answers while its author types.
 const LIMITS: Limits = Limits {
     markings: 20_000,
     bytes: 64 << 20,
@@ -46,8 +46,8 @@ const LIMITS: Limits = Limits {
     stop: Stop::NEVER,
 };
 
-/// What a net that stands by itself does not prove. Of one that works with others nothing is told, nor of
-/// one with too many markings: `ctos net check` looks at those.
+/// What a net that stands by itself does not prove. A net that works with others has no such finding, nor
+/// has one with too many markings: `ctos net check` checks those.
 fn soundness(net: Net) -> Findings {
     let alone =
         net.remote_nets().is_empty() && net.coordinators().is_empty() && net.serves().is_empty();
@@ -162,7 +162,7 @@ impl Document {
             Ok(net) => soundness(net),
             Err(found) => found,
         };
-        // A file of subnets only is included by others and is no net.
+        // A file of subnets only is included by others and is not a net.
         let library = self
             .outline
             .words()
@@ -420,7 +420,7 @@ impl Document {
         self.outline.words().iter().filter_map(shown).collect()
     }
 
-    /// The whole text laid out; nothing when it cannot be read.
+    /// The whole text laid out; `None` when it cannot be read.
     pub fn formatted(&self) -> Option<Vec<TextEdit>> {
         let text = text::formatted(&self.source).ok()?;
         if text == self.text() {

@@ -15,7 +15,7 @@ use pnt::text::{
 
 /// Files that are read at most; an editor's folder may be a large one.
 const MOST_FILES: usize = 2000;
-/// A longer file is no net that a person wrote.
+/// A longer file is not a net that a person wrote.
 const LONGEST: u64 = 4 << 20;
 
 /// A word's place: its file, and its bytes in it.
@@ -155,8 +155,8 @@ impl Workspace {
         included.filter_map(|whole| whole.files.first().map(PathBuf::as_path))
     }
 
-    /// All places where the word stands for the same thing: in its file, in the nets that include it, in
-    /// what those include, and in nets that name a place of this one.
+    /// All places where the word stands for the same thing. They are in its file, in the nets that
+    /// include it, in what those include, and in nets that name a place of this one.
     pub fn same(&self, spot: &Spot) -> BTreeSet<Spot> {
         let mut found = BTreeSet::new();
         let mut waiting = vec![spot.clone()];
@@ -360,8 +360,8 @@ pub fn plain(path: &Path) -> PathBuf {
     plain
 }
 
-/// Adds the net texts in a folder and, if it shall go deep, in those within it, but not in hidden ones nor in what
-/// a build leaves.
+/// Adds the net texts in a folder and, if `deep`, in those within it. Hidden folders and what a build leaves are
+/// left out.
 fn find(folder: &Path, deep: bool, files: &mut Vec<PathBuf>) {
     let mut folders = vec![folder.to_owned()];
     let mut seen = 0;

@@ -49,7 +49,7 @@ pub(crate) struct Line {
     messages_per_s: f64,
     /// Share of the time in the handler, 0 to 1.
     busy: f64,
-    /// Messages in the queue, and senders that wait for room in it.
+    /// Messages in the queue, and senders that wait for a credit.
     queue: u64,
     handled: u64,
     restarts: u64,

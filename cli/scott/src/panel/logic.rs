@@ -1,4 +1,4 @@
-//! The little logic of a panel: values that are read of answers, and what follows from them. It is no program: it has no
+//! The little logic of a panel: values that are read of answers, and what follows from them. It is not a program: it has no
 //! variables of its own, no loops, and it asks nothing. What may happen to an arm is for the arm's object to say, not for
 //! a page.
 //!
@@ -98,7 +98,7 @@ impl Value {
         }
     }
 
-    /// Its worth in an answer; nothing when the answer does not have it.
+    /// Its worth in an answer; `None` when the answer does not have it.
     pub(super) fn of(&self, answer: &Transport) -> Option<Worth> {
         if !answer.is_ok() {
             return None;
@@ -236,7 +236,7 @@ impl Expression {
         }
     }
 
-    /// What it is worth; nothing when a value that it needs is not there.
+    /// What it is worth; `None` when a value that it needs is not there.
     pub(super) fn worth(&self, values: &BTreeMap<String, Worth>) -> Option<Worth> {
         let number = |side: &Self| match side.worth(values)? {
             Worth::Number(number) => Some(number),

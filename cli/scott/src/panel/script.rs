@@ -96,7 +96,7 @@ pub enum Widget {
         /// How often, s.
         #[serde(default = "often")]
         every_s: f64,
-        /// The first float and the last, from 1; none when it is left out.
+        /// The first float and the last, from 1; `None` when it is left out.
         floats: Option<[usize; 2]>,
         /// Their unit.
         #[serde(default)]
@@ -187,14 +187,14 @@ pub struct Slider {
     pub name: String,
     /// The least and the largest.
     pub range: [f64; 2],
-    /// Where it begins; in the middle when nothing is said.
+    /// Where it begins; in the middle by default.
     pub value: Option<f64>,
     /// Its unit.
     #[serde(default)]
     pub unit: String,
 }
 
-/// What a jog moves that is no joint.
+/// What a jog moves that is not a joint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {

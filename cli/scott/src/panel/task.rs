@@ -65,7 +65,7 @@ impl ObjectPanel {
         let args: PanelArgs = cx.args()?;
         let daemon = args.daemon(cx.app());
         Ok(Self {
-            // What is wrong in the files was said when the app was checked.
+            // The check of the app has reported what is wrong in the files.
             panels: args.read(cx.app(), &mut Findings::new()),
             daemon: daemon.ok_or_else(|| HandlerError::new("the app has no daemon to ask"))?,
             args,

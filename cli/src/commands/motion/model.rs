@@ -24,7 +24,6 @@ const NAME: usize = 17;
 /// One look.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sample {
-    /// The app.
     app: String,
     /// How long ago it was started, s.
     up_s: f64,
@@ -272,7 +271,7 @@ impl Joint {
         }
     }
 
-    /// Where it is in its range, 0 to 1; nothing where that has no end.
+    /// Where it is in its range, 0 to 1; `None` where that has no end.
     fn part(&self) -> Option<f64> {
         let [low, high] = self.range;
         let part = (self.position - low) / (high - low);

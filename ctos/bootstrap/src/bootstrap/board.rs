@@ -24,7 +24,7 @@ use ctos_core::{
 use ctos_message::Tid;
 use ctos_time::{Instant, seed::mix};
 
-/// What a supervisor is told about its chassis.
+/// An event for the supervisor of a chassis.
 pub(super) enum Event {
     /// Its process is connected to all the others.
     Joined,
@@ -50,7 +50,7 @@ pub(super) fn none<T>(failures: Vec<T>) -> Result<(), Vec<T>> {
     }
 }
 
-/// What is told to somebody who takes it one by one.
+/// A queue of news for one reader, who takes them one by one.
 struct Inbox<T> {
     waiting: RefCell<VecDeque<T>>,
     told: Signal,
@@ -138,7 +138,7 @@ impl Member {
         self.events.put(event);
     }
 
-    /// What its supervisor is told next.
+    /// The next event for its supervisor.
     pub(super) async fn next_event(&self) -> Event {
         self.events.next().await
     }

@@ -1,5 +1,5 @@
-//! Why a task has not acknowledged a startup phase, or has not come to rest, in time: what it waits for, as
-//! far as its chassis can tell.
+//! Why a task has not acknowledged a startup phase, or not come to rest, in time. It says what the task
+//! waits for, as far as the task's chassis can tell.
 
 use std::time::Duration;
 

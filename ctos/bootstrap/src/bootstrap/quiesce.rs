@@ -1,5 +1,5 @@
-//! The first step of a stop: all tasks come to rest, while every device still answers. What is late is named,
-//! and the stop goes on.
+//! The first step of a stop: all tasks come to rest, while every device still answers. The boot names tasks
+//! that are late, and the stop goes on.
 
 use std::{cell::RefCell, collections::BTreeSet, pin::pin, time::Duration};
 
@@ -67,7 +67,7 @@ impl Board {
         });
     }
 
-    /// Ends when the person asks once more; what is said of a task that is not waited for any longer.
+    /// Ends when the person asks once more; returns what the boot says of a task for which it no longer waits.
     pub(super) async fn interrupted(&self) -> &'static str {
         loop {
             match self.next_end().await {

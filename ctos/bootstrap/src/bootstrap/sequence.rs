@@ -52,7 +52,7 @@ async fn phases(board: &Board) -> Result<(), End> {
 }
 
 /// Lets all tasks come to rest. Then stops them, those of chassis with `stop_first` before the others, each group
-/// in the reverse of the order in which it was created; then ends the processes.
+/// in the reverse order of creation. Then ends the processes.
 async fn stop(board: &Board, end: &End) {
     board.step(BootStep::End);
     let reason = end.reason();

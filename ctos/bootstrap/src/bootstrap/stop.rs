@@ -1,5 +1,5 @@
-//! Stopping tasks in order: politely, one after the other, in the reverse of the order in which they
-//! were created. What does not stop is told, and ended from outside.
+//! Stopping one task, or the process of one chassis. A task that does not stop in time is reported, and a process
+//! that does not answer is ended from outside. `sequence.rs` has the order in which an app stops.
 
 use futures_util::future::{Either, select};
 

@@ -1,5 +1,5 @@
-//! The supervisor of one chassis. It brings the tasks through the phases, notices a failure, makes sure
-//! that the process is dead, and starts the next one as the policy allows. Steps through
+//! The supervisor of one chassis. It brings the tasks through the phases and notices a failure. Then it
+//! makes sure that the process is dead, and starts the next one as the policy allows. Steps through
 //! [`ChassisState`](super::ChassisState); what may follow what stands there.
 
 use std::{convert::Infallible, future::pending, rc::Rc, time::Duration};
@@ -247,7 +247,7 @@ impl Supervisor {
                 self.member.report.borrow_mut().tasks = created.tasks;
                 none(created.failed)
             }
-            // The process is gone, which is told in another way.
+            // The process is gone; another event says so.
             Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
             Err(error) => Err(vec![(name, error.to_string())]),
         }
@@ -263,7 +263,7 @@ impl Supervisor {
             async move {
                 match call.await {
                     Ok(()) => None,
-                    // The process is gone, which is told in another way.
+                    // The process is gone; another event says so.
                     Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
                     Err(error) => {
                         let asked = format!("acknowledge phase {phase}");
@@ -285,7 +285,7 @@ impl Supervisor {
                 return Ok(Death::of(ending));
             }
             Event::Lost if !self.may_return() => {
-                // Its end need not be waited for: the app ends, and that waits for all processes.
+                // Nobody waits for its end here: the app ends, and that waits for all processes.
                 let chassis = self.name();
                 self.board.end(End::ChassisDown { chassis });
                 return Err(Done);

@@ -1,7 +1,7 @@
 //! What a chassis counts, as Prometheus reads it: a command of its agent, asked by the chassis that boots.
 //!
-//! Names of tasks are labels, ids never. The text is ours, because `prometheus-client` (0.24) writes no summaries, and
-//! because it serves what one process counts: these numbers come from all chassis by message.
+//! Names of tasks are labels, ids never. The text is ours, because `prometheus-client` (0.24) writes no summaries. It
+//! also serves what one process counts: these numbers come from all chassis by message.
 
 use crate::refusals::Refusals;
 use ctos_core::{

@@ -1,5 +1,5 @@
 //! The one delivery: a task of this chassis gets a value, a task of another one gets a frame over the link. The
-//! sender waits the same way for both, and is told in the same way what came of it.
+//! sender waits the same way for both, and learns in the same way what came of it.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
 pub(crate) enum Outcome {
     /// It is in the queue, which is all that its sender wants.
     Taken,
-    /// The slot is told later, or was told; with the way to take it back when it went over a link.
+    /// The slot gets the outcome later, or has it; with the way to take it back when it went over a link.
     Waits(Option<Outbound>),
     /// It was not taken.
     Failed(Fault),
@@ -26,9 +26,10 @@ pub(crate) enum Outcome {
 
 #[doc(hidden)]
 impl Chassis {
-    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; for what does not
-    /// ask for a reply it is made only if that is not known at once. Every message of this chassis passes here: a
-    /// recorder sees it, and a replay takes the place of the receiver. Tells the sender whom it reached.
+    /// Brings `message` to its receiver. The reply slot that `slot` makes gets what `wait` names, or the fault.
+    /// For a message that asks for no reply, `slot` runs only if that is not known at once. Every message of this
+    /// chassis passes here: a recorder sees it, and a replay takes the place of the receiver. Tells the sender
+    /// whom it reached.
     pub(crate) fn deliver(
         self: &Arc<Self>,
         mut message: Message,

@@ -65,7 +65,7 @@ impl Chassis {
         }
     }
 
-    /// Sends a message to another chassis; what `slot` makes is told what `wait` names.
+    /// Sends a message to another chassis; the reply slot that `slot` makes gets what `wait` names.
     pub(super) fn post(
         &self,
         message: Message,
@@ -210,7 +210,7 @@ impl Chassis {
     }
 
     /// Whether it is news to the tasks here that `peer` is gone. While the app is taken down the others go
-    /// in their turn, and the boot once this chassis has been told to end.
+    /// in order, and the boot once this chassis has been told to end.
     fn tells_of(&self, peer: u8) -> bool {
         let leaving = self.leaving.load(Ordering::Acquire);
         !leaving && (peer == 0 || !self.is_stopping())
@@ -292,7 +292,7 @@ impl Chassis {
         lock(&self.links).up.contains_key(&peer)
     }
 
-    /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
+    /// Chassis `peer` is gone: every call that waits for it ends. What it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub fn link_down(self: &Arc<Self>, peer: u8) {
         let ended: Vec<(u64, Pending)> = {

@@ -288,7 +288,7 @@ impl Context {
 
     // -- the task itself --------------------------------------------------------------------
 
-    /// Runs a child of this task beside it, on the same processor. It ends with the task's handler; if
+    /// Runs a child of this task concurrently, on the same processor. It ends with the task's handler; if
     /// it panics, the handler has failed with it, and the task's restart policy decides.
     pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
         let broke = self.when_broken();

@@ -31,7 +31,7 @@ pub enum NameError {
         /// The names there are.
         known: Vec<String>,
     },
-    /// The chassis of the task is being restarted, and was waited for.
+    /// The chassis of the task is being restarted, and the caller has waited for it.
     #[error("chassis `{chassis}` is being restarted; it was not back within {:.3} s (`{from}` waits for `{name}`)", .after.as_secs_f64())]
     NotBack {
         /// The waiting task.
@@ -40,7 +40,7 @@ pub enum NameError {
         name: String,
         /// The chassis.
         chassis: String,
-        /// How long it was waited for.
+        /// How long the caller waited for it.
         after: Duration,
     },
     /// The chassis of the task is gone for good.
@@ -126,12 +126,12 @@ impl<'c> IntoFuture for Find<'c> {
 impl Context {
     /// Finds a task by its symbolic name. Found once, a name is remembered by the chassis.
     ///
-    /// It waits for a task of the configuration whose chassis is being restarted: from the notice of the death until
-    /// its tasks have passed their phases. It waits as long as a call of this task does, unless [`Find::deadline`]
-    /// says otherwise. It also waits for a task that the boot has not created yet. The answer comes at once when the
-    /// chassis is not started again, or the app is being stopped. It also does when the task has come to its end, and
-    /// when no task has the name and none is configured by it. A task that alone is being restarted keeps its name
-    /// and its queue: it is found, and calls wait there.
+    /// It waits for a task of the configuration whose chassis is being restarted. That wait lasts from the notice of
+    /// the death until its tasks have passed their phases. It waits as long as a call of this task does, unless
+    /// [`Find::deadline`] says otherwise. It also waits for a task that the boot has not created yet. The answer
+    /// comes at once when the chassis is not started again, or the app is being stopped. It also does when the task
+    /// has come to its end, and when no task has the name and none is configured by it. A task that alone is being
+    /// restarted keeps its name and its queue: it is found, and calls wait there.
     ///
     /// # Errors
     /// [`NameError`] when no task has the name, it is not back in time, or the service cannot be reached.
@@ -225,7 +225,7 @@ impl Context {
     /// may be about to [start](Self::start) it, or its chassis is just being started again.
     ///
     /// # Errors
-    /// [`NameError::NotYet`] after `deadline`, with who waits for whom; [`NameError::Circle`] at once, when
+    /// [`NameError::NotYet`] after `deadline`, with who waits for whom. [`NameError::Circle`] at once, when
     /// the task that would start it waits, directly or not, for a name that only this task can start.
     pub async fn wait_for_task(
         &self,

@@ -64,7 +64,7 @@ impl Context {
         Call::new(ask, read).deadline(deadline)
     }
 
-    /// What every task does with a message that its handler does not know: answers [`Ping`],
+    /// What every task does with a message that its handler does not know. It answers [`Ping`],
     /// [`Introspect`] and [`Statistics`], and refuses the rest by saying what the task takes. (A
     /// [`Shutdown`] does not come this far: the loop of the task carries it out.)
     ///

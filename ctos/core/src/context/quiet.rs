@@ -5,15 +5,15 @@ use std::{collections::BTreeMap, future::Future};
 use super::core::Context;
 use crate::{envelope::Replier, handled::Handled, phase::StopReason, system::Quiesce};
 
-/// Says what is waited for, in words.
+/// Says what the task waits for, in words.
 type Words = Box<dyn Fn() -> String>;
 
 /// What a task knows of the end of its app.
 pub(crate) struct Quiet {
     reason: StopReason,
-    /// Who is told that it is at rest.
+    /// Who hears that it is at rest.
     reply: Option<Replier<Quiesce>>,
-    /// Whether its handler has said that it is, but for what goes on beside it.
+    /// Whether its handler has said that it is, but for what still runs concurrently.
     said: bool,
     waits: BTreeMap<u64, Words>,
     /// The number of the next of them.
@@ -23,7 +23,7 @@ pub(crate) struct Quiet {
 }
 
 impl Quiet {
-    /// What went on beside the handler has ended with it.
+    /// What ran concurrently with the handler has ended with it.
     pub(super) fn forget(&mut self) -> impl Sized + use<> {
         self.said = false;
         std::mem::take(&mut self.waits)
@@ -96,7 +96,7 @@ impl Context {
         self.quiet(|quiet| quiet.reason.clone())
     }
 
-    /// The handler is at rest, but for what goes on beside it.
+    /// The handler is at rest, but for what still runs concurrently.
     pub(crate) fn said_quiet(&self) {
         self.quiet(|quiet| quiet.said = true);
         self.settle();
@@ -128,7 +128,7 @@ impl Context {
     }
 
     /// Whether the app is being stopped, as far as this task was told: from the call of its handler's
-    /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin nothing then that need not be.
+    /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin only what must be begun then.
     #[must_use]
     pub fn is_stopping(&self) -> bool {
         self.quiet(|_| ()).is_some()

@@ -1,5 +1,5 @@
-//! The services of the runtime that a task reaches: synchronous functions, semaphores, and the person who
-//! booted the app.
+//! The services of the runtime that a task reaches: synchronous functions, the record, and the person who
+//! booted the app. (Semaphores and barriers are in [`crate::semaphore`].)
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ impl Context {
 
     /// Calls a synchronous function every `period` on this task's processor, until the handle is dropped. If it
     /// panics, it is taken off the schedule and the task's restart policy decides. It has failed if the processor has
-    /// a base period of which `period` is no multiple. [`Self::schedule`] says more of a function, and refuses
+    /// a base period of which `period` is not a multiple. [`Self::schedule`] says more of a function, and refuses
     /// instead.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
@@ -49,7 +49,7 @@ impl Context {
         let handle = self.inner.processor.handle.clone();
         let prepare = move || {
             let config = chassis.processor_config(usize::from(index));
-            // Memory was locked for the whole chassis; a refusal was said for the processor.
+            // Memory was locked for the whole chassis; a refusal was reported for the processor.
             let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
         };
         let schedule = &self.inner.processor.schedule;
@@ -108,9 +108,9 @@ impl Context {
         self.inner.chassis.tap.recorder().is_some()
     }
 
-    /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
-    /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
-    /// it is taken off the schedule, and the task's restart policy decides.
+    /// Puts a synchronous function on the schedule of this task's processor until the handle is dropped.
+    /// It shares that schedule with the functions of the other tasks there. Its name becomes
+    /// `task.function`. If it panics, it is taken off the schedule, and the task's restart policy decides.
     ///
     /// # Errors
     /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
@@ -130,8 +130,8 @@ impl Context {
         self.inner.chassis.post_system(system::BOOTSTRAP, finish);
     }
 
-    /// How many recorders have come to this chassis so far, those that are gone included: who records
-    /// changes only can see that a newcomer lacks the whole.
+    /// How many recorders have come to this chassis so far, those that are gone included. By that, a
+    /// task that records only changes sees that a newcomer lacks the whole.
     #[must_use]
     pub fn recorders(&self) -> u64 {
         self.inner.chassis.tap.came()

@@ -1,5 +1,5 @@
 //! Names of tasks whose chassis is being restarted. A task that asks for one waits until the new tasks
-//! have passed all phases, or until it is known that they never will.
+//! have passed all phases, or until the service knows that they never will.
 
 use std::collections::BTreeMap;
 

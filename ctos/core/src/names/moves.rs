@@ -1,4 +1,4 @@
-//! Who decides when a task moves: the name belongs to the old place until the moment of [`commit`], and to
+//! Who decides when a task moves. The name belongs to the old place until the moment of [`commit`], and to
 //! the new one from then on.
 //!
 //! [`commit`]: TidServer::commit

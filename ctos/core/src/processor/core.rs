@@ -62,7 +62,7 @@ pub struct Processor {
     pub(super) depth: Cell<u32>,
     pub(super) timers: RefCell<Timers<Timed>>,
     pub(super) calls: RefCell<Calls>,
-    /// Calls that were made lately, and when they are looked after.
+    /// Calls that were made lately, and when the processor looks after them.
     pub(super) unsettled: RefCell<Vec<CallKey>>,
     pub(super) settle_at: Cell<Instant>,
     /// The queues of its tasks, by slot.

@@ -71,8 +71,8 @@ impl Processor {
         self.clear();
     }
 
-    /// Runs the synchronous functions whose turn it is. True when there was a tick; after each something else has
-    /// its turn, however near the next one is.
+    /// Runs the synchronous functions that are due. True when there was a tick. After each tick something
+    /// else runs, however near the next one is.
     fn run_schedule(&self, ticked: bool) -> bool {
         if !ticked {
             self.schedule.spin_to_tick();
@@ -92,7 +92,7 @@ impl Processor {
         }
         self.settle_calls();
         let (tick, deadline) = (self.schedule.wake_at(), self.wake_at());
-        // The clock was looked at above, or when it last looked for work.
+        // The processor read the clock above, or when it last looked for work.
         let now = self.recent.get();
         let is_due = deadline.is_some_and(|deadline| deadline <= now);
         if is_due || !self.falls_asleep() {

@@ -205,7 +205,7 @@ impl Serving {
     }
 
     /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop. With any of these it is
-    /// dropped, while it is still at work: what it owes then is told apart from what others owe.
+    /// dropped, while it is still at work: what it owes then is kept apart from what others owe.
     pub(super) fn poll<F: Future<Output = Handled>>(
         &self,
         at_hand: &AtHand,

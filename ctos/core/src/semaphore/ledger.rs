@@ -135,7 +135,7 @@ impl Ledger {
         self.holders.iter().any(|(claim, _)| claim.hold == hold)
     }
 
-    /// What somebody is told whose time is over.
+    /// The answer to a waiter whose deadline has passed.
     pub(super) fn late(&self, hold: Hold, now: Instant) -> Late {
         let holders = self.holders.iter();
         let mut lines = self.waiting.iter().flatten();
@@ -213,7 +213,7 @@ mod tests {
         numbers.iter().map(|number| format!("t{number}")).collect()
     }
 
-    /// Takes out what was told by now: the numbers of those who were served, and of those whose wait was ended.
+    /// Takes out the numbers of those who were served by now, and of those whose wait was ended.
     fn told(
         waits: &mut BTreeMap<u64, oneshot::Receiver<Passage>>,
     ) -> (Vec<(u64, Passage)>, Vec<u64>) {

@@ -132,8 +132,8 @@ impl Chassis {
         self.extension()
     }
 
-    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
-    /// one that boots, those of the app.
+    /// The semaphores that are kept here, who holds them and who waits. They are those of the chassis
+    /// and, on the one that boots, those of the app.
     #[must_use]
     pub fn semaphores(&self) -> Vec<SemaphoreView> {
         self.blocking().views()

@@ -26,7 +26,7 @@ pub struct ScheduleView {
     pub unwritten: Vec<String>,
 }
 
-/// What is said of a function of a schedule.
+/// The description of a function of a schedule.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct FunctionView {
     /// `task.function`.

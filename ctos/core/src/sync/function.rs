@@ -15,7 +15,7 @@ use ctos_time::Instant;
 /// Called with why a function cannot go on, or the app should not.
 pub(super) type FailureHook = Rc<dyn Fn(&str)>;
 
-/// A synchronous function and what is said of it: its name, the signals it reads and writes, its rate.
+/// A synchronous function and its description: its name, the signals it reads and writes, its rate.
 ///
 /// Signals are names that the functions of one processor share; the values themselves go through whatever the
 /// functions have in common. They say who must run before whom.

@@ -119,8 +119,8 @@ impl Schedule {
         self.idle.get()
     }
 
-    /// A grid of base ticks. Where the configuration gives the period it counts from the start of the
-    /// app, so that the processors of a host tick together; else from now.
+    /// A grid of base ticks. If the configuration gives the period, the grid counts from the start of
+    /// the app, so that the processors of a host tick together. Else it counts from now.
     fn grid(&self, base: Duration) -> Grid {
         let now = self.clock.now();
         match self.settings.period {
@@ -461,7 +461,7 @@ fn has(grid: &Grid, name: &str) -> bool {
     grid.views().any(|view| view.name == name)
 }
 
-/// Tells those who asked to be told; says it in the log when there is nobody.
+/// Calls the hooks of those who asked for that; logs it when there are none.
 fn report(hooks: impl IntoIterator<Item = FailureHook>, text: &str) {
     let mut told = false;
     for hook in hooks {

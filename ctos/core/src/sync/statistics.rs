@@ -1,4 +1,4 @@
-//! What is known of a synchronous function while it runs, for displays and metrics.
+//! The statistics of a synchronous function while it runs, for displays and metrics.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering},

@@ -191,7 +191,7 @@ async fn connect(
         Ok(mesh) => mesh,
         Err(error) => {
             let error = ChildError::Links(error.to_string());
-            // Without keys that can be used it cannot be told; the boot sees the process end.
+            // Without usable keys it cannot say so; the boot sees the process end.
             let keys = mesh::keys_of(&chassis.app).ok().flatten();
             mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
             return Err(error);

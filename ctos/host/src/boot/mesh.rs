@@ -147,8 +147,8 @@ pub(crate) struct Mesh {
     doors: JoinSet<()>,
 }
 
-/// Whether chassis `ours` calls chassis `theirs` (number and incarnation): the one that came later does,
-/// and of two that came together the one with the higher number.
+/// Whether chassis `ours` calls chassis `theirs` (number and incarnation). The one that came later does;
+/// of two that came together, the one with the higher number.
 fn calls(ours: (u8, u32), theirs: (u8, u32)) -> bool {
     (ours.1, ours.0) > (theirs.1, theirs.0)
 }

@@ -42,7 +42,7 @@ pub struct Setup<'a> {
     pub launcher: &'a Launcher,
     /// What chassis of other hosts are told besides the app.
     pub options: &'a [String],
-    /// Who is told what happens.
+    /// Who hears what happens.
     pub observer: &'a Observer,
 }
 
@@ -293,7 +293,7 @@ async fn connect(
             exit = first_exit(&mut living) => Err(exit),
             event = mesh.next() => Ok(event),
         };
-        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // A connection that breaks off mostly belongs to a process that is just ending. One that
         // said why it cannot start has said more than its end would.
         let exit = match event {
             Err(exit) => exit,
@@ -324,7 +324,7 @@ async fn connect(
         let config = starter.chassis.config_of(id.chassis);
         let restarts =
             config.is_some_and(|config| config.supervision.restart.when != ChassisRestart::Never);
-        // What ends by itself, before it is asked for anything, would only do so again.
+        // A process that ends by itself, before anybody asks it for anything, would only do so again.
         if !(ending.by_signal && restarts) {
             return Err(ended(starter, id.chassis, &ending.how));
         }
@@ -365,7 +365,7 @@ fn ended(starter: &Starter, chassis: u8, how: &str) -> BootError {
     unable(starter, chassis, reason)
 }
 
-/// What asks for the end of the app: Ctrl-C, and SIGTERM, of which the observer is told.
+/// What asks for the end of the app: Ctrl-C, and SIGTERM, of which the observer hears.
 struct Interrupts {
     interrupt: Signal,
     terminate: Signal,

@@ -117,7 +117,7 @@ impl Witness {
         let Some(ended) = lock(&self.ended).take() else {
             return;
         };
-        // The service is told of the end of every process; of that of the app it has no use.
+        // The bootstrap service hears of the end of every process, also when the app ends and it no longer needs that.
         tell_ended(&self.chassis, self.id, &ending);
         // Nobody may be left to see it.
         let _ = ended.send(Some(ending));

@@ -127,7 +127,7 @@ async fn wait(
             status = child.wait() => return status,
             Some(signal) = orders.recv() => signal,
         };
-        // It has not been waited for, so its number is still its own.
+        // Nobody has waited for the child (`waitpid`), so its number is still its own.
         let pid = child.id().and_then(|pid| i32::try_from(pid).ok());
         if let Some(pid) = pid.and_then(Pid::from_raw) {
             // It may have ended just now; the wait for it sees that.

@@ -269,7 +269,7 @@ mod tests {
             }
             let told = answers(address, &format!("{opens}{ASKS}")).await;
             assert!(told.contains("no record"), "{told}");
-            // Nobody was waited for.
+            // The gate waited for nobody.
             assert!(ctos_bootstrap::refusals::Refusals::of(&chassis).count() < STRANGERS as u64);
         });
     }

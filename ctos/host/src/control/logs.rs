@@ -19,7 +19,7 @@ const EARLIER: usize = 3;
 const LAST_LINES: usize = 10;
 /// How many of them the error has that the end of a process causes.
 const LAST_WORDS: usize = 5;
-/// How many new lines a slow reader may be behind before it loses some, and is told so.
+/// How many new lines a slow reader may be behind before it loses some, and learns so.
 const BEHIND: usize = 4096;
 
 /// How much a line matters.

@@ -22,7 +22,7 @@ pub const VERSION: u32 = 1;
 /// The longest request with its end of line, bytes.
 pub const REQUEST_LIMIT: usize = 1 << 20;
 
-/// What is said of a longer one.
+/// The error for a longer one.
 #[must_use]
 pub fn too_long(length: Option<usize>) -> String {
     let has = length.map_or_else(String::new, |length| format!(", and this one has {length}"));
@@ -116,7 +116,7 @@ pub struct SayRequest {
     pub line: String,
     /// The number by which the request is followed; 0 when it is not.
     pub trace: u64,
-    /// How long its answer is waited for, s; ten minutes when it is left out.
+    /// How long the boot waits for its answer, s; ten minutes when it is left out.
     pub limit_s: Option<f64>,
 }
 
@@ -127,7 +127,7 @@ pub struct RecordRequest {
     /// The folder, by its whole path. Each process writes `APP.CHASSIS.mcap` there; what is there already
     /// is kept.
     pub folder: String,
-    /// The channels, in whose names `*` stands for any letters; none: all.
+    /// The channels, in whose names `*` stands for any characters; none: all.
     pub channels: Vec<String>,
     /// For how long, s; without it, until it is stopped.
     pub for_s: Option<f64>,

@@ -156,7 +156,7 @@ impl Recording {
         }
     }
 
-    /// Asks all that have a part of it how that is. One that does not answer is told by its own means.
+    /// Asks all that have a part of it how that is. Of one that does not answer, the last report stays.
     async fn ask<C: Command<Reply = Option<RecordReport>>>(
         &mut self,
         order: impl Fn() -> C,

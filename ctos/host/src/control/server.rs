@@ -86,7 +86,7 @@ impl Server {
         let _ = self.ticker.0.send(News::Ended(ended));
         let count = u32::try_from(CLIENTS).unwrap_or(u32::MAX);
         let all_gone = self.clients.acquire_many(count);
-        // One that does not read is not waited for.
+        // The server does not wait for one that does not read.
         let _ = tokio::time::timeout(FAREWELL, all_gone).await;
     }
 }

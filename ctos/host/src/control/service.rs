@@ -143,10 +143,10 @@ impl Service {
                         return Ok(());
                     }
                 }
-                // A client that asks for nothing must not be waited for when the app has ended.
+                // The service must not wait for a client that asks for nothing when the app has ended.
                 () = ended(&mut news) => return Ok(()),
             }
-            // A client that sends what is no request is no tool: nothing else of it is obeyed.
+            // A client that sends anything but a request is not a tool: the service obeys nothing else of it.
             let ask = match read_ask(&line) {
                 Ok(ask) => ask,
                 Err(unreadable) => return self.hang_up(client, &mut writer, unreadable).await,
@@ -243,7 +243,7 @@ pub(super) enum Failed {
     Refused(#[from] ErrorView),
 }
 
-/// A line that is no request of any version.
+/// A line that is not a request of any version.
 #[derive(Debug, thiserror::Error)]
 enum Unreadable {
     #[error("it speaks HTTP, and this is no page")]

@@ -14,7 +14,7 @@ use super::ACCEPT_PAUSE;
 use ctos_time::lock::lock;
 
 /// How long the next caller waits after one was turned out. It bounds how fast strangers can turn out
-/// others: a member has at least as many of these as there are places to show who it is.
+/// others. A member has at least as many of these pauses as there are places to show who it is.
 const PAUSE: Duration = Duration::from_millis(2);
 
 /// Why a caller was not heard to its end.
@@ -79,7 +79,7 @@ impl Lobby {
         Some(Guest { seat, turned })
     }
 
-    /// The next caller that there is a place for, and its place. `refuse` is told of each that is lost, and
+    /// The next caller that there is a place for, and its place. `refuse` hears of each that is lost, and
     /// that came when all were being served.
     pub(crate) async fn next<C, F: Future<Output = io::Result<C>>>(
         self: &Arc<Self>,

@@ -103,7 +103,7 @@ impl Pages {
         format!("{scheme}://{}/", self.address)
     }
 
-    /// Serves them for as long as it is waited for.
+    /// Serves them for as long as the caller polls this.
     ///
     /// # Errors
     /// What the system says before anybody is served.
@@ -232,7 +232,7 @@ impl Site {
         self.refusals.note(&self.clock, who, reason);
     }
 
-    /// Whether a request was meant for this server: a page of another site, or a name that only seems to be
+    /// Whether a request was meant for this server. A page of another site, or a name that only seems to be
     /// this host's, must not reach it.
     fn meant(&self, here: IpAddr, headers: &HeaderMap) -> Result<(), &'static str> {
         let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));

@@ -98,7 +98,7 @@ impl Link {
                 within: Duration::ZERO,
             });
         }
-        // What waited for a connection that is gone is said anew, where it still counts.
+        // An empty outbox: orders that waited for the lost connection are given anew, where they still count.
         self.outbox = Outbox::new(|_| false);
         self.pinged = None;
         let connection = Connection::new(stream, self.outbox.clone(), FRAME_LIMIT, self.silence);

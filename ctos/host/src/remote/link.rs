@@ -110,7 +110,6 @@ impl Hosts {
         Err(errors)
     }
 
-    /// The link to host `name`.
     pub(crate) fn link(&self, name: &str) -> Option<HostLink> {
         self.0.get(name).cloned()
     }

@@ -69,7 +69,6 @@ type Gone = (ProcessId, Ending);
 /// Why a run is over: the error when its boot is not there to hear of it.
 type Over = Result<String, String>;
 
-/// A run.
 pub(super) struct Run {
     common: Arc<Common>,
     about: About,
@@ -319,8 +318,8 @@ impl Run {
         }
     }
 
-    /// Ends what is left of the run: lets it go, which it takes as the loss of its boot and stops in
-    /// order, then SIGTERM, then SIGKILL.
+    /// Ends what is left of the run. First it lets the run go, which the run takes as the loss of
+    /// its boot and stops in order. Then SIGTERM, then SIGKILL.
     async fn end(&mut self) {
         let rung = self.about.stop;
         // The end of the last one is seen when its log is read, for which it has some time.

@@ -1,8 +1,8 @@
 //! What a boot and the agent of another host say to each other, and the connection that carries it.
 //!
-//! A caller first says who it is ([`Hello`], at most as much as any stranger may); what follows are
-//! frames: a length of four bytes and postcard. Both ends may have the connection anew while their run
-//! lives, so everything that is said may be said twice, and lines of a log are numbered.
+//! A caller first says who it is ([`Hello`], at most as much as any stranger may). Then follow frames:
+//! a length of four bytes and postcard. Both ends may open the connection anew while their run lives.
+//! So everything may be said twice, and lines of a log are numbered.
 
 use std::{
     io,

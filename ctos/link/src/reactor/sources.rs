@@ -1,5 +1,5 @@
-//! The links of a chassis as the reactor polls them: which there are, what the system says of them, and
-//! what they say of themselves in shared memory.
+//! The links of a chassis as the reactor polls them: which there are, and what the system says of them.
+//! Also what they say of themselves in shared memory.
 //!
 //! Knows links as [`Source`]s of a file descriptor each, and no thread: who polls is decided above.
 
@@ -49,7 +49,7 @@ pub enum Seen {
     Frames,
     /// The same, and there may be more: it is to be told again.
     More,
-    /// It is over and need not be looked at again.
+    /// It is over, and the reactor need not look at it again.
     End,
 }
 
@@ -292,8 +292,8 @@ impl Sources {
     }
 
     /// Lets the timer ring at `deadline`, or before: a time-out of the poll itself is a whole number of
-    /// milliseconds. A timer that rings sooner is left alone. Each call has a deadline a little later than that of
-    /// the call before, and to set the timer for each costs more than one ring in vain.
+    /// milliseconds. A timer that rings sooner is left alone. Each call has a deadline a little later than the
+    /// call before it. To set the timer for each would cost more than one ring in vain.
     fn ring_by(&self, poller: &mut Poller, deadline: Instant) -> io::Result<()> {
         if poller.rings_at.is_some_and(|at| at <= deadline) {
             return Ok(());

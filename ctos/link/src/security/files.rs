@@ -107,7 +107,6 @@ pub fn list_keys(folder: &Path) -> Result<Vec<Listed>, KeyError> {
     Ok(keys)
 }
 
-/// Reads a certificate.
 pub(super) fn certificate(path: &Path) -> Result<CertificateDer<'static>, KeyError> {
     let text = fs::read(path).map_err(|error| file_error(path, error))?;
     CertificateDer::from_pem_slice(&text).map_err(no(path, "certificate"))

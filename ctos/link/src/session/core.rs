@@ -1,7 +1,7 @@
 //! A session without its streams: what one end knows of what it sent and what it heard, as a state machine.
 //!
 //! Bytes, events and the present moment go in; what came, a new state and bytes to write come out. It knows
-//! no stream, no thread and no clock: its driver says what has come and when, hands on what it gets back,
+//! no stream, no thread and no clock. Its driver says what has come and when, hands on what it gets back,
 //! and lets it write ([`Core::pump`]).
 
 use std::{io, io::IoSlice, time::Duration};
@@ -79,7 +79,7 @@ pub struct Core {
     heard: Instant,
     /// When the driver was to look next: a process that was frozen must not blame its peers.
     due: Instant,
-    /// Why it is down, or will be, until that was told.
+    /// Why it is down, or will be, until that was reported.
     reason: Option<DownReason>,
     counts: Counts,
 }

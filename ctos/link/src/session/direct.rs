@@ -87,7 +87,7 @@ pub(super) struct DirectStream {
 }
 
 impl DirectStream {
-    /// Reads stream `number` of `session`; the other half is told when it is over.
+    /// Reads stream `number` of `session`; the other half hears when it is over.
     pub(super) fn new(
         session: Arc<Session>,
         number: u64,

@@ -27,7 +27,7 @@ const CHUNK: usize = 64 * 1024;
 /// How often a driver looks whether late packets of an injured link may leave.
 const INJURED_TICK: Duration = Duration::from_millis(1);
 
-/// How long what the other end said last is waited for when it takes no more.
+/// How long the driver waits for the last words of the other end when that takes no more.
 const LAST_WORDS_DEADLINE: Duration = Duration::from_millis(500);
 
 /// Carries `session` over `stream` until that ends; `received` is what the other end has. Plain sockets are
@@ -97,7 +97,7 @@ fn plain(stream: Stream) -> io::Result<Carrier> {
         return Ok(Carrier::Socket { fd, is_nearby });
     }
     let stream = socket::<UnixStream>(stream)?.into_std()?;
-    // An image leaves at once, and its receiver is woken once. What the system refuses is no reason to do
+    // An image leaves at once, and its receiver is woken once. What the system refuses is not a reason to do
     // without the socket.
     if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
         tracing::debug!(error = %error, "a socket keeps its small buffer");

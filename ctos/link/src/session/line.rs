@@ -103,7 +103,6 @@ impl Line {
     }
 }
 
-/// The lane of a request.
 pub(super) fn lane_of_request(frame: &Frame) -> Lane {
     if frame.header.flags.contains(Flags::HIGH_PRIORITY) && !is_fence(frame) {
         Lane::Urgent

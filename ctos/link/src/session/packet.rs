@@ -134,7 +134,7 @@ pub enum PacketError {
 pub fn put_head(into: &mut BytesMut, kind: Kind, numbers: [u64; 2], size: usize) {
     // The largest frame is far below 4 GiB; what is larger was refused when it was posted.
     let length = u32::try_from(PACKET_HEAD - 4 + size).unwrap_or(u32::MAX);
-    // In one piece: each that is put is looked after.
+    // In one piece: each `put` checks the space.
     let mut head = [0; PACKET_HEAD];
     let mut place = &mut head[..];
     place.put_u32_le(length);

@@ -1,6 +1,6 @@
 //! The states of a session as a table, which is also drawn into `docs/links.md`.
 //!
-//! Knows no stream, no clock and no frame: what moves the session is told to it as an event.
+//! Knows no stream, no clock and no frame: what moves the session comes as an event.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ pub enum State {
     Waiting,
     /// A stream carries frames.
     Up,
-    /// The stream broke; what is under way is kept, and a new stream is looked for.
+    /// The stream broke; what is under way is kept, and the mesh looks for a new stream.
     Broken,
     /// The peer's process has ended; what it still said is read.
     Draining,

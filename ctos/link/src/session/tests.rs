@@ -83,7 +83,7 @@ fn frames_of_any_size_go_there_and_the_last_ones_before_goodbye() {
         for (index, size) in sizes.into_iter().enumerate() {
             let mut frame = sample::request(vec![1; size]);
             frame.call = index as u64;
-            // In the lane of answers, so that the small room of these sessions is no matter.
+            // In the lane of answers, so that the few credits of these sessions do not matter.
             frame.header.flags = Flags::ABANDONED;
             one.post(frame).unwrap();
         }

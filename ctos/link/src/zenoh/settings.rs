@@ -1,7 +1,7 @@
 //! What zenoh is told: the configuration of the app in its words, and what must not be left to its defaults.
 //!
-//! Its defaults are made for discovery on a bench: multicast on every interface, listening at every address,
-//! everybody is let in, a client that gives up at once. Knows no session and no stream.
+//! Its defaults are made for discovery on a bench. They use multicast on every interface, listen at every
+//! address, let everybody in, and their client gives up at once. Knows no session and no stream.
 
 use std::time::Duration;
 
@@ -16,10 +16,11 @@ use crate::{
 /// the windows of a few streams let out.
 const BATCHES: u32 = 16;
 
-/// A connection that is lost is looked for after so long, ms; each time later, up to the last.
+/// zenoh tries a lost connection again after so long, ms; each time later, up to the last.
 const RETRY_MS: (u32, u32) = (50, 500);
 
-/// zenoh's settings by their keys, for the boot or for a chassis. A router that does not answer is waited for as long as `patience`.
+/// zenoh's settings by their keys, for the boot or for a chassis. zenoh waits for a router that does not answer as long as
+/// `patience`.
 pub(super) fn settings(
     config: &ZenohConfig,
     is_boot: bool,
@@ -87,7 +88,7 @@ pub(super) fn settings(
     settings
 }
 
-/// TLS with this app's keys; where everything configured is TLS, peers without keys are refused. zenoh checks the
+/// TLS with this app's keys. Where everything configured is TLS, peers without keys are refused. zenoh checks the
 /// authority only, and the called side accepts any authority that browsers trust. So the identity of the other end
 /// is proved over the stream itself.
 fn tls(config: &ZenohConfig, keys: &KeyFiles) -> Vec<(&'static str, Value)> {

@@ -1,7 +1,7 @@
 //! A byte stream over two keys of the zenoh network, one for each direction, made of numbered chunks. A
 //! missing number shows a gap, credits stop a sender that is not read, and the end is sent.
 //!
-//! A zenoh network handles congestion in its own manner: what does not fit is dropped, or the whole connection
+//! A zenoh network handles congestion in its own manner. What does not fit is dropped, or the whole connection
 //! stands still, and with it the streams of all others. So no end ever sends more than the other one has
 //! credits for. The user's end never waits for zenoh, which hands over what arrives on threads of its own. One
 //! thread for each stream publishes what leaves, because publishing may have to wait for the network.
@@ -39,7 +39,7 @@ const WINDOW: usize = 512 * 1024;
 /// The most data of a chunk, bytes: with its head it fits into one batch of zenoh's.
 const CHUNK: usize = 60 * 1024;
 
-/// The other end is told what was read when it is this much, bytes.
+/// This end says what it has read whenever it is this much, bytes.
 const TELL: usize = WINDOW / 4;
 
 /// How many writes of the user may wait to be sent.
@@ -67,7 +67,7 @@ enum Broken {
 enum Chunk {
     /// What the user has written, which stands behind.
     Data(#[serde(skip)] Bytes),
-    /// So many bytes were read since that was said last.
+    /// So many bytes were read since the last report of that.
     Read(usize),
     /// No more data follows.
     Last,
@@ -91,7 +91,7 @@ struct Arrivals {
     unread: usize,
     /// Bytes that were read without the other end knowing.
     untold: usize,
-    /// The user; none when no more comes.
+    /// The user; `None` when no more comes.
     to: Option<mpsc::UnboundedSender<Bytes>>,
 }
 
@@ -118,7 +118,6 @@ impl Shared {
         (shared, arrived)
     }
 
-    /// Takes a chunk that arrived.
     fn arrive(&self, chunk: &[u8]) {
         if let Err(broken) = self.take(chunk) {
             self.fail(broken);

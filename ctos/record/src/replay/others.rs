@@ -1,5 +1,5 @@
-//! In place of all other tasks: takes what the replayed task sends, compares it with the record, and
-//! gives the recorded answers when their time has come.
+//! In place of all other tasks: takes what the replayed task sends and compares it with the record.
+//! It gives the recorded answers when their time has come.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -22,7 +22,7 @@ use ctos_core::{
 use ctos_message::{Command, Data, Flags, Shape, Tid, fault::Fault};
 use ctos_time::{Clock, Instant, lock::lock};
 
-/// Text of data in a difference is cut here, letters.
+/// Text of data in a difference is cut here, characters.
 const SHOWN: usize = 300;
 
 #[derive(Default)]

@@ -192,7 +192,7 @@ struct Reader<'a> {
     segment: usize,
     /// Among the steps, the one that began the present poll.
     poll: Option<usize>,
-    /// What is taken before there is one, while the handler is built.
+    /// What the task takes before its first poll, while its handler is built.
     loose: Takes,
     /// What tasks read whose values nobody can record, and which tasks.
     lacking: BTreeMap<String, BTreeSet<Tid>>,

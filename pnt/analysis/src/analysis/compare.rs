@@ -207,7 +207,7 @@ impl Marked {
 /// Adds up the tokens of packed markings.
 #[derive(Debug, Clone)]
 pub(super) struct Sum {
-    /// Per word, what counts once, twice, four times and so on; nothing where fields have too many bits.
+    /// Per word, what counts once, twice, four times and so on; `None` where fields have too many bits.
     planes: Option<Vec<[u64; PLANES]>>,
 }
 

@@ -40,8 +40,8 @@ pub fn fits(model: &Model) -> bool {
         && model.places.iter().all(|place| place.capacity.is_none())
 }
 
-/// Builds the coverability graph; nothing when the model does not [fit](fits), or the graph has more
-/// nodes than permitted, or tokens outgrow 32 bits before they are known to have no bound.
+/// Builds the coverability graph. `None` when the model does not [fit](fits), or the graph has more
+/// nodes than permitted. Also when tokens outgrow 32 bits before they are known to have no bound.
 #[must_use]
 pub fn cover(model: &Model, most: usize) -> Option<Cover> {
     if !fits(model) {

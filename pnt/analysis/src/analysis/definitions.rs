@@ -1,5 +1,5 @@
-//! Every analysis beside the definitions of the textbooks: random small models whose markings, firings
-//! and reachability are written down in full, by code that shares nothing with the analyses.
+//! Every analysis beside the definitions of the textbooks, on random small models. Their markings,
+//! firings and reachability are written down in full, by code that shares nothing with the analyses.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -27,7 +27,7 @@ fn sum(arcs: &[(u32, u32)], place: usize) -> i64 {
     of.map(|(_, weight)| i64::from(*weight)).sum()
 }
 
-/// The marking after a firing, by the definition; nothing when it is not enabled.
+/// The marking after a firing, by the definition; `None` when it is not enabled.
 fn fire(model: &Model, transition: &Transition, marking: &[u32]) -> Option<Marking> {
     let mut after = Vec::new();
     for (place, tokens) in marking.iter().enumerate() {

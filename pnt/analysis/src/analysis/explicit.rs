@@ -1,7 +1,7 @@
 //! The reachable markings of a model, all of them, by distance: packed to the bits that each place
 //! needs, on one thread or several. Level after level, the threads take parts of what is left, and keep
 //! what they find in one store without locks. Which thread finds a marking, and under which number, is a
-//! matter of timing; nothing that is told depends on it.
+//! matter of timing; no result depends on it.
 
 mod growth;
 mod levels;
@@ -114,7 +114,7 @@ pub struct Explored<'a> {
     pub markings: usize,
     /// Pairs of a marking and a transition enabled in it.
     pub edges: u64,
-    /// Why this is not all; nothing when it is.
+    /// Why this is not all; `None` when it is.
     pub stopped: Option<Stopped>,
     /// Markings that nothing is sure to leave, nearest first, at most [`DEAD_KEPT`].
     pub dead: Vec<Reached>,
@@ -138,7 +138,7 @@ pub fn explore<'a>(model: &'a Model, limits: &Limits) -> Explored<'a> {
     explore_with(model, limits, &mut |_| {})
 }
 
-/// The same; `progress` is told from time to time.
+/// The same; `progress` is called from time to time.
 #[must_use]
 pub fn explore_with<'a>(
     model: &'a Model,
@@ -474,7 +474,7 @@ impl Explored<'_> {
     }
 
     /// Gives back the memory of a search that a limit has ended. What is known by numbers stays; no way
-    /// to any marking can be told any more.
+    /// to any marking can be given any more.
     pub(super) fn forget(&mut self) {
         self.store = Store::new(self.rules.layout.words);
         self.levels = Levels::default();

@@ -57,8 +57,8 @@ impl Layout {
         }
     }
 
-    /// The same with wider fields where there is room for them: as many bits for every place, up to four, as
-    /// do not make a marking longer. What fits from the beginning need not be packed again later.
+    /// The same with wider fields where there is space for them. Every place gets as many bits, up to four,
+    /// as do not make a marking longer. What fits from the beginning need not be packed again later.
     pub(super) fn roomy(bits: &[u32]) -> Self {
         let tight = Self::new(bits);
         let wider = (2..=4).rev().map(|least| {
@@ -83,7 +83,6 @@ impl Layout {
         }
     }
 
-    /// Unpacks a marking.
     pub(super) fn unpack(&self, packed: &[u64], marking: &mut Vec<u32>) {
         marking.clear();
         marking.extend(self.fields.iter().map(|field| field.get(packed)));

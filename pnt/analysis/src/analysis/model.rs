@@ -105,7 +105,7 @@ impl Transition {
         self.resets.iter().map(put).collect()
     }
 
-    /// Enabled only while the place holds fewer: inhibitor arcs, and room for what it puts. A weight of
+    /// Enabled only while the place holds fewer: inhibitor arcs, and capacities for what it puts. A weight of
     /// zero is never met.
     #[must_use]
     pub fn forbids(&self, places: &[Place]) -> Vec<Weighted> {
@@ -250,7 +250,7 @@ impl Model {
         })
     }
 
-    /// The marking after a firing; nothing when the transition is not enabled or a place would hold
+    /// The marking after a firing; `None` when the transition is not enabled or a place would hold
     /// more than 32 bits can say.
     #[must_use]
     pub fn fire(&self, transition: TransitionNumber, marking: &[u32]) -> Option<Vec<u32>> {
@@ -269,7 +269,7 @@ impl Model {
         Some(after)
     }
 
-    /// The marking that a sequence of firings leads to from the initial one; nothing when one of them
+    /// The marking that a sequence of firings leads to from the initial one; `None` when one of them
     /// is not enabled.
     #[must_use]
     pub fn replay(&self, sequence: &[TransitionNumber]) -> Option<Vec<u32>> {

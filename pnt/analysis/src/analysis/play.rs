@@ -12,7 +12,7 @@ use super::{
 pub enum Wanted {
     /// So many tokens.
     AtLeast(u32),
-    /// Fewer than this: an inhibitor arc, or room for what comes.
+    /// Fewer than this: an inhibitor arc, or a capacity for what comes.
     Below(u32),
 }
 

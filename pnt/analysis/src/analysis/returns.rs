@@ -37,7 +37,7 @@ impl Returns {
     }
 }
 
-/// Finds the terminal components of a complete reachability graph; nothing when that would take more
+/// Finds the terminal components of a complete reachability graph; `None` when that would take more
 /// bytes than permitted.
 #[must_use]
 pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
@@ -143,7 +143,7 @@ impl<'a> Graph<'a> {
         }
     }
 
-    /// The markings that the sure firings at a marking lead to, in order, are then `self.numbers`; nothing
+    /// Puts the markings that the sure firings at a marking lead to, in order, into `self.numbers`. `None`
     /// when the search had stopped before one was found.
     fn successors(&mut self, node: usize) -> Option<()> {
         self.expand(node);
@@ -299,7 +299,7 @@ impl<'a> Components<'a> {
         }
     }
 
-    /// All components; nothing when that was stopped.
+    /// All components; `None` when that was stopped.
     fn visit_all(&mut self) -> Option<()> {
         let initial = self.graph.initial().unwrap_or(0);
         self.visit_from(initial, initial)?;

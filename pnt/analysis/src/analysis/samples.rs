@@ -10,7 +10,6 @@ use super::model::{Model, Place, Transition};
 use crate::compose::System;
 use pnt_language::{compile, net::Net};
 
-/// A net from its text.
 pub(crate) fn net(text: &str) -> Arc<Net> {
     let source = Source::new("test.net", text);
     Arc::new(compile::net(&source).unwrap_or_else(|f| panic!("{f}")))

@@ -1,6 +1,7 @@
-//! Packed markings by number, found again by their content: an arena in blocks that never move, and an open
-//! table of 32-bit slots, at most three quarters full. A number is smaller than the table is long, so the
-//! other bits of a slot hold some of the hash. What differs there need not be looked up in the arena.
+//! Packed markings by number, found again by their content. They stand in an arena of blocks that never
+//! move, with an open table of 32-bit slots, at most three quarters full. A number is smaller than the
+//! table is long, so the other bits of a slot hold some of the hash. What differs there need not be looked
+//! up in the arena.
 //!
 //! Several threads may find and insert at once. Each has numbers of its own to give, a [`Share`]. It
 //! writes a new marking into the arena at one of them and then claims an empty slot of the table by
@@ -167,7 +168,7 @@ impl Store {
         self.peak.max(self.bytes())
     }
 
-    /// Bytes, at most at any time, when so many more numbers are taken; nothing when a store cannot hold
+    /// Bytes, at most at any time, when so many more numbers are taken; `None` when a store cannot hold
     /// so many.
     pub(super) fn bytes_with(&self, more: usize) -> Option<usize> {
         let numbers = self.numbers().checked_add(more)?;
@@ -274,8 +275,8 @@ impl Store {
         }
     }
 
-    /// From `slot` on, puts a marking into the slot where it belongs and gives it a number; an error with its
-    /// number if it is there already. Nobody else inserts meanwhile who is `alone`.
+    /// From `slot` on, puts a marking into the slot where it belongs and gives it a number. If it is there
+    /// already, that is an error with its number. Nobody else inserts meanwhile who is `alone`.
     fn keep(
         &self,
         share: &mut Share,
@@ -340,8 +341,8 @@ impl Store {
         new
     }
 
-    /// Looks for the markings with these sums: first all of them in the table, then all candidates in the
-    /// arena, so that the waits for memory overlap.
+    /// Looks for the markings with these sums. It looks first for all of them in the table, then at all
+    /// candidates in the arena, so that the waits for memory overlap.
     fn look(&self, sums: &[u64], looks: &mut Vec<Look>) {
         looks.clear();
         looks.extend(sums.iter().map(|sum| {
@@ -367,7 +368,7 @@ impl Store {
         }
     }
 
-    /// The numbers of some markings, one behind the other, with these sums; nothing if one is not here.
+    /// The numbers of some markings, one behind the other, with these sums; `None` if one is not here.
     pub(super) fn find_all(
         &self,
         markings: &[u64],
@@ -463,8 +464,8 @@ impl Store {
         }
     }
 
-    /// The same as [`Store::reserve`] for one of several threads, as long as the table need not grow for it,
-    /// and there are not more than `most` numbers. Whether it was possible.
+    /// The same as [`Store::reserve`] for one of several threads. It works as long as the table need not
+    /// grow for it, and there are at most `most` numbers. Whether it was possible.
     pub(super) fn take(&self, share: &mut Share, numbers: usize, most: usize) -> bool {
         let lacking = numbers.saturating_sub(share.left());
         if lacking == 0 {

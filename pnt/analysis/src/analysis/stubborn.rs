@@ -1,7 +1,7 @@
 //! Whether anything is dead, by stubborn sets. At each marking only some of the enabled transitions are
 //! fired, chosen so that any firings of the others are possible afterwards just as well. Every dead marking
-//! is still reached; most of the markings between are not (Valmari 1989; the strong sets, with the enabled
-//! transition that gives the fewest).
+//! is still reached; most of the markings between are not. (Valmari 1989; the strong sets, with the enabled
+//! transition that gives the fewest.)
 //!
 //! For dead markings nothing need be done about transitions that are put off for ever. One of the fired ones
 //! stays possible until it is fired, so a dead marking cannot be reached without it.
@@ -44,7 +44,7 @@ pub fn deadlock(model: &Model, limits: &Limits) -> Found {
     deadlock_with(model, limits, &mut |_| {})
 }
 
-/// The same; `progress` is told from time to time.
+/// The same; `progress` is called from time to time.
 #[must_use]
 pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&Progress)) -> Found {
     let rules = Rules::new(model);
@@ -381,7 +381,7 @@ impl Rules {
         fewest.map_or(&[], Vec::as_slice)
     }
 
-    /// The marking after a firing; nothing when a place would hold more than 32 bits can say.
+    /// The marking after a firing; `None` when a place would hold more than 32 bits can say.
     fn fire(&self, transition: TransitionNumber, marking: &[u32]) -> Option<Vec<u32>> {
         let fact = &self.facts[transition as usize];
         let mut after = marking.to_vec();
@@ -490,8 +490,8 @@ mod tests {
                 .into_iter()
                 .all(|pair| pair[0].markings <= pair[1].markings)
         );
-        // A word for the marking, a parent, and a place in a table and in the list of those to be looked
-        // at; lists and tables grow by doubling.
+        // A word for the marking, a parent, and an entry in a table and in the list of those to be
+        // looked at. Lists and tables grow by doubling.
         assert!(
             found.peak_bytes < 64 * found.markings,
             "{} bytes for {}",

@@ -1,5 +1,5 @@
-//! The reachable markings of a model as a decision diagram: for nets whose markings are too many to be
-//! listed, and whose places hang together loosely enough. Counts are exact.
+//! The reachable markings of a model as a decision diagram. It is for nets whose markings are too many
+//! to be listed, and whose places hang together loosely enough. Counts are exact.
 //!
 //! Needs a net without priorities and enabling functions.
 
@@ -55,7 +55,7 @@ pub struct Counted {
     pub deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
     /// Per transition, whether it is enabled somewhere.
     pub seen: Vec<bool>,
-    /// Whether the initial marking can be reached from every reachable one; none when the effort
+    /// Whether the initial marking can be reached from every reachable one; `None` when the effort
     /// was not enough.
     pub reversible: Option<bool>,
     /// Per label of the model, whether it can become enabled again from every reachable marking;
@@ -85,8 +85,8 @@ pub fn fits(model: &Model) -> bool {
 /// Counts the reachable markings.
 ///
 /// # Errors
-/// When the model does not [fit](fits), when more effort or larger numbers than permitted are needed, as for every
-/// net without a bound, or when it is stopped.
+/// When the model does not [fit](fits), or when it is stopped. Also when it needs more effort or larger numbers
+/// than permitted, as every net without a bound does.
 pub fn count(model: &Model, effort: Effort, stop: Stop) -> Result<Counted, GaveUp> {
     if !fits(model) {
         return Err(GaveUp { steps: 0 });
@@ -237,8 +237,8 @@ impl Counter<'_> {
     }
 
     /// A shortest firing sequence into a set, and the marking it ends in. It goes back through the
-    /// sets that are one firing, two firings and so on away, until the initial marking is in one,
-    /// and then forward again.
+    /// sets that are one firing, two firings and so on away, until the initial marking is in one.
+    /// Then it goes forward again.
     fn nearest(&mut self, set: Node) -> Result<Option<Way>, Full> {
         let mut layers = vec![set];
         let mut known = set;

@@ -1,4 +1,4 @@
-//! Which of up to 64 conditions a packed marking meets, looked up: for every few bits of neighbouring fields a
+//! Which of up to 64 conditions a packed marking meets, looked up. For every few bits of neighbouring fields a
 //! table says which conditions they permit, whatever the others hold.
 
 use super::{

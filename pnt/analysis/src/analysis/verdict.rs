@@ -115,8 +115,8 @@ pub enum Engines {
 
 /// Explores a model. It lists the markings if they are few. Else it counts them by decision diagrams, where
 /// that is permitted and works, or lists them as far as the limits permit. Where either may do, the two take
-/// turns with growing effort, so that a net that suits only one of them does not wait long for the other. What
-/// is found dead of the rest is found by stubborn sets, where they apply.
+/// turns with growing effort. So a net that suits only one of them does not wait long for the other.
+/// Stubborn sets look for dead markings among the rest, where they apply.
 #[must_use]
 pub fn look<'a>(
     model: &'a Model,

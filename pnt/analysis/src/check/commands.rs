@@ -20,7 +20,7 @@ pub struct Workflow {
     pub net: String,
     /// The input symbol.
     pub command: String,
-    /// Whether it is sound; nothing where a limit came first.
+    /// Whether it is sound; `None` where a limit came first.
     pub sound: Option<bool>,
     /// Firings after which no way leads to the end, in words; empty when sound or not known.
     pub counterexample: Vec<String>,

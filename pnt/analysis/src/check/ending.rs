@@ -16,7 +16,7 @@ pub(crate) enum End {
     Unknown,
 }
 
-/// Whether it does, as far as was looked.
+/// Whether it does, among the markings that the search has seen.
 pub(super) fn end(ends: &Ends, looked: &Looked<'_>, limits: &Limits) -> End {
     match always_reachable(
         &looked.explored,

@@ -55,7 +55,7 @@ pub struct Proof {
     pub verdict: Verdict,
     /// Why they are not sound; and warnings.
     pub findings: Findings,
-    /// Of nets without bound, what they can cover, where that can be told.
+    /// Of nets without bound, what they can cover, where that can be computed.
     pub cover: Option<Cover>,
     /// The place that was found to grow without bound.
     pub grows: Option<PlaceNumber>,
@@ -81,7 +81,7 @@ pub struct Counterexample {
 }
 
 impl Proof {
-    /// Whether the nets are sound; nothing where a limit came before that is known.
+    /// Whether the nets are sound; `None` where a limit came before that is known.
     #[must_use]
     pub fn sound(&self) -> Option<bool> {
         let errors = |finding: &&Finding| finding.severity == Severity::Error;
@@ -162,7 +162,7 @@ pub struct Answered {
 }
 
 impl Answered {
-    /// Yes or no; nothing when a limit came first.
+    /// Yes or no; `None` when a limit came first.
     #[must_use]
     pub fn yes(&self) -> Option<bool> {
         match self.answer {

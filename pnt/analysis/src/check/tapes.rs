@@ -17,8 +17,8 @@ use pnt_language::{
     net::Net,
 };
 
-/// Reads what comes on the tapes of nets: `calibrate (carry | resect)* park`, with the name of the net
-/// and a colon before it where several nets have a tape. The whole form is that of
+/// Reads what comes on the tapes of nets: `calibrate (carry | resect)* park`. The name of the net and
+/// a colon stand before it where several nets have a tape. The whole form is that of
 /// [`pnt_language::language::parse`].
 ///
 /// # Errors

@@ -41,7 +41,7 @@ pub(super) fn build(nets: &[Arc<Net>]) -> System {
 /// First system place of each group of a net's places.
 struct Bases {
     places: SystemPlaceId,
-    /// Per place in which room is kept for actions: what it holds and is promised.
+    /// Per place in which capacity is reserved for actions: what it holds and is promised.
     filled: BTreeMap<PlaceId, SystemPlaceId>,
     /// One for each transition that has an action.
     firings: BTreeMap<TransitionId, SystemPlaceId>,
@@ -251,7 +251,7 @@ impl Builder {
         self.system.nets[self.net][id].clone()
     }
 
-    /// Keeps up what the places with kept room hold and are promised.
+    /// Keeps up what the places with reserved capacity hold and are promised.
     fn fill(&self, transition: &Transition, phase: Phase, branch: bool, draft: &mut Draft) {
         for (place, filled) in &self.base().filled {
             let around = Around::of(transition, *place);
@@ -271,7 +271,7 @@ impl Builder {
         }
     }
 
-    /// A step for each way in which the places with kept room that it empties may be filled.
+    /// A step for each way in which the places with reserved capacity that it empties may be filled.
     fn resets_apart(&self, net: &Net, transition: &Transition, draft: Draft) -> Vec<Draft> {
         let mut drafts = vec![draft];
         for id in &transition.resets {
@@ -399,8 +399,8 @@ impl Builder {
         self.step(id, transition, Phase::Fail, fail, false);
     }
 
-    /// The step that puts a transition's outputs: one variant for each command that the symbol it
-    /// writes may answer, and one for none of them being in progress.
+    /// The step that puts a transition's outputs. It has one variant for each command that the
+    /// symbol it writes may answer, and one for none of them being in progress.
     fn ending(
         &mut self,
         net: &Net,
@@ -530,7 +530,7 @@ const BEFORE_TIMED: u32 = 1 << 31;
 
 /// How urgent a transition is among all of its net.
 fn urgency(all: &[Transition], transition: &Transition) -> u32 {
-    // What has an action starts at once, whatever time it is taken to last.
+    // A transition with an action starts at once, whatever time its action is taken to last.
     let timed = |t: &Transition| !t.timing.is_immediate() && t.action.is_none();
     if all.iter().any(timed) && !timed(transition) {
         transition.priority.saturating_add(BEFORE_TIMED)
@@ -568,7 +568,7 @@ impl Around {
         }
     }
 
-    /// What a running firing may put, for which room is kept.
+    /// What a running firing may put, for which capacity is reserved.
     fn claim(&self) -> u32 {
         self.completes.max(self.fails).max(self.takes)
     }
@@ -594,7 +594,7 @@ fn may_be_answered_for(net: &Net, id: TransitionId) -> bool {
         .any(|(other, t)| other != id && answers(t))
 }
 
-/// Whether room in a place, if it has a capacity, may be kept for a running firing.
+/// Whether capacity of a place, if it has any limit, may be reserved for a running firing.
 pub(super) fn keeps_room(net: &Net, place: PlaceId) -> bool {
     net.transitions().iter().any(|transition| {
         let around = Around::of(transition, place);

@@ -25,7 +25,7 @@ struct Commander {
     idle: SystemPlaceId,
     /// Where a word may end: one of these places is marked. Nothing when it may end anywhere.
     ends: Option<Vec<SystemPlaceId>>,
-    /// The place that is marked when no command may follow; nothing when one always may.
+    /// The place that is marked when no command may follow; `None` when one always may.
     last: Option<Last>,
 }
 
@@ -57,7 +57,7 @@ impl Ends {
 
 impl System {
     /// Lets only the given languages come on the tapes of the nets they name. Other tapes stay open. The
-    /// end of the last word is no deadlock: there, a step goes on that changes nothing.
+    /// end of the last word is not a deadlock: there, a step goes on that changes nothing.
     pub fn with_tapes(&mut self, tapes: &[Tape]) -> Ends {
         let commanders: Vec<Commander> = (0..self.nets.len())
             .filter_map(|net| {

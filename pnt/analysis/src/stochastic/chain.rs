@@ -1,4 +1,4 @@
-//! Steady state of a Markov chain given by rates: the embedded chain of its jumps is solved, and each
+//! Steady state of a Markov chain given by rates. The embedded chain of its jumps is solved, and each
 //! state weighed by how long it lasts. Knows numbers only.
 
 use super::levels::Chain;
@@ -106,8 +106,8 @@ pub(super) struct NoConvergence {
     pub(super) change: f64,
 }
 
-/// The part of the time spent in each state of a set that is never left and in which each state leads
-/// to each; zero elsewhere. Also how many sweeps it took; none by elimination.
+/// The part of the time spent in each state of a set; zero elsewhere. The set is never left, and in
+/// it each state leads to each. Also how many sweeps it took; none by elimination.
 pub(super) fn steady_state(
     rows: &Rows,
     class: &[usize],

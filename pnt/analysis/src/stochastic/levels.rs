@@ -1,10 +1,10 @@
 //! Balance of large chains by iteration on several levels (G. Horton and S. T. Leutenegger, "A
 //! multi-level solution algorithm for steady-state Markov chains", 1994). Sweeps alone even out what
 //! is near; parts of a chain that hardly lead to each other they balance only after very long. So
-//! states that are strongly coupled are taken together, the smaller chain is balanced in the same
-//! way, and what it says of the parts is put back. Knows numbers only.
+//! states that are strongly coupled are taken together, and the smaller chain is balanced in the
+//! same way. What it says of the parts is put back. Knows numbers only.
 
-/// A sweep goes nine tenths of the way: going all the way may swing for ever in a chain that returns
+/// A sweep goes nine tenths of the way. Going all the way may swing for ever in a chain that returns
 /// only after multiples of some number of jumps.
 const RELAXATION: f64 = 0.9;
 

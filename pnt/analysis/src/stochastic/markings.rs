@@ -171,7 +171,7 @@ impl Rule {
         left.saturating_add(of(&self.puts))
     }
 
-    /// The marking after firing; none when a place overflows.
+    /// The marking after firing; `None` when a place overflows.
     fn fire(&self, marking: &[u32], after: &mut Vec<u32>) -> Option<()> {
         after.clear();
         after.extend_from_slice(marking);

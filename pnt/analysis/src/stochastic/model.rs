@@ -99,13 +99,13 @@ impl Model {
     }
 }
 
-/// Begins the name of a place that counts free room in another one.
+/// Begins the name of a place that counts the free capacity of another one.
 const ROOM: &str = "room in ";
 
 /// Where a net's places begin in the model.
 struct Base {
     places: usize,
-    /// Per place: its room, when that is a place of the model.
+    /// Per place: its free capacity, when that is a place of the model.
     rooms: Vec<Option<usize>>,
     /// Per transition with an action: the place of its firings.
     going: Vec<Option<usize>>,
@@ -384,7 +384,7 @@ impl<'a> Builder<'a> {
         ways
     }
 
-    /// Takes and gives back room in places with a capacity that actions fill. `held` is what the places
+    /// Takes and gives back capacity of the places that actions fill. `held` is what the places
     /// hold that this part empties.
     fn rooms(
         &self,
@@ -420,8 +420,8 @@ impl<'a> Builder<'a> {
         }
     }
 
-    /// The end of a firing: one variant for each command that the symbol it writes may answer, and one
-    /// for none of them being in progress.
+    /// The end of a firing. It has one variant for each command that the symbol it writes may answer,
+    /// and one for none of them being in progress.
     fn ending(
         &mut self,
         origin: usize,
@@ -482,13 +482,13 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// Per place that a firing empties, in which actions are kept room: what it holds.
+/// Per place that a firing empties, in which capacity is reserved for actions: what it holds.
 type Held = BTreeMap<usize, u32>;
 
-/// Ways in which the places that a transition empties may be filled, as many as are told apart.
+/// Ways in which the places that a transition empties may be filled, as many as are distinguished.
 const MOST_WAYS: u64 = 4096;
 
-/// Whether a transition that empties places in which actions are kept room can be one transition of the
+/// Whether a transition that empties places with capacity reserved for actions can be one transition of the
 /// model for each number of tokens there. Each has a clock of its own, which begins again when the number
 /// changes. That is the same only if the transition waits no time, or an exponential time with one
 /// server.

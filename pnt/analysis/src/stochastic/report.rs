@@ -60,7 +60,7 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Whether the exact value lies in the interval, up to rounding; nothing without an exact value.
+    /// Whether the exact value lies in the interval, up to rounding; `None` without an exact value.
     #[must_use]
     pub fn agrees(&self) -> Option<bool> {
         let exact = self.exact?;
@@ -100,7 +100,7 @@ pub struct Solved {
     pub markings: usize,
     /// Those that the net returns to for ever.
     pub recurrent: usize,
-    /// Cycles and sweeps of the iteration; none when it was solved by elimination.
+    /// Cycles and sweeps of the iteration; 0 when it was solved by elimination.
     pub sweeps: usize,
 }
 

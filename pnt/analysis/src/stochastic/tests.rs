@@ -154,8 +154,9 @@ fn a_repair_that_is_an_action_has_the_same_closed_form() {
     all_agree(&report);
 }
 
-/// M. K. Molloy, Performance analysis using stochastic Petri nets, IEEE Transactions on Computers C-31
-/// (1982): the net with fork and join, its rates 2, 1, 1, 3 and 2, and the steady state printed there.
+/// M. K. The net with fork and join, its rates 2, 1, 1, 3 and 2, and the steady state printed there.
+/// (Molloy, Performance analysis using stochastic Petri nets, IEEE Transactions on Computers C-31,
+/// 1982.)
 #[test]
 fn the_net_of_molloy_has_the_steady_state_that_he_printed() {
     let report = report(
@@ -282,8 +283,8 @@ transition mend\n  in down\n  out up\n  time exponential 500 ms\n",
     all_agree(&report);
 }
 
-/// A bin of two that one machine fills and that is emptied now and then. With n in the bin, and the machine
-/// at work unless it is full: from 0 to 1 and from 1 to 2 in a second, from all to 0 in two. So the
+/// A bin of two that one machine fills and that is emptied now and then. With n in the bin, the machine is
+/// at work unless it is full. It goes from 0 to 1 and from 1 to 2 in a second, from all to 0 in two. So the
 /// probabilities are 1/3, 2/9 and 4/9.
 #[test]
 fn a_place_that_an_action_fills_can_be_emptied() {

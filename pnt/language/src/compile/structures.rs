@@ -1,12 +1,12 @@
-//! Coordination structures (architecture report, section 7 and figure 11): `coordinator`, `ask` and
+//! Coordination structures (architecture report, section 7 and figure 11). `coordinator`, `ask` and
 //! `serves` lines become the places SI, I, O, SO and the transitions around them.
 //!
 //! A request takes the token of the input semaphore SI and marks the coordinator's input place I.
 //! When the coordinator has finished, its transition `tf` (or `tf_failed`) takes the output semaphore
-//! SO, marks the requester's output place O (or OF) and restores SI. The requester takes O and gives
-//! SO back. The report's figure lets a second request start as soon as SI is back, while O still
-//! holds the answer to the first. The second could then take that answer. So a start also waits until
-//! O and OF are empty.
+//! SO. It marks the requester's output place O (or OF) and restores SI. The requester takes O and
+//! gives SO back. The report's figure lets a second request start as soon as SI is back, while O
+//! still holds the answer to the first. The second could then take that answer. So a start also waits
+//! until O and OF are empty.
 
 use std::mem;
 

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::timing::{Servers, Timing};
 
-/// A name as net text has it: as it is, or in quotes where it is no identifier.
+/// A name as net text has it: as it is, or in quotes where it is not an identifier.
 pub(crate) struct InText<'a>(pub(crate) &'a str);
 
 impl fmt::Display for InText<'_> {

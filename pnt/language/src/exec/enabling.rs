@@ -123,7 +123,6 @@ impl Enabling {
         }
     }
 
-    /// Sets a counter.
     pub(super) fn set(&mut self, wiring: &Wiring, counter: u32, to: u32) {
         let by = to.wrapping_sub(self.counter(counter));
         self.add(wiring, counter, by);

@@ -184,7 +184,6 @@ impl EventLog {
         self.next - self.kept.len() as u64
     }
 
-    /// Forgets what is before `number`.
     pub(super) fn forget_before(&mut self, number: u64) {
         let many = number.min(self.next).saturating_sub(self.oldest());
         self.kept

@@ -104,7 +104,7 @@ impl Execution {
     }
 
     /// Transitions whose tokens and tape symbol are there, in the order in which they would be
-    /// chosen, timed ones last; their enabling functions are not asked.
+    /// chosen, timed ones last. Their enabling functions are not asked.
     pub fn enabled(&self) -> impl Iterator<Item = TransitionId> {
         let mut from = 0;
         std::iter::from_fn(move || {
@@ -237,7 +237,7 @@ impl Execution {
         self.end(firing, End::Failed)
     }
 
-    /// Ends a firing as if it had never started: what it took goes back, whatever its failure branch
+    /// Ends a firing as if it had never started. What it took goes back, whatever its failure branch
     /// says; only what a reset arc has emptied stays empty. The caller ends the action.
     ///
     /// # Errors
@@ -330,8 +330,9 @@ impl Execution {
         }
     }
 
-    /// Empties the places that a transition's reset arcs name, once its inputs are taken; at once puts
-    /// what it puts there if it fires in one step. Returns what was thrown away, if events are recorded.
+    /// Empties the places that a transition's reset arcs name, once its inputs are taken. With `at_once`
+    /// the transition fires in one step, and what it puts there is added too. Returns what was thrown
+    /// away, if events are recorded.
     fn empty(&mut self, id: TransitionId, at_once: bool) -> Option<Box<[crate::net::Arc]>> {
         let phases = self.wiring.phases.get(id.index())?;
         if self.wiring.resets(phases).is_empty() {

@@ -241,8 +241,8 @@ impl Race {
 }
 
 impl Execution {
-    /// How many firings of a timed transition go on at once now: as many as its tokens allow and it has
-    /// servers; none when it is not enabled.
+    /// How many firings of a timed transition go on at once now. They are as many as its tokens allow
+    /// and it has servers; 0 when it is not enabled.
     #[must_use]
     pub fn servers_busy(&self, id: TransitionId) -> u32 {
         let most = self.net.transitions().get(id.index());

@@ -34,7 +34,7 @@ pub(super) struct Running {
     ended: bool,
 }
 
-/// Ended ones and forgotten limits that are kept before room is made.
+/// Ended firings and forgotten deadlines that are kept before they are cleared away.
 const SPARE: usize = 64;
 
 #[derive(Debug, Clone, Default)]

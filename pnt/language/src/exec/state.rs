@@ -1,5 +1,5 @@
-//! The state of an execution as one value that can be stored and taken up again. What is taken up is
-//! checked against the net, since it may come from a file.
+//! The state of an execution as one value that can be stored and taken up again. Taking it up checks
+//! it against the net, since it may come from a file.
 
 use std::sync::Arc;
 
@@ -140,7 +140,7 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Claims the room of a firing that goes on, as its start did.
+    /// Reserves the capacity for a firing that goes on, as its start did.
     fn claim_again(&mut self, running: &RunningFiring) -> Result<(), RestoreError> {
         let wiring = Arc::clone(&self.wiring);
         let Some(phases) = wiring.phases.get(running.transition.index()) else {

@@ -2,9 +2,10 @@
 //! and in which order transitions are chosen. Fixed for a net.
 //!
 //! A counter is the tokens of a place. For a place with a capacity it is its tokens and what
-//! running firings may yet put there (`filled`), and that part alone where a transition empties the
-//! place (`claimed`). Others say whether a command can be read, or how many firings of a transition
-//! with a limit are running. So every condition of a transition is one comparison with one counter.
+//! running firings may yet put there (`filled`). Where a transition empties the place, it is that
+//! second part alone (`claimed`). Others say whether a command can be read, or how many firings of
+//! a transition with a limit are running. So every condition of a transition is one comparison with
+//! one counter.
 
 use std::{cmp::Reverse, collections::BTreeMap, ops::Range};
 
@@ -202,7 +203,7 @@ impl Around {
         all
     }
 
-    /// What a running firing may put, which the place must have room for.
+    /// What a running firing may put, for which the place must have free capacity.
     fn claim(&self) -> u64 {
         self.completes.max(self.fails).max(self.takes)
     }

@@ -47,7 +47,7 @@ pub struct NetFile {
     pub draft: Draft,
     /// Positions, if it has any.
     pub positions: Positions,
-    /// What of a PNML file is no part of the net and is written back.
+    /// What of a PNML file is not a part of the net and is written back.
     pub kept: Kept,
     /// What should be known about it.
     pub warnings: Findings,

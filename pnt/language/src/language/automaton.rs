@@ -221,7 +221,7 @@ impl Nodes {
 /// What tells states apart: their class, and the classes that each symbol leads to.
 type Signature = (usize, Vec<(SymbolNumber, usize)>);
 
-/// States that cannot be told apart by what may come are one; numbered as they are come to.
+/// States after which the same words may come are one; numbered as they are come to.
 fn smallest(states: &[State]) -> Vec<State> {
     let mut classes: Vec<usize> = states.iter().map(|state| usize::from(state.ends)).collect();
     let mut count = 0;

@@ -158,7 +158,7 @@ impl<'a, 'i> Elements<'a, 'i> {
         }
     }
 
-    /// An element that is no node, arc or page.
+    /// An element that is not a node, arc or page.
     fn other(&mut self, source: &Source, node: Node<'a, 'i>, findings: &mut Findings) {
         let kind = name(node);
         let parent = node.parent().map_or("net", name);
@@ -239,7 +239,7 @@ impl<'a, 'i> Elements<'a, 'i> {
         match self.ids.get(id) {
             Some(Target::Node(end)) => Some(*end),
             Some(Target::Reference(reference)) if name(node) == "arc" => {
-                // What is wrong with a reference is told once, about the reference.
+                // A mistake of a reference is one finding, about the reference.
                 self.follow(source, *reference, &mut Findings::new())
             }
             Some(Target::Reference(_)) => None,

@@ -1,4 +1,4 @@
-//! What of a PNML file is no part of the net, and the names of the grammar that is written.
+//! What of a PNML file is not a part of the net, and the names of the grammar that is written.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ pub(super) const NAMESPACE: &str = "http://www.pnml.org/version-2009/grammar/pnm
 /// The tool of our own sections.
 pub(super) const TOOL: &str = "pnt";
 
-/// What of an element is no part of the net: raw XML, as it stood.
+/// What of an element is not a part of the net: raw XML, as it stood.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct KeptElement {
     /// Its id.
@@ -24,7 +24,7 @@ pub struct KeptElement {
     pub label: Vec<String>,
 }
 
-/// What of a PNML file is no part of the net and is written back. Elements are found by the names of
+/// What of a PNML file is not a part of the net and is written back. Elements are found by the names of
 /// their nodes.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Kept {

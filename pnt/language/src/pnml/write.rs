@@ -1,6 +1,6 @@
 //! From a net to PNML of the 2009 grammar: one page, and what was kept of the file it came from.
 //!
-//! The text is ours: what was kept of a file is written as it was read, and an event writer such as `quick-xml` would have to
+//! The text is ours: what was kept of a file is written as it was read. An event writer such as `quick-xml` would have to
 //! parse it again. It would take the place of `escape` alone.
 
 use std::{
@@ -16,10 +16,9 @@ use crate::{
     format::file::{NetFile, Positions},
 };
 
-/// Writes a net. What PNML has no words for stands in `toolspecific` sections of tool `pnt`. An
-/// inhibitor or reset arc says its kind three times: in an attribute `type` for TAPAAL, in an element `type` for PIPE and
-/// GreatSPN, and in a label `arctype` for PM4Py. A read arc is a loop that other tools take for one and this one for
-/// what it is.
+/// Writes a net. What PNML has no words for stands in `toolspecific` sections of tool `pnt`. An inhibitor or reset arc
+/// says its kind three times. An attribute `type` is for TAPAAL, an element `type` for PIPE and GreatSPN, and a label
+/// `arctype` for PM4Py. A read arc is a loop that other tools take for one and this one for what it is.
 ///
 /// # Errors
 /// Names that XML cannot hold.

@@ -12,7 +12,6 @@ const DEEPEST: usize = 128;
 /// The most attributes of one element: finding two of the same name takes the square of their number.
 const MOST_ATTRIBUTES: usize = 256;
 
-/// Parses a document.
 pub(super) fn parse(source: &Source) -> Result<Document<'_>, Finding> {
     scan(source)?;
     let options = ParsingOptions {

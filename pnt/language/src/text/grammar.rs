@@ -149,7 +149,7 @@ pub fn keywords(in_transition: bool) -> impl Iterator<Item = &'static Keyword> {
     KEYWORDS.iter().filter(fits)
 }
 
-/// What is known of a keyword.
+/// The entry of a keyword.
 #[must_use]
 pub fn keyword_called(word: &str) -> Option<&'static Keyword> {
     KEYWORDS.iter().find(|keyword| keyword.word == word)

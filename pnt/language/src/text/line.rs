@@ -52,7 +52,7 @@ pub(super) struct BadSymbol {
 
 const MARKS: [&str; 10] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")"];
 
-/// The byte at which a line's comment begins; nothing if it has none.
+/// The byte at which a line's comment begins; `None` if it has none.
 pub(super) fn comment(line: &str) -> Option<usize> {
     let (mut quoted, mut escaped) = (false, false);
     line.char_indices()

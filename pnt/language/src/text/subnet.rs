@@ -1,6 +1,6 @@
 //! Subnets: lines between `subnet NAME(a, b)` and `end`, in the file itself or in one that it includes,
-//! and their instances, `use NAME(x, y) as I`. An instance is the subnet's lines read again, with its
-//! arguments in the place of the parameters and `I.` before the names of its places and transitions.
+//! and their instances, `use NAME(x, y) as I`. An instance is the subnet's lines read again. Its
+//! arguments stand for the parameters, and `I.` stands before the names of its places and transitions.
 //! Knows no more of the lines than that they are tokens.
 
 use std::{
@@ -84,7 +84,6 @@ pub(super) fn cut(source: &Source, text: &str, start: usize, findings: &mut Find
 }
 
 impl Line {
-    /// Whether it begins with that keyword.
     pub(super) fn begins(&self, keyword: &str) -> bool {
         matches!(self.tokens.first(), Some(Token { symbol: Symbol::Name(name), .. }) if name == keyword)
     }

@@ -10,11 +10,11 @@ use crate::{
     timing::{Servers, Timing},
 };
 
-/// The most that a weight, a capacity or an initial marking can say; a few of them still add up to
+/// The most that a weight, a capacity or an initial marking can say. A few of them still add up to
 /// something that can be counted.
 pub(crate) const MOST_TOKENS: u32 = 1_000_000_000;
 
-/// The longest limit of an action, microseconds: a day.
+/// The longest deadline of an action, microseconds: a day.
 const DAY_US: f64 = 86_400.0e6;
 
 /// The longest time of a transition, microseconds: 100,000 hours, as breakdowns may take.
@@ -235,7 +235,7 @@ impl<'a> Words<'a> {
         }
     }
 
-    /// The limit of an action, up to a day.
+    /// The deadline of an action, up to a day.
     pub(super) fn duration(&mut self) -> Result<Duration, Finding> {
         self.time("a limit", DAY_US)
     }

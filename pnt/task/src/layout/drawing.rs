@@ -93,7 +93,7 @@ pub struct Drawing {
     pub arcs: Vec<DrawnArc>,
 }
 
-/// Px that a letter of a name takes.
+/// Px that a character of a name takes.
 const LETTER: f64 = 6.4;
 /// How far an arc leaves the straight line, px.
 const BOW: f64 = 11.0;

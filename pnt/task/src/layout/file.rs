@@ -114,8 +114,8 @@ impl LayoutFile {
         }
     }
 
-    /// Puts what the file says of nodes that the net has into its view; returns the names of the others,
-    /// which are another net's or are not there any more.
+    /// Puts what the file says of nodes that the net has into its view. Returns the names of the others,
+    /// which are another net's or no longer exist.
     pub fn pin(self, view: &mut NetView) -> Vec<String> {
         let shown = |name: &str| {
             view.place(name).is_some()
@@ -171,7 +171,7 @@ impl LayoutFile {
 
 /// A whole pixel within what is drawn.
 fn pixel(at: f64) -> i32 {
-    // It is no number, or within the range of `i32`.
+    // It is not a number, or within the range of `i32`.
     #[allow(clippy::cast_possible_truncation, reason = "it is clamped")]
     if at.is_nan() {
         0

@@ -1,5 +1,5 @@
-//! The first step of a layered arrangement: circles are broken, every node gets a layer, and arcs over
-//! several layers get a point in each of them.
+//! The first step of a layered arrangement. It breaks circles, gives every node a layer, and gives
+//! arcs over several layers a point in each of them.
 
 /// A node of the arrangement: one of the graph, or a point of a long arc.
 #[derive(Debug, Clone)]
@@ -144,8 +144,8 @@ fn longest(mut spans: Vec<usize>, most_points: usize) -> usize {
     all
 }
 
-/// Which arcs must be turned round so that no circle is left: those that lead back to a node that a
-/// depth-first walk has not left yet.
+/// Which arcs must be turned round so that no circle is left. They are those that lead back to a
+/// node that a depth-first walk has not left yet.
 fn circles(count: usize, arcs: &[Option<(usize, usize)>]) -> Vec<bool> {
     let mut out: Vec<Vec<(usize, usize)>> = vec![Vec::new(); count];
     let mut comes_in = vec![false; count];

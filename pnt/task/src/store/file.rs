@@ -129,8 +129,8 @@ fn open(path: &Path, owner: &Owner) -> Result<Database, StoreError> {
     }
 }
 
-/// Whether no store was ever made there: no file, or one of zeros alone, which a process leaves that dies while it
-/// makes a database in its place. A database that has a commit has a header.
+/// Whether no store was ever made there: no file, or one of zeros alone. A process that dies while it makes a
+/// database leaves zeros in its place. A database that has a commit has a header.
 fn is_unmade(path: &Path) -> io::Result<bool> {
     let mut file = match fs::File::open(path) {
         Ok(file) => file,

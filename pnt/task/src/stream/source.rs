@@ -1,6 +1,6 @@
 //! The end of the stream in the net's task: the latest events in a short form, and the followers that
 //! wait for the next ones. It keeps their [`Replier`]s and answers them, but reads no clock and sets no
-//! timer: the task says what time it is and when to answer.
+//! timer. The task says what time it is and when to answer.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
@@ -19,8 +19,8 @@ use pnt_language::{
 /// Events that are kept, for followers that are a little behind.
 const KEPT: usize = 4 * MOST_EVENTS;
 
-/// The least time between two answers to those who follow: one display, and more for each further one, so
-/// that what many displays cost together is bounded too.
+/// The least time between two answers to those who follow: for one display, and more for each further
+/// one. So what many displays cost together is bounded too.
 const INTERVAL: Duration = Duration::from_millis(4);
 const INTERVAL_EACH: Duration = Duration::from_millis(1);
 
@@ -236,7 +236,6 @@ impl Source {
         self.from(self.kept.len().saturating_sub(most))
     }
 
-    /// The latest event.
     pub(crate) fn last(&self) -> Option<Event> {
         self.latest(1).last()
     }
@@ -248,7 +247,6 @@ impl Source {
         seqs.filter_map(|seq| Some(self.event(seq, self.kept.get(place(seq))?)))
     }
 
-    /// The net as it is now.
     pub(crate) fn state(&self, now: Instant, execution: &Execution) -> State {
         let symbol = |on_tape: &OnTape| self.net[on_tape.command].symbol.clone();
         State {
@@ -343,7 +341,7 @@ impl Source {
     }
 
     /// When the followers are to be answered, if there is something to answer and no answer is under
-    /// way; then the caller has to answer them.
+    /// way. Then the caller has to answer them.
     pub(crate) fn call(&mut self, now: impl FnOnce() -> Instant) -> Option<Instant> {
         if self.called || self.followers.is_empty() {
             return None;

@@ -221,8 +221,8 @@ impl NetView {
         place.or_else(|| transition().map(|one| one.shown.as_str()))
     }
 
-    /// Whether the place is hidden where requests are drawn as their author wrote them: it is part of a
-    /// coordination structure and no request comes in by it.
+    /// Whether the place is hidden where requests are drawn as their author wrote them. Such a place is
+    /// part of a coordination structure, and no request comes in by it.
     #[must_use]
     pub fn hidden(&self, place: usize) -> bool {
         let place = self.places.get(place);

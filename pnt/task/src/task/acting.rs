@@ -30,7 +30,6 @@ impl Acting {
         (registration, acting)
     }
 
-    /// Ends it.
     pub(super) fn end(&mut self, ended: Ended) {
         self.ended = ended;
         self.handle.abort();

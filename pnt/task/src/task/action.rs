@@ -1,5 +1,5 @@
-//! The second phase of a firing: its action, the end of the action within its limit, and the tries
-//! of an action that has no failure branch.
+//! The second phase of a firing: its action, and the end of the action within its deadline. Also
+//! the tries of an action that has no failure branch.
 
 use std::{rc::Rc, time::Duration};
 
@@ -137,7 +137,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Runs a transition's action within its limit.
+    /// Runs a transition's action within its deadline.
     async fn action(&self, id: TransitionId, firing: FiringId, action: Action<()>) -> Acted {
         let net = self.net();
         let transition = &net[id];
@@ -288,8 +288,8 @@ async fn store(action: &Action<()>, outputs: &[String], result: Vec<u8>, kind: D
     }
 }
 
-/// Whether an action may be asked again whatever became of it: it is a command to a net that survives its
-/// process, and takes a request once.
+/// Whether an action may be asked again whatever became of it. It is then a command to a net that
+/// survives its process, and takes a request once.
 pub(super) fn is_asked_once(cx: &Context, action: &net::Action) -> bool {
     let net::Action::Message { task, command, .. } = action else {
         return false;

@@ -1,5 +1,5 @@
 //! Values by the names of nets. A name is mostly the very string that came before, not only one that reads the
-//! same, and the nets are few: so they are looked through for that first.
+//! same. The nets are few, so a look-up compares the strings' addresses first.
 
 use std::sync::Arc;
 

@@ -23,7 +23,7 @@ use super::{
 const FIRST_PAUSE: Duration = Duration::from_millis(20);
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
-/// How long a net is waited for that is not there, before it is looked for again.
+/// How long a net waits for another one that is not there, before it looks again.
 const COME_BACK: Duration = Duration::from_secs(5);
 
 impl Engine {
@@ -118,7 +118,8 @@ impl Engine {
         }
     }
 
-    /// The other net has all up to a number. What is not stored of that is told again, and known.
+    /// The other net has all up to a number. If a crash takes that back, the other net says it
+    /// again and takes nothing twice.
     fn arrived(self: &Rc<Self>, net: &Arc<str>, last: u64) -> bool {
         let news = {
             let mut core = self.core.borrow_mut();

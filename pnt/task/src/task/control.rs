@@ -227,7 +227,7 @@ impl Engine {
 /// Why a net is paused that somebody has paused.
 const BY_HAND: &str = "by hand";
 
-/// What was done, with who did it, if that was said.
+/// What was done, with who did it, if the order names somebody.
 pub(super) fn with_name(what: &str, by: &str) -> String {
     match by {
         "" => what.to_owned(),

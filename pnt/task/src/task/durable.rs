@@ -1,11 +1,11 @@
 //! What must be stored before others see it.
 //!
-//! A net changes in memory and counts its changes. What others would see of a change (an answer, a
-//! transfer, the beginning of an action) is held until a commit has stored the changed state. One commit
-//! stores all changes that came while the one before it was written (group commit). A net that is not
-//! durable holds nothing.
+//! A net changes in memory and counts its changes. What others would see of a change is an answer, a
+//! transfer or the beginning of an action. It is held until a commit has stored the changed state. One
+//! commit stores all changes that came while the one before it was written (group commit). A net that is
+//! not durable holds nothing.
 //!
-//! What is stored is the state itself, not a log: a net's state is small, and reading it back is all there
+//! What is stored is the state itself, not a log. A net's state is small, and reading it back is all there
 //! is to a restart.
 
 use std::{collections::VecDeque, rc::Rc, sync::Arc};
@@ -81,8 +81,8 @@ impl Engine {
         self.when_change_stored(change, effect);
     }
 
-    /// The same, once this change is stored. What nobody will store any more is never seen: who waits
-    /// for it learns that nobody answers.
+    /// The same, once this change is stored. A change that nobody will store any more is never seen:
+    /// who waits for it learns that no answer comes.
     pub(super) fn when_change_stored(
         self: &Rc<Self>,
         change: u64,
@@ -99,8 +99,8 @@ impl Engine {
         held.push_back((change, Box::new(effect)));
     }
 
-    /// Whether all changes are stored, or none will be any more: the net has stopped then, and is shown as
-    /// it was left, to say why.
+    /// Whether all changes are stored, or none will be any more. In the second case the net has stopped,
+    /// and is shown as it was left, to say why.
     pub(super) fn is_settled(&self, core: &Core) -> bool {
         core.changes <= self.durable.stored() || self.durable.broken.get()
     }

@@ -48,7 +48,7 @@ pub(super) struct Engine {
     pub(super) library: Functions,
     pub(super) data: Option<Rc<dyn DataStore>>,
     pub(super) settings: Settings,
-    /// What displays and records are told of the net once.
+    /// What displays and records get of the net once.
     pub(super) view: RefCell<NetView>,
     pub(super) core: RefCell<Core>,
     /// What waits until the changes that led to it are stored.
@@ -115,9 +115,9 @@ pub(super) struct Core {
     /// The output tape: answers that nobody was there to take.
     pub(super) output: VecDeque<Output>,
     pub(super) outputs: u64,
-    /// Data objects, their places, and what their store was told last, if anything.
+    /// Data objects, their places, and the last news that their store got, if any.
     pub(super) objects: BTreeMap<String, (Vec<PlaceId>, Option<bool>)>,
-    /// What their store must be told, with the change that it came with.
+    /// News that their store must get, with the change that it came with.
     pub(super) untold: Vec<(u64, String, bool)>,
     /// Failures in a row, per transition.
     pub(super) failures: Vec<u32>,
@@ -241,7 +241,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Puts a command that may have been put before: then its answer is waited for, or given again.
+    /// Puts a command that may have been put before: then the asker waits for its answer, or gets it again.
     pub(super) fn put_once(
         self: &Rc<Self>,
         cx: &Context,
@@ -359,7 +359,7 @@ impl Engine {
         }
     }
 
-    /// The net fires no more; everybody who waits for an answer is told why.
+    /// The net fires no more; everybody who waits for an answer learns why.
     pub(super) fn stop(self: &Rc<Self>, why: &str) {
         let (name, waiting, replacing) = {
             let mut core = self.core.borrow_mut();
@@ -422,7 +422,7 @@ impl Core {
         }
     }
 
-    /// Whether the tapes have room for a command that some transition may read one day.
+    /// Whether the tapes have space for a command that some transition may read one day.
     pub(super) fn require_room(&self, symbol: &str, room: usize) -> Handled {
         let net = self.execution.net();
         let read = |command| net.transitions().iter().any(|t| t.tape == Some(command));
@@ -467,7 +467,7 @@ impl Core {
     }
 
     /// Takes what of a message is new, and notes each transfer; the number of the last one that is taken. A
-    /// transfer for which there is no room now is left, with those after it, for the sender to send again.
+    /// transfer for which there is no free capacity now is left, with those after it, for the sender to send again.
     fn receive(
         &mut self,
         message: Tokens,
@@ -487,7 +487,8 @@ impl Core {
             let put = match self.take_in(&transfer, room) {
                 Ok(Some(put)) => put,
                 Ok(None) => break,
-                // What came before it is taken; it comes again first in its message and is refused then.
+                // The transfers before this one are taken. This one comes again, first in its message,
+                // and is refused then.
                 Err(_) if last >= first => break,
                 Err(error) => return Err(error.into()),
             };
@@ -585,7 +586,6 @@ impl Core {
         }
     }
 
-    /// The name of a transition.
     pub(super) fn name_of(&self, id: TransitionId) -> &str {
         &self.execution.net()[id].name
     }

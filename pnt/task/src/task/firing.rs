@@ -25,8 +25,8 @@ const MOST_AT_ONCE: u32 = 100_000;
 
 impl Engine {
     /// Fires until nothing is enabled but what waits for actions, tokens or commands. All of it belongs
-    /// to the trace of `cx`: of the message that made it possible; what a command on the tape begins, to
-    /// that command's.
+    /// to the trace of `cx`, that of the message that made it possible. What a command on the tape
+    /// begins belongs to that command's trace.
     pub(super) fn advance(self: &Rc<Self>, cx: &Context) {
         self.fire_enabled(cx.clone());
         self.core.borrow_mut().requests.look_again();
@@ -262,7 +262,7 @@ impl Engine {
 
     // -- data objects -----------------------------------------------------------------------
 
-    /// Tells the store of data objects what became valid and invalid, beside whatever goes on.
+    /// Tells the store of data objects what became valid and invalid, concurrently with whatever goes on.
     fn tell_data(self: &Rc<Self>, cx: &Context) {
         if self.data.is_some() && !self.core.borrow().untold.is_empty() {
             let cx = cx.clone();

@@ -29,7 +29,7 @@ pub(super) struct Durable<E> {
 
 impl<E> Durable<E> {
     pub(super) fn new(store: Option<Arc<Store>>) -> Self {
-        // What nobody stores need not be waited for.
+        // Nobody waits for what is never stored.
         let stored = if store.is_some() { 0 } else { u64::MAX };
         Self {
             store,

@@ -32,7 +32,7 @@ pub(super) struct Phase<'p> {
 }
 
 impl Phase<'_> {
-    /// The line of the log; none where nobody reads such lines.
+    /// The line of the log; `None` where nobody reads such lines.
     pub(super) fn line(&self, net: &Arc<Net>) -> Option<impl FnOnce() + 'static> {
         tracing::enabled!(target: "pnt::firing", tracing::Level::INFO).then(|| {
             let (net, transition) = (Arc::clone(net), self.transition);

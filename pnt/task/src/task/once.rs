@@ -31,7 +31,7 @@ pub(super) struct Once {
     answered: VecDeque<(Asked, TapeAnswer)>,
 }
 
-/// What is known of a request.
+/// What the net knows of a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Known {
     /// Nothing: it is new.
@@ -55,7 +55,7 @@ pub(super) struct Reused {
 }
 
 impl Once {
-    /// What is known of a request for this symbol.
+    /// What the net knows of a request for this symbol.
     ///
     /// # Errors
     /// [`Reused`].

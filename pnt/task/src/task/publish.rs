@@ -1,5 +1,6 @@
-//! The net's task at its end of the stream: puts events into the record, and answers those who follow, in
-//! its own time and never in the net's. Neither sees an event before the change that it tells of is stored.
+//! The net's task at its end of the stream. It puts events into the record, and answers those who follow,
+//! in its own time and never in the net's. Neither sees an event before the change that it tells of is
+//! stored.
 
 use std::rc::Rc;
 
@@ -14,7 +15,7 @@ use std::time::Duration;
 use super::engine::{Core, Engine};
 use crate::stream::{Follow, Happened, NetView, State};
 
-/// How often the patience of those who follow is looked at.
+/// How often the task looks whose patience has ended among those who follow.
 const WATCH: Duration = Duration::from_millis(500);
 
 /// A net as it stands in a record as a whole.

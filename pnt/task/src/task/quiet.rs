@@ -1,8 +1,8 @@
 //! A net whose app is about to be stopped. It ends what it has begun, and then fires no more.
 //!
-//! Its tape takes no new commands, and it begins nothing by itself. A command that was read, and a request of
-//! another net, are brought to their end by the firings of the net: these give devices back and answer waiting
-//! callers. A durable net needs none of that: it keeps what is in work for the next boot.
+//! Its tape takes no new commands, and it begins nothing by itself. The firings of the net bring to their end
+//! a command that was read, and a request of another net. They give devices back and answer waiting callers. A
+//! durable net needs none of that: it keeps what is in work for the next boot.
 
 use std::{collections::BTreeSet, future::poll_fn, rc::Rc, task::Poll, time::Duration};
 
@@ -46,8 +46,8 @@ impl Engine {
             }
     }
 
-    /// Whether somebody gets no answer, which is no refusal: the next process of a durable net takes the command that is
-    /// asked for again.
+    /// Whether the net leaves an asker unanswered instead of refusing: the next process of a durable net takes the
+    /// repeated command.
     pub(super) fn leaves_unanswered(&self, asker: &Asker) -> bool {
         self.stopping.get() && self.durable.is_kept() && matches!(asker, Asker::Once(..))
     }

@@ -1,7 +1,7 @@
 //! What one net has sent to others and got from them, so that everything moves exactly once.
 //!
 //! What goes from one net to another is numbered, without gaps, in a stream that belongs to the pair. The
-//! sender keeps each transfer until the receiver has said that it has it; after a lost message, a lost
+//! sender keeps each transfer until the receiver has said that it has it. After a lost message, a lost
 //! link or a restart it sends it again. The receiver counts what it has taken of the stream, and takes
 //! nothing twice. Both counts are stored with the markings that they belong to.
 //!

@@ -1,6 +1,6 @@
-//! The protocol in a model checker: every order of loads and stores that the memory model of Rust allows
-//! between one writer and one reader, up to a number of preemptions. It also checks a writer that dies
-//! between any two stores while another takes over.
+//! The protocol in a model checker. It tries every order of loads and stores that the memory model of
+//! Rust allows between one writer and one reader. A test bounds the preemptions. It also checks a writer
+//! that dies between any two stores while another takes over.
 
 use super::*;
 use loom::sync::Arc;

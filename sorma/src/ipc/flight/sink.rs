@@ -23,8 +23,8 @@ pub enum Format {
     Mcap,
 }
 
-/// What the floats are called: the first word of each line of the description, with the float's number where
-/// that word is missing or was there before.
+/// What the floats are called: the first word of each line of the description. Where that word is missing or
+/// was there before, the float's number is added.
 fn names(layout: &Layout) -> Vec<String> {
     let mut seen = BTreeSet::new();
     let mut lines = layout.description.lines();

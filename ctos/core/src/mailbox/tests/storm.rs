@@ -54,7 +54,7 @@ async fn answered(processor: &Processor, key: CallKey) -> Result<(), Fault> {
     .await
 }
 
-/// Lets everything else of the processor have its turn.
+/// Yields to everything else of the processor.
 async fn step_back() {
     let mut went = false;
     poll_fn(|cx| {
@@ -179,7 +179,7 @@ fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, 
     for sender in senders {
         sender.join().unwrap();
     }
-    // What was taken and is not waited for is in the queue at the latest now.
+    // A message that was taken, and for which no sender waits, is in the queue at the latest now.
     let (empty, done) = std::sync::mpsc::channel::<()>();
     let all_taken = task.clone();
     home.inject(move |_| drop(empty));

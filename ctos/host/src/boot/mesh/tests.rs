@@ -135,7 +135,7 @@ async fn app(count: u8, sets: &[&str]) -> (Node, Vec<Node>) {
     (boot, others)
 }
 
-/// A call from the first chassis to a task that the other one has not: that the error comes back shows
+/// A call from the first chassis to a task that the other one has not. That the error comes back shows
 /// that the link carries both ways.
 async fn asks(from: &Arc<Chassis>, to: u8) -> Fault {
     let (to, sender) = (Tid::new(to, 1, 0), Tid::new(from.index(), 0, 0));
@@ -216,7 +216,7 @@ fn idle_strangers_keep_no_member_out() {
         let a = Node::start(1, 1, &["same_host=tcp"]).await;
         a.mesh.join(&boot.address());
         boot.joined_by(&[1]).await;
-        // It was not waited for those who said nothing: the longest silent of them went.
+        // The mesh did not wait for those who said nothing: the longest silent of them went.
         assert!(boot.mesh.refused() >= 6);
         assert!(boot.mesh.refused() < STRANGERS as u64);
     });

@@ -21,9 +21,9 @@ use ctos_message::{Tid, fault::Fault};
 
 /// The longest that a client may wait for a task.
 const CALL_TIMEOUT: Duration = Duration::from_secs(3600);
-/// How long the answer to a line of text is waited for, unless the request says otherwise.
+/// How long the boot waits for the answer to a line of text, unless the request says otherwise.
 const SAY_TIMEOUT: Duration = Duration::from_secs(600);
-/// The longest that a request may have its answer waited for, s.
+/// The longest time that a request may have the boot wait for its answer, s.
 const LONGEST_SAY_S: f64 = 86_400.0;
 
 impl Service {

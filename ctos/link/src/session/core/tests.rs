@@ -103,7 +103,7 @@ impl End {
         }
     }
 
-    /// What it writes, at most `most` bytes; none when its stream breaks.
+    /// What it writes, at most `most` bytes; `None` when its stream breaks.
     fn write(&mut self, most: usize) -> Option<Vec<u8>> {
         let mut bytes = Vec::new();
         let pumped = self.core.pump(self.now, |slices| {

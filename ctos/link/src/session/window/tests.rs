@@ -242,8 +242,8 @@ proptest! {
     }
 }
 
-/// Posts frames of both priorities at one end, lets the stream take bytes and break, and gives back what the
-/// other end heard: the numbers of the frames, in order.
+/// Posts frames of both priorities at one end, and lets the stream take bytes and break. Returns the numbers
+/// of the frames that the other end heard, in order.
 fn play_lanes(frames: &[(usize, bool)], writes: &[usize], breaks: &[bool]) -> Vec<u64> {
     let mut pair = Pair {
         ends: [End::new(None), End::new(None)],

@@ -33,7 +33,7 @@ impl Lone {
         }
     }
 
-    /// The next chunk as it is published; none when there will be none.
+    /// The next chunk as it is published; `None` when there will be none.
     async fn next(&mut self) -> Option<Vec<u8>> {
         let chunk = self.chunks.recv().await?;
         self.sent += 1;

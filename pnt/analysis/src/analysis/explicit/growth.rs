@@ -1,7 +1,7 @@
-//! Proofs that a place has no bound. A marking that covers an earlier one on its own path, and holds more
-//! somewhere, can be left in the same way again and again (Karp and Miller 1969). That holds unless an inhibitor
-//! arc or a capacity looks at what grows, or a firing of the round empties it. Where transitions have priorities,
-//! the round must also be possible with any number of tokens in the places that grow.
+//! Proofs that a place has no bound. A marking may cover an earlier one on its own path, and hold more somewhere.
+//! Then it can be left in the same way again and again (Karp and Miller 1969). That holds unless an inhibitor arc
+//! or a capacity looks at what grows, or a firing of the round empties it. Where transitions have priorities, the
+//! round must also be possible with any number of tokens in the places that grow.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -42,7 +42,7 @@ impl Levels {
         self.markings
     }
 
-    /// The level of a number; nothing when it is of none.
+    /// The level of a number; `None` when it is of none.
     pub(in crate::analysis) fn of(&self, number: u32) -> Option<usize> {
         let at = self
             .spans

@@ -33,8 +33,8 @@ const PART: u32 = if cfg!(test) { 1 } else { 128 };
 /// A place, and how many bits its tokens need.
 pub(super) type Record = (PlaceNumber, u32);
 
-/// A counter on a line of memory of its own, and on the one that is fetched with it: who writes to it takes no
-/// other's line away.
+/// A counter with two cache lines of its own, since a processor fetches the second one with the first. So who
+/// writes to it takes no other's line away.
 #[repr(align(128))]
 pub(super) struct Padded<T>(pub(super) T);
 
@@ -163,7 +163,6 @@ impl Tally {
         }
     }
 
-    /// Notes a dead marking.
     fn note_dead(&mut self, distance: usize, marking: &[u32]) {
         self.dead_count += 1;
         let worst = self.worst_dead.as_ref();
@@ -211,8 +210,9 @@ pub(super) struct Worker {
     any_tight: bool,
 }
 
-/// From so many markings on it pays to know what was found a moment ago, in a table of so many words: as many
-/// as a processor keeps near. Fewer in tests, so that small nets come to it.
+/// Pairs of a count of markings and a count of words. From so many markings on, a table of those found a
+/// moment ago pays. It has so many words: as many as a processor keeps near. Fewer in tests, so that small
+/// nets come to it.
 const RECENT: [(usize, usize); 2] = if cfg!(test) {
     [(8, 16), (64, 64)]
 } else {
@@ -226,8 +226,8 @@ struct Recent {
     words: Vec<u64>,
 }
 
-/// Where in a table of so many words, a power of two, a marking with this [`linear`] sum stands: in a product
-/// the lower bits take part in all upper ones.
+/// Where a marking with this [`linear`] sum stands in a table of so many words, a power of two. It takes
+/// upper bits: in a product the lower bits take part in all of them.
 fn recent_place(sum: u64, words: usize) -> usize {
     (sum >> 48) as usize & (words - 1)
 }

@@ -55,8 +55,8 @@ impl Store {
     /// left: where to look on, and what is to be held there.
     fn fill(&self, slots: Range<usize>, given: &[Range<u32>]) -> Vec<(usize, u32)> {
         let mut left = Vec::new();
-        // A page that is read first is the kernel's page of zeros, and is replaced at the first write, for
-        // which the other cores are interrupted. So each is written first.
+        // A page that is read first is the kernel's page of zeros. The first write replaces it, and
+        // interrupts the other cores for that. So each is written first.
         for slot in self.table[slots.clone()].iter().step_by(PAGE_SLOTS) {
             slot.store(!EMPTY, Ordering::Relaxed);
         }

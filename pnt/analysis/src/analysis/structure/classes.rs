@@ -116,7 +116,7 @@ fn connected(arcs: &Arcs) -> bool {
     joined.count() == 1
 }
 
-/// The rank of a matrix, by elimination without fractions; nothing when numbers outgrow 128 bits.
+/// The rank of a matrix, by elimination without fractions; `None` when numbers outgrow 128 bits.
 fn rank(rows: &[Vec<i64>]) -> Option<usize> {
     let mut rows: Vec<Vec<i128>> = rows
         .iter()

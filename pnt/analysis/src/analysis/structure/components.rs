@@ -1,6 +1,6 @@
 //! Components of a net that have no choice, or no concurrency, and how fast those without choice can
-//! run. Once every choice of a robot's net is settled, what is left is a marked graph, whose timing can
-//! be told exactly (Freedman 1991, the architecture report's reference 2).
+//! run. Once every choice of a robot's net is settled, what is left is a marked graph. Its timing can
+//! be computed exactly (Freedman 1991, the architecture report's reference 2).
 
 use super::{
     Arcs,
@@ -84,7 +84,7 @@ pub fn marked_graphs(model: &Model, most: usize) -> Option<Vec<MarkedGraph>> {
     Some(parts.map(|part| with_choices(&arcs, part)).collect())
 }
 
-/// The numbers with weight one; nothing when another weight occurs.
+/// The numbers with weight one; `None` when another weight occurs.
 fn support(weights: &[u64]) -> Option<Vec<usize>> {
     let plain = weights.iter().all(|weight| *weight <= 1);
     plain.then(|| {

@@ -10,7 +10,7 @@ struct Row {
     effects: Vec<i64>,
 }
 
-/// The minimal non-negative solutions of "weighted sum of the rows is zero", or `None` when more than
+/// The minimal non-negative solutions of "weighted sum of the rows is zero". `None` when more than
 /// `most` candidates arise on the way, or numbers outgrow 64 bits.
 #[must_use]
 pub fn semiflows(rows: &[Vec<i64>], most: usize) -> Option<Vec<Vec<u64>>> {

@@ -7,8 +7,8 @@ use super::Arcs;
 /// A set of places, sorted.
 pub type PlaceSet = Vec<usize>;
 
-/// The minimal siphons of a net, or `None` when there are more than `most`, or looking for them takes
-/// more than 100 times as many steps.
+/// The minimal siphons of a net. `None` when there are more than `most`, or the search takes more
+/// than 100 times as many steps.
 #[must_use]
 pub fn minimal_siphons(arcs: &Arcs, most: usize) -> Option<Vec<PlaceSet>> {
     let mut found: Vec<PlaceSet> = Vec::new();

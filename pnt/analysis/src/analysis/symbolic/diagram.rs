@@ -8,7 +8,6 @@ use hashbrown::{DefaultHashBuilder, HashMap, HashTable};
 
 use super::{super::stop::Stop, Effort};
 
-/// A node.
 pub(super) type Node = u32;
 
 /// The empty set.

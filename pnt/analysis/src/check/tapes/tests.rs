@@ -155,7 +155,7 @@ fn tapes_of_two_nets_are_independent_and_the_end_is_that_of_both() {
         (ended.verdict.markings, ended.verdict.deadlocks),
         (5 * 3, 0)
     );
-    // The one stands still when the other has ended: that is no end.
+    // The one stands still when the other has ended: that is not an end.
     let stuck = proved(&nets, "toggle: a b other: b");
     assert_eq!(
         (stuck.verdict.markings, stuck.verdict.deadlocks),
@@ -249,7 +249,7 @@ fn random_net() -> impl Strategy<Value = String> {
 /// What has come on the tape, and the marking.
 type Point = (Vec<usize>, Vec<u32>);
 
-/// All runs of a net under words up to a length, from the definition: a command comes when the one
+/// All runs of a net under words up to a length, from the definition. A command comes when the one
 /// before is answered, if a word goes on with it.
 struct Runs {
     /// Where each point leads; those from which nothing leads are dead.
@@ -412,7 +412,7 @@ proptest! {
     }
 }
 
-/// Symbols of the longest word; nothing when there is none.
+/// Symbols of the longest word; `None` when there is none.
 fn longest(expression: &Expression<usize>) -> Option<u32> {
     match expression {
         Expression::Symbol(_) | Expression::Any => Some(1),

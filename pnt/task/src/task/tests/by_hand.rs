@@ -255,7 +255,7 @@ async fn every_intervention(cx: Context) -> Result<String, HandlerError> {
         }
         let said = order(&cx, one.clone()).await;
         assert!(!said.starts_with("no: "), "{one:?}: {said}");
-        // An action that was ended ends beside the order.
+        // An action that was ended ends concurrently with the order.
         cx.sleep(Duration::from_millis(10)).await;
     }
     Ok(String::new())

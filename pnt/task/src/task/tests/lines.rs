@@ -69,8 +69,8 @@ fn run_counted(more: &str, faults: Faults) -> (Result<String, String>, u32) {
     let mut registry = Registry::new();
     register_with_settings(&mut registry, COUNTER, || Library::new(()));
     register_script(&mut registry, wait);
-    // Where there is one listener alone, a line's place asks that of the thread which comes there first: none, if a test
-    // beside this one is first. Where there are two, all are asked.
+    // Where there is one listener alone, a callsite asks the listener of the thread that comes there first: none, if
+    // another test comes first. Where there are two, all are asked.
     let _other = tracing::Dispatch::new(Lines(Arc::default()));
     let lines = Arc::new(AtomicU32::new(0));
     let counting = Lines(Arc::clone(&lines));

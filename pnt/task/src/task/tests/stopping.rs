@@ -123,7 +123,7 @@ fn register_device(registry: &mut Registry, trace: &Trace) {
     });
 }
 
-/// Puts each command on the tape of its net beside the others, and notes what it is told.
+/// Puts each command on the tape of its net concurrently with the others, and notes what it is told.
 struct Asks {
     commands: &'static [(&'static str, &'static str)],
     trace: Trace,
@@ -187,8 +187,8 @@ struct Ran {
     quiet: Duration,
 }
 
-/// Runs nets on chassis of their own, with the device on one that is stopped first, until the person (or the result)
-/// ends it after two seconds.
+/// Runs nets on chassis of their own, with the device on one that is stopped first. The person (or the result) ends
+/// it after two seconds.
 fn run(
     nets: &[&str],
     commands: &'static [(&'static str, &'static str)],

@@ -20,8 +20,8 @@ pub(super) fn seeds(short: usize) -> usize {
     wanted.map_or(short, |text| text.parse().unwrap())
 }
 
-/// A chain of three nets: tokens go from `a` through `b` to `c`, some through actions that may be asked
-/// again, some through actions that may not.
+/// A chain of three nets: tokens go from `a` through `b` to `c`. Some go through actions that may be
+/// asked again, some through actions that may not.
 const A: &str = "net a
 place src = 20, free = 2
 transition take

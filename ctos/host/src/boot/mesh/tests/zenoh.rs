@@ -26,7 +26,7 @@ fn bystander(mode: &str, address: SocketAddr) -> Session {
         .unwrap()
 }
 
-/// zenoh does not let itself be waited for on a thread of a single-threaded runtime.
+/// zenoh refuses to be awaited on a thread of a single-threaded runtime.
 fn leave(session: Session) {
     std::thread::spawn(move || session.close().wait().unwrap())
         .join()
@@ -83,8 +83,8 @@ fn peers_hear_of_each_other_from_one_that_all_know_and_then_need_it_no_more() {
     });
 }
 
-/// Whether what is said to a group on the loopback is heard there: in some containers it is not, and then
-/// there is nothing to test.
+/// Whether the loopback carries what is said to a group. In some containers it does not, and then there
+/// is nothing to test.
 fn has_multicast() -> std::io::Result<bool> {
     const GROUP: std::net::Ipv4Addr = std::net::Ipv4Addr::new(224, 0, 0, 225);
     let socket = std::net::UdpSocket::bind((GROUP, 0))?;
