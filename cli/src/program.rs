@@ -62,11 +62,16 @@ pub fn app(selection: &Selection) -> Result<App, Findings> {
 /// # Errors
 /// All findings, when one of them is an error.
 pub fn checked(selection: &Selection, registry: &Registry) -> Result<(App, Findings), Findings> {
-    let app = app(selection)?;
-    let findings = registry.check(&app);
-    if findings.has_errors() {
-        Err(findings)
-    } else {
-        Ok((app, findings))
+    match selection.read(&EXPANDERS) {
+        (None, found) => Err(found),
+        (Some(app), found) if found.has_errors() => Err(registry.check_beside(&app, found)),
+        (Some(mut app), found) => {
+            app.warnings = found;
+            let findings = registry.check(&app);
+            match findings.has_errors() {
+                true => Err(findings),
+                false => Ok((app, findings)),
+            }
+        }
     }
 }

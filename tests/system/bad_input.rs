@@ -730,6 +730,35 @@ fn several_mistakes_in_several_files_are_all_shown_at_once() {
 }
 
 #[test]
+fn a_task_on_an_unknown_chassis_is_looked_at_with_the_others() {
+    let scratch = Scratch::new();
+    scratch.edit(APP, "retries = 2", "retires = 2");
+    scratch.edit(APP, "judge = \"referee\"", "judge = \"refree\"");
+    let findings = check(
+        &scratch,
+        &[
+            "--set",
+            "task.referee.on=\"wss1\"",
+            "--set",
+            "task.motion.on=\"cage_moton\"",
+            "--set",
+            "task.motion.handler=\"coordinators.moton\"",
+        ],
+    );
+    let codes = findings.iter().map(|finding| text(finding, "code"));
+    let mut codes: Vec<_> = codes.collect();
+    codes.sort_unstable();
+    // The judge's name is looked for when all tasks can be read.
+    let expected = [
+        "unknown_chassis",
+        "unknown_chassis",
+        "unknown_handler",
+        "unknown_key",
+    ];
+    assert_eq!(codes, expected.map(|code| format!("ctos::config::{code}")));
+}
+
+#[test]
 fn what_a_daemon_of_service_objects_is_given_is_found_by_the_check() {
     let daemon = "[profile.objects.task.objects]\nhandler = \"sorma.daemon\"\non = \"ws1\"\n";
     let scratch = Scratch::new();

@@ -161,7 +161,8 @@ fn colours_follow_the_flag_then_no_color_then_clicolor_force_then_the_terminal()
 #[test]
 fn twenty_findings_are_shown_and_counted_unless_all_are_asked_for() {
     let lines: Vec<String> = (0..25).map(|n| format!("zz{n} = 1")).collect();
-    let (_folder, wrong) = folder_with("wrong.toml", &format!("{}\n{APP}", lines.join("\n")));
+    let app = APP.replace("\"h\"", "\"sorma.daemon\"");
+    let (_folder, wrong) = folder_with("wrong.toml", &format!("{}\n{app}", lines.join("\n")));
     let shown = |arguments: &[&str]| {
         let (code, _, err) = ended(&run(&[&["check", wrong.as_str()], arguments].concat()));
         assert_eq!(code, Some(3), "{err}");

@@ -24,7 +24,13 @@ impl Selection {
     /// Everything wrong, errors and warnings together. When there are only warnings, the app is
     /// returned and holds them.
     pub fn load(&self, expanders: &[(&'static str, &dyn Expander)]) -> Result<App, Findings> {
-        load_from(Files::Disk, self, expanders)
+        loaded(self.read(expanders))
+    }
+
+    /// As [`load`](Self::load), for those who look further at an app that is wrong: as much of it as could be read.
+    /// None where the files themselves are no configuration.
+    pub fn read(&self, expanders: &[(&'static str, &dyn Expander)]) -> (Option<App>, Findings) {
+        read_from(Files::Disk, self, expanders)
     }
 
     /// As [`load`](Self::load), from texts in memory given as `(path, text)`, and with these
@@ -38,7 +44,7 @@ impl Selection {
         variables: &BTreeMap<String, String>,
         expanders: &[(&'static str, &dyn Expander)],
     ) -> Result<App, Findings> {
-        load_from(Files::Texts(texts, variables), self, expanders)
+        loaded(read_from(Files::Texts(texts, variables), self, expanders))
     }
 }
 
@@ -72,32 +78,37 @@ pub fn load_texts(
     selection.load_texts(texts, &BTreeMap::new(), expanders)
 }
 
-fn load_from(
+/// An app without errors, which holds the warnings.
+fn loaded((app, findings): (Option<App>, Findings)) -> Result<App, Findings> {
+    match app {
+        Some(mut app) if !findings.has_errors() => {
+            app.warnings = findings;
+            Ok(app)
+        }
+        _ => Err(findings),
+    }
+}
+
+fn read_from(
     files: Files<'_>,
     selection: &Selection,
     expanders: &[(&'static str, &dyn Expander)],
-) -> Result<App, Findings> {
+) -> (Option<App>, Findings) {
     let mut findings = Findings::new();
-    let Some(merged) = merged(files, selection, &mut findings) else {
-        return Err(findings);
-    };
+    let merged = merged(files, selection, &mut findings);
     // What does not parse would only bring findings that are not the person's mistakes.
-    if findings.has_errors() {
-        return Err(findings);
-    }
+    let Some(merged) = merged.filter(|_| !findings.has_errors()) else {
+        return (None, findings);
+    };
     let (root, trail) = (merged.root, merged.trail);
-    let mut app = build(root, selection, trail, expanders, &mut findings);
+    let app = build(root, selection, trail, expanders, &mut findings);
     for profile in &merged.profiles {
         if !app.selection.profiles.contains(&profile.key) {
             let root = merged.bare.clone();
             check_idle(profile, root, files, expanders, &mut findings);
         }
     }
-    if findings.has_errors() {
-        return Err(findings);
-    }
-    app.warnings = findings;
-    Ok(app)
+    (Some(app), findings)
 }
 
 /// What is wrong with the keys and values of a profile by themselves. Whether its names lead anywhere may

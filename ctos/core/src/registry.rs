@@ -208,6 +208,16 @@ pub fn unread_args(
     }
 }
 
+/// Findings about a task that hold whatever the rest of its app is like.
+const OF_A_TASK: [&str; 6] = [
+    "ctos::config::unknown_handler",
+    "ctos::config::unknown_key",
+    "ctos::config::unknown_choice",
+    "ctos::config::missing_key",
+    "ctos::config::value",
+    "ctos::handler::unread_args",
+];
+
 #[doc(hidden)]
 impl HandlerKind {
     pub fn recipe(&self) -> Arc<Recipe> {
@@ -380,12 +390,35 @@ impl Registry {
     #[must_use]
     pub fn check(&self, app: &App) -> Findings {
         let mut findings = app.warnings.clone();
+        self.check_tasks(app, &mut findings);
+        waiting::check(app, self, &mut findings);
+        for check in self.app_checks.values() {
+            check(app, self, &mut findings);
+        }
+        findings
+    }
+
+    /// What is wrong with the tasks of an app by themselves, beside `found`, which is wrong with its configuration. What
+    /// is wrong between tasks would be no mistake of the person where one could not be read.
+    #[must_use]
+    pub fn check_beside(&self, app: &App, mut found: Findings) -> Findings {
+        let mut of_tasks = Findings::new();
+        self.check_tasks(app, &mut of_tasks);
+        for finding in of_tasks.into_sorted() {
+            if OF_A_TASK.contains(&finding.code) {
+                found.push(finding);
+            }
+        }
+        found
+    }
+
+    fn check_tasks(&self, app: &App, findings: &mut Findings) {
         for task in &app.tasks {
             match self.kind(&task.handler) {
                 Some(kind) => {
-                    codes::check(kind, task, &mut findings);
-                    self.check_state(kind, task, app, &mut findings);
-                    kind.check_task(task, app, &mut findings);
+                    codes::check(kind, task, findings);
+                    self.check_state(kind, task, app, findings);
+                    kind.check_task(task, app, findings);
                 }
                 None => findings.push(
                     Finding::error(
@@ -400,11 +433,6 @@ impl Registry {
                 ),
             }
         }
-        waiting::check(app, self, &mut findings);
-        for check in self.app_checks.values() {
-            check(app, self, &mut findings);
-        }
-        findings
     }
 
     /// Whether a task whose state is to survive has one that can, and a place for it.

@@ -39,7 +39,9 @@ impl Builder<'_> {
         let restart = restart(node, Policy::default(), idle, self.findings);
         let on_place = node.place_of("on")?;
         let on = node.get("on")?.as_str()?;
-        let (chassis, processor) = self.find_processor(on, &on_place, chassis)?;
+        let found = self.find_processor(on, &on_place, chassis);
+        // It is kept all the same: its handler and arguments may be wrong too, and are found at once.
+        let (chassis, processor) = found.unwrap_or_else(|| (on.to_owned(), String::new()));
         let args = node.get("args").cloned();
         Some(TaskConfig {
             name: entry.key.clone(),
