@@ -181,7 +181,7 @@ pub fn lines() -> Vec<Line> {
 }
 
 /// The pages for users.
-fn pages() -> Vec<String> {
+pub fn pages() -> Vec<String> {
     let mut pages = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
     for entry in fs::read_dir(root().join("docs")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();

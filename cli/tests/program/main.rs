@@ -29,6 +29,7 @@ mod proving;
 mod readme;
 mod reference;
 mod replay;
+mod requests;
 mod running;
 mod scott;
 mod sim;
