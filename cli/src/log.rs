@@ -44,12 +44,16 @@ impl LogFormat {
     }
 }
 
-/// Seconds since the app was started.
-struct AppTime(Clock);
+/// Seconds since the app was started, behind the name of the process where others' lines stand beside its own.
+struct AppTime {
+    clock: Clock,
+    process: String,
+}
 
 impl FormatTime for AppTime {
     fn format_time(&self, w: &mut Writer<'_>) -> fmt::Result {
-        write!(w, "{:9.3}", self.0.now().since_start().as_secs_f64())
+        let seconds = self.clock.now().since_start().as_secs_f64();
+        write!(w, "{}{seconds:9.3}", self.process)
     }
 }
 
@@ -145,6 +149,8 @@ pub(crate) struct LogSetting<'a> {
     pub(crate) format: LogFormat,
     /// Whether colours may be used.
     pub(crate) ansi: bool,
+    /// What each line of text begins with.
+    pub(crate) process: String,
 }
 
 /// Starts logging. `clock` is the app's. The record, if there is one, gets what is of level "info" and
@@ -152,7 +158,7 @@ pub(crate) struct LogSetting<'a> {
 ///
 /// # Errors
 /// What is wrong with the filter.
-pub(crate) fn start(setting: &LogSetting<'_>, clock: Clock) -> Result<(), String> {
+pub(crate) fn start(setting: LogSetting<'_>, clock: Clock) -> Result<(), String> {
     let text = setting.filter.unwrap_or(setting.level);
     let shown = Shown::parse(text)?;
     // Only the first call of a program counts; a second one finds logging started already.
@@ -187,7 +193,7 @@ impl<S: Subscriber> Filter<S> for Recorded {
 }
 
 /// The layer that writes lines to standard error.
-fn lines<S>(setting: &LogSetting<'_>, clock: Clock) -> Box<dyn Layer<S> + Send + Sync>
+fn lines<S>(setting: LogSetting<'_>, clock: Clock) -> Box<dyn Layer<S> + Send + Sync>
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
 {
@@ -198,7 +204,11 @@ where
         // still has to be stopped.
         .log_internal_errors(false);
     match setting.format {
-        LogFormat::Text => layer.with_timer(AppTime(clock)).compact().boxed(),
+        LogFormat::Text => {
+            let process = setting.process;
+            let timer = AppTime { clock, process };
+            layer.with_timer(timer).compact().boxed()
+        }
         LogFormat::Json => layer
             .with_timer(JsonTime(clock))
             .json()

@@ -53,6 +53,12 @@ fn a_peer_whose_packets_vanish_is_given_up_after_the_peer_timeout_and_nobody_is_
         let line = format!("link down peer={peer} reason=nothing was heard of it for 1.000 s");
         ended.must_say(&line);
     }
+    // Whose line it is stands before it, the boot's too.
+    let named = |line: &&str| line.contains("link down peer=") && line.contains("WARN");
+    for line in ended.stderr.lines().filter(named) {
+        let (process, _) = line.split_once('│').unwrap_or_else(|| panic!("{line}"));
+        assert!(["boot", "desk", "cage"].contains(&process.trim()), "{line}");
+    }
     ended.must_say("the boot is gone: stopping");
     let error = ended.error();
     let named = ["`desk`", "`cage`"].iter().any(|name| error.contains(name));

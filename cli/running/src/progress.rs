@@ -42,12 +42,11 @@ impl Display {
                 app.tasks.len()
             ));
         }
-        let names = app.chassis.iter().map(|chassis| chassis.name.len());
         Self {
             bar: Mutex::default(),
             animated: std::io::stderr().is_terminal() && !show::says_json(),
             told: AtomicU64::new(u64::MAX),
-            width: names.max().unwrap_or(0),
+            width: width(app),
             quiet,
         }
     }
@@ -86,6 +85,13 @@ impl Display {
             .take()
         {
             bar.finish_and_clear();
+        }
+    }
+
+    /// Says what belongs to a run that is not `quiet`, for example where its page is.
+    pub fn say(&self, text: &str) {
+        if !self.quiet {
+            self.line(text);
         }
     }
 
@@ -132,6 +138,12 @@ impl Display {
         bar.set_prefix(format!("{task}: {step}"));
         bar.set_message(what.to_owned());
     }
+}
+
+/// How wide the names of the processes of `app` are, in letters.
+pub fn width(app: &App) -> usize {
+    let names = app.chassis.iter().map(|chassis| chassis.name.len());
+    names.max().unwrap_or(0).max("boot".len())
 }
 
 /// An event as a line, chassis names `width` wide; `None` for one that is shown in another way, or not

@@ -51,7 +51,7 @@ pub struct AgentArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &AgentArgs, registry: Registry) -> u8 {
-    if let Err(code) = start_log(&args.log, Clock::real(), true) {
+    if let Err(code) = start_log(&args.log, Clock::real(), true, String::new()) {
         return code;
     }
     let program = match std::env::current_exe() {

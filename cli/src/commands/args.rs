@@ -54,8 +54,13 @@ pub struct LogArgs {
 /// What is shown where nothing else is asked for: warnings, and the addresses of pages.
 const SHOWN: &str = "warn,ctos::page=info";
 
-/// Starts logging or says why it cannot; the exit code then.
-pub(super) fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(), u8> {
+/// Starts logging or says why it cannot; the exit code then. Lines of text begin with `process`.
+pub(super) fn start_log(
+    args: &LogArgs,
+    clock: ctos::time::Clock,
+    ansi: bool,
+    process: String,
+) -> Result<(), u8> {
     let level = match (args.quiet, args.verbose) {
         (true, _) => "error",
         (false, 0) => SHOWN,
@@ -71,8 +76,9 @@ pub(super) fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) ->
         filter: args.log.as_deref(),
         format: args.log_format,
         ansi,
+        process,
     };
-    crate::log::start(&setting, clock).map_err(|error| {
+    crate::log::start(setting, clock).map_err(|error| {
         show::say(&format!("error: {error}"));
         exit::USAGE
     })

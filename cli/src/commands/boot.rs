@@ -13,12 +13,16 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
+use ctos::config::TimeMode;
 use ctos::diagnostic::Findings;
 use ctos::registry::Registry;
 use ctos::task::Phase;
 
-use cli_common::{exit, show};
-use cli_running::{progress::Display, record};
+use cli_common::{exit, records, remote, show};
+use cli_running::{
+    progress::{self, Display},
+    record,
+};
 
 use crate::{
     commands::{
@@ -193,7 +197,12 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         return not_started(args, taken);
     }
     let clock = ctos::boot::clock(app.time);
-    if let Err(code) = start_log(&args.log, clock.clone(), true) {
+    // On a virtual clock all tasks run in this process, and their lines name them.
+    let process = match app.time {
+        TimeMode::Real => format!("{:<1$} │ ", "boot", progress::width(&app)),
+        TimeMode::Virtual => String::new(),
+    };
+    if let Err(code) = start_log(&args.log, clock.clone(), true, process) {
         return code;
     }
     if !args.log.quiet {
@@ -231,6 +240,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     };
     let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
+    let page = args.display.and_then(|listen| page(listen, args));
     let terminated = Arc::new(AtomicBool::new(false));
     let told = terminated.clone();
     let ready = Phase::from(args.until);
@@ -245,6 +255,11 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             file.write(chassis, line);
         }
         shown.show(event);
+        if let (Some(page), BootEvent::PhaseDone { phase, .. }) = (&page, event)
+            && *phase == Phase::Run
+        {
+            shown.say(page);
+        }
     });
     let outcome = ctos::boot::boot_with(
         &clock,
@@ -255,6 +270,11 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         &observer,
     );
     display.finish();
+    if let Some(file) = &args.record
+        && outcome.is_ok()
+    {
+        display.say(&recorded(file));
+    }
     match outcome {
         Ok(outcome) => {
             let code = report(&outcome, args.json);
@@ -272,6 +292,28 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             }
         }
     }
+}
+
+/// Where the page is, in words; `None` where only its task knows the port.
+fn page(listen: SocketAddr, args: &BootArgs) -> Option<String> {
+    let token = match args.allow_control {
+        true => "  (with its token in the line of `display` above)",
+        false => "",
+    };
+    (listen.port() != 0).then(|| format!("display  http://{listen}/{token}"))
+}
+
+/// How much the processes have recorded, and how it is looked at.
+fn recorded(file: &Path) -> String {
+    let files = records::files(&[file.to_owned()]);
+    let sizes = files.iter().filter_map(|file| file.metadata().ok());
+    let bytes = sizes.map(|found| found.len()).sum();
+    let count = match files.len() {
+        1 => String::new(),
+        count => format!("{count} files, "),
+    };
+    let (file, size) = (file.display(), remote::size(bytes));
+    format!("recorded {file} · {count}{size}\nlook     ctos log info {file}")
 }
 
 fn not_started(args: &BootArgs, findings: Findings) -> u8 {

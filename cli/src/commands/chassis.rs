@@ -35,7 +35,12 @@ pub struct ChassisArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &ChassisArgs, registry: Registry) -> u8 {
-    if let Err(code) = start_log(&args.log, Clock::real_from(args.origin), false) {
+    if let Err(code) = start_log(
+        &args.log,
+        Clock::real_from(args.origin),
+        false,
+        String::new(),
+    ) {
         return code;
     }
     let app = match program::app(&args.app.selection()) {

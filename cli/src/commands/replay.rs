@@ -9,7 +9,7 @@ use ctos::{
     registry::Registry,
 };
 
-use cli_common::{exit, records, show};
+use cli_common::{exit, records, remote, show};
 
 use crate::{commands::args::AppArgs, program};
 
@@ -51,7 +51,13 @@ pub fn run(args: &ReplayArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    let record = match Record::read(&records::files(&args.files), &Filter::default()) {
+    let files = records::files(&args.files);
+    if !args.json {
+        let sizes = files.iter().filter_map(|file| file.metadata().ok());
+        let bytes = sizes.map(|found| found.len()).sum();
+        show::say(&format!("reads {}", remote::size(bytes)));
+    }
+    let record = match Record::read(&files, &Filter::default()) {
         Ok(record) => record,
         Err(error) => {
             show::say(&format!("error: {error}"));

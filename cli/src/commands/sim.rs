@@ -243,7 +243,7 @@ impl Lab<'_> {
     /// Runs one seed and shows the run.
     fn one(&self, seed: u64) -> u8 {
         let clock = Clock::virtual_clock();
-        if let Err(code) = start_log(&self.args.log, clock.clone(), true) {
+        if let Err(code) = start_log(&self.args.log, clock.clone(), true, String::new()) {
             return code;
         }
         let events = match self.args.events.as_deref().map(EventFile::create) {
@@ -320,7 +320,7 @@ impl Lab<'_> {
             ),
             log_format: self.args.log.log_format,
         };
-        if let Err(code) = start_log(&quiet, Clock::virtual_clock(), true) {
+        if let Err(code) = start_log(&quiet, Clock::virtual_clock(), true, String::new()) {
             return code;
         }
         let observer: Observer = Arc::new(|_: &BootEvent| ());

@@ -1,9 +1,11 @@
 //! What the page tells beside the drawing of a net: tasks and their messages, lanes, places of several nets,
 //! breakpoints at places, and what it does not know any more.
 
+use std::time::Instant;
+
 use rustix::process::Signal;
 
-use super::{DISPATCHER, SIZE, boot, browser::Browser, choose, pictures, scratch};
+use super::{DISPATCHER, SIZE, SLOW, boot, browser::Browser, choose, pictures, scratch};
 
 #[test]
 #[ignore = "needs Chromium"]
@@ -291,4 +293,35 @@ fn breakpoints_of_the_boot_are_marked_and_the_clock_is_that_of_the_app_whoever_c
     late.ask("nets.take({ kind: 'hello', app: 'again', mode: 'live', control: false, displays: [], nets: [], tasks: [] })");
     assert_eq!(late.ask("nets.offset === null"), true);
     assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn an_open_page_goes_by_the_clock_of_an_app_that_is_booted_again_beneath_it() {
+    let scratch = scratch();
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let boot = |display: &str| {
+        let arguments = [&[display], &SLOW[..], &["--set", waits]].concat();
+        let mut run = scratch.start_boot(&arguments);
+        let line = run.line_with("nets are shown");
+        let (_, page) = line.split_once("page=\"").unwrap();
+        (run, page.split('"').next().unwrap().to_owned())
+    };
+    let (run, page) = boot("--display=127.0.0.1:0");
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    browser.wait(&format!("{DISPATCHER}?.head.paused"));
+    browser.ask(&format!("{DISPATCHER}.isOfTheFirst = true"));
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+
+    let address = page.trim_start_matches("http://").trim_end_matches('/');
+    let booted = Instant::now();
+    let (mut again, _) = boot(&format!("--display={address}"));
+    again.wait_for(&format!("display  {page}"));
+    browser.wait(&format!(
+        "!{DISPATCHER}?.isOfTheFirst && {DISPATCHER}?.head.paused"
+    ));
+    let now = browser.ask("nets.now()").as_f64().unwrap();
+    let age = booted.elapsed().as_nanos() as f64;
+    assert!(0.0 < now && now <= age, "{now} ns, {age} ns after its boot");
 }
