@@ -22,6 +22,8 @@ pub const ROBOT_PROBLEMS: &str = "robot_problems";
 pub const HAND_PROBLEMS: &str = "hand_problems";
 /// What the Vision Coordinator could not do: [`Problems`].
 pub const VISION_PROBLEMS: &str = "vision_problems";
+/// What the Laser Coordinator could not do: [`Problems`].
+pub const LASER_PROBLEMS: &str = "laser_problems";
 
 /// [`ERRAND`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

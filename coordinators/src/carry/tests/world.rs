@@ -9,9 +9,13 @@ use ctos::{
 };
 use mcs::{
     Joints,
-    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, Target},
+    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, SetOutput, Target},
 };
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
+use mcs_path::{
+    PathError, Way,
+    task::{PlanWay, Planned, Unplanned},
+};
 use nalgebra::{Isometry3, Point3, Vector3};
 use vss::command::{Outcome as Vss, VisionError};
 use vss_board::{discs::SeenDisc, pose::BoardPose};
@@ -21,7 +25,7 @@ use crate::{
     carry::{board::Board, errand::Errand, eyes::LookOver, sight::Overview, thing::Thing},
 };
 
-pub(super) const BOARD: Board = Board {
+pub(crate) const BOARD: Board = Board {
     at: [0.5, 0.0, 0.42],
     yaw_deg: 20.0,
     field_m: 0.06,
@@ -30,13 +34,13 @@ pub(super) const BOARD: Board = Board {
     dot: Some([-0.255, -0.21]),
 };
 
-pub(super) fn disc() -> Thing {
+pub(crate) fn disc() -> Thing {
     let disc = include_str!("../../../../configs/carry/disc.toml");
     Thing::parse(&Source::new("disc.toml", disc)).unwrap()
 }
 
 /// The middle of the bottom of a disc on a field.
-pub(super) fn on(field: &str) -> Point3<f64> {
+pub(crate) fn on(field: &str) -> Point3<f64> {
     BOARD.point(&field.parse().unwrap(), disc().height_m)
 }
 
@@ -59,20 +63,22 @@ pub(in crate::carry) fn errand() -> Errand {
 
 /// Where the thing is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Place {
+pub(crate) enum Place {
     /// The middle of its bottom.
     At(Point3<f64>),
     InHand,
 }
 
 /// What the stand-ins share.
-pub(super) struct World {
+pub(crate) struct World {
     pub bench: Bench,
     tool: Isometry3<f64>,
     planned: Vec<Isometry3<f64>>,
     pub thing: Place,
     /// Other discs.
     pub others: Vec<Point3<f64>>,
+    /// A person takes them away after so many looks.
+    pub is_cleared_after: usize,
     /// Where the board truly is, and how it is known: an argument of the Vision Coordinator.
     pub board: Board,
     pub believes: &'static str,
@@ -83,6 +89,8 @@ pub(super) struct World {
     pub clutter: bool,
     /// Turns of the gripper that the arm does not reach, rad.
     pub unreachable: Vec<f64>,
+    /// The arm reaches nothing at all.
+    pub nothing_in_reach: bool,
     /// Turns with which something is in the way down to a thing, rad.
     pub blocked_turns: Vec<f64>,
     /// Kinds of path that a guard ends half way.
@@ -92,6 +100,10 @@ pub(super) struct World {
     pub dropped: bool,
     /// How long a motion takes.
     pub motion: Duration,
+    /// What the pointer was set to, and where the tool was then. Without power it is off.
+    pub light: Vec<(f64, Isometry3<f64>)>,
+    /// The planner finds no way.
+    pub is_walled_in: bool,
     /// Where the thing was at each answer.
     pub at_answers: Vec<Place>,
 }
@@ -110,17 +122,21 @@ impl World {
             planned: Vec::new(),
             thing: Place::At(on("3,4")),
             others: Vec::new(),
+            is_cleared_after: usize::MAX,
             board: BOARD,
             believes: "seen",
             dark_from: usize::MAX,
             looks: 0,
             clutter: false,
             unreachable: Vec::new(),
+            nothing_in_reach: false,
             blocked_turns: Vec::new(),
             blocked: Vec::new(),
             is_open: false,
             dropped: false,
             motion: Duration::ZERO,
+            light: Vec::new(),
+            is_walled_in: false,
             at_answers: Vec::new(),
         }
     }
@@ -152,6 +168,29 @@ impl World {
         asked.any(|request| request != "look_over")
     }
 
+    /// Whether the pointer is out.
+    pub fn is_dark(&self) -> bool {
+        self.light.last().is_none_or(|(lit, _)| *lit == 0.0)
+    }
+
+    /// How often the pointer blinked with its light on the upper side of a thing whose bottom's middle is there.
+    pub fn blinks_at(&self, bottom: &Point3<f64>) -> usize {
+        let top = bottom + Vector3::z() * disc().height_m;
+        let lit = self.light.iter().filter(|(lit, _)| *lit == 1.0);
+        let hits = lit.filter(|(_, tool)| {
+            let leaves = tool * Point3::new(0.05, 0.0, -0.065);
+            let along = tool * Vector3::z();
+            let met = leaves + along * ((top.z - leaves.z) / along.z);
+            along.z < 0.0 && (met - top).norm() < 1e-6
+        });
+        hits.count()
+    }
+
+    /// Whether it blinked there as often as it should.
+    pub fn has_shown(&self, bottom: &Point3<f64>) -> bool {
+        self.blinks_at(bottom) >= 6
+    }
+
     /// Where a motion leads.
     fn target(&self, order: &Move) -> Isometry3<f64> {
         match order.target {
@@ -178,6 +217,9 @@ impl World {
     /// What the cameras see.
     fn overview(&mut self) -> Result<Overview, VisionError> {
         self.looks += 1;
+        if self.looks > self.is_cleared_after {
+            self.others.clear();
+        }
         if self.looks > self.dark_from {
             return Err(VisionError::new(Vss::Unseen, "no camera sees the board"));
         }
@@ -244,7 +286,14 @@ impl World {
 }
 
 impl bench::World for World {
-    const MORE: &'static [CommandInfo] = &[Grasp::INFO, Open::INFO, ReadHeld::INFO, LookOver::INFO];
+    const MORE: &'static [CommandInfo] = &[
+        Grasp::INFO,
+        Open::INFO,
+        ReadHeld::INFO,
+        LookOver::INFO,
+        SetOutput::INFO,
+        PlanWay::INFO,
+    ];
 
     fn bench(&mut self) -> &mut Bench {
         &mut self.bench
@@ -274,7 +323,7 @@ impl bench::World for World {
         let to = pose(&rows);
         let turn = self.turn(&to);
         let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
-        if self.unreachable.iter().any(is_near) {
+        if self.nothing_in_reach || self.unreachable.iter().any(is_near) {
             return Err(MotionError::new(Motion::Unreachable, "out of reach"));
         }
         self.planned.push(to);
@@ -288,6 +337,7 @@ impl bench::World for World {
         let kind = match order.path {
             PathKind::Arch { .. } => "arch",
             PathKind::StraightLine => "line",
+            PathKind::Named { .. } => "planned",
             _ => "joint",
         };
         // The ways down have guards of their own.
@@ -325,6 +375,10 @@ impl bench::World for World {
         self.tool
     }
 
+    fn is_released(&mut self) {
+        self.light.push((0.0, self.tool));
+    }
+
     fn is_answered(&mut self) {
         self.at_answers.push(self.thing);
     }
@@ -342,6 +396,35 @@ impl bench::World for World {
             }),
             ReadHeld::CODE => {
                 stand_in.typed::<ReadHeld, _>(cx, message, |world, _| Ok(world.held()))
+            }
+            SetOutput::CODE => {
+                stand_in.typed::<SetOutput, _>(cx, message, |world, SetOutput { name, value }| {
+                    let refused = |text| Err(MotionError::new(Motion::Refused, text));
+                    if name != "pointer" {
+                        return refused("there is no such output");
+                    }
+                    if !world.bench.reserved {
+                        return refused("the arm is not reserved");
+                    }
+                    world.light.push((value, world.tool));
+                    Ok(())
+                })
+            }
+            PlanWay::CODE => {
+                let (PlanWay { from, goals, .. }, reply) = message.open::<PlanWay>()?;
+                if lock(&stand_in.0).is_walled_in {
+                    return reply.ok(Err(Unplanned::Path(PathError::NoGoal)));
+                }
+                reply.ok(Ok(Planned {
+                    way: Way {
+                        points: vec![from, goals[0]],
+                        leeway: vec![0.0; 2],
+                        length_m: 1.0,
+                        full_speed_s: 1.0,
+                        nearest: None,
+                    },
+                    iterations: 1,
+                }))
             }
             LookOver::CODE => {
                 let (LookOver { .. }, reply) = message.open::<LookOver>()?;
@@ -361,7 +444,7 @@ impl bench::World for World {
 }
 
 /// The tasks of the nets.
-pub(super) fn tasks(believes: &str) -> String {
+pub(crate) fn tasks(believes: &str) -> String {
     let configs = configs();
     format!(
         r#"
@@ -371,6 +454,7 @@ on = "ws1"
 [task.dispatcher.args]
 net = "{configs}/nets/carry/dispatcher.net"
 thing = "{configs}/carry/disc.toml"
+show = true
 board = {{ at = [0.5, 0.0, 0.42], yaw_deg = 20.0, field_m = 0.06, dot = [-0.255, -0.21] }}
 [task.robot]
 handler = "coordinators.carry_robot"
@@ -386,6 +470,14 @@ on = "ws1"
 [task.hand.args]
 net = "{configs}/nets/carry/hand.net"
 service_within_s = 2.0
+[task.laser]
+handler = "coordinators.carry_laser"
+on = "ws1"
+[task.laser.args]
+net = "{configs}/nets/carry/laser.net"
+light = [0.05, 0.0, -0.065]
+park_deg = [0, 75, -180, 0, -75, 0]
+service_within_s = 2.0
 [task.vision]
 handler = "coordinators.carry_vision"
 on = "ws1"
@@ -399,35 +491,35 @@ service_within_s = 2.0
 }
 
 /// The stand-ins by the names of their tasks.
-pub(super) const STAND_INS: [&str; 3] = ["mcs", "gripper", "eyes"];
+pub(crate) const STAND_INS: [&str; 4] = ["mcs", "gripper", "eyes", "paths"];
 
-pub(super) fn run(world: World, commands: &[&str]) -> World {
+pub(crate) fn run(world: World, commands: &[&str]) -> World {
     run_seeded(world, commands, 1)
 }
 
 /// One command, with settings as `--set` takes them.
-pub(super) fn run_with(world: World, sets: &[&str]) -> World {
+pub(crate) fn run_with(world: World, sets: &[&str]) -> World {
     let app = bench::app(&tasks(world.believes), &STAND_INS);
     let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
     bench::run_with(world, (&app, &sets), &[CARRY], &[])
 }
 
-pub(super) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
+pub(crate) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
     let app = bench::app(&tasks(world.believes), &STAND_INS);
     let sets = [format!("app.seed={seed}")];
     bench::run_with(world, (&app, &sets), commands, &[])
 }
 
 /// One command: from field 3,4 to 4,5.
-pub(super) const CARRY: &str = "carry 3,4,0 4,5,0";
+pub(crate) const CARRY: &str = "carry 3,4,0 4,5,0";
 
 /// What an errand without faults asks.
-pub(super) fn requests() -> Vec<String> {
+pub(crate) fn requests() -> Vec<String> {
     run(World::default(), &[CARRY]).bench.asked
 }
 
 /// The requests that are motions.
-pub(super) fn motions(requests: &[String]) -> Vec<usize> {
+pub(crate) fn motions(requests: &[String]) -> Vec<usize> {
     let all = 0..requests.len();
     all.filter(|at| requests[*at] == Move::NAME).collect()
 }
