@@ -17,7 +17,7 @@ use super::{
     board::{Board, Field},
     errand::{
         ERRAND, Errand, HAND_PROBLEMS, LASER_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS,
-        VISION_PROBLEMS, WAYS, Ways,
+        VISION_PROBLEMS, WAY, WAYS, Way, Ways,
     },
     laser::{SHOWN, Shown},
     sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
@@ -565,6 +565,15 @@ async fn report_point(action: Act) -> Acted {
 async fn note_ways(action: &Act) {
     let (cx, _, store) = parts(action);
     let command = action.with_state(|state| state.command);
+    if let Ok(way) = store.fetch::<Way>(&cx, WAY).await
+        && way.command == command
+        && let Some([x, y]) = way.shift
+    {
+        let off_mm = 1e3 * x.hypot(y);
+        action.note(format!(
+            "the camera on the hand saw it {off_mm:.1} mm beside"
+        ));
+    }
     if let Ok(ways) = store.fetch::<Ways>(&cx, WAYS).await
         && ways.command == command
     {

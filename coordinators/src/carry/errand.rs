@@ -87,6 +87,8 @@ pub struct Way {
     pub command: u32,
     /// The gripper about the vertical of the board, rad.
     pub turn: f64,
+    /// How far the thing is beside where it was seen before, along the tool's x and y axes, m, as the camera on the hand sees it.
+    pub shift: Option<[f64; 2]>,
 }
 
 /// [`WAYS`].

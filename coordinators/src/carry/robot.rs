@@ -5,6 +5,7 @@
 //! down, and a failure elsewhere.
 
 mod ride;
+mod wrist;
 
 use std::rc::Rc;
 
@@ -17,7 +18,7 @@ use ctos::{
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
-use self::ride::Ride;
+use self::{ride::Ride, wrist::WristArgs};
 use super::{
     errand::{End, ROBOT_PROBLEMS, WAY, WAYS, Way, Ways},
     ways::{Going, Turn, WaysArgs, costs, turns},
@@ -71,6 +72,8 @@ struct RobotArgs {
     /// Recipes of guards that watch the ways down.
     #[serde(default)]
     touch: Vec<String>,
+    /// The camera on the hand that corrects the arm above the thing; none when it is left out.
+    wrist: Option<WristArgs>,
     /// Where the arm waits, degrees of its joints.
     park_deg: Vec<f64>,
     /// How long a protective stop is waited out before the request fails, s.
@@ -120,6 +123,8 @@ impl RobotArgs {
 enum Leg {
     /// To above the thing, with the turn that reaches all.
     Approach,
+    /// Above the thing, as the camera on the hand sees it.
+    Adjust,
     /// Down around the thing.
     Descend,
     /// Up with it.
@@ -140,6 +145,7 @@ impl Leg {
     fn name(self) -> &'static str {
         match self {
             Self::Approach => "approach",
+            Self::Adjust => "adjust",
             Self::Descend => "descend",
             Self::Lift => "lift",
             Self::Transfer => "transfer",
@@ -204,12 +210,18 @@ impl NetArgs for RobotArgs {
         if self.ways.are_planned() {
             crate::need_task(task, app, "planner", &self.planner, findings);
         }
+        if let Some(wrist) = &self.wrist {
+            crate::need_task(task, app, "wrist", &wrist.vsm, findings);
+        }
         let mut wrong = |key: &str, text: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
             findings.push(Finding::error("coordinators::carry::robot", text).at(place));
         };
         if let Err((key, text)) = self.ways.check() {
             wrong(&key, text);
+        }
+        if let Some(Err((key, text))) = self.wrist.as_ref().map(WristArgs::check) {
+            wrong(key, text);
         }
         for (key, value) in [("arch_m", self.arch_m), ("gentle_m", self.gentle_m)] {
             if !(0.0..=2.0).contains(&value) {
@@ -290,6 +302,7 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         })
         .action("await_resume", await_resume);
     for leg in [
+        Leg::Adjust,
         Leg::Descend,
         Leg::Lift,
         Leg::SetDown,
@@ -401,6 +414,7 @@ async fn choose_turn(action: &Act, ride: &Ride<'_>) -> Result<(), Failure> {
                 let way = Way {
                     command: errand.command,
                     turn: turn.radians(),
+                    shift: None,
                 };
                 ride.store.store(ride.cx, WAY, &way).await?;
                 log_choice(action, &grasp.context, turn, &figures);

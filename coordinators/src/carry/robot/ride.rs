@@ -46,10 +46,17 @@ impl<'a> Ride<'a> {
     }
 
     pub(super) async fn go(&self, leg: Leg) -> Result<(), Failure> {
+        if leg == Leg::Adjust && self.args.wrist.is_none() {
+            return Ok(());
+        }
         self.arm().acquire().await?;
         match leg {
+            Leg::Adjust => match &self.args.wrist {
+                Some(wrist) => self.adjust(wrist).await,
+                None => Ok(()),
+            },
             Leg::Descend => {
-                let down = self.errand.pose(End::From, self.turn().await?);
+                let down = self.grip(End::From).await?;
                 self.guarded(down)
                     .await
                     .map_err(|failure| match failure.outcome {
@@ -61,7 +68,7 @@ impl<'a> Ride<'a> {
                     })
             }
             Leg::Lift => {
-                let up = self.errand.above(End::From, self.turn().await?);
+                let up = self.grip_above(End::From).await?;
                 self.line(up, self.args.slow, &[]).await
             }
             Leg::SetDown => self.set_down(End::To).await,
@@ -87,11 +94,11 @@ impl<'a> Ride<'a> {
         self.args.arm(self.cx)
     }
 
-    /// The turn that was chosen for this errand.
-    async fn turn(&self) -> Result<f64, Failure> {
+    /// What was chosen for this errand.
+    pub(super) async fn way(&self) -> Result<Way, Failure> {
         let way: Way = self.store.fetch(self.cx, WAY).await?;
         if way.command == self.errand.command {
-            return Ok(way.turn);
+            return Ok(way);
         }
         Err(Failure::new(
             Outcome::Fault,
@@ -99,9 +106,25 @@ impl<'a> Ride<'a> {
         ))
     }
 
+    /// `base_t_tool` with the pads around the thing at an end: at FROM as the camera on the hand has seen it.
+    async fn grip(&self, end: End) -> Result<Isometry3<f64>, Failure> {
+        let way = self.way().await?;
+        let pose = self.errand.pose(end, way.turn);
+        Ok(match (end, way.shift) {
+            (End::From, Some([x, y])) => pose * Translation3::new(x, y, 0.0),
+            _ => pose,
+        })
+    }
+
+    /// The same, so far above that the gripper goes to and fro.
+    async fn grip_above(&self, end: End) -> Result<Isometry3<f64>, Failure> {
+        let up = Translation3::new(0.0, 0.0, self.errand.clearance_m);
+        Ok(up * self.grip(end).await?)
+    }
+
     /// To above an end by a way; words about it.
     pub(super) async fn go_above(&self, end: End, way: Going) -> Result<String, Failure> {
-        let above = self.errand.above(end, self.turn().await?);
+        let above = self.grip_above(end).await?;
         let path = match way {
             Going::Joint => PathKind::Joint,
             Going::Line => PathKind::StraightLine,
@@ -163,7 +186,7 @@ impl<'a> Ride<'a> {
     }
 
     /// Straight to a pose.
-    async fn line(
+    pub(super) async fn line(
         &self,
         pose: Isometry3<f64>,
         speed: f64,
@@ -201,13 +224,13 @@ impl<'a> Ride<'a> {
 
     /// Up, across and down to above an end of the way.
     async fn arch_to(&self, end: End) -> Result<(), Failure> {
-        let above = self.errand.above(end, self.turn().await?);
+        let above = self.grip_above(end).await?;
         self.along(above, self.arch(), self.speed(), &[]).await
     }
 
     /// Down until the thing stands. What is felt earlier than that stands there already.
     async fn set_down(&self, end: End) -> Result<(), Failure> {
-        let pose = self.errand.pose(end, self.turn().await?);
+        let pose = self.grip(end).await?;
         match self.guarded(pose).await {
             Err(failure) if failure.outcome == Outcome::Guard => {
                 let early = self.height().await? - pose.translation.z;

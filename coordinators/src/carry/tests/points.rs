@@ -1,14 +1,16 @@
 //! The pointer in the hand: what was lost is pointed at, and a field on demand.
 
 use mcs::client::Outcome as Motion;
+use nalgebra::Vector3;
 
-use super::world::{CARRY, Place, World, motions, on, requests, run, run_with};
+use super::world::{BLINKS, CARRY, Place, World, disc, motions, on, requests, run, run_with};
 use crate::bench::{Fault, faults_at};
 
 /// Slips out of the hand on the way to the target.
 fn slipping() -> World {
     let moves = motions(&requests());
-    World::new(&[(moves[3], Fault::Slips)])
+    // Approach, down in two parts, up, then the way to the target.
+    World::new(&[(moves[4], Fault::Slips)])
 }
 
 #[test]
@@ -17,7 +19,8 @@ fn what_was_lost_is_pointed_at_by_a_light_that_blinks_and_is_out_in_the_end() {
     let (symbol, text) = &world.bench.answers[0];
     assert_eq!(symbol, "not_carried");
     assert!(text.contains("has shown where it lies"), "{text}");
-    assert_eq!(world.blinks_at(&world.stands_at()), 6);
+    let top = world.stands_at() + Vector3::z() * disc().height_m;
+    assert_eq!(world.blinks_at(&top), BLINKS);
     assert!(world.is_dark() && !world.bench.reserved && world.rests());
 }
 
@@ -25,7 +28,7 @@ fn what_was_lost_is_pointed_at_by_a_light_that_blinks_and_is_out_in_the_end() {
 fn nothing_is_pointed_at_where_the_configuration_says_so_or_the_thing_was_not_lost() {
     let plain = run(World::default(), &[CARRY]);
     let mut stuck = World::default();
-    stuck.blocked = vec!["arch", "line", "joint"];
+    stuck.blocked_turns = [0.0_f64, 90.0, 45.0, -45.0].map(f64::to_radians).to_vec();
     let stuck = run(stuck, &[CARRY]);
     let told = run_with(slipping(), &["task.dispatcher.args.show=false"]);
     for world in [&plain, &stuck, &told] {
@@ -74,7 +77,7 @@ fn whatever_goes_wrong_while_it_points_the_light_is_out_in_the_end_and_the_answe
     let asked = run(World::default(), &point).bench.asked;
     assert!(asked.iter().any(|request| request == "set_output"));
     for (number, request) in asked.iter().enumerate() {
-        for fault in faults_at(number, 2) {
+        for fault in faults_at(number, 1) {
             let world = run(World::new(&[(number, fault)]), &point);
             let (symbol, text) = &world.bench.answers[0];
             let case = format!("{fault:?} at {number}, {request}: {symbol}: {text}");

@@ -17,7 +17,10 @@ use mcs_path::{
     task::{PlanWay, Planned, Unplanned},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
-use vss::command::{Outcome as Vss, VisionError};
+use vss::{
+    command::{DiskOffset, DiskReport, DiskSight, Outcome as Vss, VisionError},
+    visual_jacobian::{Correction, Seen},
+};
 use vss_board::{discs::SeenDisc, pose::BoardPose};
 
 use crate::{
@@ -38,6 +41,9 @@ pub(crate) fn disc() -> Thing {
     let disc = include_str!("../../../../configs/carry/disc.toml");
     Thing::parse(&Source::new("disc.toml", disc)).unwrap()
 }
+
+/// How often the pointer blinks.
+pub(crate) const BLINKS: usize = 3;
 
 /// The middle of the bottom of a disc on a field.
 pub(crate) fn on(field: &str) -> Point3<f64> {
@@ -102,6 +108,10 @@ pub(crate) struct World {
     pub motion: Duration,
     /// What the pointer was set to, and where the tool was then. Without power it is off.
     pub light: Vec<(f64, Isometry3<f64>)>,
+    /// How far beside their places the cameras of the room see things from the second errand on, m.
+    pub squint: Vector3<f64>,
+    /// Examples that the camera on the hand was shown.
+    pub taught: usize,
     /// The planner finds no way.
     pub is_walled_in: bool,
     /// Where the thing was at each answer.
@@ -136,6 +146,8 @@ impl World {
             dropped: false,
             motion: Duration::ZERO,
             light: Vec::new(),
+            squint: Vector3::zeros(),
+            taught: 0,
             is_walled_in: false,
             at_answers: Vec::new(),
         }
@@ -173,22 +185,21 @@ impl World {
         self.light.last().is_none_or(|(lit, _)| *lit == 0.0)
     }
 
-    /// How often the pointer blinked with its light on the upper side of a thing whose bottom's middle is there.
-    pub fn blinks_at(&self, bottom: &Point3<f64>) -> usize {
-        let top = bottom + Vector3::z() * disc().height_m;
+    /// How often the pointer blinked with its light on a place.
+    pub fn blinks_at(&self, at: &Point3<f64>) -> usize {
         let lit = self.light.iter().filter(|(lit, _)| *lit == 1.0);
         let hits = lit.filter(|(_, tool)| {
             let leaves = tool * Point3::new(0.05, 0.0, -0.065);
             let along = tool * Vector3::z();
-            let met = leaves + along * ((top.z - leaves.z) / along.z);
-            along.z < 0.0 && (met - top).norm() < 1e-6
+            let met = leaves + along * ((at.z - leaves.z) / along.z);
+            along.z < 0.0 && (met - at).norm() < 1e-6
         });
         hits.count()
     }
 
     /// Whether it blinked there as often as it should.
-    pub fn has_shown(&self, bottom: &Point3<f64>) -> bool {
-        self.blinks_at(bottom) >= 6
+    pub fn has_shown(&self, at: &Point3<f64>) -> bool {
+        self.blinks_at(at) >= BLINKS
     }
 
     /// Where a motion leads.
@@ -224,8 +235,12 @@ impl World {
             return Err(VisionError::new(Vss::Unseen, "no camera sees the board"));
         }
         let pose = self.board.pose();
+        let squint = match self.at_answers.is_empty() {
+            true => Vector3::zeros(),
+            false => self.squint,
+        };
         let disc = |at: &Point3<f64>, colour: usize| SeenDisc {
-            at: pose.inverse() * at,
+            at: pose.inverse() * (at + squint),
             colour,
             rms_px: 0.1,
             sd_m: 1e-4,
@@ -246,6 +261,45 @@ impl World {
             discs,
             bare: vec![Some(if self.clutter { 0.1 } else { 1.0 })],
             doubts: Vec::new(),
+        })
+    }
+
+    /// What the camera on the hand sees.
+    fn offset(&mut self, request: &DiskOffset) -> Result<DiskReport, VisionError> {
+        let Place::At(at) = self.thing else {
+            return Err(VisionError::new(Vss::Unseen, "no disc is there"));
+        };
+        let off = self.tool.inverse() * at;
+        let (by, true_by) = match request.taught {
+            Some([x, y]) => ([-x, -y], [off.x, off.y]),
+            None if self.taught < 4 => {
+                return Err(VisionError::new(Vss::Refused, "4 examples are needed"));
+            }
+            None => ([off.x, off.y], [off.x, off.y]),
+        };
+        // What is taught is true.
+        assert!((by[0] - true_by[0]).hypot(by[1] - true_by[1]) < 1e-6);
+        self.taught += usize::from(request.taught.is_some());
+        let correction = request.taught.is_none().then_some(Correction {
+            by,
+            sd: [1e-4; 2],
+            error: 0.0,
+            good: true,
+        });
+        Ok(DiskReport {
+            camera: request.camera.clone(),
+            disk: DiskSight {
+                seen: Seen {
+                    u: 250.0,
+                    v: 250.0,
+                    radius: 43.0,
+                },
+                sd_px: [0.1; 2],
+                examples: self.taught.min(4),
+                correction,
+            },
+            stamp: Duration::ZERO,
+            frame: 0,
         })
     }
 
@@ -293,6 +347,7 @@ impl bench::World for World {
         LookOver::INFO,
         SetOutput::INFO,
         PlanWay::INFO,
+        DiskOffset::INFO,
     ];
 
     fn bench(&mut self) -> &mut Bench {
@@ -410,6 +465,13 @@ impl bench::World for World {
                     Ok(())
                 })
             }
+            DiskOffset::CODE => {
+                let (request, reply) = message.open::<DiskOffset>()?;
+                match stand_in.meets("disk_offset").0 {
+                    Some(_) => reply.ok(Err(VisionError::new(Vss::Unseen, "on purpose"))),
+                    None => reply.ok(lock(&stand_in.0).offset(&request)),
+                }
+            }
             PlanWay::CODE => {
                 let (PlanWay { from, goals, .. }, reply) = message.open::<PlanWay>()?;
                 if lock(&stand_in.0).is_walled_in {
@@ -476,6 +538,7 @@ on = "ws1"
 [task.laser.args]
 net = "{configs}/nets/carry/laser.net"
 light = [0.05, 0.0, -0.065]
+blinks = {BLINKS}
 park_deg = [0, 75, -180, 0, -75, 0]
 service_within_s = 2.0
 [task.vision]
@@ -491,7 +554,7 @@ service_within_s = 2.0
 }
 
 /// The stand-ins by the names of their tasks.
-pub(crate) const STAND_INS: [&str; 4] = ["mcs", "gripper", "eyes", "paths"];
+pub(crate) const STAND_INS: [&str; 5] = ["mcs", "gripper", "eyes", "paths", "vsm"];
 
 pub(crate) fn run(world: World, commands: &[&str]) -> World {
     run_seeded(world, commands, 1)
@@ -499,9 +562,14 @@ pub(crate) fn run(world: World, commands: &[&str]) -> World {
 
 /// One command, with settings as `--set` takes them.
 pub(crate) fn run_with(world: World, sets: &[&str]) -> World {
+    run_all_with(world, &[CARRY], sets)
+}
+
+/// The same with other commands.
+pub(crate) fn run_all_with(world: World, commands: &[&str], sets: &[&str]) -> World {
     let app = bench::app(&tasks(world.believes), &STAND_INS);
     let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
-    bench::run_with(world, (&app, &sets), &[CARRY], &[])
+    bench::run_with(world, (&app, &sets), commands, &[])
 }
 
 pub(crate) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {

@@ -85,9 +85,11 @@ fn what_was_in_the_way_is_told_by_types_when_no_plan_is_left() {
     let mut blocked = World::default();
     blocked.blocked = vec!["arch", "line", "joint"];
     let (_, blocked) = planned(blocked, &patience());
-    assert_eq!(
-        kinds(&blocked),
-        ("not_carried".to_owned(), vec!["guard".to_owned()])
+    let (answer, all) = kinds(&blocked);
+    assert_eq!(answer, "not_carried");
+    assert!(
+        !all.is_empty() && all.iter().all(|kind| kind == "guard"),
+        "{all:?}"
     );
 }
 
