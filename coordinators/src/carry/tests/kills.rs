@@ -228,6 +228,22 @@ fn an_arm_whose_motion_control_dies_on_a_way_goes_on_when_it_is_back_and_is_give
     }
 }
 
+#[test]
+fn a_pointer_whose_process_dies_while_it_points_points_again_and_is_out_in_the_end() {
+    let plain = run(&[]);
+    let mut firings = plain.bench.firings.iter().map(|(_, event)| event);
+    let begun = firings.find(|event| event.transition == "do_point" && event.phase == "started");
+    let begun = begun.unwrap().at_ns;
+    // On the way there, and while it blinks.
+    for (task, ms) in [("laser", 100), ("laser", 1200), ("mcs", 1200)] {
+        let case = format!("{task} was killed {ms} ms after it began to point");
+        let world = run(&[kill(task, begun + ms * 1_000_000)]);
+        must_hold(&world, &case);
+        let (symbol, text) = &world.bench.answers[2];
+        assert!(symbol == "pointed" || task == "mcs", "{case}: {text}");
+    }
+}
+
 /// How often ways were tried that an answer's last line tells about.
 fn trials(text: &str) -> u32 {
     let line = text.lines().last().unwrap_or_default();
