@@ -12,7 +12,7 @@ use mcs::{
     Joints,
     client::{
         Manipulator, MotionError, Move, MoveReport, Outcome as Motion, PathKind, Plan, PlanReport,
-        Target,
+        SetOutput, Target,
     },
 };
 use nalgebra::{Isometry3, Matrix4};
@@ -186,6 +186,19 @@ impl Arm<'_> {
                 Err(error.into())
             }
         }
+    }
+
+    /// Sets an output among the arm's slots. The arm must be reserved.
+    pub(crate) async fn output(&self, name: &str, value: f64) -> Result<(), Failure> {
+        let request = SetOutput {
+            name: name.to_owned(),
+            value,
+        };
+        let set = self.ask(|_| async {
+            let mcs = self.cx.task(self.mcs).await?;
+            self.cx.call(&mcs, request.clone()).await?
+        });
+        set.await
     }
 
     /// Takes back what is ordered, and waits until the arm rests.

@@ -438,6 +438,21 @@ pub(crate) fn run_with<W: World>(
     commands: &[&str],
     events: &[Event],
 ) -> W {
+    let (world, end) = self::end(world, (app, sets), commands, events);
+    assert!(
+        matches!(&end, End::Finished(result) if result.ok),
+        "{end:?}"
+    );
+    world
+}
+
+/// The same, with how it ended.
+pub(crate) fn end<W: World>(
+    world: W,
+    (app, sets): (&str, &[String]),
+    commands: &[&str],
+    events: &[Event],
+) -> (W, End) {
     let world = Arc::new(Mutex::new(world));
     let mut registry = Registry::new();
     crate::register(&mut registry);
@@ -470,9 +485,5 @@ pub(crate) fn run_with<W: World>(
     let end = boot::simulate(app, registry, events, &observer)
         .unwrap()
         .end;
-    assert!(
-        matches!(&end, End::Finished(result) if result.ok),
-        "{end:?}"
-    );
-    std::mem::take(&mut *lock(&world))
+    (std::mem::take(&mut *lock(&world)), end)
 }

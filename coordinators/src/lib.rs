@@ -16,6 +16,7 @@ pub mod motion;
 pub mod objects;
 mod observations;
 pub mod operator;
+pub mod organization;
 pub mod outcome;
 pub mod path;
 pub mod positions;
@@ -51,6 +52,7 @@ pub fn register(registry: &mut Registry) {
     motion::register(registry);
     vision::register(registry);
     operator::register(registry);
+    organization::planner::register(registry);
     referee::register(registry);
     hand_eye::register(registry);
     carry::register(registry);

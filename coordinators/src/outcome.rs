@@ -32,6 +32,39 @@ pub enum Outcome {
     Absent,
     /// Something stands already where a thing was to be set down.
     Occupied,
+    /// Another thing touches what was to be taken.
+    Stuck,
+}
+
+impl Outcome {
+    /// All of them, in the order of their codes.
+    pub const ALL: [Self; 11] = [
+        Self::Unreachable,
+        Self::Unseen,
+        Self::Stopped,
+        Self::Estopped,
+        Self::Guard,
+        Self::Fault,
+        Self::Lost,
+        Self::Refused,
+        Self::Absent,
+        Self::Occupied,
+        Self::Stuck,
+    ];
+
+    /// Its number for programs, from 1. A number keeps its meaning.
+    #[must_use]
+    pub fn code(self) -> u16 {
+        self as u16 + 1
+    }
+
+    /// The one of that name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|outcome| outcome.to_string() == name)
+    }
 }
 
 impl fmt::Display for Outcome {
@@ -47,6 +80,7 @@ impl fmt::Display for Outcome {
             Self::Refused => "refused",
             Self::Absent => "absent",
             Self::Occupied => "occupied",
+            Self::Stuck => "stuck",
         })
     }
 }
@@ -113,5 +147,22 @@ impl From<VisionError> for Failure {
 impl From<HandlerError> for Failure {
     fn from(error: HandlerError) -> Self {
         Self::new(Outcome::Fault, error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_and_names_are_as_they_are_told_to_other_programs() {
+        let told = Outcome::ALL.map(|outcome| format!("{} {outcome}", outcome.code()));
+        let expected = "1 unreachable, 2 unseen, 3 stopped, 4 estopped, 5 guard, 6 fault, 7 lost, 8 refused, 9 absent, \
+                        10 occupied, 11 stuck";
+        assert_eq!(told.join(", "), expected);
+        for outcome in Outcome::ALL {
+            assert_eq!(Outcome::named(&outcome.to_string()), Some(outcome));
+        }
+        assert_eq!(Outcome::named("ocupied"), None);
     }
 }

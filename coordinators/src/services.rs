@@ -1,5 +1,5 @@
 //! The classes of this crate: each has a command of a Dispatcher done, by text (SORMA technical report, section 2.1.3: `push` and
-//! `carry` are complex movement primitives of the robot's daemon).
+//! `carry` are complex movement primitives of the robot's daemon; `pointer` is the service of the laser's).
 
 use std::{sync::LazyLock, time::Duration};
 
@@ -19,15 +19,15 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 const LONGEST: Duration = Duration::from_secs(1800);
 
 sorma::prototypes! {
-    /// The codes of the reports of the classes `push` and `go`.
+    /// The codes of the reports of the classes `push`, `go` and `pointer`.
     pub mod code {
         NOT_DONE = 174, Error, "the Dispatcher's command was not done as asked", "the text says why, and what is true now";
-        NOBODY = 175, Error, "nobody does this outside an app", "attach to an app that has a Dispatcher for it: `scott push`, `scott around`";
+        NOBODY = 175, Error, "nobody does this outside an app", "attach to an app that has a Dispatcher for it: `scott push`, `scott around`, `scott carry`";
     }
 }
 
 /// The recipes that are shipped with the classes, from which others are derived.
-pub const DICTIONARY: &str = "carry -task dispatcher\npush -task dispatcher\ngo -task dispatcher\n";
+pub const DICTIONARY: &str = "carry -task dispatcher\npush -task dispatcher\ngo -task dispatcher\npointer -task dispatcher\n";
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
@@ -65,6 +65,15 @@ pub(crate) async fn put(
     cx.call_task(task, put, LONGEST).await
 }
 
+/// Ends a request: what came in must not stay there as if it were an answer.
+pub(crate) fn ended(io: &mut Transport, outcome: Outcome) -> Outcome {
+    io.floats.clear();
+    if outcome.is_err() {
+        io.text.clear();
+    }
+    outcome
+}
+
 /// What an object of such a class keeps.
 #[derive(Debug, Clone)]
 struct Options {
@@ -90,7 +99,7 @@ struct Kind {
     arguments: fn(&Transport) -> Vec<String>,
 }
 
-static KINDS: [Kind; 2] = [
+static KINDS: [Kind; 3] = [
     Kind {
         class: "push",
         table: || &PUSH,
@@ -111,6 +120,16 @@ static KINDS: [Kind; 2] = [
         symbol: "go",
         success: "there",
         arguments: |io| io.text.split_whitespace().map(ToOwned::to_owned).collect(),
+    },
+    Kind {
+        class: "pointer",
+        table: || &POINTER,
+        symbol: "point",
+        success: "pointed",
+        arguments: |io| {
+            let field: Vec<String> = io.floats.iter().map(ToString::to_string).collect();
+            vec![field.join(",")]
+        },
     },
 ];
 
@@ -140,6 +159,21 @@ static GO: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             gives: "",
             results: "",
             help: "goes to a place of the Dispatcher's `places`, and answers when the arm is there",
+        }],
+    )
+});
+
+static POINTER: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    table(
+        "has the laser pointer in the hand show a field of a board, and blink",
+        "the app's task with the handler coordinators.carry",
+        &[Form {
+            text: "",
+            floats: 3,
+            takes: "a field of the board: column, row (from 1) and height, in things that lie beneath",
+            gives: "",
+            results: "",
+            help: "points at the middle of the field, and answers when the arm is parked again",
         }],
     )
 });
@@ -189,11 +223,7 @@ impl ServiceObject for Commander {
     ) -> Option<LocalBoxFuture<'a, Outcome>> {
         Some(Box::pin(async move {
             let outcome = self.done(cx, io).await;
-            io.floats.clear();
-            if outcome.is_err() {
-                io.text.clear();
-            }
-            outcome
+            ended(io, outcome)
         }))
     }
 

@@ -145,11 +145,13 @@ pub struct ObjectSpec {
     pub start: Isometry3<f64>,
 }
 
-/// A laser scanner with two mirrors.
+/// A laser scanner with two mirrors, or a pointer that an arm carries.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaserSpec {
     /// Its name.
     pub name: String,
+    /// What carries a pointer, whose frame is then given in that of the link; `None` in the room.
+    pub mount: Option<Mount>,
     /// Its exact geometry.
     pub scanner: Scanner,
     /// Radius of the spot that it makes, m.

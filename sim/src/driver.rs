@@ -39,6 +39,8 @@ pub struct SimArm {
     /// Sensors by index in the cell, and as slots.
     sensing: Vec<usize>,
     sensors: Vec<Sensor>,
+    /// Lasers that it lights, by index in the cell: slots after the sensors.
+    lasers: Vec<usize>,
     tick: f64,
     period: Duration,
     /// How long it has been the same tick.
@@ -71,6 +73,7 @@ impl SimArm {
             state: vec![0.0; port.state_length(arm)],
             sensing: Vec::new(),
             sensors: Vec::new(),
+            lasers: Vec::new(),
             tick: 0.0,
             period: Duration::ZERO,
             waited: Duration::ZERO,
@@ -86,6 +89,21 @@ impl SimArm {
                 self.sensors.push(Sensor {
                     name: spec.name.clone(),
                     kind: SensorKind::ForceTorque,
+                });
+            }
+        }
+        self
+    }
+
+    /// Lights lasers of the cell besides, by index, after all sensors; one that it does not have is left out.
+    #[must_use]
+    pub fn lighting(mut self, cell: &Cell, lasers: &[usize]) -> Self {
+        for index in lasers {
+            if let Some(spec) = cell.lasers.get(*index) {
+                self.lasers.push(*index);
+                self.sensors.push(Sensor {
+                    name: spec.name.clone(),
+                    kind: SensorKind::Laser,
                 });
             }
         }
@@ -170,6 +188,14 @@ impl ChannelDriver for SimArm {
         Ok(())
     }
 
+    fn actuate(&mut self, numbers: &[f64]) -> Result<(), DriverError> {
+        let outputs = numbers.iter().skip(6 * self.sensing.len());
+        for (laser, lit) in self.lasers.iter().zip(outputs) {
+            self.port.shine(*laser, *lit);
+        }
+        Ok(())
+    }
+
     fn write(
         &mut self,
         torques: &[f64],
@@ -195,6 +221,9 @@ impl ChannelDriver for SimArm {
 
 impl Drop for SimArm {
     fn drop(&mut self) {
+        for laser in &self.lasers {
+            self.port.shine(*laser, 0.0);
+        }
         self.port.release(&self.claim);
     }
 }

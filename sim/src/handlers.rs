@@ -45,6 +45,9 @@ struct ArmArgs {
     /// Names of sensors that the arm carries, in the order of their numbers; none, when none is named.
     #[serde(default)]
     sensors: Vec<String>,
+    /// Names of lasers that the arm carries: outputs after the sensors; none, when none is named.
+    #[serde(default)]
+    lasers: Vec<String>,
 }
 
 /// The joints of a driver: an arm of a cell, and joints of it by index.
@@ -120,6 +123,25 @@ fn sensors(args: &ArmArgs, arm: usize, cell: &Cell) -> Result<Vec<usize>, Findin
     found.collect()
 }
 
+/// The lasers that `args` name, by index in the cell.
+fn lasers(args: &ArmArgs, arm: usize, cell: &Cell) -> Result<Vec<usize>, Finding> {
+    let carried = |name: &str| {
+        let mut all = cell.lasers.iter();
+        all.position(|laser| {
+            laser.name == name && laser.mount.is_some_and(|mount| mount.arm == arm)
+        })
+    };
+    let names = args.lasers.iter();
+    let found = names.map(|name| {
+        carried(name).ok_or_else(|| {
+            let text = format!("the arm carries no laser `{name}`");
+            let known = cell.lasers.iter().map(|laser| laser.name.as_str());
+            Finding::error("sim::arm::sensors", text).suggest(name, known)
+        })
+    });
+    found.collect()
+}
+
 /// The task called `world`, if it owns a world on the chassis of `task`.
 fn world_of<'a>(world: &str, task: &TaskConfig, app: &'a App) -> Result<&'a TaskConfig, Finding> {
     let found = app.task(world).filter(|found| found.handler == WORLD);
@@ -162,9 +184,11 @@ pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, Han
     let cell = Cell::read(&cx.app().file_at(&cell))?;
     let Joints { arm, joints } = joints(&args, &cell)?;
     let sensing = sensors(&args, arm, &cell)?;
+    let lighting = lasers(&args, arm, &cell)?;
     let port = Port::of(cx, &world.name, &cell);
     let driver = SimArm::new(cx.name(), (&world.name, &port, &cell), arm, &joints)?;
-    Ok(Box::new(driver.sensing(&cell, &sensing)))
+    let driver = driver.sensing(&cell, &sensing);
+    Ok(Box::new(driver.lighting(&cell, &lighting)))
 }
 
 /// How many slots the driver will have, if its arguments and the world's are sound.
@@ -209,6 +233,9 @@ fn check_arm(task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings)
     };
     if let Err(finding) = sensors(&parsed, own.arm, &cell) {
         findings.push(at(finding, "sensors"));
+    }
+    if let Err(finding) = lasers(&parsed, own.arm, &cell) {
+        findings.push(at(finding, "lasers"));
     }
     let drivers = app.tasks.iter().flat_map(|other| {
         let drivers = NamedDriver::all_of(&other.args).into_iter();

@@ -33,6 +33,8 @@ pub struct Port {
     arms: Vec<ArmPort>,
     /// What each sensor reads.
     sensors: Vec<Latest>,
+    /// Whether each laser is lit that an arm carries, 0 or 1.
+    lasers: Vec<Latest>,
     claims: Mutex<Vec<Arc<Claim>>>,
     /// Counts the changes of the claims.
     changes: AtomicU64,
@@ -94,6 +96,7 @@ impl Port {
                 .iter()
                 .map(|_| Latest::new(&[0.0; 6]))
                 .collect(),
+            lasers: cell.lasers.iter().map(|_| Latest::new(&[0.0])).collect(),
             claims: Mutex::new(Vec::new()),
             changes: AtomicU64::new(0),
             failure: Mutex::new(None),
@@ -191,6 +194,22 @@ impl Port {
         if let Some(sensor) = self.sensors.get(sensor) {
             sensor.write(numbers);
         }
+    }
+
+    /// Lights a laser that an arm carries, or puts it out.
+    pub(crate) fn shine(&self, laser: usize, lit: f64) {
+        if let Some(laser) = self.lasers.get(laser) {
+            laser.write([lit]);
+        }
+    }
+
+    /// Whether a laser that an arm carries is lit.
+    pub(crate) fn shines(&self, laser: usize) -> bool {
+        let mut lit = [0.0];
+        if let Some(laser) = self.lasers.get(laser) {
+            laser.read(&mut lit);
+        }
+        lit[0] > 0.5
     }
 
     /// The world has failed, and why; or it has begun again.

@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::{
     cell::{Cell, LaserSpec},
     port::{Claim, Port},
-    scene::{CameraFault, LaserOrder, SceneState},
+    scene::{CameraFault, LaserOrder, SceneBeam, SceneState},
     world::{World, WorldError},
     wrist::Wrist,
 };
@@ -90,15 +90,32 @@ impl Simulation {
         }
         SceneState {
             camera_faults: self.camera_faults.clone(),
-            beams: self
-                .lasers
-                .iter()
-                .flat_map(|(spec, order)| order.beams(spec))
-                .collect(),
+            beams: self.beams(),
             stamp: self.stamp,
             tick: self.tick,
             ..scene
         }
+    }
+
+    /// What shines: scanners as they were told, and pointers of arms as their drivers light them. A driver that is silent lights
+    /// nothing.
+    fn beams(&mut self) -> Vec<SceneBeam> {
+        let mut beams = Vec::new();
+        for (index, (spec, order)) in self.lasers.iter().enumerate() {
+            let Some(mount) = spec.mount else {
+                beams.extend(order.beams(spec));
+                continue;
+            };
+            let mut drivers = self.drivers.iter();
+            let silent = drivers.any(|driver| driver.brakes && driver.claim.arm == mount.arm);
+            if self.port.shines(index) && !silent {
+                let mut there = spec.clone();
+                let scanner = &mut there.scanner;
+                scanner.world_t_scanner = self.world.link(mount) * scanner.world_t_scanner;
+                beams.extend(LaserOrder::Spot([0.0; 2]).beams(&there));
+            }
+        }
+        beams
     }
 
     /// What pressed on the links of an arm in the last tick: the names of their frames, and the forces, N, in their axes.
@@ -124,9 +141,10 @@ impl Simulation {
         self.world.place(name, at)
     }
 
-    /// From now on a laser does that. False when there is no such laser.
+    /// From now on a laser does that. False when there is no such laser in the room.
     pub fn order_laser(&mut self, name: &str, order: LaserOrder) -> bool {
-        let found = self.lasers.iter_mut().find(|(spec, _)| spec.name == name);
+        let mut lasers = self.lasers.iter_mut();
+        let found = lasers.find(|(spec, _)| spec.name == name && spec.mount.is_none());
         found.map(|(_, own)| *own = order).is_some()
     }
 

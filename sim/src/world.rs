@@ -296,6 +296,11 @@ impl World {
         })
     }
 
+    /// Where a frame of an arm is that carries something, in the world.
+    pub(crate) fn link(&mut self, mount: Mount) -> Isometry3<f64> {
+        link_pose(&self.cell, &mut self.arms, mount)
+    }
+
     /// Puts an object elsewhere, where it is at rest; false when there is none of that name.
     pub fn place(&mut self, name: &str, at: &Isometry3<f64>) -> bool {
         let mut named = self.objects.iter().zip(&self.cell.objects);

@@ -2,6 +2,8 @@
 //! see where board and disc are; a person moves them, and covers cameras.
 
 use std::{
+    fs::Permissions,
+    os::unix::fs::PermissionsExt as _,
     sync::{Arc, Mutex},
     time::Duration,
 };
@@ -17,14 +19,26 @@ use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector3};
 use pnt::task::PutTape;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rustix::process::Signal;
 use sim::{
     scene::CameraFault,
     world_task::{FailCamera, GetScene, PlaceBody},
+};
+use vss::{
+    camera::Camera,
+    command::{Snap, TrueCameras},
+    frame::Frame,
+    laser::{Plane, on_plane},
+    tool::fetched,
 };
 
 use crate::harness::{CTOS, Ended, Scratch};
 
 fn carry(sets: &[&str]) -> Ended {
+    carry_with(&[], sets)
+}
+
+fn carry_with(flags: &[&str], sets: &[&str]) -> Ended {
     let scratch = Scratch::new();
     let mut all = vec![
         "boot",
@@ -34,6 +48,7 @@ fn carry(sets: &[&str]) -> Ended {
         "--json",
         "-v",
     ];
+    all.extend(flags);
     for set in sets {
         all.extend(["--set", set]);
     }
@@ -41,9 +56,16 @@ fn carry(sets: &[&str]) -> Ended {
 }
 
 #[test]
-fn a_disc_is_carried_to_its_field_within_a_millimetre_and_onto_another_disc_and_off_again() {
-    let ended = carry(&["task.operator.args.list=\"carry/short_tour.txt\""]);
+fn a_disc_is_carried_to_its_field_within_a_millimetre_and_onto_another_disc_and_off_again_corrected_by_the_hands_camera()
+ {
+    let list = "task.operator.args.list=\"carry/short_tour.txt\"";
+    let ended = carry_with(&["--profile", "wrist"], &[list]);
     ended.must_exit(0);
+    // It learns from the first disc, and tells of the last.
+    ended.must_say("the camera on the hand corrects the arm");
+    // Each choice stands in the log with its numbers.
+    ended.must_say("a way was chosen");
+    ended.must_say("arch 0.50 for 2.0 (0 tried), line 0.50 for 4.0 (0 tried)");
     assert!(
         ended.json()["error_m"].as_f64().unwrap() < 1e-3,
         "{}",
@@ -75,6 +97,71 @@ enum Step {
     Camera(&'static str, Option<CameraFault>),
     /// Asks for a carry and waits for the answer.
     Carry(String),
+    /// Looks from now on what the pointer does.
+    Watch,
+}
+
+/// What a camera saw when the pointer was lit, or out.
+struct Picture {
+    lit: bool,
+    frame: Frame,
+    camera: Camera,
+    /// Where the disc truly was.
+    disc: Isometry3<f64>,
+}
+
+type Pictures = Arc<Mutex<Vec<Picture>>>;
+
+/// How often it is looked whether the pointer is lit.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Takes a picture each time when the pointer was lit or went out.
+async fn watch(cx: &Context, pictures: &Pictures) -> Result<(), HandlerError> {
+    let world = cx.task("world").await?;
+    let snap = cx.task("toolSnap").await?;
+    let truths = cx.call(&world, TrueCameras {}).await?;
+    let left = truths.into_iter().find(|truth| truth.name == "left");
+    let camera = left.ok_or("no camera")?.camera;
+    let mut before = false;
+    while !cx.is_stopping() {
+        let scene = cx.call(&world, GetScene {}).await?;
+        let lit = !scene.beams.is_empty();
+        if lit != before {
+            let left = "left".to_owned();
+            let frame = cx.call(&snap, Snap { camera: left }).await?;
+            let frame = frame.and_then(|frame| fetched(cx, frame));
+            pictures.lock().unwrap().push(Picture {
+                lit,
+                frame: frame.map_err(|error| error.reason)?,
+                camera,
+                disc: scene.body("disc").ok_or("no disc")?.pose,
+            });
+            before = lit;
+        }
+        cx.sleep(LOOK).await;
+    }
+    Ok(())
+}
+
+/// How far a spot that is in one picture and not in the other is from the middle of the disc's upper side, m.
+fn spot_error([lit, out]: [&Picture; 2]) -> f64 {
+    let (bright, dark) = (lit.frame.grey(), out.frame.grey());
+    let mut sum = Vector3::zeros();
+    for (at, (bright, dark)) in bright.iter().zip(dark.iter()).enumerate() {
+        let rise = f64::from(*bright) - f64::from(*dark);
+        if rise > 30.0 {
+            let (u, v) = (at % lit.frame.width, at / lit.frame.width);
+            sum += rise * Vector3::new(u as f64, v as f64, 1.0);
+        }
+    }
+    assert!(sum.z > 0.0, "there is no spot");
+    let top = lit.disc.translation.vector + Vector3::z() * 0.005;
+    let level = Plane {
+        normal: Vector3::z_axis(),
+        distance: top.z,
+    };
+    let met = on_plane(&lit.camera, sum.xy() / sum.z, &level).unwrap();
+    (met.place.coords - top).norm()
 }
 
 /// An answer, and where board and disc are then.
@@ -91,6 +178,7 @@ type Answers = Arc<Mutex<Vec<Answer>>>;
 struct Person {
     steps: Vec<Step>,
     answers: Answers,
+    pictures: Pictures,
 }
 
 impl EventHandler for Person {
@@ -101,8 +189,9 @@ impl EventHandler for Person {
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
             let (child, steps, answers) = (cx.clone(), self.steps.clone(), self.answers.clone());
+            let pictures = self.pictures.clone();
             cx.spawn(async move {
-                let done = act(&child, steps, &answers).await;
+                let done = act(&child, steps, &answers, &pictures).await;
                 child.finish(AppResult {
                     ok: done.is_ok(),
                     text: done
@@ -116,7 +205,12 @@ impl EventHandler for Person {
     }
 }
 
-async fn act(cx: &Context, steps: Vec<Step>, answers: &Answers) -> Result<(), HandlerError> {
+async fn act(
+    cx: &Context,
+    steps: Vec<Step>,
+    answers: &Answers,
+    pictures: &Pictures,
+) -> Result<(), HandlerError> {
     let world = cx.task("world").await?;
     let dispatcher = cx.task("dispatcher").await?;
     for step in steps {
@@ -136,6 +230,13 @@ async fn act(cx: &Context, steps: Vec<Step>, answers: &Answers) -> Result<(), Ha
             Step::Camera(camera, fault) => {
                 let camera = camera.to_owned();
                 cx.call(&world, FailCamera { camera, fault }).await?;
+            }
+            Step::Watch => {
+                let (child, pictures) = (cx.clone(), pictures.clone());
+                cx.spawn(async move {
+                    // What was not seen, the test misses.
+                    let _ = watch(&child, &pictures).await;
+                });
             }
             Step::Carry(line) => {
                 // What was put somewhere comes to rest.
@@ -176,6 +277,11 @@ on = "ws1"
 
 /// The answers to what a person asks for, in the app of carry.toml in virtual time.
 fn answers(steps: Vec<Step>) -> Vec<Answer> {
+    answers_and_pictures(steps).0
+}
+
+/// The same, and what a camera saw of the pointer.
+fn answers_and_pictures(steps: Vec<Step>) -> (Vec<Answer>, Vec<Picture>) {
     let scratch = Scratch::new();
     scratch.write("configs/person.toml", PERSON);
     let file = scratch.path("configs/person.toml");
@@ -183,11 +289,13 @@ fn answers(steps: Vec<Step>) -> Vec<Answer> {
     let app = config::load(&file, &[], &expanders).unwrap_or_else(|found| panic!("{found}"));
     let answers = Answers::default();
     let mut registry = cli::program::registry();
-    let kept = answers.clone();
+    let pictures = Pictures::default();
+    let kept = (answers.clone(), pictures.clone());
     registry.handler("test.person", &[], move |_| {
         Ok(Person {
             steps: steps.clone(),
-            answers: kept.clone(),
+            answers: kept.0.clone(),
+            pictures: kept.1.clone(),
         })
     });
     let launcher = Launcher {
@@ -200,7 +308,8 @@ fn answers(steps: Vec<Step>) -> Vec<Answer> {
         matches!(&end, End::Finished(result) if result.ok),
         "{end:?}"
     );
-    std::mem::take(&mut *answers.lock().unwrap())
+    let answers = std::mem::take(&mut *answers.lock().unwrap());
+    (answers, std::mem::take(&mut *pictures.lock().unwrap()))
 }
 
 /// The surface of the board.
@@ -271,13 +380,14 @@ fn a_board_that_is_pushed_and_a_disc_beside_the_middle_of_its_field_are_seen_and
 }
 
 #[test]
-fn a_disc_that_is_lost_in_the_air_is_found_again_on_the_table_and_on_a_board_that_was_pushed_meanwhile()
+fn a_disc_that_is_lost_in_the_air_is_found_again_and_pointed_at_by_a_spot_that_blinks_and_cameras_see()
  {
     let surface = board(0.5, 0.0, 0.0);
     // The disc is in the air from about 5 to 9 s after the command.
     let lost = Duration::from_millis(7200);
     let mut steps = laid(&surface, [3.0, 4.0], [0.0; 2]);
     let table = Isometry3::translation(0.9, -0.4, 0.4052);
+    steps.push(Step::Watch);
     steps.push(Step::Later(lost, "disc", table));
     steps.push(Step::Carry("3,4 4,5".to_owned()));
     // Somebody pushes the board while the disc is in the air.
@@ -285,7 +395,7 @@ fn a_disc_that_is_lost_in_the_air_is_found_again_on_the_table_and_on_a_board_tha
     let pushed = board(0.54, 0.0, 0.0) * Translation3::new(0.0, 0.0, -0.01);
     steps.push(Step::Later(lost, "board", pushed));
     steps.push(Step::Carry("3,4 4,5".to_owned()));
-    let all = answers(steps);
+    let (all, pictures) = answers_and_pictures(steps);
     for (answer, said) in all.iter().zip([
         "a red disc lies beside the board at x 0.90",
         "the board was moved by 40 mm",
@@ -298,6 +408,17 @@ fn a_disc_that_is_lost_in_the_air_is_found_again_on_the_table_and_on_a_board_tha
         "{}",
         all[1].text
     );
+    for answer in &all {
+        let said = "the pointer in the hand has shown where it lies";
+        assert!(answer.text.contains(said), "{}", answer.text);
+    }
+    // Six times each, on and off.
+    assert_eq!(pictures.len(), 24);
+    for pair in pictures.chunks_exact(2) {
+        assert!(pair[0].lit && !pair[1].lit);
+        let error = spot_error([&pair[0], &pair[1]]);
+        assert!(error < 5e-3, "{error}");
+    }
 }
 
 #[test]
@@ -400,4 +521,36 @@ fn on_boards_anywhere_with_discs_anywhere_every_carry_ends_as_asked_within_1_5_m
         rms < 1.5e-3 && worst < 3e-3,
         "rms {rms}, worst {worst}: {all:?}"
     );
+}
+
+/// Whether a sound is heard that a daemon in a process of its own is asked for, in an app that is booted so.
+fn is_heard(flag: Option<&str>) -> bool {
+    let scratch = Scratch::new();
+    let heard = scratch.path("heard");
+    let voice = scratch.path("voice");
+    let line = format!("#!/bin/sh\necho \"$1\" >> '{}'\n", heard.display());
+    scratch.write("voice", line);
+    std::fs::set_permissions(&voice, Permissions::from_mode(0o700)).unwrap();
+    let boot: Vec<&str> = ["boot", "configs/objects.toml"]
+        .into_iter()
+        .chain(flag)
+        .collect();
+    let run = scratch.start(CTOS, &boot, &[]);
+    let set = format!("sound@d2 CTRL -voice {}", voice.display());
+    // An app that says nothing does not say when it is up; the watchdog of a run ends what never comes.
+    while scratch.scott(&["objects", "-c", &set]).code != Some(0) {}
+    let said = scratch.scott(&["objects", "-c", "sound@d2 EXEC disc lost"]);
+    said.must_exit_leaving(0);
+    assert!(said.stdout.contains("TMSG disc lost"), "{}", said.stdout);
+    run.signal(Signal::INT);
+    run.end();
+    let written = std::fs::read_to_string(heard).unwrap_or_default();
+    assert!(["", "disc lost\n"].contains(&written.as_str()), "{written}");
+    !written.is_empty()
+}
+
+#[test]
+fn the_speaker_is_muted_by_the_flag_quiet_of_the_boot_also_in_another_process() {
+    assert!(is_heard(None));
+    assert!(!is_heard(Some("--quiet")));
 }

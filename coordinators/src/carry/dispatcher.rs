@@ -9,15 +9,17 @@ use ctos::{
     registry::Registry,
     task::{Context, HandlerError},
 };
+use nalgebra::Vector3;
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 use super::{
     board::{Board, Field},
     errand::{
-        ERRAND, Errand, HAND_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS, VISION_PROBLEMS, WAYS,
-        Ways,
+        ERRAND, Errand, HAND_PROBLEMS, LASER_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS,
+        VISION_PROBLEMS, WAY, WAYS, Way, Ways,
     },
+    laser::{SHOWN, Shown},
     sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
     speaker::{self, Speaker},
     thing::Thing,
@@ -25,6 +27,7 @@ use super::{
 use crate::{
     dom::DomStore,
     handler::{self, NetArgs},
+    organization::{TAG, WHY, Why},
     outcome::{Failure, Outcome},
 };
 
@@ -51,6 +54,9 @@ pub(super) struct CarryArgs {
     /// The service object that tells people in the room what went wrong, such as `fork.sound@speaker`; nobody when it is left
     /// out.
     speaker: Option<String>,
+    /// Whether the pointer in the hand shows where the thing lies that was lost.
+    #[serde(default)]
+    show: bool,
     /// The data object manager.
     #[serde(default = "crate::dom_task")]
     dom: String,
@@ -98,6 +104,9 @@ pub(super) struct Dispatcher {
     again: bool,
     /// The thing was lost, and is being fetched from where it was seen.
     fetches: bool,
+    /// What the command's sender calls it, and what was in the way besides the problems of the Coordinators.
+    tag: String,
+    hindrances: Vec<Failure>,
 }
 
 /// What was seen of the ends of an errand.
@@ -111,6 +120,8 @@ struct Ends {
     is_elsewhere: bool,
     /// People in the room were told what went wrong.
     said: bool,
+    /// Where it lies is shown them by the pointer in the hand.
+    is_shown: bool,
 }
 
 /// Registers the handler.
@@ -188,16 +199,20 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         tried: 0,
         again: false,
         fetches: false,
+        tag: String::new(),
+        hindrances: Vec::new(),
     };
     Library::new(state)
         .kept(
             |state| {
                 let tries = (state.tried, state.again, state.fetches);
-                (state.command, state.ends, tries)
+                let why = (state.tag.clone(), state.hindrances.clone());
+                (state.command, state.ends, tries, why)
             },
-            |state, (command, ends, tries)| {
+            |state, (command, ends, tries, why)| {
                 (state.command, state.ends) = (command, ends);
                 (state.tried, state.again, state.fetches) = tries;
+                (state.tag, state.hindrances) = why;
             },
         )
         .enabling("from_is_empty", |state: &Dispatcher| {
@@ -209,12 +224,17 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         })
         .enabling("another_try", |state: &Dispatcher| state.again)
         .enabling("is_fetched", |state: &Dispatcher| state.again)
+        .enabling("is_shown", |state: &Dispatcher| state.ends.is_shown)
         .action("begin", begin)
         .action("aim", aim)
         .action("judge", judge)
         .action("weigh_trouble", weigh_trouble)
         .action("tell_unverified", tell_unverified)
         .action("tell_found", tell_found)
+        .action("tell_shown", tell_shown)
+        .action("begin_point", begin_point)
+        .action("aim_point", aim_point)
+        .action("report_point", report_point)
         .action("report", report)
         .action("report_held", report_held)
         .action("refuse", refuse)
@@ -231,17 +251,62 @@ fn parts(action: &Act) -> (Context, Rc<CarryArgs>, DomStore) {
 async fn begin(action: Act) -> Acted {
     let (cx, args, store) = parts(&action);
     let command = action.with_state(|state| state.command.wrapping_add(1));
-    let began = match begun(command, action.arguments(), &cx, &args) {
+    let (tag, words) = tagged(action.arguments());
+    let began = match begun(command, &words, &cx, &args) {
         Ok(errand) => store.store(&cx, ERRAND, &errand).await,
         Err(error) => Err(error),
     };
-    // What an action changes, it changes at its end: a process that dies before that begins it again.
+    begin_anew(&action, command, tag, &began);
+    began
+}
+
+/// The tag of a command, and its other arguments.
+fn tagged(arguments: &[String]) -> (String, Vec<String>) {
+    let (tags, words): (Vec<_>, Vec<_>) = arguments
+        .iter()
+        .cloned()
+        .partition(|word| word.starts_with(TAG));
+    let tag = tags.first().and_then(|word| word.strip_prefix(TAG));
+    (tag.unwrap_or_default().to_owned(), words)
+}
+
+/// What is known of the command before is over. What an action changes, it changes at its end: a process that dies before that
+/// begins it again.
+fn begin_anew(action: &Act, command: u32, tag: String, began: &Acted) {
+    let refused = |error: &HandlerError| Failure::new(Outcome::Refused, error);
+    let hindrances = began.as_ref().err().map(refused).into_iter().collect();
     action.with_state(|state| {
         state.command = command;
         state.ends = Ends::default();
         (state.tried, state.again, state.fetches) = (0, false, false);
+        (state.tag, state.hindrances) = (tag, hindrances);
     });
-    began
+}
+
+/// Keeps what was in the way, for whoever sent the command. An action that is begun again keeps it once.
+fn hinder(action: &Act, outcome: Outcome, reason: &str) {
+    let failure = Failure::new(outcome, reason);
+    action.with_state(|state| {
+        if !state.hindrances.contains(&failure) {
+            state.hindrances.push(failure);
+        }
+    });
+}
+
+/// Tells whoever sent the command why it was not done, by types: what was in the way, and what the Coordinators could not do.
+async fn tell_why(action: &Act) {
+    let (tag, mut failures) =
+        action.with_state(|state| (state.tag.clone(), state.hindrances.clone()));
+    let problems = problems(action).await.into_iter();
+    failures.extend(problems.map(|problem| problem.failure));
+    tell(action, tag, failures).await;
+}
+
+async fn tell(action: &Act, tag: String, failures: Vec<Failure>) {
+    let (cx, _, store) = parts(action);
+    if let Err(untold) = store.store(&cx, WHY, &Why { tag, failures }).await {
+        tracing::warn!(%untold, "why a command was not done could not be told by types");
+    }
 }
 
 fn begun(
@@ -322,18 +387,23 @@ async fn aim(action: Act) -> Acted {
         Err(Hindrance::NothingAtFrom(text)) => {
             if action.with_state(|state| state.tried > 0) {
                 // It was there before it was touched.
+                hinder(&action, Outcome::Absent, &text);
                 return Err(HandlerError::new(text));
             }
             ends.from_is_empty = true;
             ends.said = true;
+            hinder(&action, Outcome::Absent, &text);
             action.note(text);
+            tell_why(&action).await;
             let field = speaker::field(&errand.from);
             say(&action, &format!("nothing at {field}"));
         }
         Err(Hindrance::Occupied(text)) => {
             ends.to_is_taken = true;
             ends.said = true;
+            hinder(&action, Outcome::Occupied, &text);
             action.note(text);
+            tell_why(&action).await;
             say(
                 &action,
                 &format!("no room at {}", speaker::field(&errand.to)),
@@ -343,9 +413,13 @@ async fn aim(action: Act) -> Acted {
             let field = speaker::field(&errand.from);
             say(&action, &format!("stuck together at {field}"));
             action.with_state(|state| state.ends.said = true);
+            hinder(&action, Outcome::Stuck, &text);
             return Err(HandlerError::new(text));
         }
-        Err(Hindrance::Other(text)) => return Err(HandlerError::new(text)),
+        Err(Hindrance::Other(text)) => {
+            hinder(&action, Outcome::Refused, &text);
+            return Err(HandlerError::new(text));
+        }
     }
     action.with_state(|state| state.ends = ends);
     Ok(())
@@ -403,10 +477,87 @@ async fn judge(action: Act) -> Acted {
     if !is_elsewhere {
         note_ways(&action).await;
     }
+    let mut is_shown = false;
     if is_elsewhere {
         say_lost(&action, &found).await;
+        is_shown = prepare_to_show(&action, &found).await?;
+        hinder(&action, Outcome::Unseen, &found.notes.join("; "));
     }
-    action.with_state(|state| state.ends.is_elsewhere = is_elsewhere);
+    action.with_state(|state| {
+        state.ends.is_elsewhere = is_elsewhere;
+        state.ends.is_shown = is_shown;
+    });
+    Ok(())
+}
+
+/// Says where the pointer in the hand shall point: at the middle of the upper side of a thing that was lost, when it may be only
+/// one. Whether there is something to point at.
+async fn prepare_to_show(action: &Act, found: &Found) -> Result<bool, HandlerError> {
+    let (cx, args, store) = parts(action);
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    let there = sight::at_found(&errand, found);
+    let Some(there) = there.filter(|_| args.show) else {
+        return Ok(false);
+    };
+    let [at, _] = there.points;
+    let shown = Shown {
+        command: errand.command,
+        at: at + Vector3::z() * errand.thing.height_m,
+    };
+    store.store(&cx, SHOWN, &shown).await?;
+    Ok(true)
+}
+
+/// Notes that people were shown where it lies.
+async fn tell_shown(action: Act) -> Acted {
+    action.note("the pointer in the hand has shown where it lies");
+    Ok(())
+}
+
+/// Reads `FIELD`, which shall be pointed at. As an errand its ends are the same.
+async fn begin_point(action: Act) -> Acted {
+    let (cx, args, store) = parts(&action);
+    let command = action.with_state(|state| state.command.wrapping_add(1));
+    let (tag, words) = tagged(action.arguments());
+    let began = match words.as_slice() {
+        [field] => {
+            let ends = [field.clone(), field.clone()];
+            match begun(command, &ends, &cx, &args) {
+                Ok(errand) => store.store(&cx, ERRAND, &errand).await,
+                Err(error) => Err(error),
+            }
+        }
+        other => Err(HandlerError::new(format!(
+            "`point` takes a field, such as 3,4,0, and was given {}",
+            other.len()
+        ))),
+    };
+    begin_anew(&action, command, tag, &began);
+    began
+}
+
+/// Puts the field where the board was seen.
+async fn aim_point(action: Act) -> Acted {
+    let (cx, _, store) = parts(&action);
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    let sight: Sight = store.fetch(&cx, SIGHT).await?;
+    if sight.command != errand.command {
+        return Err(HandlerError::new("nobody looked for this command"));
+    }
+    for note in &sight.notes {
+        action.note(note);
+    }
+    let shown = Shown {
+        command: errand.command,
+        at: sight.board.point(&errand.to, errand.thing.height_m),
+    };
+    store.store(&cx, SHOWN, &shown).await
+}
+
+/// Notes why a field was not pointed at.
+async fn report_point(action: Act) -> Acted {
+    note_problems(&action).await;
+    tell_why(&action).await;
     Ok(())
 }
 
@@ -414,6 +565,15 @@ async fn judge(action: Act) -> Acted {
 async fn note_ways(action: &Act) {
     let (cx, _, store) = parts(action);
     let command = action.with_state(|state| state.command);
+    if let Ok(way) = store.fetch::<Way>(&cx, WAY).await
+        && way.command == command
+        && let Some([x, y]) = way.shift
+    {
+        let off_mm = 1e3 * x.hypot(y);
+        action.note(format!(
+            "the camera on the hand saw it {off_mm:.1} mm beside"
+        ));
+    }
     if let Ok(ways) = store.fetch::<Ways>(&cx, WAYS).await
         && ways.command == command
     {
@@ -463,7 +623,10 @@ fn lost(errand: &Errand, found: &Found) -> String {
 
 /// Notes where the thing is that was not carried. One that was lost is fetched from there, where the configuration says so.
 async fn tell_found(action: Act) -> Acted {
-    action.with_state(|state| state.again = false);
+    action.with_state(|state| {
+        state.again = false;
+        state.ends.is_shown = false;
+    });
     let found = found(&action).await?;
     for note in &found.notes {
         action.note(note);
@@ -482,7 +645,10 @@ async fn tell_found(action: Act) -> Acted {
         action.note(format!("it is fetched from {column:.2},{row:.2}"));
         say(&action, &format!("fetching from {field}"));
         action.with_state(|state| (state.again, state.fetches) = (true, true));
+        return Ok(());
     }
+    let is_shown = prepare_to_show(&action, &found).await?;
+    action.with_state(|state| state.ends.is_shown = is_shown);
     Ok(())
 }
 
@@ -504,6 +670,7 @@ async fn tell_unverified(action: Act) -> Acted {
 /// Notes, for the answer, what was not done and why, in the order of time.
 async fn report(action: Act) -> Acted {
     note_problems(&action).await;
+    tell_why(&action).await;
     say_failed(&action, "not carried").await;
     Ok(())
 }
@@ -511,6 +678,7 @@ async fn report(action: Act) -> Acted {
 /// The same of an errand that ended with the thing in the hand.
 async fn report_held(action: Act) -> Acted {
     note_problems(&action).await;
+    tell_why(&action).await;
     say_failed(&action, "still in the hand").await;
     Ok(())
 }
@@ -527,11 +695,17 @@ async fn say_failed(action: &Act, words: &str) {
     }
 }
 
-async fn note_problems(action: &Act) {
+/// What the Coordinators could not do, in the order of time.
+async fn problems(action: &Act) -> Vec<Problem> {
     let (cx, _, store) = parts(action);
     let command = action.with_state(|state| state.command);
     let mut all = Vec::new();
-    for object in [ROBOT_PROBLEMS, HAND_PROBLEMS, VISION_PROBLEMS] {
+    for object in [
+        ROBOT_PROBLEMS,
+        HAND_PROBLEMS,
+        VISION_PROBLEMS,
+        LASER_PROBLEMS,
+    ] {
         if let Ok(found) = store.fetch::<Problems>(&cx, object).await
             && found.command == command
         {
@@ -539,9 +713,13 @@ async fn note_problems(action: &Act) {
         }
     }
     all.sort_by_key(|problem| problem.at);
+    all
+}
+
+async fn note_problems(action: &Act) {
     for Problem {
         request, failure, ..
-    } in all
+    } in problems(action).await
     {
         // A stop that somebody ended is no reason.
         let Failure { outcome, reason } = failure;
@@ -555,15 +733,17 @@ async fn note_problems(action: &Act) {
 
 /// Says why a hand that is full takes nothing.
 async fn refuse(action: Act) -> Acted {
-    action.note(
-        "the hand still holds what it could not put down: `put_back` puts it where it was taken",
-    );
+    let text =
+        "the hand still holds what it could not put down: `put_back` puts it where it was taken";
+    action.note(text);
+    let (tag, _) = tagged(action.arguments());
+    tell(&action, tag, vec![Failure::new(Outcome::Refused, text)]).await;
     Ok(())
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Vector3};
+    use nalgebra::Point3;
 
     use super::*;
     use crate::carry::tests::errand;

@@ -22,6 +22,8 @@ pub const ROBOT_PROBLEMS: &str = "robot_problems";
 pub const HAND_PROBLEMS: &str = "hand_problems";
 /// What the Vision Coordinator could not do: [`Problems`].
 pub const VISION_PROBLEMS: &str = "vision_problems";
+/// What the Laser Coordinator could not do: [`Problems`].
+pub const LASER_PROBLEMS: &str = "laser_problems";
 
 /// [`ERRAND`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,6 +87,8 @@ pub struct Way {
     pub command: u32,
     /// The gripper about the vertical of the board, rad.
     pub turn: f64,
+    /// How far the thing is beside where it was seen before, along the tool's x and y axes, m, as the camera on the hand sees it.
+    pub shift: Option<[f64; 2]>,
 }
 
 /// [`WAYS`].

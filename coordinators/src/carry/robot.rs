@@ -4,6 +4,9 @@
 //! both ends, it takes the ones most likely to succeed for their cost. A touch that ends a motion is its end where something is set
 //! down, and a failure elsewhere.
 
+mod ride;
+mod wrist;
+
 use std::rc::Rc;
 
 use ctos::{
@@ -12,25 +15,20 @@ use ctos::{
     registry::Registry,
     task::{Context, HandlerError},
 };
-use mcs::client::{Move, PathKind, PlanReport};
-use nalgebra::{Isometry3, Translation3, Vector3};
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
+use self::{ride::Ride, wrist::WristArgs};
 use super::{
-    errand::{ERRAND, End, Errand, ROBOT_PROBLEMS, WAY, WAYS, Way, Ways},
+    errand::{End, ROBOT_PROBLEMS, WAY, WAYS, Way, Ways},
     ways::{Going, Turn, WaysArgs, costs, turns},
 };
 use crate::{
-    arm::{self, Arm, ArmKeys},
+    arm::{Arm, ArmKeys},
     dom::DomStore,
     handler::{self, NetArgs},
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
-    path::{
-        coordinator::plan_around,
-        drive::{self, Pace},
-    },
     strategy::{
         Belief, Figures, Step,
         step::{self, Tried},
@@ -39,9 +37,6 @@ use crate::{
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.carry_robot";
-
-/// The most of the thing's height by which it may stand too high when the arm feels that it has been set down.
-const EARLY: f64 = 0.5;
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -77,6 +72,8 @@ struct RobotArgs {
     /// Recipes of guards that watch the ways down.
     #[serde(default)]
     touch: Vec<String>,
+    /// The camera on the hand that corrects the arm above the thing; none when it is left out.
+    wrist: Option<WristArgs>,
     /// Where the arm waits, degrees of its joints.
     park_deg: Vec<f64>,
     /// How long a protective stop is waited out before the request fails, s.
@@ -126,6 +123,8 @@ impl RobotArgs {
 enum Leg {
     /// To above the thing, with the turn that reaches all.
     Approach,
+    /// Above the thing, as the camera on the hand sees it.
+    Adjust,
     /// Down around the thing.
     Descend,
     /// Up with it.
@@ -146,6 +145,7 @@ impl Leg {
     fn name(self) -> &'static str {
         match self {
             Self::Approach => "approach",
+            Self::Adjust => "adjust",
             Self::Descend => "descend",
             Self::Lift => "lift",
             Self::Transfer => "transfer",
@@ -210,12 +210,18 @@ impl NetArgs for RobotArgs {
         if self.ways.are_planned() {
             crate::need_task(task, app, "planner", &self.planner, findings);
         }
+        if let Some(wrist) = &self.wrist {
+            crate::need_task(task, app, "wrist", &wrist.vsm, findings);
+        }
         let mut wrong = |key: &str, text: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
             findings.push(Finding::error("coordinators::carry::robot", text).at(place));
         };
         if let Err((key, text)) = self.ways.check() {
             wrong(&key, text);
+        }
+        if let Some(Err((key, text))) = self.wrist.as_ref().map(WristArgs::check) {
+            wrong(key, text);
         }
         for (key, value) in [("arch_m", self.arch_m), ("gentle_m", self.gentle_m)] {
             if !(0.0..=2.0).contains(&value) {
@@ -296,6 +302,7 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         })
         .action("await_resume", await_resume);
     for leg in [
+        Leg::Adjust,
         Leg::Descend,
         Leg::Lift,
         Leg::SetDown,
@@ -407,6 +414,7 @@ async fn choose_turn(action: &Act, ride: &Ride<'_>) -> Result<(), Failure> {
                 let way = Way {
                     command: errand.command,
                     turn: turn.radians(),
+                    shift: None,
                 };
                 ride.store.store(ride.cx, WAY, &way).await?;
                 log_choice(action, &grasp.context, turn, &figures);
@@ -575,228 +583,4 @@ async fn pass_up(action: &Act, acted: Result<(), Failure>) -> Acted {
     let (cx, request) = (action.cx(), leg.name().to_owned());
     super::errand::note_problem(cx, &store, ROBOT_PROBLEMS, &request, &failure).await;
     Err(failure.into())
-}
-
-/// An errand, and the arm that goes its way.
-struct Ride<'a> {
-    cx: &'a Context,
-    args: Rc<RobotArgs>,
-    store: DomStore,
-    errand: Errand,
-}
-
-impl<'a> Ride<'a> {
-    async fn of(action: &'a Act) -> Result<Self, Failure> {
-        let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
-        let cx = action.cx();
-        let errand = store.fetch(cx, ERRAND).await?;
-        Ok(Self {
-            cx,
-            args,
-            store,
-            errand,
-        })
-    }
-
-    async fn go(&self, leg: Leg) -> Result<(), Failure> {
-        self.arm().acquire().await?;
-        match leg {
-            Leg::Descend => {
-                let down = self.errand.pose(End::From, self.turn().await?);
-                self.guarded(down)
-                    .await
-                    .map_err(|failure| match failure.outcome {
-                        Outcome::Guard => Failure::new(
-                            Outcome::Guard,
-                            format!("something is in the way down: {}", failure.reason),
-                        ),
-                        _ => failure,
-                    })
-            }
-            Leg::Lift => {
-                let up = self.errand.above(End::From, self.turn().await?);
-                self.line(up, self.args.slow, &[]).await
-            }
-            Leg::SetDown => self.set_down(End::To).await,
-            Leg::Withdraw => self.withdraw().await,
-            Leg::GoBack => {
-                self.arch_to(End::From).await?;
-                self.set_down(End::From).await
-            }
-            Leg::Park => self.park().await,
-            Leg::Approach | Leg::Transfer => Err(Failure::new(
-                Outcome::Fault,
-                "above an end the arm goes by a way that is chosen",
-            )),
-        }
-    }
-
-    /// Fraction of full speed to and fro.
-    fn speed(&self) -> f64 {
-        self.errand.speed.unwrap_or(self.args.speed)
-    }
-
-    fn arm(&self) -> Arm<'_> {
-        self.args.arm(self.cx)
-    }
-
-    /// The turn that was chosen for this errand.
-    async fn turn(&self) -> Result<f64, Failure> {
-        let way: Way = self.store.fetch(self.cx, WAY).await?;
-        if way.command == self.errand.command {
-            return Ok(way.turn);
-        }
-        Err(Failure::new(
-            Outcome::Fault,
-            "no way was chosen for this errand",
-        ))
-    }
-
-    /// To above an end by a way; words about it.
-    async fn go_above(&self, end: End, way: Going) -> Result<String, Failure> {
-        let above = self.errand.above(end, self.turn().await?);
-        let path = match way {
-            Going::Joint => PathKind::Joint,
-            Going::Line => PathKind::StraightLine,
-            Going::Arch => self.arch(),
-            Going::Planned => return self.go_planned(above).await,
-        };
-        let gone = self.along(above, path, self.speed(), &[]).await;
-        // What the planner refuses, an arch without a way across, say, is no way; who may move was settled before.
-        gone.map_err(|failure| match failure.outcome {
-            Outcome::Refused => Failure::new(Outcome::Unreachable, failure.reason),
-            _ => failure,
-        })?;
-        Ok(String::new())
-    }
-
-    /// Around everything, as the planner finds it.
-    async fn go_planned(&self, above: Isometry3<f64>) -> Result<String, Failure> {
-        let arm = self.arm();
-        let goal = self.plan(above, PathKind::Joint).await?.joints;
-        let way = plan_around(self.cx, &self.args.planner, drive::here(&arm).await?, goal).await?;
-        let pace = Pace {
-            speed: self.speed(),
-            blends: true,
-        };
-        drive::along(&arm, &way, pace).await?;
-        Ok(format!(
-            "{} points, {:.2} m, ",
-            way.points.len(),
-            way.length_m
-        ))
-    }
-
-    fn arch(&self) -> PathKind {
-        PathKind::Arch {
-            height: self.args.arch_m,
-            corner: None,
-        }
-    }
-
-    /// Whether the arm reaches all of the way with this turn.
-    async fn plan_all(&self, turn: f64) -> Result<(), Failure> {
-        for (end, name) in [(End::From, "from"), (End::To, "to")] {
-            for pose in [self.errand.pose(end, turn), self.errand.above(end, turn)] {
-                let planned = self.plan(pose, PathKind::Joint).await;
-                planned.map_err(|failure| match failure.outcome {
-                    Outcome::Unreachable => Failure::new(
-                        Outcome::Unreachable,
-                        format!("`{name}` cannot be reached: {}", failure.reason),
-                    ),
-                    _ => failure,
-                })?;
-            }
-        }
-        Ok(())
-    }
-
-    async fn plan(&self, pose: Isometry3<f64>, path: PathKind) -> Result<PlanReport, Failure> {
-        self.arm().plan(arm::pose(&pose), path, self.speed()).await
-    }
-
-    /// Straight to a pose.
-    async fn line(
-        &self,
-        pose: Isometry3<f64>,
-        speed: f64,
-        guards: &[String],
-    ) -> Result<(), Failure> {
-        self.along(pose, PathKind::StraightLine, speed, guards)
-            .await
-    }
-
-    async fn along(
-        &self,
-        pose: Isometry3<f64>,
-        path: PathKind,
-        speed: f64,
-        guards: &[String],
-    ) -> Result<(), Failure> {
-        let order = Move {
-            // What goes gently stops as soon as anything else.
-            acceleration: Some(speed.max(self.args.slow)),
-            guards: guards.to_vec(),
-            ..arm::order(arm::pose(&pose), path, speed)
-        };
-        self.arm().travel(order).await.map(|_| ())
-    }
-
-    /// Straight down to a pose, the last of it gently. The guards of the ways down end it when they feel something.
-    async fn guarded(&self, pose: Isometry3<f64>) -> Result<(), Failure> {
-        let touch = &self.args.touch;
-        let near = Translation3::new(0.0, 0.0, self.args.gentle_m) * pose;
-        if self.height().await? > near.translation.z {
-            self.line(near, self.args.slow, touch).await?;
-        }
-        self.line(pose, self.args.gentle, touch).await
-    }
-
-    /// Up, across and down to above an end of the way.
-    async fn arch_to(&self, end: End) -> Result<(), Failure> {
-        let above = self.errand.above(end, self.turn().await?);
-        self.along(above, self.arch(), self.speed(), &[]).await
-    }
-
-    /// Down until the thing stands. What is felt earlier than that stands there already.
-    async fn set_down(&self, end: End) -> Result<(), Failure> {
-        let pose = self.errand.pose(end, self.turn().await?);
-        match self.guarded(pose).await {
-            Err(failure) if failure.outcome == Outcome::Guard => {
-                let early = self.height().await? - pose.translation.z;
-                if early <= EARLY * self.errand.thing.height_m {
-                    return Ok(());
-                }
-                Err(Failure::new(
-                    Outcome::Occupied,
-                    format!("something stands there already, {:.0} mm high", early * 1e3),
-                ))
-            }
-            ended => ended,
-        }
-    }
-
-    /// How high the tool is in the base frame, m.
-    async fn height(&self) -> Result<f64, Failure> {
-        Ok(self.arm().tool().await?.translation.z)
-    }
-
-    /// Straight up from wherever it is to where the gripper goes to and fro.
-    async fn withdraw(&self) -> Result<(), Failure> {
-        let now = self.arm().tool().await?;
-        let [from, to] = [End::From, End::To].map(|end| self.errand.above(end, 0.0).translation.z);
-        let up = from.max(to) - now.translation.z;
-        if up <= 0.0 {
-            return Ok(());
-        }
-        let mut above = now;
-        above.translation.vector += Vector3::z() * up;
-        self.line(above, self.args.slow, &[]).await
-    }
-
-    /// To where the arm waits; there it is given back.
-    async fn park(&self) -> Result<(), Failure> {
-        let park = &self.args.park_deg;
-        self.arm().park(park, self.speed()).await
-    }
 }

@@ -149,11 +149,7 @@ impl ServiceObject for Carry {
     ) -> Option<LocalBoxFuture<'a, Outcome>> {
         Some(Box::pin(async move {
             let outcome = self.job(cx, io).await;
-            io.floats.clear();
-            if outcome.is_err() {
-                io.text.clear();
-            }
-            outcome
+            crate::services::ended(io, outcome)
         }))
     }
 

@@ -5,7 +5,8 @@ mod errands;
 mod failures;
 mod kills;
 mod looks;
+mod points;
 mod strategies;
-mod world;
+pub(crate) mod world;
 
 pub(super) use world::errand;

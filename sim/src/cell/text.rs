@@ -142,7 +142,7 @@ impl CellText {
         let mut lasers = Vec::new();
         for laser in &self.laser {
             let name = check.name("a laser", &laser.name, &mut names);
-            lasers.push(laser.check(name, check));
+            lasers.push(laser.check(name, &arms, check));
         }
         let mut names = Vec::new();
         let mut sensors = Vec::new();

@@ -185,3 +185,48 @@ fn a_late_world_makes_up_for_what_its_drivers_lived_through_and_no_more() {
     assert_eq!(gone_on(&mut rig, 1, 100), 3 * STEP);
     assert_eq!(gone_on(&mut rig, 0, 100), STEP);
 }
+
+#[test]
+fn a_pointer_shines_along_its_link_while_its_driver_lights_it_and_is_dark_when_that_falls_silent_or_ends()
+ {
+    let text = "[[arm]]\nname = 'left'\nmodel = 'puma560'\nstart = [0.0, 45.0, -90.0, 0.0, 45.0, 0.0]\n\
+        [[laser]]\nname = 'pointer'\narm = 'left'\nlink = 'flange'\nposition = [0.05, 0.0, 0.0]\n\
+        look_at = [0.05, 0.0, 1.0]\nup = [1.0, 0.0, 0.0]\nradius = 0.003\nbrightness = 200.0\n";
+    let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
+    let port = Arc::new(Port::new(&cell));
+    let mut rig = Rig {
+        simulation: Simulation::new(&cell, Arc::clone(&port)),
+        cell,
+        port,
+    };
+    let mut arm = rig.driver("arm", 0, &[0, 1, 2, 3, 4, 5]).unwrap();
+    arm = arm.lighting(&rig.cell, &[0]);
+    let mut drive = |rig: &mut Rig, lit: f64| {
+        arm.actuate(&[lit]).unwrap();
+        arm.write(&[0.0; 6], Power::Braked, PERIOD).unwrap();
+        rig.step();
+        rig.simulation.scene().beams
+    };
+    assert!(drive(&mut rig, 0.0).is_empty());
+    let [shines] = &drive(&mut rig, 1.0)[..] else {
+        panic!("it is dark");
+    };
+    let mount = rig.cell.lasers[0].mount.unwrap();
+    let flange = rig.simulation.world.link(mount);
+    let leaves = flange * nalgebra::Point3::new(0.05, 0.0, 0.0);
+    assert!((shines.beam.origin - leaves).norm() < 1e-12);
+    assert!((shines.beam.direction.into_inner() - flange * Vector3::z()).norm() < 1e-12);
+    // Nobody else orders it.
+    assert!(!rig.simulation.order_laser("pointer", LaserOrder::Off));
+    for _ in 0..12 {
+        rig.step();
+    }
+    assert!(rig.simulation.scene().beams.is_empty(), "nobody drives it");
+    assert_eq!(drive(&mut rig, 1.0).len(), 1);
+    drop(arm);
+    rig.step();
+    assert!(
+        rig.simulation.scene().beams.is_empty(),
+        "its driver is gone"
+    );
+}

@@ -14,12 +14,13 @@ use rand_chacha::ChaCha8Rng;
 use super::world::{CARRY, Place, STAND_INS, World, on, tasks};
 use crate::bench::{self, FAULTS, Fault as Wrong};
 
-/// The tasks, each in a process of its own. The first five are durable.
-const TASKS: [&str; 8] = [
+/// The tasks, each in a process of its own. The first six are durable.
+const TASKS: [&str; 9] = [
     "dispatcher",
     "robot",
     "hand",
     "vision",
+    "laser",
     "dom",
     "mcs",
     "gripper",
@@ -35,7 +36,7 @@ fn app() -> (String, Vec<String>) {
             "[chassis.on_{task}]\nrestart = \"always\"\nmax_restarts = 100\nrestart_backoff_s = 0.05\n"
         );
         sets.push(format!("task.{task}.on=\"on_{task}\""));
-        if number < 5 {
+        if number < 6 {
             sets.push(format!("task.{task}.args.durable=true"));
         }
     }
@@ -49,7 +50,7 @@ fn world() -> World {
     world
 }
 
-/// An errand, and then whatever is in the hand is put back.
+/// An errand; then whatever is in the hand is put back, and a field is pointed at.
 fn run(kills: &[Fault]) -> World {
     run_in(world(), kills, 1)
 }
@@ -57,13 +58,16 @@ fn run(kills: &[Fault]) -> World {
 fn run_in(world: World, kills: &[Fault], seed: u64) -> World {
     let (text, mut sets) = app();
     sets.push(format!("app.seed={seed}"));
-    bench::run_with(world, (&text, &sets), &[CARRY, "put_back"], kills)
+    bench::run_with(world, (&text, &sets), &[CARRY, "put_back", POINT], kills)
 }
 
 fn kill(task: &str, at_ns: u64) -> Fault {
     let at = Instant::from_nanos(at_ns);
     Fault::on(format!("on_{task}"), FaultKind::Kill, at)
 }
+
+/// The field that is pointed at after an errand.
+const POINT: &str = "point 5,5,0";
 
 /// Moments at which something changes in a run that nobody disturbs, ns: every phase of every transition, a little later, when what
 /// it changed is being stored, and in the midst of what takes longer.
@@ -121,6 +125,12 @@ fn is_true(world: &World, case: &str) {
         "nobody knows of it: {case}"
     );
     assert_eq!(symbol == "put_down", world.hand_full() == 0, "{case}");
+    let (symbol, text) = &world.bench.answers[2];
+    assert!(symbol == "pointed" || !text.is_empty(), "no reason: {case}");
+    if symbol == "pointed" {
+        assert!(world.has_shown(&on("5,5")), "nothing was shown: {case}");
+    }
+    assert!(world.is_dark(), "the pointer is still lit: {case}");
 }
 
 /// What must hold of a run, whatever was killed.
@@ -215,6 +225,22 @@ fn an_arm_whose_motion_control_dies_on_a_way_goes_on_when_it_is_back_and_is_give
             "{transition}: {:?}",
             world.bench.answers
         );
+    }
+}
+
+#[test]
+fn a_pointer_whose_process_dies_while_it_points_points_again_and_is_out_in_the_end() {
+    let plain = run(&[]);
+    let mut firings = plain.bench.firings.iter().map(|(_, event)| event);
+    let begun = firings.find(|event| event.transition == "do_point" && event.phase == "started");
+    let begun = begun.unwrap().at_ns;
+    // On the way there, and while it blinks.
+    for (task, ms) in [("laser", 100), ("laser", 1200), ("mcs", 1200)] {
+        let case = format!("{task} was killed {ms} ms after it began to point");
+        let world = run(&[kill(task, begun + ms * 1_000_000)]);
+        must_hold(&world, &case);
+        let (symbol, text) = &world.bench.answers[2];
+        assert!(symbol == "pointed" || task == "mcs", "{case}: {text}");
     }
 }
 

@@ -1,8 +1,11 @@
 //! What is seen before and after, or not seen.
 
+use mcs::client::Outcome as Motion;
 use nalgebra::Vector3;
 
-use super::world::{BOARD, CARRY, Place, World, motions, on, requests, run, run_with};
+use super::world::{
+    BOARD, CARRY, Place, World, motions, on, requests, run, run_all_with, run_with,
+};
 use crate::{
     bench::Fault,
     carry::board::{Board, Field},
@@ -151,4 +154,37 @@ fn a_thing_that_slipped_in_the_air_is_fetched_where_the_configuration_says_so_an
     assert_eq!(symbol, "not_carried", "{text}");
     assert_eq!(text.matches("it is fetched from").count(), 1, "{text}");
     assert!(world.rests());
+}
+
+#[test]
+fn the_camera_on_the_hand_learns_from_four_places_and_corrects_what_the_cameras_of_the_room_see_amiss()
+ {
+    let squinting = || {
+        let mut world = World::default();
+        world.squint = Vector3::new(0.004, -0.003, 0.0);
+        world
+    };
+    let commands = [CARRY, "carry 4,5 3,4"];
+    let without = run(squinting(), &commands);
+    assert_eq!(without.bench.answers[1].0, "not_carried");
+    let wrist = "task.robot.args.wrist={ camera = \"hand\" }";
+    let with = run_all_with(squinting(), &commands, &[wrist]);
+    let (symbol, text) = &with.bench.answers[1];
+    assert_eq!(symbol, "carried", "{text}");
+    assert!(text.contains("saw it 5.0 mm beside"), "{text}");
+    assert_eq!(with.taught, 4);
+    assert!((with.stands_at() - on("3,4")).norm() < 1e-9);
+    // What it tells far off is not believed.
+    let most = "task.robot.args.wrist.most_m=0.004";
+    let doubting = run_all_with(squinting(), &commands, &[wrist, most]);
+    assert_eq!(doubting.bench.answers[1].0, "not_carried");
+    // What it sees nothing of is carried as without it.
+    let asked = run_all_with(World::default(), &commands, &[wrist])
+        .bench
+        .asked;
+    let number = asked.iter().rposition(|request| request == "disk_offset");
+    let fault = Fault::Meets(Motion::Fault);
+    let blind = World::new(&[(number.unwrap(), fault)]);
+    let blind = run_all_with(blind, &commands, &[wrist]);
+    assert_eq!(blind.bench.answers[1].0, "carried");
 }

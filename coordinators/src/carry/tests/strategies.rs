@@ -1,6 +1,6 @@
 //! Which ways the Robot Coordinator takes, and what it learns of them.
 
-use super::world::{CARRY, World, on, run, run_seeded};
+use super::world::{CARRY, World, on, run, run_seeded, run_with};
 
 /// To and fro between two fields, so often.
 fn tour(count: usize) -> Vec<&'static str> {
@@ -102,4 +102,35 @@ fn the_answer_tells_which_ways_were_gone_and_what_is_believed_of_all() {
 fn the_same_seed_takes_the_same_ways() {
     let answers = |seed| run_seeded(World::default(), &tour(4), seed).bench.answers;
     assert_eq!(answers(3), answers(3));
+}
+
+/// The only simpler way is blocked, and the planner is known.
+fn around(mut world: World) -> World {
+    world.blocked = vec!["arch"];
+    let ways = "[{ way = \"arch\", cost_s = 2.0 }, { way = \"planned\", cost_s = 8.0 }]";
+    let sets = ["approach", "transfer"].map(|step| format!("task.robot.args.ways.{step}={ways}"));
+    run_with(world, &sets.each_ref().map(String::as_str))
+}
+
+#[test]
+fn a_way_around_everything_is_gone_where_the_simpler_one_is_blocked() {
+    let world = around(World::default());
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    for said in ["approach: planned, 2 points", "transfer: planned, 2 points"] {
+        assert!(text.contains(said), "{said}: {text}");
+    }
+    assert!((world.stands_at() - on("4,5")).norm() < 1e-9);
+}
+
+#[test]
+fn where_the_planner_finds_no_way_the_answer_says_so_and_nothing_was_touched() {
+    let mut walled = World::default();
+    walled.is_walled_in = true;
+    let world = around(walled);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried", "{text}");
+    assert!(text.contains("approach: planned failed"), "{text}");
+    assert_eq!(world.stands_at(), on("3,4"));
+    assert!(world.rests());
 }

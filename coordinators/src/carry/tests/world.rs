@@ -9,11 +9,18 @@ use ctos::{
 };
 use mcs::{
     Joints,
-    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, Target},
+    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, SetOutput, Target},
 };
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
+use mcs_path::{
+    PathError, Way,
+    task::{PlanWay, Planned, Unplanned},
+};
 use nalgebra::{Isometry3, Point3, Vector3};
-use vss::command::{Outcome as Vss, VisionError};
+use vss::{
+    command::{DiskOffset, DiskReport, DiskSight, Outcome as Vss, VisionError},
+    visual_jacobian::{Correction, Seen},
+};
 use vss_board::{discs::SeenDisc, pose::BoardPose};
 
 use crate::{
@@ -21,7 +28,7 @@ use crate::{
     carry::{board::Board, errand::Errand, eyes::LookOver, sight::Overview, thing::Thing},
 };
 
-pub(super) const BOARD: Board = Board {
+pub(crate) const BOARD: Board = Board {
     at: [0.5, 0.0, 0.42],
     yaw_deg: 20.0,
     field_m: 0.06,
@@ -30,13 +37,16 @@ pub(super) const BOARD: Board = Board {
     dot: Some([-0.255, -0.21]),
 };
 
-pub(super) fn disc() -> Thing {
+pub(crate) fn disc() -> Thing {
     let disc = include_str!("../../../../configs/carry/disc.toml");
     Thing::parse(&Source::new("disc.toml", disc)).unwrap()
 }
 
+/// How often the pointer blinks.
+pub(crate) const BLINKS: usize = 3;
+
 /// The middle of the bottom of a disc on a field.
-pub(super) fn on(field: &str) -> Point3<f64> {
+pub(crate) fn on(field: &str) -> Point3<f64> {
     BOARD.point(&field.parse().unwrap(), disc().height_m)
 }
 
@@ -59,20 +69,22 @@ pub(in crate::carry) fn errand() -> Errand {
 
 /// Where the thing is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Place {
+pub(crate) enum Place {
     /// The middle of its bottom.
     At(Point3<f64>),
     InHand,
 }
 
 /// What the stand-ins share.
-pub(super) struct World {
+pub(crate) struct World {
     pub bench: Bench,
     tool: Isometry3<f64>,
     planned: Vec<Isometry3<f64>>,
     pub thing: Place,
     /// Other discs.
     pub others: Vec<Point3<f64>>,
+    /// A person takes them away after so many looks.
+    pub is_cleared_after: usize,
     /// Where the board truly is, and how it is known: an argument of the Vision Coordinator.
     pub board: Board,
     pub believes: &'static str,
@@ -83,6 +95,8 @@ pub(super) struct World {
     pub clutter: bool,
     /// Turns of the gripper that the arm does not reach, rad.
     pub unreachable: Vec<f64>,
+    /// The arm reaches nothing at all.
+    pub nothing_in_reach: bool,
     /// Turns with which something is in the way down to a thing, rad.
     pub blocked_turns: Vec<f64>,
     /// Kinds of path that a guard ends half way.
@@ -92,6 +106,14 @@ pub(super) struct World {
     pub dropped: bool,
     /// How long a motion takes.
     pub motion: Duration,
+    /// What the pointer was set to, and where the tool was then. Without power it is off.
+    pub light: Vec<(f64, Isometry3<f64>)>,
+    /// How far beside their places the cameras of the room see things from the second errand on, m.
+    pub squint: Vector3<f64>,
+    /// Examples that the camera on the hand was shown.
+    pub taught: usize,
+    /// The planner finds no way.
+    pub is_walled_in: bool,
     /// Where the thing was at each answer.
     pub at_answers: Vec<Place>,
 }
@@ -110,17 +132,23 @@ impl World {
             planned: Vec::new(),
             thing: Place::At(on("3,4")),
             others: Vec::new(),
+            is_cleared_after: usize::MAX,
             board: BOARD,
             believes: "seen",
             dark_from: usize::MAX,
             looks: 0,
             clutter: false,
             unreachable: Vec::new(),
+            nothing_in_reach: false,
             blocked_turns: Vec::new(),
             blocked: Vec::new(),
             is_open: false,
             dropped: false,
             motion: Duration::ZERO,
+            light: Vec::new(),
+            squint: Vector3::zeros(),
+            taught: 0,
+            is_walled_in: false,
             at_answers: Vec::new(),
         }
     }
@@ -152,6 +180,28 @@ impl World {
         asked.any(|request| request != "look_over")
     }
 
+    /// Whether the pointer is out.
+    pub fn is_dark(&self) -> bool {
+        self.light.last().is_none_or(|(lit, _)| *lit == 0.0)
+    }
+
+    /// How often the pointer blinked with its light on a place.
+    pub fn blinks_at(&self, at: &Point3<f64>) -> usize {
+        let lit = self.light.iter().filter(|(lit, _)| *lit == 1.0);
+        let hits = lit.filter(|(_, tool)| {
+            let leaves = tool * Point3::new(0.05, 0.0, -0.065);
+            let along = tool * Vector3::z();
+            let met = leaves + along * ((at.z - leaves.z) / along.z);
+            along.z < 0.0 && (met - at).norm() < 1e-6
+        });
+        hits.count()
+    }
+
+    /// Whether it blinked there as often as it should.
+    pub fn has_shown(&self, at: &Point3<f64>) -> bool {
+        self.blinks_at(at) >= BLINKS
+    }
+
     /// Where a motion leads.
     fn target(&self, order: &Move) -> Isometry3<f64> {
         match order.target {
@@ -178,12 +228,19 @@ impl World {
     /// What the cameras see.
     fn overview(&mut self) -> Result<Overview, VisionError> {
         self.looks += 1;
+        if self.looks > self.is_cleared_after {
+            self.others.clear();
+        }
         if self.looks > self.dark_from {
             return Err(VisionError::new(Vss::Unseen, "no camera sees the board"));
         }
         let pose = self.board.pose();
+        let squint = match self.at_answers.is_empty() {
+            true => Vector3::zeros(),
+            false => self.squint,
+        };
         let disc = |at: &Point3<f64>, colour: usize| SeenDisc {
-            at: pose.inverse() * at,
+            at: pose.inverse() * (at + squint),
             colour,
             rms_px: 0.1,
             sd_m: 1e-4,
@@ -204,6 +261,45 @@ impl World {
             discs,
             bare: vec![Some(if self.clutter { 0.1 } else { 1.0 })],
             doubts: Vec::new(),
+        })
+    }
+
+    /// What the camera on the hand sees.
+    fn offset(&mut self, request: &DiskOffset) -> Result<DiskReport, VisionError> {
+        let Place::At(at) = self.thing else {
+            return Err(VisionError::new(Vss::Unseen, "no disc is there"));
+        };
+        let off = self.tool.inverse() * at;
+        let (by, true_by) = match request.taught {
+            Some([x, y]) => ([-x, -y], [off.x, off.y]),
+            None if self.taught < 4 => {
+                return Err(VisionError::new(Vss::Refused, "4 examples are needed"));
+            }
+            None => ([off.x, off.y], [off.x, off.y]),
+        };
+        // What is taught is true.
+        assert!((by[0] - true_by[0]).hypot(by[1] - true_by[1]) < 1e-6);
+        self.taught += usize::from(request.taught.is_some());
+        let correction = request.taught.is_none().then_some(Correction {
+            by,
+            sd: [1e-4; 2],
+            error: 0.0,
+            good: true,
+        });
+        Ok(DiskReport {
+            camera: request.camera.clone(),
+            disk: DiskSight {
+                seen: Seen {
+                    u: 250.0,
+                    v: 250.0,
+                    radius: 43.0,
+                },
+                sd_px: [0.1; 2],
+                examples: self.taught.min(4),
+                correction,
+            },
+            stamp: Duration::ZERO,
+            frame: 0,
         })
     }
 
@@ -244,7 +340,15 @@ impl World {
 }
 
 impl bench::World for World {
-    const MORE: &'static [CommandInfo] = &[Grasp::INFO, Open::INFO, ReadHeld::INFO, LookOver::INFO];
+    const MORE: &'static [CommandInfo] = &[
+        Grasp::INFO,
+        Open::INFO,
+        ReadHeld::INFO,
+        LookOver::INFO,
+        SetOutput::INFO,
+        PlanWay::INFO,
+        DiskOffset::INFO,
+    ];
 
     fn bench(&mut self) -> &mut Bench {
         &mut self.bench
@@ -274,7 +378,7 @@ impl bench::World for World {
         let to = pose(&rows);
         let turn = self.turn(&to);
         let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
-        if self.unreachable.iter().any(is_near) {
+        if self.nothing_in_reach || self.unreachable.iter().any(is_near) {
             return Err(MotionError::new(Motion::Unreachable, "out of reach"));
         }
         self.planned.push(to);
@@ -288,6 +392,7 @@ impl bench::World for World {
         let kind = match order.path {
             PathKind::Arch { .. } => "arch",
             PathKind::StraightLine => "line",
+            PathKind::Named { .. } => "planned",
             _ => "joint",
         };
         // The ways down have guards of their own.
@@ -325,6 +430,10 @@ impl bench::World for World {
         self.tool
     }
 
+    fn is_released(&mut self) {
+        self.light.push((0.0, self.tool));
+    }
+
     fn is_answered(&mut self) {
         self.at_answers.push(self.thing);
     }
@@ -342,6 +451,42 @@ impl bench::World for World {
             }),
             ReadHeld::CODE => {
                 stand_in.typed::<ReadHeld, _>(cx, message, |world, _| Ok(world.held()))
+            }
+            SetOutput::CODE => {
+                stand_in.typed::<SetOutput, _>(cx, message, |world, SetOutput { name, value }| {
+                    let refused = |text| Err(MotionError::new(Motion::Refused, text));
+                    if name != "pointer" {
+                        return refused("there is no such output");
+                    }
+                    if !world.bench.reserved {
+                        return refused("the arm is not reserved");
+                    }
+                    world.light.push((value, world.tool));
+                    Ok(())
+                })
+            }
+            DiskOffset::CODE => {
+                let (request, reply) = message.open::<DiskOffset>()?;
+                match stand_in.meets("disk_offset").0 {
+                    Some(_) => reply.ok(Err(VisionError::new(Vss::Unseen, "on purpose"))),
+                    None => reply.ok(lock(&stand_in.0).offset(&request)),
+                }
+            }
+            PlanWay::CODE => {
+                let (PlanWay { from, goals, .. }, reply) = message.open::<PlanWay>()?;
+                if lock(&stand_in.0).is_walled_in {
+                    return reply.ok(Err(Unplanned::Path(PathError::NoGoal)));
+                }
+                reply.ok(Ok(Planned {
+                    way: Way {
+                        points: vec![from, goals[0]],
+                        leeway: vec![0.0; 2],
+                        length_m: 1.0,
+                        full_speed_s: 1.0,
+                        nearest: None,
+                    },
+                    iterations: 1,
+                }))
             }
             LookOver::CODE => {
                 let (LookOver { .. }, reply) = message.open::<LookOver>()?;
@@ -361,7 +506,7 @@ impl bench::World for World {
 }
 
 /// The tasks of the nets.
-pub(super) fn tasks(believes: &str) -> String {
+pub(crate) fn tasks(believes: &str) -> String {
     let configs = configs();
     format!(
         r#"
@@ -371,6 +516,7 @@ on = "ws1"
 [task.dispatcher.args]
 net = "{configs}/nets/carry/dispatcher.net"
 thing = "{configs}/carry/disc.toml"
+show = true
 board = {{ at = [0.5, 0.0, 0.42], yaw_deg = 20.0, field_m = 0.06, dot = [-0.255, -0.21] }}
 [task.robot]
 handler = "coordinators.carry_robot"
@@ -386,6 +532,15 @@ on = "ws1"
 [task.hand.args]
 net = "{configs}/nets/carry/hand.net"
 service_within_s = 2.0
+[task.laser]
+handler = "coordinators.carry_laser"
+on = "ws1"
+[task.laser.args]
+net = "{configs}/nets/carry/laser.net"
+light = [0.05, 0.0, -0.065]
+blinks = {BLINKS}
+park_deg = [0, 75, -180, 0, -75, 0]
+service_within_s = 2.0
 [task.vision]
 handler = "coordinators.carry_vision"
 on = "ws1"
@@ -399,35 +554,40 @@ service_within_s = 2.0
 }
 
 /// The stand-ins by the names of their tasks.
-pub(super) const STAND_INS: [&str; 3] = ["mcs", "gripper", "eyes"];
+pub(crate) const STAND_INS: [&str; 5] = ["mcs", "gripper", "eyes", "paths", "vsm"];
 
-pub(super) fn run(world: World, commands: &[&str]) -> World {
+pub(crate) fn run(world: World, commands: &[&str]) -> World {
     run_seeded(world, commands, 1)
 }
 
 /// One command, with settings as `--set` takes them.
-pub(super) fn run_with(world: World, sets: &[&str]) -> World {
-    let app = bench::app(&tasks(world.believes), &STAND_INS);
-    let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
-    bench::run_with(world, (&app, &sets), &[CARRY], &[])
+pub(crate) fn run_with(world: World, sets: &[&str]) -> World {
+    run_all_with(world, &[CARRY], sets)
 }
 
-pub(super) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
+/// The same with other commands.
+pub(crate) fn run_all_with(world: World, commands: &[&str], sets: &[&str]) -> World {
+    let app = bench::app(&tasks(world.believes), &STAND_INS);
+    let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
+    bench::run_with(world, (&app, &sets), commands, &[])
+}
+
+pub(crate) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
     let app = bench::app(&tasks(world.believes), &STAND_INS);
     let sets = [format!("app.seed={seed}")];
     bench::run_with(world, (&app, &sets), commands, &[])
 }
 
 /// One command: from field 3,4 to 4,5.
-pub(super) const CARRY: &str = "carry 3,4,0 4,5,0";
+pub(crate) const CARRY: &str = "carry 3,4,0 4,5,0";
 
 /// What an errand without faults asks.
-pub(super) fn requests() -> Vec<String> {
+pub(crate) fn requests() -> Vec<String> {
     run(World::default(), &[CARRY]).bench.asked
 }
 
 /// The requests that are motions.
-pub(super) fn motions(requests: &[String]) -> Vec<usize> {
+pub(crate) fn motions(requests: &[String]) -> Vec<usize> {
     let all = 0..requests.len();
     all.filter(|at| requests[*at] == Move::NAME).collect()
 }

@@ -1,11 +1,11 @@
-//! A laser scanner of the cell: `[[laser]]`.
+//! A laser scanner of the cell, or a pointer that an arm carries: `[[laser]]`.
 
 use serde::Deserialize;
 use toml::Spanned;
 use vss::laser::Scanner;
 
 use super::{
-    super::LaserSpec,
+    super::{ArmSpec, LaserSpec},
     check::{Check, GREY},
 };
 use crate::camera::truth::CameraTruth;
@@ -14,11 +14,13 @@ use crate::camera::truth::CameraTruth;
 #[serde(deny_unknown_fields)]
 pub(super) struct LaserText {
     pub(super) name: Spanned<String>,
+    arm: Option<Spanned<String>>,
+    link: Option<Spanned<String>>,
     position: Spanned<[f64; 3]>,
     look_at: Spanned<[f64; 3]>,
     up: Spanned<[f64; 3]>,
-    mirror_offset: Spanned<f64>,
-    gain: Spanned<[f64; 2]>,
+    mirror_offset: Option<Spanned<f64>>,
+    gain: Option<Spanned<[f64; 2]>>,
     zero: Option<Spanned<[f64; 2]>>,
     radius: Spanned<f64>,
     brightness: Spanned<f64>,
@@ -28,7 +30,8 @@ pub(super) struct LaserText {
 const GAIN: f64 = 60.0;
 
 impl LaserText {
-    pub(super) fn check(&self, name: String, check: &mut Check<'_>) -> LaserSpec {
+    pub(super) fn check(&self, name: String, arms: &[ArmSpec], check: &mut Check<'_>) -> LaserSpec {
+        let mount = check.mount(arms, self.arm.as_ref(), self.link.as_ref());
         let position = check.point(&self.position, "the laser's position", 100.0);
         let look_at = check.point(&self.look_at, "the point looked at", 100.0);
         let up = check.point(&self.up, "the upward direction", 100.0);
@@ -51,26 +54,28 @@ impl LaserText {
             }
             numbers.map(f64::to_radians)
         };
-        let gain = degrees(&self.gain, "what a command of 1 turns the light by");
+        // A pointer has no mirrors: its light goes straight ahead.
+        let gain = self.gain.as_ref();
+        let gain = gain.map_or([1.0; 2], |gain| {
+            degrees(gain, "what a command of 1 turns the light by")
+        });
         let zero = self.zero.as_ref();
         let zero = zero.map_or([0.0; 2], |zero| degrees(zero, "the light's angle at 0"));
-        if gain.contains(&0.0) {
+        if let (true, Some(own)) = (gain.contains(&0.0), &self.gain) {
             check.refuse(
-                self.gain.span(),
+                own.span(),
                 format!("a mirror of laser `{name}` does not move"),
                 "give two numbers that are not 0",
             );
         }
         LaserSpec {
             name,
+            mount,
             scanner: Scanner {
                 world_t_scanner: pose.unwrap_or_default().inverse(),
-                offset: check.number(
-                    &self.mirror_offset,
-                    "the way between the mirrors",
-                    "m",
-                    [0.0, 1.0],
-                ),
+                offset: self.mirror_offset.as_ref().map_or(0.0, |offset| {
+                    check.number(offset, "the way between the mirrors", "m", [0.0, 1.0])
+                }),
                 gain,
                 zero,
             },
