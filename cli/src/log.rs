@@ -13,7 +13,6 @@ use tracing::{
     Event, Metadata, Subscriber,
     field::{Field, Visit},
     level_filters::LevelFilter,
-    subscriber::Interest,
 };
 use tracing_subscriber::{
     EnvFilter, Layer,
@@ -100,21 +99,7 @@ impl Shown {
     }
 }
 
-/// Before a sound is made, `sorma::sound` asks whether warnings are shown. Several filters together say yes to whatever one call
-/// site might be: so what is not shown is refused at the site itself, also by the filter of the record.
-fn interest(shown: Option<LevelFilter>, site: &Metadata<'_>) -> Interest {
-    let asks = !site.is_event() && !site.is_span() && site.target() == "sorma::sound";
-    match shown {
-        Some(most) if asks && *site.level() > most => Interest::never(),
-        _ => Interest::sometimes(),
-    }
-}
-
 impl<S: Subscriber> Filter<S> for Shown {
-    fn callsite_enabled(&self, site: &'static Metadata<'static>) -> Interest {
-        interest(Filter::<S>::max_level_hint(self), site)
-    }
-
     fn enabled(&self, metadata: &Metadata<'_>, cx: &Context<'_, S>) -> bool {
         *metadata.level() <= self.most_of_tasks() || self.modules.enabled(metadata, cx.clone())
     }
@@ -193,10 +178,6 @@ pub(crate) fn start(setting: LogSetting<'_>, clock: Clock) -> Result<(), String>
 struct Recorded(Shown);
 
 impl<S: Subscriber> Filter<S> for Recorded {
-    fn callsite_enabled(&self, site: &'static Metadata<'static>) -> Interest {
-        interest(Filter::<S>::max_level_hint(&self.0), site)
-    }
-
     fn enabled(&self, metadata: &Metadata<'_>, cx: &Context<'_, S>) -> bool {
         *metadata.level() <= LevelFilter::INFO || self.0.enabled(metadata, cx)
     }

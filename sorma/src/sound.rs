@@ -19,6 +19,7 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::LazyLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Version of the class.
@@ -26,6 +27,15 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The recipes that are shipped with the class. One message after the other is said, and nobody waits for it.
 pub const DICTIONARY: &str = "fork.sound -object sound -width 1\n";
+
+/// Whether this process makes no sound.
+static SILENT: AtomicBool = AtomicBool::new(false);
+
+/// From now on no object of this process makes a sound; all write what they would say. For a program whose user wants
+/// that (`--quiet`).
+pub fn silence() {
+    SILENT.store(true, Ordering::Relaxed);
+}
 
 /// The word that is a tone.
 const BEEP: &str = "beep";
@@ -269,10 +279,8 @@ impl ServiceObject for Sound {
         let pieces = pieces(&words, &self.options.folder)?;
         let text = words.join(" ");
         tracing::info!(target: "sorma::sound", object = %cx.name(), "{text}");
-        // Who wants errors only (`--quiet`) wants to hear nothing.
-        let is_quiet =
-            tracing::enabled!(tracing::Level::ERROR) && !tracing::enabled!(tracing::Level::WARN);
-        let mut is_heard = !self.options.mute && !self.is_virtual && !is_quiet;
+        let is_silent = SILENT.load(Ordering::Relaxed);
+        let mut is_heard = !self.options.mute && !self.is_virtual && !is_silent;
         if is_heard {
             for piece in &pieces {
                 if let Err(error) = self.say(piece) {

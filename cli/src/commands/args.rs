@@ -68,6 +68,9 @@ pub(super) fn start_log(
         (false, 2) => "debug",
         (false, _) => "trace",
     };
+    if args.quiet {
+        sorma::sound::silence();
+    }
     if args.log_format == LogFormat::Json {
         show::say_json(Some(clock.clone()));
     }
