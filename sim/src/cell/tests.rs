@@ -286,3 +286,17 @@ fn a_sensor_that_cannot_be_is_found_at_its_place() {
     }
     assert!(findings(&format!("{TEXT}{sensor}")).is_empty());
 }
+
+#[test]
+fn a_scanner_in_the_room_needs_mirrors_and_a_pointer_on_an_arm_does_not() {
+    let laser = "\n[[laser]]\nname = \"line\"\nposition = [0.0, 0.0, 2.0]\nlook_at = [0.0, 0.0, 1.0]\nup = [1.0, 0.0, 0.0]\nradius = 0.003\nbrightness = 200.0\n";
+    let found = findings(&format!("{TEXT}{laser}"));
+    let [one] = &found[..] else {
+        panic!("{found:#?}");
+    };
+    assert!(one.contains("lacks `gain` or `mirror_offset`"), "{one}");
+    let mirrors = "gain = [10.0, 10.0]\nmirror_offset = 0.01\n";
+    assert_eq!(findings(&format!("{TEXT}{laser}{mirrors}")), [""; 0]);
+    let carried = "arm = \"puma\"\nlink = \"flange\"\n";
+    assert_eq!(findings(&format!("{TEXT}{laser}{carried}")), [""; 0]);
+}
