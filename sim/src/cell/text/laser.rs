@@ -43,6 +43,14 @@ impl LaserText {
                 "`look_at` must differ from `position`, and `up` must not point along the way",
             );
         }
+        let has_mirrors = self.gain.is_some() && self.mirror_offset.is_some();
+        if self.arm.is_none() && !has_mirrors {
+            check.refuse(
+                self.name.span(),
+                format!("scanner `{name}` lacks `gain` or `mirror_offset`"),
+                "give both, or name the `arm` that carries it as a pointer",
+            );
+        }
         let mut degrees = |value: &Spanned<[f64; 2]>, what: &str| {
             let numbers = *value.get_ref();
             if !numbers.iter().all(|number| number.abs() <= GAIN) {
@@ -59,14 +67,6 @@ impl LaserText {
         let gain = gain.map_or([1.0; 2], |gain| {
             degrees(gain, "what a command of 1 turns the light by")
         });
-        let has_mirrors = self.gain.is_some() && self.mirror_offset.is_some();
-        if self.arm.is_none() && !has_mirrors {
-            check.refuse(
-                self.name.span(),
-                format!("scanner `{name}` lacks `gain` or `mirror_offset`"),
-                "give both, or name the `arm` that carries it as a pointer",
-            );
-        }
         let zero = self.zero.as_ref();
         let zero = zero.map_or([0.0; 2], |zero| degrees(zero, "the light's angle at 0"));
         if let (true, Some(own)) = (gain.contains(&0.0), &self.gain) {
