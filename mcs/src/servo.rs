@@ -623,6 +623,10 @@ impl Servo {
                 &mut torques,
             ),
         }
+        if let Some(why) = self.law.gave_up() {
+            self.fail(Fault::LawGaveUp(why));
+            return self.still();
+        }
         match next {
             // It takes over from what is measured when the stream ends.
             Some(law) if direct.is_some() => {
