@@ -10,6 +10,7 @@ mod impedance_tests;
 pub mod joint_impedance;
 pub mod pid;
 mod registry;
+pub mod split_torque;
 
 use std::time::Duration;
 
@@ -18,8 +19,9 @@ pub use computed_torque::ComputedTorque;
 pub use joint_impedance::{JointImpedance, JointImpedanceArgs};
 pub use pid::PidGravity;
 pub use registry::{LawRegistry, LawSettings};
+pub use split_torque::SplitTorque;
 
-use crate::{driver::SlotReading, trajectory::Setpoint};
+use crate::{driver::SlotReading, guard::Words, trajectory::Setpoint};
 
 /// A control law. Called once per servo period while the brakes are released; must neither allocate,
 /// lock nor wait.
@@ -37,6 +39,11 @@ pub trait ControlLaw: Send {
     /// law that asks for none does nothing with it.
     fn sense(&mut self, numbers: &[f64]) {
         let _ = numbers;
+    }
+
+    /// Why it cannot go on, after [`torques`](Self::torques): then the power is taken away.
+    fn gave_up(&self) -> Option<Words> {
+        None
     }
 
     /// Computes one torque per slot into `out` (N m, or N for a joint that slides) from the setpoint and the

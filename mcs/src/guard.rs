@@ -41,8 +41,8 @@ pub trait Guard: Send {
     /// arm would come to rest with where it is.
     fn check(&mut self, seen: &Seen<'_>) -> Option<Words>;
 
-    /// Whether what it finds is that the arm presses on something. Then the arm does not go on along its path while it
-    /// brakes: it goes back, within the limits of its joints, to where it was measured when that was found, and rests there.
+    /// Whether what it finds is that the arm presses on something. Then the setpoint, which is inside of that, is left at once for
+    /// where the arm was measured and how fast; from there it rests within the limits of its joints, at that position.
     fn feels(&self) -> bool {
         false
     }
@@ -56,7 +56,7 @@ pub enum Reaction {
     /// begin at once.
     #[default]
     Stop,
-    /// As [`Self::Stop`]; then the arm goes back to where it was when all was still well.
+    /// As [`Self::Stop`]; then the arm goes back to where it was when all was still well, after a touch a little farther.
     Retreat,
     /// The motion goes on; it is told, once in a motion.
     Report,
@@ -149,7 +149,8 @@ pub struct GuardReport {
     pub measured: Words,
     /// What is done.
     pub reaction: Reaction,
-    /// The last setpoint with which all was well, rad or m.
+    /// Where a retreat goes, rad or m: the last setpoint with which all was well, or of a guard that [feels](Guard::feels) a
+    /// touch, where the arm was measured a quarter of a second before, or when the motion began.
     pub allowed: Joints,
 }
 

@@ -512,7 +512,8 @@ impl Servo {
         }
     }
 
-    /// Asks the guards of the motion under way; one that is braking or at rest already needs none.
+    /// Asks the guards of the motion under way. One that is braking needs none; while one settles, only what presses on the arm
+    /// counts.
     fn guard(&mut self) {
         let period = self.config.period.as_secs_f64();
         let mut tool_at_rest = None;
@@ -529,10 +530,11 @@ impl Servo {
             self.stopping = Motion::stopping(&rest, &self.setpoint, period);
             tool_at_rest = rest.tool.map(|tool| Placement::from(&tool));
         }
-        if self.motion.is_none() || self.ends() != (false, false) {
+        let (settles, stopping) = self.ends();
+        if self.motion.is_none() || stopping {
             return;
         }
-        let found = self.guards.check(&Now {
+        let now = Now {
             motion: self.status.motion.id,
             setpoint: &self.setpoint,
             readings: &self.readings,
@@ -540,19 +542,26 @@ impl Servo {
             tool_at_rest,
             force: self.force(),
             period,
-        });
+        };
+        let found = self.guards.check(&now, settles);
         let Some((found, feels)) = found else { return };
         self.status.guard = Some(found);
         if found.reaction == Reaction::Report {
             return;
         }
-        if feels && self.stream.is_none() {
-            let here = self.status.position;
-            self.follower
-                .yield_to(&here, &mut self.setpoint, &self.solver);
-        } else {
-            self.brake(words!("guard `{}`: {}", found.guard, found.measured));
+        let why = words!("guard `{}`: {}", found.guard, found.measured);
+        if !feels {
+            return self.brake(why);
         }
+        let arm = Setpoint {
+            velocity: self.status.velocity,
+            ..Setpoint::at_rest(self.status.position)
+        };
+        let yields = match &mut self.stream {
+            Some(stream) => stream.yield_to(&arm, why, self.solver.model(), period),
+            None => self.follower.yield_to(&arm, &self.solver),
+        };
+        self.setpoint = yields.unwrap_or(self.setpoint);
     }
 
     fn watch(&mut self) {
@@ -613,6 +622,10 @@ impl Servo {
                 self.config.period,
                 &mut torques,
             ),
+        }
+        if let Some(why) = self.law.gave_up() {
+            self.fail(Fault::LawGaveUp(why));
+            return self.still();
         }
         match next {
             // It takes over from what is measured when the stream ends.

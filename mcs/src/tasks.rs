@@ -12,6 +12,7 @@ mod records;
 mod retreat;
 pub mod servo;
 mod slots;
+mod split_torque;
 pub mod state;
 mod streams;
 
@@ -73,6 +74,7 @@ pub fn register_with(
     state::register(registry);
     planner::register(registry);
     client::register(registry);
+    split_torque::register(registry);
 }
 
 /// What the tasks of one manipulator share on its chassis.

@@ -246,6 +246,7 @@ fn no_law_allocates_when_it_computes_or_is_tuned() {
             bandwidth_hz: 6.0,
             damping: 1.0,
             period,
+            cx: None,
             args: &args,
         };
         let mut law = registry.build(name, &settings).unwrap().unwrap();

@@ -136,6 +136,15 @@ fn an_emergency_stop_of_one_manipulator_leaves_the_other_one_alone() {
 }
 
 #[test]
+fn every_partition_has_teach_pendants_of_its_own_arms() {
+    let scratch = Scratch::new();
+    for partition in [THREE_TIMES_SIX, TWO_TIMES_NINE, ONE_TIMES_EIGHTEEN] {
+        let checked = scratch.ctos(&["check", partition, "--profile", "panel"]);
+        checked.must_exit(0);
+    }
+}
+
+#[test]
 fn what_every_tick_leaves_is_in_a_snapshot_buffer_on_request() {
     let scratch = Scratch::new();
     let _run = up(&scratch, TWO_TIMES_NINE);

@@ -31,7 +31,7 @@ use cli_common::{
 
 use crate::backend::Backend;
 use pool::Pool;
-use script::{Panel, SOME_ARM, for_arms};
+use script::{Panel, SOME_ARM, SOME_JOINTS, for_arms};
 use service::Service;
 
 /// Registers the handler.
@@ -74,7 +74,8 @@ fn asked_for(what: &str) -> Result<Panel, Findings> {
     }
     let mut findings = Findings::new();
     let source = findings.keep(Source::read(path));
-    let source = source.and_then(|source| for_arms(&source, &[SOME_ARM.to_owned()]).pop());
+    let (arms, joints) = ([SOME_ARM.to_owned()], SOME_JOINTS.map(str::to_owned));
+    let source = source.and_then(|source| for_arms(&source, &arms, &joints).pop());
     let panel = source.and_then(|source| Panel::read(&source, &mut findings));
     match panel {
         Some(panel) if !findings.has_errors() => Ok(panel),

@@ -1,137 +1,68 @@
-//! What one servo period of 18 joints costs with limits, guards and collision detection, without hardware.
+//! What one servo period of 18 joints costs with limits, guards and collision detection, without hardware:
+//! `cargo bench -p mcs-collision --bench tick`.
 
 #![allow(
-    clippy::panic,
+    clippy::print_stdout,
     clippy::unwrap_used,
-    reason = "a benchmark whose set-up fails has nothing to measure"
+    reason = "its output is what it is for; a benchmark whose set-up fails has nothing to measure"
 )]
 
-use std::hint::black_box;
-use std::sync::Arc;
-use std::time::Duration;
+#[path = "../tests/rig/mod.rs"]
+mod rig;
 
-use ctos::config::Node;
-use ctos::diagnostic::{Findings, Source};
-use ctos::registry::Registry;
-use ctos::task::HandlerError;
+use std::time::{Duration, Instant};
+
 use divan::Bencher;
-use mcs::Joints;
-use mcs::control::PidGravity;
-use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
-use mcs::guard::{Around, GuardRegistry, GuardSettings, Mounted, Neighbour, Reaction};
-use mcs::joints::Distances;
-use mcs::model::{Model, built_in, file::Inertias};
-use mcs::servo::{Servo, ServoCommand, ServoConfig, ServoPort};
-use mcs::trajectory::{CartesianLimits, Planner};
+use mcs::servo::MotionPhase;
 
-const START: [f64; 9] = [0.2, 0.1, -0.1, 0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
-const GOAL: [f64; 9] = [0.0, 0.2, 0.0, -0.6, 1.4, -2.9, -0.4, 0.3, 1.1];
-
-/// The recipes, by kind.
-const RECIPES: [(&str, &str); 3] = [
-    (
-        "workspace",
-        "keep_out = [{ low = [-3, -3, -1], high = [3, 3, 0.1] }]\nradius = 0.05",
-    ),
-    ("speed", "tool = 10.0"),
-    (
-        "collision",
-        "room = [{ name = \"floor\", shapes = [{ box = [20, 20, 1], at = { xyz = [0, 0, -0.5] } }] }]",
-    ),
-];
+/// Motions of which each tick is timed.
+const MOTIONS: u32 = 20;
 
 fn main() {
+    // Not when the tests only look whether it runs.
+    if std::env::args().any(|argument| argument == "--bench") {
+        each_tick();
+    }
     divan::main();
 }
 
-/// An arm that is always where it was and costs nothing.
-struct Statue(Joints);
-
-impl ChannelDriver for Statue {
-    fn slots(&self) -> usize {
-        self.0.len()
-    }
-
-    fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
-        for (reading, position) in readings.iter_mut().zip(&self.0) {
-            reading.position = *position;
-        }
-        Ok(())
-    }
-
-    fn write(&mut self, torques: &[f64], _: Power, _: Duration) -> Result<(), DriverError> {
-        black_box(torques);
-        Ok(())
-    }
-}
-
-struct Alone;
-
-impl Around for Alone {
-    fn neighbour(&self, _: &str) -> Result<Neighbour, HandlerError> {
-        Err("nobody is here".into())
-    }
-}
-
-fn both(arm: [f64; 9]) -> Joints {
-    Joints::try_from(&arm.repeat(2)[..]).unwrap()
-}
-
-/// A servo with so many of the recipes, in the middle of a motion.
-fn servo(recipes: usize) -> (Servo, ServoPort) {
-    let model: Arc<Model> = Arc::new(
-        built_in::model("testbed18", Inertias::Engine)
-            .unwrap()
-            .unwrap(),
-    );
-    let law = PidGravity::new(Arc::clone(&model), 6.0, 1.0);
-    // The statue never follows: that must be no emergency here.
-    let far = Distances {
-        turning: 100.0,
-        sliding: 100.0,
-    };
-    let config = ServoConfig {
-        following_error: far,
-        following_window: far,
-        ..ServoConfig::default()
-    };
-    let driver = Box::new(Statue(both(START)));
-    let (mut servo, port) = Servo::new(Arc::clone(&model), driver, Box::new(law), config).unwrap();
-    servo.show_on(Neighbour::new(Arc::clone(&model)));
-    let mut guards = GuardRegistry::new();
-    mcs_collision::register(&mut Registry::new(), &mut guards);
-    for (slot, (kind, text)) in RECIPES.iter().take(recipes).enumerate() {
-        let args = Node::from_toml(&Source::new("guard", *text), &mut Findings::new());
-        let settings = GuardSettings {
-            model: &model,
-            period: config.period,
-            servo: "servo",
-            around: &Alone,
-            cx: None,
-            args: &args,
-        };
-        let guard = guards.build(kind, &settings).unwrap().unwrap();
-        let mounted = Mounted::new(kind, Reaction::Report, true, guard);
-        port.mount(slot, Some(mounted)).unwrap();
-    }
-    let planner = Planner::new(model, CartesianLimits::default(), 0.018).unwrap();
-    let segment = planner.joint(&both(START), &both(GOAL), 0.2).unwrap();
-    for command in [
-        ServoCommand::PowerOn,
-        ServoCommand::ReleaseBrakes,
-        ServoCommand::Move { id: 1, segment },
+/// The times of single ticks: the ones that half of them, and 99 of 100, keep, and the longest.
+fn each_tick() {
+    for (limit_jerk, limits) in [
+        (false, "speed and acceleration"),
+        (true, "speed, acceleration and jerk"),
     ] {
-        port.order(command).unwrap();
-        servo.tick(0);
+        for recipes in [0, rig::RECIPES.len() - 1, rig::RECIPES.len()] {
+            let mut took: Vec<Duration> = Vec::new();
+            for _ in 0..MOTIONS {
+                let (mut servo, _port) = rig::servo(recipes, limit_jerk);
+                while servo.status().motion.phase == MotionPhase::Moving {
+                    let began = Instant::now();
+                    servo.tick(0);
+                    took.push(began.elapsed());
+                }
+            }
+            took.sort_unstable();
+            let at = |share: f64| {
+                let place = (share * (took.len() - 1) as f64) as usize;
+                1e6 * took[place].as_secs_f64()
+            };
+            println!(
+                "a tick of 18 joints, limits of {limits}, {recipes} guards: p50 {:.1} µs, p99 {:.1} µs, longest {:.1} µs of {}",
+                at(0.5),
+                at(0.99),
+                at(1.0),
+                took.len()
+            );
+        }
     }
-    (servo, port)
 }
 
-/// A hundred ticks of 18 joints: without guards, with workspace and speed, and with collision detection as well.
-#[divan::bench(args = [0, 2, 3])]
+/// A hundred ticks of 18 joints: without guards, with workspace, speed and force, and with collision detection as well.
+#[divan::bench(args = [0, 3, 4])]
 fn hundred_ticks_with_guards(bencher: Bencher, recipes: usize) {
     bencher
-        .with_inputs(|| servo(recipes))
+        .with_inputs(|| rig::servo(recipes, false))
         .bench_local_refs(|(servo, _port)| {
             for _ in 0..100 {
                 servo.tick(0);

@@ -359,6 +359,7 @@ mod tests {
             bandwidth_hz: 8.0,
             damping: 1.0,
             period: PERIOD,
+            cx: None,
             args: &Node::table(),
         };
         CarryLaw::new(&settings, args)

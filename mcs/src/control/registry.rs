@@ -5,10 +5,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ctos::config::Node;
-use ctos::task::HandlerError;
+use ctos::task::{Context, HandlerError};
 
+use super::split_torque::{Exchange, SPLIT_TORQUE};
 use super::{
     CartesianImpedance, ComputedTorque, ControlLaw, JointImpedance, JointImpedanceArgs, PidGravity,
+    SplitTorque,
 };
 use crate::model::{DynamicsOptions, Model};
 
@@ -16,7 +18,7 @@ type Build =
     Arc<dyn Fn(&LawSettings<'_>) -> Result<Box<dyn ControlLaw>, HandlerError> + Send + Sync>;
 
 /// What a law is made from.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub struct LawSettings<'a> {
     /// The arm.
     pub model: &'a Arc<Model>,
@@ -26,6 +28,8 @@ pub struct LawSettings<'a> {
     pub damping: f64,
     /// The servo's.
     pub period: Duration,
+    /// The servo's task, through which a law may share with tasks of its chassis; `None` while the app is checked.
+    pub cx: Option<&'a Context>,
     /// The law's own arguments: `law_args` of the servo task, or an empty table.
     pub args: &'a Node,
 }
@@ -43,8 +47,8 @@ impl Default for LawRegistry {
 }
 
 impl LawRegistry {
-    /// The laws that come with this crate: `pid`, which compensates gravity, `computed_torque`, `joint_impedance` and
-    /// `cartesian_impedance`.
+    /// The laws that come with this crate: `pid`, which compensates gravity, `computed_torque`, `joint_impedance`,
+    /// `cartesian_impedance`, and `split_torque` on two processors.
     #[must_use]
     pub fn new() -> Self {
         let mut registry = Self {
@@ -87,6 +91,16 @@ impl LawRegistry {
         registry.law("cartesian_impedance", |settings| {
             let (model, args) = (Arc::clone(settings.model), settings.args.parse()?);
             let law = CartesianImpedance::new(model, args, settings.damping)?;
+            Ok(Box::new(law))
+        });
+        registry.law(SPLIT_TORQUE, |settings| {
+            no_arguments(settings)?;
+            let n = settings.model.dof();
+            let shared = settings.cx.map(|cx| Exchange::of(cx, cx.name(), n));
+            let exchange = shared.unwrap_or_else(|| Exchange::new(n));
+            let model = Arc::clone(settings.model);
+            let (bandwidth, damping) = (settings.bandwidth_hz, settings.damping);
+            let law = SplitTorque::new(model, bandwidth, damping, exchange);
             Ok(Box::new(law))
         });
         registry

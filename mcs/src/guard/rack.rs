@@ -1,5 +1,6 @@
 //! The guards of one servo: who is asked in a tick, and how guards get in and out of it without the tick's allocating.
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 
@@ -15,6 +16,10 @@ use crate::trajectory::Setpoint;
 pub const MAX_GUARDS: usize = 32;
 /// Changes that may wait for the next tick.
 const CHANGES: usize = MAX_GUARDS;
+/// After a touch the arm may go back to where it was so long before, s, at the last of so many places at most: there it had
+/// not touched anything yet, unless that gave way for as long.
+const BEFORE_TOUCH: f64 = 0.25;
+const PLACES: usize = 64;
 
 /// Some of the guards of a servo, by slot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -108,6 +113,8 @@ pub(crate) struct Rack {
     /// and those that the motion under way does.
     holding: GuardSet,
     allowed: Joints,
+    /// Where the arm was measured in the latest ticks of the motion, the oldest first.
+    measured: VecDeque<Joints>,
     port: RackPort,
 }
 
@@ -120,6 +127,7 @@ impl Rack {
             named: GuardSet::default(),
             holding: GuardSet::default(),
             allowed: Joints::zeros(model.dof()),
+            measured: VecDeque::with_capacity(PLACES),
             port: RackPort {
                 incoming: Arc::new(queue(CHANGES)),
                 outgoing: Arc::new(ArrayQueue::new(2 * CHANGES)),
@@ -158,6 +166,7 @@ impl Rack {
     /// A motion that named these begins at `start`.
     pub fn begin(&mut self, start: &Joints, guards: GuardSet) {
         self.allowed = *start;
+        self.measured.clear();
         self.holding = guards;
         for mounted in self.slots.iter_mut().flatten() {
             mounted.begun = false;
@@ -165,11 +174,25 @@ impl Rack {
         }
     }
 
-    /// What a guard has found in this tick, and whether it feels a touch; of several the first one that ends the motion.
-    pub fn check(&mut self, now: &Now<'_>) -> Option<(GuardReport, bool)> {
+    /// Keeps where the arm was measured in this tick; the place from which it came `BEFORE_TOUCH` before.
+    fn remember(&mut self, now: &Now<'_>) -> Joints {
+        let places = ((BEFORE_TOUCH / now.period) as usize).clamp(1, PLACES);
+        while self.measured.len() >= places {
+            self.measured.pop_front();
+        }
+        let here = Joints::from_fn(now.readings.len(), |slot| now.readings[slot].position);
+        self.measured.push_back(here);
+        self.measured.front().copied().unwrap_or(here)
+    }
+
+    /// What a guard has found in this tick, and whether it feels a touch; of several the first one that ends the motion. Of a
+    /// motion that `settles` only guards that feel a touch are asked.
+    pub fn check(&mut self, now: &Now<'_>, settles: bool) -> Option<(GuardReport, bool)> {
+        let before = self.remember(now);
         let holding = self.holding;
         let asked = |(slot, mounted): &(usize, &mut Mounted)| {
-            (mounted.always || holding.has(*slot)) && !mounted.told
+            let watches = mounted.always || holding.has(*slot);
+            watches && !mounted.told && (!settles || mounted.guard.feels())
         };
         let all = self.slots.iter_mut().enumerate();
         let mut all = all
@@ -206,14 +229,16 @@ impl Rack {
                 continue;
             };
             mounted.told = true;
+            let feels = mounted.guard.feels();
             let report = GuardReport {
                 motion: now.motion,
                 guard: mounted.name,
                 measured,
                 reaction: mounted.reaction,
-                allowed: self.allowed,
+                // The setpoint is ahead of an arm that touches something, and inside that.
+                allowed: if feels { before } else { self.allowed },
             };
-            found = Some((report, mounted.guard.feels()));
+            found = Some((report, feels));
             if mounted.reaction != Reaction::Report {
                 return found;
             }

@@ -363,32 +363,40 @@ fn the_speed_of_the_tool_is_that_of_the_jacobian() {
     }
 }
 
-#[test]
-fn two_ticks_after_a_contact_at_most_the_torques_are_other_ones() {
+/// A guard that allows 20 N.
+fn fragile(reaction: Reaction) -> Mounted {
     let args = Source::new("recipe", "force = 20.0");
     let args = Node::from_toml(&args, &mut Findings::new());
-    let model = Arc::new(built_in_arm("puma560"));
+    let settings = GuardSettings {
+        args: &args,
+        model: &Arc::new(built_in_arm("puma560")),
+        period: Duration::from_micros(4500),
+        servo: "servo",
+        around: &Nobody,
+        cx: None,
+    };
+    let guard = Force::from_args(&settings).unwrap();
+    Mounted::new("fragile", reaction, true, guard)
+}
+
+/// An arm with a sensor, which that guard watches, on its way down.
+fn touched(force: &Arc<AtomicU64>, reaction: Reaction) -> Rig {
+    let mut rig = Rig::driving(Touched::by(force));
+    rig.port.mount(0, Some(fragile(reaction))).unwrap();
+    let segment = rig.line([0.0, 0.1, -0.2]);
+    rig.port
+        .order(ServoCommand::Move { id: 1, segment })
+        .unwrap();
+    rig
+}
+
+#[test]
+fn two_ticks_after_a_contact_at_most_the_torques_are_other_ones() {
     for contact in [40, 90, 150] {
         let forces = [Arc::default(), Arc::<AtomicU64>::default()];
-        let mut rigs = forces.each_ref().map(|force| {
-            let mut rig = Rig::driving(Touched::by(force));
-            let settings = GuardSettings {
-                args: &args,
-                model: &model,
-                period: Duration::from_micros(4500),
-                servo: "servo",
-                around: &Nobody,
-                cx: None,
-            };
-            let guard = Force::from_args(&settings).unwrap();
-            let guard = Mounted::new("fragile", Reaction::Stop, true, guard);
-            rig.port.mount(0, Some(guard)).unwrap();
-            let segment = rig.line([0.0, 0.1, -0.2]);
-            rig.port
-                .order(ServoCommand::Move { id: 1, segment })
-                .unwrap();
-            rig
-        });
+        let mut rigs = forces
+            .each_ref()
+            .map(|force| touched(force, Reaction::Stop));
         let mut torques = || {
             rigs.each_mut().map(|rig| {
                 rig.servo.tick(0);
@@ -407,5 +415,50 @@ fn two_ticks_after_a_contact_at_most_the_torques_are_other_ones() {
         assert!(changed.is_some(), "contact in tick {contact}");
         let found = rigs[0].port.status().guard.unwrap();
         assert_eq!(found.guard.as_str(), "fragile");
+    }
+}
+
+#[test]
+fn a_retreat_from_a_touch_leads_back_to_where_the_arm_was_and_not_to_its_setpoint() {
+    for contact in [30, 60, 120] {
+        let force = Arc::<AtomicU64>::default();
+        let mut rig = touched(&force, Reaction::Retreat);
+        let mut measured = Vec::new();
+        for _ in 0..contact {
+            rig.servo.tick(0);
+            measured.push(rig.port.status().position);
+        }
+        force.store(30, Ordering::Relaxed);
+        rig.servo.tick(0);
+        let found = rig.port.status().guard.unwrap();
+        // A quarter of a second before, in which there are 54 whole ticks; or where the motion began.
+        let before = measured[contact.max(54) - 54];
+        assert_eq!(found.allowed, before, "contact in tick {contact}");
+        assert_ne!(found.allowed, rig.port.status().setpoint);
+    }
+}
+
+#[test]
+fn a_force_that_grows_while_a_motion_settles_ends_it_and_the_setpoint_gives_way() {
+    let force = Arc::<AtomicU64>::default();
+    let mut rig = touched(&force, Reaction::Stop);
+    while rig.port.status().motion.phase != MotionPhase::Settling {
+        rig.servo.tick(0);
+    }
+    let end = rig.port.status().setpoint;
+    force.store(30, Ordering::Relaxed);
+    rig.servo.tick(0);
+    let here = rig.port.status().position;
+    assert_ne!(here, end);
+    while !rig.port.status().motion.phase.is_over() {
+        rig.servo.tick(0);
+    }
+    let status = rig.port.status();
+    assert_eq!(status.motion.phase, MotionPhase::Stopped);
+    assert_eq!(status.fault, None);
+    let found = status.ended_by_guard(1).unwrap();
+    assert!(found.measured.as_str().starts_with("the force is 30.00 N"));
+    for (setpoint, here) in status.setpoint.iter().zip(&here) {
+        assert!((setpoint - here).abs() < 1e-6);
     }
 }

@@ -9,7 +9,7 @@ use super::stream::{Stream, StreamStatus};
 use crate::control::ControlLaw;
 use crate::driver::{DriverError, Power};
 use crate::guard::rack::RackPort;
-use crate::guard::{GuardReport, GuardSet, Mounted, Reaction};
+use crate::guard::{GuardReport, GuardSet, Mounted, Reaction, Words};
 use crate::joints::{Distances, Joints};
 use crate::model::JointKind;
 use crate::trajectory::{Bridge, Segment};
@@ -157,6 +157,9 @@ pub enum Fault {
     /// The control law gave a torque that is no finite number.
     #[error("the control law gave a torque that is no finite number")]
     ControlLaw,
+    /// The control law said that it cannot go on, and why.
+    #[error("the control law gave up: {0}")]
+    LawGaveUp(Words),
     /// A segment had no setpoint although it was checked.
     #[error("the segment has no setpoint here although it was checked")]
     Segment,

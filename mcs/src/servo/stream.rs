@@ -16,7 +16,9 @@ use crate::model::inverse::Branch;
 use crate::model::{Data, Joint, Limits, Model};
 use crate::trajectory::chase::{brake, chase};
 use crate::trajectory::timing::{JointBounds, JointState};
-use crate::trajectory::{Course, Pursuit, REST_PARTS, Rest, Setpoint, Solver, WayToRest};
+use crate::trajectory::{
+    Course, Pursuit, REST_PARTS, Rest, Setpoint, Solver, WayToRest, way_to_rest,
+};
 use crate::words;
 
 /// How far the rotation of a pose may be from a rotation, per entry.
@@ -27,6 +29,10 @@ const CAUTION: f64 = 1.25;
 const LATE: f64 = 2.0;
 /// The way to a value takes no longer than this, however seldom values come, s.
 const LONGEST_WAY: f64 = 0.25;
+/// A joint that is nearer than this (rad or m) to where it goes back to, and no faster (per s), is there; and how long that takes
+/// at most, about, s.
+const REACHED: f64 = 1e-7;
+const GOING_BACK: f64 = 0.1;
 
 /// What is streamed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -135,6 +141,8 @@ impl Way {
 enum Phase {
     Following,
     Braking,
+    /// Every joint goes back to the end of its way.
+    Yielding,
     /// The setpoint rests.
     Resting,
 }
@@ -221,6 +229,28 @@ impl Stream {
         }
     }
 
+    /// Follows it no more: takes over the arm from where it was measured and how fast, and brings it back to that position (rad
+    /// or m) as quickly as their limits of speed and acceleration allow. The setpoint of this tick, unless it ends already.
+    pub(super) fn yield_to(
+        &mut self,
+        arm: &Setpoint,
+        why: Words,
+        model: &Model,
+        period: f64,
+    ) -> Option<Setpoint> {
+        if self.phase != Phase::Following {
+            return None;
+        }
+        self.end(why);
+        self.phase = Phase::Yielding;
+        let each = self.ways.iter_mut().zip(&arm.position).zip(model.joints());
+        for ((way, to), joint) in each {
+            *way = Way::standing(to.clamp(joint.limits.lower, joint.limits.upper));
+        }
+        self.next = *arm;
+        Some(self.one_tick(model, period))
+    }
+
     /// Whether it is followed no more.
     pub(super) fn is_ending(&self) -> bool {
         self.phase != Phase::Following
@@ -260,13 +290,19 @@ impl Stream {
                 None => return self.next,
             }
         }
+        self.one_tick(solver.model(), period)
+    }
+
+    /// The setpoint of this tick; the next one is found.
+    fn one_tick(&mut self, model: &Model, period: f64) -> Setpoint {
         let mut now = self.next;
         let whole = f64::from(self.periods) * period;
         let share = f64::from(self.passed) / f64::from(self.periods);
         self.passed = self.passed.saturating_add(1);
-        for (index, joint) in solver.model().joints().iter().enumerate() {
+        for (index, joint) in model.joints().iter().enumerate() {
             let aim = match (self.phase, self.ways.get(index)) {
                 (Phase::Following, Some(way)) => Some(way.at(share, whole)),
+                (Phase::Yielding, Some(way)) => Some((way.to, 0.0)),
                 _ => None,
             };
             let at = state(&now, index);
@@ -281,7 +317,20 @@ impl Stream {
         if self.phase == Phase::Braking && still {
             self.phase = Phase::Resting;
         }
+        if self.phase == Phase::Yielding && self.is_back(&now) {
+            self.phase = Phase::Resting;
+            now = Setpoint::at_rest(now.position);
+            self.next = now;
+        }
         now
+    }
+
+    /// Whether every joint is where it was to go back to.
+    fn is_back(&self, now: &Setpoint) -> bool {
+        let mut ways = self.ways.iter().enumerate();
+        ways.all(|(joint, way)| {
+            (now.position[joint] - way.to).abs() < REACHED && now.velocity[joint].abs() < REACHED
+        })
     }
 
     /// Where a joint is a period later: on its way after an aim, a position and a speed, or braking.
@@ -292,12 +341,17 @@ impl Stream {
         limits: &Limits,
         period: f64,
     ) -> JointState {
-        let pace = self.how.pace;
+        let pace = match self.phase {
+            Phase::Yielding => (1.0, 1.0),
+            _ => self.how.pace,
+        };
         let aim = aim.map(|(position, speed)| {
             let held = position.clamp(limits.lower, limits.upper);
             (held, speed)
         });
-        let bounds = JointBounds::of(limits, (1.0, 1.0), self.limits_jerk);
+        // What keeps a limit of jerk presses on meanwhile.
+        let limits_jerk = self.limits_jerk && self.phase != Phase::Yielding;
+        let bounds = JointBounds::of(limits, (1.0, 1.0), limits_jerk);
         if bounds.jerk > 0.0 {
             return match aim {
                 Some(aim) => self.pursuit.next(now, aim, limits, pace, period),
@@ -433,6 +487,21 @@ impl Stream {
     /// How it would come to rest if it braked from the next period on.
     pub(super) fn rest(&self, model: &Model, period: f64) -> Rest {
         let joints = model.joints();
+        if self.phase == Phase::Yielding {
+            let from = &self.next.position;
+            let to = |index: usize| self.ways.get(index).map_or(from[index], |way| way.to);
+            let way = way_to_rest(1.0, |share| {
+                Joints::from_fn(from.len(), |index| {
+                    from[index] + share * (to(index) - from[index])
+                })
+            });
+            return Rest {
+                time: GOING_BACK,
+                way: Some(way),
+                tool: None,
+                lead: GOING_BACK,
+            };
+        }
         let braking = |index: usize| {
             let mut next = state(&self.next, index);
             if self.is_direct() {

@@ -2,6 +2,7 @@
 
 mod modes;
 mod slots;
+mod split;
 mod stream;
 mod switch;
 

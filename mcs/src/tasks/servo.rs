@@ -16,6 +16,7 @@ use super::args::{self, RecipeArgs, ServoArgs};
 use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
 use super::slots::{self, LastStop};
+use super::split_torque;
 use super::streams::Streams;
 use super::{Link, SERVO, rows};
 use crate::client::{
@@ -23,6 +24,7 @@ use crate::client::{
     ReadSlots, ReadStream, RecordStates, RemoveGuard, SetControl, SetGuard, SetLaw, SetOutput,
     StreamSetpoints, StreamValue,
 };
+use crate::control::split_torque::SPLIT_TORQUE;
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
 use crate::driver::{DriverRegistry, Sensor, SensorKind};
 use crate::guard::GuardRegistry;
@@ -144,10 +146,11 @@ fn check(
         let others = own_args(task, "laws");
         let others = others.entries().iter().map(|entry| &entry.key);
         for name in std::iter::once(&args.law).chain(others) {
-            if let Err(finding) = law(name, (args, task), model, laws) {
+            if let Err(finding) = law(name, (args, task, None), model, laws) {
                 findings.push(finding);
             }
         }
+        check_halves(args, task, app, findings);
     }
     let kind = match drivers.find(&args.driver, &task.name) {
         Ok(kind) => kind,
@@ -170,11 +173,28 @@ fn check(
     }
 }
 
+/// A law on two processors needs a task for its other half.
+fn check_halves(args: &ServoArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let is_half = |other: &TaskConfig| {
+        let servo = other.args.get("servo").and_then(Node::as_str);
+        other.handler == split_torque::SPLIT_TORQUE && servo == Some(&task.name)
+    };
+    if args.law == SPLIT_TORQUE && !app.tasks.iter().any(is_half) {
+        let text = format!("the law of task `{}` has no other half", task.name);
+        let finding = Finding::error("mcs::servo::law", text).at(place(task, "law"));
+        findings.push(finding.help(format!(
+            "add a task on another processor of the chassis, with `handler = \"{}\"` and `args.servo = \"{}\"`",
+            split_torque::SPLIT_TORQUE,
+            task.name
+        )));
+    }
+}
+
 /// The control law of that name, with the arguments that the task has for it: `law_args` for its own law, else those in
 /// `laws`.
 fn law(
     name: &str,
-    (args, task): (&ServoArgs, &TaskConfig),
+    (args, task, cx): (&ServoArgs, &TaskConfig, Option<&Context>),
     model: &Arc<Model>,
     laws: &LawRegistry,
 ) -> Result<Box<dyn ControlLaw>, Finding> {
@@ -188,6 +208,7 @@ fn law(
         bandwidth_hz: args.bandwidth_hz,
         damping: args.damping,
         period: args.config().period,
+        cx,
         args: &own_args(task, &key),
     };
     match laws.build(name, &settings) {
@@ -273,7 +294,7 @@ impl ServoTask {
         let driver = kind.build(cx, &own_args(task, "driver_args"))?;
         let sensors = driver.sensors().to_vec();
         let config = args.config();
-        let law = law(&args.law, (&args, task), &model, laws)?;
+        let law = law(&args.law, (&args, task, Some(cx)), &model, laws)?;
         let (mut servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
         servo.show_on(guards::board(cx, &model));
         let solver = solver((&args, task), Arc::clone(&model), planning)?;
@@ -403,7 +424,7 @@ impl ServoTask {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         self.args.bandwidth_hz = self.control.bandwidth_hz;
         self.args.damping = self.control.damping;
-        let law = law(&name, (&self.args, task), &self.model, &self.laws)?;
+        let law = law(&name, (&self.args, task, Some(cx)), &self.model, &self.laws)?;
         self.link.port.change_law(law)?;
         self.control.law = name;
         Ok(self.control.clone())

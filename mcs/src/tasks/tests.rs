@@ -161,8 +161,13 @@ fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
 }
 
 fn run(script: Script, knobs: &Arc<Knobs>, sets: &[&str]) -> boot::Outcome {
+    run_in(APP, script, knobs, sets)
+}
+
+/// The same in another app.
+fn run_in(text: &str, script: Script, knobs: &Arc<Knobs>, sets: &[&str]) -> boot::Outcome {
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
-    let app = ctos::config::load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
+    let app = ctos::config::load_texts(&[("app.toml", text)], &sets, &[]).unwrap();
     let registry = registry(script, knobs);
     let findings = registry.check(&app);
     assert!(findings.is_empty(), "{findings}");
@@ -528,8 +533,13 @@ fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
 }
 
 fn findings_of(sets: &[&str]) -> String {
+    findings_in(APP, sets)
+}
+
+/// The same of another app.
+fn findings_in(text: &str, sets: &[&str]) -> String {
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
-    let app = ctos::config::load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
+    let app = ctos::config::load_texts(&[("app.toml", text)], &sets, &[]).unwrap();
     let script: Script = |_, _, _| Box::pin(async { Ok(String::new()) });
     registry(script, &Arc::default()).check(&app).to_string()
 }

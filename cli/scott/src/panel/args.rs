@@ -9,7 +9,7 @@ use ctos::{
 use serde::Deserialize;
 use sorma::{ObjectName, daemon};
 
-use super::script::{Panel, SOME_ARM, for_arms};
+use super::script::{Panel, SOME_ARM, SOME_JOINTS, for_arms};
 use cli_common::page;
 
 /// The handler's name.
@@ -39,6 +39,9 @@ pub(super) struct PanelArgs {
     /// The flavors for which a panel stands that says `{arm}`, as in `pino.{arm}`; one panel for each.
     #[serde(default = "arms")]
     pub(super) arms: Vec<String>,
+    /// The names of their joints: such a panel shows as many.
+    #[serde(default = "joints")]
+    pub(super) joints: Vec<String>,
     /// Objects whose options are shown, each on a panel of its own.
     #[serde(default)]
     pub(super) objects: Vec<String>,
@@ -54,13 +57,17 @@ fn arms() -> Vec<String> {
     vec![SOME_ARM.to_owned()]
 }
 
+fn joints() -> Vec<String> {
+    SOME_JOINTS.map(str::to_owned).into()
+}
+
 impl PanelArgs {
     /// The panels; what is wrong in a file is left out and said.
     pub(super) fn read(&self, app: &App, findings: &mut Findings) -> Vec<Panel> {
         let files = self.panels.iter();
         let mut panels = Vec::new();
         for source in files.filter_map(|file| app.read(file).ok()) {
-            let sources = for_arms(&source, &self.arms).into_iter();
+            let sources = for_arms(&source, &self.arms, &self.joints).into_iter();
             panels.extend(sources.filter_map(|source| Panel::read(&source, findings)));
         }
         panels.extend(self.objects.iter().map(|object| Panel::of_object(object)));
@@ -86,7 +93,7 @@ pub(super) fn check(args: &PanelArgs, task: &TaskConfig, app: &App, findings: &m
     for file in &args.panels {
         match app.read(file) {
             // What is wrong for one arm is so for all.
-            Ok(source) => for_arms(&source, &args.arms)
+            Ok(source) => for_arms(&source, &args.arms, &args.joints)
                 .iter()
                 .take(1)
                 .for_each(|source| drop(Panel::read(source, findings))),

@@ -261,14 +261,46 @@ const ARM: &str = "{arm}";
 /// The arm of such a panel, where nobody says which.
 pub const SOME_ARM: &str = "arm";
 
-/// The text of a panel for each of the arms; one, when it names no arm.
-pub(super) fn for_arms(source: &Source, arms: &[String]) -> Vec<Source> {
+/// The names of the joints of such an arm, where nobody says others.
+pub const SOME_JOINTS: [&str; 6] = ["waist", "shoulder", "elbow", "roll", "bend", "flange"];
+
+/// The text of a panel for each of the arms, which have these joints; one, when it names no arm. Of n joints `{n}`, `{n+4}`, `{2n+1}`
+/// and the like stand for numbers, and `{joints}` for a list of their names.
+pub(super) fn for_arms(source: &Source, arms: &[String], joints: &[String]) -> Vec<Source> {
     let text = source.text();
     if !text.contains(ARM) {
         return vec![source.clone()];
     }
+    let text = filled(text, joints.len()).replace("{joints}", &format!("{joints:?}"));
     let of = |arm: &String| Source::new(source.name(), text.replace(ARM, arm));
     arms.iter().map(of).collect()
+}
+
+/// A text in which numbers stand for those that follow from `n`.
+fn filled(text: &str, n: usize) -> String {
+    let number = |word: &str| {
+        let (times, more) = word.split_once('n')?;
+        let times: usize = if times.is_empty() {
+            1
+        } else {
+            times.parse().ok()?
+        };
+        let more: usize = match more {
+            "" => 0,
+            more => more.strip_prefix('+')?.parse().ok()?,
+        };
+        times.checked_mul(n)?.checked_add(more)
+    };
+    let mut parts = text.split('{');
+    let mut out = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let found = part.split_once('}');
+        match found.and_then(|(word, rest)| Some((number(word)?, rest))) {
+            Some((number, rest)) => out += &format!("{number}{rest}"),
+            None => out += &format!("{{{part}"),
+        }
+    }
+    out
 }
 
 impl Panel {
@@ -532,9 +564,14 @@ fn is_request(label: &str, line: Option<&str>) -> Result<(), String> {
 mod tests {
     use super::*;
 
+    fn six() -> Vec<String> {
+        SOME_JOINTS.map(str::to_owned).into()
+    }
+
     fn read(text: &str) -> (Option<Panel>, Vec<String>) {
         let mut findings = Findings::new();
-        let source = Source::new("p.toml", text.replace(ARM, SOME_ARM));
+        let source = Source::new("p.toml", text);
+        let source = for_arms(&source, &[SOME_ARM.to_owned()], &six()).remove(0);
         let panel = Panel::read(&source, &mut findings);
         (panel, findings.iter().map(ToString::to_string).collect())
     }
@@ -557,12 +594,119 @@ mod tests {
     fn a_panel_that_names_an_arm_stands_once_for_each_and_any_other_one_once() {
         let arms = ["left".to_owned(), "right".to_owned()];
         let titles = |text: &str| {
-            let panels = for_arms(&Source::new("p.toml", text), &arms).into_iter();
+            let panels = for_arms(&Source::new("p.toml", text), &arms, &six()).into_iter();
             let panels = panels.filter_map(|source| Panel::read(&source, &mut Findings::new()));
             panels.map(|panel| panel.title).collect::<Vec<_>>()
         };
         assert_eq!(titles("title = \"{arm} arm\""), ["left arm", "right arm"]);
         assert_eq!(titles("title = \"no arm\""), ["no arm"]);
+    }
+
+    /// The floats of the plots of a pendant, with those that are taken away, and how many poses have.
+    fn numbers(panel: &Panel) -> Vec<[usize; 4]> {
+        let each = panel.widgets.iter().filter_map(|widget| match widget {
+            Widget::Plot {
+                floats: [first, last],
+                less,
+                records: true,
+                ..
+            } => {
+                let [from, to] = less.unwrap_or_default();
+                Some([*first, *last, from, to])
+            }
+            Widget::Poses { joints, .. } => Some([*joints; 4]),
+            _ => None,
+        });
+        each.collect()
+    }
+
+    #[test]
+    fn one_pendant_is_for_arms_of_any_number_of_joints() {
+        let text = include_str!("../../../../configs/panels/pendant.toml");
+        let arms = ["left".to_owned(), "right".to_owned()];
+        for n in [1, 6, 9, 18] {
+            let names: Vec<String> = (1..=n).map(|joint| format!("joint {joint}")).collect();
+            let panels = for_arms(&Source::new("p.toml", text), &arms, &names);
+            assert_eq!(panels.len(), 2);
+            for (source, arm) in panels.iter().zip(&arms) {
+                let mut findings = Findings::new();
+                let panel = Panel::read(source, &mut findings).unwrap();
+                assert!(!findings.has_errors(), "{findings}");
+                assert_eq!(panel.title, format!("Teach pendant: {arm}"));
+                // Records have positions, speeds, setpoints and torques of all joints, one after the other.
+                let expected = [
+                    [n; 4],
+                    [1, n, 0, 0],
+                    [2 * n + 1, 3 * n, 1, n],
+                    [3 * n + 1, 4 * n, 0, 0],
+                ];
+                assert_eq!(numbers(&panel), expected);
+                let Some(Widget::Plot { names: shown, .. }) =
+                    (panel.widgets.iter()).find(|one| matches!(one, Widget::Plot { .. }))
+                else {
+                    panic!("no plot");
+                };
+                assert_eq!(*shown, names);
+                // The columns of a pose by rows, which comes after the joints: x, y and z stand in the last one.
+                let places = panel.widgets.iter().filter_map(|widget| match widget {
+                    Widget::Jog { axes, .. } => Some(axes.iter().filter_map(|axis| axis.float)),
+                    _ => None,
+                });
+                let places: Vec<usize> = places.flatten().collect();
+                assert_eq!(places, [n + 4, n + 8, n + 12]);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_that_moves_the_arm_can_be_pressed_while_another_task_holds_it() {
+        for text in [
+            include_str!("../../../../configs/panels/puma560.toml"),
+            include_str!("../../../../configs/panels/pendant.toml"),
+        ] {
+            let (panel, _) = read(text);
+            let panel = panel.unwrap();
+            let mut moving = 0;
+            for widget in &panel.widgets {
+                let moves = match widget {
+                    Widget::Button { ask, .. } => {
+                        ask.starts_with("mvpos") && !ask.ends_with("release")
+                    }
+                    Widget::Sliders { ask, .. } => ask.starts_with("mvpos EXEC"),
+                    Widget::Joystick { .. } | Widget::Jog { .. } | Widget::Poses { .. } => true,
+                    _ => false,
+                };
+                if !moves {
+                    continue;
+                }
+                moving += 1;
+                let (when, _) = widget.logic();
+                let when = Expression::read(when.unwrap(), &panel.values).unwrap();
+                let usable = |text: &str| {
+                    let answer = sorma::Transport {
+                        text: text.to_owned(),
+                        floats: vec![0.0; 22],
+                        ..sorma::Transport::default()
+                    };
+                    let known = panel.values.iter().filter_map(|value| {
+                        let worth = value.of(&answer)?;
+                        Some((value.name.clone(), worth))
+                    });
+                    when.worth(&known.collect()).map(|worth| worth.shown())
+                };
+                for (text, expected) in [
+                    ("cold, held by nobody, motion None", "yes"),
+                    ("active, held by objects, motion Done", "yes"),
+                    ("motion, held by motion, motion Moving", "no"),
+                    ("active, held by dispatcher, motion Done", "no"),
+                    ("estopped, held by nobody, motion Failed", "no"),
+                ] {
+                    let found = usable(text);
+                    assert_eq!(found.as_deref(), Some(expected), "{text}: {widget:?}");
+                }
+            }
+            assert!(moving > 3, "{}", panel.title);
+        }
     }
 
     #[test]

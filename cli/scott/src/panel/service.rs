@@ -134,7 +134,7 @@ impl Service {
 
 #[cfg(test)]
 mod tests {
-    use super::super::script::for_arms;
+    use super::super::script::{SOME_JOINTS, for_arms};
     use super::*;
     use futures_util::FutureExt as _;
 
@@ -154,7 +154,9 @@ mod tests {
             let path = format!("{}/../../configs/panels/{name}", env!("CARGO_MANIFEST_DIR"));
             let source = ctos::diagnostic::Source::read(path.as_ref()).unwrap();
             let arm = ["arm".to_owned()];
-            let source = for_arms(&source, &arm).pop().unwrap();
+            let source = for_arms(&source, &arm, &SOME_JOINTS.map(str::to_owned))
+                .pop()
+                .unwrap();
             Panel::read(&source, &mut ctos::diagnostic::Findings::new()).unwrap()
         });
         let door = Door {
