@@ -20,7 +20,10 @@ use pnt::{
     library::{Acted, DataStore, Later},
     store::{Owner, Store},
 };
+use scene::FollowScene;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::drawn::Drawn;
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.dom";
@@ -32,6 +35,7 @@ pub const COMMANDS: &[CommandInfo] = &[
     GetData::INFO,
     SetValidity::INFO,
     ListData::INFO,
+    FollowScene::INFO,
 ];
 
 ctos::command! {
@@ -106,6 +110,8 @@ pub struct Dom {
     objects: BTreeMap<String, Entry>,
     /// Where a durable one keeps them.
     store: Option<Arc<Store>>,
+    /// What viewers see of them.
+    drawn: Drawn,
 }
 
 /// Arguments.
@@ -157,6 +163,7 @@ impl Dom {
         Ok(Self {
             objects,
             store: Some(store),
+            drawn: Drawn::default(),
         })
     }
 
@@ -179,6 +186,7 @@ impl Dom {
         });
         self.keep(cx, written).await?;
         for (name, bytes) in objects {
+            self.drawn.put(&name, &bytes);
             self.objects.entry(name).or_default().bytes = Some(bytes);
         }
         Ok(())
@@ -251,6 +259,11 @@ impl EventHandler for Dom {
                     valid: entry.valid,
                 });
                 reply.ok(list.collect())
+            }
+            FollowScene::CODE => {
+                let objects = &self.objects;
+                let value = |name: &str| objects.get(name)?.bytes.as_deref();
+                self.drawn.follow(cx, message, value)
             }
             _ => cx.default_processing(message),
         }

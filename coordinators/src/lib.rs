@@ -10,6 +10,7 @@ pub mod carry;
 pub mod dispatcher;
 mod dispatching;
 pub mod dom;
+mod drawn;
 pub mod hand_eye;
 mod handler;
 pub mod motion;

@@ -6,6 +6,7 @@
 
 pub mod args;
 pub mod client;
+mod drawn;
 mod guards;
 pub mod planner;
 mod records;

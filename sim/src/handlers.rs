@@ -21,6 +21,7 @@ use crate::{
     cell::Cell,
     driver::SimArm,
     port::Port,
+    scene_truth,
     source::{CameraArgs, SimCamera, world_task},
     world_task::{self, PERIODS_MS, WORLD, WorldArgs},
 };
@@ -60,6 +61,7 @@ struct Joints {
 /// [`ARM`] and the frame source [`CAMERA`].
 pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: &mut FrameSources) {
     register_world(registry);
+    scene_truth::register(registry);
     let arm = drivers.driver(ARM, open_arm);
     arm.slots(count_slots).check(check_arm);
     let camera = sources.source(CAMERA, |cx, name, args| {

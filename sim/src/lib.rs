@@ -13,6 +13,7 @@ mod engine;
 pub mod handlers;
 pub mod port;
 pub mod scene;
+mod scene_truth;
 pub mod scenes;
 pub mod served;
 pub mod shapes;

@@ -1,11 +1,13 @@
 //! The net display in a real browser, at running calibrations. Chromium must be there, so these tests are
 //! left out unless they are asked for: `cargo test -p system-tests display:: -- --ignored`.
 //!
-//! `CTOS_PICTURE=docs/display.png` writes the picture of the README on the way.
+//! `CTOS_OVERVIEW=docs/overview.png` writes the picture of the README on the way, and `CTOS_PICTURE=docs/display.png` that of
+//! the page about displays.
 
 mod browser;
 mod looking;
 mod panel;
+mod scene;
 
 use browser::Browser;
 

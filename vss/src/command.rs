@@ -307,6 +307,8 @@ pub struct Mark {
     pub u: f64,
     /// Row, px.
     pub v: f64,
+    /// Predicted standard deviations of both, px.
+    pub sd: [f64; 2],
 }
 
 /// What a monitor shows of one camera.

@@ -109,7 +109,7 @@ fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
         .keys(&["camera", "source", "args", "watch", "buffer"])
         .check_in_app(move |task, _, findings| snap_arguments(task, &checking, findings));
     registry.handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| {
-        Ok(vm::ImageDispModule)
+        Ok(vm::ImageDispModule::default())
     });
     registry
         .handler(

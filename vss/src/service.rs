@@ -97,6 +97,7 @@ async fn find_spot(
     let mark = Mark {
         u: spot.u,
         v: spot.v,
+        sd: [spot.sd_u, spot.sd_v],
     };
     if let Err(error) = ask(
         &cx,

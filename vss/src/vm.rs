@@ -1,6 +1,7 @@
 //! Vision Modules: each drives one piece of hardware, for one caller at a time. Here: a camera (any frame source) and
 //! the stand-in for a monitor, which keeps what it shows and can write it as a PNG file.
 
+mod shown;
 mod watch;
 
 use std::{
@@ -16,6 +17,7 @@ use ctos::{
     message::{Command, CommandInfo, Message},
     task::{Context, EventHandler, Handled, HandlerError},
 };
+use scene::{FollowScene, Stage};
 use serde::Deserialize;
 
 use crate::{
@@ -30,8 +32,12 @@ use watch::{Watch, WatchArgs};
 /// The commands of `vss.vm_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, SnapNow::INFO];
 /// The commands of `vss.vm_image_disp`.
-pub const IMAGE_DISP_COMMANDS: &[CommandInfo] =
-    &[InitializeVm::INFO, DisplayImage::INFO, WhatIsShown::INFO];
+pub const IMAGE_DISP_COMMANDS: &[CommandInfo] = &[
+    InitializeVm::INFO,
+    DisplayImage::INFO,
+    WhatIsShown::INFO,
+    FollowScene::INFO,
+];
 /// The commands of `vss.vm_spot_disp`.
 pub const SPOT_DISP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, DisplayMark::INFO];
 
@@ -211,8 +217,11 @@ impl Monitor {
 }
 
 /// vmImageDisp: the pictures on the monitor.
-#[derive(Debug, Default)]
-pub struct ImageDispModule;
+#[derive(Default)]
+pub struct ImageDispModule {
+    /// What viewers elsewhere see of it.
+    stage: Option<Stage>,
+}
 
 impl EventHandler for ImageDispModule {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
@@ -237,6 +246,10 @@ impl EventHandler for ImageDispModule {
                 let (WhatIsShown { camera }, reply) = message.open::<WhatIsShown>()?;
                 let shown = Monitor::of(cx).lock().get(&camera).cloned();
                 reply.ok(shown)
+            }
+            FollowScene::CODE => {
+                let stage = self.stage.get_or_insert_with(|| shown::stage(cx));
+                stage.follow(cx, message)
             }
             _ => cx.default_processing(message),
         }
@@ -327,7 +340,7 @@ fn marked(shown: &Shown) -> Vec<u8> {
             *pixel = u8::MAX;
         }
     };
-    for Mark { u, v } in &shown.marks {
+    for Mark { u, v, .. } in &shown.marks {
         let (u, v) = (u.round() as i64, v.round() as i64);
         for step in 3..=ARM {
             paint(u.saturating_add(step), v);

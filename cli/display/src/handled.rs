@@ -8,6 +8,7 @@ use pnt::{
     stream::{Describe, Follow, NetView},
     task::Marking,
 };
+use scene::FollowScene;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
@@ -73,8 +74,13 @@ struct OfTask {
 impl Handled {
     /// A handler ended at `at`.
     pub(super) fn take(&mut self, at: Instant, ended: Ended) {
-        // Displays follow nets all the time.
-        let follows = [Describe::INFO.name, Follow::INFO.name, Marking::INFO.name];
+        // Displays follow all the time.
+        let follows = [
+            Describe::INFO.name,
+            Follow::INFO.name,
+            FollowScene::INFO.name,
+            Marking::INFO.name,
+        ];
         if follows.contains(&ended.command.as_str()) {
             return;
         }

@@ -18,6 +18,7 @@ use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
+    scenes::{self, SceneStep, SceneTrack, Shown},
     wire::{Breakpoint, Entry, Note, Overview, TaskState, Told},
 };
 
@@ -114,6 +115,10 @@ impl Track {
 #[derive(Debug, Default)]
 struct Known {
     tracks: BTreeMap<String, Track>,
+    /// What tasks show of the scene, by task.
+    scenes: BTreeMap<String, SceneTrack>,
+    /// The last pictures, by camera.
+    pictures: BTreeMap<String, VecDeque<Shown>>,
     notes: Vec<Note>,
     /// The tasks of which more can be told.
     names: Vec<String>,
@@ -262,6 +267,55 @@ impl Hub {
         self.tell(&Told::Gone { net, reason });
     }
 
+    /// Tasks that will show something.
+    pub(crate) fn expects(&self, sources: &[String]) {
+        let mut known = self.known();
+        for source in sources {
+            known.scenes.entry(source.clone()).or_default();
+        }
+    }
+
+    /// What a task shows has changed; what of it is new, if anything is.
+    pub(crate) fn showed(&self, source: &str, step: SceneStep) -> Option<SceneStep> {
+        let mut known = self.known();
+        known.now_ns = known.now_ns.max(step.at_ns);
+        let track = known.scenes.entry(source.to_owned()).or_default();
+        track.gone = None;
+        // A record is shown from its beginning.
+        let most = self.clock.as_ref().map_or(usize::MAX, |_| scenes::KEPT);
+        let step = track.take(step, most)?;
+        self.tell(&Told::Moved {
+            source,
+            step: &step,
+        });
+        Some(step)
+    }
+
+    /// What a task shows now, as a whole.
+    pub(crate) fn scene(&self, source: &str) -> SceneStep {
+        let known = self.known();
+        let track = known.scenes.get(source);
+        track.map(|track| track.head().clone()).unwrap_or_default()
+    }
+
+    /// A camera has a new picture, or the same one with more found in it.
+    pub(crate) fn pictured(&self, picture: Shown) {
+        self.tell(&Told::Picture { picture: &picture });
+        let mut known = self.known();
+        let all = known.pictures.entry(picture.camera.clone()).or_default();
+        scenes::keep(all, picture, self.clock.is_some());
+    }
+
+    /// What a task shows cannot be seen.
+    pub(crate) fn dark(&self, source: &str, reason: &str) {
+        let mut known = self.known();
+        let track = known.scenes.entry(source.to_owned()).or_default();
+        if track.gone.as_deref() != Some(reason) {
+            track.gone = Some(reason.to_owned());
+            self.tell(&Told::Dark { source, reason });
+        }
+    }
+
     /// The breakpoints of a net, if they have changed.
     pub(crate) fn breakpoints(&self, net: &str, breakpoints: Vec<Breakpoint>) {
         let mut known = self.known();
@@ -368,6 +422,17 @@ impl Hub {
         let now_ns = clock.map_or(0, |clock| clock.now().as_nanos());
         let now_ns = now_ns.max(known.now_ns);
         told.extend(nets.map(|track| track.told(&known.notes, now_ns)));
+        let scenes = known.scenes.iter().map(|(source, track)| {
+            Told::Scene {
+                source,
+                gone: track.gone.as_deref(),
+                steps: track.steps(),
+            }
+            .text()
+        });
+        told.extend(scenes);
+        let pictures = known.pictures.values().flatten();
+        told.extend(pictures.map(|picture| Told::Picture { picture }.text()));
         let tasks = known.tasks.iter().cloned();
         told.extend(tasks.map(|task| Told::Task { task }.text()));
         if known.ended {
@@ -384,6 +449,7 @@ impl Hub {
             nets: known.tracks.keys().map(String::as_str).collect(),
             tasks: &known.names,
             displays: known.displays(),
+            scenes: known.scenes.len(),
             origin_ns: self.clock.as_ref().and_then(Clock::origin_ns),
         }
         .text()

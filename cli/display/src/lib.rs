@@ -1,5 +1,5 @@
-//! The net display: an event handler that anyone can put into an app, `pnt.display`. It follows the streams
-//! of nets ([`pnt::stream`]) and serves a page that shows them, to any number of browsers up to a limit.
+//! The display: an event handler that anyone can put into an app, `pnt.display`. It follows the streams of nets
+//! ([`pnt::stream`]) and of scenes ([`scene`]) and serves a page that shows them, to any number of browsers up to a limit.
 //!
 //! The task runs on its processor, the server on a thread of its own. Between them stands the `hub`:
 //! what is known of all nets, and the messages about what is new. A slow browser loses messages there
@@ -15,9 +15,11 @@ mod figure;
 mod handled;
 mod hub;
 mod lines;
+mod looking;
 mod orders;
 mod overview;
 mod record;
+mod scenes;
 mod server;
 mod task;
 mod text;

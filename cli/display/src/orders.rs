@@ -12,6 +12,7 @@ use pnt::{
     stream::{Describe, Follow},
     task::{Control, Marking, Order},
 };
+use scene::FollowScene;
 use tokio::sync::mpsc;
 
 use super::{
@@ -82,7 +83,7 @@ async fn task(cx: &Context, name: &str) -> TaskState {
     }
 }
 
-/// Looks at a task, whose last messages are kept from then on. Those by which displays follow a net are nobody's
+/// Looks at a task, whose last messages are kept from then on. Those by which displays follow a net or a scene are nobody's
 /// concern.
 pub(super) async fn look(cx: &Context, name: &str) -> Result<TaskLook, HandlerError> {
     let is_net = pnt::task::net_tasks(cx.app(), &cx.registry())
@@ -91,7 +92,7 @@ pub(super) async fn look(cx: &Context, name: &str) -> Result<TaskLook, HandlerEr
     let without: &[u16] = if is_net {
         &[Describe::CODE, Follow::CODE, Marking::CODE]
     } else {
-        &[]
+        &[FollowScene::CODE]
     };
     let to = cx.task(name).await?;
     cx.look_at(&to, without).await

@@ -16,6 +16,7 @@ use super::{
     handled::{Ended, Handled, Said},
     hub::Hub,
     overview::Overviews,
+    scenes::{SceneStep, Shown},
 };
 
 /// The nets of a run.
@@ -25,6 +26,9 @@ pub(crate) struct Recorded {
     pub(crate) app: String,
     /// The nets, by name.
     pub(crate) nets: BTreeMap<String, RecordedNet>,
+    /// What tasks showed of the scene, by task, and the pictures of cameras: what a display of the run followed.
+    scenes: BTreeMap<String, Vec<SceneStep>>,
+    pictures: Vec<Shown>,
     /// What tasks handled, and what the log says of them.
     handled: Handled,
     /// What a person should know of the records.
@@ -72,9 +76,16 @@ impl Recorded {
     fn file(&mut self, path: &Path) -> Result<(), ReadError> {
         let mut odd = 0_u64;
         let shown = Filter {
-            topics: ["/net/*", "/firing/*", "/ended/*", "/log/*"]
-                .map(str::to_owned)
-                .to_vec(),
+            topics: [
+                "/net/*",
+                "/firing/*",
+                "/scene/*",
+                "/picture/*",
+                "/ended/*",
+                "/log/*",
+            ]
+            .map(str::to_owned)
+            .to_vec(),
             ..Filter::default()
         };
         let run = scan_only(path, &shown, |entry| {
@@ -83,6 +94,10 @@ impl Recorded {
                 serde_json::from_slice(&entry.json).map(|whole| self.whole(whole))
             } else if topic.starts_with("/firing/") {
                 serde_json::from_slice(&entry.json).map(|event| self.event(event))
+            } else if let Some(source) = topic.strip_prefix("/scene/") {
+                serde_json::from_slice(&entry.json).map(|step| self.step(source, step))
+            } else if topic.starts_with("/picture/") {
+                serde_json::from_slice(&entry.json).map(|picture| self.pictures.push(picture))
             } else if topic.starts_with("/ended/") {
                 serde_json::from_slice::<Ended>(&entry.json)
                     .map(|ended| self.handled.take(entry.at, ended))
@@ -140,7 +155,12 @@ impl Recorded {
         }
     }
 
-    /// The nets as a display shows them.
+    fn step(&mut self, source: &str, step: SceneStep) {
+        let steps = self.scenes.entry(source.to_owned()).or_default();
+        steps.push(step);
+    }
+
+    /// The nets and the scene as a display shows them.
     pub(crate) fn hub(&self, overviews: Overviews) -> Hub {
         let hub = Hub::recorded(&self.app, overviews);
         for net in self.nets.values() {
@@ -153,6 +173,14 @@ impl Recorded {
             for step in steps {
                 let _ = hub.take(&net.view.name, batch(step));
             }
+        }
+        for (source, steps) in &self.scenes {
+            for step in steps {
+                hub.showed(source, step.clone());
+            }
+        }
+        for picture in &self.pictures {
+            hub.pictured(picture.clone());
         }
         hub.tasks(self.handled.by(self.nets.values().map(|net| &net.view)));
         hub
@@ -328,6 +356,31 @@ mod tests {
         assert_eq!(net["entries"].as_array().unwrap().len(), 50);
         assert_eq!(net["base"]["seq"], 0);
         assert!(news.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_browser_is_told_every_step_of_a_recorded_scene_and_the_first_one_has_all_parts() {
+        let mut recorded = Recorded::default();
+        let step = |at: u64, x: f64| SceneStep {
+            at_ns: at,
+            view: (at == 0).then(scene::View::default),
+            moved: vec![[0.0, x].map(Some).to_vec()],
+            said: None,
+        };
+        // More than a live display keeps.
+        for at in 0..5_000_u32 {
+            recorded.step("arm", step(at.into(), at.into()));
+        }
+        let (told, _) = recorded.hub(Overviews::default()).join(false);
+        let scene: serde_json::Value = serde_json::from_str(&told[1]).unwrap();
+        assert_eq!(
+            (&scene["kind"], &scene["source"]),
+            (&"scene".into(), &"arm".into())
+        );
+        let steps = scene["steps"].as_array().unwrap();
+        assert_eq!(steps.len(), 5_000);
+        assert!(steps[0]["view"].is_object() && steps[1]["view"].is_null());
+        assert_eq!(steps[4_999]["moved"], serde_json::json!([[0.0, 4_999.0]]));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use super::{
     args::DisplayArgs,
     arrange,
     hub::Hub,
-    orders,
+    looking, orders,
     overview::Overviews,
     server::{self, Asking, Service},
 };
@@ -137,6 +137,12 @@ impl EventHandler for NetDisplay {
                 for net in self.nets(cx) {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     cx.spawn(async move { follow(&child, &net, &hub).await });
+                }
+                let sources = looking::sources(cx);
+                self.hub.expects(&sources);
+                for source in sources {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { looking::follow(&child, &source, &hub).await });
                 }
                 if let Some(received) = self.orders.take() {
                     let (child, hub) = (cx.clone(), self.hub.clone());

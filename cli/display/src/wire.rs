@@ -8,6 +8,8 @@ use pnt::{
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::scenes::{SceneStep, Shown};
+
 /// What a page is told.
 #[derive(Debug, Clone, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -22,6 +24,8 @@ pub(crate) enum Told<'t> {
         /// The tasks of which more can be told.
         tasks: &'t [String],
         displays: Vec<Overview>,
+        /// How many tasks show something of the scene.
+        scenes: usize,
         /// When the app began, ns since 1970; not known of a record.
         origin_ns: Option<u64>,
     },
@@ -67,6 +71,21 @@ pub(crate) enum Told<'t> {
     Task { task: TaskState },
     /// What became of an order.
     Answer { id: u64, ok: bool, text: String },
+    /// What a task shows of the scene, with all that is known of its past: the first step has all parts.
+    Scene {
+        source: &'t str,
+        gone: Option<&'t str>,
+        steps: Vec<&'t SceneStep>,
+    },
+    /// What changed of it.
+    Moved {
+        source: &'t str,
+        step: &'t SceneStep,
+    },
+    /// It cannot be seen.
+    Dark { source: &'t str, reason: &'t str },
+    /// A picture of a camera.
+    Picture { picture: &'t Shown },
     /// The app has ended.
     End {},
 }

@@ -8,10 +8,11 @@ use std::sync::Arc;
 use ctos::message::{Command, Message};
 use ctos::registry::Registry;
 use ctos::task::{Context, EventHandler, Handled, Phase};
+use scene::{FollowScene, Stage};
 use serde::{Deserialize, Serialize};
 
 use super::args::PartArgs;
-use super::{Link, SERVO, STATE, check_reference};
+use super::{Link, SERVO, STATE, check_reference, drawn};
 use crate::client::{MotionError, Outcome};
 use crate::driver::Power;
 use crate::servo::{ServoCommand, ServoStatus};
@@ -75,6 +76,7 @@ pub(super) fn register(registry: &mut Registry) {
         Unreserve::INFO,
         ResetEstop::INFO,
         ReadState::INFO,
+        FollowScene::INFO,
     ];
     registry
         .handler(STATE, &commands, |cx| {
@@ -82,6 +84,7 @@ pub(super) fn register(registry: &mut Registry) {
             Ok(StateTask {
                 servo: args.servo,
                 link: None,
+                stage: None,
                 manager: StateManager::new(),
                 holders_chassis: None,
             })
@@ -94,6 +97,8 @@ pub(super) fn register(registry: &mut Registry) {
 struct StateTask {
     servo: String,
     link: Option<Arc<Link>>,
+    /// The arm, for viewers.
+    stage: Option<Stage>,
     manager: StateManager,
     /// The number of the chassis from which the holder last asked.
     holders_chassis: Option<u8>,
@@ -263,6 +268,13 @@ impl EventHandler for StateTask {
                     state: self.manager.state(),
                     holder: self.manager.holder().map(str::to_owned),
                 })
+            }
+            FollowScene::CODE => {
+                let link = self.link()?;
+                let stage = self
+                    .stage
+                    .get_or_insert_with(|| drawn::stage(&self.servo, &link));
+                stage.follow(cx, message)
             }
             _ => cx.default_processing(message),
         }

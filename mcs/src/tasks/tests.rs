@@ -1,5 +1,6 @@
 //! MCS as an app, in virtual time, with an arm that obeys the equations of motion.
 
+mod drawn;
 mod guards;
 mod laws;
 mod paths;

@@ -96,8 +96,19 @@ impl Browser {
         browser.order("Runtime.enable", json!({}));
         browser.order("Page.enable", json!({}));
         browser.resize((width, height));
-        browser.order("Page.navigate", json!({ "url": url }));
+        browser.go(url);
         browser
+    }
+
+    /// Opens another page.
+    pub fn go(&mut self, url: &str) {
+        self.order("Page.navigate", json!({ "url": url }));
+    }
+
+    /// Runs a script in every page from now on, before its own.
+    pub fn before(&mut self, script: &str) {
+        let script = json!({ "source": script });
+        self.order("Page.addScriptToEvaluateOnNewDocument", script);
     }
 
     fn order(&mut self, method: &str, parameters: Value) -> Value {

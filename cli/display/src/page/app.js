@@ -6,6 +6,7 @@ import { listen } from "./keys.js";
 import { Minimap } from "./minimap.js";
 import { Net, seconds } from "./model.js";
 import { Moments } from "./moments.js";
+import { Overview, jobWords } from "./overview.js";
 import { make, showSide } from "./panels.js";
 import { Lanes, Table } from "./tables.js";
 import { busyNet, whyOf } from "./why.js";
@@ -62,7 +63,11 @@ class App extends Moments {
       movable: (key) => this.control && this.forks.size === 0 && !this.paned() && !("fold" in this.picture.nodes.get(key).node.kind),
       moved: (key) => this.keep(key),
     });
+    this.picture.nodes ??= new Map();
     this.minimap = new Minimap($("stage"), this.picture);
+    this.overview = new Overview($("cell"), this);
+    /** Whether the overview of the app is shown, beside one net. */
+    this.whole = false;
     this.lanes = new Lanes($("lanes"), this);
     this.table = new Table($("events"), this);
     this.controls();
@@ -85,6 +90,10 @@ class App extends Moments {
       case "drawing": if (net) { [net.written, net.full] = [message.written, message.full]; this.draw(true); } break;
       case "displays": this.displays = [...message.displays, ...this.displays.filter((one) => one.paned)]; if (this.shown !== null) this.draw(true); break;
       case "notes": this.notes(message.notes); break;
+      case "scene": this.overview.scene(message); this.seen(message.steps.at(-1)); break;
+      case "moved": this.overview.moved(message); this.seen(message.step); break;
+      case "dark": this.overview.dark(message); this.stale = true; break;
+      case "picture": this.overview.picture(message.picture); this.seen(null); break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
       case "answer": if (!message.ok) this.say(message.text); break;
       case "end": this.mode = "ended"; this.changed(); break;
@@ -93,7 +102,9 @@ class App extends Moments {
   }
 
   hello(message) {
-    document.title = `${message.app} · nets`;
+    document.title = `${message.app} · CTOS`;
+    this.overview.reset();
+    this.hasScene = message.scenes > 0;
     $("app").textContent = message.app;
     this.mode = message.mode;
     this.control = message.control;
@@ -111,6 +122,7 @@ class App extends Moments {
     this.wanted = message.nets;
     this.appTasks = message.tasks;
     this.picked = false;
+    if (this.wanted.length === 0 && this.hasScene) this.openWhole();
   }
 
   addNet(message) {
@@ -137,6 +149,7 @@ class App extends Moments {
     $("names").replaceChildren();
     if (!wished && this.touched && this.known(this.shown)) return this.stay();
     this.open(wished ? wish.get("net") : busiest?.name ?? null, wish?.get("node") ?? null);
+    if (!wish?.has("net") && this.hasScene) this.openWhole();
     if (wished) [this.wish, this.touched] = [null, true];
     if (wish?.has("t")) this.goTo(Number(wish.get("t")) * 1e9);
     else if (this.mode === "record") this.goTo(this.span()[0]);
@@ -195,6 +208,16 @@ class App extends Moments {
     this.changed();
   }
 
+  /** The scene has changed, or a picture has come. */
+  seen(step) {
+    if (step) this.arrived(step.at_ns);
+    this.stale = true;
+    if (!this.hasScene) {
+      this.hasScene = true;
+      this.tabs();
+    }
+  }
+
   jump(net, { state, skipped, fresh }) {
     if (fresh) net.reset(state);
     else net.jump(state, skipped);
@@ -235,8 +258,26 @@ class App extends Moments {
     return folded?.size > 0 ? fold(drawing, folded) : drawing;
   }
 
+  /** The overview: the scene, the pictures, and the net with most commands. */
+  openWhole() {
+    const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
+    if (busiest !== undefined) this.open(busiest.name, null);
+    this.showWhole(true);
+    this.tabs();
+    this.remember();
+  }
+
+  showWhole(whole) {
+    this.whole = whole;
+    document.body.classList.toggle("whole", whole);
+    $("cell").hidden = !whole;
+    this.overview.changed();
+    this.changed();
+  }
+
   open(name, key) {
     if (name === null || !this.known(name)) return;
+    this.showWhole(false);
     this.shown = name;
     this.chosen = null;
     this.task = null;
@@ -357,10 +398,11 @@ class App extends Moments {
 
   tabs() {
     const go = (event, name) => (event.shiftKey && this.nets.has(name) ? this.addBeside(name) : this.open(name, null));
-    const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(name === this.shown), title, onclick: (event) => go(event, name) }, name, mark);
+    const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(!this.whole && name === this.shown), title, onclick: (event) => go(event, name) }, name, mark);
     $("beside").setAttribute("aria-pressed", String(this.paned()));
     const mark = (net) => (net.gone !== null ? make("span", { class: "gone" }, " gone") : null);
     $("tabs").replaceChildren(
+      ...(this.hasScene ? [make("button", { role: "tab", "aria-selected": String(this.whole), title: "The scene, the pictures of the cameras and a net (o)", onclick: () => this.openWhole() }, "overview")] : []),
       ...this.displays.map((one) => tab(one.name, one.title, null)),
       ...[...this.nets.values()].map((net) => tab(net.name, net.view.title, mark(net))));
   }
@@ -436,21 +478,33 @@ class App extends Moments {
     if ($("why").textContent !== text) $("why").textContent = text;
   }
 
+  /** Says how far the whole job is. */
+  job() {
+    const job = this.overview.job();
+    $("job").hidden = job === null;
+    if (job === null) return;
+    const words = jobWords(job);
+    if ($("job-words").textContent !== words) $("job-words").textContent = words;
+    $("job").title = job.words;
+    [$("job-bar").max, $("job-bar").value] = [job.total, job.done];
+  }
+
   frame() {
     const now = performance.now();
     if (this.playing) this.play(now);
     this.picture.tick(now);
-    if (this.shown !== null) {
+    if (this.whole) this.overview.tick(now);
+    if (this.shown !== null || this.whole) {
       if (this.dirty) {
         this.dirty = false;
-        this.picture.update((net) => this.stateOf(net), this.now());
-        if (now - (this.mapped ?? 0) > PANEL_EVERY) {
+        if (this.shown !== null) this.picture.update((net) => this.stateOf(net), this.now());
+        if (this.shown !== null && now - (this.mapped ?? 0) > PANEL_EVERY) {
           this.mapped = now;
           this.minimap.update();
         }
         this.firstDrawn ??= performance.now();
         this.drawnAt = performance.now();
-      } else if (this.cursor === null && this.mode === "live") this.picture.fillBars(this.now());
+      } else if (this.shown !== null && this.cursor === null && this.mode === "live") this.picture.fillBars(this.now());
       const busy = this.cursor === null && this.mode === "live" && this.picture.running?.length > 0;
       // The present goes on also while nothing happens.
       const idle = this.cursor === null && this.mode === "live" && now - (this.panelled ?? 0) > PRESENT_EVERY;
@@ -472,9 +526,12 @@ class App extends Moments {
       showSide($("side"), this);
       if (had) [...$("side").querySelectorAll("button")].find((one) => one.textContent === focused)?.focus();
     }
-    this.lanes.draw();
-    this.table.draw();
+    if (!this.whole) {
+      this.lanes.draw();
+      this.table.draw();
+    }
     this.why();
+    this.job();
     const [from, to] = this.span();
     $("clock").textContent = seconds(this.now());
     this.older();

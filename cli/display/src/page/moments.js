@@ -12,6 +12,8 @@ export class Moments {
       from = Math.min(from, first);
       to = Math.max(to, last);
     }
+    const [first, last] = this.overview.span;
+    [from, to] = [Math.min(from, first), Math.max(to, last)];
     if (this.mode === "live" && this.offset !== null) to = Math.max(to, performance.now() * 1e6 + this.offset);
     return Number.isFinite(from) ? [from, to] : [0, 1];
   }
@@ -52,7 +54,7 @@ export class Moments {
     const at = Math.min(to, Math.max(from, at_ns));
     const net = this.visibleNets()[0];
     this.cursor = { at_ns: at, net: null, position: 0 };
-    if (net === undefined) this.cursor = null;
+    if (net === undefined && !this.whole) this.cursor = null;
     this.changed();
     this.remember();
   }
@@ -110,7 +112,8 @@ export class Moments {
     // The address is not lost before what it asks for is there.
     if (this.wish?.has("net") && !this.known(this.wish.get("net"))) return;
     const values = new URLSearchParams();
-    if (this.shown !== null) values.set("net", this.shown);
+    if (this.whole) values.set("view", "overview");
+    else if (this.shown !== null) values.set("net", this.shown);
     if (this.cursor !== null) values.set("t", (this.cursor.at_ns / 1e9).toFixed(6));
     if (this.chosen !== null) values.set("node", this.chosen);
     globalThis.history.replaceState(null, "", `#${values}`);

@@ -25,6 +25,7 @@ export function showSide(host, app) {
   // What a person fills in stays until that is done.
   if (host.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
   const shown = app.chosen === null ? null : app.picture.nodes.get(app.chosen);
+  if (app.whole && app.chosen === null && app.task === null) return host.replaceChildren(...app.overview.side());
   const parts = [app.task !== null ? make("section", {}, make("h2", {}, app.task, make("small", {}, "task")), taskPart(app.task, app)) : null,
     shown && app.task === null ? nodePart(shown, app) : null, ...app.visibleNets().map((net) => netPart(net, app))];
   host.replaceChildren(...parts.filter((part) => part !== null));

@@ -1,0 +1,337 @@
+// The overview of the app: the scene, the pictures of cameras, and all of it in words.
+
+import { Pictures, SceneTrack, jobOf, measure } from "./cell.js";
+import { seconds } from "./model.js";
+import { make } from "./panels.js";
+import { SceneView, partsAt } from "./scene.js";
+
+const PICTURE_SVG = "http://www.w3.org/2000/svg";
+/** The window around a spot is so many pixels of the camera wide. */
+const WINDOW = 24;
+/** The table of parts is filled at most so often, ms. */
+const TABLE_EVERY = 200;
+const KEY_TURN = 0.12;
+
+const drawn = (name, attributes, ...children) => {
+  const made = document.createElementNS(PICTURE_SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+};
+
+/** `#rrggbb` or `rgb()` as three numbers up to 1. */
+function rgbOf(name) {
+  const text = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  return [1, 3, 5].map((at) => Number.parseInt(text.slice(at, at + 2), 16) / 255);
+}
+
+export class Overview {
+  /** In `host`, for `app`, which has `now`, `cursor`, `mode` and `changed`. */
+  constructor(host, app) {
+    this.host = host;
+    this.app = app;
+    this.tracks = new Map();
+    this.pictures = new Pictures();
+    this.truth = false;
+    this.chosen = null;
+    this.shown = new Map();
+    this.canvas = make("canvas", { tabindex: "0", role: "application", "aria-describedby": "parts" });
+    this.label = make("div", { class: "label", hidden: true });
+    this.missing = make("p", { class: "missing" });
+    this.truthBox = make("input", { type: "checkbox", onchange: () => { this.truth = this.truthBox.checked; this.view.stale = true; this.changed(); } });
+    this.truthLabel = make("label", { class: "truth", hidden: true, title: "What the simulator says, drawn as outlines. No robot knows it." }, this.truthBox, " simulator's truth");
+    this.stage = make("div", { class: "scene" }, this.canvas, this.label, this.missing, this.truthLabel);
+    this.figures = make("div", { class: "pictures", "aria-label": "Pictures of the cameras" });
+    host.replaceChildren(this.stage, this.figures);
+    this.view = new SceneView(this.canvas, () => this.colours());
+    this.canvas.hidden = !this.view.works;
+    this.missing.textContent = this.view.works ? "Nothing of the scene is known at this moment." : "This browser has no WebGL2, so the scene is not drawn. The table has all that is known of it.";
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.theme = null; this.view.stale = true; });
+    new ResizeObserver(() => { this.view.stale = true; }).observe(this.stage);
+    this.listen();
+  }
+
+  colours() {
+    if (!this.theme) {
+      const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+      this.theme = {
+        paper: rgbOf("--paper"), soft: rgbOf("--soft"), faint: rgbOf("--faint"), mark: rgbOf("--mark"), running: rgbOf("--running"), truth: rgbOf("--enabled"),
+        sky: dark ? [0.56, 0.6, 0.68] : [0.68, 0.69, 0.72], ground: dark ? [0.22, 0.22, 0.25] : [0.48, 0.47, 0.48], rim: dark ? 0.1 : 0.0,
+        shadow: dark ? [0.045, 0.053, 0.07] : [0.86, 0.86, 0.865],
+      };
+    }
+    return this.theme;
+  }
+
+  // -- what comes -----------------------------------------------------------------------
+
+  reset() {
+    this.tracks.clear();
+    this.pictures = new Pictures();
+    this.shown.clear();
+    this.figures.replaceChildren();
+    this.view.fitted = false;
+  }
+
+  scene({ source, steps, gone }) {
+    this.tracks.set(source, new SceneTrack(source, steps, gone));
+    this.changed();
+  }
+
+  moved({ source, step }) {
+    if (!this.tracks.has(source)) this.tracks.set(source, new SceneTrack(source, [], null));
+    const track = this.tracks.get(source);
+    track.gone = null;
+    track.take(step);
+    this.changed();
+  }
+
+  dark({ source, reason }) {
+    const track = this.tracks.get(source);
+    if (track) track.gone = reason;
+    this.changed();
+  }
+
+  picture(picture) {
+    this.pictures.take(picture);
+    this.changed();
+  }
+
+  changed() {
+    this.due = true;
+  }
+
+  /** Whether there is anything to show. */
+  get any() {
+    return this.pictures.cameras.size > 0 || [...this.tracks.values()].some((track) => track.steps.length > 0);
+  }
+
+  get span() {
+    const spans = [...this.tracks.values()].map((track) => track.span);
+    return [Math.min(...spans.map(([from]) => from)), Math.max(...spans.map(([, to]) => to))];
+  }
+
+  /** The moment shown, `null` as the present. */
+  moment() {
+    return this.app.cursor === null && this.app.mode !== "record" ? null : this.app.now();
+  }
+
+  /** What is measured most first, the simulator last. */
+  order() {
+    const numbers = (track) => track.head.view.parts.filter((part) => part.numbers.length > 0).length - (track.head.view.layer === "truth" ? 1 : 0);
+    return [...this.tracks.values()].sort((a, b) => numbers(b) - numbers(a));
+  }
+
+  parts() {
+    return partsAt(this.order(), this.moment(), this.truth, this.chosen);
+  }
+
+  job() {
+    return jobOf(this.tracks.values(), this.moment());
+  }
+
+  // -- what is shown --------------------------------------------------------------------
+
+  /** Draws what has changed, as often as the page is drawn. */
+  tick(now) {
+    const moment = this.moment();
+    if (moment !== this.at) [this.at, this.due] = [moment, true];
+    if (!this.due && !this.view.stale) return;
+    if (this.due) this.showPictures(moment);
+    this.due = false;
+    const parts = this.parts();
+    const truth = [...this.tracks.values()].some((track) => track.head.view.layer === "truth");
+    this.truthLabel.hidden = !truth;
+    this.missing.hidden = this.view.works && parts.length > 0;
+    this.paint(parts);
+    this.name(parts);
+    if (now - (this.told ?? 0) > TABLE_EVERY) {
+      this.told = now;
+      const words = this.words(parts);
+      if (this.canvas.getAttribute("aria-label") !== words) this.canvas.setAttribute("aria-label", words);
+    }
+  }
+
+  paint(parts = this.parts()) {
+    const tools = parts.filter((one) => one.part.kind === "tool" && !one.truth);
+    const trails = tools.map((one) => one.track.trail(one.row[0], one.track.at(this.moment())));
+    this.view.paint(parts, trails);
+  }
+
+  /** The chosen part has its name beside it. */
+  name(parts) {
+    const one = parts.find(({ key }) => key === this.chosen);
+    const at = one && this.view.works ? this.view.where(one.row.slice(1, 4)) : null;
+    this.label.hidden = !at;
+    if (!at) return;
+    const number = one.part.numbers[0];
+    this.label.textContent = number ? `${one.part.name} · ${number.name} ${measure(one.row[8], number.unit)}` : one.part.name;
+    const [width, height] = [this.stage.clientWidth, this.stage.clientHeight];
+    this.label.style.transform = `translate(${Math.round(Math.min(width - 150, Math.max(6, at[0] + 12)))}px, ${Math.round(Math.min(height - 30, Math.max(6, at[1] - 26)))}px)`;
+  }
+
+  /** What the drawing shows, in a sentence. */
+  words(parts) {
+    if (parts.length === 0) return "The scene: nothing is known at this moment.";
+    const said = [...this.tracks.values()].map((track) => track.at(this.moment())?.said?.words).filter(Boolean);
+    const tool = parts.find((one) => one.part.kind === "tool");
+    const where = tool ? ` Its tool is at ${tool.row.slice(1, 4).map((value) => value.toFixed(2)).join(", ")} m.` : "";
+    return `The scene, with ${parts.length} parts.${where} ${said.join("; ")}`.trim();
+  }
+
+  choose(key) {
+    this.chosen = key;
+    this.view.stale = true;
+    this.changed();
+    this.app.changed();
+  }
+
+  showPictures(moment) {
+    const cameras = [...this.pictures.cameras.keys()].sort();
+    const own = new Map();
+    for (const camera of cameras) {
+      let figure = this.shown.get(camera);
+      if (!figure) {
+        figure = { element: make("figure", {}), of: undefined };
+        this.shown.set(camera, figure);
+        this.figures.append(figure.element);
+      }
+      own.set(camera, figure);
+      const picture = this.pictures.at(camera, moment);
+      if (figure.of !== picture) {
+        figure.of = picture;
+        figure.element.replaceChildren(...(picture === null ? [make("div", { class: "none" }), make("figcaption", {}, make("b", {}, camera), make("span", { class: "soft" }, "no picture yet at this moment"))] : pictureOf(picture)));
+      }
+    }
+    this.figures.hidden = cameras.length === 0;
+  }
+
+  /** What stands at the side: the chosen part, and all that is known of the scene. */
+  side() {
+    const moment = this.moment();
+    const parts = this.parts();
+    const chosen = parts.find(({ key }) => key === this.chosen);
+    const sections = [];
+    if (chosen) sections.push(this.partSection(chosen));
+    for (const track of this.order()) {
+      const state = track.at(moment);
+      const said = state?.said?.words ?? "";
+      const own = parts.filter((one) => one.track === track && one.part.name !== "");
+      if (track.gone === null && own.length === 0 && said === "") continue;
+      const title = [track.source, state?.view.layer === "truth" ? make("small", {}, "simulator's truth") : own.length > 0 ? make("small", {}, "measured") : null];
+      sections.push(make("section", {}, make("h2", {}, ...title.filter((one) => one !== null)),
+        track.gone !== null ? make("p", { class: "words failed" }, track.gone) : null,
+        said !== "" ? make("p", { class: `words${state.said.fault ? " failed" : ""}` }, said) : null,
+        own.length > 0 ? this.table(own) : null));
+    }
+    const first = sections.find((section) => section.querySelector("table"));
+    if (first) first.querySelector("table").id = "parts";
+    return sections;
+  }
+
+  table(own) {
+    const rows = own.map((one) => {
+      const [number, error] = one.part.numbers;
+      const cells = number ? [measure(one.row[8], number.unit), error ? measure(one.row[9], error.unit) : ""] : [one.part.kind, ""];
+      return make("tr", { class: one.chosen ? "now" : null },
+        make("th", { scope: "row" }, make("button", { class: "link", "aria-pressed": String(one.chosen), onclick: () => this.choose(one.chosen ? null : one.key) }, one.part.name)),
+        ...cells.map((text) => make("td", {}, text)),
+        make("td", {}, one.row.slice(1, 4).map((value) => value.toFixed(2).replace("-", "−")).join(" ")));
+    });
+    return make("table", { class: "parts" },
+      make("thead", {}, make("tr", {}, ...["part", "joint", "error", "at, m"].map((text) => make("th", { scope: "col", title: text === "at, m" ? "where the frame of its joint is" : null }, text)))),
+      make("tbody", {}, ...rows));
+  }
+
+  partSection(one) {
+    const facts = [["kind", one.part.kind]];
+    if (one.part.parent) facts.push(["carried by", one.part.parent]);
+    one.part.numbers.forEach((number, at) => facts.push([number.name, measure(one.row[8 + at], number.unit)]));
+    facts.push(["at", `${one.row.slice(1, 4).map((value) => value.toFixed(3)).join(", ")} m`]);
+    return make("section", { class: "chosen" }, make("h2", {}, one.part.name, make("small", {}, one.truth ? "simulator's truth" : one.part.kind)),
+      make("dl", {}, ...facts.flatMap(([key, value]) => [make("dt", {}, key), make("dd", {}, value)])));
+  }
+
+  // -- what a person does ---------------------------------------------------------------
+
+  listen() {
+    const { canvas, view } = this;
+    let held = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      held = { x: event.clientX, y: event.clientY, far: 0, shifts: event.button !== 0 || event.shiftKey };
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (held === null) return;
+      const [dx, dy] = [event.clientX - held.x, event.clientY - held.y];
+      held = { ...held, x: event.clientX, y: event.clientY, far: held.far + Math.abs(dx) + Math.abs(dy) };
+      if (held.shifts) view.shift(dx, dy);
+      else view.turn(-dx * 0.008, dy * 0.008);
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      const box = canvas.getBoundingClientRect();
+      if (held !== null && held.far < 4 && !held.shifts) this.choose(view.pick(this.parts(), [event.clientX - box.x, event.clientY - box.y]));
+      held = null;
+    });
+    canvas.addEventListener("pointercancel", () => { held = null; });
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("wheel", (event) => { view.dolly(Math.exp(event.deltaY * 0.001)); event.preventDefault(); }, { passive: false });
+    const keys = {
+      ArrowLeft: () => view.turn(-KEY_TURN, 0), ArrowRight: () => view.turn(KEY_TURN, 0), ArrowUp: () => view.turn(0, KEY_TURN), ArrowDown: () => view.turn(0, -KEY_TURN),
+      "+": () => view.dolly(0.85), "=": () => view.dolly(0.85), "-": () => view.dolly(1.18), 0: () => view.fit(this.parts().filter((one) => !one.truth)),
+      Enter: () => this.next(1), Backspace: () => this.next(-1), Escape: () => this.choose(null),
+    };
+    canvas.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey || !(event.key in keys)) return;
+      if (event.shiftKey && event.key.startsWith("Arrow")) view.shift(...{ ArrowLeft: [24, 0], ArrowRight: [-24, 0], ArrowUp: [0, 24], ArrowDown: [0, -24] }[event.key]);
+      else keys[event.key]();
+      event.preventDefault();
+      event.stopPropagation();
+    });
+  }
+
+  /** Chooses the next part, or the one before. */
+  next(by) {
+    const keys = this.parts().map((one) => one.key);
+    if (keys.length === 0) return;
+    const at = keys.indexOf(this.chosen);
+    this.choose(keys[(at < 0 && by < 0 ? keys.length : at) + by] ?? (by > 0 ? keys[0] : keys.at(-1)));
+  }
+}
+
+/** A picture with what was found in it. */
+function pictureOf(picture) {
+  const [width, height] = picture.taken;
+  const by = Math.max(1, Math.floor(width / picture.size[0]));
+  const image = () => drawn("image", { href: `data:image/png;base64,${picture.png}`, x: -0.5, y: -0.5, width: picture.size[0] * by, height: picture.size[1] * by, preserveAspectRatio: "none" });
+  const good = (mark) => (mark.sd === null ? null : Math.max(...mark.sd));
+  const spots = picture.marks.map((mark) => `a spot at column ${mark.at[0].toFixed(1)}, row ${mark.at[1].toFixed(1)}${good(mark) === null ? "" : `, good to ${good(mark).toFixed(2)} px`}`);
+  const what = spots.length === 0 ? "nothing found in it" : spots.join("; ");
+  const parts = [image(), ...picture.marks.map(({ at: [u, v] }) => drawn("g", { class: "spot", transform: `translate(${u} ${v})` },
+    drawn("circle", { r: width / 28 }), drawn("path", { d: `M${-width / 14} 0h${width / 28}M${width / 28} 0h${width / 28}M0 ${-width / 14}v${width / 28}M0 ${width / 28}v${width / 28}` })))];
+  const first = picture.marks[0];
+  if (first) {
+    // The window stands where the spot is not.
+    const [u, v] = first.at;
+    const size = width * 0.3;
+    const [x, y] = [u > width / 2 ? width * 0.03 : width * 0.67, v > height / 2 ? width * 0.03 : height - width * 0.33];
+    const sd = first.sd ?? [0, 0];
+    parts.push(drawn("svg", { class: "near", x, y, width: size, height: size, viewBox: `${u - WINDOW / 2} ${v - WINDOW / 2} ${WINDOW} ${WINDOW}` }, image(),
+      drawn("ellipse", { cx: u, cy: v, rx: 3 * sd[0], ry: 3 * sd[1] }), drawn("path", { d: `M${u - 9} ${v}h6m6 0h6M${u} ${v - 9}v6m0 6v6` })),
+    drawn("rect", { class: "frame", x, y, width: size, height: size }));
+  }
+  const whole = drawn("svg", { class: "picture", role: "img", viewBox: `-0.5 -0.5 ${width} ${height}`, "aria-label": `Picture ${picture.number} of ${picture.camera}: ${what}`, "data-number": picture.number }, ...parts);
+  const spot = first ? `spot at ${first.at[0].toFixed(1)}, ${first.at[1].toFixed(1)} px${good(first) === null ? "" : `\u00a0±\u00a0${good(first).toFixed(2)}`}` : "nothing found";
+  return [whole, make("figcaption", {}, make("b", {}, picture.camera), make("span", { class: "soft", title: "The ring in the window has three times the predicted standard deviation" }, ` ${spot} · ${seconds(picture.at_ns, 2)}`))];
+}
+
+/** How far the job is, in words. */
+export function jobWords(job) {
+  const left = job.left === null || job.done >= job.total ? "" : ` · ${duration(job.left)} left`;
+  return `${job.step} ${job.done} of ${job.total}${left}`;
+}
+
+function duration(ns) {
+  const all = Math.round(ns / 1e9);
+  return all < 60 ? `${all} s` : `${Math.floor(all / 60)} min ${String(all % 60).padStart(2, "0")} s`;
+}

@@ -1,0 +1,341 @@
+// The scene in three dimensions, by WebGL2. It draws what it is given, and says which part is where a person points.
+
+import { ballOf, cross, hit, inner, looking, minus, norm, outline, perspective, placed, plus, point4, surface, times, unit3, unit4 } from "./solids.js";
+
+const SOLID = [`#version 300 es
+in vec3 at; in vec3 normal;
+uniform mat4 seen; uniform mat4 frame; uniform vec3 sun; uniform float fallen;
+out vec3 side; out vec3 spot;
+void main() {
+  vec4 world = frame * vec4(at, 1.0);
+  side = mat3(frame) * normal;
+  // A shadow is flat on the ground, away from the sun.
+  if (fallen > 0.5) world = vec4(world.xy - sun.xy * max(0.0, world.z) / sun.z, 0.002, 1.0);
+  spot = world.xyz;
+  gl_Position = seen * world;
+}`, `#version 300 es
+precision highp float;
+in vec3 side; in vec3 spot;
+uniform vec3 colour; uniform vec3 eye; uniform vec3 sky; uniform vec3 ground; uniform float glow;
+uniform vec3 sun; uniform vec3 paper; uniform vec3 shadow; uniform float reach; uniform float fallen;
+out vec4 ink;
+void main() {
+  if (fallen > 0.5) {
+    ink = vec4(mix(shadow, paper, smoothstep(0.35 * reach, reach, length(spot.xy))), 1.0);
+    return;
+  }
+  vec3 n = normalize(side);
+  vec3 away = normalize(eye - spot);
+  if (dot(n, away) < 0.0) n = -n;
+  vec3 to = normalize(sun);
+  vec3 light = mix(ground, sky, 0.5 + 0.5 * n.z) + 0.36 * max(0.0, dot(n, to));
+  float shine = pow(max(0.0, dot(reflect(-to, n), away)), 32.0);
+  float rim = pow(1.0 - max(0.0, dot(n, away)), 3.0);
+  ink = vec4(colour * light + 0.12 * shine + glow * (0.12 + 0.5 * rim), 1.0);
+}`];
+
+const LINE = [`#version 300 es
+in vec3 at; in float strength;
+uniform mat4 seen; uniform mat4 frame;
+out float shown; out vec3 spot;
+void main() {
+  vec4 world = frame * vec4(at, 1.0);
+  shown = strength;
+  spot = world.xyz;
+  gl_Position = seen * world;
+}`, `#version 300 es
+precision highp float;
+in float shown; in vec3 spot;
+uniform vec4 colour; uniform float reach;
+out vec4 ink;
+void main() {
+  float near = reach > 0.0 ? 1.0 - smoothstep(0.35 * reach, reach, length(spot.xy)) : 1.0;
+  ink = vec4(colour.rgb, colour.a * shown * near);
+}`];
+
+/** The ground reaches so far, m. */
+const GROUND_REACH = 2.6;
+/** Its lines are so far above it, m, and shadows between. */
+const LIFT = 0.004;
+const ANGLE = 0.6;
+/** Where the sun is. */
+const SUN = [0.45, -0.5, 0.85];
+const VIEWS = { azimuth: -0.95, height: 0.34 };
+
+/** A drawing area. `colours` gives those of the page by name. */
+export class SceneView {
+  constructor(canvas, colours) {
+    this.canvas = canvas;
+    this.colours = colours;
+    this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "low-power" });
+    this.camera = { ...VIEWS, distance: 3.4, target: [0, 0, 0.62] };
+    this.fitted = false;
+    this.drawn = 0;
+    /** What is drawn of each part; it goes with the part. */
+    this.looks = new WeakMap();
+    if (this.gl === null) return;
+    this.prepare();
+    canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.lost = true; });
+    canvas.addEventListener("webglcontextrestored", () => { this.lost = false; this.looks = new WeakMap(); this.prepare(); this.stale = true; });
+  }
+
+  get works() {
+    return this.gl !== null;
+  }
+
+  prepare() {
+    const gl = this.gl;
+    this.solid = this.program(SOLID);
+    this.line = this.program(LINE);
+    const ground = [];
+    for (let at = -5; at <= 5; at += 1) {
+      const [half, strength] = [at / 2, at === 0 ? 1 : 0.55];
+      ground.push(-GROUND_REACH, half, LIFT, strength, GROUND_REACH, half, LIFT, strength, half, -GROUND_REACH, LIFT, strength, half, GROUND_REACH, LIFT, strength);
+    }
+    this.ground = this.buffer(new Float32Array(ground), 4);
+    this.way = this.buffer(new Float32Array(4), 4);
+    gl.enable(gl.DEPTH_TEST);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+  }
+
+  program([vertex, fragment]) {
+    const gl = this.gl;
+    const program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+    }
+    ["at", "normal"].forEach((name, at) => gl.bindAttribLocation(program, at, name));
+    gl.bindAttribLocation(program, 1, "strength");
+    gl.linkProgram(program);
+    const at = {};
+    for (const name of ["seen", "frame", "colour", "eye", "sky", "ground", "glow", "reach", "sun", "paper", "shadow", "fallen"]) at[name] = gl.getUniformLocation(program, name);
+    return { program, at };
+  }
+
+  /** Corners of so many numbers: three for the place, the rest for what goes with it. */
+  buffer(numbers, each) {
+    const gl = this.gl;
+    const made = { array: gl.createVertexArray(), buffer: gl.createBuffer(), count: numbers.length / each };
+    gl.bindVertexArray(made.array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, made.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, numbers, gl.STATIC_DRAW);
+    for (const [at, size, from] of [[0, 3, 0], [1, each - 3, 12]]) {
+      gl.enableVertexAttribArray(at);
+      gl.vertexAttribPointer(at, size, gl.FLOAT, false, 4 * each, from);
+    }
+    gl.bindVertexArray(null);
+    return made;
+  }
+
+  fill(made, numbers, each) {
+    const gl = this.gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, made.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, numbers, gl.DYNAMIC_DRAW);
+    made.count = numbers.length / each;
+  }
+
+  // -- who looks ------------------------------------------------------------------------
+
+  eye() {
+    const { azimuth, height, distance, target } = this.camera;
+    return plus(target, [Math.cos(azimuth) * Math.cos(height), Math.sin(azimuth) * Math.cos(height), Math.sin(height)], distance);
+  }
+
+  turn(by, up) {
+    this.camera.azimuth += by;
+    this.camera.height = Math.min(1.5, Math.max(0.03, this.camera.height + up));
+    this.stale = true;
+  }
+
+  /** Nearer or farther. */
+  dolly(by) {
+    this.camera.distance = Math.min(20, Math.max(0.5, this.camera.distance * by));
+    this.stale = true;
+  }
+
+  /** Moves what is looked at, px. */
+  shift(dx, dy) {
+    const back = unit3(minus(this.eye(), this.camera.target));
+    const right = unit3(cross([0, 0, 1], back));
+    const up = cross(back, right);
+    const each = (2 * Math.tan(ANGLE / 2) * this.camera.distance) / Math.max(1, this.canvas.clientHeight);
+    this.camera.target = plus(plus(this.camera.target, right, -dx * each), up, dy * each);
+    this.stale = true;
+  }
+
+  /** Shows all parts, as at first. */
+  fit(parts) {
+    const balls = parts.flatMap(({ part, frame }) => part.solids.map(ballOf).filter((ball) => ball !== null).map(([at, radius]) => [point4(frame, at).slice(0, 3), radius]));
+    if (balls.length === 0) return;
+    const low = [0, 1, 2].map((axis) => Math.min(...balls.map(([at, radius]) => at[axis] - radius)));
+    const high = [0, 1, 2].map((axis) => Math.max(...balls.map(([at, radius]) => at[axis] + radius)));
+    const size = Math.max(2.3, norm(minus(high, low)));
+    this.camera = { ...VIEWS, distance: (0.56 * size) / Math.tan(ANGLE / 2), target: plus(low, minus(high, low), 0.5) };
+    this.fitted = true;
+    this.stale = true;
+  }
+
+  seen() {
+    const aspect = this.canvas.width / Math.max(1, this.canvas.height);
+    const { distance, target } = this.camera;
+    return times(perspective(ANGLE, aspect, Math.max(0.02, distance / 50), distance + 20), looking(this.eye(), target));
+  }
+
+  /** Where a point of the scene is in the canvas, px; null when it is behind. */
+  where(at) {
+    const [x, y, , w] = point4(this.seen(), at);
+    return w <= 0 ? null : [(0.5 + x / w / 2) * this.canvas.clientWidth, (0.5 - y / w / 2) * this.canvas.clientHeight];
+  }
+
+  /** The part that is seen at a point of the canvas, px. */
+  pick(parts, [px, py]) {
+    const eye = this.eye();
+    const back = unit3(minus(eye, this.camera.target));
+    const right = unit3(cross([0, 0, 1], back));
+    const up = cross(back, right);
+    const tall = Math.tan(ANGLE / 2);
+    const wide = (tall * this.canvas.clientWidth) / Math.max(1, this.canvas.clientHeight);
+    const [x, y] = [((2 * px) / this.canvas.clientWidth - 1) * wide, (1 - (2 * py) / this.canvas.clientHeight) * tall];
+    const way = unit3(plus(plus(plus([0, 0, 0], back, -1), right, x), up, y));
+    let best = null;
+    for (const one of parts) {
+      const { frame } = one;
+      const away = minus(eye, frame.slice(12, 15));
+      const local = (v) => [inner(v, frame.slice(0, 3)), inner(v, frame.slice(4, 7)), inner(v, frame.slice(8, 11))];
+      for (const solid of one.part.solids) {
+        const far = hit(solid, local(away), local(way));
+        if (far !== null && (best === null || far < best.far)) best = { far, key: one.key };
+      }
+    }
+    return best?.key ?? null;
+  }
+
+  // -- drawing ----------------------------------------------------------------------------
+
+  /** What of a part is drawn, made once. */
+  lookOf(part) {
+    if (!this.looks.has(part)) {
+      const lines = part.solids.flatMap(outline);
+      const made = (numbers) => (numbers.length > 0 ? this.buffer(new Float32Array(numbers), 6) : null);
+      this.looks.set(part, {
+        surface: made(part.solids.flatMap((solid) => surface(solid))),
+        shade: made(part.solids.flatMap((solid) => surface(solid, true))),
+        outline: lines.length > 0 ? this.buffer(new Float32Array(lines.flatMap((at) => [...at, 1])), 4) : null,
+        axes: part.solids.map((solid) => solid.axes).find((length) => length !== undefined) ?? null,
+      });
+    }
+    return this.looks.get(part);
+  }
+
+  /** Draws `parts`, each with `key`, `part`, `frame`, `truth` and `chosen`, and the `trails` of tools. */
+  paint(parts, trails) {
+    if (!this.works || this.lost) return;
+    const gl = this.gl;
+    const ratio = Math.min(2, globalThis.devicePixelRatio || 1);
+    const [width, height] = [Math.round(this.canvas.clientWidth * ratio), Math.round(this.canvas.clientHeight * ratio)];
+    if (width === 0 || height === 0) return;
+    if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
+    if (!this.fitted) this.fit(parts.filter((one) => !one.truth));
+    const colours = this.colours();
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...colours.paper, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const seen = this.seen();
+    const own = parts.filter((one) => !one.truth);
+
+    const { program, at } = this.solid;
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(at.seen, false, seen);
+    gl.uniform3fv(at.eye, this.eye());
+    gl.uniform3fv(at.sky, colours.sky);
+    gl.uniform3fv(at.ground, colours.ground);
+    gl.uniform3fv(at.sun, SUN);
+    gl.uniform3fv(at.paper, colours.paper);
+    gl.uniform3fv(at.shadow, colours.shadow);
+    gl.uniform1f(at.reach, GROUND_REACH);
+    const solids = (look, prepared) => {
+      for (const one of own) {
+        const made = this.lookOf(one.part)[look];
+        if (made === null) continue;
+        prepared(one);
+        gl.uniformMatrix4fv(at.frame, false, one.frame);
+        this.draw(made, gl.TRIANGLES);
+      }
+    };
+    gl.uniform1f(at.fallen, 1);
+    solids("shade", () => {});
+    gl.uniform1f(at.fallen, 0);
+    gl.enable(gl.CULL_FACE);
+    solids("surface", (one) => {
+      gl.uniform3fv(at.colour, one.chosen ? colours.mark : one.part.colour.map((value) => value / 255));
+      gl.uniform1f(at.glow, one.chosen ? 0.6 : colours.rim);
+    });
+    gl.disable(gl.CULL_FACE);
+    gl.enable(gl.BLEND);
+    this.lines(this.ground, seen, unit4(), [...colours.faint, 0.42], GROUND_REACH);
+    for (const points of trails) {
+      if (points.length < 2) continue;
+      const last = points.length - 1;
+      this.fill(this.way, new Float32Array(points.flatMap((spot, step) => [...spot, (step / last) ** 1.5])), 4);
+      this.lines(this.way, seen, unit4(), [...colours.running, 0.9], 0, gl.LINE_STRIP);
+    }
+    for (const one of parts) {
+      const { outline: edges, axes, surface: mesh } = this.lookOf(one.part);
+      // What is only lines is drawn so in every layer.
+      if (edges !== null && (one.truth || mesh === null)) this.lines(edges, seen, one.frame, [...(one.chosen ? colours.mark : one.truth ? colours.truth : colours.soft), one.chosen ? 1 : 0.75], 0);
+      if (axes !== null && !one.truth) this.axes(seen, one.frame, axes);
+    }
+    gl.disable(gl.BLEND);
+    this.drawn += 1;
+    this.stale = false;
+  }
+
+  draw(made, kind) {
+    const gl = this.gl;
+    gl.bindVertexArray(made.array);
+    gl.drawArrays(kind, 0, made.count);
+  }
+
+  lines(made, seen, frame, colour, reach, kind = this.gl.LINES) {
+    const gl = this.gl;
+    const { program, at } = this.line;
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(at.seen, false, seen);
+    gl.uniformMatrix4fv(at.frame, false, frame);
+    gl.uniform4fv(at.colour, colour);
+    gl.uniform1f(at.reach, reach);
+    this.draw(made, kind);
+  }
+
+  axes(seen, frame, length) {
+    // x, y and z in red, green and blue.
+    const ends = [[[0.85, 0.27, 0.24], 0], [[0.2, 0.62, 0.35], 1], [[0.28, 0.42, 0.92], 2]];
+    for (const [colour, axis] of ends) {
+      const tip = [0, 0, 0];
+      tip[axis] = length;
+      this.fill(this.way, new Float32Array([0, 0, 0, 1, ...tip, 1]), 4);
+      this.lines(this.way, seen, frame, [...colour, 1], 0);
+    }
+  }
+}
+
+/** The parts of tracks at a moment, with the frame of each. */
+export function partsAt(tracks, at_ns, withTruth, chosen) {
+  const parts = [];
+  for (const track of tracks) {
+    const state = track.at(at_ns);
+    if (state === null) continue;
+    const truth = state.view.layer === "truth";
+    if (truth && !withTruth) continue;
+    state.view.parts.forEach((part, index) => {
+      const row = state.rows[index];
+      if (!row || row.slice(0, 8).includes(null)) return;
+      const key = `${track.source}/${part.name}`;
+      parts.push({ key, part, row, truth, frame: placed(row.slice(1, 4), row.slice(4, 8)), chosen: key === chosen, track });
+    });
+  }
+  return parts;
+}

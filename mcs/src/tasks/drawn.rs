@@ -1,0 +1,191 @@
+//! The arm as viewers draw it: the solids of its model where the measured joints put them, and what is measured at each joint.
+//!
+//! The state manager shows it, from what every servo tick leaves for readers anyway. So the servo neither knows nor does
+//! anything of it, and nobody computes anything while nobody follows.
+
+use std::sync::Arc;
+
+use nalgebra::Isometry3;
+use scene::{Number, Part, Pose, Said, Seen, Solid, Source, Stage, View};
+
+use super::Link;
+use crate::driver::Power;
+use crate::model::{self, Data, Model};
+use crate::servo::{MotionPhase, ServoStatus};
+use crate::trajectory::Planner;
+
+/// The length of the drawn axes of the tool, m.
+const AXES: f64 = 0.12;
+/// The base and the links in turn: red, green, blue.
+const BASE: [u8; 3] = [92, 99, 112];
+const LINKS: [[u8; 3]; 2] = [[222, 221, 214], [201, 203, 200]];
+const TOOL: [u8; 3] = [217, 119, 6];
+
+/// What the state manager of the servo task `name` shows.
+pub(super) fn stage(name: &str, link: &Arc<Link>) -> Stage {
+    Stage::new(Arm::new(name, link))
+}
+
+struct Arm {
+    link: Arc<Link>,
+    planner: Planner,
+    model: Arc<Model>,
+    data: Data,
+    view: Option<View>,
+}
+
+impl Arm {
+    fn new(name: &str, link: &Arc<Link>) -> Self {
+        let planner = link.planner.clone();
+        let model = planner.model().clone();
+        Self {
+            view: Some(view(name, &model)),
+            data: model.data(),
+            link: Arc::clone(link),
+            planner,
+            model,
+        }
+    }
+
+    /// Where the parts are at joint positions `q`, in the order of the view.
+    fn poses(&mut self, q: &[f64]) -> Vec<Pose> {
+        self.model.forward(&mut self.data, q);
+        let joints = (0..self.model.dof()).map(Some);
+        let carriers = std::iter::once(None).chain(joints);
+        let mut poses: Vec<Pose> = carriers
+            .map(|carrier| pose(&self.data.carrier(carrier).isometry()))
+            .collect();
+        poses.push(pose(&self.planner.tool_pose(q)));
+        poses
+    }
+}
+
+impl Source for Arm {
+    fn view(&mut self) -> Option<View> {
+        self.view.take()
+    }
+
+    fn look(&mut self) -> Seen {
+        let status = self.link.port.status();
+        let numbers = |joint: usize| {
+            let number = |of: &[f64]| of.get(joint).copied().unwrap_or(f64::NAN);
+            let (position, setpoint) = (number(&status.position), number(&status.setpoint));
+            let (velocity, torque) = (number(&status.velocity), number(&status.torque));
+            vec![position, setpoint - position, velocity, torque]
+        };
+        let joints = self.model.dof();
+        let poses = self.poses(&status.position);
+        let states = poses.into_iter().enumerate().map(|(part, pose)| {
+            let numbers = match part.checked_sub(1) {
+                Some(joint) if joint < joints => numbers(joint),
+                _ => Vec::new(),
+            };
+            (pose, numbers)
+        });
+        Seen {
+            states: states.collect(),
+            said: said(&self.link, &status),
+            pictures: Vec::new(),
+        }
+    }
+}
+
+fn pose(placed: &Isometry3<f64>) -> Pose {
+    let turn = placed.rotation.coords;
+    Pose {
+        at: placed.translation.vector.into(),
+        turn: turn.into(),
+    }
+}
+
+fn solid(solid: &model::Solid) -> Solid {
+    match solid {
+        model::Solid::Capsule { a, b, radius } => Solid::Capsule {
+            a: (*a).into(),
+            b: (*b).into(),
+            radius: *radius,
+        },
+        model::Solid::Block { at, half } => Solid::Block {
+            pose: pose(&at.isometry()),
+            half: (*half).into(),
+        },
+    }
+}
+
+/// The base, a part for each joint with what its frame carries, and the tool.
+fn view(name: &str, model: &Model) -> View {
+    let solids = |carrier: Option<usize>| {
+        let own = model.shapes().iter();
+        let own = own.filter(|shape| shape.carrier == carrier);
+        own.map(|shape| solid(&shape.solid)).collect()
+    };
+    // The frame of a joint is its link's; the first of all is the base.
+    let link = |carrier: Option<usize>| {
+        let mut frames = model.frames().iter();
+        let frame = frames.find(|frame| frame.carrier == carrier);
+        frame.map_or_else(|| name.to_owned(), |frame| frame.name.clone())
+    };
+    let mut parts = vec![Part {
+        name: link(None),
+        kind: "base".to_owned(),
+        solids: solids(None),
+        colour: BASE,
+        ..Part::default()
+    }];
+    for (index, joint) in model.joints().iter().enumerate() {
+        let (unit, effort) = (joint.kind.unit(), joint.kind.effort_unit());
+        let speed = format!("{unit}/s");
+        let numbers = [
+            (joint.name.as_str(), unit, 1e-5),
+            ("error", unit, 1e-5),
+            ("velocity", &speed, 1e-3),
+            ("effort", effort, 0.05),
+        ];
+        let number = |(name, unit, resolution): (&str, &str, f64)| Number {
+            name: name.to_owned(),
+            unit: unit.to_owned(),
+            resolution,
+        };
+        parts.push(Part {
+            name: link(Some(index)),
+            parent: Some(link(joint.parent)),
+            kind: "link".to_owned(),
+            solids: solids(Some(index)),
+            colour: LINKS[index % LINKS.len()],
+            numbers: numbers.map(number).into(),
+        });
+    }
+    parts.push(Part {
+        name: "tool".to_owned(),
+        parent: Some(link(model.at(model.tip()).carrier)),
+        kind: "tool".to_owned(),
+        solids: vec![Solid::Axes(AXES)],
+        colour: TOOL,
+        numbers: Vec::new(),
+    });
+    View {
+        parts,
+        ..View::default()
+    }
+}
+
+fn said(link: &Link, status: &ServoStatus) -> Said {
+    let fault = link.fault();
+    let words = match (&fault, status.power) {
+        (Some(fault), _) => format!("power was taken away: {fault}"),
+        (None, _) if status.stopped => "stopped; it holds until somebody resumes".to_owned(),
+        (None, Power::Off) => "power is off, brakes hold".to_owned(),
+        (None, Power::Braked) => "power is on, brakes hold".to_owned(),
+        (None, Power::Released) => match status.motion.phase {
+            MotionPhase::Moving => "moves".to_owned(),
+            MotionPhase::Stopping => "comes to rest".to_owned(),
+            MotionPhase::Settling => "settles".to_owned(),
+            _ => "holds its position".to_owned(),
+        },
+    };
+    Said {
+        words,
+        fault: fault.is_some() || status.stopped,
+        job: None,
+    }
+}
