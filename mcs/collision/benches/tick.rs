@@ -10,8 +10,9 @@
 #[path = "../tests/rig/mod.rs"]
 mod rig;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use ctos::time::Clock;
 use divan::Bencher;
 use mcs::servo::MotionPhase;
 
@@ -28,6 +29,7 @@ fn main() {
 
 /// The times of single ticks: the ones that half of them, and 99 of 100, keep, and the longest.
 fn each_tick() {
+    let clock = Clock::real();
     for (limit_jerk, limits) in [
         (false, "speed and acceleration"),
         (true, "speed, acceleration and jerk"),
@@ -37,9 +39,9 @@ fn each_tick() {
             for _ in 0..MOTIONS {
                 let (mut servo, _port) = rig::servo(recipes, limit_jerk);
                 while servo.status().motion.phase == MotionPhase::Moving {
-                    let began = Instant::now();
+                    let began = clock.now();
                     servo.tick(0);
-                    took.push(began.elapsed());
+                    took.push(clock.now().since(began));
                 }
             }
             took.sort_unstable();

@@ -53,6 +53,32 @@ mod tests {
     use super::*;
 
     #[test]
+    fn one_changed_line_makes_the_testbed_of_the_report_with_a_puma_600_on_the_right() {
+        let own = source("testbed18").unwrap();
+        let (before, last) = own.text().rsplit_once("model = \"puma560\"").unwrap();
+        let text = format!("{before}model = \"puma600\"{last}");
+        let changed = file::parse(&Source::new("testbed18.toml", text), Inertias::Identified);
+        let changed = changed.unwrap();
+        let of = |name: &str| model(name, Inertias::Identified).unwrap().unwrap();
+        let reaches = |model: &Model, tip: &str, q: &[f64]| {
+            let (base, tip) = (tip.replace("arm", "cart"), model.frame(tip).unwrap());
+            let mount = model.frame(&format!("{base}.mount")).unwrap();
+            let mut data = model.data();
+            let mount = model.placement(&mut data, q, mount).origin;
+            (model.placement(&mut data, q, tip).origin - mount).norm()
+        };
+        let mut q = [0.0; 18];
+        q[13] = 0.4;
+        let both = |model: &Model| {
+            ["left_arm", "right_arm"].map(|arm| reaches(model, &format!("{arm}.link6"), &q))
+        };
+        assert_eq!(changed.dof(), 18);
+        let (of_changed, of_own) = (both(&changed), both(&of("testbed18")));
+        assert_eq!(of_changed[0], of_own[0]);
+        assert!((of_changed[1] - of_own[1]).abs() > 1e-3, "{of_changed:?}");
+    }
+
+    #[test]
     fn every_file_is_a_model_with_as_many_joints_as_its_name_says() {
         for (name, joints) in NAMES.into_iter().zip([6, 6, 3, 9, 18, 11, 2, 9, 8, 15]) {
             for inertias in [Inertias::Identified, Inertias::Engine] {

@@ -1,8 +1,7 @@
 //! What the page tells beside the drawing of a net: tasks and their messages, lanes, places of several nets,
 //! breakpoints at places, and what it does not know any more.
 
-use std::time::Instant;
-
+use ctos::time::Clock;
 use rustix::process::Signal;
 
 use super::{DISPATCHER, SIZE, SLOW, boot, browser::Browser, choose, pictures, scratch};
@@ -315,13 +314,14 @@ fn an_open_page_goes_by_the_clock_of_an_app_that_is_booted_again_beneath_it() {
     run.end().must_exit(130);
 
     let address = page.trim_start_matches("http://").trim_end_matches('/');
-    let booted = Instant::now();
+    let clock = Clock::real();
+    let booted = clock.now();
     let (mut again, _) = boot(&format!("--display={address}"));
     again.wait_for(&format!("display  {page}"));
     browser.wait(&format!(
         "!{DISPATCHER}?.isOfTheFirst && {DISPATCHER}?.head.paused"
     ));
     let now = browser.ask("nets.now()").as_f64().unwrap();
-    let age = booted.elapsed().as_nanos() as f64;
+    let age = clock.now().since(booted).as_nanos() as f64;
     assert!(0.0 < now && now <= age, "{now} ns, {age} ns after its boot");
 }

@@ -153,6 +153,29 @@ fn freedom_is_used_to_keep_joints_off_their_limits() {
     );
 }
 
+#[test]
+fn freedom_is_used_to_keep_away_from_singular_positions() {
+    let model = model("testbed9");
+    // The elbow is nearly stretched.
+    let start = within(&model, &[0.5, 0.5, 0.5, 0.5, 0.4, 0.69, 0.6, 0.7, 0.5]);
+    let goal = model.placement(&mut model.data(), &start, model.tip());
+    let prefers = Preferences {
+        limits: 0.0,
+        posture: 0.0,
+        manipulability: 1.0,
+    };
+    let mut search = Search::new(&model, model.tip(), true, prefers);
+    let found = search.solve(&model, &goal, &start).unwrap();
+    // Yoshikawa's measure, from the Jacobian by itself.
+    let measure = |q: &[f64]| {
+        let mut data = model.data();
+        let jacobian = model.jacobian(&mut data, q, model.tip());
+        (jacobian * jacobian.transpose()).determinant().sqrt()
+    };
+    let (before, after) = (measure(&start), measure(&found));
+    assert!(after > 1.2 * before, "{before} became {after}");
+}
+
 /// The PUMA 560's closed form for its wrist centre.
 fn puma560() -> (Model, ClosedForm) {
     let model = model("puma560");
