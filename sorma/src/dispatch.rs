@@ -40,7 +40,7 @@ impl Sorm {
         match self.resolve(&name) {
             Ok(handle) => {
                 // Only what is done without waiting for anybody.
-                let met = self.meet(&Alone, None, &handle, method, &mut body);
+                let met = self.meet(&Alone, None, (None, &handle), method, &mut body);
                 if met.now_or_never().is_none() {
                     let report = raise!(
                         code::UNSUPPORTED,

@@ -18,6 +18,7 @@
 //! 8. classes: `dictionary/object`, `manager`, `watching/object`, `builtin`, `asynchronous`, `ipc`, `demo`
 //! 9. tasks of CTOS: `daemon`
 
+mod arrival;
 pub mod asynchronous;
 mod builtin;
 pub mod class;

@@ -3,6 +3,7 @@
 //!
 //! One process, any thread; an object is called by reference at the cost of a virtual call.
 
+use crate::arrival::Arrivals;
 use crate::class::Class;
 use crate::dictionary::Dictionary;
 use crate::name::{Location, ObjectName, suggestion};
@@ -49,6 +50,8 @@ pub(crate) struct Inner {
     pub(crate) building: Mutex<Vec<Building>>,
     /// One of them is built.
     pub(crate) built: Condvar,
+    /// Who asks in which order for objects that are not built yet, by their local names.
+    pub(crate) arrivals: Arrivals,
 }
 
 /// An object that is being built.
@@ -96,6 +99,7 @@ impl Sorm {
                 dictionary: Arc::new(RwLock::new(dictionary)),
                 building: Mutex::default(),
                 built: Condvar::new(),
+                arrivals: Arrivals::default(),
             }),
         }
     }

@@ -3,6 +3,7 @@
 //! By this path the same request is met here or there, whichever its name says (service migration,
 //! technical report, sections 1.7.3 and 1.10).
 
+use crate::arrival::Arrival;
 use crate::comm::Comm;
 use crate::meter;
 use crate::name::{Location, ObjectName};
@@ -129,10 +130,20 @@ impl Sorm {
             mut body,
         } = request;
         match self.place(&name) {
-            Ok(Place::Here) => match self.built(comm, &name, method, &body.from).await {
-                Ok(handle) => self.meet(comm, within, &handle, method, &mut body).await,
-                Err(report) => self.refuse(&mut body, report),
-            },
+            Ok(Place::Here) => {
+                let met = async {
+                    let arrival = self.arrive(comm, within, &name).await?;
+                    let handle = self.built(comm, &name, method, &body.from).await?;
+                    Ok((arrival, handle))
+                };
+                match met.await {
+                    Ok((arrival, handle)) => {
+                        self.meet(comm, within, (arrival, &handle), method, &mut body)
+                            .await;
+                    }
+                    Err(report) => self.refuse(&mut body, report),
+                }
+            }
             Ok(Place::There(at)) => {
                 self.ask_daemon(comm, &at, &name, method, &mut body).await;
             }
@@ -143,6 +154,29 @@ impl Sorm {
             Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
+    }
+
+    /// The caller's place among those who ask for an object that is not built yet.
+    ///
+    /// # Errors
+    /// Its building takes long.
+    async fn arrive(
+        &self,
+        comm: &dyn Comm,
+        within: Option<&Waiting<'_>>,
+        name: &ObjectName,
+    ) -> Result<Option<Arrival>, Report> {
+        // Without threads an object is built at once; and one that is in a call may ask itself.
+        if comm.workers().is_none() || within.is_some() {
+            return Ok(None);
+        }
+        let local = name.local();
+        let is_there = || self.find(&local).is_some();
+        let arrived = Arrival::at(&self.inner.arrivals, &local, is_there);
+        match select(pin!(arrived), comm.sleep(slot::PATIENCE)).await {
+            Either::Left((arrival, _)) => Ok(arrival),
+            Either::Right(_) => Err(self.in_the_making(&local)),
+        }
     }
 
     /// The object of that name in this process. If it has to be built for a request of `from`, that is done on a thread of
@@ -196,7 +230,7 @@ impl Sorm {
         &self,
         comm: &dyn Comm,
         within: Option<&Waiting<'_>>,
-        object: &Handle,
+        (arrival, object): (Option<Arrival>, &Handle),
         method: Method,
         body: &mut Transport,
     ) {
@@ -204,7 +238,7 @@ impl Sorm {
         let seen = self
             .watchers()
             .begin(self.clock(), slot.name(), method, body);
-        let call = ask(slot, self, comm, within, method, body);
+        let call = ask((arrival, slot), self, comm, within, method, body);
         if let Err(panic) = AssertUnwindSafe(call).catch_unwind().await {
             // Nobody knows what state it is in.
             self.remove(slot.name());
@@ -240,7 +274,7 @@ impl Sorm {
 
 /// Has an object of this process called when it is the caller's turn.
 async fn ask(
-    slot: &Arc<Slot>,
+    (arrival, slot): (Option<Arrival>, &Arc<Slot>),
     sorm: &Sorm,
     comm: &dyn Comm,
     within: Option<&Waiting<'_>>,
@@ -263,6 +297,8 @@ async fn ask(
         Either::Left((turn, _)) => Some(turn),
         Either::Right(_) => None,
     };
+    // Who came next is behind this one now.
+    drop(arrival);
     match (turn, workers) {
         (Some(_turn), Some(workers)) => call_on(workers, slot, (sorm, comm), method, io).await,
         (Some(_turn), None) if slot.waits() && method == Method::Exec => {

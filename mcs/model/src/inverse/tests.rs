@@ -172,7 +172,7 @@ fn freedom_is_used_to_keep_away_from_singular_positions() {
         let jacobian = model.jacobian(&mut data, q, model.tip());
         (jacobian * jacobian.transpose()).determinant().sqrt()
     };
-    let (before, after) = (measure(&start), measure(&found));
+    let (before, after) = (measure(&start), measure(found));
     assert!(after > 1.2 * before, "{before} became {after}");
 }
 
