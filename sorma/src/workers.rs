@@ -442,11 +442,11 @@ mod tests {
     fn requests_to_an_object_that_is_built_meanwhile_are_met_in_their_order() {
         for number in 0..200 {
             let (sorm, ..) = mill();
-            let set = asked(&sorm, Patience::Endless, "foo CTRL -where attic");
+            let set = asked(&sorm, Patience::Endless, "foo CTRL -where garden");
             let read = asked(&sorm, Patience::Endless, "foo EXEC");
             let (set, read) = run(join(set, read));
             assert!(set.body.is_ok());
-            assert_eq!(read.body.text, "dinner in the attic, piano", "{number}");
+            assert_eq!(read.body.text, "dinner in the garden, piano", "{number}");
             assert!(sorm.inner.arrivals.lock().is_empty());
         }
     }

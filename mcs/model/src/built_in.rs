@@ -60,18 +60,17 @@ mod tests {
         let changed = file::parse(&Source::new("testbed18.toml", text), Inertias::Identified);
         let changed = changed.unwrap();
         let of = |name: &str| model(name, Inertias::Identified).unwrap().unwrap();
-        let reaches = |model: &Model, tip: &str, q: &[f64]| {
-            let (base, tip) = (tip.replace("arm", "cart"), model.frame(tip).unwrap());
-            let mount = model.frame(&format!("{base}.mount")).unwrap();
+        let reaches = |model: &Model, side: &str, q: &[f64]| {
             let mut data = model.data();
-            let mount = model.placement(&mut data, q, mount).origin;
-            (model.placement(&mut data, q, tip).origin - mount).norm()
+            let mut origin = |frame: &str| {
+                let frame = model.frame(frame).unwrap();
+                model.placement(&mut data, q, frame).origin
+            };
+            (origin(side) - origin(&format!("{side}_cart.mount"))).norm()
         };
         let mut q = [0.0; 18];
         q[13] = 0.4;
-        let both = |model: &Model| {
-            ["left_arm", "right_arm"].map(|arm| reaches(model, &format!("{arm}.link6"), &q))
-        };
+        let both = |model: &Model| ["left", "right"].map(|side| reaches(model, side, &q));
         assert_eq!(changed.dof(), 18);
         let (of_changed, of_own) = (both(&changed), both(&of("testbed18")));
         assert_eq!(of_changed[0], of_own[0]);
