@@ -51,6 +51,7 @@ pub mod watch {
 
 /// Recording: everything that an app does as MCAP, reading it, and replaying one task out of it.
 pub mod record {
+    pub use ctos_core::tap::ChannelSchema;
     pub use ctos_record::{
         Channel, Difference, Ending, Entry, Filter, Number, ReadError, Record, RecordLayer,
         RecordReport, ReplayError, ReplayReport, Run, file_name, replay, replayable, scan_only,

@@ -1,6 +1,9 @@
 //! `ctos log`: what is in records.
 
-use std::path::{Path, PathBuf};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 
 use clap::{Args, Subcommand};
 use ctos::{
@@ -235,8 +238,7 @@ fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), ReadError> 
         let text = if json {
             line_json(entry)
         } else {
-            let line = String::from_utf8_lossy(&entry.json);
-            let at = seconds(entry.at);
+            let (line, at) = (line_text(entry), seconds(entry.at));
             format!("{at:12.6} {} {line}", entry.channel.topic)
         };
         if show::data(&text).is_err() {
@@ -246,12 +248,24 @@ fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), ReadError> 
     Ok(())
 }
 
+/// A line as JSON: of one that is written otherwise, how and how long it is.
+fn line_text(entry: &Entry) -> Cow<'_, str> {
+    match entry.channel.encoding() {
+        "json" => String::from_utf8_lossy(&entry.json),
+        other => {
+            let bytes = entry.json.len();
+            serde_json::json!({ "encoding": other, "bytes": bytes })
+                .to_string()
+                .into()
+        }
+    }
+}
+
 /// A line within one more object, as it is: what a program reads is not parsed twice.
 fn line_json(entry: &Entry) -> String {
     let topic = serde_json::Value::from(entry.channel.topic.as_str());
     let schema = serde_json::Value::from(entry.channel.schema());
-    let line = String::from_utf8_lossy(&entry.json);
-    let at = seconds(entry.at);
+    let (line, at) = (line_text(entry), seconds(entry.at));
     format!("{{\"at_s\":{at:.9},\"topic\":{topic},\"schema\":{schema},\"line\":{line}}}")
 }
 

@@ -2,6 +2,7 @@
 //! A recorder looks on there, or a replay, or nobody, which costs one load.
 
 use std::{
+    borrow::Cow,
     fmt::Display,
     sync::{
         Arc, OnceLock,
@@ -114,6 +115,19 @@ pub const LOOP: u64 = 0;
 /// Writes data behind what is in a buffer: whether it could be written.
 pub type WriteData<'a> = &'a dyn Fn(&mut Vec<u8>) -> bool;
 
+/// How what a task records on a channel is written, in the words of MCAP.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ChannelSchema {
+    /// The name of the schema: `foxglove.SceneUpdate`.
+    pub name: Cow<'static, str>,
+    /// In which language the schema is written: `protobuf`, `jsonschema`.
+    pub language: Cow<'static, str>,
+    /// The schema.
+    pub text: Cow<'static, [u8]>,
+    /// How what stands in the channel is written: `protobuf`, `json`.
+    pub encoding: Cow<'static, str>,
+}
+
 /// Who looks on. Every method is called on the thread on which it happens.
 pub trait Observer: Send + Sync {
     /// Whether anything is recorded; if not, only [`Self::began`], [`Self::ended`] and what a replay answers are of use.
@@ -140,6 +154,8 @@ pub trait Observer: Send + Sync {
     fn phase(&self, task: Tid, phase: Phase);
     /// A task puts a value, as JSON, on a channel of its own.
     fn value(&self, task: Tid, channel: &str, value: WriteData<'_>);
+    /// A task puts something, written as `schema` says, on a channel of its own.
+    fn encoded(&self, task: Tid, channel: &str, schema: &Arc<ChannelSchema>, bytes: &[u8]);
     /// A part of a task is polled.
     fn polled(&self, task: Tid, part: u64);
     /// A task has read something that no message brings it; without `value` nobody can read that again.

@@ -106,7 +106,7 @@ impl Batch {
         self.pieces.iter().zip(ends).filter_map(|(piece, end)| {
             Some(Line {
                 topic: &piece.topic,
-                schema: piece.schema,
+                schema: &piece.schema,
                 at: piece.at,
                 bytes: self.bytes.get(piece.start..end)?,
                 lines: piece.events,

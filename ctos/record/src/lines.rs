@@ -4,7 +4,7 @@
 //! they look like, so that the field's viewers can read them. What happened to a message is there twice: for
 //! people, and as base64 of its postcard bytes for replay.
 
-use std::{borrow::Cow, io::Write};
+use std::{borrow::Cow, io::Write, sync::Arc};
 
 use base64::{Engine, display::Base64Display, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize, Serializer};
@@ -15,14 +15,17 @@ use super::{
     glossary::Glossary,
     traffic::{Coder, Events},
 };
-use ctos_core::{report::Ending, tap::Came};
+use ctos_core::{
+    report::Ending,
+    tap::{Came, ChannelSchema},
+};
 use ctos_message::{Flags, Shape};
 
 /// Data of more bytes than this is not shown as JSON: it is a picture, not something to read.
 const SHOWN: usize = 4096;
 
 /// What a channel holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Schema {
     /// Stretches of what happened to messages, as [`Events`] reads them.
     Events,
@@ -36,25 +39,17 @@ pub(crate) enum Schema {
     Log,
     Value,
     Recorder,
-}
-
-/// A schema as it stands in a file.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct SchemaText {
-    pub(crate) name: Cow<'static, str>,
-    /// How the schema is written.
-    pub(crate) language: Cow<'static, str>,
-    pub(crate) text: Cow<'static, [u8]>,
-    /// How what stands in the channel is written.
-    pub(crate) encoding: Cow<'static, str>,
+    /// What a task says it does.
+    Given(Arc<ChannelSchema>),
 }
 
 /// How stretches of events are written.
 pub(crate) const EVENTS: &str = "ctos.events";
 
 impl Schema {
-    pub(crate) fn text(self) -> SchemaText {
+    pub(crate) fn text(&self) -> Cow<'_, ChannelSchema> {
         let (name, text): (_, &[u8]) = match self {
+            Self::Given(schema) => return Cow::Borrowed(schema),
             Self::Events => ("ctos.Events", include_bytes!("schemas/events.txt")),
             Self::Message => ("ctos.Message", include_bytes!("schemas/message.json")),
             Self::Began => ("ctos.Began", include_bytes!("schemas/began.json")),
@@ -71,12 +66,12 @@ impl Schema {
             Self::Events => ("text", EVENTS),
             _ => ("jsonschema", "json"),
         };
-        SchemaText {
+        Cow::Owned(ChannelSchema {
             name: name.into(),
             language: language.into(),
             text: text.into(),
             encoding: encoding.into(),
-        }
+        })
     }
 }
 

@@ -20,8 +20,8 @@ use mcap::{
     write::NoSeek,
 };
 
-use super::lines::{Schema, SchemaText};
-use ctos_core::report::RecordReport;
+use super::lines::Schema;
+use ctos_core::{report::RecordReport, tap::ChannelSchema};
 use ctos_time::lock::lock;
 
 /// A chunk is closed at this size at the latest, bytes: no more is lost when a disk is full.
@@ -42,7 +42,7 @@ pub(crate) const NAMES: &str = "ctos.names";
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Line<'a> {
     pub(crate) topic: &'a str,
-    pub(crate) schema: Schema,
+    pub(crate) schema: &'a Schema,
     pub(crate) at: u64,
     pub(crate) bytes: &'a [u8],
     /// How many it stands for.
@@ -85,7 +85,7 @@ impl<W: Write + Seek> LineWriter<W> {
     pub(crate) fn line(
         &mut self,
         topic: &str,
-        schema: &SchemaText,
+        schema: &ChannelSchema,
         at: u64,
         bytes: &[u8],
     ) -> mcap::McapResult<()> {
@@ -266,7 +266,7 @@ impl Parts {
         self.untold = 0;
         let line = Line {
             topic: "/recorder",
-            schema: Schema::Recorder,
+            schema: &Schema::Recorder,
             at: now,
             bytes: line.as_bytes(),
             lines: 1,

@@ -20,10 +20,11 @@ use mcap::{
 
 use super::{
     glossary::Glossary,
-    lines::{self, EVENTS, SchemaText},
+    lines::{self, EVENTS},
     parts::{LOST, LineWriter, NAMES, RUN},
     traffic::Events,
 };
+use ctos_core::tap::ChannelSchema;
 use ctos_time::Instant;
 
 /// The longest record of a file that is read, bytes.
@@ -55,7 +56,7 @@ pub enum ReadError {
 pub struct Channel {
     /// Its name, `/message/arm` for example.
     pub topic: String,
-    schema: SchemaText,
+    schema: ChannelSchema,
 }
 
 impl Channel {
@@ -63,6 +64,12 @@ impl Channel {
     #[must_use]
     pub fn schema(&self) -> &str {
         &self.schema.name
+    }
+
+    /// How its lines are written: `json`, or as a task said that recorded with a schema of its own.
+    #[must_use]
+    pub fn encoding(&self) -> &str {
+        &self.schema.encoding
     }
 }
 
@@ -73,7 +80,7 @@ pub struct Entry {
     pub at: Instant,
     /// Where it stands.
     pub channel: Arc<Channel>,
-    /// What stands there: one JSON object.
+    /// What stands there: one JSON object, or what [`Channel::encoding`] says.
     pub json: Vec<u8>,
 }
 
@@ -203,7 +210,7 @@ impl Record {
 /// What has been read of a file so far.
 struct Scan<'a> {
     filter: &'a Filter,
-    schemas: BTreeMap<u16, SchemaText>,
+    schemas: BTreeMap<u16, ChannelSchema>,
     channels: BTreeMap<u16, Arc<Channel>>,
     glossary: Glossary,
     /// The channels of what happened to messages, by their names.
@@ -232,11 +239,11 @@ impl<'a> Scan<'a> {
     fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
         match part {
             Part::Schema { header, data } => {
-                let schema = SchemaText {
+                let schema = ChannelSchema {
                     name: header.name.into(),
                     language: header.encoding.into(),
                     text: data.into_owned().into(),
-                    ..SchemaText::default()
+                    ..ChannelSchema::default()
                 };
                 self.schemas.insert(header.id, schema);
             }
@@ -312,7 +319,7 @@ impl<'a> Scan<'a> {
                 Err(error) => return self.tear(&error.to_string()),
             };
             let new = |topic: &String| {
-                let (topic, schema) = (topic.clone(), schema.text());
+                let (topic, schema) = (topic.clone(), schema.text().into_owned());
                 Arc::new(Channel { topic, schema })
             };
             let channel = self.traffic.entry(topic).or_insert_with_key(new);

@@ -20,7 +20,7 @@ use ctos_core::{
     phase::Phase,
     reply::ReplySlot,
     report::{Ending, RecordReport},
-    tap::{Asked, AtHand, Came, Observer, WaitFor, WriteData},
+    tap::{Asked, AtHand, Came, ChannelSchema, Observer, WaitFor, WriteData},
 };
 use ctos_message::{CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
 use ctos_time::Instant;
@@ -330,6 +330,19 @@ impl Observer for Recorders {
                 true
             };
             recorder.note(task, |batch| batch.line(at, topic, Schema::Value, write));
+        }
+    }
+
+    fn encoded(&self, task: Tid, channel: &str, schema: &Arc<ChannelSchema>, bytes: &[u8]) {
+        let root = if channel.starts_with('/') { "" } else { "/" };
+        for recorder in self.recorders() {
+            let (at, topic) = (recorder.now(), format!("{root}{channel}"));
+            let schema = Schema::Given(schema.clone());
+            let write = |buffer: &mut Vec<u8>| {
+                buffer.extend_from_slice(bytes);
+                true
+            };
+            recorder.note(task, |batch| batch.line(at, topic, schema, write));
         }
     }
 

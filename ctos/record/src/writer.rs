@@ -60,7 +60,7 @@ impl Writer {
                 .lost(dropped, "more happened than could be written");
         }
         for line in batches.iter().flat_map(Batch::lines) {
-            if line.schema != Schema::Events {
+            if *line.schema != Schema::Events {
                 if self.takes(line.topic) {
                     self.parts.write(now, &line);
                 }

@@ -10,7 +10,7 @@ use ctos::{
     boot::{End, Observer, simulate},
     config::{App, load_texts},
     message::{Command, Message, Replier},
-    record::{Filter, Record, replay},
+    record::{ChannelSchema, Filter, Record, replay},
     registry::Registry,
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase},
@@ -82,6 +82,16 @@ struct AskerArgs {
     changed: bool,
 }
 
+/// A schema of the task's own.
+fn raw() -> Arc<ChannelSchema> {
+    Arc::new(ChannelSchema {
+        name: "test.Raw".into(),
+        language: "text".into(),
+        text: b"four bytes, the least first".as_slice().into(),
+        encoding: "raw".into(),
+    })
+}
+
 #[derive(Serialize)]
 struct Drawn {
     number: u32,
@@ -110,6 +120,7 @@ async fn ask(cx: Context, args: AskerArgs) {
     for round in 0..args.rounds {
         let number = rng.random_range(0..20_u32);
         cx.record("drawn", &Drawn { number });
+        cx.record_encoded("raw", &raw(), &number.to_le_bytes());
         let add = Add {
             number,
             name: cx.name().to_owned(),
@@ -253,6 +264,31 @@ fn everything_that_happens_is_in_the_record() {
     assert_eq!(json["waits"], "reply");
     assert!(json["data"]["number"].as_u64().unwrap() < 20, "{json}");
     assert_eq!(message.channel.schema(), "ctos.Message");
+}
+
+#[test]
+fn what_a_task_encodes_itself_comes_out_as_it_went_in_under_its_schema_also_from_a_copy() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = read(&recorded(folder.path(), "run.mcap", 1));
+    let copy = folder.path().join("copy.mcap");
+    record.write(&copy).unwrap();
+    for record in [record, read(&copy)] {
+        let on = |topic: &'static str| {
+            let entries = record.entries.iter();
+            entries.filter(move |entry| entry.channel.topic == topic)
+        };
+        let numbers = on("/raw").map(|entry| {
+            let channel = &entry.channel;
+            assert_eq!((channel.schema(), channel.encoding()), ("test.Raw", "raw"));
+            u64::from(u32::from_le_bytes(entry.json[..].try_into().unwrap()))
+        });
+        let drawn = on("/drawn").map(|entry| {
+            let line: serde_json::Value = serde_json::from_slice(&entry.json).unwrap();
+            line["number"].as_u64().unwrap()
+        });
+        assert!(numbers.eq(drawn));
+        assert_eq!(on("/raw").count(), 12 + 7 + 9);
+    }
 }
 
 fn replayed(

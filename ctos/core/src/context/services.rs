@@ -1,13 +1,14 @@
 //! The services of the runtime that a task reaches: synchronous functions, the record, and the person who
 //! booted the app. (Semaphores and barriers are in [`crate::semaphore`].)
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use super::core::Context;
 use crate::{
     realtime::{self, Grant},
     sync::{Cyclic, CyclicError, CyclicHandle, Synchronous, TickSource, TickSourceHandle},
     system::{self, AppResult},
+    tap::ChannelSchema,
 };
 
 impl Context {
@@ -99,6 +100,14 @@ impl Context {
         if let Some(recorder) = self.inner.chassis.tap.recorder() {
             let write = |buffer: &mut Vec<u8>| serde_json::to_writer(buffer, value).is_ok();
             recorder.value(self.tid(), channel, &write);
+        }
+    }
+
+    /// [`Self::record`] of what is encoded already. All that stands on `channel` is written as `schema` says, so that
+    /// programs which know the schema read it from the record.
+    pub fn record_encoded(&self, channel: &str, schema: &Arc<ChannelSchema>, bytes: &[u8]) {
+        if let Some(recorder) = self.inner.chassis.tap.recorder() {
+            recorder.encoded(self.tid(), channel, schema, bytes);
         }
     }
 

@@ -12,7 +12,7 @@ use crate::read::{Filter, Record};
 fn line(at: u64, json: &[u8]) -> Line<'_> {
     Line {
         topic: "/x",
-        schema: Schema::Value,
+        schema: &Schema::Value,
         at,
         bytes: json,
         lines: 1,
