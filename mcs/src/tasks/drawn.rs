@@ -10,6 +10,7 @@ use scene::{Number, Part, Pose, Said, Seen, Solid, Source, Stage, View};
 
 use super::Link;
 use crate::driver::Power;
+use crate::guard::{GuardReport, Reaction};
 use crate::model::{self, Data, Model};
 use crate::servo::{MotionPhase, ServoStatus};
 use crate::trajectory::Planner;
@@ -183,9 +184,30 @@ fn said(link: &Link, status: &ServoStatus) -> Said {
             _ => "holds its position".to_owned(),
         },
     };
+    let words = match guarded(status) {
+        Some(guard) if fault.is_none() => format!("{words}; {guard}"),
+        _ => words,
+    };
     Said {
         words,
         fault: fault.is_some() || status.stopped,
         job: None,
     }
+}
+
+/// What a guard did to the latest motion, and why.
+fn guarded(status: &ServoStatus) -> Option<String> {
+    let found = status.guard?;
+    if found.motion != status.motion.id {
+        return None;
+    }
+    let does = match found.reaction {
+        Reaction::Stop => "ends its motion",
+        Reaction::Retreat => "ends its motion and leads it back",
+        Reaction::Report => "reports",
+    };
+    let GuardReport {
+        guard, measured, ..
+    } = found;
+    Some(format!("guard `{guard}` {does}: {measured}"))
 }

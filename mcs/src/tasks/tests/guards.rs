@@ -58,6 +58,18 @@ fn a_motion_that_names_a_guard_is_ended_by_it_with_its_name_and_what_it_measured
                 (start - 0.1005..start - 0.08).contains(&stopped),
                 "{stopped} {start}"
             );
+            // Who looks on is told the same.
+            let state = cx.task("state").await?;
+            let follow = scene::FollowScene {
+                after: None,
+                patience_ms: 0,
+            };
+            let said = asked(&cx, &state, follow).await?.said;
+            let words = said.map(|said| said.words).unwrap_or_default();
+            assert!(
+                words.contains("guard `no-table` ends its motion: the tool at"),
+                "{words}"
+            );
             // The setpoint stays above the box; the arm is off by its tracking error.
             //
             // Another height from now on; and one who does not name it is not watched.
