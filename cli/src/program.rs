@@ -29,6 +29,7 @@ pub fn registry() -> Registry {
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     cli_display::register(&mut registry);
+    scene_viewers::register(&mut registry);
     panel::register(&mut registry);
     pnt::store::keep_states(&mut registry);
     // It cannot be wrong: a test reads it.

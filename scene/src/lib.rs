@@ -7,8 +7,10 @@
 //! This crate knows no robot, no camera and no screen: motion, vision and coordinators show what they know, and displays
 //! draw it.
 
+pub mod follow;
 pub mod picture;
 mod stage;
+pub mod track;
 
 use ctos::Blob;
 use serde::{Deserialize, Serialize};
@@ -104,7 +106,8 @@ pub struct Part {
     pub solids: Vec<Solid>,
     /// Its colour: red, green and blue.
     pub colour: [u8; 3],
-    /// What is measured at it.
+    /// What is measured at it. A link has the position of its joint first, under the joint's name, then `error`, `velocity`
+    /// and `effort`.
     pub numbers: Vec<Number>,
 }
 

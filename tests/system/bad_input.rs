@@ -832,6 +832,18 @@ fn a_port_in_use_is_found_by_the_check_and_named_by_the_option_that_was_typed() 
         .must_say(&format!("`{display}`: no page can be served there"))
         .must_say("`--display=127.0.0.1:0`")
         .must_not_say("phase 1");
+    let foxglove = format!("--foxglove={at}");
+    let booted = scratch.boot(&[&foxglove]);
+    booted
+        .must_exit(3)
+        .must_say(&format!("`{foxglove}`: no viewer can be served there"))
+        .must_say("`--foxglove=127.0.0.1:0`")
+        .must_not_say("phase 1");
+    let booted = scratch.boot(&["--foxglove=0.0.0.0:0"]);
+    booted
+        .must_exit(3)
+        .must_say("where others can reach them, would need keys")
+        .must_say("ssh -L");
     let panel = format!("task.panel.args.listen={at:?}");
     let booted = scratch.boot(&["--profile", "panel", "--set", &panel]);
     booted

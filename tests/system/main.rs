@@ -46,5 +46,6 @@ mod stepped_clock;
 mod structure;
 mod testbed;
 mod traces;
+mod viewers;
 mod vision;
 mod ways;

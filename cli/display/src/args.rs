@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, net::SocketAddr};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings},
+    diagnostic::{Finding, Findings, Source},
     registry::Registry,
 };
 use pnt::{
@@ -13,7 +13,7 @@ use pnt::{
 };
 use serde::Deserialize;
 
-use super::overview::Overviews;
+use super::overview::{Overviews, usual_file};
 use cli_common::page;
 
 /// The handler's name.
@@ -46,8 +46,24 @@ pub(super) struct DisplayArgs {
     pub(super) viewers: usize,
     /// The nets that are shown; all of the app when it is left out.
     pub(super) nets: Option<Vec<String>>,
-    /// A file of overview displays, relative to the configuration's folder.
-    pub(super) displays: Option<String>,
+    /// A file of overview displays and layouts, relative to the configuration's folder; `displays/APP.toml` when it is left
+    /// out.
+    displays: Option<String>,
+}
+
+impl DisplayArgs {
+    /// The file of displays, whether it is there or not.
+    pub(super) fn displays(&self, app: &App) -> String {
+        let file = self.displays.clone();
+        file.unwrap_or_else(|| usual_file(&app.name))
+    }
+
+    /// The file of displays, if one is named or the usual one is there.
+    pub(super) fn read_displays(&self, app: &App) -> Option<Result<Source, Finding>> {
+        let file = self.displays(app);
+        let read = self.displays.is_some() || app.file_at(&file).is_file();
+        read.then(|| app.read(&file))
+    }
 }
 
 fn listen() -> SocketAddr {
@@ -78,14 +94,13 @@ pub(super) fn check(args: &DisplayArgs, task: &TaskConfig, app: &App, findings: 
             findings.push(at(finding, "nets").suggest(net, names));
         }
     }
-    if let Some(file) = &args.displays {
-        match app.read(file) {
-            Ok(source) => {
-                let mut overviews = Overviews::read(&source, findings);
-                overviews.arrange_from(&app.file_at(file), findings);
-            }
-            Err(finding) => findings.push(at(finding, "displays")),
+    match args.read_displays(app) {
+        Some(Ok(source)) => {
+            let mut overviews = Overviews::read(&source, findings);
+            overviews.arrange_from(&app.file_at(args.displays(app)), findings);
         }
+        Some(Err(finding)) => findings.push(at(finding, "displays")),
+        None => {}
     }
 }
 
@@ -96,7 +111,7 @@ pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Fin
         let Ok(args) = task.args.parse::<DisplayArgs>() else {
             continue;
         };
-        let source = args.displays.as_ref().map(|file| app.read(file));
+        let source = args.read_displays(app);
         let (Some(Ok(source)), Ok(nets)) = (source, pnt::task::nets(app, registry)) else {
             continue;
         };
@@ -111,6 +126,16 @@ pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Fin
                 )
             })
             .collect();
+        let known = |net: &str| nets.iter().any(|one| one.name() == net);
+        for unknown in overviews.unknown_nets(known) {
+            let text = format!(
+                "{}: no net or display has the name of {unknown}",
+                source.name()
+            );
+            let finding = Finding::warning("pnt::display::unknown_layout_net", text)
+                .help("write a net of the app, or a display of this file");
+            findings.push(page::at(task, "displays", finding));
+        }
         for unknown in overviews.unknown(|net| drawings.get(net)) {
             let text = format!("{}: no net has the node of {unknown}", source.name());
             let finding = Finding::warning("pnt::display::unknown_node", text)

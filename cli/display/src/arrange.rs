@@ -17,8 +17,12 @@ use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, val
 use super::{
     hub::Hub,
     overview::{Overviews, layout_beside},
+    panes::Layout,
     wire::Asked,
 };
+
+/// Letters in the name of a layout.
+const LONGEST_NAME: usize = 60;
 
 /// Px beyond which nothing is drawn.
 const FAR: f64 = 1e6;
@@ -50,7 +54,7 @@ fn layout_of(cx: &Context, net: &str) -> Result<PathBuf, HandlerError> {
 pub(super) fn keep(
     cx: &Context,
     hub: &Hub,
-    displays: Option<&str>,
+    displays: &str,
     asked: &Asked,
 ) -> Result<String, HandlerError> {
     let node = asked.node.as_deref().ok_or("which node?")?;
@@ -59,7 +63,6 @@ pub(super) fn keep(
         return Err(HandlerError::new("a node cannot stand so far away"));
     }
     if let Some(display) = &asked.display {
-        let displays = displays.ok_or("this app has no file of displays")?;
         let path = layout_beside(&cx.app().file_at(displays));
         let shown = hub.overview(display);
         let shown =
@@ -83,6 +86,32 @@ pub(super) fn keep(
     write(&path, &text)?;
     let source = Source::new(path.display().to_string(), text);
     hub.arranged(&asked.net, LayoutFile::read(&source, &mut Findings::new()));
+    Ok(format!("{} keeps it", path.display()))
+}
+
+/// Keeps a layout under a name.
+///
+/// # Errors
+/// What is missing in the order, or why the file cannot be read or written; it is then as it was.
+pub(super) fn keep_layout(
+    cx: &Context,
+    hub: &Hub,
+    displays: &str,
+    asked: &Asked,
+) -> Result<String, HandlerError> {
+    let layout = asked.layout.clone().ok_or("which layout?")?;
+    let name = asked.name.trim();
+    if name.is_empty() || name.len() > LONGEST_NAME {
+        let text = format!("a layout needs a name of at most {LONGEST_NAME} letters");
+        return Err(HandlerError::new(text));
+    }
+    let path = cx.app().file_at(displays);
+    let text = with_layout(&text_of(&path)?, &path, name, &layout)?;
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    write(&path, &text)?;
+    hub.rearranged(|overviews: &mut Overviews| overviews.lay(name, layout));
     Ok(format!("{} keeps it", path.display()))
 }
 
@@ -173,6 +202,37 @@ fn of_net(
     Ok(file.to_string())
 }
 
+/// A file of displays with a layout in it.
+fn with_layout(
+    text: &str,
+    path: &Path,
+    name: &str,
+    layout: &Layout,
+) -> Result<String, HandlerError> {
+    let mut file = document(text, path)?;
+    let kept = table(&mut file, &["layout", name], path)?;
+    kept.clear();
+    let Layout {
+        title,
+        panes,
+        net,
+        plots,
+    } = layout;
+    if !title.is_empty() {
+        kept.insert("title", value(title));
+    }
+    let panes = panes.iter().map(|pane| pane.word());
+    kept.insert("panes", value(Array::from_iter(panes)));
+    if let Some(net) = net {
+        kept.insert("net", value(net));
+    }
+    if !plots.is_empty() {
+        let plots = plots.iter().map(|plot| String::from(plot.clone()));
+        kept.insert("plots", value(Array::from_iter(plots)));
+    }
+    Ok(file.to_string())
+}
+
 /// The layout file of displays, with a node of one at another place.
 fn on_display<'d>(
     text: &str,
@@ -256,6 +316,7 @@ mod tests {
     use pnt::{compile, layout::Detail};
 
     use super::*;
+    use crate::panes::{Pane, Plot};
 
     const TEXT: &str = "net n\nplace a = 1, b, c\ntransition t\n  in a\n  out b, there@m\ntransition u\n  in b\n  out a, c\n";
 
@@ -303,6 +364,33 @@ mod tests {
             moved.map(|(a, _)| a).collect::<Vec<_>>(),
             [("there@m".to_owned(), 1.0, 2.0)]
         );
+    }
+
+    #[test]
+    fn a_layout_that_is_saved_is_read_again_and_the_rest_of_the_file_stays() {
+        let text =
+            "# mine\n[display.arm]\nshow = [\"a/b\"] # here\n\n[layout.old]\npanes = [\"net\"]\n";
+        let layout = Layout {
+            title: "Two".to_owned(),
+            panes: vec![Pane::Scene, Pane::Lanes],
+            net: Some("n".to_owned()),
+            plots: vec![Plot::try_from("tokens/n/a".to_owned()).unwrap()],
+        };
+        let path = Path::new("displays/app.toml");
+        let mut kept = text.to_owned();
+        for name in ["new one", "old", "new one"] {
+            kept = with_layout(&kept, path, name, &layout).unwrap();
+        }
+        assert!(
+            kept.starts_with("# mine\n[display.arm]\nshow = [\"a/b\"] # here\n"),
+            "{kept}"
+        );
+        let mut findings = Findings::new();
+        let read = Overviews::read(&Source::new("app.toml", &kept), &mut findings);
+        assert!(findings.is_empty(), "{findings}");
+        let layouts = read.layouts();
+        assert_eq!(layouts.len(), 2, "{kept}");
+        assert!(layouts.iter().all(|one| *one.layout == layout), "{kept}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 18] = [
+const SCRIPTS: [Asset; 21] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
     ("field.js", SCRIPT, include_str!("page/field.js")),
     ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
@@ -23,8 +23,11 @@ const SCRIPTS: [Asset; 18] = [
     ("tables.js", SCRIPT, include_str!("page/tables.js")),
     ("cell.js", SCRIPT, include_str!("page/cell.js")),
     ("solids.js", SCRIPT, include_str!("page/solids.js")),
+    ("sight.js", SCRIPT, include_str!("page/sight.js")),
     ("scene.js", SCRIPT, include_str!("page/scene.js")),
     ("overview.js", SCRIPT, include_str!("page/overview.js")),
+    ("plots.js", SCRIPT, include_str!("page/plots.js")),
+    ("panes.js", SCRIPT, include_str!("page/panes.js")),
     ("keys.js", SCRIPT, include_str!("page/keys.js")),
     ("moments.js", SCRIPT, include_str!("page/moments.js")),
     ("app.js", SCRIPT, include_str!("page/app.js")),

@@ -14,16 +14,22 @@ use pnt::{
     layout::{Detail, Drawing, LayoutFile},
     stream::{Batch, Event, NetView, Replica, ReplicaError, State},
 };
+use scene::track::{SceneStep, SceneTrack, Shown};
 use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
-    scenes::{self, SceneStep, SceneTrack, Shown},
     wire::{Breakpoint, Entry, Note, Overview, TaskState, Told},
 };
 
 /// Events of each net that are kept for browsers that come later.
 const KEPT: usize = 5_000;
+
+/// Steps of a live scene that are kept for them: about two minutes of motion.
+const KEPT_STEPS: usize = 2_000;
+
+/// Pictures of each camera that are kept for them.
+const KEPT_PICTURES: usize = 12;
 
 /// Messages that a browser may be behind before it is told everything anew.
 const BEHIND: usize = 512;
@@ -282,7 +288,7 @@ impl Hub {
         let track = known.scenes.entry(source.to_owned()).or_default();
         track.gone = None;
         // A record is shown from its beginning.
-        let most = self.clock.as_ref().map_or(usize::MAX, |_| scenes::KEPT);
+        let most = self.clock.as_ref().map_or(usize::MAX, |_| KEPT_STEPS);
         let step = track.take(step, most)?;
         self.tell(&Told::Moved {
             source,
@@ -303,7 +309,7 @@ impl Hub {
         self.tell(&Told::Picture { picture: &picture });
         let mut known = self.known();
         let all = known.pictures.entry(picture.camera.clone()).or_default();
-        scenes::keep(all, picture, self.clock.is_some());
+        keep(all, picture, self.clock.is_some());
     }
 
     /// What a task shows cannot be seen.
@@ -370,6 +376,9 @@ impl Hub {
         arrange(&mut known.overviews);
         let displays = known.displays();
         self.tell(&Told::Displays { displays });
+        self.tell(&Told::Layouts {
+            layouts: known.overviews.layouts(),
+        });
     }
 
     /// What the analysis found, as far as it is about nodes.
@@ -449,9 +458,24 @@ impl Hub {
             nets: known.tracks.keys().map(String::as_str).collect(),
             tasks: &known.names,
             displays: known.displays(),
+            layouts: known.overviews.layouts(),
             scenes: known.scenes.len(),
             origin_ns: self.clock.as_ref().and_then(Clock::origin_ns),
         }
         .text()
+    }
+}
+
+/// Puts a picture behind those of its camera, in place of the same one with fewer marks.
+fn keep(pictures: &mut VecDeque<Shown>, shown: Shown, live: bool) {
+    if pictures
+        .back()
+        .is_some_and(|last| last.number == shown.number)
+    {
+        pictures.pop_back();
+    }
+    pictures.push_back(shown);
+    while live && pictures.len() > KEPT_PICTURES {
+        pictures.pop_front();
     }
 }

@@ -27,11 +27,11 @@ use super::{
 const LIMIT: Duration = Duration::from_secs(2);
 
 /// Carries orders out, all at the same time, until the server ends.
-/// `displays` is the file of overview displays, if there is one.
+/// `displays` is the file of overview displays and layouts.
 pub(super) async fn carry(
     cx: &Context,
     hub: &Arc<Hub>,
-    displays: Option<String>,
+    displays: String,
     mut orders: mpsc::Receiver<Asking>,
 ) {
     while let Some((asked, answer)) = orders.recv().await {
@@ -43,10 +43,10 @@ pub(super) async fn carry(
                     task: task(&child, &asked.task).await,
                 }
             } else {
-                let done = if asked.kind == "move" {
-                    arrange::keep(&child, &hub, displays.as_deref(), &asked)
-                } else {
-                    order(&child, &hub, &asked).await
+                let done = match &*asked.kind {
+                    "move" => arrange::keep(&child, &hub, &displays, &asked),
+                    "layout" => arrange::keep_layout(&child, &hub, &displays, &asked),
+                    _ => order(&child, &hub, &asked).await,
                 };
                 let (ok, text) = done.map_or_else(|e| (false, e.to_string()), |text| (true, text));
                 Told::Answer {

@@ -6,6 +6,8 @@
 //! title = "What the arm does, and who asked"
 //! show = ["dispatcher/move_robot", "dispatcher/find_pos", "motion/*"]
 //! ```
+//!
+//! The same file holds [layouts](super::panes).
 
 use std::{
     collections::BTreeMap,
@@ -19,7 +21,15 @@ use ctos::{
 use pnt::layout::Drawing;
 use serde::Deserialize;
 
-use super::wire::{Overview, OverviewPart};
+use super::{
+    panes::{Layout, Named},
+    wire::{Overview, OverviewPart},
+};
+
+/// Where the file of displays of app `name` is unless the configuration says otherwise, relative to its folder.
+pub(crate) fn usual_file(name: &str) -> String {
+    format!("displays/{name}.toml")
+}
 
 /// The file beside a file of displays that says where people have put nodes.
 pub(crate) fn layout_beside(displays: &Path) -> PathBuf {
@@ -33,6 +43,7 @@ const BETWEEN: f64 = 40.0;
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Overviews {
     displays: BTreeMap<String, Described>,
+    layouts: BTreeMap<String, Layout>,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -58,25 +69,54 @@ struct Spot {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
-    #[serde(rename = "display")]
+    #[serde(default, rename = "display")]
     _display: BTreeMap<String, serde::de::IgnoredAny>,
+    #[serde(default, rename = "layout")]
+    _layout: BTreeMap<String, serde::de::IgnoredAny>,
 }
 
 impl Overviews {
     /// Reads a file of displays; what is wrong in it is left out.
     pub(crate) fn read(source: &Source, findings: &mut Findings) -> Self {
         let root = Node::from_toml(source, findings);
-        let mut displays = BTreeMap::new();
-        if findings.keep(root.parse::<File>()).is_some()
-            && let Some(all) = root.get("display")
-        {
-            for entry in all.entries() {
-                if let Some(one) = findings.keep(entry.value.parse::<Described>()) {
-                    displays.insert(entry.key.clone(), one);
-                }
+        let mut all = Self::default();
+        if findings.keep(root.parse::<File>()).is_none() {
+            return all;
+        }
+        let tables = |name| root.get(name).map(Node::entries).unwrap_or_default();
+        for entry in tables("display") {
+            if let Some(one) = findings.keep(entry.value.parse::<Described>()) {
+                all.displays.insert(entry.key.clone(), one);
             }
         }
-        Self { displays }
+        for entry in tables("layout") {
+            if let Some(one) = findings.keep(entry.value.parse::<Layout>()) {
+                all.layouts.insert(entry.key.clone(), one);
+            }
+        }
+        all
+    }
+
+    /// The layouts.
+    pub(crate) fn layouts(&self) -> Vec<Named<'_>> {
+        let all = self.layouts.iter();
+        all.map(|(name, layout)| Named { name, layout }).collect()
+    }
+
+    /// What layouts name and `known` does not know as a net or a display, as `LAYOUT: NET`.
+    pub(crate) fn unknown_nets(&self, known: impl Fn(&str) -> bool) -> Vec<String> {
+        let all = self.layouts.iter();
+        all.flat_map(|(name, layout)| {
+            let nets = layout.nets().into_iter();
+            let lost = nets.filter(|net| !known(net) && !self.displays.contains_key(*net));
+            lost.map(move |net| format!("{name}: {net}"))
+        })
+        .collect()
+    }
+
+    /// Takes in a layout that a person has saved.
+    pub(crate) fn lay(&mut self, name: &str, layout: Layout) {
+        self.layouts.insert(name.to_owned(), layout);
     }
 
     /// Takes in the layout file beside the file of displays, if there is one. What is wrong in it stops nothing.

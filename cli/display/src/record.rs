@@ -10,13 +10,13 @@ use std::{
 use cli_common::records;
 use ctos::record::{Filter, ReadError, scan_only};
 use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
+use scene::track::{SceneStep, Shown};
 use serde::Deserialize;
 
 use super::{
     handled::{Ended, Handled, Said},
     hub::Hub,
     overview::Overviews,
-    scenes::{SceneStep, Shown},
 };
 
 /// The nets of a run.

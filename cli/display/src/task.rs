@@ -42,12 +42,12 @@ pub(super) struct NetDisplay {
 impl NetDisplay {
     pub(super) fn new(cx: &Context) -> Result<Self, HandlerError> {
         let args: DisplayArgs = cx.args()?;
-        let overviews = match &args.displays {
+        let overviews = match args.read_displays(cx.app()) {
             // What is wrong in it was said when the app was checked.
-            Some(file) => {
-                let path = cx.app().file_at(file);
+            Some(source) => {
+                let path = cx.app().file_at(args.displays(cx.app()));
                 let mut nothing = Findings::new();
-                let mut overviews = Overviews::read(&cx.app().read(file)?, &mut nothing);
+                let mut overviews = Overviews::read(&source?, &mut nothing);
                 overviews.arrange_from(&path, &mut nothing);
                 overviews
             }
@@ -138,7 +138,7 @@ impl EventHandler for NetDisplay {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     cx.spawn(async move { follow(&child, &net, &hub).await });
                 }
-                let sources = looking::sources(cx);
+                let sources = scene::follow::sources(cx.app(), &cx.registry());
                 self.hub.expects(&sources);
                 for source in sources {
                     let (child, hub) = (cx.clone(), self.hub.clone());
@@ -146,7 +146,7 @@ impl EventHandler for NetDisplay {
                 }
                 if let Some(received) = self.orders.take() {
                     let (child, hub) = (cx.clone(), self.hub.clone());
-                    let displays = self.args.displays.clone();
+                    let displays = self.args.displays(cx.app());
                     cx.spawn(async move { orders::carry(&child, &hub, displays, received).await });
                 }
             }

@@ -5,10 +5,11 @@ use pnt::{
     layout::Drawing,
     stream::{Event, NetView, State},
 };
+use scene::track::{SceneStep, Shown};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::scenes::{SceneStep, Shown};
+use super::panes::{Layout, Named};
 
 /// What a page is told.
 #[derive(Debug, Clone, Serialize)]
@@ -24,6 +25,7 @@ pub(crate) enum Told<'t> {
         /// The tasks of which more can be told.
         tasks: &'t [String],
         displays: Vec<Overview>,
+        layouts: Vec<Named<'t>>,
         /// How many tasks show something of the scene.
         scenes: usize,
         /// When the app began, ns since 1970; not known of a record.
@@ -65,6 +67,8 @@ pub(crate) enum Told<'t> {
     },
     /// Somebody has moved nodes of an overview display.
     Displays { displays: Vec<Overview> },
+    /// Somebody has saved a layout.
+    Layouts { layouts: Vec<Named<'t>> },
     /// What the analysis found.
     Notes { notes: &'t [Note] },
     /// How a task is.
@@ -231,6 +235,11 @@ pub(crate) struct Asked {
     pub(crate) display: Option<String>,
     #[serde(default)]
     pub(crate) at: Option<[f64; 2]>,
+    /// A layout to be saved, and its name.
+    #[serde(default)]
+    pub(crate) layout: Option<Layout>,
+    #[serde(default)]
+    pub(crate) name: String,
 }
 
 impl Told<'_> {

@@ -41,6 +41,7 @@ use crate::{
   ctos boot configs/calibrate.toml -v
   ctos boot configs/calibrate.toml --record run.mcap
   ctos boot configs/calibrate.toml --display
+  ctos boot configs/calibrate.toml --foxglove
   ctos boot configs/calibrate.toml --break dispatcher.move_robot
   ctos boot configs/calibrate.toml --detach --log-file calibrate.log
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
@@ -57,12 +58,16 @@ pub struct BootArgs {
     /// Where nets shall stop
     #[command(flatten)]
     pub breakpoints: Breakpoints,
-    /// Record messages, phases, firings and log lines to FILE; each process puts its name before the extension
+    /// Record messages, phases, firings, log lines and the scene to FILE; each process puts its name before the extension
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
     /// Serve a page that shows the nets, from a chassis of its own; at ADDRESS, or on the loopback
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = DISPLAY)]
     pub display: Option<SocketAddr>,
+    /// Serve the scene, the pictures and the joints to Foxglove and Lichtblick, from a chassis of its own; at ADDRESS of the
+    /// loopback
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = FOXGLOVE)]
+    pub foxglove: Option<SocketAddr>,
     /// With `--display`: let whoever has the token of the page's address intervene
     #[arg(long, requires = "display")]
     pub allow_control: bool,
@@ -110,13 +115,37 @@ impl InjureArgs {
 /// Where `--display` serves its page: the text of [`cli_display::DEFAULT_LISTEN`].
 const DISPLAY: &str = "127.0.0.1:8108";
 
+/// Where `--foxglove` serves viewers: the text of [`scene_viewers::DEFAULT_LISTEN`].
+const FOXGLOVE: &str = "127.0.0.1:8765";
+
 /// What a display is, as `--set` texts, which reach every chassis.
 fn display_sets(listen: SocketAddr, allow_control: bool) -> [String; 2] {
     let handler = cli_display::HANDLER;
     let args = format!("{{ listen = \"{listen}\", allow_control = {allow_control} }}");
     [
-        "chassis.display={}".to_owned(),
+        "chassis.display={ restart = \"on-failure\" }".to_owned(),
         format!("task.display={{ handler = \"{handler}\", on = \"display\", args = {args} }}"),
+    ]
+}
+
+/// What brings the scene into a record and to viewers, as `--set` texts: a process of its own, so that nothing else is
+/// slower. None for an app that shows nothing, or that has such a task itself, if nobody is to be served.
+fn viewer_sets(args: &BootArgs, registry: &Registry) -> Vec<String> {
+    // Findings about the configuration are shown below.
+    let Ok(app) = program::app(&args.app.selection()) else {
+        return Vec::new();
+    };
+    let own = scene_viewers::HANDLER;
+    let has_own = app.tasks.iter().any(|task| task.handler == own);
+    let shows = !scene::follow::sources(&app, registry).is_empty();
+    if args.foxglove.is_none() && (has_own || !shows) {
+        return Vec::new();
+    }
+    let listen = args.foxglove.map(|listen| format!("listen = \"{listen}\""));
+    let listen = listen.unwrap_or_default();
+    vec![
+        "chassis.viewers={ restart = \"on-failure\" }".to_owned(),
+        format!("task.viewers={{ handler = \"{own}\", on = \"viewers\", args = {{ {listen} }} }}"),
     ]
 }
 
@@ -165,6 +194,10 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             }
         }
     }
+    if args.record.is_some() || args.foxglove.is_some() {
+        let viewers = viewer_sets(&args, &registry);
+        args.app.sets.splice(0..0, viewers);
+    }
     if let Some(listen) = args.display {
         // Before the settings of the person, which may add to these.
         let display = display_sets(listen, args.allow_control);
@@ -192,7 +225,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         Ok(checked) => checked,
         Err(findings) => return not_started(args, findings),
     };
-    let taken = ports::taken(&app, args.display);
+    let taken = ports::taken(&app, args.display, args.foxglove);
     if taken.has_errors() {
         return not_started(args, taken);
     }
@@ -241,6 +274,9 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
     let page = args.display.and_then(|listen| page(listen, args));
+    let served = args.foxglove.filter(|listen| listen.port() != 0);
+    let served = served.map(|listen| format!("foxglove ws://{listen}"));
+    let page = [page, served].into_iter().flatten().collect::<Vec<_>>();
     let terminated = Arc::new(AtomicBool::new(false));
     let told = terminated.clone();
     let ready = Phase::from(args.until);
@@ -255,10 +291,10 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             file.write(chassis, line);
         }
         shown.show(event);
-        if let (Some(page), BootEvent::PhaseDone { phase, .. }) = (&page, event)
+        if let BootEvent::PhaseDone { phase, .. } = event
             && *phase == Phase::Run
         {
-            shown.say(page);
+            page.iter().for_each(|line| shown.say(line));
         }
     });
     let outcome = ctos::boot::boot_with(

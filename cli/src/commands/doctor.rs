@@ -116,7 +116,7 @@ pub fn run(args: &DoctorArgs) -> u8 {
 
 /// What the app asks of this host and does not get.
 fn needs(app: &App, cpus: &[usize], realtime: &Result<(), String>) -> Findings {
-    let mut findings = ports::taken(app, None);
+    let mut findings = ports::taken(app, None, None);
     for chassis in &app.chassis {
         for processor in &chassis.processors {
             let name = format!("{}/{}", chassis.name, processor.name);

@@ -29,26 +29,30 @@ pub fn warnings(app: &App) -> Findings {
     findings
 }
 
-/// Finds the ports without which an app cannot start. `display` is the address that `--display` gave.
+/// Finds the ports without which an app cannot start. The two are what `--display` and `--foxglove` gave.
 #[must_use]
-pub fn taken(app: &App, display: Option<SocketAddr>) -> Findings {
+pub fn taken(app: &App, display: Option<SocketAddr>, foxglove: Option<SocketAddr>) -> Findings {
+    let options = [("display", display), ("viewers", foxglove)];
     let mut findings = Findings::new();
     for ((_, address, path), finding) in busy(app) {
-        let typed = display == Some(address) && path == "task.\"display\".args.listen";
+        let typed = options.iter().find(|(task, given)| {
+            *given == Some(address) && path == format!("task.\"{task}\".args.listen")
+        });
         findings.push(match typed {
-            true => of_option(&finding, address),
-            false => finding
+            Some(("display", _)) => of_option(&finding, "--display", "page", address),
+            Some(_) => of_option(&finding, "--foxglove", "viewer", address),
+            None => finding
                 .help("free the port, choose another `listen`, or leave it out for a free one"),
         });
     }
     findings
 }
 
-fn of_option(finding: &Finding, listen: SocketAddr) -> Finding {
+fn of_option(finding: &Finding, option: &str, what: &str, listen: SocketAddr) -> Finding {
     let why = finding.message.rsplit(": ").next().unwrap_or_default();
-    let text = format!("`--display={listen}`: no page can be served there: {why}");
+    let text = format!("`{option}={listen}`: no {what} can be served there: {why}");
     let help = format!(
-        "choose another port, or 0 for a free one: `--display={}:0`",
+        "choose another port, or 0 for a free one: `{option}={}:0`",
         listen.ip()
     );
     Finding::error(finding.code, text).help(help)
@@ -73,13 +77,16 @@ fn pages(app: &App) -> impl Iterator<Item = Wanted> {
     let here = |name: &str| app.host_of(name).is_none();
     let tasks = app.tasks.iter().filter(move |task| here(&task.chassis));
     tasks.filter_map(|task| {
-        let (_, default) = PAGES.iter().find(|(handler, _)| *handler == task.handler)?;
+        let page = PAGES.iter().find(|(handler, _)| *handler == task.handler);
         let listen = match task.args.get("listen") {
-            Some(listen) => listen.as_str()?.parse().ok()?,
-            None => *default,
+            Some(listen) if page.is_some() || task.handler == scene_viewers::HANDLER => {
+                listen.as_str()?.parse().ok()?
+            }
+            _ => page?.1,
         };
         let path = format!("task.\"{}\".args.listen", task.name);
-        Some((format!("the page of task `{}`", task.name), listen, path))
+        let what = page.map_or("task", |_| "the page of task");
+        Some((format!("{what} `{}`", task.name), listen, path))
     })
 }
 

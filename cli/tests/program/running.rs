@@ -117,6 +117,7 @@ const BOOTS: &[(&str, Then)] = &[
     ("ctos boot configs/calibrate.toml", ComesUp),
     ("ctos boot configs/calibrate.toml -v", ComesUp),
     ("ctos boot configs/calibrate.toml --display", ComesUp),
+    ("ctos boot configs/calibrate.toml --foxglove", ComesUp),
     (
         "ctos boot configs/calibrate.toml --record run.mcap",
         ComesUp,

@@ -61,6 +61,35 @@ fn the_overview_opens_first_and_shows_the_arm_as_it_moves_with_pictures_and_prog
     browser.ask("document.activeElement.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft', bubbles: true }))");
     assert_ne!(browser.ask("nets.overview.view.camera.azimuth"), azimuth);
 
+    // A number of it is plotted, on the time axis of the lanes; so are the tokens of a place.
+    let plot = "document.querySelector('#side [aria-label=\"Plot error\"]')";
+    browser.ask(&format!("{plot}.click()"));
+    browser.wait(&format!("{plot}.getAttribute('aria-pressed') === 'true'"));
+    let told = "document.querySelector('.plot canvas').getAttribute('aria-label')";
+    browser.wait(&format!(
+        "/^link2 · error: from .*° to .*°; .*° at the moment shown$/.test({told})"
+    ));
+    browser.wait("(() => { const left = (css) => document.querySelector(css).getBoundingClientRect().left; return Math.abs(left('.plot canvas') - left('#lanes canvas') - nets.lanes.left) < 1; })()");
+    let tokens = "(() => { const net = nets.nets.get('dispatcher'); const place = net.view.places.findIndex((one, at) => net.history(one.name).length > 2); return [net.view.places[place].name, net.head.places[place]]; })()";
+    let place = browser.ask(&format!("{tokens}[0]"));
+    browser.ask(&format!(
+        "nets.plots.toggle('tokens/dispatcher/' + {place})"
+    ));
+    browser.wait(&format!(
+        "document.querySelectorAll('.plot output')[1].textContent === String({tokens}[1])"
+    ));
+    browser.ask("nets.zoomTime(0.1)");
+    browser.wait("(() => { const [from, to] = nets.window(); const [first, last] = nets.span(); return to - from < 0.15 * (last - first) && to > last - 1e9; })()");
+    pictures(&mut browser, "plots");
+    let kept = browser.ask("location.hash");
+    browser.ask("nets.zoomTime(100)");
+    browser.ask("document.querySelectorAll('.plot button')[1].click()");
+    browser.wait("document.querySelectorAll('.plot').length === 1");
+
+    // A small number keeps its sign, and nothing has none.
+    browser.ask("import('./cell.js').then(({ measure }) => { globalThis.measured = [measure(-0.001, 'rad'), measure(-1e-6, 'rad'), measure(-0.5, 'N'), measure(-0.0004, 'm')].join(); })");
+    browser.wait("globalThis.measured === '−0.06°,0.00°,−0.5 N,−0.4 mm'");
+
     // The simulator's truth is a layer that says so, off at first.
     assert_eq!(
         browser.ask("nets.overview.parts().some((one) => one.truth)"),
@@ -83,11 +112,11 @@ fn the_overview_opens_first_and_shows_the_arm_as_it_moves_with_pictures_and_prog
     browser.wait(&format!("{TOOL} !== {there}"));
     assert_eq!(browser.complaints, Vec::<String>::new());
 
-    // The record of the display knows the same.
+    // The record knows the same.
     drop(browser);
     run.signal(Signal::INT);
     run.end();
-    let files = ["run.ws1.mcap", "run.display.mcap"];
+    let files = ["run.ws1.mcap", "run.viewers.mcap"];
     scratch
         .ctos(&["display", files[0], files[1], "--export", "run.html"])
         .must_exit(0);
@@ -101,6 +130,13 @@ fn the_overview_opens_first_and_shows_the_arm_as_it_moves_with_pictures_and_prog
     assert_ne!(last, there);
     browser.ask("nets.goTo(nets.overview.tracks.get('state').steps[0].at_ns)");
     browser.wait(&format!("{TOOL} === {there}"));
+    assert_eq!(browser.complaints, Vec::<String>::new());
+
+    // A link brings the plots.
+    browser.go("about:blank");
+    browser.go(&format!("{file}{}", kept.as_str().unwrap()));
+    browser.wait("document.querySelectorAll('.plot').length === 2");
+    browser.wait("/^link2 · error: from /.test(document.querySelector('.plot canvas').getAttribute('aria-label'))");
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
 
@@ -137,4 +173,53 @@ fn a_browser_without_webgl_says_so_and_tells_all_in_its_table() {
     browser.wait(&format!("{row} !== {before}"));
     browser.wait("document.querySelectorAll('.pictures figure .spot').length > 0");
     assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn a_layout_shows_its_panes_and_plots_and_one_that_is_saved_is_there_for_the_next_browser() {
+    let scratch = scratch();
+    let (_run, page) = boot(&scratch, &[]);
+    let mut browser = Browser::open(&page, SIZE);
+    browser.wait("nets.whole && nets.overview.parts().length >= 8");
+    let tab = |name: &str| {
+        format!(
+            "[...document.querySelectorAll('#tabs button')].find((one) => one.textContent === '{name}')"
+        )
+    };
+    browser.ask(&format!("{}.click()", tab("following")));
+    browser.wait("document.querySelectorAll('.plot').length === 4");
+    browser.wait("[...document.querySelectorAll('.plot output')].every((one) => one.textContent !== 'not known')");
+    let shown = "['cell', 'stage', 'side', 'lanes', 'events'].filter((one) => document.getElementById(one).offsetParent !== null).join()";
+    assert_eq!(browser.ask(shown), "cell,side,lanes");
+    assert_eq!(
+        browser.ask("document.querySelector('.pictures').offsetParent"),
+        serde_json::Value::Null
+    );
+    pictures(&mut browser, "layout");
+
+    // A person wants the pictures, too, and no lanes, and keeps that under a name.
+    for pane in ["pictures", "lanes"] {
+        browser.ask(&format!(
+            "document.querySelector('#panes [name={pane}]').click()"
+        ));
+    }
+    browser.wait("document.querySelector('.pictures').offsetParent !== null");
+    assert_eq!(browser.ask(shown), "cell,side");
+    browser.ask("document.querySelector('#panes [name=layout]').value = 'mine'");
+    browser.ask("document.querySelector('#panes form').requestSubmit()");
+    browser.wait(&format!("{} !== undefined", tab("mine")));
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    let file = scratch.read("configs/displays/calibrate.toml");
+    assert!(
+        file.starts_with("# Layouts of the page") && file.contains("[layout.mine]"),
+        "{file}"
+    );
+    let mut other = Browser::open(&format!("{page}#layout=mine"), SIZE);
+    other.wait("nets.panes.layout === 'mine' && document.querySelectorAll('.plot').length === 4");
+    assert_eq!(other.ask(shown), "cell,side");
+    // The built-in ones are as ever.
+    other.ask(&format!("{}.click()", tab("motion")));
+    other.wait(&format!("{shown} === 'stage,side,lanes,events'"));
+    assert_eq!(other.complaints, Vec::<String>::new());
 }

@@ -8,6 +8,8 @@ import { Net, seconds } from "./model.js";
 import { Moments } from "./moments.js";
 import { Overview, jobWords } from "./overview.js";
 import { make, showSide } from "./panels.js";
+import { Panes } from "./panes.js";
+import { Plots } from "./plots.js";
 import { Lanes, Table } from "./tables.js";
 import { busyNet, whyOf } from "./why.js";
 
@@ -66,10 +68,12 @@ class App extends Moments {
     this.picture.nodes ??= new Map();
     this.minimap = new Minimap($("stage"), this.picture);
     this.overview = new Overview($("cell"), this);
-    /** Whether the overview of the app is shown, beside one net. */
+    /** Whether scene or pictures are shown. */
     this.whole = false;
     this.lanes = new Lanes($("lanes"), this);
+    this.plots = new Plots($("plots"), this);
     this.table = new Table($("events"), this);
+    this.panes = new Panes(this);
     this.controls();
     listen(this);
     new ResizeObserver(() => { if (this.shown !== null) { this.picture.look(this.picture.box); this.changed(); } }).observe($("stage"));
@@ -88,6 +92,7 @@ class App extends Moments {
       case "gone": if (net) { net.gone = message.reason; this.changed(); this.tabs(); } break;
       case "breakpoints": if (net) { net.breakpoints = message.breakpoints; this.changed(); } break;
       case "drawing": if (net) { [net.written, net.full] = [message.written, message.full]; this.draw(true); } break;
+      case "layouts": this.panes.layouts = message.layouts; this.tabs(); break;
       case "displays": this.displays = [...message.displays, ...this.displays.filter((one) => one.paned)]; if (this.shown !== null) this.draw(true); break;
       case "notes": this.notes(message.notes); break;
       case "scene": this.overview.scene(message); this.seen(message.steps.at(-1)); break;
@@ -109,6 +114,7 @@ class App extends Moments {
     this.mode = message.mode;
     this.control = message.control;
     this.displays = message.displays;
+    this.panes.layouts = message.layouts;
     this.nets.clear();
     this.forks.clear();
     $("fork").setAttribute("aria-pressed", "false");
@@ -149,8 +155,9 @@ class App extends Moments {
     $("names").replaceChildren();
     if (!wished && this.touched && this.known(this.shown)) return this.stay();
     this.open(wished ? wish.get("net") : busiest?.name ?? null, wish?.get("node") ?? null);
-    if (!wish?.has("net") && this.hasScene) this.openWhole();
+    if (this.panes.openLayout(wish?.get("layout"))) { /* it is shown */ } else if (!wish?.has("net") && this.hasScene) this.openWhole();
     if (wished) [this.wish, this.touched] = [null, true];
+    for (const key of wish?.getAll("plot") ?? []) if (!this.plots.has(key)) this.plots.toggle(key);
     if (wish?.has("t")) this.goTo(Number(wish.get("t")) * 1e9);
     else if (this.mode === "record") this.goTo(this.span()[0]);
   }
@@ -262,22 +269,14 @@ class App extends Moments {
   openWhole() {
     const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
     if (busiest !== undefined) this.open(busiest.name, null);
-    this.showWhole(true);
+    this.panes.open("overview");
     this.tabs();
     this.remember();
   }
 
-  showWhole(whole) {
-    this.whole = whole;
-    document.body.classList.toggle("whole", whole);
-    $("cell").hidden = !whole;
-    this.overview.changed();
-    this.changed();
-  }
-
   open(name, key) {
     if (name === null || !this.known(name)) return;
-    this.showWhole(false);
+    this.panes.open("net");
     this.shown = name;
     this.chosen = null;
     this.task = null;
@@ -398,11 +397,12 @@ class App extends Moments {
 
   tabs() {
     const go = (event, name) => (event.shiftKey && this.nets.has(name) ? this.addBeside(name) : this.open(name, null));
-    const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(!this.whole && name === this.shown), title, onclick: (event) => go(event, name) }, name, mark);
+    const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(this.panes.layout === null && this.panes.built === "net" && name === this.shown), title, onclick: (event) => go(event, name) }, name, mark);
     $("beside").setAttribute("aria-pressed", String(this.paned()));
     const mark = (net) => (net.gone !== null ? make("span", { class: "gone" }, " gone") : null);
     $("tabs").replaceChildren(
-      ...(this.hasScene ? [make("button", { role: "tab", "aria-selected": String(this.whole), title: "The scene, the pictures of the cameras and a net (o)", onclick: () => this.openWhole() }, "overview")] : []),
+      ...(this.hasScene ? [make("button", { role: "tab", "aria-selected": String(this.panes.layout === null && this.panes.built === "overview"), title: "The scene, the pictures of the cameras and a net (o)", onclick: () => this.openWhole() }, "overview")] : []),
+      ...this.panes.tabs(),
       ...this.displays.map((one) => tab(one.name, one.title, null)),
       ...[...this.nets.values()].map((net) => tab(net.name, net.view.title, mark(net))));
   }
@@ -526,10 +526,10 @@ class App extends Moments {
       showSide($("side"), this);
       if (had) [...$("side").querySelectorAll("button")].find((one) => one.textContent === focused)?.focus();
     }
-    if (!this.whole) {
-      this.lanes.draw();
-      this.table.draw();
-    }
+    const panes = this.panes.shown;
+    if (panes.has("lanes")) this.lanes.draw();
+    this.plots.draw();
+    if (panes.has("events")) this.table.draw();
     this.why();
     this.job();
     const [from, to] = this.span();
@@ -558,6 +558,8 @@ class App extends Moments {
       this.playing = false;
       this.goTo(from + (Number($("scrub").value) / 1000) * (to - from));
     };
+    $("narrow").onclick = () => this.zoomTime(0.5);
+    $("wide").onclick = () => this.zoomTime(2);
     $("fork").onclick = () => this.toggleFork();
     $("beside").onclick = () => this.toggleBeside();
     $("search").onfocus = () => this.fillNames();

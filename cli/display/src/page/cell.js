@@ -121,5 +121,5 @@ export function measure(value, unit) {
   const shown = turned ? (value * 180) / Math.PI : value;
   const digits = unit === "m" || unit === "rad" ? 2 : 1;
   const text = unit === "m" ? `${(shown * 1000).toFixed(1)} mm` : `${shown.toFixed(digits)}${turned ? "°" : ` ${unit}`}${unit === "rad/s" ? "/s" : ""}`;
-  return text.replace(/^-(0(\.0+)?)(?=\D|$)/, "$1").replace("-", "−");
+  return text.replace(/^-(0(\.0+)?)(?![\d.])/, "$1").replace("-", "−");
 }

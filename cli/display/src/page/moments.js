@@ -23,6 +23,30 @@ export class Moments {
     return this.cursor === null ? this.span()[1] : this.cursor.at_ns;
   }
 
+  /** The time that lanes and plots show: all of it, or a part with the moment in it. */
+  window() {
+    const [from, to] = this.span();
+    const wide = this.wide ?? Infinity;
+    if (wide >= to - from) return [from, to];
+    const at = this.now();
+    let begin = this.begin ?? at - wide / 2;
+    if (this.cursor === null) begin = to - wide;
+    else if (at < begin || at > begin + wide) begin = at - wide / 2;
+    this.begin = Math.min(to - wide, Math.max(from, begin));
+    return [this.begin, this.begin + wide];
+  }
+
+  /** Shows less time, or more, around the moment. */
+  zoomTime(by) {
+    const [from, to] = this.window();
+    const [first, last] = this.span();
+    const wide = Math.max(1e7, (to - from) * by);
+    const at = Math.min(to, Math.max(from, this.now()));
+    this.wide = wide >= last - first ? null : wide;
+    this.begin = at - ((at - from) / Math.max(1, to - from)) * wide;
+    this.changed();
+  }
+
   positionOf(net) {
     if (this.cursor === null) return net.events.length;
     return this.cursor.net === net.name ? this.cursor.position : net.positionAt(this.cursor.at_ns);
@@ -112,10 +136,12 @@ export class Moments {
     // The address is not lost before what it asks for is there.
     if (this.wish?.has("net") && !this.known(this.wish.get("net"))) return;
     const values = new URLSearchParams();
-    if (this.whole) values.set("view", "overview");
+    if (this.panes.layout !== null) values.set("layout", this.panes.layout);
+    else if (this.panes.built === "overview") values.set("view", "overview");
     else if (this.shown !== null) values.set("net", this.shown);
     if (this.cursor !== null) values.set("t", (this.cursor.at_ns / 1e9).toFixed(6));
     if (this.chosen !== null) values.set("node", this.chosen);
+    for (const key of this.plots.keys) values.append("plot", key);
     globalThis.history.replaceState(null, "", `#${values}`);
   }
 }

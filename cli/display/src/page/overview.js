@@ -3,7 +3,9 @@
 import { Pictures, SceneTrack, jobOf, measure } from "./cell.js";
 import { seconds } from "./model.js";
 import { make } from "./panels.js";
+import { numberKey } from "./plots.js";
 import { SceneView, partsAt } from "./scene.js";
+import { pyramidOf } from "./sight.js";
 
 const PICTURE_SVG = "http://www.w3.org/2000/svg";
 /** The window around a spot is so many pixels of the camera wide. */
@@ -61,6 +63,15 @@ export class Overview {
       };
     }
     return this.theme;
+  }
+
+  /** Which of both is wanted. */
+  panes(scene, pictures) {
+    this.stage.hidden = !scene;
+    this.wantsPictures = pictures;
+    this.host.classList.toggle("alone", !scene);
+    this.figures.hidden = !pictures || this.pictures.cameras.size === 0;
+    this.view.stale = true;
   }
 
   // -- what comes -----------------------------------------------------------------------
@@ -155,7 +166,8 @@ export class Overview {
   paint(parts = this.parts()) {
     const tools = parts.filter((one) => one.part.kind === "tool" && !one.truth);
     const trails = tools.map((one) => one.track.trail(one.row[0], one.track.at(this.moment())));
-    this.view.paint(parts, trails);
+    const pictures = new Map([...this.pictures.cameras.keys()].map((camera) => [camera, this.pictures.at(camera, this.moment())]));
+    this.view.paint(parts, trails, pictures);
   }
 
   /** The chosen part has its name beside it. */
@@ -203,7 +215,7 @@ export class Overview {
         figure.element.replaceChildren(...(picture === null ? [make("div", { class: "none" }), make("figcaption", {}, make("b", {}, camera), make("span", { class: "soft" }, "no picture yet at this moment"))] : pictureOf(picture)));
       }
     }
-    this.figures.hidden = cameras.length === 0;
+    this.figures.hidden = !this.wantsPictures || cameras.length === 0;
   }
 
   /** What stands at the side: the chosen part, and all that is known of the scene. */
@@ -246,10 +258,28 @@ export class Overview {
   partSection(one) {
     const facts = [["kind", one.part.kind]];
     if (one.part.parent) facts.push(["carried by", one.part.parent]);
-    one.part.numbers.forEach((number, at) => facts.push([number.name, measure(one.row[8 + at], number.unit)]));
+    const plot = (name) => {
+      const key = numberKey(one.track.source, one.part.name, name);
+      return make("button", { class: "link", "aria-pressed": String(this.app.plots.has(key)), "aria-label": `Plot ${name}`, title: "Show it over time", onclick: () => this.app.plots.toggle(key) }, "plot");
+    };
+    one.part.numbers.forEach((number, at) => facts.push([number.name, make("span", {}, `${measure(one.row[8 + at], number.unit)} `, plot(number.name))]));
     facts.push(["at", `${one.row.slice(1, 4).map((value) => value.toFixed(3)).join(", ")} m`]);
     return make("section", { class: "chosen" }, make("h2", {}, one.part.name, make("small", {}, one.truth ? "simulator's truth" : one.part.kind)),
-      make("dl", {}, ...facts.flatMap(([key, value]) => [make("dt", {}, key), make("dd", {}, value)])));
+      make("dl", {}, ...facts.flatMap(([key, value]) => [make("dt", {}, key), make("dd", {}, value)])),
+      make("div", { class: "actions" }, this.looks("followed", one, "Follow", "Keep it in the middle (f)"),
+        pyramidOf(one.part) ? this.looks("from", one, "See from here", "The scene as this camera sees it, over its picture (c)") : null));
+  }
+
+  /** A button that looks at a part in another way, or ends that. */
+  looks(how, one, text, title) {
+    return make("button", { "aria-pressed": String(this.view[how] === one.key), title, onclick: () => this.look(how, one.key) }, text);
+  }
+
+  look(how, key) {
+    this.view[how] = this.view[how] === key ? null : key;
+    this.view.stale = true;
+    this.changed();
+    this.app.changed();
   }
 
   // -- what a person does ---------------------------------------------------------------
@@ -279,6 +309,7 @@ export class Overview {
     const keys = {
       ArrowLeft: () => view.turn(-KEY_TURN, 0), ArrowRight: () => view.turn(KEY_TURN, 0), ArrowUp: () => view.turn(0, KEY_TURN), ArrowDown: () => view.turn(0, -KEY_TURN),
       "+": () => view.dolly(0.85), "=": () => view.dolly(0.85), "-": () => view.dolly(1.18), 0: () => view.fit(this.parts().filter((one) => !one.truth)),
+      f: () => this.chosen !== null && this.look("followed", this.chosen), c: () => this.chosen !== null && this.look("from", this.chosen),
       Enter: () => this.next(1), Backspace: () => this.next(-1), Escape: () => this.choose(null),
     };
     canvas.addEventListener("keydown", (event) => {

@@ -1,6 +1,7 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
 import { nodeStanding, seconds } from "./model.js";
+import { placeKey } from "./plots.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
 /** Nodes of a kind that are listed. */
@@ -49,7 +50,10 @@ function placePart(net, node, app) {
   const place = net.view.places[node.kind.place];
   const state = app.stateOf(net);
   const count = state.places[node.kind.place];
-  const facts = [["tokens", String(count)], ["at the start", String(place.tokens)]];
+  const key = placeKey(net.name, place.name);
+  const plot = link("plot", () => app.plots.toggle(key));
+  plot.setAttribute("aria-pressed", String(app.plots.has(key)));
+  const facts = [["tokens", net.real ? String(count) : make("span", {}, `${count} `, plot)], ["at the start", String(place.tokens)]];
   if (place.capacity !== null) facts.push(["at most", String(place.capacity)]);
   if (place.data !== null) facts.push(["says whether valid", place.data]);
   facts.push(inText(place.at));

@@ -1,5 +1,6 @@
 // The scene in three dimensions, by WebGL2. It draws what it is given, and says which part is where a person points.
 
+import { Sights, pyramidOf, seenFrom } from "./sight.js";
 import { ballOf, cross, hit, inner, looking, minus, norm, outline, perspective, placed, plus, point4, surface, times, unit3, unit4 } from "./solids.js";
 
 const SOLID = [`#version 300 es
@@ -70,6 +71,8 @@ export class SceneView {
     this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "low-power" });
     this.camera = { ...VIEWS, distance: 3.4, target: [0, 0, 0.62] };
     this.fitted = false;
+    /** The keys of the part that is followed, and of the camera from which the scene is seen; null: none. */
+    [this.followed, this.from] = [null, null];
     this.drawn = 0;
     /** What is drawn of each part; it goes with the part. */
     this.looks = new WeakMap();
@@ -87,6 +90,7 @@ export class SceneView {
     const gl = this.gl;
     this.solid = this.program(SOLID);
     this.line = this.program(LINE);
+    this.sights = new Sights(this);
     const ground = [];
     for (let at = -5; at <= 5; at += 1) {
       const [half, strength] = [at / 2, at === 0 ? 1 : 0.55];
@@ -108,7 +112,7 @@ export class SceneView {
       gl.attachShader(program, shader);
     }
     ["at", "normal"].forEach((name, at) => gl.bindAttribLocation(program, at, name));
-    gl.bindAttribLocation(program, 1, "strength");
+    for (const name of ["strength", "spot"]) gl.bindAttribLocation(program, 1, name);
     gl.linkProgram(program);
     const at = {};
     for (const name of ["seen", "frame", "colour", "eye", "sky", "ground", "glow", "reach", "sun", "paper", "shadow", "fallen"]) at[name] = gl.getUniformLocation(program, name);
@@ -145,6 +149,7 @@ export class SceneView {
   }
 
   turn(by, up) {
+    this.from = null;
     this.camera.azimuth += by;
     this.camera.height = Math.min(1.5, Math.max(0.03, this.camera.height + up));
     this.stale = true;
@@ -152,12 +157,14 @@ export class SceneView {
 
   /** Nearer or farther. */
   dolly(by) {
+    this.from = null;
     this.camera.distance = Math.min(20, Math.max(0.5, this.camera.distance * by));
     this.stale = true;
   }
 
   /** Moves what is looked at, px. */
   shift(dx, dy) {
+    [this.from, this.followed] = [null, null];
     const back = unit3(minus(this.eye(), this.camera.target));
     const right = unit3(cross([0, 0, 1], back));
     const up = cross(back, right);
@@ -168,6 +175,7 @@ export class SceneView {
 
   /** Shows all parts, as at first. */
   fit(parts) {
+    [this.from, this.followed] = [null, null];
     const balls = parts.flatMap(({ part, frame }) => part.solids.map(ballOf).filter((ball) => ball !== null).map(([at, radius]) => [point4(frame, at).slice(0, 3), radius]));
     if (balls.length === 0) return;
     const low = [0, 1, 2].map((axis) => Math.min(...balls.map(([at, radius]) => at[axis] - radius)));
@@ -180,6 +188,7 @@ export class SceneView {
 
   seen() {
     const aspect = this.canvas.width / Math.max(1, this.canvas.height);
+    if (this.through) return seenFrom(this.through.frame, pyramidOf(this.through.part).corners, aspect);
     const { distance, target } = this.camera;
     return times(perspective(ANGLE, aspect, Math.max(0.02, distance / 50), distance + 20), looking(this.eye(), target));
   }
@@ -192,6 +201,7 @@ export class SceneView {
 
   /** The part that is seen at a point of the canvas, px. */
   pick(parts, [px, py]) {
+    if (this.through) return null;
     const eye = this.eye();
     const back = unit3(minus(eye, this.camera.target));
     const right = unit3(cross([0, 0, 1], back));
@@ -230,8 +240,8 @@ export class SceneView {
     return this.looks.get(part);
   }
 
-  /** Draws `parts`, each with `key`, `part`, `frame`, `truth` and `chosen`, and the `trails` of tools. */
-  paint(parts, trails) {
+  /** Draws `parts`, each with `key`, `part`, `frame`, `truth` and `chosen`, the `trails` of tools, and `pictures` by camera. */
+  paint(parts, trails, pictures) {
     if (!this.works || this.lost) return;
     const gl = this.gl;
     const ratio = Math.min(2, globalThis.devicePixelRatio || 1);
@@ -239,12 +249,17 @@ export class SceneView {
     if (width === 0 || height === 0) return;
     if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
     if (!this.fitted) this.fit(parts.filter((one) => !one.truth));
+    const followed = parts.find((one) => one.key === this.followed);
+    if (followed) this.camera.target = followed.frame.slice(12, 15);
+    this.through = parts.find((one) => one.key === this.from && pyramidOf(one.part)) ?? null;
     const colours = this.colours();
     gl.viewport(0, 0, width, height);
     gl.clearColor(...colours.paper, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const seen = this.seen();
     const own = parts.filter((one) => !one.truth);
+    if (this.through) this.sights.paint([this.through], pictures, seen, true);
+    else this.sights.paint(own, pictures, seen, false);
 
     const { program, at } = this.solid;
     gl.useProgram(program);
@@ -282,7 +297,7 @@ export class SceneView {
       this.fill(this.way, new Float32Array(points.flatMap((spot, step) => [...spot, (step / last) ** 1.5])), 4);
       this.lines(this.way, seen, unit4(), [...colours.running, 0.9], 0, gl.LINE_STRIP);
     }
-    for (const one of parts) {
+    for (const one of parts.filter((other) => other !== this.through)) {
       const { outline: edges, axes, surface: mesh } = this.lookOf(one.part);
       // What is only lines is drawn so in every layer.
       if (edges !== null && (one.truth || mesh === null)) this.lines(edges, seen, one.frame, [...(one.chosen ? colours.mark : one.truth ? colours.truth : colours.soft), one.chosen ? 1 : 0.75], 0);

@@ -31,7 +31,7 @@ export class Lanes {
   go(event) {
     const rect = this.canvas.getBoundingClientRect();
     const part = (event.clientX - rect.left - this.left) / (rect.width - this.left - 8);
-    const [from, to] = this.app.span();
+    const [from, to] = this.app.window();
     if (part >= 0) this.app.goTo(from + Math.min(1, part) * (to - from));
     else {
       const row = this.rows[Math.floor((event.clientY - rect.top - 4 + this.host.scrollTop) / LANE)];
@@ -64,6 +64,11 @@ export class Lanes {
     this.paint();
   }
 
+  /** How wide the names are. */
+  leftOf(width) {
+    return Math.min(150, width / 3);
+  }
+
   /** The lanes that are seen. */
   paint() {
     const { app, canvas } = this;
@@ -81,8 +86,9 @@ export class Lanes {
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.font = "11px ui-sans-serif, system-ui, 'DejaVu Sans', sans-serif";
-    this.left = Math.min(150, width / 3);
-    const [from, to] = app.span();
+    this.left = this.leftOf(width);
+    const [from, to] = app.window();
+    const [, end] = app.span();
     const x = (at) => this.left + ((width - this.left - 8) * (at - from)) / Math.max(1, to - from);
     const looks = { started: colour.running, completed: colour.running, failed: colour.failed };
     const first = Math.floor(top / LANE);
@@ -97,7 +103,9 @@ export class Lanes {
       pen.fillStyle = key === app.chosen || key === app.task ? colour.mark : colour.soft;
       pen.fillText(clipped(pen, name, this.left - 16), 12, y + 12);
       for (const bar of bars) {
-        const [a, b] = [x(bar.from), x(bar.to ?? to)];
+        const until = bar.to ?? end;
+        if (until < from || bar.from > to) continue;
+        const [a, b] = [Math.max(this.left, x(bar.from)), Math.min(x(until), width - 8)];
         pen.fillStyle = looks[bar.phase] ?? colour.faint;
         if (bar.to === bar.from) pen.fillRect(a, y + 4, 1.5, LANE - 8);
         else pen.fillRect(a, y + 3.5, Math.max(2, b - a), LANE - 7);

@@ -1,30 +1,29 @@
-//! What is known of scenes and pictures, as it goes to pages and into records: poses as rows of rounded numbers, pictures as
-//! PNG.
+//! What a follower knows of a scene and its pictures, as it goes to pages and into records (`/scene/TASK`,
+//! `/picture/CAMERA`): poses as rows of rounded numbers, pictures as PNG.
 
 use std::collections::VecDeque;
 
 use base64::{Engine as _, prelude::BASE64_STANDARD as BASE64};
-use scene::{Batch, Found, Moved, Picture, Said, View};
 use serde::{Deserialize, Serialize};
 
-/// Steps of a live scene that are kept for browsers that come later: about two minutes of motion.
-pub(crate) const KEPT: usize = 2_000;
-/// Pictures of each camera that are kept for them.
-const KEPT_PICTURES: usize = 12;
+use crate::{Batch, Found, Moved, Picture, Said, View};
 
 /// Index of a part, its origin (m), its turn as x, y, z, w, then its numbers. What is no number is none.
-pub(crate) type Row = Vec<Option<f64>>;
+pub type Row = Vec<Option<f64>>;
 
 /// What changed of a scene at a moment.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct SceneStep {
-    pub(crate) at_ns: u64,
+pub struct SceneStep {
+    /// The moment, ns since the start of the app.
+    pub at_ns: u64,
     /// The parts, when there are others from now on; each of them has a row then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) view: Option<View>,
-    pub(crate) moved: Vec<Row>,
+    pub view: Option<View>,
+    /// The parts that moved.
+    pub moved: Vec<Row>,
+    /// What there is to say, if that has changed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) said: Option<Said>,
+    pub said: Option<Said>,
 }
 
 /// To 0.01 mm, or to 1e-5 of a turn or of another unit: more nobody sees.
@@ -41,7 +40,8 @@ fn row(moved: &Moved) -> Row {
 
 impl SceneStep {
     /// A step of a live stream.
-    pub(crate) fn new(batch: &Batch) -> Self {
+    #[must_use]
+    pub fn new(batch: &Batch) -> Self {
         Self {
             at_ns: batch.at_ns,
             view: batch.view.clone(),
@@ -74,20 +74,21 @@ impl SceneStep {
     }
 }
 
-/// What one task shows, with a bounded past.
+/// What one task shows, with a past of at most so many steps as are asked for.
 #[derive(Debug, Default)]
-pub(crate) struct SceneTrack {
+pub struct SceneTrack {
     /// The whole before the past that is kept.
     base: SceneStep,
     past: VecDeque<SceneStep>,
     /// The whole as it is now.
     head: SceneStep,
-    pub(crate) gone: Option<String>,
+    /// Why nothing is known of it now.
+    pub gone: Option<String>,
 }
 
 impl SceneTrack {
     /// Takes a step in; as it is to be told, if there is something in it. A task that comes back as it was begins no new scene.
-    pub(crate) fn take(&mut self, mut step: SceneStep, most: usize) -> Option<SceneStep> {
+    pub fn take(&mut self, mut step: SceneStep, most: usize) -> Option<SceneStep> {
         if step.view.is_some() && step.view == self.head.view {
             step.view = None;
         }
@@ -112,30 +113,36 @@ impl SceneTrack {
     }
 
     /// The whole before the past, and the past.
-    pub(crate) fn steps(&self) -> Vec<&SceneStep> {
+    #[must_use]
+    pub fn steps(&self) -> Vec<&SceneStep> {
         let base = std::iter::once(&self.base).filter(|base| !base.is_nothing());
         base.chain(&self.past).collect()
     }
 
     /// The whole as it is now.
-    pub(crate) fn head(&self) -> &SceneStep {
+    #[must_use]
+    pub fn head(&self) -> &SceneStep {
         &self.head
     }
 }
 
 /// A picture as a page shows it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Shown {
-    pub(crate) camera: String,
-    pub(crate) number: u64,
-    pub(crate) at_ns: u64,
+pub struct Shown {
+    /// The camera's name.
+    pub camera: String,
+    /// The camera's own number of it.
+    pub number: u64,
+    /// The middle of its exposure, ns since the start of the app.
+    pub at_ns: u64,
     /// Its size as it was taken, in whose pixels the marks are.
-    pub(crate) taken: [u32; 2],
+    pub taken: [u32; 2],
     /// Its size here.
-    pub(crate) size: [u32; 2],
+    pub size: [u32; 2],
     /// PNG, base64.
-    pub(crate) png: String,
-    pub(crate) marks: Vec<Found>,
+    pub png: String,
+    /// What was found.
+    pub marks: Vec<Found>,
 }
 
 impl Shown {
@@ -143,7 +150,7 @@ impl Shown {
     ///
     /// # Errors
     /// It has not the pixels that its size says.
-    pub(crate) fn new(picture: Picture) -> Result<Self, png::EncodingError> {
+    pub fn new(picture: Picture) -> Result<Self, png::EncodingError> {
         let mut bytes = Vec::new();
         let [width, height] = picture.size;
         let mut encoder = png::Encoder::new(&mut bytes, width, height);
@@ -165,25 +172,10 @@ impl Shown {
     }
 }
 
-/// Puts a picture behind those of its camera, in place of the same one with fewer marks.
-pub(crate) fn keep(pictures: &mut VecDeque<Shown>, shown: Shown, live: bool) {
-    if pictures
-        .back()
-        .is_some_and(|last| last.number == shown.number)
-    {
-        pictures.pop_back();
-    }
-    pictures.push_back(shown);
-    while live && pictures.len() > KEPT_PICTURES {
-        pictures.pop_front();
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use scene::{Mark, Number, Part, Pose};
-
     use super::*;
+    use crate::{Mark, Number, Part, Pose};
 
     fn batch(at_ns: u64, xs: &[(u32, f64)], view: Option<View>) -> Batch {
         let moved = xs.iter().map(|(part, x)| Moved {

@@ -1,0 +1,202 @@
+//! The task: follows what all tasks of the app show, records what viewers are told, and tells those that are connected.
+
+use std::{cell::RefCell, net::SocketAddr, rc::Rc};
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    message::Message,
+    task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
+};
+use scene::{
+    Batch,
+    follow::{Follower, RETRY, sources},
+    track::{SceneStep, SceneTrack, Shown},
+};
+use serde::Deserialize;
+use tokio::sync::mpsc::{Receiver, channel};
+
+use crate::{
+    live::Live,
+    translate::{Sent, Translator},
+};
+
+/// The log target of addresses that are served: it is shown where nothing else of its level is.
+const LOG_TARGET: &str = "ctos::page";
+
+/// `[task.NAME.args]` of the task.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Args {
+    /// Where viewers connect; port 0 takes any that is free. Without it everything is only recorded.
+    listen: Option<SocketAddr>,
+}
+
+/// Checks the arguments: nobody else may look on, for this server knows no keys.
+pub(crate) fn check(args: &Args, task: &TaskConfig, _app: &App, findings: &mut Findings) {
+    let Some(listen) = args.listen else { return };
+    if listen.ip().to_canonical().is_loopback() {
+        return;
+    }
+    let text = format!("viewers at {listen}, where others can reach them, would need keys");
+    let port = listen.port();
+    let place = task.args.locate("listen");
+    findings.push(
+        Finding::error("scene::viewers::open", text)
+            .at(place.unwrap_or_else(|| task.place.clone()))
+            .help(format!(
+                "listen at 127.0.0.1:{port}; from elsewhere come by `ssh -L {port}:127.0.0.1:{port} HOST`"
+            )),
+    );
+}
+
+/// What all parts of the task share.
+struct Told {
+    translator: RefCell<Translator>,
+    live: RefCell<Option<Live>>,
+}
+
+impl Told {
+    fn send(&self, cx: &Context, all: &[Sent]) {
+        let live = self.live.borrow();
+        for sent in all {
+            cx.record_encoded(&sent.channel, &sent.schema, &sent.bytes);
+            if let Some(live) = &*live {
+                live.send(sent);
+            }
+        }
+    }
+
+    /// Tells all that is known of `source`.
+    fn whole(&self, cx: &Context, source: &str) {
+        match self.translator.borrow().whole(source) {
+            Ok(all) => self.send(cx, &all),
+            Err(error) => tracing::warn!(source, %error, "viewers are told nothing of it"),
+        }
+    }
+}
+
+/// The event handler.
+pub(crate) struct Viewers {
+    args: Args,
+    told: Rc<Told>,
+}
+
+impl Viewers {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self {
+            args: cx.args()?,
+            told: Rc::new(Told {
+                translator: RefCell::default(),
+                live: RefCell::default(),
+            }),
+        })
+    }
+
+    /// Serves viewers, and tells the whole to those that come.
+    fn open(&self, cx: &Context, listen: SocketAddr) -> Handled {
+        let (comers, comes) = channel(1);
+        let live = Live::open(&cx.app().name, listen, comers)?;
+        tracing::info!(
+            target: LOG_TARGET,
+            task = cx.name(),
+            address = %format_args!("ws://{}:{}", listen.ip(), live.port()),
+            "viewers may connect"
+        );
+        self.told.live.replace(Some(live));
+        let (child, told) = (cx.clone(), Rc::clone(&self.told));
+        cx.spawn(async move { greet(&child, &told, comes).await });
+        Ok(())
+    }
+}
+
+impl EventHandler for Viewers {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        let real = cx.chassis().clock().origin_ns().is_some();
+        match (phase, self.args.listen) {
+            // In virtual time nobody can look on.
+            (Phase::Create, Some(listen)) if real => {
+                cx.reads_unrecorded("viewers");
+                self.open(cx, listen)?;
+            }
+            (Phase::Connect, _) => {
+                for source in sources(cx.app(), &cx.registry()) {
+                    let (child, told) = (cx.clone(), Rc::clone(&self.told));
+                    cx.spawn(async move { follow(&child, &source, &told).await });
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, _cx: &Context, _reason: &StopReason) -> Handled {
+        if let Some(live) = self.told.live.take() {
+            live.close();
+        }
+        Ok(())
+    }
+}
+
+async fn greet(cx: &Context, told: &Told, mut comes: Receiver<()>) {
+    while comes.recv().await.is_some() {
+        for source in sources(cx.app(), &cx.registry()) {
+            told.whole(cx, &source);
+        }
+    }
+}
+
+/// Follows one task for good, through the end and the return of its chassis.
+async fn follow(cx: &Context, source: &str, told: &Told) {
+    let mut follower = Follower::new(cx, source);
+    let (mut recorders, mut track) = (0, SceneTrack::default());
+    loop {
+        let batch = match follower.next().await {
+            Ok(batch) => batch,
+            Err(error) => {
+                tracing::debug!(source, %error, "nothing is shown");
+                cx.sleep(RETRY).await;
+                continue;
+            }
+        };
+        // Each record begins with the whole.
+        let begun = std::mem::replace(&mut recorders, cx.recorders()) != cx.recorders();
+        note(cx, source, &mut track, &batch, begun);
+        if begun {
+            told.whole(cx, source);
+        }
+        let all = told.translator.borrow_mut().take(source, batch);
+        match all {
+            Ok(all) => told.send(cx, &all),
+            Err(error) => {
+                tracing::warn!(source, %error, "viewers miss this; they are told the rest anew");
+                told.whole(cx, source);
+            }
+        }
+    }
+}
+
+/// Records what `ctos display` reads from a record.
+fn note(cx: &Context, source: &str, track: &mut SceneTrack, batch: &Batch, begun: bool) {
+    let channel = format!("/scene/{source}");
+    let step = track.take(SceneStep::new(batch), 0);
+    match step {
+        _ if begun => cx.record(&channel, track.head()),
+        Some(step) => cx.record(&channel, &step),
+        None => {}
+    }
+    if !cx.is_recording() {
+        return;
+    }
+    for picture in &batch.pictures {
+        match Shown::new(picture.clone()) {
+            Ok(shown) => cx.record(&format!("/picture/{}", shown.camera), &shown),
+            // The translation tells why.
+            Err(error) => tracing::debug!(source, %error, "a picture is not recorded"),
+        }
+    }
+}

@@ -1,0 +1,467 @@
+//! What tasks show, as messages for viewers.
+
+use std::{borrow::Cow, collections::BTreeMap, sync::Arc, time::Duration};
+
+use ctos::record::ChannelSchema;
+use foxglove::{
+    Encode,
+    messages::{
+        CircleAnnotation, Color, CompressedImage, FrameTransform, FrameTransforms,
+        ImageAnnotations, JointState, JointStates, Log, Point2, SceneEntity, SceneEntityDeletion,
+        SceneUpdate, Timestamp, log, scene_entity_deletion,
+    },
+};
+use jpeg_encoder::{ColorType, Encoder};
+use scene::{Batch, Layer, Moved, Part, Picture, Said, Solid, View};
+use serde_json::{Map, Value};
+
+use crate::{lens, shapes};
+
+/// The frame that all others are in.
+pub const WORLD: &str = "world";
+
+/// The least time between two pictures of a camera.
+const PICTURE_PERIOD: Duration = Duration::from_millis(200);
+/// Of JPEG, of 100.
+const QUALITY: u8 = 80;
+/// The least diameter of a mark, px.
+const LEAST_MARK: f64 = 6.0;
+const MARK: Color = Color {
+    r: 0.96,
+    g: 0.45,
+    b: 0.0,
+    a: 1.0,
+};
+/// What a simulator says is drawn so thin.
+const TRUTH: f64 = 0.35;
+
+/// A message for viewers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sent {
+    /// Its channel.
+    pub channel: String,
+    /// The moment that it tells of, ns since the start of the app.
+    pub at_ns: u64,
+    /// How all of that channel is written.
+    pub schema: Arc<ChannelSchema>,
+    /// The message.
+    pub bytes: Vec<u8>,
+}
+
+/// What cannot be shown to viewers.
+#[derive(Debug, thiserror::Error)]
+pub enum TranslateError {
+    /// A picture.
+    #[error("picture {number} of camera `{camera}` cannot be encoded: {reason}")]
+    Picture {
+        /// The camera.
+        camera: String,
+        /// The camera's own number of it.
+        number: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A message.
+    #[error("a message for `{channel}` cannot be encoded: {reason}")]
+    Message {
+        /// Its channel.
+        channel: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// What is known of each task that shows something.
+#[derive(Debug, Default)]
+pub struct Translator {
+    sources: BTreeMap<String, Known>,
+    cameras: BTreeMap<String, Camera>,
+}
+
+/// What one task shows.
+#[derive(Debug, Default)]
+struct Known {
+    at_ns: u64,
+    view: View,
+    /// By their part.
+    moved: BTreeMap<usize, Moved>,
+    said: Option<Said>,
+}
+
+/// What is known of a camera besides its pyramid.
+#[derive(Debug, Default)]
+struct Camera {
+    /// When its latest translated picture was taken.
+    at_ns: Option<u64>,
+    size: Option<[u32; 2]>,
+}
+
+fn time(at_ns: u64) -> Timestamp {
+    let at = Duration::from_nanos(at_ns);
+    let seconds = u32::try_from(at.as_secs()).unwrap_or(u32::MAX);
+    Timestamp::new_checked(seconds, at.subsec_nanos()).unwrap_or(Timestamp::MAX)
+}
+
+fn frame(source: &str, part: &Part) -> String {
+    format!("{source}/{}", part.name)
+}
+
+fn sent<M: Encode>(channel: String, at_ns: u64, message: &M) -> Result<Sent, TranslateError> {
+    let mut bytes = Vec::new();
+    if let Err(error) = message.encode(&mut bytes) {
+        let reason = error.to_string();
+        return Err(TranslateError::Message { channel, reason });
+    }
+    let schema = M::get_schema().map_or_else(ChannelSchema::default, |schema| ChannelSchema {
+        name: schema.name.into(),
+        language: schema.encoding.into(),
+        text: schema.data,
+        encoding: M::get_message_encoding().into(),
+    });
+    Ok(Sent {
+        channel,
+        at_ns,
+        schema: Arc::new(schema),
+        bytes,
+    })
+}
+
+impl Translator {
+    /// Takes in what `source` shows: what viewers are told of it.
+    ///
+    /// # Errors
+    /// Something in it cannot be encoded; the rest is known from now on.
+    pub fn take(&mut self, source: &str, batch: Batch) -> Result<Vec<Sent>, TranslateError> {
+        let known = self.sources.entry(source.to_owned()).or_default();
+        known.at_ns = batch.at_ns;
+        // A task that shows pictures alone has no parts.
+        let has_parts = |view: &View| !view.parts.is_empty();
+        let is_new = batch.view.as_ref().is_some_and(has_parts) || has_parts(&known.view);
+        let is_new = batch.view.is_some() && is_new;
+        if let Some(view) = batch.view {
+            known.view = view;
+            known.moved.clear();
+        }
+        let moved = !batch.moved.is_empty();
+        for one in batch.moved {
+            known.moved.insert(one.part as usize, one);
+        }
+        let said = batch.said.is_some();
+        if batch.said.is_some() {
+            known.said = batch.said;
+        }
+        let mut all = Vec::new();
+        if is_new {
+            all.push(known.solids(source)?);
+        }
+        if is_new || moved {
+            all.extend(known.places(source)?);
+        }
+        if said {
+            all.extend(known.saying(source)?);
+        }
+        if is_new {
+            all.extend(self.lenses(source)?);
+        }
+        for picture in batch.pictures {
+            all.extend(self.picture(picture)?);
+        }
+        Ok(all)
+    }
+
+    /// All that is known of `source` but its pictures, for somebody who comes later.
+    ///
+    /// # Errors
+    /// Something in it cannot be encoded.
+    pub fn whole(&self, source: &str) -> Result<Vec<Sent>, TranslateError> {
+        let Some(known) = self.sources.get(source) else {
+            return Ok(Vec::new());
+        };
+        let mut all = Vec::new();
+        if !known.view.parts.is_empty() {
+            all.push(known.solids(source)?);
+        }
+        all.extend(known.places(source)?);
+        all.extend(known.saying(source)?);
+        all.extend(self.lenses(source)?);
+        Ok(all)
+    }
+
+    /// The cameras whose pyramids `source` shows, as far as the size of their pictures is known.
+    fn lenses(&self, source: &str) -> Result<Vec<Sent>, TranslateError> {
+        let known = self.sources.get(source);
+        let known = known.filter(|known| known.view.layer == Layer::Measured);
+        let mut all = Vec::new();
+        for (camera, corners, part) in known.into_iter().flat_map(Known::pyramids) {
+            let Some(size) = self.cameras.get(camera).and_then(|known| known.size) else {
+                continue;
+            };
+            let at_ns = known.map_or(0, |known| known.at_ns);
+            let lens = lens::calibration(corners, size, frame(source, part), time(at_ns));
+            if let Some(lens) = lens {
+                all.push(sent(format!("/camera/{camera}/calibration"), at_ns, &lens)?);
+            }
+        }
+        Ok(all)
+    }
+
+    /// The frame of a camera: that of its pyramid, once it is known.
+    fn camera_frame(&self, camera: &str) -> String {
+        let mut measured = self
+            .sources
+            .iter()
+            .filter(|(_, known)| known.view.layer == Layer::Measured)
+            .flat_map(|(source, known)| {
+                let pyramids = known.pyramids();
+                pyramids.map(move |(of, _, part)| (of, source, part))
+            });
+        let found = measured.find(|(of, _, _)| *of == camera);
+        found.map_or_else(
+            || format!("camera/{camera}"),
+            |(_, source, part)| frame(source, part),
+        )
+    }
+
+    fn picture(&mut self, picture: Picture) -> Result<Vec<Sent>, TranslateError> {
+        let frame_id = self.camera_frame(&picture.camera);
+        let Picture {
+            camera,
+            number,
+            at_ns,
+            taken,
+            size,
+            pixels,
+            marks,
+        } = picture;
+        let known = self.cameras.entry(camera.clone()).or_default();
+        let resized = known.size.replace(size) != Some(size);
+        let period = PICTURE_PERIOD.as_nanos() as u64;
+        let (timestamp, mut all) = (Some(time(at_ns)), Vec::new());
+        // The same picture with more marks on it is told again: its marks only.
+        let again = known.at_ns == Some(at_ns);
+        let early = known.at_ns.is_some_and(|last| at_ns < last + period);
+        if early && !again {
+            return Ok(all);
+        }
+        known.at_ns = Some(at_ns);
+        if !again {
+            let image = CompressedImage {
+                timestamp,
+                frame_id,
+                data: jpeg(&camera, number, size, &pixels)?.into(),
+                format: "jpeg".to_owned(),
+            };
+            all.push(sent(format!("/camera/{camera}/image"), at_ns, &image)?);
+        }
+        let [across, down] =
+            [0, 1].map(|axis| f64::from(size[axis]) / f64::from(taken[axis].max(1)));
+        let circle = |mark: &scene::Found| {
+            // Middles of pixels, in the small picture.
+            let x = (mark.at[0] + 0.5) * across - 0.5;
+            let y = (mark.at[1] + 0.5) * down - 0.5;
+            let wide = mark.sd.map_or(0.0, |[u, v]| 6.0 * u.max(v) * across);
+            CircleAnnotation {
+                timestamp,
+                position: Some(Point2 { x, y }),
+                diameter: wide.max(LEAST_MARK),
+                thickness: 1.5,
+                fill_color: None,
+                outline_color: Some(MARK),
+                metadata: Vec::new(),
+            }
+        };
+        let annotations = ImageAnnotations {
+            timestamp,
+            circles: marks.iter().map(circle).collect(),
+            ..ImageAnnotations::default()
+        };
+        all.push(sent(
+            format!("/camera/{camera}/marks"),
+            at_ns,
+            &annotations,
+        )?);
+        if resized {
+            let sources: Vec<String> = self.sources.keys().cloned().collect();
+            for source in sources {
+                all.extend(self.lenses(&source)?);
+            }
+        }
+        Ok(all)
+    }
+}
+
+fn jpeg(
+    camera: &str,
+    number: u64,
+    size: [u32; 2],
+    pixels: &[u8],
+) -> Result<Vec<u8>, TranslateError> {
+    let failed = |reason: String| TranslateError::Picture {
+        camera: camera.to_owned(),
+        number,
+        reason,
+    };
+    let [width, height] = size;
+    if u64::from(width) * u64::from(height) != pixels.len() as u64 {
+        let count = pixels.len();
+        return Err(failed(format!("{width} x {height} px, and {count} bytes")));
+    }
+    let sides = u16::try_from(width).ok().zip(u16::try_from(height).ok());
+    let (width, height) = sides.ok_or_else(|| failed("it is too large".to_owned()))?;
+    let mut bytes = Vec::new();
+    Encoder::new(&mut bytes, QUALITY)
+        .encode(pixels, width, height, ColorType::Luma)
+        .map_err(|error| failed(error.to_string()))?;
+    Ok(bytes)
+}
+
+impl Known {
+    /// The pyramids of cameras: the camera, the corners, and the part that has them.
+    fn pyramids(&self) -> impl Iterator<Item = (&str, &[[f64; 3]; 4], &Part)> {
+        self.view.parts.iter().flat_map(|part| {
+            part.solids.iter().filter_map(move |solid| match solid {
+                Solid::Frustum { corners, camera } => Some((camera.as_str(), corners, part)),
+                _ => None,
+            })
+        })
+    }
+
+    /// The solids of all parts, in place of those that were shown before.
+    fn solids(&self, source: &str) -> Result<Sent, TranslateError> {
+        let timestamp = Some(time(self.at_ns));
+        let alpha = match self.view.layer {
+            Layer::Measured => 1.0,
+            Layer::Truth => TRUTH,
+        };
+        let drawn = self
+            .view
+            .parts
+            .iter()
+            .filter(|part| !part.solids.is_empty());
+        let entity = |part: &Part| {
+            let mut entity = SceneEntity {
+                timestamp,
+                frame_id: frame(source, part),
+                id: part.name.clone(),
+                frame_locked: true,
+                ..SceneEntity::default()
+            };
+            let fill = shapes::colour(part.colour, alpha);
+            for solid in &part.solids {
+                shapes::add(&mut entity, solid, fill);
+            }
+            entity
+        };
+        let update = SceneUpdate {
+            deletions: vec![SceneEntityDeletion {
+                timestamp,
+                r#type: scene_entity_deletion::Type::All as i32,
+                id: String::new(),
+            }],
+            entities: drawn.map(entity).collect(),
+        };
+        sent(format!("/solids/{source}"), self.at_ns, &update)
+    }
+
+    /// Where all parts are, and their numbers. All of them each time: a viewer that jumps to a moment reads the last
+    /// message before it.
+    fn places(&self, source: &str) -> Result<Vec<Sent>, TranslateError> {
+        let timestamp = Some(time(self.at_ns));
+        let parts = self.view.parts.iter().enumerate();
+        let placed = parts.filter_map(|(index, part)| Some((part, self.moved.get(&index)?)));
+        let mut transforms = FrameTransforms::default();
+        let mut joints = JointStates {
+            timestamp,
+            joints: Vec::new(),
+        };
+        let mut numbers = Map::new();
+        for (part, moved) in placed {
+            transforms.transforms.push(FrameTransform {
+                timestamp,
+                parent_frame_id: WORLD.to_owned(),
+                child_frame_id: frame(source, part),
+                translation: Some(shapes::vector(moved.pose.at)),
+                rotation: Some(shapes::quaternion(moved.pose.turn)),
+            });
+            joints.joints.extend(joint(part, moved));
+            if !part.numbers.is_empty() {
+                numbers.insert(part.name.clone(), named(part, moved));
+            }
+        }
+        let mut all = Vec::new();
+        if !transforms.transforms.is_empty() {
+            all.push(sent(format!("/tf/{source}"), self.at_ns, &transforms)?);
+        }
+        if !joints.joints.is_empty() {
+            all.push(sent(format!("/joints/{source}"), self.at_ns, &joints)?);
+        }
+        if !numbers.is_empty() {
+            all.push(Sent {
+                channel: format!("/numbers/{source}"),
+                at_ns: self.at_ns,
+                schema: Arc::new(ChannelSchema {
+                    name: Cow::Borrowed("ctos.Numbers"),
+                    language: Cow::Borrowed("jsonschema"),
+                    text: Cow::Borrowed(br#"{"type":"object","additionalProperties":{"type":"object","additionalProperties":{"type":["number","null"]}}}"#),
+                    encoding: Cow::Borrowed("json"),
+                }),
+                bytes: Value::Object(numbers).to_string().into_bytes(),
+            });
+        }
+        Ok(all)
+    }
+
+    fn saying(&self, source: &str) -> Result<Option<Sent>, TranslateError> {
+        let Some(said) = self.said.as_ref().filter(|said| !said.words.is_empty()) else {
+            return Ok(None);
+        };
+        let level = match said.fault {
+            true => log::Level::Warning,
+            false => log::Level::Info,
+        };
+        let log = Log {
+            timestamp: Some(time(self.at_ns)),
+            level: level as i32,
+            message: said.words.clone(),
+            name: source.to_owned(),
+            ..Log::default()
+        };
+        sent(format!("/said/{source}"), self.at_ns, &log).map(Some)
+    }
+}
+
+/// The joint of a part that is a link: see [`Part::numbers`].
+fn joint(part: &Part, moved: &Moved) -> Option<JointState> {
+    let of = |name: &str| {
+        let at = part.numbers.iter().position(|number| number.name == name)?;
+        moved.numbers.get(at).copied()
+    };
+    let (velocity, effort) = (of("velocity")?, of("effort")?);
+    let finite = |value: f64| value.is_finite().then_some(value);
+    Some(JointState {
+        name: part.numbers.first()?.name.clone(),
+        position: moved.numbers.first().copied().and_then(finite),
+        velocity: finite(velocity),
+        acceleration: None,
+        effort: finite(effort),
+    })
+}
+
+/// The numbers of a part, under names with their units: `error_rad`, `velocity_rad_per_s`.
+fn named(part: &Part, moved: &Moved) -> Value {
+    let numbers = part.numbers.iter().zip(&moved.numbers);
+    let named = numbers.map(|(number, value)| {
+        let unit = number.unit.replace('/', "_per_").replace(' ', "_");
+        let name = number.name.replace(' ', "_");
+        let name = if unit.is_empty() {
+            name
+        } else {
+            format!("{name}_{unit}")
+        };
+        (name, Value::from(*value))
+    });
+    Value::Object(named.collect())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,224 @@
+//! The calibration as programs of others see it: its record, and what is served to viewers.
+
+use std::{collections::BTreeMap, net::TcpStream, path::Path, process::Command};
+
+use rustix::process::Signal;
+use serde_json::{Value, json};
+use tungstenite::{ClientRequestBuilder, Message, WebSocket, stream::MaybeTlsStream};
+
+use crate::harness::{Run, Scratch};
+
+/// Records a short calibration; returns the lines of each channel by what `ctos log info` says.
+fn recorded(scratch: &Scratch, arguments: &[&str]) -> BTreeMap<String, u64> {
+    let record = ["--set", "time.mode=\"virtual\"", "--record", "run.mcap"];
+    scratch.boot(&[arguments, &record].concat()).must_exit(0);
+    let info = scratch.ctos(&["log", "info", "--json", "run.mcap"]);
+    info.must_exit(0);
+    let info = info.json();
+    assert!(info["torn"].is_null() && info["lost"] == 0, "{info}");
+    let channels = info["channels"].as_object().unwrap().iter();
+    channels
+        .map(|(topic, channel)| (topic.clone(), channel["lines"].as_u64().unwrap()))
+        .collect()
+}
+
+#[test]
+fn the_record_of_a_boot_has_scene_joints_and_pictures_for_viewers_and_an_app_may_do_without() {
+    let scratch = Scratch::short();
+    let channels = recorded(&scratch, &[]);
+    let lines = |topic: &str| channels.get(topic).copied().unwrap_or(0);
+    assert!(lines("/tf/state") > 100, "{channels:?}");
+    assert_eq!(lines("/tf/state"), lines("/joints/state"));
+    assert_eq!(lines("/solids/state"), 1);
+    for camera in ["ceiling_west", "ceiling_east"] {
+        let on = |what: &str| lines(&format!("/camera/{camera}/{what}"));
+        assert!(
+            on("image") > 10 && on("marks") >= on("image"),
+            "{channels:?}"
+        );
+        assert!(lines(&format!("/picture/{camera}")) >= on("image"));
+    }
+    assert!(lines("/scene/state") > 100, "{channels:?}");
+    // What is no JSON is told as what it is, and not printed.
+    let cat = ["log", "cat", "run.mcap", "--topic", "/solids/*", "--json"];
+    let line = scratch.ctos(&cat).json();
+    assert_eq!(line["schema"], "foxglove.SceneUpdate");
+    assert_eq!(line["line"]["encoding"], "protobuf");
+}
+
+/// `python3 read.py RECORD`, with what it prints as JSON.
+fn read(scratch: &Scratch) -> Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("system/viewers/read.py");
+    let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let ended = Command::new(python)
+        .arg(script)
+        .arg(scratch.path("run.mcap"))
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&ended.stderr);
+    assert!(ended.status.success(), "{told}");
+    serde_json::from_slice(&ended.stdout).unwrap()
+}
+
+#[test]
+#[ignore = "needs the Python packages mcap, mcap-protobuf-support and opencv: CTOS_PYTHON names a Python that has them"]
+fn readers_of_others_read_every_channel_and_find_the_arm_where_its_joints_say() {
+    let scratch = Scratch::short();
+    let channels = recorded(&scratch, &[]);
+    let found = read(&scratch);
+    let foreign = |topic: &str| {
+        let roots = [
+            "/tf/",
+            "/solids/",
+            "/joints/",
+            "/numbers/",
+            "/said/",
+            "/camera/",
+        ];
+        roots.iter().any(|root| topic.starts_with(root))
+    };
+    let written: BTreeMap<String, u64> = channels
+        .into_iter()
+        .filter(|(topic, _)| foreign(topic))
+        .collect();
+    let counted: BTreeMap<String, u64> = serde_json::from_value(found["decoded"].clone()).unwrap();
+    assert_eq!(counted, written);
+    // The model of the arm, by its kinematics, is not what the reader has: link lengths must stay as they are.
+    let links = found["link_spread_m"].as_f64().unwrap();
+    assert!(
+        links < 2e-5,
+        "the distance of two joints' frames changed by {links} m"
+    );
+    assert!(found["moved_m"].as_f64().unwrap() > 0.5, "{found}");
+    assert_eq!(found["joints"].as_array().unwrap().len(), 6, "{found}");
+    assert_eq!(
+        found["unplaced"], 0,
+        "solids in a frame that no transform names: {found}"
+    );
+    // The lamp is brighter than what is around it.
+    assert!(found["marks"].as_u64().unwrap() > 10, "{found}");
+    assert!(found["least_contrast"].as_f64().unwrap() > 15.0, "{found}");
+}
+
+/// A viewer by a client that is not ours, with the protocol's own words.
+struct Viewer {
+    socket: WebSocket<MaybeTlsStream<TcpStream>>,
+    /// Names of the channels, by id.
+    channels: BTreeMap<u64, String>,
+    /// Messages of each channel that came.
+    came: BTreeMap<String, Vec<Vec<u8>>>,
+}
+
+impl Viewer {
+    fn connect(address: &str, protocol: &str) -> Result<Self, tungstenite::Error> {
+        let request = ClientRequestBuilder::new(address.parse().unwrap());
+        let (socket, _) = tungstenite::connect(request.with_sub_protocol(protocol))?;
+        Ok(Self {
+            socket,
+            channels: BTreeMap::new(),
+            came: BTreeMap::new(),
+        })
+    }
+
+    /// Reads the next message; subscribes to each channel that is told, under the channel's own number.
+    fn read(&mut self) {
+        match self.socket.read().unwrap() {
+            Message::Text(text) => {
+                let told: Value = serde_json::from_str(&text).unwrap();
+                let channels = told["channels"].as_array();
+                if told["op"] != "advertise" {
+                    return;
+                }
+                for channel in channels.unwrap() {
+                    let id = channel["id"].as_u64().unwrap();
+                    let name = channel["topic"].as_str().unwrap().to_owned();
+                    self.channels.insert(id, name);
+                    let subscribe = json!({ "op": "subscribe", "subscriptions": [{ "id": id, "channelId": id }] });
+                    self.socket
+                        .send(Message::text(subscribe.to_string()))
+                        .unwrap();
+                }
+            }
+            Message::Binary(bytes) if bytes[0] == 1 => {
+                let id = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+                let channel = self.channels[&u64::from(id)].clone();
+                self.came
+                    .entry(channel)
+                    .or_default()
+                    .push(bytes[13..].to_vec());
+            }
+            _ => {}
+        }
+    }
+
+    fn count(&self, channel: &str) -> usize {
+        self.came.get(channel).map_or(0, Vec::len)
+    }
+}
+
+/// Boots the calibration with a server for viewers; tells its address.
+fn served(scratch: &Scratch) -> (Run<'_>, String) {
+    let mut run = scratch.start_boot(&["--foxglove=127.0.0.1:0"]);
+    let line = run.line_with("ws://127.0.0.1:");
+    let (_, rest) = line.split_once("ws://").unwrap();
+    let end = rest.find(|one: char| !one.is_ascii_digit() && !".:".contains(one));
+    let address = format!("ws://{}", &rest[..end.unwrap_or(rest.len())]);
+    run.wait_for("phase 3");
+    (run, address)
+}
+
+#[test]
+fn a_viewer_that_comes_late_is_told_the_whole_beside_one_that_stops_reading() {
+    let scratch = Scratch::new();
+    let (run, address) = served(&scratch);
+    let stuck = Viewer::connect(&address, "foxglove.sdk.v1.1").unwrap();
+    for protocol in ["foxglove.sdk.v1", "foxglove.sdk.v1.1"] {
+        let mut viewer = Viewer::connect(&address, protocol).unwrap();
+        // The parts of the arm were told once, before this viewer came.
+        while viewer.count("/solids/state") == 0
+            || viewer.count("/tf/state") < 30
+            || viewer.count("/camera/ceiling_west/image") < 2
+        {
+            viewer.read();
+        }
+        let image = &viewer.came["/camera/ceiling_west/image"][1];
+        let has_jpeg = image.windows(3).any(|bytes| bytes == [0xff, 0xd8, 0xff]);
+        assert!(has_jpeg);
+    }
+    assert!(Viewer::connect(&address, "foxglove.websocket.v1").is_err());
+    drop(stuck);
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+}
+
+#[test]
+fn rubbish_from_a_viewer_ends_nothing_but_perhaps_its_own_connection() {
+    let scratch = Scratch::new();
+    let (run, address) = served(&scratch);
+    for rubbish in [
+        Message::text("this is no order"),
+        Message::text(r#"{"op":"subscribe","subscriptions":[{"id":1,"channelId":99999}]}"#),
+        Message::text(r#"{"op":"advertise","channels":[{"id":1,"topic":"x","encoding":"json"}]}"#),
+        Message::binary(vec![1, 2, 3]),
+        Message::binary(vec![0xff; 100_000]),
+    ] {
+        let mut viewer = Viewer::connect(&address, "foxglove.sdk.v1").unwrap();
+        viewer.socket.send(rubbish).unwrap();
+        let mut after = Viewer::connect(&address, "foxglove.sdk.v1").unwrap();
+        while after.count("/tf/state") < 3 {
+            after.read();
+        }
+    }
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+}
+
+#[test]
+fn viewers_that_are_killed_come_back_and_the_robot_goes_on_meanwhile() {
+    let scratch = Scratch::short();
+    let mut run = scratch.start_boot(&["--foxglove=127.0.0.1:0"]);
+    run.wait_for("phase 3");
+    run.kill("viewers");
+    run.wait_for("viewers is up again");
+    run.end().must_exit(0);
+}
