@@ -17,6 +17,13 @@ use serde::{Deserialize, Serialize};
 
 pub use stage::{Seen, Source, Stage};
 
+/// The page of `docs` whose example is run as a test.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../docs/bridges.md")]
+    mod bridges {}
+}
+
 /// The least time between two looks at what a task shows: about 16 a second.
 pub const PERIOD: std::time::Duration = std::time::Duration::from_millis(60);
 
