@@ -1,6 +1,5 @@
 //! Two arms on their carts, side by side, moved by their servos on ideal drives: whatever they are asked to do, they come
-//! to rest before they touch; and what passes near is let pass. A full run makes 1,000 motions of each kind: set
-//! `CTOS_MOTIONS=1000`.
+//! to rest before they touch; and what passes near is let pass. `tests/run --long faults` makes 1,000 motions: `CTOS_MOTIONS=1000`.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
 
@@ -361,7 +360,10 @@ fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
                 let least = judge.least([&at[0], &at[1]], &counts);
                 // What the margin is for are tracking errors, which ideal drives have not.
                 room = least - 0.5 * MARGIN;
-                assert!(room > 0.0, "seed {seed}, tick {tick}: {least} m apart at {at:?}");
+                assert!(
+                    room > 0.0,
+                    "seed {seed}, tick {tick}: {least} m apart at {at:?}"
+                );
             }
             let over = |arm: &Arm| {
                 let motion = arm.port.status().motion;

