@@ -32,7 +32,7 @@ use nalgebra::Isometry3;
 
 use crate::client::{MotionError, Outcome};
 use crate::control::LawRegistry;
-use crate::driver::{DriverRegistry, Power};
+use crate::driver::{DriverRegistry, Power, Sensor};
 use crate::guard::GuardRegistry;
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::{Planner, PlanningRegistry};
@@ -88,6 +88,8 @@ pub struct Link {
     pub config: ServoConfig,
     /// The recipes of its guards.
     guards: guards::Recipes,
+    /// The slots that are no joints.
+    sensors: Vec<Sensor>,
 }
 
 impl Link {
@@ -178,6 +180,19 @@ impl Link {
             Some(error) if fault == Fault::Driver => Some(format!("{fault}: {error}")),
             _ => Some(fault.to_string()),
         }
+    }
+
+    /// The slots that read nothing, as what keeps the manipulator cold.
+    fn missing(&self) -> Option<MotionError> {
+        let status = self.port.status();
+        let slots = slots::sensor_report(&status, &self.sensors).stale;
+        let text = || {
+            let names = slots.join("`, `");
+            format!(
+                "slot `{names}` reads nothing: see that what provides it runs, then acquire anew"
+            )
+        };
+        (!slots.is_empty()).then(|| MotionError::new(Outcome::Refused, text()))
     }
 
     /// The fault as what keeps the manipulator from moving.

@@ -241,7 +241,7 @@ mod tests {
             let touched = shape.solid.seen_from(&data.carrier(shape.carrier));
             let [seen, touched] = [seen, touched].map(|solid| match solid {
                 model::Solid::Capsule { a, b, radius } => (a, b, radius),
-                model::Solid::Block { .. } => panic!("{solid:?}"),
+                _ => panic!("{solid:?}"),
             });
             assert_eq!((*frame, seen.2), (shape.frame, touched.2));
             assert!((seen.0 - touched.0).norm() + (seen.1 - touched.1).norm() < 1e-12);

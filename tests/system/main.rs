@@ -22,6 +22,7 @@ mod displays;
 mod disturbed;
 mod documents;
 mod doors;
+mod drivers;
 mod durable;
 mod faults;
 mod full_disk;

@@ -3,8 +3,9 @@
 //! The distance of capsules from capsules and from boxes is exact while they are apart; what is in the other has a
 //! distance below zero, which is the more negative the deeper it is, but not by how much. The distance of two boxes is that along the best of
 //! their fifteen separating axes (S. Gottschalk and others, SIGGRAPH 1996), which is never more than the true one.
+//! The distance of a hull from anything is that of GJK, or a little less; where they touch, the depth is not found.
 
-use mcs::model::{Placement, Solid};
+use mcs::model::{Placement, Solid, hull};
 use nalgebra::Vector3;
 
 /// The least distance of two solids, m; below zero where one is in the other.
@@ -25,6 +26,10 @@ pub fn between(one: &Solid, other: &Solid) -> f64 {
         }
         (Solid::Block { at, half }, Solid::Block { at: on, half: size }) => {
             blocks((at, half), (on, size))
+        }
+        (Solid::Hull { .. }, _) | (_, Solid::Hull { .. }) => {
+            let gap = hull::gap(|to| one.farthest(to), |to| other.farthest(to));
+            gap - one.rounding() - other.rounding()
         }
     }
 }
@@ -176,6 +181,14 @@ mod tests {
             })
     }
 
+    fn hull() -> impl Strategy<Value = Solid> {
+        let points = proptest::collection::vec(vector(0.4), 8..40);
+        (vector(1.0), vector(3.0), points).prop_map(|(origin, rpy, points)| {
+            let at = Placement::from_radians(origin.into(), rpy.into());
+            Solid::around_points(&at, &points).unwrap()
+        })
+    }
+
     /// Of another program: parry, by its own algorithms.
     fn elsewhere(one: &Solid, other: &Solid) -> f64 {
         let made = |solid: &Solid| -> (Pose, Box<dyn shape::Shape>) {
@@ -199,6 +212,12 @@ mod tests {
                     pose(at.isometry()),
                     Box::new(shape::Cuboid::new([half.x, half.y, half.z].into())),
                 ),
+                Solid::Hull { at, hull } => {
+                    let corners = hull.corners().iter().map(|v| [v.x, v.y, v.z].into());
+                    let corners: Vec<_> = corners.collect();
+                    let form = shape::ConvexPolyhedron::from_convex_hull(&corners);
+                    (pose(at.isometry()), Box::new(form.unwrap()))
+                }
             }
         };
         let ((pose1, shape1), (pose2, shape2)) = (made(one), made(other));
@@ -229,9 +248,24 @@ mod tests {
         }
 
         #[test]
+        fn a_hull_is_as_far_from_anything_as_another_program_says(
+            one in hull(),
+            other in prop_oneof![capsule(), block(), hull()],
+        ) {
+            let expected = elsewhere(&one, &other);
+            // The other program's hulls have the corners alone.
+            let rounding = [&one, &other].map(|solid| match solid {
+                Solid::Hull { hull, .. } => hull.rounding(),
+                _ => 0.0,
+            });
+            let found = between(&one, &other) + rounding[0] + rounding[1];
+            prop_assert!((found.max(0.0) - expected).abs() < 1e-5, "{} {}", found, expected);
+        }
+
+        #[test]
         fn a_distance_is_the_same_both_ways_and_wherever_both_are_moved(
-            one in prop_oneof![capsule(), block()],
-            other in prop_oneof![capsule(), block()],
+            one in prop_oneof![capsule(), block(), hull()],
+            other in prop_oneof![capsule(), block(), hull()],
             by in vector(2.0),
             turn in vector(3.0),
         ) {

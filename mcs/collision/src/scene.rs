@@ -145,7 +145,7 @@ impl Part {
                 Self {
                     name: model.at(shape.frame).name.clone(),
                     carrier: shape.carrier,
-                    solid: shape.solid,
+                    solid: shape.solid.clone(),
                     radius: shape.solid.ball().1,
                     levers,
                 }
@@ -264,7 +264,7 @@ fn braked(share: f64) -> (usize, f64) {
 impl Arm {
     fn new(model: Arc<Model>, base: Placement) -> Self {
         let parts = Part::all(&model);
-        let nowhere: Vec<Solid> = parts.iter().map(|part| part.solid).collect();
+        let nowhere: Vec<Solid> = parts.iter().map(|part| part.solid.clone()).collect();
         let still = Joints::zeros(model.dof());
         Self {
             data: model.data(),
@@ -316,7 +316,7 @@ impl Arm {
 fn middle_of(solid: &Solid) -> Vector3<f64> {
     match solid {
         Solid::Capsule { a, b, .. } => 0.5 * (a + b),
-        Solid::Block { at, .. } => at.origin,
+        Solid::Block { at, .. } | Solid::Hull { at, .. } => at.origin,
     }
 }
 
@@ -461,16 +461,22 @@ impl Scene {
         }
     }
 
-    fn placed(&mut self, (owner, index): Which, place: usize) -> Solid {
+    /// A solid at a place of the way for which those of its arm are found.
+    fn placed(&self, (owner, index): Which, place: usize) -> &Solid {
         match owner {
-            Owner::Arm(arm) => self.arms[arm].at(place)[index],
-            Owner::Room => self.room[index].1,
+            Owner::Arm(arm) => &self.arms[arm].placed[place][index],
+            Owner::Room => &self.room[index].1,
         }
     }
 
     fn distance(&mut self, pair: usize, place: usize) -> f64 {
         let Pair { one, other, .. } = self.pairs[pair];
-        between(&self.placed(one, place), &self.placed(other, place))
+        for (owner, _) in [one, other] {
+            if let Owner::Arm(arm) = owner {
+                self.arms[arm].at(place);
+            }
+        }
+        between(self.placed(one, place), self.placed(other, place))
     }
 
     /// What the two solids of a pair can move against one another at most between two places of the way, m.

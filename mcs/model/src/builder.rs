@@ -393,7 +393,7 @@ impl ModelBuilder {
         for shape in &part.shapes {
             let own = shape.carrier.map(|on| on + first);
             let solid = match own {
-                Some(_) => shape.solid,
+                Some(_) => shape.solid.clone(),
                 None => shape.solid.seen_from(&base),
             };
             self.model.shapes.push(Shape {

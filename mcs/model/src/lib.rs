@@ -15,6 +15,7 @@ mod data;
 mod dynamics;
 mod features;
 pub mod file;
+pub mod hull;
 pub mod inverse;
 pub mod joints;
 mod kinematics;

@@ -1,12 +1,15 @@
-//! What an arm looks like to whoever must not run into it: capsules and boxes on its links. Pure data.
+//! What an arm looks like to whoever must not run into it: capsules, boxes and hulls on its links. Pure data.
+
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 
 use super::features::FrameId;
+use super::hull::{Hull, farthest};
 use super::placement::Placement;
 
 /// A solid in some frame, m.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Solid {
     /// All points within `radius` of the segment from `a` to `b`; a sphere when they are equal.
     Capsule {
@@ -23,6 +26,13 @@ pub enum Solid {
         at: Placement,
         /// Half its edge lengths, m.
         half: Vector3<f64>,
+    },
+    /// What holds the points of a mesh.
+    Hull {
+        /// Its middle and its axes.
+        at: Placement,
+        /// Its corners about them.
+        hull: Arc<Hull>,
     },
 }
 
@@ -66,6 +76,46 @@ impl Solid {
                 at: placement.then(at),
                 half: *half,
             },
+            Self::Hull { at, hull } => Self::Hull {
+                at: placement.then(at),
+                hull: Arc::clone(hull),
+            },
+        }
+    }
+
+    /// A hull around these points (m) in the frame at `at`; `None` as [`Hull::around`].
+    #[must_use]
+    pub fn around_points(at: &Placement, points: &[Vector3<f64>]) -> Option<Self> {
+        let (middle, hull) = Hull::around(points)?;
+        let [x, y, z] = middle.into();
+        Some(Self::Hull {
+            at: at.then(&Placement::shifted(x, y, z)),
+            hull: Arc::new(hull),
+        })
+    }
+
+    /// The farthest point in a direction of what remains of it without its [rounding](Self::rounding), m.
+    #[must_use]
+    pub fn farthest(&self, direction: &Vector3<f64>) -> Vector3<f64> {
+        match self {
+            Self::Capsule { a, b, .. } => farthest(&[*a, *b], direction),
+            Self::Block { at, half } => {
+                let own = at.rotation.tr_mul(direction);
+                at.point(&half.zip_map(&own, f64::copysign))
+            }
+            Self::Hull { at, hull } => {
+                at.point(&farthest(hull.corners(), &at.rotation.tr_mul(direction)))
+            }
+        }
+    }
+
+    /// How far it goes beyond its axis, or beyond its corners, m.
+    #[must_use]
+    pub fn rounding(&self) -> f64 {
+        match self {
+            Self::Capsule { radius, .. } => *radius,
+            Self::Block { .. } => 0.0,
+            Self::Hull { hull, .. } => hull.rounding(),
         }
     }
 
@@ -75,6 +125,7 @@ impl Solid {
         match self {
             Self::Capsule { a, b, radius } => ((a + b) * 0.5, (b - a).norm() * 0.5 + radius),
             Self::Block { at, half } => (at.origin, half.norm()),
+            Self::Hull { at, hull } => (at.origin, hull.radius()),
         }
     }
 
@@ -84,6 +135,7 @@ impl Solid {
         match self {
             Self::Capsule { a, b, radius } => a.norm().max(b.norm()) + radius,
             Self::Block { at, half } => at.origin.norm() + half.norm(),
+            Self::Hull { at, hull } => at.origin.norm() + hull.radius(),
         }
     }
 
@@ -95,6 +147,8 @@ impl Solid {
                 (ends.all(|number| number.is_finite()), [*radius; 3])
             }
             Self::Block { at, half } => (at.is_finite(), [half.x, half.y, half.z]),
+            // A mesh may be flat.
+            Self::Hull { at, hull } => (at.is_finite(), [1.0_f64.max(hull.radius()); 3]),
         };
         if !finite || sizes.iter().any(|size| !size.is_finite()) {
             return Some(SolidFault::NotFinite);
@@ -102,7 +156,7 @@ impl Solid {
         let small = sizes.into_iter().find(|size| *size <= 0.0)?;
         Some(match self {
             Self::Capsule { .. } => SolidFault::Size("radius", small),
-            Self::Block { .. } => SolidFault::Size("edge", 2.0 * small),
+            Self::Block { .. } | Self::Hull { .. } => SolidFault::Size("edge", 2.0 * small),
         })
     }
 }
@@ -115,7 +169,7 @@ pub(super) enum SolidFault {
 }
 
 /// A solid that is part of an arm.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Shape {
     /// The link whose form it is part of.
     pub frame: FrameId,
@@ -148,6 +202,7 @@ mod tests {
                             let inside = at.inverse().point(&rim).abs() - half;
                             inside.max()
                         }
+                        Solid::Hull { .. } => f64::INFINITY,
                     };
                     assert!(out < 1e-12, "{radius} {length}: {out}");
                 }
@@ -162,7 +217,9 @@ mod tests {
             at: Placement::shifted(0.1, 0.0, 0.0),
             half: Vector3::new(0.1, 0.2, 0.3),
         };
-        for solid in [Solid::sphere(Vector3::x(), 0.2), block] {
+        let points = [Vector3::x(), Vector3::y(), Vector3::z(), Vector3::zeros()];
+        let hull = Solid::around_points(&Placement::shifted(0.3, 0.2, 0.1), &points).unwrap();
+        for solid in [Solid::sphere(Vector3::x(), 0.2), block, hull] {
             let (centre, radius) = solid.ball();
             let (seen, same) = solid.seen_from(&placement).ball();
             assert!((placement.point(&centre) - seen).norm() < 1e-12);

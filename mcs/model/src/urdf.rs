@@ -2,10 +2,12 @@
 //!
 //! Read with `roxmltree`, which keeps the place of every element; `urdf-rs` loses them, and every mistake here is a
 //! finding with its place. Of the forms for collisions the boxes, spheres and capsules are read as they are; a cylinder is
-//! read as a capsule around it, or as a box where it is wider than high. A mesh is not read: a warning says so. Nothing
-//! recurses and nothing takes the square of the file's size.
+//! read as a capsule around it, or as a box where it is wider than high. A mesh in STL or OBJ is read as the convex hull of its
+//! points; of one that is of another kind or not there a warning says that nothing watches it. Nothing recurses and nothing
+//! takes the square of the file's size.
 
 mod description;
+mod mesh;
 mod write;
 mod xml;
 
@@ -15,8 +17,13 @@ use ctos_config::diagnostic::{Finding, Source};
 
 use super::builder::{JointSpec, ModelBuilder};
 use super::features::{FrameId, JointKind, Model};
-use description::{Description, JointText, Motion};
+use super::shapes::Solid;
+use description::{Description, Form, JointText, Motion};
+use mesh::Fault;
 pub use write::write;
+
+/// So many bytes may the meshes of an arm have together.
+const MOST_MESH_BYTES: u64 = 16 << 20;
 
 /// A model from URDF, with what is odd about it.
 #[derive(Debug, Clone)]
@@ -37,7 +44,7 @@ pub fn read(path: &Path, base: Option<&str>, tip: Option<&str>) -> Result<FromUr
     parse(&Source::read(path)?, base, tip)
 }
 
-/// As [`read`], from a text.
+/// As [`read`], from a text. Meshes are looked for from where the file of its name is.
 ///
 /// # Errors
 /// The first thing that is wrong, with its place.
@@ -56,7 +63,9 @@ pub fn parse(source: &Source, base: Option<&str>, tip: Option<&str>) -> Result<F
         builder: ModelBuilder::new(description.name, description.links[base].name),
         description: &description,
         warnings: Vec::new(),
-        meshes: Vec::new(),
+        beside: Path::new(source.name()),
+        left: MOST_MESH_BYTES,
+        unread: Vec::new(),
     };
     let mut at = making.builder.base();
     making.shapes(at, base)?;
@@ -101,8 +110,11 @@ struct Making<'d> {
     builder: ModelBuilder,
     description: &'d Description<'d>,
     warnings: Vec<Finding>,
-    /// The links whose form has a mesh, and where it stands.
-    meshes: Vec<(&'d str, &'d std::ops::Range<usize>)>,
+    /// The file that is read, and how many bytes more of meshes are.
+    beside: &'d Path,
+    left: u64,
+    /// The links whose form has a mesh that is not read, where that stands, and why.
+    unread: Vec<(&'d str, &'d std::ops::Range<usize>, String)>,
 }
 
 impl Making<'_> {
@@ -161,23 +173,45 @@ impl Making<'_> {
     /// Adds the form of a link.
     fn shapes(&mut self, frame: FrameId, link: usize) -> Result<(), Finding> {
         let link = &self.description.links[link];
-        for (solid, range) in &link.shapes {
+        for (form, range) in &link.shapes {
+            let hull;
+            let solid = match form {
+                Form::Solid(solid) => solid,
+                Form::Mesh(at, mesh) => {
+                    let wrong = |what: &str| {
+                        let text =
+                            format!("no mesh: `{}` of link `{}` {what}", mesh.file, link.name);
+                        self.description.finding(text, range)
+                    };
+                    let points = match mesh.points(self.beside, self.left) {
+                        Ok((points, bytes)) => {
+                            self.left = self.left.saturating_sub(bytes);
+                            points
+                        }
+                        Err(Fault::Wrong(what)) => return Err(wrong(&what)),
+                        Err(Fault::NotRead(why)) => {
+                            self.unread.push((link.name, range, why));
+                            continue;
+                        }
+                    };
+                    hull =
+                        Solid::around_points(at, &points).ok_or_else(|| wrong("is not finite"))?;
+                    &hull
+                }
+            };
             let made = self.builder.shape(frame, solid);
             made.map_err(|error| self.description.place(Finding::from(&error), range))?;
-        }
-        if let Some(range) = &link.mesh {
-            self.meshes.push((link.name, range));
         }
         Ok(())
     }
 
     fn tell_of_meshes(&mut self) {
-        let Some((_, range)) = self.meshes.first().copied() else {
+        let Some((_, range, why)) = self.unread.first().cloned() else {
             return;
         };
-        let names: Vec<&str> = self.meshes.iter().map(|(name, _)| *name).collect();
+        let names: Vec<&str> = self.unread.iter().map(|(name, ..)| *name).collect();
         let text = format!(
-            "the meshes of {} for collisions are not read: nothing watches them",
+            "the meshes of {} for collisions are not read: nothing watches them ({why})",
             names.join(", ")
         );
         self.warn(text, range);

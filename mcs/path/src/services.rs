@@ -298,11 +298,8 @@ impl Paths {
         Ok(())
     }
 
-    fn put(&mut self, what: &'static str, solid: Solid, io: &mut Transport) -> Outcome {
-        let size = match &solid {
-            Solid::Capsule { radius, .. } => *radius,
-            Solid::Block { half, .. } => half.min(),
-        };
+    fn put(&mut self, what: &'static str, solid: (Solid, f64), io: &mut Transport) -> Outcome {
+        let (solid, size) = solid;
         if size <= 0.0 {
             let text = format!("the sizes of a {what} are above 0 m");
             return Err(Report::error(sorma::report::code::VALUE, text));
@@ -334,11 +331,12 @@ impl ServiceObject for Paths {
             ("box", &[x, y, z, along, across, up]) => {
                 let at = Placement::shifted(x, y, z);
                 let half = [along / 2.0, across / 2.0, up / 2.0].into();
-                self.put("box", Solid::Block { at, half }, io)
+                let size = along.min(across).min(up);
+                self.put("box", (Solid::Block { at, half }, size), io)
             }
             ("capsule", &[ax, ay, az, bx, by, bz, radius]) => {
                 let (a, b) = ([ax, ay, az].into(), [bx, by, bz].into());
-                self.put("capsule", Solid::Capsule { a, b, radius }, io)
+                self.put("capsule", (Solid::Capsule { a, b, radius }, radius), io)
             }
             _ => {
                 self.put.clear();

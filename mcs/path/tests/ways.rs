@@ -321,7 +321,7 @@ fn clear(room: &[(String, Solid)], x: f64, y: f64) -> f64 {
             let out = |way: f64, half: f64| (way.abs() - half).max(0.0);
             out(x - at.origin.x, half.x).hypot(out(y - at.origin.y, half.y))
         }
-        Solid::Capsule { .. } => panic!("no box"),
+        _ => panic!("no box"),
     });
     all.fold(f64::INFINITY, f64::min) - 0.05
 }

@@ -202,15 +202,12 @@ impl ControlLaw for CartesianImpedance {
             stiffness[row] * error + damper * speed + force[row] + gain * (force[row] + sensed)
         });
         let loose = 2.0 * self.damping * std::f64::consts::TAU * LOOSE_HZ;
-        let joints = model.joints().iter().zip(jacobian.column_iter());
-        for (index, (joint, column)) in joints.enumerate() {
+        for (index, column) in jacobian.column_iter().enumerate() {
             let pairs = column.iter().zip(wrench);
             let push: f64 = pairs.map(|(part, force)| part * force).sum();
             let speed_error = setpoint.velocity[index] - readings[index].velocity;
             let damper = loose * self.inertia[index];
-            let limit = joint.limits.torque;
-            let torque = out[index] + self.feed[index] + push + damper * speed_error;
-            out[index] = torque.clamp(-limit, limit);
+            out[index] += self.feed[index] + push + damper * speed_error;
         }
     }
 }

@@ -74,8 +74,8 @@ impl ControlLaw for ComputedTorque {
             &self.acceleration,
             self.options,
         );
-        for ((out, torque), joint) in out.iter_mut().zip(torques).zip(self.model.joints()) {
-            *out = torque.clamp(-joint.limits.torque, joint.limits.torque);
+        for (out, torque) in out.iter_mut().zip(torques) {
+            *out = *torque;
         }
     }
 }

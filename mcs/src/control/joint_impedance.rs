@@ -123,13 +123,10 @@ impl ControlLaw for JointImpedance {
             *damper = 2.0 * self.damping * (self.stiffness[index] * inertia).sqrt();
         }
         let gravity = self.model.gravity_torques(&mut self.data, &self.measured);
-        let joints = self.model.joints().iter().enumerate();
-        for ((index, joint), (out, reading)) in joints.zip(out.iter_mut().zip(readings)) {
-            let limit = joint.limits.torque;
+        for (index, (out, reading)) in out.iter_mut().zip(readings).enumerate() {
             let spring = self.stiffness[index] * (setpoint.position[index] - reading.position);
             let damper = self.dampers[index] * (setpoint.velocity[index] - reading.velocity);
-            let wanted = gravity[index] + self.feed[index] + spring + damper;
-            *out = wanted.clamp(-limit, limit);
+            *out = gravity[index] + self.feed[index] + spring + damper;
         }
     }
 }

@@ -123,7 +123,6 @@ impl Half {
 #[derive(Debug)]
 pub struct SplitTorque {
     exchange: Arc<Exchange>,
-    model: Arc<Model>,
     /// Computes the first tick, before which nobody was asked.
     first: Half,
     began: bool,
@@ -145,9 +144,8 @@ impl SplitTorque {
         let n = model.dof();
         let answer = vec![0.0; answer_length(n)];
         let mut law = Self {
-            first: Half::new(Arc::clone(&model), Arc::clone(&exchange)),
+            first: Half::new(model, Arc::clone(&exchange)),
             exchange,
-            model,
             began: false,
             stiffness: 0.0,
             damping: 0.0,
@@ -220,11 +218,10 @@ impl ControlLaw for SplitTorque {
         self.exchange.asked.write(asked.iter().copied());
         self.take();
         let (matrix, torques) = self.answer[1..].split_at(n * n);
-        for (index, (out, joint)) in out.iter_mut().zip(self.model.joints()).enumerate() {
+        for (index, (out, torque)) in out.iter_mut().zip(torques).enumerate() {
             let columns = self.wanted.iter().enumerate();
             let own = columns.map(|(column, wanted)| matrix[column * n + index] * wanted);
-            let torque = own.sum::<f64>() + torques[index];
-            *out = torque.clamp(-joint.limits.torque, joint.limits.torque);
+            *out = own.sum::<f64>() + torque;
         }
     }
 }

@@ -24,6 +24,8 @@ pub(crate) struct Knobs {
     pub(crate) fault: AtomicU8,
     pub(crate) writes_under_power: AtomicU64,
     pub(crate) last_write: Mutex<Option<(Power, Joints)>>,
+    /// The torques of all ticks under power.
+    pub(crate) torques: Mutex<Vec<Joints>>,
     /// Largest joint speed at the moment when the brakes closed, rad/s or m/s.
     pub(crate) speed_at_power_off: Mutex<Option<f64>>,
     /// How often the task that moves it was begun.
@@ -142,6 +144,7 @@ impl ChannelDriver for TestArm {
         self.knobs
             .writes_under_power
             .fetch_add(1, Ordering::Relaxed);
+        self.knobs.torques.lock().unwrap().push(written);
         let h = period.as_secs_f64() / f64::from(SUBSTEPS);
         for _ in 0..SUBSTEPS {
             self.step(torques, h);

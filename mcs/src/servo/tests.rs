@@ -1,5 +1,6 @@
 //! The servo on an arm that obeys the equations of motion.
 
+mod estop;
 mod modes;
 mod slots;
 mod split;

@@ -110,6 +110,11 @@ fn solid(solid: &model::Solid) -> Solid {
             pose: pose(&at.isometry()),
             half: (*half).into(),
         },
+        // Viewers know no meshes: the box around it.
+        model::Solid::Hull { at, hull } => Solid::Block {
+            pose: pose(&at.isometry()),
+            half: (*hull.half()).into(),
+        },
     }
 }
 

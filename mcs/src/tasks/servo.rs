@@ -26,7 +26,7 @@ use crate::client::{
 };
 use crate::control::split_torque::SPLIT_TORQUE;
 use crate::control::{ControlLaw, LawRegistry, LawSettings};
-use crate::driver::{DriverRegistry, Sensor, SensorKind};
+use crate::driver::{DriverRegistry, SensorKind};
 use crate::guard::GuardRegistry;
 use crate::model::Model;
 use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
@@ -271,7 +271,6 @@ struct ServoTask {
     laws: Arc<LawRegistry>,
     model: Arc<Model>,
     args: ServoArgs,
-    sensors: Vec<Sensor>,
     streams: Streams,
     /// The number of the chassis of the client interface that last asked for a stream.
     streamed_from: Option<u8>,
@@ -314,6 +313,7 @@ impl ServoTask {
             planner: planner.clone(),
             config,
             guards: Recipes::default(),
+            sensors,
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));
         let (records, recorder) = records(planner.model().dof());
@@ -334,7 +334,6 @@ impl ServoTask {
             laws: Arc::clone(laws),
             model,
             args,
-            sensors,
             streams: Streams::default(),
             streamed_from: None,
             last_stop: LastStop::default(),
@@ -435,7 +434,7 @@ impl ServoTask {
         let SetOutput { name, value } = request;
         let refused = |text: String| Err(MotionError::new(Outcome::Refused, text));
         let mut number = 0;
-        for sensor in &self.sensors {
+        for sensor in &self.link.sensors {
             if sensor.name != *name {
                 number += sensor.kind.width();
                 continue;
@@ -458,7 +457,11 @@ impl ServoTask {
                 .order(ServoCommand::SetOutput { number, value });
             return order.map_err(|error| MotionError::new(Outcome::Fault, error));
         }
-        let outputs = self.sensors.iter().filter(|sensor| sensor.kind.is_output());
+        let outputs = self
+            .link
+            .sensors
+            .iter()
+            .filter(|sensor| sensor.kind.is_output());
         let names: Vec<&str> = outputs.map(|sensor| sensor.name.as_str()).collect();
         refused(format!(
             "there is no output `{name}`; there are: {}",
@@ -550,7 +553,7 @@ impl EventHandler for ServoTask {
             ReadSensors::CODE => {
                 let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
                 let status = self.link.port.status();
-                reply.ok(slots::sensor_report(&status, &self.sensors))
+                reply.ok(slots::sensor_report(&status, &self.link.sensors))
             }
             StreamSetpoints::CODE => {
                 self.streamed_from = Some(message.from().chassis());
@@ -577,7 +580,7 @@ impl EventHandler for ServoTask {
                 reply.ok(slots::report(
                     &self.model,
                     &status,
-                    &self.sensors,
+                    &self.link.sensors,
                     last_stop,
                 ))
             }

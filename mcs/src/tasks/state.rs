@@ -181,7 +181,7 @@ impl StateTask {
     }
 
     async fn reserve(&mut self, cx: &Context, by: &str, chassis: u8) -> Changed {
-        self.in_step()?;
+        let link = self.in_step()?;
         let own = self.manager.holder() == Some(by);
         let changed = match self.manager.state() {
             state @ (State::Active | State::Motion) if own => Ok(state),
@@ -189,7 +189,11 @@ impl StateTask {
                 let events = [Event::PowerOn];
                 self.change(cx, &events, by, ServoCommand::PowerOn).await
             }
-            _ => {
+            state => {
+                // Nothing leaves cold while a part of it is missing.
+                if let (State::Cold, Some(missing)) = (state, link.missing()) {
+                    return Err(missing);
+                }
                 let events = [Event::Reserve, Event::PowerOn];
                 self.change(cx, &events, by, ServoCommand::PowerOn).await
             }
@@ -232,11 +236,16 @@ impl StateTask {
         let mut changed = self.manager.clone();
         let applied = changed.apply(Event::Reset, by);
         applied.map_err(|error| MotionError::new(Outcome::Refused, error))?;
+        let before = link.port.status().ticks;
         link.port.order(ServoCommand::Reset).map_err(failed)?;
-        let cleared = |status: &ServoStatus| status.fault.is_none();
+        // The tick that was under way may not have seen it. What is still wrong is a fault again in the tick that has.
+        let obeyed = |status: &ServoStatus| status.ticks > before + 1;
         let patience = link.rest_patience();
-        let waited = link.wait(cx, "clear its fault", patience, cleared).await;
+        let waited = link.wait(cx, "clear its fault", patience, obeyed).await;
         waited.map_err(failed)?;
+        if let Some(error) = link.failed() {
+            return Err(error);
+        }
         self.manager = changed;
         Ok(self.manager.state())
     }

@@ -3,6 +3,7 @@
 mod drawn;
 mod guards;
 mod laws;
+mod missing;
 mod paths;
 mod random;
 mod slots;

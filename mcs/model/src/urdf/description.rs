@@ -8,6 +8,7 @@ use ctos_config::diagnostic::{Finding, Source};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
+use super::mesh::MeshText;
 use super::xml;
 use crate::builder::{check_body, check_limits};
 use crate::features::{Body, Friction, JointKind, Limits, Motor};
@@ -35,12 +36,17 @@ pub(super) struct LinkText<'a> {
     pub name: &'a str,
     pub body: Option<Body>,
     /// Its form for collisions, each part with its place in the file.
-    pub shapes: Vec<(Solid, Range<usize>)>,
-    /// Where a mesh of that form stands, which is not read.
-    pub mesh: Option<Range<usize>>,
+    pub shapes: Vec<(Form<'a>, Range<usize>)>,
     /// The joint that carries it, by index.
     pub carrier: Option<usize>,
     pub range: Range<usize>,
+}
+
+/// A part of a link's form.
+#[derive(Debug)]
+pub(super) enum Form<'a> {
+    Solid(Solid),
+    Mesh(Placement, MeshText<'a>),
 }
 
 /// A joint; links by index.
@@ -186,21 +192,17 @@ impl<'a> Description<'a> {
             Some(inertial) => Some(self.body(name, inertial)?),
             None => None,
         };
-        let (mut shapes, mut mesh) = (Vec::new(), None);
+        let mut shapes = Vec::new();
         for collision in node
             .children()
             .filter(|child| child.has_tag_name("collision"))
         {
-            match self.solid(name, collision)? {
-                Some(solid) => shapes.push((solid, xml::opening(collision))),
-                None => mesh = mesh.or(Some(xml::opening(collision))),
-            }
+            shapes.push((self.form(name, collision)?, xml::opening(collision)));
         }
         self.links.push(LinkText {
             name,
             body,
             shapes,
-            mesh,
             carrier: None,
             range,
         });
@@ -239,8 +241,8 @@ impl<'a> Description<'a> {
         Ok(body)
     }
 
-    /// The form of a `<collision>`; none of a mesh.
-    fn solid(&self, link: &str, collision: Node<'_, '_>) -> Result<Option<Solid>, Finding> {
+    /// The form of a `<collision>`.
+    fn form(&self, link: &str, collision: Node<'a, 'a>) -> Result<Form<'a>, Finding> {
         let source = self.source;
         let at = self.origin(collision)?;
         let form = xml::child(collision, "geometry")
@@ -253,7 +255,7 @@ impl<'a> Description<'a> {
             xml::attribute(source, form, name)?;
             xml::numbers(source, form, name, [0.0]).map(|[number]| number)
         };
-        Ok(Some(match form.tag_name().name() {
+        Ok(Form::Solid(match form.tag_name().name() {
             "box" => {
                 xml::attribute(source, form, "size")?;
                 let edges = xml::numbers(source, form, "size", [0.0; 3])?;
@@ -271,7 +273,11 @@ impl<'a> Description<'a> {
                 }
             }
             "sphere" => Solid::sphere(at.origin, one("radius")?),
-            "mesh" => return Ok(None),
+            "mesh" => {
+                let (file, _) = xml::attribute(source, form, "filename")?;
+                let scale = xml::numbers(source, form, "scale", [1.0; 3])?.into();
+                return Ok(Form::Mesh(at, MeshText { file, scale }));
+            }
             other => {
                 let text = format!("unknown geometry: <{other}> of link `{link}`");
                 return Err(xml::finding(source, text, xml::opening(form))

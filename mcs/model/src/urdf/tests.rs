@@ -423,6 +423,7 @@ fn the_form_of_a_model_that_is_written_and_read_again_stands_where_it_stood() {
                     let ends = match solid {
                         Solid::Capsule { a, b, radius } => [a, b + half * radius],
                         Solid::Block { at, half } => [at.point(&half), at.origin],
+                        Solid::Hull { at, .. } => [at.origin; 2],
                     };
                     (shape.carrier, ends)
                 })

@@ -174,6 +174,11 @@ fn write_solid(out: &mut String, solid: &Solid) {
             let [x, y, z] = (half * 2.0).into();
             (*at, format!("<box size=\"{x:?} {y:?} {z:?}\"/>"))
         }
+        // A mesh stands in a file of its own: what is written is the box around it.
+        Solid::Hull { at, hull } => {
+            let [x, y, z] = (hull.half() * 2.0).into();
+            (*at, format!("<box size=\"{x:?} {y:?} {z:?}\"/>"))
+        }
     };
     line(out, format_args!("    <collision>"));
     write_origin(out, "      ", &at);

@@ -1,5 +1,7 @@
 //! Laws by name, in the configuration and while the app runs.
 
+use ctos::system::Shutdown;
+
 use super::*;
 
 #[test]
@@ -81,6 +83,7 @@ const SPLIT: &str = "task.servo.args.law=split_torque";
 #[test]
 fn a_law_on_two_processors_moves_the_arm_as_on_one_to_the_bit() {
     let moved = |processor: &str, seed: u64| {
+        let knobs = Arc::<Knobs>::default();
         let seed = format!("app.seed={seed}");
         let outcome = run_in(
             &split_on(processor),
@@ -93,18 +96,77 @@ fn a_law_on_two_processors_moves_the_arm_as_on_one_to_the_bit() {
                     Ok(format!("{report:?} {:?}", position.joints))
                 })
             },
-            &Arc::default(),
+            &knobs,
             &[SPLIT, &seed],
         );
+        let torques = std::mem::take(&mut *knobs.torques.lock().unwrap());
         match outcome.end {
-            End::Finished(result) if result.ok => result.text,
+            End::Finished(result) if result.ok => (result.text, torques),
             other => panic!("{other:?}"),
         }
     };
-    let alone = moved("servo", 1);
+    let (told, torques) = moved("servo", 1);
+    // A motion of more than a second at 4.5 ms, and the torques change from tick to tick.
+    assert!(torques.windows(2).filter(|pair| pair[0] != pair[1]).count() > 222);
     for seed in [1, 2, 3] {
-        assert_eq!(alone, moved("second", seed), "seed {seed}");
+        let (as_told, others) = moved("second", seed);
+        assert_eq!(told, as_told, "seed {seed}");
+        // How long the arm is held after its motion is the clients' matter.
+        let both = torques.iter().zip(&others);
+        let other = both.enumerate().find(|(_, (one, other))| one != other);
+        assert_eq!(other, None, "seed {seed}");
+        assert!(torques.len().abs_diff(others.len()) < 20, "seed {seed}");
     }
+}
+
+#[test]
+fn a_law_whose_other_half_ends_in_mid_motion_stops_the_arm_and_who_moved_it_is_told_why() {
+    let outcome = run_in(
+        &split_on("second"),
+        |cx, mcs, knobs| {
+            Box::pin(async move {
+                let half = cx.task("half").await?;
+                done(&cx, &mcs, Acquire {}).await?;
+                let ended = async {
+                    cx.sleep(Duration::from_millis(300)).await;
+                    asked(&cx, &half, Shutdown {}).await
+                };
+                let moving = error_of(&cx, &mcs, to(Target::Joints(GOAL.into())));
+                let (ended, told) = futures_util::future::join(ended, moving).await;
+                ended?;
+                let told = told?;
+                assert_eq!(told.outcome, Outcome::Fault, "{told}");
+                let why = "its half on the other processor has not answered";
+                assert!(told.reason.contains(why), "{told}");
+                let stands = async || {
+                    let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+                    assert_eq!(power, Power::Off);
+                    let position = asked(&cx, &mcs, ReadPosition {}).await?;
+                    Ok::<Joints, HandlerError>(position.joints)
+                };
+                let stopped = stands().await?;
+                assert!((stopped[0] - GOAL[0]).abs() > 0.05, "{stopped:?}");
+                let refused = error_of(&cx, &mcs, Acquire {}).await?;
+                assert!(refused.reason.contains(why), "{refused}");
+                // It is still gone: who tries again is told again, and the arm has hardly moved.
+                assert_eq!(done(&cx, &mcs, Reset {}).await?, State::Cold);
+                done(&cx, &mcs, Acquire {}).await?;
+                let again = error_of(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+                assert!(again.reason.contains(why), "{again}");
+                let later = stands().await?;
+                let off = stopped.iter().zip(&later).map(|(a, b)| (a - b).abs());
+                assert!(off.fold(0.0, f64::max) < 2e-3, "{stopped:?} {later:?}");
+                Ok(String::new())
+            })
+        },
+        &Arc::default(),
+        &[SPLIT],
+    );
+    assert!(
+        matches!(&outcome.end, End::Finished(result) if result.ok),
+        "{:?}",
+        outcome.end
+    );
 }
 
 #[test]
