@@ -4,6 +4,7 @@
 use std::{
     collections::BTreeMap,
     fs::Permissions,
+    io::Write as _,
     os::unix::fs::PermissionsExt as _,
     sync::{Arc, Mutex},
     time::Duration,
@@ -678,7 +679,9 @@ fn on_boards_anywhere_with_discs_anywhere_every_carry_ends_as_asked_within_1_5_m
         steps.push(Step::Carry(line));
         targets.push(to);
     }
-    let all = answers(steps);
+    let seen = seen_in(&Scratch::new(), "", steps);
+    let all = seen.answers.lock().unwrap();
+    nothing_was_hit(&seen);
     for (seed, (answer, target)) in all.iter().zip(&targets).enumerate() {
         assert_eq!(answer.symbol, "carried", "seed {seed}: {}", answer.text);
         let error = error(answer, *target);
@@ -686,6 +689,12 @@ fn on_boards_anywhere_with_discs_anywhere_every_carry_ends_as_asked_within_1_5_m
         squares += error * error;
     }
     let rms = (squares / targets.len() as f64).sqrt();
+    let (count, touches) = (targets.len(), seen.touches.lock().unwrap());
+    let (mean_mm, worst_mm) = (rms * 1e3, worst * 1e3);
+    let numbers = format!(
+        "{count} carries: rms {mean_mm:.2} mm, worst {worst_mm:.2} mm; pressed on, N: {touches:?}\n"
+    );
+    std::io::stdout().write_all(numbers.as_bytes()).unwrap();
     assert!(
         rms < 1.5e-3 && worst < 3e-3,
         "rms {rms}, worst {worst}: {all:?}"

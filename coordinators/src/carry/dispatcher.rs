@@ -3,7 +3,9 @@
 
 mod judging;
 mod orders;
+mod state;
 mod telling;
+mod wishes;
 
 use std::rc::Rc;
 
@@ -11,124 +13,25 @@ use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
     registry::Registry,
-    task::Context,
 };
-use pnt::library::{Action, Library};
-use serde::{Deserialize, Serialize};
+use pnt::library::Library;
 
+pub(super) use self::state::{CarryArgs, Dispatcher};
 use self::{
     judging::{aim, aim_point, judge, tell_found, weigh_hand, weigh_trouble},
-    orders::{Wishes, begin, begin_point, refuse},
+    orders::{begin, begin_point, refuse},
+    state::Ends,
     telling::{report, report_held, report_point, tell_shown, tell_unverified},
+    wishes::{MOST_TRIES, Wishes},
 };
-use super::{
-    board::Board,
-    speaker::{self, Speaker},
-    thing::Thing,
-};
+use super::{speaker, thing::Thing};
 use crate::{
     dom::DomStore,
     handler::{self, NetArgs},
-    outcome::Failure,
 };
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.carry";
-
-/// Arguments.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct CarryArgs {
-    /// The file of the thing that is carried, relative to the configuration's folder.
-    thing: String,
-    /// Where the board stands.
-    pub(super) board: Board,
-    /// How far above the fields the gripper goes to and fro, m.
-    #[serde(default = "clearance_m")]
-    clearance_m: f64,
-    /// What is done when the thing was lost on the way and cameras see it.
-    #[serde(default)]
-    lost: Lost,
-    /// How often the thing is tried to grasp, each time with another turn of the gripper.
-    #[serde(default = "tries")]
-    tries: u32,
-    /// The service object that tells people in the room what went wrong, such as `fork.sound@speaker`; nobody when it is left
-    /// out.
-    speaker: Option<String>,
-    /// Whether the pointer in the hand shows where the thing lies that was lost.
-    #[serde(default)]
-    show: bool,
-    /// The data object manager.
-    #[serde(default = "crate::dom_task")]
-    dom: String,
-}
-
-fn clearance_m() -> f64 {
-    0.1
-}
-
-/// What is done with a thing that was lost on the way.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum Lost {
-    /// It is told where it lies.
-    #[default]
-    Tell,
-    /// It is fetched, once.
-    Fetch,
-}
-
-fn tries() -> u32 {
-    2
-}
-
-/// More turns are not known.
-const MOST_TRIES: u32 = 100;
-
-/// What the functions share.
-pub(super) struct Dispatcher {
-    args: Rc<CarryArgs>,
-    store: DomStore,
-    /// Number of the command in work, from 1.
-    command: u32,
-    /// What was seen of its ends.
-    ends: Ends,
-    /// How often it was tried to grasp the thing, and whether it is tried once more.
-    tried: u32,
-    again: bool,
-    /// The thing was lost, and is being fetched from where it was seen.
-    fetches: bool,
-    /// What the command's sender calls it, and what was in the way besides the problems of the Coordinators.
-    tag: String,
-    hindrances: Vec<Failure>,
-    /// What it wants otherwise than the arguments say.
-    wishes: Wishes,
-}
-
-impl Dispatcher {
-    fn speaker(&self) -> Option<Speaker> {
-        let name = self.wishes.speaker.as_ref();
-        let name = name.or(self.args.speaker.as_ref())?;
-        Speaker::named(name).ok()
-    }
-}
-
-/// What was seen of the ends of an errand.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Ends {
-    /// Nothing stands on FROM.
-    from_is_empty: bool,
-    /// Something stands on TO.
-    to_is_taken: bool,
-    /// After it was set down, the thing is not seen on TO.
-    is_elsewhere: bool,
-    /// People in the room were told what went wrong.
-    said: bool,
-    /// Where it lies is shown them by the pointer in the hand.
-    is_shown: bool,
-    /// Something was in the hand before the errand.
-    hand_is_full: bool,
-}
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
@@ -236,11 +139,4 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         .action("report", report)
         .action("report_held", report_held)
         .action("refuse", refuse)
-}
-
-type Act = Action<Dispatcher>;
-
-fn parts(action: &Act) -> (Context, Rc<CarryArgs>, DomStore) {
-    let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
-    (action.cx().clone(), args, store)
 }

@@ -5,8 +5,9 @@ use nalgebra::Vector3;
 use pnt::library::Acted;
 
 use super::{
-    Act, Ends, Lost, parts,
+    state::{Act, Ends, parts},
     telling::{hinder, note_ways, problems, say, say_lost, tell_why},
+    wishes::Lost,
 };
 use crate::{
     carry::{

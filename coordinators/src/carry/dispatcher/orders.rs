@@ -2,14 +2,15 @@
 
 use ctos::task::{Context, HandlerError};
 use pnt::library::Acted;
-use serde::{Deserialize, Serialize};
 
-use super::{Act, CarryArgs, Ends, Lost, MOST_TRIES, parts};
+use super::{
+    state::{Act, CarryArgs, Ends, parts},
+    wishes::Wishes,
+};
 use crate::{
     carry::{
         board::{Board, Field},
         errand::{ERRAND, Errand},
-        speaker::Speaker,
         thing::Thing,
     },
     dispatching::{self, tagged},
@@ -69,61 +70,6 @@ fn begun(
         thing,
     };
     Ok((errand, wishes))
-}
-
-/// What a command wants otherwise than the configuration has it: the words `KEY=VALUE` among its arguments.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Wishes {
-    /// Fraction of full speed to and fro.
-    speed: Option<f64>,
-    pub lost: Option<Lost>,
-    pub tries: Option<u32>,
-    pub show: Option<bool>,
-    pub speaker: Option<String>,
-}
-
-impl Wishes {
-    /// Takes a word.
-    fn take(&mut self, key: &str, value: &str) -> Result<(), String> {
-        match key {
-            "speed" => {
-                let speed = value.parse().ok();
-                let speed = speed.filter(|speed| *speed > 0.0 && *speed <= 1.0);
-                let help = "give a fraction of full speed, above 0 and up to 1";
-                self.speed = Some(speed.ok_or(help)?);
-            }
-            "tries" => {
-                let tries = value.parse().ok();
-                let tries = tries.filter(|tries| (1..=MOST_TRIES).contains(tries));
-                self.tries = Some(tries.ok_or_else(|| format!("give from 1 to {MOST_TRIES}"))?);
-            }
-            "lost" => {
-                self.lost = Some(match value {
-                    "tell" => Lost::Tell,
-                    "fetch" => Lost::Fetch,
-                    _ => return Err("give `tell` or `fetch`".to_owned()),
-                });
-            }
-            "show" => {
-                self.show = Some(match value {
-                    "on" => true,
-                    "off" => false,
-                    _ => return Err("give `on` or `off`".to_owned()),
-                });
-            }
-            "speaker" => {
-                Speaker::named(value)?;
-                self.speaker = Some(value.to_owned());
-            }
-            _ => {
-                return Err(
-                    "nobody knows this; speed, tries, lost, show and speaker may be given"
-                        .to_owned(),
-                );
-            }
-        }
-        Ok(())
-    }
 }
 
 /// The two fields that a command names, and what it wants besides.
@@ -194,6 +140,7 @@ pub(super) async fn refuse(action: Act) -> Acted {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::carry::dispatcher::wishes::Lost;
 
     const BOARD: Board = Board {
         at: [0.5, 0.0, 0.42],

@@ -2,7 +2,7 @@
 
 use pnt::library::Acted;
 
-use super::{Act, parts};
+use super::state::{Act, parts};
 use crate::{
     carry::{
         board::Field,

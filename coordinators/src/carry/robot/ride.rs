@@ -27,6 +27,9 @@ use crate::{
 /// The most of the thing's height by which it may stand too high when the arm feels that it has been set down.
 const EARLY: f64 = 0.5;
 
+/// An arm that is lower than where it goes to and fro by more may meet what lies beside it, m.
+const LOW_M: f64 = 0.02;
+
 /// An errand, and the arm that goes its way.
 pub(super) struct Ride<'a> {
     pub(super) cx: &'a Context,
@@ -267,7 +270,16 @@ impl<'a> Ride<'a> {
     async fn arch_to(&self, end: End) -> Result<(), Failure> {
         let above = self.grip_above(end).await?;
         let (speed, clear) = (self.speed(), &self.args.clear);
-        match self.along(above, self.arch(), speed, clear).await {
+        let mut gone = self.along(above, self.arch(), speed, clear).await;
+        let is_ended = gone
+            .as_ref()
+            .is_err_and(|failure| failure.outcome == Outcome::Guard);
+        // Back as it came, where nothing lies as high as that.
+        if is_ended && self.height().await? > above.translation.z - LOW_M {
+            let line = PathKind::StraightLine;
+            gone = self.along(above, line, speed, clear).await;
+        }
+        match gone {
             Err(failure) if self.may_go_around(&failure) => {
                 self.go_planned(above).await.map(|_| ())
             }
