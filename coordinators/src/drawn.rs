@@ -16,7 +16,12 @@ use crate::{
 };
 
 /// The data objects that are shown.
-const SHOWN: [&str; 3] = [OBSERVATIONS, CALIBRATIONS, CHOICES];
+const SHOWN: [&str; 4] = [OBSERVATIONS, CALIBRATIONS, CHOICES, LAID];
+/// A data object of things that are where somebody saw them: [`Laid`].
+pub(crate) const LAID: &str = "laid";
+
+/// [`LAID`]: in the base frame of the arm.
+pub(crate) type Laid = Vec<(Part, Pose)>;
 /// How far the pyramid of a camera reaches, m.
 const DEPTH: f64 = 0.6;
 /// The radius of a ball where the lamp was, m.
@@ -102,6 +107,11 @@ impl Source for Table {
             &observations.unwrap_or_default(),
             &calibrations.unwrap_or_default(),
         );
+        let laid: Option<Laid> = bytes(LAID).and_then(|bytes| postcard::from_bytes(bytes).ok());
+        for (part, pose) in laid.into_iter().flatten() {
+            view.parts.push(part);
+            seen.states.push((pose, Vec::new()));
+        }
         for (part, numbers) in choices.iter().flat_map(ways) {
             view.parts.push(part);
             seen.states.push((Pose::default(), numbers));

@@ -227,8 +227,8 @@ export class Overview {
         own.length > 0 ? this.table(own) : null,
         ways.length > 0 ? this.ways(ways) : null));
     }
-    const first = sections.find((section) => section.querySelector("table"));
-    if (first) first.querySelector("table").id = "parts";
+    const first = sections.map((section) => section.querySelector("table:not(.ways)")).find((table) => table !== null);
+    if (first) first.id = "parts";
     return sections;
   }
 
@@ -246,17 +246,23 @@ export class Overview {
       make("tbody", {}, ...rows));
   }
 
-  /** What Coordinators believe of the ways of each step, and which one they try. */
+  /** What Coordinators believe of the ways of each step; the one that was chosen last stands out. */
   ways(ways) {
-    const rows = ways.map((one) => {
-      const tried = one.part.kind === "way, chosen";
+    let before = null;
+    const rows = ways.flatMap((one) => {
+      const at = one.part.name.lastIndexOf(": ");
+      const [step, name] = [one.part.name.slice(0, at), one.part.name.slice(at + 2)];
+      const chosen = one.part.kind === "way, chosen";
       const [chance, cost, trials] = one.row.slice(8);
-      return make("tr", { class: tried ? "now" : null },
-        make("th", { scope: "row" }, one.part.name),
-        ...[`${(100 * chance).toFixed(0)} %`, `${cost.toFixed(1)} s`, trials.toFixed(0), tried ? "chosen" : ""].map((text) => make("td", {}, text)));
+      const row = make("tr", { class: chosen ? "now" : null, title: chosen ? "chosen last" : null },
+        make("th", { scope: "row" }, name),
+        ...[`${(100 * chance).toFixed(0)} %`, `${cost.toFixed(1)} s`, trials.toFixed(0)].map((text) => make("td", {}, text)));
+      const head = step === before ? [] : [make("tr", {}, make("th", { scope: "rowgroup", colspan: "4" }, make("b", {}, step)))];
+      before = step;
+      return [...head, row];
     });
     return make("table", { class: "parts ways" },
-      make("thead", {}, make("tr", {}, ...["way", "success", "cost", "tried", ""].map((text) => make("th", { scope: "col" }, text)))),
+      make("thead", {}, make("tr", {}, ...["ways", "success", "cost", "tried"].map((text) => make("th", { scope: "col" }, text)))),
       make("tbody", {}, ...rows));
   }
 
