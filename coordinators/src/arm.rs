@@ -78,6 +78,11 @@ pub(crate) fn pose(pose: &Isometry3<f64>) -> Target {
     Target::Pose(rows)
 }
 
+/// Joint positions of an arm with only joints that turn, from degrees.
+pub(crate) fn radians(degrees: &[f64]) -> Joints {
+    Joints::from_fn(degrees.len(), |joint| degrees[joint].to_radians())
+}
+
 /// A motion that no guard watches besides those that always do.
 pub(crate) fn order(target: Target, path: PathKind, speed: f64) -> Move {
     Move {
@@ -164,8 +169,7 @@ impl Arm<'_> {
 
     /// To where the arm waits, degrees of its joints; there it is given back.
     pub(crate) async fn park(&self, park_deg: &[f64], speed: f64) -> Result<(), Failure> {
-        let joints = Joints::from_fn(park_deg.len(), |joint| park_deg[joint].to_radians());
-        let target = Target::Joints(joints);
+        let target = Target::Joints(radians(park_deg));
         self.travel(order(target, PathKind::Joint, speed)).await?;
         self.release().await
     }
@@ -199,6 +203,13 @@ impl Arm<'_> {
             self.cx.call(&mcs, request.clone()).await?
         });
         set.await
+    }
+
+    /// Whether the guard that ended the latest motion was one of these recipes.
+    pub(crate) async fn was_ended_by(&self, guards: &[impl AsRef<str>]) -> Result<bool, Failure> {
+        let report = self.ask(|arm| async move { arm.guards().await }).await?;
+        let last = report.last.map(|last| last.guard);
+        Ok(last.is_some_and(|last| guards.iter().any(|guard| guard.as_ref() == last.as_str())))
     }
 
     /// Takes back what is ordered, and waits until the arm rests.

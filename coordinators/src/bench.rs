@@ -68,6 +68,8 @@ pub(crate) struct Bench {
     /// Requests so far, and at which of them what goes wrong.
     pub asked: Vec<String>,
     pub faults: Vec<(usize, Fault)>,
+    /// Requests of these names go wrong from such a number on, each time.
+    pub refuses: Option<(usize, Vec<&'static str>, Fault)>,
     /// How often what was under way was taken back.
     taken_back: u64,
     /// The answers to the commands, and the Dispatcher's marking after them.
@@ -96,7 +98,11 @@ impl Bench {
     fn meets(&mut self, request: &str) -> Option<Fault> {
         let number = self.asked.len();
         self.asked.push(request.to_owned());
-        let fault = self.faults.iter().find(|(at, _)| *at == number)?.1;
+        let once = self.faults.iter().find(|(at, _)| *at == number);
+        let always = self.refuses.as_ref();
+        let always = always.filter(|(from, names, _)| number >= *from && names.contains(&request));
+        let always = always.map(|(.., fault)| *fault);
+        let fault = once.map(|(_, fault)| *fault).or(always)?;
         match fault {
             Fault::Meets(Motion::Estopped) => self.estopped = true,
             Fault::Meets(Motion::Stopped) => self.stopped = 3,
@@ -423,6 +429,35 @@ pub(crate) fn app(tasks: &str, stand_ins: &[&str]) -> String {
         text += &format!("[task.{name}]\nhandler = \"test.arm\"\non = \"cage\"\n");
     }
     text
+}
+
+/// An app with a task of the Organization Level in place of the operator, which has one command done.
+pub(crate) fn planned(app: &str, command: &str, plans: &str) -> String {
+    let mut words = command.split_whitespace();
+    let command = words.next().unwrap_or_default();
+    let arguments: Vec<&str> = words.collect();
+    let planner = format!(
+        "handler = \"coordinators.planner\"\non = \"ws1\"\n[task.operator.args]\n\
+         command = \"{command}\"\narguments = {arguments:?}\nsend_within_s = 5\nplans = [{plans}]\n"
+    );
+    app.replace("handler = \"test.operator\"\non = \"ws1\"\n", &planner)
+}
+
+/// What such an app ends with.
+pub(crate) fn run_planned<W: World>(world: W, app: &str) -> (W, AppResult) {
+    let sets: &[String] = &[];
+    match end(world, (app, sets), &[], &[]) {
+        (world, End::Finished(result)) => (world, result),
+        (_, other) => panic!("{other:?}"),
+    }
+}
+
+/// The answer, and the kinds of what was in the way.
+pub(crate) fn kinds(result: &AppResult) -> (String, Vec<String>) {
+    let json: serde_json::Value = serde_json::from_str(&result.json).unwrap();
+    let failures = json["failures"].as_array().unwrap().iter();
+    let kinds = failures.map(|failure| failure["kind"].as_str().unwrap().to_owned());
+    (json["answer"].as_str().unwrap().to_owned(), kinds.collect())
 }
 
 /// Runs an app until its commands are answered; what is left of the world then.

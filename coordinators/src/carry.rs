@@ -8,6 +8,7 @@
 
 pub mod board;
 pub mod dispatcher;
+mod drawing;
 pub mod errand;
 pub mod eyes;
 pub mod hand;

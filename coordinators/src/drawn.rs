@@ -1,5 +1,5 @@
-//! What the data objects of a calibration are to viewers: how far the job is, where the lamp was seen, and the cameras once they
-//! are computed. The DOM shows it. Only data objects are read here, and only when somebody follows.
+//! What data objects are to viewers. Of a calibration: how far the job is, where the lamp was seen, and the cameras once they
+//! are computed. Of Coordinators that choose: what is believed of each way, and which one is tried. The DOM shows it. Only data objects are read here, and only when somebody follows.
 
 use std::{cell::RefCell, collections::BTreeMap, rc::Rc};
 
@@ -10,10 +10,18 @@ use ctos::{
 use scene::{Job, Number, Part, Pose, Said, Seen, Solid, Source, Stage, View};
 use vss::camera::Camera;
 
-use crate::objects::{CALIBRATIONS, Calibrations, OBSERVATIONS, Observations};
+use crate::{
+    objects::{CALIBRATIONS, Calibrations, OBSERVATIONS, Observations},
+    strategy::shown::{CHOICES, Choices},
+};
 
 /// The data objects that are shown.
-const SHOWN: [&str; 2] = [OBSERVATIONS, CALIBRATIONS];
+const SHOWN: [&str; 4] = [OBSERVATIONS, CALIBRATIONS, CHOICES, LAID];
+/// A data object of things that are where somebody saw them: [`Laid`].
+pub(crate) const LAID: &str = "laid";
+
+/// [`LAID`]: in the base frame of the arm.
+pub(crate) type Laid = Vec<(Part, Pose)>;
 /// How far the pyramid of a camera reaches, m.
 const DEPTH: f64 = 0.6;
 /// The radius of a ball where the lamp was, m.
@@ -93,10 +101,21 @@ impl Source for Table {
             bytes(OBSERVATIONS).and_then(|bytes| postcard::from_bytes(bytes).ok());
         let calibrations: Option<Calibrations> =
             bytes(CALIBRATIONS).and_then(|bytes| postcard::from_bytes(bytes).ok());
-        let (view, seen) = drawn(
+        let choices: Option<Choices> =
+            bytes(CHOICES).and_then(|bytes| postcard::from_bytes(bytes).ok());
+        let (mut view, mut seen) = drawn(
             &observations.unwrap_or_default(),
             &calibrations.unwrap_or_default(),
         );
+        let laid: Option<Laid> = bytes(LAID).and_then(|bytes| postcard::from_bytes(bytes).ok());
+        for (part, pose) in laid.into_iter().flatten() {
+            view.parts.push(part);
+            seen.states.push((pose, Vec::new()));
+        }
+        for (part, numbers) in choices.iter().flat_map(ways) {
+            view.parts.push(part);
+            seen.states.push((Pose::default(), numbers));
+        }
         self.seen = seen;
         Some(view)
     }
@@ -147,6 +166,36 @@ fn drawn(observations: &Observations, calibrations: &Calibrations) -> (View, See
     }
     seen.said = said(observations, calibrations);
     (view, seen)
+}
+
+/// The ways of all steps, which have no form: what is believed of each.
+fn ways(choices: &Choices) -> Vec<(Part, Vec<f64>)> {
+    let number = |name: &str, unit: &str, resolution| Number {
+        name: name.to_owned(),
+        unit: unit.to_owned(),
+        resolution,
+    };
+    let ways = choices.iter().flat_map(|(step, shown)| {
+        shown.figures.iter().map(move |figures| {
+            let is_chosen = shown.chosen.as_ref() == Some(&figures.name);
+            let kind = if is_chosen { "way, chosen" } else { "way" };
+            let part = Part {
+                name: format!("{step}: {}", figures.name),
+                kind: kind.to_owned(),
+                numbers: vec![
+                    number("success", "", 1e-3),
+                    number("cost", "s", 1e-2),
+                    number("tried", "", 1.0),
+                ],
+                ..Part::default()
+            };
+            (
+                part,
+                vec![figures.chance, figures.cost, figures.trials as f64],
+            )
+        })
+    });
+    ways.collect()
 }
 
 /// A ball for each place at which the lamp was seen.
@@ -223,7 +272,11 @@ mod tests {
     use vss::calibrate::LightPoint;
 
     use super::*;
-    use crate::{objects::CameraTable, rig};
+    use crate::{
+        objects::CameraTable,
+        rig,
+        strategy::{Figures, shown::Shown},
+    };
 
     fn observations() -> Observations {
         let point = |x: f64| LightPoint {
@@ -263,6 +316,35 @@ mod tests {
         assert_eq!(view.parts[0].solids.len(), 3);
         let (view, seen) = drawn(&Observations::default(), &Calibrations::default());
         assert_eq!((view.parts.len(), seen.said), (0, Said::default()));
+    }
+
+    #[test]
+    fn the_ways_of_a_step_are_told_with_what_is_believed_of_them_and_which_one_is_tried() {
+        let figures = |name: &str, trials, chance| Figures {
+            name: name.to_owned(),
+            trials,
+            chance,
+            cost: 2.0,
+        };
+        let shown = Shown {
+            chosen: Some("arch".to_owned()),
+            figures: vec![figures("arch", 3, 0.8), figures("line", 0, 0.5)],
+        };
+        let choices = Choices::from([("transfer".to_owned(), shown)]);
+        let told: Vec<(String, String, Vec<f64>)> = ways(&choices)
+            .into_iter()
+            .map(|(part, numbers)| (part.name, part.kind, numbers))
+            .collect();
+        let way = |name: &str, kind: &str, numbers: [f64; 3]| {
+            (name.to_owned(), kind.to_owned(), numbers.to_vec())
+        };
+        assert_eq!(
+            told,
+            [
+                way("transfer: arch", "way, chosen", [0.8, 2.0, 3.0]),
+                way("transfer: line", "way", [0.5, 2.0, 0.0]),
+            ]
+        );
     }
 
     #[test]

@@ -68,3 +68,12 @@ fn a_box_that_something_stands_behind_is_pushed_no_harder_than_it_may_be() {
     assert_ne!(ended.code, Some(0));
     ended.must_say("the limit is 25.00 N");
 }
+
+#[test]
+fn one_straightened_finger_pushes_a_box_to_the_end_of_a_line() {
+    let ended = boot("configs/push-finger.toml", &[]);
+    ended.must_exit(0);
+    let json = ended.json();
+    let error = json["error_m"].as_f64().unwrap();
+    assert!(error.abs() < 0.015, "{}", ended.told);
+}

@@ -14,7 +14,10 @@ use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 
-use super::errand::{ERRAND, Errand, HAND_PROBLEMS};
+use super::{
+    errand::{ERRAND, Errand, HAND_PROBLEMS},
+    speaker::{self, Speaker},
+};
 use crate::{
     dom::DomStore,
     handler::{self, NetArgs},
@@ -40,6 +43,9 @@ struct HandArgs {
     /// Fraction of full speed of the jaws.
     #[serde(default = "speed")]
     speed: f64,
+    /// The service object that tells people in the room what the hand could not do, such as `fork.sound@speaker`; nobody when it is
+    /// left out.
+    speaker: Option<String>,
     /// How long a gripper that is gone, and may be started again, is waited for, s.
     #[serde(default = "crate::service_within_s")]
     service_within_s: f64,
@@ -78,6 +84,7 @@ impl NetArgs for HandArgs {
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
         crate::need_task(task, app, "gripper", &self.gripper, findings);
+        speaker::check(self.speaker.as_deref(), task, app, findings);
         crate::check_seconds(task, "service_within_s", self.service_within_s, findings);
         crate::check_speed(task, "speed", self.speed, findings);
     }
@@ -90,6 +97,7 @@ fn library(args: HandArgs, store: DomStore) -> Library<Coordinator> {
     })
     // Between two requests there is nothing to know.
     .kept(|_| (), |_, ()| ())
+    .action("feel", |action| done(action, "feel", feel))
     .action("preshape", |action| done(action, "preshape", preshape))
     .action("grasp", |action| done(action, "grasp", grasp))
     .action("check", |action| done(action, "check", check))
@@ -105,6 +113,10 @@ async fn done<F: Future<Output = Result<(), Failure>>>(
     act: impl Fn(Hand, Errand) -> F,
 ) -> Acted {
     let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
+    let speaker = args
+        .speaker
+        .as_deref()
+        .and_then(|name| Speaker::named(name).ok());
     let hand = Hand {
         cx: action.cx().clone(),
         args,
@@ -115,6 +127,9 @@ async fn done<F: Future<Output = Result<(), Failure>>>(
     };
     let acted: Result<(), Failure> = acted.await;
     if let Err(failure) = acted {
+        if let Some(speaker) = &speaker {
+            speaker::say(action.cx(), Some(speaker), &failure.reason);
+        }
         super::errand::note_problem(action.cx(), &store, HAND_PROBLEMS, request, &failure).await;
         return Err(failure.into());
     }
@@ -143,6 +158,28 @@ impl Hand {
         });
         Ok(asked.await?)
     }
+
+    /// Closes as hard as the thing is grasped.
+    async fn close(&self, errand: &Errand) -> Result<Held, Failure> {
+        let close = Grasp {
+            force_n: Some(errand.thing.grasp.force_n),
+            speed: self.args.speed,
+        };
+        self.ask(close).await
+    }
+}
+
+/// Closes, and sees that nothing is between the jaws. Who was asked last knows nothing of earlier lives.
+async fn feel(hand: Hand, errand: Errand) -> Result<(), Failure> {
+    let held = hand.close(&errand).await?;
+    if !held.holds {
+        return Ok(());
+    }
+    let text = format!(
+        "something {:.1} mm wide is in the hand already: take it out, or say `put_back`",
+        held.width_m * 1e3
+    );
+    Err(Failure::new(Outcome::Occupied, text))
 }
 
 /// Opens as far as goes round the thing and between its neighbours, which also lets go of it.
@@ -156,11 +193,7 @@ async fn preshape(hand: Hand, errand: Errand) -> Result<(), Failure> {
 
 /// Closes on the thing, and sees that it is that.
 async fn grasp(hand: Hand, errand: Errand) -> Result<(), Failure> {
-    let close = Grasp {
-        force_n: Some(errand.thing.grasp.force_n),
-        speed: hand.args.speed,
-    };
-    is_it(&hand.ask(close).await?, &errand)
+    is_it(&hand.close(&errand).await?, &errand)
 }
 
 /// Sees that the thing is still held.

@@ -30,7 +30,7 @@ use crate::{
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
     strategy::{
-        Belief, Figures, Step,
+        Belief, Figures, Step, shown,
         step::{self, Tried},
     },
 };
@@ -72,6 +72,9 @@ struct RobotArgs {
     /// Recipes of guards that watch the ways down.
     #[serde(default)]
     touch: Vec<String>,
+    /// Recipes of guards that watch the ways to and fro.
+    #[serde(default)]
+    clear: Vec<String>,
     /// The camera on the hand that corrects the arm above the thing; none when it is left out.
     wrist: Option<WristArgs>,
     /// Where the arm waits, degrees of its joints.
@@ -417,7 +420,7 @@ async fn choose_turn(action: &Act, ride: &Ride<'_>) -> Result<(), Failure> {
                     shift: None,
                 };
                 ride.store.store(ride.cx, WAY, &way).await?;
-                log_choice(action, &grasp.context, turn, &figures);
+                tell_choice(action, &grasp.context, turn, figures).await;
                 action.with_state(|state| state.grasp.begin(turn, now));
                 return Ok(());
             }
@@ -430,14 +433,17 @@ async fn choose_turn(action: &Act, ride: &Ride<'_>) -> Result<(), Failure> {
     }
 }
 
-fn log_choice(action: &Act, step: &str, way: impl step::Way, figures: &[Figures]) {
+/// Tells the log, and whoever looks at the display, which way was chosen.
+async fn tell_choice(action: &Act, step: &str, way: impl step::Way, figures: Vec<Figures>) {
     tracing::info!(
         task = action.cx().name(),
         step,
         way = way.name(),
-        figures = step::in_words(figures),
+        figures = step::in_words(&figures),
         "a way was chosen"
     );
+    let store = action.with_state(|state| state.store.clone());
+    shown::show(action.cx(), &store, step, (Some(way.name()), figures)).await;
 }
 
 /// The ways of a step with what each is assumed to cost.
@@ -459,7 +465,7 @@ async fn choose(action: Act) -> Acted {
     let mut rng = action.cx().rng(&format!("choice {choices}"));
     let chosen = step.choose(&belief, &known(&args, &step), &mut rng);
     let (way, figures) = chosen.ok_or_else(|| HandlerError::new("no way is left"))?;
-    log_choice(&action, &step.context, way, &figures);
+    tell_choice(&action, &step.context, way, figures).await;
     let now = action.cx().now();
     action.with_state(|state| state.step.begin(way, now));
     Ok(())
@@ -507,7 +513,7 @@ async fn note_way(action: &Act, ended: Result<String, Failure>) {
 
 /// Tells the Dispatcher which ways were tried, and what is believed of them by now.
 async fn tell(action: &Act) {
-    let (store, ways) = action.with_state(|state| {
+    let (store, ways, believed) = action.with_state(|state| {
         let mut lines = state.lines.clone();
         let believed = |context: &str, figures: &[Figures]| {
             format!("believed of {context}: {}", step::in_words(figures))
@@ -517,11 +523,14 @@ async fn tell(action: &Act) {
         let figures = step::figures(&state.belief, context, &going);
         lines.push(believed(context, &figures));
         let command = state.grasp.command;
-        (state.store.clone(), Ways { command, lines })
+        let believed = (context.clone(), figures);
+        (state.store.clone(), Ways { command, lines }, believed)
     });
     for line in ways.lines.iter().rev().take(2).rev() {
         tracing::info!(task = action.cx().name(), "{line}");
     }
+    let (step, figures) = believed;
+    shown::show(action.cx(), &store, &step, (None, figures)).await;
     if let Err(untold) = store.store(action.cx(), WAYS, &ways).await {
         tracing::warn!(%untold, "which ways were gone could not be passed up");
     }

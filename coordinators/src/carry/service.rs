@@ -47,6 +47,30 @@ const FORMS: &[Form] = &[
 struct Options {
     task: String,
     speed: Vec<f64>,
+    tries: String,
+    lost: String,
+    show: String,
+    speaker: String,
+}
+
+/// An option's value when the app's configuration decides.
+const USUAL: &str = "asConfigured";
+
+impl Options {
+    /// What is wanted otherwise than the app's configuration has it, as words of the tape.
+    fn wishes(&self) -> Vec<String> {
+        let speed = self.speed.first();
+        let speed = speed.map(|speed| format!("speed={speed}"));
+        let words = [
+            ("tries", &self.tries),
+            ("lost", &self.lost),
+            ("show", &self.show),
+            ("speaker", &self.speaker),
+        ];
+        let words = words.into_iter().filter(|(_, word)| *word != USUAL);
+        let words = words.map(|(key, word)| format!("{key}={word}"));
+        speed.into_iter().chain(words).collect()
+    }
 }
 
 impl Default for Options {
@@ -54,6 +78,10 @@ impl Default for Options {
         Self {
             task: "dispatcher".to_owned(),
             speed: Vec::new(),
+            tries: USUAL.to_owned(),
+            lost: USUAL.to_owned(),
+            show: USUAL.to_owned(),
+            speaker: USUAL.to_owned(),
         }
     }
 }
@@ -74,6 +102,32 @@ static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "",
             "fraction of full speed to and fro; as the Robot Coordinator has it unless it is set",
             |options| &mut options.speed,
+        )
+        .int_or(
+            "tries",
+            USUAL,
+            1..=100,
+            "",
+            "how often the thing is tried to grasp",
+            |options| &mut options.tries,
+        )
+        .choice(
+            "lost",
+            &[USUAL, "tell", "fetch"],
+            "what is done with a thing that was lost on the way",
+            |options| &mut options.lost,
+        )
+        .choice(
+            "show",
+            &[USUAL, "on", "off"],
+            "whether the pointer in the hand shows where a lost thing lies",
+            |options| &mut options.show,
+        )
+        .word(
+            "speaker",
+            "OBJECT",
+            "the service object that tells people in the room what went wrong, at its daemon",
+            |options| &mut options.speaker,
         )
 });
 
@@ -119,8 +173,7 @@ impl Carry {
                     field(column, row, height),
                     field(to_column, to_row, to_height),
                 ];
-                let speed = self.options.speed.first();
-                arguments.extend(speed.map(|speed| format!("speed={speed}")));
+                arguments.extend(self.options.wishes());
                 (("carry", arguments), "carried")
             }
             _ => (("put_back", Vec::new()), "put_down"),

@@ -1,7 +1,11 @@
 //! What people in the room are told of an errand that went wrong (the speaker daemon of the SORMA technical report, section 2.1.3):
 //! short messages, with fields as players name them.
 
-use ctos::task::Context;
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    task::Context,
+};
 use sorma::{Comm as _, Location, Method, ObjectName, Request, Transport, daemon::Tasks};
 
 use super::board::Field;
@@ -46,6 +50,26 @@ impl Speaker {
                 tracing::warn!(%object, %report, "nobody speaks");
             }
         });
+    }
+}
+
+/// Findings where the argument `speaker` names nobody who speaks.
+pub(super) fn check(name: Option<&str>, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    match name.map(Speaker::named) {
+        Some(Ok(speaker)) => {
+            if let Some(daemon) = speaker.daemon() {
+                crate::need_task(task, app, "speaker", daemon, findings);
+            }
+        }
+        Some(Err(text)) => {
+            let place = task.args.locate("speaker");
+            findings.push(
+                Finding::error("coordinators::carry::speaker", text)
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help("name an object at its daemon, such as `fork.sound@speaker`"),
+            );
+        }
+        None => {}
     }
 }
 

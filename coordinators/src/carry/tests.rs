@@ -3,6 +3,7 @@
 
 mod errands;
 mod failures;
+mod full_hands;
 mod kills;
 mod looks;
 mod points;

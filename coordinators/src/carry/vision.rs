@@ -19,6 +19,7 @@ use vss_board::pose::BoardForm;
 
 use super::{
     board::Board,
+    drawing,
     errand::{ERRAND, Errand, VISION_PROBLEMS},
     eyes::LookOver,
     sight::{self, FOUND, Found, Overview, SIGHT, Sight},
@@ -221,6 +222,7 @@ async fn see(action: &Act, look: Look) -> Result<Option<Board>, Failure> {
     }
     let seen = ask(cx, &args, &errand).await?;
     let board = seen.board(&errand.board);
+    drawing::show(cx, &store, (&board, &errand.thing), &seen).await;
     let before = store.fetch::<Sight>(cx, SIGHT).await.ok();
     let before = before.filter(|before| before.command == errand.command);
     let before = before.and_then(|before| before.seen);

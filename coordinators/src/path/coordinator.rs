@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     drive::{self, Pace},
-    trip::{ACCOUNT, Account, CHOSEN, Chosen, PLANNED, TRIP, Trip},
+    trip::{ACCOUNT, Account, PLANNED, TRIP, Trip},
 };
 use crate::{
     arm::{self, Arm, ArmKeys},
@@ -32,7 +32,7 @@ use crate::{
     motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
     strategy::{
-        Belief, Step,
+        Belief, Step, shown,
         step::{self, Way as _},
     },
 };
@@ -352,12 +352,7 @@ async fn choose(action: Act) -> Acted {
         figures = step::in_words(&figures),
         "a way was chosen"
     );
-    let chosen = Chosen {
-        command: step.command,
-        context: step.context,
-        figures,
-    };
-    store.store(&cx, CHOSEN, &chosen).await?;
+    shown::show(&cx, &store, &step.context, (Some(way.name()), figures)).await;
     action.with_state(|state| {
         state.choices = choices + 1;
         state.step.begin(way, cx.now());
@@ -423,6 +418,7 @@ async fn gone(action: &Act) -> Result<(Trip, String), Failure> {
             let pace = Pace {
                 speed: if slowly { args.slow } else { args.speed },
                 blends: !slowly,
+                guards: &[],
             };
             drive::along(&arm, &way, pace).await?;
             let (points, length) = (way.points.len(), way.length_m);
@@ -483,6 +479,10 @@ async fn tell(action: &Act, problem: Option<Failure>) {
     });
     for line in account.lines() {
         tracing::info!(task = cx.name(), "{line}");
+    }
+    if !account.figures.is_empty() {
+        let believed = (None, account.figures.clone());
+        shown::show(&cx, &store, &account.context, believed).await;
     }
     if let Err(untold) = store.store(&cx, ACCOUNT, &account).await {
         tracing::warn!(%untold, "how a trip went could not be passed up");

@@ -9,12 +9,12 @@ use ctos::{
     registry::Registry,
     task::HandlerError,
 };
-use mcs::Joints;
 use pnt::library::Library;
 use serde::Deserialize;
 
 use super::trip::{ACCOUNT, Account, TRIP, Trip};
 use crate::{
+    arm::radians,
     dispatching::{self, Dispatcher, Orders},
     dom::DomStore,
     handler::{self, NetArgs},
@@ -82,11 +82,6 @@ fn check(args: &GoArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
             }
         }
     }
-}
-
-/// Joint positions in degrees, as this arm has only joints that turn.
-fn radians(position: &[f64]) -> Joints {
-    Joints::from_fn(position.len(), |joint| position[joint].to_radians())
 }
 
 impl Orders for GoArgs {

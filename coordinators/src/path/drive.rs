@@ -18,11 +18,13 @@ const AHEAD: usize = 5;
 
 /// How a way is gone.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Pace {
+pub(crate) struct Pace<'a> {
     /// Fraction of full speed.
     pub speed: f64,
     /// Whether points are passed without a stop.
     pub blends: bool,
+    /// Recipes of guards that watch besides those that always do.
+    pub guards: &'a [String],
 }
 
 /// Straight in the joints to a point.
@@ -35,7 +37,7 @@ pub(crate) fn straight() -> PathKind {
 }
 
 /// Goes along a way from its start. The first motion that ends otherwise than it should ends it.
-pub(crate) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Failure> {
+pub(crate) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace<'_>) -> Result<(), Failure> {
     let points = way.points.iter().zip(&way.leeway);
     // Of a motion that waits, the time counts from when it is ordered.
     let longest_s = way.full_speed_s / pace.speed;
@@ -46,6 +48,7 @@ pub(crate) async fn along(arm: &Arm<'_>, way: &Way, pace: Pace) -> Result<(), Fa
                 true => Blend::Joints(blend),
                 false => Blend::default(),
             },
+            guards: pace.guards.to_vec(),
             ..arm::order(Target::Joints(*point), straight(), pace.speed)
         })
     });

@@ -118,7 +118,7 @@ impl bench::World for World {
     }
 }
 
-fn run_seeded(world: World, places: &[&str], seed: u64) -> World {
+fn app() -> String {
     let nets = configs().join("nets/path");
     let tasks = format!(
         r#"
@@ -137,7 +137,11 @@ service_within_s = 2.0
 "#,
         nets = nets.display()
     );
-    let app = bench::app(&tasks, &["mcs", "paths"]);
+    bench::app(&tasks, &["mcs", "paths"])
+}
+
+fn run_seeded(world: World, places: &[&str], seed: u64) -> World {
+    let app = app();
     let sets = [format!("app.seed={seed}")];
     let commands: Vec<String> = places.iter().map(|place| format!("go {place}")).collect();
     let commands: Vec<&str> = commands.iter().map(String::as_str).collect();
@@ -260,4 +264,21 @@ fn a_command_that_names_no_place_is_refused_in_words_and_moves_nothing() {
         assert!(text.contains("there are left, right"), "{text}");
     }
     assert!(world.bench.asked.is_empty());
+}
+
+#[test]
+fn why_a_place_was_not_reached_is_told_by_types_to_who_sent_the_command() {
+    let why = |world: World, command: &str| {
+        let app = bench::planned(&app(), command, "");
+        bench::kinds(&bench::run_planned(world, &app).1)
+    };
+    let all = ["line", "joint", "arch", "planned"];
+    let (answer, kinds) = why(World::new(&all, &[]), "go left");
+    assert_eq!(answer, "not_there");
+    assert_eq!(kinds, ["guard"; 5]);
+    let (answer, kinds) = why(World::new(&[], &[]), "go nowhere");
+    assert_eq!(
+        (answer.as_str(), kinds),
+        ("not_there", vec!["refused".to_owned()])
+    );
 }

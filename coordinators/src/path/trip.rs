@@ -14,8 +14,6 @@ use crate::{
 
 /// Where to go: written by the Dispatcher.
 pub const TRIP: &str = "trip";
-/// Which way was chosen, and why: written by the Coordinator.
-pub const CHOSEN: &str = "chosen_way";
 /// The way around everything that was planned: written by the Coordinator.
 pub const PLANNED: &str = "planned_way";
 /// How a trip went: written by the Coordinator.
@@ -30,17 +28,6 @@ pub struct Trip {
     pub to: String,
     /// Joint positions there, rad or m.
     pub goal: Joints,
-}
-
-/// [`CHOSEN`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Chosen {
-    /// The trip's command.
-    pub command: u32,
-    /// The step, from where to where.
-    pub context: String,
-    /// The numbers of the ways that were open, the chosen one first.
-    pub figures: Vec<Figures>,
 }
 
 /// [`ACCOUNT`].
@@ -72,5 +59,11 @@ impl Told for Account {
             lines.push(format!("believed of {}: {figures}", self.context));
         }
         lines
+    }
+
+    fn failures(&self) -> Vec<Failure> {
+        let tried = self.tried.iter();
+        let failed = tried.filter_map(|tried| tried.ended.as_ref().err().cloned());
+        failed.chain(self.problem.clone()).collect()
     }
 }

@@ -3,7 +3,7 @@
 //! The arm is stiff while it goes to and fro. Before it pushes it goes over to a compliant law, and back before it withdraws.
 //! What ends a push is told apart by the guard that ended it.
 
-use std::rc::Rc;
+use std::{rc::Rc, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
@@ -11,8 +11,9 @@ use ctos::{
     registry::Registry,
     task::Context,
 };
-use mcs::client::{Move, PathKind, PlanReport, Target};
-use nalgebra::{Isometry3, Point2};
+use mcs::client::{MotionError, Move, Outcome as Motion, PathKind, PlanReport, Target};
+use mcs_hand::command::MoveFingers;
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +28,9 @@ use crate::{
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.push_arm";
+
+/// How long the fingers may take.
+const SHAPED: Duration = Duration::from_secs(60);
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -47,8 +51,13 @@ struct ArmArgs {
     /// The same of the acceleration in a push.
     #[serde(default = "softly")]
     softly: f64,
-    /// Height of the tool while it pushes, m.
+    /// Height of what pushes, m.
     height_m: f64,
+    /// What pushes, in the tool's frame, m: the tool itself when it is left out.
+    #[serde(default)]
+    tip_m: [f64; 3],
+    /// The hand whose fingers are shaped before; none when it is left out.
+    hand: Option<HandArgs>,
     /// How far above that it goes to and fro, m.
     #[serde(default = "clearance_m")]
     clearance_m: f64,
@@ -88,6 +97,19 @@ struct ArmArgs {
     /// How long an MCS that is gone, and may be started again, is waited for, s.
     #[serde(default = "crate::service_within_s")]
     service_within_s: f64,
+}
+
+/// A hand with fingers.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HandArgs {
+    /// Its task.
+    task: String,
+    /// Its joints while it pushes, degrees: one finger straight, the others out of the way.
+    posture_deg: Vec<f64>,
+    /// Fraction of full speed of the fingers.
+    #[serde(default = "speed")]
+    speed: f64,
 }
 
 fn speed() -> f64 {
@@ -236,6 +258,10 @@ fn check(args: &ArmArgs, task: &TaskConfig, app: &App, findings: &mut Findings) 
         park_deg: Some(&args.park_deg),
     };
     keys.check(task, app, "coordinators::push::range", findings);
+    if let Some(hand) = &args.hand {
+        crate::need_task(task, app, "hand.task", &hand.task, findings);
+        crate::check_speed(task, "hand.speed", hand.speed, findings);
+    }
     let mut wrong = |key: &str, text: String| {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
         findings.push(Finding::error("coordinators::push::range", text).at(place));
@@ -252,6 +278,10 @@ fn check(args: &ArmArgs, task: &TaskConfig, app: &App, findings: &mut Findings) 
     if !(-5.0..=5.0).contains(&args.height_m) {
         let text = format!("`height_m` is {}; give from -5 to 5 m", args.height_m);
         wrong("height_m", text);
+    }
+    if args.tip_m.iter().any(|part| !(-1.0..=1.0).contains(part)) {
+        let text = format!("`tip_m` is {:?}; give from -1 to 1 m", args.tip_m);
+        wrong("tip_m", text);
     }
     if args.turns_deg.is_empty() {
         wrong(
@@ -427,6 +457,7 @@ impl<'a> Pushing<'a> {
     /// Above the beginning of the way and down, with the first turn that reaches all of it.
     async fn approach(&mut self) -> Result<(), Failure> {
         self.law(&self.args.stiff).await?;
+        self.shape().await?;
         let (height, length) = (self.args.height_m, self.job.length());
         let up = height + self.args.clearance_m;
         let mut first = None;
@@ -435,7 +466,7 @@ impl<'a> Pushing<'a> {
             let ends = [(length, height), (0.0, height), (0.0, up)];
             let mut planned = Err(Failure::new(Outcome::Fault, "a way has ends"));
             for (along, height) in ends {
-                let pose = self.job.pose(along, height, turn);
+                let pose = self.tool_at(along, height, turn);
                 let target = arm::pose(&pose);
                 let arm = self.arm();
                 planned = arm.plan(target, PathKind::Joint, self.args.speed).await;
@@ -451,7 +482,7 @@ impl<'a> Pushing<'a> {
                     let target = Target::Joints(joints);
                     let order = arm::order(target, PathKind::Joint, self.args.speed);
                     self.arm().go(order, duration_s).await?;
-                    let down = self.job.pose(0.0, height, turn);
+                    let down = self.tool_at(0.0, height, turn);
                     return self.line(down, self.args.speed, &[&self.args.touch]).await;
                 }
                 Err(failure) if failure.outcome == Outcome::Unreachable => {
@@ -519,10 +550,10 @@ impl<'a> Pushing<'a> {
 
     /// The failure, when the guard of that name ended the motion; else as an error.
     async fn was(&self, guard: &str, failure: Failure) -> Result<Failure, Failure> {
-        let arm = self.arm();
-        let guards = arm.ask(|arm| async move { arm.guards().await }).await?;
-        let is_it = guards.last.is_some_and(|last| last.guard.as_str() == guard);
-        if is_it { Ok(failure) } else { Err(failure) }
+        match self.arm().was_ended_by(&[guard]).await? {
+            true => Ok(failure),
+            false => Err(failure),
+        }
     }
 
     /// Back off the thing and straight up.
@@ -532,15 +563,14 @@ impl<'a> Pushing<'a> {
             return Ok(());
         };
         let up = self.args.height_m + self.args.clearance_m;
-        let tool = self.arm().tool().await?;
-        let along = self.job.along(&Point2::from(tool.translation.vector.xy()));
-        if tool.translation.z < up - 1e-3 {
-            let back = along - self.args.back_m;
-            let off = self.job.pose(back, tool.translation.z, turn);
+        let tip = self.tip().await?;
+        if tip.z < up - 1e-3 {
+            let back = self.job.along(&tip.xy()) - self.args.back_m;
+            let off = self.tool_at(back, tip.z, turn);
             // A stiff arm would press harder before it goes back.
             self.line(off, self.args.gentle, &[]).await?;
             self.law(&self.args.stiff).await?;
-            self.line(self.job.pose(back, up, turn), self.args.speed, &[])
+            self.line(self.tool_at(back, up, turn), self.args.speed, &[])
                 .await?;
         }
         Ok(())
@@ -563,13 +593,45 @@ impl<'a> Pushing<'a> {
     fn pose(&self, along: f64) -> Result<Isometry3<f64>, Failure> {
         let none = || Failure::new(Outcome::Fault, "no turn was chosen for this job");
         let turn = self.account.turn.ok_or_else(none)?;
-        Ok(self.job.pose(along, self.args.height_m, turn))
+        Ok(self.tool_at(along, self.args.height_m, turn))
     }
 
-    /// How far along the way the tool is, m.
+    /// `base_t_tool` with what pushes so far along the way and so high, m.
+    fn tool_at(&self, along: f64, height: f64, turn: f64) -> Isometry3<f64> {
+        let tip = Translation3::from(Vector3::from(self.args.tip_m));
+        self.job.pose(along, height, turn) * tip.inverse()
+    }
+
+    /// Where what pushes is, base frame, m.
+    async fn tip(&self) -> Result<Point3<f64>, Failure> {
+        Ok(self.arm().tool().await? * Point3::from(self.args.tip_m))
+    }
+
+    /// How far along the way that is, m.
     async fn along(&self) -> Result<f64, Failure> {
-        let tool = self.arm().tool().await?;
-        Ok(self.job.along(&Point2::from(tool.translation.vector.xy())))
+        Ok(self.job.along(&self.tip().await?.xy()))
+    }
+
+    /// Straightens the finger that pushes, where there is a hand.
+    async fn shape(&self) -> Result<(), Failure> {
+        let Some(hand) = &self.args.hand else {
+            return Ok(());
+        };
+        let order = MoveFingers {
+            joints: arm::radians(&hand.posture_deg),
+            speed: hand.speed,
+            time_s: None,
+        };
+        let within = Duration::try_from_secs_f64(self.args.service_within_s);
+        let within = within.unwrap_or(Duration::MAX);
+        let is_lost = |error: &MotionError| error.outcome == Motion::Lost;
+        let shaped = crate::patiently(self.cx, within, is_lost, || async {
+            let task = self.cx.task(&hand.task).await?;
+            let call = self.cx.call(&task, order.clone());
+            call.deadline(SHAPED).await?
+        });
+        shaped.await?;
+        Ok(())
     }
 
     /// Straight to a pose.

@@ -93,6 +93,11 @@ impl Told for Account {
         lines.extend(problems.map(|(request, failure)| format!("{request}: {}", failure.reason)));
         lines
     }
+
+    fn failures(&self) -> Vec<Failure> {
+        let problems = self.problems.iter();
+        problems.map(|(_, failure)| failure.clone()).collect()
+    }
 }
 
 #[cfg(test)]

@@ -159,7 +159,7 @@ impl bench::World for World {
     }
 }
 
-fn run(world: World, arguments: &[&str]) -> World {
+fn app() -> String {
     let nets = configs().join("nets/push");
     let tasks = format!(
         r#"
@@ -178,8 +178,12 @@ service_within_s = 2.0
 "#,
         nets = nets.display()
     );
+    bench::app(&tasks, &["mcs"])
+}
+
+fn run(world: World, arguments: &[&str]) -> World {
     let command = format!("push {}", arguments.join(" "));
-    bench::run(world, &bench::app(&tasks, &["mcs"]), &[&command])
+    bench::run(world, &app(), &[&command])
 }
 
 /// Whether the Dispatcher is at rest.
@@ -292,4 +296,24 @@ fn a_command_that_names_no_way_is_refused_in_words_and_moves_nothing() {
         assert_eq!(symbol, "not_pushed");
         assert!(!text.is_empty() && world.bench.asked.is_empty());
     }
+}
+
+#[test]
+fn why_a_thing_was_not_pushed_is_told_by_types_to_who_sent_the_command() {
+    let why = |world: World, command: &str| {
+        let app = bench::planned(&app(), command, "");
+        bench::kinds(&bench::run_planned(world, &app).1)
+    };
+    let told = |kind: &str| ("not_pushed".to_owned(), vec![kind.to_owned()]);
+    let nothing = World {
+        face: None,
+        ..World::default()
+    };
+    let walled = World {
+        wall: Some(0.15),
+        ..World::default()
+    };
+    assert_eq!(why(nothing, "push 0.5,-0.2 0.5,0.1"), told("absent"));
+    assert_eq!(why(walled, "push 0.5,-0.2 0.5,0.1"), told("guard"));
+    assert_eq!(why(World::default(), "push 0.5,-0.2"), told("refused"));
 }

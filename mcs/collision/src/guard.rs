@@ -6,10 +6,11 @@
 //! each arm stops itself. Between what is commanded and where the arm is lies the tracking error, for which the margin
 //! has room.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Weak};
 
 use ctos::config::Node;
-use ctos::task::HandlerError;
+use ctos::task::{Context, HandlerError};
 use mcs::guard::{Guard, GuardSettings, Neighbour, Seen, Shown, Words};
 use mcs::latest::Latest;
 use mcs::model::file::{AtText, ShapeText};
@@ -60,6 +61,10 @@ struct Furniture {
     name: String,
     /// Its form in the base frame of this arm.
     shapes: Vec<ShapeText>,
+    /// The distance that a solid of this arm keeps from it instead of the margin, m, by the solid's name. Below zero it may reach
+    /// into it so far.
+    #[serde(default)]
+    near: BTreeMap<String, f64>,
 }
 
 /// What a recipe of this guard says there is around an arm, in its base frame.
@@ -71,6 +76,9 @@ pub struct Surroundings {
     pub others: Vec<(String, Placement)>,
     /// The solids of the room, by name.
     pub room: Vec<(String, Solid)>,
+    /// Other distances than the margin, m: that of a solid of the arm from a piece of the room, each by name. Only who watches goes
+    /// by them; who plans keeps the margin.
+    pub near: Vec<(String, String, f64)>,
 }
 
 impl Surroundings {
@@ -84,8 +92,18 @@ impl Surroundings {
             return Err(format!("`margin` is 0 to 1 m, not {}", args.margin).into());
         }
         let others = args.others.into_iter();
-        let mut room = Vec::new();
+        let (mut room, mut near) = (Vec::new(), Vec::new());
         for piece in args.room {
+            for (solid, distance) in piece.near {
+                if !(-1.0..=args.margin).contains(&distance) {
+                    let text = format!(
+                        "`near.{solid}` of `{}` is {distance}: give -1 m to the margin",
+                        piece.name
+                    );
+                    return Err(text.into());
+                }
+                near.push((solid, piece.name.clone(), distance));
+            }
             for shape in &piece.shapes {
                 let solid = shape
                     .solid()
@@ -99,6 +117,7 @@ impl Surroundings {
                 .map(|other| (other.servo, other.at.placement()))
                 .collect(),
             room,
+            near,
         })
     }
 }
@@ -110,6 +129,9 @@ pub struct Findings {
     pub names: Vec<[String; 2]>,
     latest: Latest,
 }
+
+/// What a servo's task shares: each is gone with its guard.
+type All = Vec<Weak<Findings>>;
 
 /// A finding as [`Findings::read`] hands it out.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -123,10 +145,25 @@ pub struct Found {
 }
 
 impl Findings {
-    /// Where the guard of a servo's task shares them.
-    #[must_use]
-    pub fn key(servo: &str) -> String {
+    /// Where the guards of a servo's task share them.
+    fn key(servo: &str) -> String {
         format!("mcs.collision/{servo}")
+    }
+
+    /// Those of all guards of this kind that a servo's task has.
+    #[must_use]
+    pub fn of(cx: &Context, servo: &str) -> Vec<Arc<Self>> {
+        let all = cx.shared::<All>(&Self::key(servo));
+        all.map_or_else(Vec::new, |all| {
+            all.iter().filter_map(Weak::upgrade).collect()
+        })
+    }
+
+    /// Shares those of one more guard of the servo's task.
+    fn share(findings: &Arc<Self>, cx: &Context, servo: &str) {
+        let mut all: All = Self::of(cx, servo).iter().map(Arc::downgrade).collect();
+        all.push(Arc::downgrade(findings));
+        cx.share(&Self::key(servo), Arc::new(all));
     }
 
     fn write(&self, found: &Found) {
@@ -157,7 +194,6 @@ impl Findings {
 /// The guard.
 pub struct Collision {
     scene: Scene,
-    margin: f64,
     others: Vec<Neighbour>,
     findings: Arc<Findings>,
     found: Found,
@@ -172,6 +208,7 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
         margin,
         others: named,
         room,
+        near,
     } = Surroundings::read(settings.args)?;
     if settings.model.shapes().is_empty() {
         let name = settings.model.name();
@@ -188,17 +225,24 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
     }
     let own = (Arc::clone(settings.model), Placement::identity());
     let arms = others.iter().map(|(arm, at)| (Arc::clone(&arm.model), *at));
-    let scene = Scene::new(std::iter::once(own).chain(arms), room, margin);
+    let mut scene = Scene::new(std::iter::once(own).chain(arms), room, margin);
+    for (solid, piece, distance) in near {
+        if !scene.keep(&solid, &piece, distance) {
+            let name = settings.model.name();
+            return Err(
+                format!("`{name}` has no solid `{solid}`, which may be near `{piece}`").into(),
+            );
+        }
+    }
     let findings = Arc::new(Findings {
         names: scene.names(),
         latest: Latest::new(&[-1.0, f64::INFINITY, 0.0, -1.0]),
     });
     if let Some(cx) = settings.cx {
-        cx.share(&Findings::key(settings.servo), Arc::clone(&findings));
+        Findings::share(&findings, cx, settings.servo);
     }
     Ok(Box::new(Collision {
         scene,
-        margin,
         others: others.into_iter().map(|(arm, _)| arm).collect(),
         findings,
         found: Found {
@@ -215,7 +259,7 @@ impl Collision {
             Some([one, other]) => [one.as_str(), other.as_str()],
             None => ["?"; 2],
         };
-        let (now, margin) = (near.now, self.margin);
+        let Near { now, margin, .. } = *near;
         words!("{one} and {other} are {now:.3} m apart and would come nearer than {margin:.3} m")
     }
 }

@@ -84,6 +84,8 @@ struct Pair {
     other: Which,
     /// The joints that move one against the other: arm, joint, lever.
     levers: Vec<(usize, usize, f64)>,
+    /// The distance that is kept, m.
+    margin: f64,
 }
 
 /// Two solids and how far they are from one another.
@@ -95,6 +97,8 @@ pub struct Near {
     pub now: f64,
     /// The least one that was found on their way to rest, m.
     pub least: f64,
+    /// The one that is kept, m.
+    pub margin: f64,
 }
 
 /// What a look at the scene came to.
@@ -372,7 +376,12 @@ impl Scene {
         };
         let mut put = |one: Which, other: Which, levers: Vec<(usize, usize, f64)>| {
             if !levers.is_empty() {
-                pairs.push(Pair { one, other, levers });
+                pairs.push(Pair {
+                    one,
+                    other,
+                    levers,
+                    margin: self.margin,
+                });
             }
         };
         let parent = |part: &Part| part.carrier.and_then(|at| own.model.joints()[at].parent);
@@ -428,6 +437,22 @@ impl Scene {
         }
         let mut kept = apart.into_iter();
         self.pairs.retain(|_| kept.next().unwrap_or(true));
+    }
+
+    /// Has a solid of the first arm keep another distance (m) from a piece of the room, each by its name. Whether there is such a
+    /// solid.
+    pub fn keep(&mut self, solid: &str, piece: &str, margin: f64) -> bool {
+        let own = |part: &Part| part.name == solid;
+        let is_known = self
+            .arms
+            .first()
+            .is_some_and(|arm| arm.parts.iter().any(own));
+        for (pair, [one, other]) in self.names().iter().enumerate() {
+            if one == solid && other == piece && self.pairs[pair].other.0 == Owner::Room {
+                self.pairs[pair].margin = margin;
+            }
+        }
+        is_known
     }
 
     /// The names of both solids of each pair.
@@ -534,7 +559,8 @@ impl Scene {
             }
             let pair = &self.pairs[index];
             let nearest = looked.nearest.map_or(f64::INFINITY, |near| near.now);
-            let keeps = self.margin + self.moves_in_all(pair);
+            let margin = pair.margin;
+            let keeps = margin + self.moves_in_all(pair);
             if self.is_far(pair, keeps.max(nearest)) {
                 continue;
             }
@@ -543,14 +569,15 @@ impl Scene {
                 pair: index,
                 now,
                 least: now,
+                margin,
             };
             if now < nearest {
                 looked.nearest = Some(near);
             }
             if looked.touches.is_none() && now <= keeps {
-                near.least = self.least(index, now, self.margin);
-                let touches = match now > self.margin {
-                    true => near.least <= self.margin,
+                near.least = self.least(index, now, margin);
+                let touches = match now > margin {
+                    true => near.least <= margin,
                     false => near.least < now - ROUNDING,
                 };
                 if touches {
@@ -682,6 +709,7 @@ impl Scene {
                     pair: index,
                     now,
                     least,
+                    margin: *margin,
                 });
             }
         }

@@ -1,7 +1,6 @@
 //! The event handler `mcs.collision`: tells what the guards of the arms on its chassis found, to whoever asks and in the
 //! log.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use ctos::config::{App, TaskConfig};
@@ -16,7 +15,7 @@ use crate::guard::{Findings, Found};
 /// Its registered name.
 pub const HANDLER: &str = "mcs.collision";
 
-/// What the guard of one arm found.
+/// What one guard of an arm found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ArmFindings {
     /// The servo's task.
@@ -30,7 +29,7 @@ pub struct ArmFindings {
 }
 
 ctos::command! {
-    /// Tells what the guards found; the nearest pair is as in the latest tick of the latest motion.
+    /// Tells what the guards found, each of them; the nearest pair is as in the latest tick of the latest motion.
     #[derive(Debug, Clone, PartialEq)]
     pub struct ReadCollisions => Vec<ArmFindings>, 0x0351, "read_collisions"
 }
@@ -94,10 +93,6 @@ struct Collisions {
     args: Args,
 }
 
-fn findings(cx: &Context, servo: &str) -> Option<Arc<Findings>> {
-    cx.shared(&Findings::key(servo))
-}
-
 fn told(servo: &str, findings: &Findings) -> ArmFindings {
     let Found {
         nearest,
@@ -113,21 +108,29 @@ fn told(servo: &str, findings: &Findings) -> ArmFindings {
     }
 }
 
+/// What every guard of every arm found.
+fn read(cx: &Context, args: &Args) -> Vec<ArmFindings> {
+    let servos = args.servos.iter();
+    let told = servos.flat_map(|servo| {
+        let all = Findings::of(cx, servo).into_iter();
+        all.map(move |findings| told(servo, &findings))
+    });
+    told.collect()
+}
+
 /// Logs each motion that was stopped, once.
 async fn watch(cx: Context, args: Args) {
-    let mut before = vec![0; args.servos.len()];
+    let mut before = Vec::new();
     loop {
         cx.sleep(Duration::from_secs_f64(args.every_s)).await;
-        for (servo, before) in args.servos.iter().zip(&mut before) {
-            let Some(findings) = findings(&cx, servo) else {
-                continue;
-            };
-            let found = told(servo, &findings);
+        let all = read(&cx, &args);
+        before.resize(all.len(), 0);
+        for (found, before) in all.into_iter().zip(&mut before) {
             if found.stops > *before {
                 let pair = found.last.unwrap_or_default().join(" and ");
                 tracing::warn!(
                     task = cx.name(),
-                    servo,
+                    servo = found.servo,
                     pair,
                     "a motion would have ended in a collision"
                 );
@@ -143,9 +146,7 @@ impl EventHandler for Collisions {
         match message.command() {
             ReadCollisions::CODE => {
                 let (ReadCollisions {}, reply) = message.open::<ReadCollisions>()?;
-                let servos = self.args.servos.iter();
-                let all = servos.filter_map(|servo| Some(told(servo, &*findings(cx, servo)?)));
-                reply.ok(all.collect())
+                reply.ok(read(cx, &self.args))
             }
             _ => cx.default_processing(message),
         }

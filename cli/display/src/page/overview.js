@@ -228,16 +228,19 @@ export class Overview {
     for (const track of this.order()) {
       const state = track.at(moment);
       const said = state?.said?.words ?? "";
-      const own = parts.filter((one) => one.track === track && one.part.name !== "");
-      if (track.gone === null && own.length === 0 && said === "") continue;
+      const named = parts.filter((one) => one.track === track && one.part.name !== "");
+      const ways = named.filter((one) => one.part.kind.startsWith("way"));
+      const own = named.filter((one) => !ways.includes(one));
+      if (track.gone === null && named.length === 0 && said === "") continue;
       const title = [track.source, state?.view.layer === "truth" ? make("small", {}, "simulator's truth") : own.length > 0 ? make("small", {}, "measured") : null];
       sections.push(make("section", {}, make("h2", {}, ...title.filter((one) => one !== null)),
         track.gone !== null ? make("p", { class: "words failed" }, track.gone) : null,
         said !== "" ? make("p", { class: `words${state.said.fault ? " failed" : ""}` }, said) : null,
-        own.length > 0 ? this.table(own) : null));
+        own.length > 0 ? this.table(own) : null,
+        ways.length > 0 ? this.ways(ways) : null));
     }
-    const first = sections.find((section) => section.querySelector("table"));
-    if (first) first.querySelector("table").id = "parts";
+    const first = sections.map((section) => section.querySelector("table:not(.ways)")).find((table) => table !== null);
+    if (first) first.id = "parts";
     return sections;
   }
 
@@ -252,6 +255,26 @@ export class Overview {
     });
     return make("table", { class: "parts" },
       make("thead", {}, make("tr", {}, ...["part", "joint", "error", "at, m"].map((text) => make("th", { scope: "col", title: text === "at, m" ? "where the frame of its joint is" : null }, text)))),
+      make("tbody", {}, ...rows));
+  }
+
+  /** What Coordinators believe of the ways of each step; the one that was chosen last stands out. */
+  ways(ways) {
+    let before = null;
+    const rows = ways.flatMap((one) => {
+      const at = one.part.name.lastIndexOf(": ");
+      const [step, name] = [one.part.name.slice(0, at), one.part.name.slice(at + 2)];
+      const chosen = one.part.kind === "way, chosen";
+      const [chance, cost, trials] = one.row.slice(8);
+      const row = make("tr", { class: chosen ? "now" : null, title: chosen ? "chosen last" : null },
+        make("th", { scope: "row" }, name),
+        ...[`${(100 * chance).toFixed(0)} %`, `${cost.toFixed(1)} s`, trials.toFixed(0)].map((text) => make("td", {}, text)));
+      const head = step === before ? [] : [make("tr", {}, make("th", { scope: "rowgroup", colspan: "4" }, make("b", {}, step)))];
+      before = step;
+      return [...head, row];
+    });
+    return make("table", { class: "parts ways" },
+      make("thead", {}, make("tr", {}, ...["ways", "success", "cost", "tried"].map((text) => make("th", { scope: "col" }, text)))),
       make("tbody", {}, ...rows));
   }
 

@@ -3,7 +3,10 @@
 use std::rc::Rc;
 
 use ctos::task::Context;
-use mcs::client::{Move, PathKind, PlanReport};
+use mcs::{
+    Joints,
+    client::{Move, PathKind, PlanReport, Target},
+};
 use nalgebra::{Isometry3, Translation3, Vector3};
 
 use super::{Act, Leg, RobotArgs};
@@ -11,7 +14,7 @@ use crate::{
     arm::{self, Arm},
     carry::{
         errand::{ERRAND, End, Errand, WAY, Way},
-        ways::Going,
+        ways::{Going, turns},
     },
     dom::DomStore,
     outcome::{Failure, Outcome},
@@ -23,6 +26,9 @@ use crate::{
 
 /// The most of the thing's height by which it may stand too high when the arm feels that it has been set down.
 const EARLY: f64 = 0.5;
+
+/// An arm that is lower than where it goes to and fro by more may meet what lies beside it, m.
+const LOW_M: f64 = 0.02;
 
 /// An errand, and the arm that goes its way.
 pub(super) struct Ride<'a> {
@@ -74,6 +80,7 @@ impl<'a> Ride<'a> {
             Leg::SetDown => self.set_down(End::To).await,
             Leg::Withdraw => self.withdraw().await,
             Leg::GoBack => {
+                self.take_some_way().await?;
                 self.arch_to(End::From).await?;
                 self.set_down(End::From).await
             }
@@ -131,7 +138,9 @@ impl<'a> Ride<'a> {
             Going::Arch => self.arch(),
             Going::Planned => return self.go_planned(above).await,
         };
-        let gone = self.along(above, path, self.speed(), &[]).await;
+        let gone = self
+            .along(above, path, self.speed(), &self.args.clear)
+            .await;
         // What the planner refuses, an arch without a way across, say, is no way; who may move was settled before.
         gone.map_err(|failure| match failure.outcome {
             Outcome::Refused => Failure::new(Outcome::Unreachable, failure.reason),
@@ -140,14 +149,19 @@ impl<'a> Ride<'a> {
         Ok(String::new())
     }
 
-    /// Around everything, as the planner finds it.
+    /// To above an end around everything, as the planner finds it.
     async fn go_planned(&self, above: Isometry3<f64>) -> Result<String, Failure> {
-        let arm = self.arm();
         let goal = self.plan(above, PathKind::Joint).await?.joints;
+        self.go_around(goal).await
+    }
+
+    async fn go_around(&self, goal: Joints) -> Result<String, Failure> {
+        let arm = self.arm();
         let way = plan_around(self.cx, &self.args.planner, drive::here(&arm).await?, goal).await?;
         let pace = Pace {
             speed: self.speed(),
             blends: true,
+            guards: &self.args.clear,
         };
         drive::along(&arm, &way, pace).await?;
         Ok(format!(
@@ -179,6 +193,36 @@ impl<'a> Ride<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Where none was chosen, for the hand was full before the errand: the first turn with which the arm reaches FROM.
+    async fn take_some_way(&self) -> Result<(), Failure> {
+        if self.way().await.is_ok() {
+            return Ok(());
+        }
+        let mut first = None;
+        for (turn, _) in turns(&self.errand.thing) {
+            let turn = turn.radians();
+            match self
+                .plan(self.errand.pose(End::From, turn), PathKind::Joint)
+                .await
+            {
+                Ok(_) => {
+                    let way = Way {
+                        command: self.errand.command,
+                        turn,
+                        shift: None,
+                    };
+                    return Ok(self.store.store(self.cx, WAY, &way).await?);
+                }
+                Err(failure) if failure.outcome == Outcome::Unreachable => {
+                    first.get_or_insert(failure);
+                }
+                Err(failure) => return Err(failure),
+            }
+        }
+        let none = || Failure::new(Outcome::Unreachable, "the thing has no turn");
+        Err(first.unwrap_or_else(none))
     }
 
     async fn plan(&self, pose: Isometry3<f64>, path: PathKind) -> Result<PlanReport, Failure> {
@@ -225,14 +269,38 @@ impl<'a> Ride<'a> {
     /// Up, across and down to above an end of the way.
     async fn arch_to(&self, end: End) -> Result<(), Failure> {
         let above = self.grip_above(end).await?;
-        self.along(above, self.arch(), self.speed(), &[]).await
+        let (speed, clear) = (self.speed(), &self.args.clear);
+        let mut gone = self.along(above, self.arch(), speed, clear).await;
+        let is_ended = gone
+            .as_ref()
+            .is_err_and(|failure| failure.outcome == Outcome::Guard);
+        // Back as it came, where nothing lies as high as that.
+        if is_ended && self.height().await? > above.translation.z - LOW_M {
+            let line = PathKind::StraightLine;
+            gone = self.along(above, line, speed, clear).await;
+        }
+        match gone {
+            Err(failure) if self.may_go_around(&failure) => {
+                self.go_planned(above).await.map(|_| ())
+            }
+            gone => gone,
+        }
+    }
+
+    /// Whether a way on which there is no choice is gone around everything instead.
+    fn may_go_around(&self, failure: &Failure) -> bool {
+        failure.outcome == Outcome::Guard && self.args.ways.are_planned()
     }
 
     /// Down until the thing stands. What is felt earlier than that stands there already.
     async fn set_down(&self, end: End) -> Result<(), Failure> {
         let pose = self.grip(end).await?;
         match self.guarded(pose).await {
-            Err(failure) if failure.outcome == Outcome::Guard => {
+            // Any other guard has felt nothing beneath it.
+            Err(failure)
+                if failure.outcome == Outcome::Guard
+                    && self.arm().was_ended_by(&self.args.touch).await? =>
+            {
                 let early = self.height().await? - pose.translation.z;
                 if early <= EARLY * self.errand.thing.height_m {
                     return Ok(());
@@ -266,7 +334,19 @@ impl<'a> Ride<'a> {
 
     /// To where the arm waits; there it is given back.
     async fn park(&self) -> Result<(), Failure> {
-        let park = &self.args.park_deg;
-        self.arm().park(park, self.speed()).await
+        let (arm, park) = (self.arm(), arm::radians(&self.args.park_deg));
+        let order = Move {
+            guards: self.args.clear.clone(),
+            ..arm::order(Target::Joints(park), PathKind::Joint, self.speed())
+        };
+        match arm.travel(order).await {
+            Err(failure) if self.may_go_around(&failure) => {
+                self.go_around(park).await?;
+            }
+            gone => {
+                gone?;
+            }
+        }
+        arm.release().await
     }
 }

@@ -88,3 +88,15 @@ fn without_cameras_a_thing_that_is_not_there_or_cannot_be_set_down_is_told_and_s
     assert_eq!(world.thing, Place::At(on("3,4")));
     assert!(!world.dropped && world.hand_full() == 0);
 }
+
+#[test]
+fn a_way_down_that_another_guard_than_the_touch_ends_is_not_taken_for_a_thing_that_stands() {
+    let mut world = World::default();
+    world.held_off = Some(0.003);
+    let world = run(world, &[CARRY]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried", "{text}");
+    assert!(text.contains("set_down: table is near"), "{text}");
+    assert!(!world.dropped);
+    assert_eq!((world.thing, world.hand_full()), (Place::InHand, 1));
+}

@@ -106,7 +106,7 @@ fn the_same_seed_takes_the_same_ways() {
 
 /// The only simpler way is blocked, and the planner is known.
 fn around(mut world: World) -> World {
-    world.blocked = vec!["arch"];
+    world.blocked.push("arch");
     let ways = "[{ way = \"arch\", cost_s = 2.0 }, { way = \"planned\", cost_s = 8.0 }]";
     let sets = ["approach", "transfer"].map(|step| format!("task.robot.args.ways.{step}={ways}"));
     run_with(world, &sets.each_ref().map(String::as_str))
@@ -133,4 +133,21 @@ fn where_the_planner_finds_no_way_the_answer_says_so_and_nothing_was_touched() {
     assert!(text.contains("approach: planned failed"), "{text}");
     assert_eq!(world.stands_at(), on("3,4"));
     assert!(world.rests());
+}
+
+#[test]
+fn a_way_without_a_choice_that_a_guard_ends_is_gone_around_everything_where_the_app_has_a_planner()
+{
+    let mut world = World::default();
+    world.blocked = vec!["joint"];
+    let world = around(world);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    // The arm is parked by joints.
+    assert!(!world.bench.reserved);
+    let mut blocked = World::default();
+    blocked.blocked = vec!["joint"];
+    let world = run_with(blocked, &[]);
+    assert_eq!(world.bench.answers[0].0, "not_carried");
+    assert!(world.bench.answers[0].1.contains("park: post is near"));
 }

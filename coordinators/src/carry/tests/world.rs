@@ -9,7 +9,11 @@ use ctos::{
 };
 use mcs::{
     Joints,
-    client::{MotionError, Move, Outcome as Motion, PathKind, Plan, SetOutput, Target},
+    client::{
+        GuardsReport, MotionError, Move, Outcome as Motion, PathKind, Plan, ReadGuards, SetOutput,
+        Target,
+    },
+    guard::GuardReport,
 };
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use mcs_path::{
@@ -101,6 +105,10 @@ pub(crate) struct World {
     pub blocked_turns: Vec<f64>,
     /// Kinds of path that a guard ends half way.
     pub blocked: Vec<&'static str>,
+    /// Ways down with the thing are ended so high above their ends by the collision watch, m.
+    pub held_off: Option<f64>,
+    /// The guard that ended a motion last.
+    last: Option<&'static str>,
     pub is_open: bool,
     /// Let go where nothing was beneath.
     pub dropped: bool,
@@ -142,6 +150,8 @@ impl World {
             nothing_in_reach: false,
             blocked_turns: Vec::new(),
             blocked: Vec::new(),
+            held_off: None,
+            last: None,
             is_open: false,
             dropped: false,
             motion: Duration::ZERO,
@@ -177,7 +187,7 @@ impl World {
     /// Whether anything was asked but the cameras.
     pub fn moved(&self) -> bool {
         let mut asked = self.bench.asked.iter();
-        asked.any(|request| request != "look_over")
+        asked.any(|request| request != LookOver::NAME)
     }
 
     /// Whether the pointer is out.
@@ -221,7 +231,11 @@ impl World {
 
     /// The middle of the bottom of what the pads would be around.
     fn bottom(&self) -> Point3<f64> {
-        let at = Point3::from(self.tool.translation.vector);
+        self.bottom_at(&self.tool)
+    }
+
+    fn bottom_at(&self, tool: &Isometry3<f64>) -> Point3<f64> {
+        let at = Point3::from(tool.translation.vector);
         at - Vector3::z() * disc().grasp.above_m
     }
 
@@ -348,6 +362,7 @@ impl bench::World for World {
         SetOutput::INFO,
         PlanWay::INFO,
         DiskOffset::INFO,
+        ReadGuards::INFO,
     ];
 
     fn bench(&mut self) -> &mut Bench {
@@ -398,12 +413,24 @@ impl bench::World for World {
         // The ways down have guards of their own.
         if order.guards.is_empty() && self.blocked.contains(&kind) {
             self.tool = self.tool.lerp_slerp(&to, 0.5);
+            self.last = Some("collision");
             return Err(MotionError::new(Motion::Guard, "post is near"));
         }
         let turn = self.turn(&to);
         let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
         let empty = self.thing != Place::InHand;
+        if !order.guards.is_empty()
+            && !empty
+            && let Some(above) = self.held_off
+            && self.bottom_at(&to).z < 0.42 + 1e-3
+        {
+            to.translation.z += above;
+            self.tool = to;
+            self.last = Some("collision");
+            return Err(MotionError::new(Motion::Guard, "table is near"));
+        }
         if !order.guards.is_empty() && empty && self.blocked_turns.iter().any(is_near) {
+            self.last = Some("touch");
             return Err(MotionError::new(Motion::Guard, "force 9 N"));
         }
         if !order.guards.is_empty() {
@@ -413,6 +440,7 @@ impl bench::World for World {
                 let top = other.z + disc().height_m + disc().grasp.above_m;
                 if held && over && to.translation.z < top {
                     to.translation.z = top;
+                    self.last = Some("touch");
                     met = Err(MotionError::new(Motion::Guard, "force 9 N"));
                 }
             }
@@ -452,6 +480,13 @@ impl bench::World for World {
             ReadHeld::CODE => {
                 stand_in.typed::<ReadHeld, _>(cx, message, |world, _| Ok(world.held()))
             }
+            ReadGuards::CODE => stand_in.plain::<ReadGuards>(message, |world, _| GuardsReport {
+                recipes: Vec::new(),
+                last: world.last.map(|guard| GuardReport {
+                    guard: guard.into(),
+                    ..GuardReport::default()
+                }),
+            }),
             SetOutput::CODE => {
                 stand_in.typed::<SetOutput, _>(cx, message, |world, SetOutput { name, value }| {
                     let refused = |text| Err(MotionError::new(Motion::Refused, text));

@@ -1,20 +1,16 @@
 //! Plans around the nets of `carry`, between stand-ins, in virtual time.
 
-use ctos::{boot::End, config, registry::Registry, system::AppResult};
+use ctos::{config, registry::Registry, system::AppResult};
 
 use crate::{
-    bench::{self, configs},
+    bench::{self, configs, kinds},
     carry::tests::world::{STAND_INS, World, on, tasks},
 };
 
 /// The app of the stand-ins' world with a planner that has a disc carried, and perhaps a plan.
 fn app(plans: &str) -> String {
-    let planner = format!(
-        "handler = \"coordinators.planner\"\non = \"ws1\"\n[task.operator.args]\ncommand = \"carry\"\n\
-         arguments = [\"3,4,0\", \"4,5,0\"]\nsend_within_s = 5\nplans = [{plans}]\n"
-    );
     let app = bench::app(&tasks("seen"), &STAND_INS);
-    let app = app.replace("handler = \"test.operator\"\non = \"ws1\"\n", &planner);
+    let app = bench::planned(&app, "carry 3,4,0 4,5,0", plans);
     app.replace("show = true\n", "show = true\nallow_control = true\n")
 }
 
@@ -37,12 +33,7 @@ fn occupied(until: usize) -> World {
 }
 
 fn planned(world: World, plans: &str) -> (World, AppResult) {
-    let sets: &[String] = &[];
-    let (world, end) = bench::end(world, (&app(plans), sets), &[], &[]);
-    match end {
-        End::Finished(result) => (world, result),
-        other => panic!("{other:?}"),
-    }
+    bench::run_planned(world, &app(plans))
 }
 
 #[test]
@@ -60,17 +51,6 @@ fn after_occupied_a_net_that_waits_takes_over_and_the_same_command_is_done() {
 
 #[test]
 fn what_was_in_the_way_is_told_by_types_when_no_plan_is_left() {
-    let kinds = |result: &AppResult| {
-        let json: serde_json::Value = serde_json::from_str(&result.json).unwrap();
-        let failures = json["failures"].as_array().unwrap().clone();
-        let kinds = failures
-            .iter()
-            .map(|failure| failure["kind"].as_str().unwrap().to_owned());
-        (
-            json["answer"].as_str().unwrap().to_owned(),
-            kinds.collect::<Vec<_>>(),
-        )
-    };
     let (_, none) = planned(occupied(usize::MAX), "");
     assert!(!none.ok);
     assert_eq!(

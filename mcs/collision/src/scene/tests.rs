@@ -173,3 +173,55 @@ fn a_straight_way_comes_too_near_where_a_look_at_many_places_finds_it_so() {
     }
     assert!(near > 5 && free > 20, "{near} {free}");
 }
+
+#[test]
+fn a_solid_that_may_be_near_a_piece_of_the_room_stops_at_its_own_distance_and_all_others_at_the_margin()
+ {
+    let table = |top: f64| {
+        let at = Placement::from_degrees([0.0, 0.0, top - 0.5], [0.0; 3]);
+        let half = Vector3::new(5.0, 5.0, 0.5);
+        alone(
+            "puma560",
+            vec![("table".to_owned(), Solid::Block { at, half })],
+        )
+    };
+    // Stretched out and down from the shoulder: the wrist is lowest, and goes down.
+    let bent = [0.0, -0.5, -std::f64::consts::FRAC_PI_2, 0.0, 0.0, 0.0];
+    let pair = |scene: &Scene, one: &str| {
+        let named = [one.to_owned(), "table".to_owned()];
+        scene
+            .names()
+            .iter()
+            .position(|pair| *pair == named)
+            .unwrap()
+    };
+    let height = |shoulder: f64, one: &str| {
+        let mut q = bent;
+        q[1] = shoulder;
+        let (mut scene, mut distances) = (table(-2.0), Vec::new());
+        scene.distances(&Joints::try_from(q.as_slice()).unwrap(), &mut distances);
+        distances[pair(&scene, one)] - 2.0
+    };
+    let down = if height(-0.49, "link6") < height(-0.5, "link6") {
+        0.3
+    } else {
+        -0.3
+    };
+    assert!(height(-0.5, "link6") < height(-0.5, "link3"));
+    let mut shown = at_rest(&bent);
+    shown.velocity[1] = down;
+    shown.stopping = braking(&shown.position, &shown.velocity, 0.1);
+    let looked = |near: Option<f64>| {
+        let lowest = height(-0.5, "link6").min(height(-0.5, "link4"));
+        let mut scene = table(lowest - 0.025);
+        for solid in ["link4", "link6"].into_iter().filter(|_| near.is_some()) {
+            assert!(scene.keep(solid, "table", near.unwrap()));
+        }
+        assert!(!scene.keep("link7", "table", 0.0));
+        scene.see(0, &shown, 0.0045, 0.0045);
+        scene.look().touches.map(|near| near.margin)
+    };
+    assert_eq!(looked(None), Some(0.02));
+    assert_eq!(looked(Some(0.02)), Some(0.02));
+    assert_eq!(looked(Some(0.0)), None);
+}
