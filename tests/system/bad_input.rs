@@ -678,7 +678,7 @@ fn a_wrong_set_is_refused_at_its_column() {
             "`sped`",
             "did you mean `speed`?",
         ),
-        ("task.motion.on=\"cage\"", 16, "`cage`", "known here"),
+        ("task.motion.on=\"cage\"", 16, "`cage`", "cage_motion"),
         (
             "time.mode=\"virtaul\"",
             11,
@@ -798,7 +798,7 @@ fn one_pass_finds_what_is_wrong_in_configuration_nets_and_data_files_of_one_app(
     let findings = check(&scratch, &["--set", on]);
     let codes = codes(&findings);
     for code in [
-        "ctos::config::include",
+        "ctos::file::unreadable",
         "ctos::config::unknown_key",
         "pnt::net::unknown_function",
         "pnt::net::unknown_place",

@@ -35,6 +35,16 @@ fn numbers(text: &str) -> Vec<f64> {
     words.filter_map(|word| word.parse().ok()).collect()
 }
 
+/// The numbers with a unit in an explanation; others are names and counts.
+fn measured(text: &str) -> Vec<f64> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let pairs = words.windows(2);
+    let units = ["s", "m", "rad", "N"];
+    let with_unit =
+        pairs.filter(|pair| units.contains(&pair[1].trim_end_matches([',', ':', ';', '.'])));
+    with_unit.filter_map(|pair| pair[0].parse().ok()).collect()
+}
+
 /// The request as a script has it: at the prompt numbers need neither keyword nor count, and daemons are elsewhere.
 fn plain(request: &str) -> String {
     let words: Vec<String> = request
@@ -66,12 +76,18 @@ fn is_request(line: &str) -> bool {
 /// The requests of a block in their order, each with the answer that it shows, if it does.
 fn shown(block: &[&str]) -> Vec<Shown> {
     let mut all: Vec<Shown> = Vec::new();
+    // What follows is an answer.
+    let mut answers = false;
     for line in block {
         let typed = line
             .strip_prefix("scott ")
             .and_then(|line| line.split_once("> "));
         let told = line.strip_prefix("$ scott ");
         let line = typed.map_or(*line, |(_, typed)| typed);
+        answers = match line.starts_with("$ ") || is_request(line) {
+            true => told.is_some() || typed.is_some(),
+            false => answers,
+        };
         if let Some(commands) = told {
             // What `-c` is given stands in quotes of one kind.
             for part in commands.split("-c ").skip(1) {
@@ -94,9 +110,9 @@ fn shown(block: &[&str]) -> Vec<Shown> {
             all.push(Shown {
                 request: request.trim().to_owned(),
                 is_whole: answered.is_some(),
-                numbers: answered.unwrap_or_else(|| numbers(words)),
+                numbers: answered.unwrap_or_else(|| measured(words)),
             });
-        } else if let Some(last) = all.last_mut() {
+        } else if let Some(last) = all.last_mut().filter(|_| answers) {
             // Lines of an answer follow what was asked at a prompt.
             let numbers = match line.parse::<Reply>() {
                 Ok(reply) => of_reply(&reply),
