@@ -3,7 +3,7 @@
 use cli_scott::{panel, services};
 use ctos::{
     config::{App, Expander, Selection},
-    diagnostic::Findings,
+    diagnostic::{Finding, Findings},
     registry::Registry,
 };
 use mcs::{
@@ -58,13 +58,28 @@ pub fn app(selection: &Selection) -> Result<App, Findings> {
     selection.load(&EXPANDERS)
 }
 
+/// A file that no other file names was named by a person, who stands somewhere.
+fn named_by_hand(finding: Finding) -> Finding {
+    match finding.place.is_none() && finding.code == "ctos::file::unreadable" {
+        true => finding.help("check the path; it is taken from the folder where you are"),
+        false => finding,
+    }
+}
+
 /// Reads an app and checks all of it: configuration, names, handlers, arguments, nets.
 ///
 /// # Errors
 /// All findings, when one of them is an error.
 pub fn checked(selection: &Selection, registry: &Registry) -> Result<(App, Findings), Findings> {
     match selection.read(&EXPANDERS) {
-        (None, found) => Err(found),
+        (None, found) => {
+            let mut named = Findings::new();
+            found
+                .into_sorted()
+                .into_iter()
+                .for_each(|one| named.push(named_by_hand(one)));
+            Err(named)
+        }
         (Some(app), found) if found.has_errors() => Err(registry.check_beside(&app, found)),
         (Some(mut app), found) => {
             app.warnings = found;

@@ -54,7 +54,8 @@ pub mod record {
     pub use ctos_core::tap::ChannelSchema;
     pub use ctos_record::{
         Channel, Difference, Ending, Entry, Filter, Number, ReadError, Record, RecordLayer,
-        RecordReport, ReplayError, ReplayReport, Run, file_name, replay, replayable, scan_only,
+        RecordReport, ReplayError, ReplayReport, Run, file_name, noted, replay, replayable,
+        scan_only,
     };
 }
 

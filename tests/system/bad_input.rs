@@ -678,7 +678,7 @@ fn a_wrong_set_is_refused_at_its_column() {
             "`sped`",
             "did you mean `speed`?",
         ),
-        ("task.motion.on=\"cage\"", 16, "`cage`", "known here"),
+        ("task.motion.on=\"cage\"", 16, "`cage`", "cage_motion"),
         (
             "time.mode=\"virtaul\"",
             11,
@@ -748,14 +748,69 @@ fn a_task_on_an_unknown_chassis_is_looked_at_with_the_others() {
     let codes = findings.iter().map(|finding| text(finding, "code"));
     let mut codes: Vec<_> = codes.collect();
     codes.sort_unstable();
-    // The judge's name is looked for when all tasks can be read.
     let expected = [
         "unknown_chassis",
         "unknown_chassis",
         "unknown_handler",
         "unknown_key",
+        "unknown_task",
     ];
     assert_eq!(codes, expected.map(|code| format!("ctos::config::{code}")));
+}
+
+#[test]
+fn one_pass_finds_what_is_wrong_in_configuration_nets_and_data_files_of_one_app() {
+    // Every task is there, so what is wrong between them is found, too.
+    let scratch = Scratch::new();
+    scratch.edit(APP, "retries = 2", "retires = 2");
+    scratch.edit(APP, "judge = \"referee\"", "judge = \"refree\"");
+    scratch.edit(MOTION, "do plan_path", "do plan_pth");
+    scratch.edit(VISION, "  in I_find_spot", "  in I_find_spt");
+    scratch.edit(VISION, "do retry_find_spot", "do retry_find_spt");
+    let on = "task.motion.on=\"cage_moton\"";
+    let findings = check(&scratch, &["--set", on]);
+    let codes = |findings: &[Value]| {
+        let codes = findings
+            .iter()
+            .map(|finding| text(finding, "code").to_owned());
+        let mut codes: Vec<String> = codes.collect();
+        codes.sort_unstable();
+        codes
+    };
+    let named = [
+        "ctos::config::unknown_chassis",
+        "ctos::config::unknown_key",
+        "ctos::config::unknown_task",
+        "pnt::net::unknown_function",
+        "pnt::net::unknown_function",
+        "pnt::net::unknown_place",
+    ];
+    assert_eq!(codes(&findings), named, "{findings:#?}");
+    // What an include that is not there might have held is no mistake; the rest is found beside it.
+    let text = scratch.read(APP);
+    scratch.write(
+        APP,
+        format!(
+            "include = [\"none.toml\"]\n{}",
+            text.replacen("include = ", "# ", 1)
+        ),
+    );
+    let findings = check(&scratch, &["--set", on]);
+    let codes = codes(&findings);
+    for code in [
+        "ctos::file::unreadable",
+        "ctos::config::unknown_key",
+        "pnt::net::unknown_function",
+        "pnt::net::unknown_place",
+    ] {
+        assert!(codes.iter().any(|one| one == code), "{code}: {findings:#?}");
+    }
+    assert!(
+        !codes
+            .iter()
+            .any(|code| code == "ctos::config::unknown_task"),
+        "{findings:#?}"
+    );
 }
 
 #[test]

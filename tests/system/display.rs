@@ -162,6 +162,22 @@ fn the_page_tells_in_a_line_why_the_whole_waits_and_shows_nets_side_by_side() {
     browser.wait("document.querySelectorAll('#events tbody tr').length > 20");
     let fits = "(() => { const table = document.querySelector('#events .table'); return table.scrollWidth <= table.clientWidth; })()";
     assert_eq!(browser.ask(fits), true);
+    // A request has its author's name there, and what happened to it.
+    let names = "[...document.querySelectorAll('#events tbody tr')].map((row) => [2, 3].map((at) => row.children[at].textContent).join(' '))";
+    browser.wait(&format!("{names}.includes('move_robot started')"));
+    assert_eq!(
+        browser.ask(&format!(
+            "{names}.filter((name) => /^(start|end|fail)_/.test(name))"
+        )),
+        serde_json::json!([])
+    );
+
+    // Nor is it shown what a request is made of, unless that is wanted.
+    let moved = "[...document.querySelectorAll('#events tbody tr')].map((row) => row.children[4].textContent).join(' ')";
+    assert_eq!(
+        browser.ask(&format!("/S[IO]_|_active/.test({moved})")),
+        false
+    );
 
     let nets = "new Set([...nets.picture.nodes.values()].map((one) => one.net.name)).size";
     browser.click("Beside");

@@ -377,16 +377,16 @@ fn an_environment_that_is_no_recipe_stops_the_boot_and_names_the_variable() {
 }
 
 /// `scott` at a terminal, which util-linux's `script` makes.
-struct Terminal {
+pub struct Terminal {
     child: Child,
-    keys: ChildStdin,
+    pub keys: ChildStdin,
     drawn: Receiver<Vec<u8>>,
     shown: String,
 }
 
 impl Terminal {
     /// Whether the machine has terminals, and `script` to make one: not every container does.
-    fn can_be_had() -> bool {
+    pub fn can_be_had() -> bool {
         let mut tried = Command::new("script");
         tried.args(["--quiet", "--command", "exit 0", "/dev/null"]);
         tried.stdin(Stdio::null()).stdout(Stdio::null());
@@ -394,7 +394,7 @@ impl Terminal {
         tried.status().is_ok_and(|status| status.success())
     }
 
-    fn start(scratch: &Scratch, app: &str) -> Self {
+    pub fn start(scratch: &Scratch, app: &str) -> Self {
         let line = format!("stty cols 100 rows 30; exec '{SCOTT}' {app}");
         let mut child = Command::new("script")
             .args(["--quiet", "--flush", "--command", &line, "/dev/null"])
@@ -430,7 +430,7 @@ impl Terminal {
 
     /// Reads what is drawn until a text has come; what came before it.
     #[track_caller]
-    fn until(&mut self, text: &str) -> String {
+    pub fn until(&mut self, text: &str) -> String {
         /// How a program asks where the cursor is.
         const WHERE: &str = "\u{1b}[6n";
         loop {

@@ -151,7 +151,7 @@ fn v_shows_the_net_transitions_as_they_start_and_complete() {
         positions > 10 && beside + 1 >= positions,
         "{beside} of {positions}"
     );
-    ended.must_say(&firing("dispatcher", "start_move_robot", "fired"));
+    ended.must_say(&firing("dispatcher", "move_robot", "started"));
     let quiet = scratch.boot(&VIRTUAL);
     quiet.must_exit(0).must_not_say("transition=");
 }

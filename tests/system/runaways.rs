@@ -1,10 +1,13 @@
 //! Objects and handlers that never come to an end: what goes on beside them, who names them, and what ends them.
 
-use std::{fs, time::Duration};
+use std::{fs, io::Write as _, time::Duration};
 
 use rustix::process::Signal;
 
-use crate::harness::{Ended, MISBEHAVING, Run, SCOTT, Scratch};
+use crate::{
+    harness::{Ended, MISBEHAVING, Run, SCOTT, Scratch},
+    inspector::Terminal,
+};
 
 const APP: &str = r#"
 [app]
@@ -75,6 +78,26 @@ fn a_daemon_goes_on_beside_an_object_that_never_ends_which_is_named_and_ended_by
     let again = scratch.scott(&["-c", "foo@d2 EXEC", "-c", "sorm@d2 CTRL -busy"]);
     again.must_exit_leaving(0);
     assert!(!again.stdout.contains("mill"), "{}", again.told);
+}
+
+#[test]
+fn a_person_who_waits_for_a_busy_object_is_told_of_whom_and_what_can_be_done() {
+    if !Terminal::can_be_had() {
+        return;
+    }
+    let scratch = Scratch::empty();
+    let _run = up(&scratch, "");
+    let mut terminal = Terminal::start(&scratch, "runaways");
+    terminal.until("scott runaways");
+    terminal.keys.write_all(b"mill@d2 EXEC\r").unwrap();
+    terminal.until("waiting: objects of chassis `cage` are in calls:");
+    terminal.until("Ctrl-C gives up");
+    terminal.until("ctos restart");
+    // The way out that was named is one.
+    terminal.keys.write_all(b"\x03").unwrap();
+    terminal.until("scott runaways");
+    terminal.keys.write_all(b"foo@d1 EXEC\r").unwrap();
+    terminal.until("dinner in the kitchen");
 }
 
 #[test]

@@ -21,8 +21,8 @@ pub struct Column {
     pub title: &'static str,
     /// Whether it holds numbers.
     pub right: bool,
-    /// Whether it is left out where it says nothing: where all its numbers are 0.
-    rare: bool,
+    /// What it holds mostly: it is left out where it holds nothing else.
+    usual: Option<&'static str>,
 }
 
 /// A column of text.
@@ -30,7 +30,7 @@ pub const fn left(title: &'static str) -> Column {
     Column {
         title,
         right: false,
-        rare: false,
+        usual: None,
     }
 }
 
@@ -39,7 +39,7 @@ pub const fn right(title: &'static str) -> Column {
     Column {
         title,
         right: true,
-        rare: false,
+        usual: None,
     }
 }
 
@@ -48,7 +48,15 @@ pub const fn rare(title: &'static str) -> Column {
     Column {
         title,
         right: true,
-        rare: true,
+        usual: Some("0"),
+    }
+}
+
+impl Column {
+    /// The same one, shown where a row has something else than `usual`.
+    pub const fn unless(self, usual: &'static str) -> Self {
+        let usual = Some(usual);
+        Self { usual, ..self }
     }
 }
 
@@ -67,6 +75,11 @@ pub fn terminal(stream: impl IsTerminal + AsFd) -> Option<usize> {
 /// A text as a terminal shows it: its long lines [`wrapped`]. Other outputs get it as it is.
 pub fn for_terminal(text: &str) -> String {
     terminal(io::stdout()).map_or_else(|| text.to_owned(), |width| wrapped(text, width))
+}
+
+/// As [`for_terminal`], for what is said on standard error.
+pub fn for_messages(text: &str) -> String {
+    terminal(io::stderr()).map_or_else(|| text.to_owned(), |width| wrapped(text, width))
 }
 
 /// `text` with its lines that are longer than `width` broken between words, which a terminal would break anywhere. What
@@ -92,9 +105,9 @@ pub fn wrapped(text: &str, width: usize) -> String {
 /// The rows below their titles, no line wider than `width`: what does not fit is cut and ends in `…`.
 pub fn lines(columns: &[Column], rows: &[Vec<String>], width: usize) -> Vec<String> {
     let says_something = |index: &usize| {
-        let rare = columns.get(*index).is_some_and(|column| column.rare);
+        let usual = columns.get(*index).and_then(|column| column.usual);
         let mut cells = rows.iter().filter_map(|row| row.get(*index));
-        !rare || cells.any(|cell| cell != "0")
+        usual.is_none_or(|usual| cells.any(|cell| cell != usual))
     };
     let kept: Vec<usize> = (0..columns.len()).filter(says_something).collect();
     let columns: Vec<Column> = kept
@@ -198,5 +211,11 @@ mod tests {
         let both = lines(&columns, &[row("0"), row("2")], 80);
         assert_eq!(both[0], "TASK  RESTARTS  DOES");
         assert_eq!(both[2], "arm          2  idle");
+        // The same of words.
+        let columns = [left("TASK"), left("PHASE").unless("run")];
+        let row = |phase: &str| vec!["arm".to_owned(), phase.to_owned()];
+        assert_eq!(lines(&columns, &[row("run")], 80), ["TASK", "arm"]);
+        let waits = lines(&columns, &[row("run"), row("connect")], 80);
+        assert_eq!(waits[2], "arm   connect");
     }
 }

@@ -60,11 +60,11 @@ impl Recorded {
     /// Reads the records of a run, one file for each process.
     ///
     /// # Errors
-    /// A file cannot be read at all. One that breaks off is read as far as it goes, and told.
-    pub(crate) fn read(paths: &[PathBuf]) -> Result<Self, ReadError> {
+    /// Files are of several runs, or one cannot be read at all. One that breaks off is read as far as it goes, and told.
+    pub(crate) fn read(paths: &[PathBuf]) -> Result<Self, String> {
         let mut recorded = Self::default();
-        for path in records::files(paths) {
-            recorded.file(&path)?;
+        for path in records::of_a_run(paths)? {
+            recorded.file(&path).map_err(|error| error.to_string())?;
         }
         if recorded.nets.is_empty() {
             let text = "no net stands in these records: they are of an app without nets, or of an older version";

@@ -89,13 +89,14 @@ pub(crate) fn plain(
         line(head, &format!("{name}: {words}"));
     }
     for event in events {
-        line("event", &event_line(event));
+        line("event", &event_line(view, event));
     }
     out
 }
 
 /// An event in a line.
-pub(crate) fn event_line(event: &Event) -> String {
+pub(crate) fn event_line(view: &NetView, event: &Event) -> String {
+    let (transition, phase) = view.told(event);
     let tokens = |list: &[(String, u32)]| {
         let named = |(place, count): &(String, u32)| match count {
             1 => place.clone(),
@@ -103,18 +104,14 @@ pub(crate) fn event_line(event: &Event) -> String {
         };
         list.iter().map(named).collect::<Vec<_>>().join(" ")
     };
-    let mut text = format!(
-        "{:>10.3}  {:<10}",
-        event.at_ns as f64 / 1e9,
-        event.phase.word()
-    );
+    let mut text = format!("{:>10.3}  {:<10}", event.at_ns as f64 / 1e9, phase.word());
     let mut add = |part: &str| {
         if !part.is_empty() {
             text.push(' ');
             text.push_str(part);
         }
     };
-    add(&event.transition);
+    add(transition);
     if !event.consumed.is_empty() || !event.produced.is_empty() {
         add(&format!(
             "({} -> {})",

@@ -48,7 +48,7 @@ use live::Nets;
 #[command(after_help = "Examples:
   ctos display
   ctos display --app calibrate --once
-  ctos display run.*.mcap
+  ctos display run.mcap
   ctos display run.ws1.mcap --export run.html
   ctos display run.ws1.mcap --once --moment 12.5")]
 pub struct DisplayArgs {

@@ -16,7 +16,7 @@ use ctos::{
 };
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
-use cli_common::show;
+use cli_common::{show, table};
 
 /// Off a terminal, a line of progress comes every so many steps.
 const PLAIN_EVERY: u64 = 10;
@@ -96,6 +96,10 @@ impl Display {
     }
 
     fn line(&self, text: &str) {
+        let text = &match show::says_json() {
+            true => text.to_owned(),
+            false => table::for_messages(text),
+        };
         let bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
         match bar.as_ref() {
             Some(bar) => bar.suspend(|| show::say(text)),

@@ -162,9 +162,9 @@ fn lines(app: &AppView, width: usize) -> Vec<String> {
     let columns = [
         left("TASK"),
         left("ON"),
-        left("PHASE"),
+        left("PHASE").unless("run"),
         right("HANDLED"),
-        right("QUEUE"),
+        rare("QUEUE"),
         rare("RESTARTS"),
         left("DOES"),
     ];

@@ -2,6 +2,7 @@
 //! the handler `sorma.daemon`. A connection that is lost is made again by the next request.
 
 use std::{
+    fmt,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -15,6 +16,7 @@ use ctos::{
 };
 use sorma::{ClassInfo, Location, ObjectName, Reply, Report, daemon, report::code, words};
 
+use super::patience::{self, PATIENCE};
 use cli_common::{
     client::{Client, ClientError, Within},
     remote::{self, AtArgs, RemoteArgs, connect_to},
@@ -93,6 +95,8 @@ pub struct App {
     entry: String,
     interrupt: Interrupt,
     classes: Option<Vec<ClassInfo>>,
+    /// Somebody reads what is waited for.
+    watched: bool,
 }
 
 impl App {
@@ -110,6 +114,7 @@ impl App {
             entry: String::new(),
             interrupt,
             classes: None,
+            watched: patience::is_there(),
         };
         app.learn()?;
         Ok(app)
@@ -211,22 +216,27 @@ impl App {
             }),
             Err(Unsaid::Lost(why)) => Ok(refusal(&line, &why)),
             Err(Unsaid::Late) => {
-                let what = self.why_late(&task);
+                let late = self.why_late(&task);
                 let limit = self.place.limit.0.as_secs_f64();
-                let why = format!("no answer of `{task}` within {limit} s (--limit): {what}");
+                let why = format!("no answer of `{task}` within {limit} s (--limit): {late}");
                 Ok(refused(&line, code::LATE, &why))
             }
         }
     }
 
     /// What a daemon that does not answer is at, and what can be done.
-    fn why_late(&mut self, task: &str) -> String {
+    fn why_late(&mut self, task: &str) -> Late {
         let status = Request::Status {
             name: task.to_owned(),
         };
         let status = match self.client.as_mut().map(|client| client.get(status)) {
             Some(Ok(Answer::Status(status))) => status,
-            _ => return "the app does not say why".to_owned(),
+            _ => {
+                return Late {
+                    what: "the app does not say why".to_owned(),
+                    remedy: None,
+                };
+            }
         };
         let chassis = &status.chassis.name;
         let at = RemoteArgs {
@@ -235,16 +245,28 @@ impl App {
         };
         let client = self.client.as_ref();
         let option = client.map_or_else(String::new, |client| at.option(client.app()));
-        let restart = format!("`ctos restart {chassis}{option}` ends it");
+        let remedy = Some(format!("`ctos restart {chassis}{option}` ends it"));
         if let Some(busy) = self
             .glance(task, "sorm CTRL -busy")
             .filter(|busy| !busy.is_empty())
         {
             let busy = busy.lines().collect::<Vec<_>>().join("; ");
-            return format!("objects of chassis `{chassis}` are in calls: {busy}; {restart}");
+            let what = format!("objects of chassis `{chassis}` are in calls: {busy}");
+            return Late { what, remedy };
         }
         let does = status.tasks.first().map(remote::does).unwrap_or_default();
-        format!("it is on chassis `{chassis}`: {does}; {restart}")
+        let what = format!("`{task}` on chassis `{chassis}`: {does}");
+        Late { what, remedy }
+    }
+
+    /// Tells a person who waits what is waited for. The connection is waiting, so another one asks.
+    fn tell_wait(&self, task: &str) {
+        let Ok(mut other) = self.again(Interrupt::default()) else {
+            return;
+        };
+        let Late { what, remedy } = other.why_late(task);
+        let remedy = remedy.map_or_else(String::new, |remedy| format!(", {remedy}"));
+        patience::tell(&format!("{what}; Ctrl-C gives up{remedy}"));
     }
 
     /// Which daemon a line is for, the line as it is for that daemon, and the name that the reply is to have.
@@ -299,7 +321,9 @@ impl App {
             limit_s: Some(limit.as_secs_f64()),
         });
         let clock = Clock::real();
-        let until = clock.now() + limit + GRACE;
+        let begun = clock.now();
+        let until = begun + limit + GRACE;
+        let mut tells = self.watched;
         let lost = |app: &Self, why: &str| Ok(Err(Unsaid::Lost(lost(&app.name, why))));
         let asked = match self.client() {
             Ok(client) => client.ask(request),
@@ -335,6 +359,10 @@ impl App {
                     if clock.now() > until {
                         self.client = None;
                         return lost(self, "the app itself does not answer");
+                    }
+                    if tells && clock.now().since(begun) >= PATIENCE {
+                        tells = false;
+                        self.tell_wait(task);
                     }
                 }
                 Ok(Within::Closed) => self.client = None,
@@ -422,6 +450,22 @@ impl App {
     }
 }
 
+/// Why an answer does not come, and what can be done.
+struct Late {
+    what: String,
+    remedy: Option<String>,
+}
+
+impl fmt::Display for Late {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)?;
+        match &self.remedy {
+            None => Ok(()),
+            Some(remedy) => write!(f, "; {remedy}"),
+        }
+    }
+}
+
 /// Why a line has no answer.
 enum Unsaid {
     /// It, or its answer, was lost.
@@ -485,6 +529,7 @@ mod tests {
             entry: "desk".to_owned(),
             interrupt: Interrupt::default(),
             classes: None,
+            watched: false,
         }
     }
 

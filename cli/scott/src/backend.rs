@@ -7,6 +7,7 @@ use sorma::{Alone, ClassInfo, Reply, Report, Sorm, report::code, watching::Trace
 
 use super::{
     attach::{App, Interrupted},
+    patience,
     services::CLASSES,
 };
 
@@ -26,7 +27,7 @@ impl Backend {
     /// The user did not want to wait for it.
     pub fn dispatch(&mut self, line: &str, trace: u64) -> Result<String, Interrupted> {
         match self {
-            Self::Local(sorm) => Ok(here(sorm, line, trace)),
+            Self::Local(sorm) => Ok(patience::during(line, || here(sorm, line, trace))),
             Self::App(app) => app.dispatch(line, trace),
         }
     }

@@ -14,6 +14,7 @@ mod helping;
 pub mod lines;
 mod numbers;
 pub mod panel;
+mod patience;
 pub mod prompt;
 pub mod replies;
 pub mod script;

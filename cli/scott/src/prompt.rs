@@ -32,7 +32,7 @@ use super::{
     follow,
     session::{Place, Session},
 };
-use cli_common::{exit, show};
+use cli_common::{exit, show, table};
 
 /// Lines that are kept between sessions.
 const HISTORY: usize = 10_000;
@@ -64,9 +64,9 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     }
     let mut editor = editor(&names, vi).with_external_printer(printer);
     session.show_to_people();
-    show::say(
+    show::say(&table::for_messages(
         "`list` tells what there is, `help` how it is asked; Tab completes, Ctrl-D or `exit` leaves.",
-    );
+    ));
     loop {
         refresh(&names, session);
         let prompt = Speaks::to(session.backend(), &gone);

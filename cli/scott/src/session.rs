@@ -509,7 +509,7 @@ impl Session {
     /// For the prompt: shows what pends, without ending anything.
     pub fn forget_failure(&mut self) {
         if let Some(failure) = self.pending.take() {
-            show::say(&failure.text);
+            show::say(&table::for_messages(&failure.text));
         }
     }
 }

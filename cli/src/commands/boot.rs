@@ -297,6 +297,8 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             page.iter().for_each(|line| shown.say(line));
         }
     });
+    let before = args.record.as_deref().map(records::made_of);
+    let before = before.unwrap_or_default();
     let outcome = ctos::boot::boot_with(
         &clock,
         app,
@@ -309,7 +311,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     if let Some(file) = &args.record
         && outcome.is_ok()
     {
-        display.say(&recorded(file));
+        display.say(&recorded(file, &before));
     }
     match outcome {
         Ok(outcome) => {
@@ -339,9 +341,16 @@ fn page(listen: SocketAddr, args: &BootArgs) -> Option<String> {
     (listen.port() != 0).then(|| format!("display  http://{listen}/{token}"))
 }
 
-/// How much the processes have recorded, and how it is looked at.
-fn recorded(file: &Path) -> String {
-    let files = records::files(&[file.to_owned()]);
+/// How much the processes have recorded, and how it is looked at; `before` were there before this run.
+fn recorded(file: &Path, before: &[PathBuf]) -> String {
+    let mut files = records::made_of(file);
+    files.retain(|file| !before.contains(file));
+    files.sort();
+    // Where the name is that of an earlier run's only file, this one's has another.
+    let file = match (before.iter().any(|other| other == file), files.first()) {
+        (true, Some(first)) => first,
+        _ => file,
+    };
     let sizes = files.iter().filter_map(|file| file.metadata().ok());
     let bytes = sizes.map(|found| found.len()).sum();
     let count = match files.len() {

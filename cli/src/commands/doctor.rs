@@ -19,7 +19,7 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use cli_common::{exit, show};
+use cli_common::{exit, show, table};
 
 use crate::{commands::ports, program};
 
@@ -79,7 +79,10 @@ pub fn run(args: &DoctorArgs) -> u8 {
         zenoh_probe(),
     ];
     for probe in &probes {
-        let line = if args.json { json(probe) } else { text(probe) };
+        let line = match args.json {
+            true => json(probe),
+            false => table::for_terminal(&text(probe)),
+        };
         if show::data(&line).is_err() {
             break;
         }

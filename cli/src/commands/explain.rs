@@ -5,7 +5,7 @@
 use clap::Args;
 use ctos::diagnostic::Finding;
 
-use cli_common::{exit, show};
+use cli_common::{exit, show, table};
 
 const PAGE: &str = include_str!("../../../docs/diagnostics.md");
 
@@ -52,7 +52,7 @@ pub fn run(args: &ExplainArgs) -> u8 {
             let shown = if args.json {
                 json(code, text)
             } else {
-                format!("{code}\n\n{text}")
+                format!("{code}\n\n{}", laid_out(text))
             };
             // A closed pipe means that the reader has what it wanted.
             let _ = show::data(&shown);
@@ -67,6 +67,47 @@ pub fn run(args: &ExplainArgs) -> u8 {
     }
 }
 
+/// The text of a page as a terminal shows it: the lines of a paragraph are one. Other outputs get it as it is.
+fn laid_out(text: &str) -> String {
+    if table::terminal(std::io::stdout()).is_none() {
+        return text.to_owned();
+    }
+    table::for_terminal(&flowing(text))
+}
+
+/// The lines of each paragraph as one; those of code, which are indented or fenced, and of lists as they are.
+fn flowing(text: &str) -> String {
+    let mut out = String::new();
+    let (mut open, mut fenced) = (false, false);
+    for line in text.lines() {
+        let fence = line.starts_with("```");
+        let own = fenced || fence || line.is_empty() || line.starts_with([' ', '|', '-', '#']);
+        fenced ^= fence;
+        match (open && !own, out.is_empty()) {
+            (true, _) => out.push(' '),
+            (false, true) => {}
+            (false, false) => out.push('\n'),
+        }
+        out.push_str(line);
+        open = !own;
+    }
+    out
+}
+
 fn json(code: &str, text: &str) -> String {
     serde_json::json!({ "code": code, "text": text }).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paragraphs_flow_and_code_stays_as_it_is() {
+        let text = "One line\nof two.\n\n    in p\n    out q\n\nDo: this\nand that.\n- a\n- b";
+        assert_eq!(
+            flowing(text),
+            "One line of two.\n\n    in p\n    out q\n\nDo: this and that.\n- a\n- b"
+        );
+    }
 }

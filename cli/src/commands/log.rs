@@ -19,10 +19,10 @@ use cli_common::{exit, records, show};
 /// writes a file of its own. Several files are read as one, in the order of their moments. Every MCAP viewer opens them.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  ctos log info run.*.mcap
+  ctos log info run.mcap
   ctos log cat run.mcap --topic '/message/*' --from 1.5 --to 2
   ctos log filter run.mcap arm.mcap --topic '*/arm'
-  ctos log merge run.*.mcap all.mcap
+  ctos log merge run.mcap all.mcap
   ctos log recover torn.mcap whole.mcap")]
 pub struct LogCommandArgs {
     /// What to do
@@ -134,9 +134,7 @@ pub fn run(args: &LogCommandArgs) -> u8 {
             Some((out, files)) => rewrite(files, &Filter::default(), out),
             None => Ok(()),
         },
-        Action::Recover { file, out } => {
-            rewrite(std::slice::from_ref(file), &Filter::default(), out)
-        }
+        Action::Recover { file, out } => write(std::slice::from_ref(file), &Filter::default(), out),
     };
     match done {
         Ok(()) => exit::OK,
@@ -147,14 +145,18 @@ pub fn run(args: &LogCommandArgs) -> u8 {
     }
 }
 
-fn info(files: &[PathBuf], json: bool) -> Result<(), ReadError> {
+fn said(error: ReadError) -> String {
+    error.to_string()
+}
+
+fn info(files: &[PathBuf], json: bool) -> Result<(), String> {
     for (index, file) in records::files(files).iter().enumerate() {
         // Counted, not shown.
         let nothing = Filter {
             topics: vec![String::new()],
             ..Filter::default()
         };
-        let run = scan_only(file, &nothing, |_| ())?;
+        let run = scan_only(file, &nothing, |_| ()).map_err(said)?;
         let text = if json {
             info_json(&run).to_string()
         } else {
@@ -228,8 +230,8 @@ fn info_text(run: &Run) -> String {
     text.join("\n")
 }
 
-fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), ReadError> {
-    let record = Record::read(&records::files(files), filter)?;
+fn cat(files: &[PathBuf], filter: &Filter, json: bool) -> Result<(), String> {
+    let record = Record::read(&records::of_a_run(files)?, filter).map_err(said)?;
     warn_torn(&record);
     if record.entries.is_empty() {
         show::say("no line fits; `ctos log info` lists the topics");
@@ -269,10 +271,14 @@ fn line_json(entry: &Entry) -> String {
     format!("{{\"at_s\":{at:.9},\"topic\":{topic},\"schema\":{schema},\"line\":{line}}}")
 }
 
-fn rewrite(files: &[PathBuf], filter: &Filter, out: &Path) -> Result<(), ReadError> {
-    let record = Record::read(&records::files(files), filter)?;
+fn rewrite(files: &[PathBuf], filter: &Filter, out: &Path) -> Result<(), String> {
+    write(&records::of_a_run(files)?, filter, out)
+}
+
+fn write(files: &[PathBuf], filter: &Filter, out: &Path) -> Result<(), String> {
+    let record = Record::read(files, filter).map_err(said)?;
     warn_torn(&record);
-    record.write(out)?;
+    record.write(out).map_err(said)?;
     let lines = record.entries.len();
     show::say(&format!("{}: {lines} lines", out.display()));
     Ok(())

@@ -43,6 +43,7 @@ const APP: &[File] = &[
         include_str!("../../examples/template/Cargo.toml.in"),
     ),
     (".gitignore", IGNORED),
+    (".cargo/config.toml", SHARED),
     (
         "README.md",
         include_str!("../../examples/template/README.md"),
@@ -70,6 +71,7 @@ const TASK: &[File] = &[
         include_str!("../../examples/template_task/Cargo.toml.in"),
     ),
     (".gitignore", IGNORED),
+    (".cargo/config.toml", SHARED),
     (
         "README.md",
         include_str!("../../examples/template_task/README.md"),
@@ -101,6 +103,13 @@ const TASK: &[File] = &[
 ];
 
 const IGNORED: &str = "/target\n";
+
+/// Cargo's settings for an app.
+const SHARED: &str =
+    "# What the app and CTOS are both made of is built once, and lies in the target folder of CTOS.
+[build]
+target-dir = \"CTOS/target\"
+";
 
 /// Words that cannot name a package: of the language, of its libraries, or of what the app is built with.
 const TAKEN: [&str; 10] = [
@@ -216,8 +225,10 @@ fn write(
     };
     let (lock, manifest) = (read("Cargo.lock")?, read("Cargo.toml")?);
     std::fs::create_dir(folder).map_err(at(folder))?;
-    let source = folder.join("src");
-    std::fs::create_dir(&source).map_err(at(&source))?;
+    for inner in ["src", ".cargo"] {
+        let inner = folder.join(inner);
+        std::fs::create_dir(&inner).map_err(at(&inner))?;
+    }
     let more = [("ctos.schema.json", schema), ("Cargo.lock", lock)];
     for (path, mut text) in files.chain(more) {
         if path == "Cargo.toml" {

@@ -9,7 +9,7 @@ use ctos::{
     registry::Registry,
 };
 
-use cli_common::{exit, records, remote, show};
+use cli_common::{exit, records, remote, show, table};
 
 use crate::{commands::args::AppArgs, program};
 
@@ -25,7 +25,7 @@ use crate::{commands::args::AppArgs, program};
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --record run.mcap
   ctos replay configs/calibrate.toml run.mcap
   ctos replay configs/calibrate.toml run.mcap --task dispatcher
-  ctos replay configs/calibrate.toml run.*.mcap --task dispatcher --json")]
+  ctos replay configs/calibrate.toml run.mcap --task dispatcher --json")]
 pub struct ReplayArgs {
     /// Which app
     #[command(flatten)]
@@ -51,7 +51,13 @@ pub fn run(args: &ReplayArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    let files = records::files(&args.files);
+    let files = match records::of_a_run(&args.files) {
+        Ok(files) => files,
+        Err(why) => {
+            show::say(&format!("error: {why}"));
+            return exit::FAILED;
+        }
+    };
     if !args.json {
         let sizes = files.iter().filter_map(|file| file.metadata().ok());
         let bytes = sizes.map(|found| found.len()).sum();
@@ -110,9 +116,13 @@ fn list(app: &App, record: &Record, json: bool) -> u8 {
         let width = tasks.iter().map(|(task, _)| task.len()).max().unwrap_or(0);
         let line = |(task, can): &(String, Result<(), ReplayError>)| match can {
             Ok(()) => format!("{task:<width$}  replays"),
+            // The task stands there already.
+            Err(ReplayError::Outside { what, .. }) => {
+                format!("{task:<width$}  does not: it uses {what}, which no record holds")
+            }
             Err(why) => format!("{task:<width$}  does not: {why}"),
         };
-        tasks.iter().map(line).collect::<Vec<_>>().join("\n")
+        table::for_terminal(&tasks.iter().map(line).collect::<Vec<_>>().join("\n"))
     };
     // A reader that went away has what it wanted.
     let _ = show::data(&text);

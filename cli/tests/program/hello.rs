@@ -1,6 +1,6 @@
 //! The smallest app: it runs over two processes and on the virtual clock, and a task moves by its `on`.
 
-use crate::common::{good, hello};
+use crate::common::{example, good, hello};
 
 /// The transitions of the log's firings, each with its phase, in order.
 fn firings(log: &str) -> Vec<(&str, &str)> {
@@ -78,4 +78,50 @@ fn a_booted_net_stops_at_a_breakpoint_before_its_first_firing_and_the_app_ends_t
         err.contains("did you mean `greet`?") && err.contains("nothing was started"),
         "{err}"
     );
+}
+
+#[test]
+fn a_second_run_of_the_same_name_counts_and_shows_its_own_records_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run.mcap").display().to_string();
+    let info = |file: &str| {
+        let info = example("hello").args(["log", "info", file]).output();
+        good(&info.unwrap()).0
+    };
+    let files = |shown: &str| -> Vec<String> {
+        let names = shown.lines().filter(|line| line.ends_with(".mcap"));
+        names
+            .filter_map(|line| Some(line.rsplit_once('/')?.1.to_owned()))
+            .collect()
+    };
+    let first = ["run.boot.mcap", "run.desk.mcap", "run.shelf.mcap"];
+    let second = first.map(|name| name.replace(".mcap", ".part2.mcap"));
+    for expected in [first.map(str::to_owned), second] {
+        let (_, err) = good(&hello(&["--record", &run]));
+        assert!(err.contains("run.mcap · 3 files, "), "{err}");
+        assert_eq!(files(&info(&run)), expected);
+    }
+    // On a virtual clock one process has one file, under the name itself.
+    let alone = folder.path().join("alone.mcap").display().to_string();
+    for expected in ["alone.mcap", "alone.part2.mcap"] {
+        let (_, err) = good(&hello(&["--record", &alone, "--set", "time.mode=virtual"]));
+        assert!(err.contains(&format!("{expected} · ")), "{err}");
+        let look = err
+            .lines()
+            .find_map(|line| line.strip_prefix("look     ctos log info "));
+        assert_eq!(files(&info(look.unwrap())), [expected]);
+    }
+    // Two runs are not read as one.
+    let both = [
+        folder.path().join("run.desk.mcap"),
+        folder.path().join("run.desk.part2.mcap"),
+    ];
+    let cat = example("hello")
+        .args(["log", "cat"])
+        .args(both)
+        .output()
+        .unwrap();
+    let err = String::from_utf8_lossy(&cat.stderr);
+    assert_eq!(cat.status.code(), Some(1), "{err}");
+    assert!(err.contains("are of two runs"), "{err}");
 }

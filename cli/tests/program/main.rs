@@ -8,6 +8,7 @@
     reason = "a test may end where it cannot be set up or finds something wrong"
 )]
 
+mod answers;
 mod arguments;
 mod authoring;
 mod bad_nets;

@@ -56,6 +56,15 @@ fn the_shipped_apps_are_checked_without_a_finding() {
 }
 
 #[test]
+fn a_file_of_the_command_line_is_looked_for_where_the_person_is() {
+    for command in ["check", "boot"] {
+        let (code, _, err) = ended(&run(&[command, "no-such.toml"]));
+        assert_eq!(code, Some(3), "{err}");
+        assert!(err.contains("from the folder where you are"), "{err}");
+    }
+}
+
+#[test]
 fn exit_codes_are_those_of_the_list() {
     let (_folder, app) = folder_with("app.toml", APP);
     let (_other, wrong) = folder_with("wrong.toml", "[tsak]\n");
@@ -324,6 +333,11 @@ fn must_write(app: &Path, arguments: &[&str], template: &str) {
     assert!(err.contains("cargo run -- boot app.toml"), "{err}");
     let mut written = Vec::new();
     files(app, app, &mut written);
+    let settings = written
+        .iter()
+        .position(|(path, _)| path == ".cargo/config.toml");
+    let (_, settings) = written.remove(settings.expect("settings of cargo"));
+    assert!(settings.contains("target-dir = "), "{settings}");
     let template = root().join("cli/examples").join(template);
     let mut expected = Vec::new();
     files(&template, &template, &mut expected);
@@ -436,6 +450,25 @@ fn what_new_writes_is_a_package_of_the_versions_that_the_workspace_is_built_with
         .output()
         .expect("cargo runs");
     good(&output);
+    // It builds to where the workspace does, so that nothing of others is built twice.
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let output = Command::new(cargo)
+        .args([
+            "metadata",
+            "--offline",
+            "--quiet",
+            "--no-deps",
+            "--format-version",
+            "1",
+        ])
+        .env_remove("CARGO_TARGET_DIR")
+        .current_dir(&app)
+        .output()
+        .expect("cargo runs");
+    let (told, _) = good(&output);
+    let target = root().canonicalize().expect("a folder").join("target");
+    let target = format!("\"target_directory\":\"{}\"", target.display());
+    assert!(told.contains(&target), "{told}");
     let ours = locked(&fs::read_to_string(root().join("Cargo.lock")).expect("a lock file"));
     let its = locked(&fs::read_to_string(app.join("Cargo.lock")).expect("a lock file"));
     assert!(its.len() > 100, "{its:?}");

@@ -9,6 +9,7 @@ use super::trail::{Origin, Read, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
 use crate::settings::{Lead, Overrun, Policy, Scope};
 use serde::Deserialize;
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -62,6 +63,7 @@ pub struct App {
     pub warnings: Findings,
     pub(super) trail: Trail,
     pub(super) root: Node,
+    pub(super) partial: bool,
 }
 
 /// Which clock an app runs on.
@@ -261,6 +263,20 @@ impl App {
     #[must_use]
     pub fn root(&self) -> &Node {
         &self.root
+    }
+
+    /// Whether something of it could not be read. What it lacks may then be no mistake of the person.
+    #[must_use]
+    pub fn is_partial(&self) -> bool {
+        self.partial
+    }
+
+    /// The names of what has been read for it so far: its configuration with `--set`, then the files that checks open.
+    #[must_use]
+    pub fn read_so_far(&self) -> BTreeSet<String> {
+        let read = self.trail.read();
+        let names = read.iter().map(|read| read.path.display().to_string());
+        names.chain([SET.to_owned()]).collect()
     }
 
     /// The task of that name.

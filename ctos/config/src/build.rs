@@ -9,6 +9,7 @@ mod tasks;
 use super::app::{App, ChassisConfig, ProcessorConfig, SharedConfig};
 use super::check::checked;
 use super::expander::Expander;
+use super::keys::{self, TOP};
 use super::node::{Entry, Node};
 use super::policies::{restart, supervision};
 use super::selection::Selection;
@@ -31,8 +32,14 @@ pub(super) fn build(
     expanders: &[(&'static str, &dyn Expander)],
     findings: &mut Findings,
 ) -> App {
+    let was_whole = !findings.has_errors();
     let extra: Vec<&str> = expanders.iter().map(|(table, _)| *table).collect();
     let mut root = checked(root, &extra, findings);
+    // Under a table of another name may stand what is missing below.
+    let known = |entry: &Entry| {
+        extra.contains(&entry.key.as_str()) || keys::names(TOP).any(|name| name == entry.key)
+    };
+    let is_known = root.entries().iter().all(known);
     let file = &selection.file;
     let whole = root.place.clone();
     let whole = &whole.unwrap_or_else(|| Source::new(file.display().to_string(), "").at(0..0));
@@ -42,9 +49,14 @@ pub(super) fn build(
     {
         app.set("name", stem.as_deref().unwrap_or("app"));
     }
-    let mut builder = Builder { whole, findings };
+    let mut builder = Builder {
+        whole,
+        findings,
+        partial: !(was_whole && is_known),
+    };
     let chassis = builder.all_chassis(&root);
     let tasks = builder.tasks(&root, &chassis, expanders);
+    let partial = builder.partial;
     let shared = |table: &str, count: &str| {
         let shared = root.tables(table).iter().map(|entry| SharedConfig {
             name: entry.key.clone(),
@@ -82,6 +94,7 @@ pub(super) fn build(
         warnings: Findings::new(),
         trail,
         root,
+        partial,
     };
     app.check_tasks(whole, builder.findings);
     hosts::check(&app, builder.findings);
@@ -92,6 +105,8 @@ struct Builder<'a> {
     /// The start of the main file, for findings about nothing in particular.
     whole: &'a Place,
     findings: &'a mut Findings,
+    /// Something that is written is not in the app.
+    partial: bool,
 }
 
 impl Entry {

@@ -1,7 +1,8 @@
 //! serde over [`Node`]: reads types from a node and finds the place of whatever does not fit.
 
 use super::node::{Entry, Node, Value};
-use crate::diagnostic::Finding;
+use super::profiles::holds;
+use crate::diagnostic::{Finding, Findings};
 use serde::de::{
     self, Deserialize, Deserializer, IntoDeserializer, Unexpected, Visitor,
     value::{MapAccessDeserializer, MapDeserializer, SeqDeserializer},
@@ -40,6 +41,42 @@ pub(super) fn read<'de, T: Deserialize<'de>>(node: &'de Node) -> Result<T, Findi
         let path = error.path().clone();
         placed(node, path.iter().collect(), error.into_inner())
     })
+}
+
+/// Reads `T` from a table, with every mistake in it: what does not fit is told, taken out, and the rest read on. None where
+/// something other than a key that nobody reads was told.
+pub(super) fn read_all<T: de::DeserializeOwned>(node: &Node, findings: &mut Findings) -> Option<T> {
+    let mut left = node.clone();
+    let (mut taken, mut is_known) = (Vec::new(), true);
+    loop {
+        let finding = match read(&left) {
+            Ok(value) => return is_known.then_some(value),
+            Err(finding) => finding,
+        };
+        // What was taken out is missed, of course.
+        let lacks = |key: &String| finding.message == missing(key);
+        if !taken.iter().any(lacks) {
+            findings.push(finding.clone());
+        }
+        let place = finding.place.as_ref();
+        let wrong = place.and_then(|place| {
+            let mut entries = left.entries().iter();
+            let here = |entry: &&Entry| {
+                entry.key_place.as_ref() == Some(place) || holds(&entry.value, place)
+            };
+            let entry = entries.find(here)?;
+            Some((entry.key.clone(), entry.key_place.as_ref() == Some(place)))
+        });
+        let (key, is_key) = wrong?;
+        is_known &= is_key && finding.code == UNKNOWN_KEY;
+        left = left.without(&[&key]);
+        taken.push(key);
+    }
+}
+
+/// What is said of a key that is not there.
+fn missing(key: &str) -> String {
+    format!("the key `{key}` is missing")
 }
 
 /// The finding at the place that `path` leads to.
@@ -130,7 +167,7 @@ impl de::Error for NodeError {
     }
 
     fn missing_field(field: &'static str) -> Self {
-        let finding = Finding::error(MISSING_KEY, format!("the key `{field}` is missing"));
+        let finding = Finding::error(MISSING_KEY, missing(field));
         let finding = finding.label(format!("`{field}` belongs into this table"));
         finding.help(format!("add `{field} = ...`")).into()
     }

@@ -190,11 +190,11 @@ impl Finding {
         const LISTED: usize = 24;
         /// So many of a longer list.
         const NEAREST: usize = 6;
-        names.sort_by_cached_key(|name| (strsim::damerau_levenshtein(given, name), *name));
+        names.sort_by_cached_key(|name| (distance(given, name), *name));
         let Some(best) = names.first() else {
             return self;
         };
-        if strsim::damerau_levenshtein(given, best) <= 1 + given.chars().count() / 3 {
+        if is_near(given, best) {
             return self.help(format!("did you mean `{best}`?"));
         }
         if names.len() > LISTED {
@@ -204,6 +204,28 @@ impl Finding {
         names.sort_unstable();
         self.help(format!("known here: {}", names.join(", ")))
     }
+}
+
+/// The one of `known` that was probably meant by `given`.
+#[must_use]
+pub fn nearest<'a>(given: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let known = known.into_iter();
+    let best = known.min_by_key(|name| (distance(given, name), *name))?;
+    is_near(given, best).then_some(best)
+}
+
+/// How many letters are wrong. Whoever wrote the beginning of a name meant that name.
+fn distance(given: &str, name: &str) -> usize {
+    /// A shorter one begins too many names.
+    const BEGINNING: usize = 3;
+    match given.len() >= BEGINNING && name.starts_with(given) && name != given {
+        true => 1,
+        false => strsim::damerau_levenshtein(given, name),
+    }
+}
+
+fn is_near(given: &str, name: &str) -> bool {
+    distance(given, name) <= 1 + given.chars().count() / 3
 }
 
 impl fmt::Display for Finding {
@@ -319,6 +341,8 @@ mod tests {
     fn a_close_name_is_suggested_and_a_far_one_lists_what_is_known() {
         let close = Finding::error("t", "unknown").suggest("camrea", ["camera", "arm"]);
         assert_eq!(close.help.as_deref(), Some("did you mean `camera`?"));
+        let begun = Finding::error("a::b", "m").suggest("-lim", ["-arm", "-limits", "-turns"]);
+        assert_eq!(begun.help.as_deref(), Some("did you mean `-limits`?"));
         let far = Finding::error("t", "unknown").suggest("zzz", ["camera", "arm"]);
         assert_eq!(far.help.as_deref(), Some("known here: arm, camera"));
     }

@@ -251,6 +251,13 @@ impl Node {
         super::de::read(self)
     }
 
+    /// As [`parse`](Self::parse) for a table, with all its mistakes: they go to `findings`. Where nothing but keys that
+    /// nobody reads is wrong, the rest of it is read all the same.
+    #[must_use]
+    pub fn parse_all<T: DeserializeOwned>(&self, findings: &mut Findings) -> Option<T> {
+        super::de::read_all(self, findings)
+    }
+
     /// Reads a whole TOML text. Returns what could be read (an empty table at worst) and adds every
     /// syntax error, duplicate key and unrepresentable number to `findings`.
     #[must_use]

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use crate::{
     app::App,
     build::build,
-    diagnostic::Findings,
+    diagnostic::{Finding, Findings},
     expander::Expander,
     load::{Files, merged},
     node::{Entry, Node},
@@ -97,11 +97,30 @@ fn read_from(
     let mut findings = Findings::new();
     let merged = merged(files, selection, &mut findings);
     // What does not parse would only bring findings that are not the person's mistakes.
-    let Some(merged) = merged.filter(|_| !findings.has_errors()) else {
+    let parses = !findings.iter().any(|one| UNPARSED.contains(&one.code));
+    let Some(merged) = merged.filter(|_| parses) else {
         return (None, findings);
     };
+    // Where something was not read, only what is wrong by itself is a mistake of the person, and of a value only where
+    // variables stand for what they should.
+    let is_whole = !findings.has_errors();
+    let has_values = !findings.iter().any(|one| VARIABLES.contains(&one.code));
     let (root, trail) = (merged.root, merged.trail);
-    let app = build(root, selection, trail, expanders, &mut findings);
+    let mut found = findings.clone();
+    let app = build(root, selection, trail, expanders, &mut found);
+    if is_whole {
+        findings = found;
+    } else {
+        let known =
+            |one: &Finding| ASKED.contains(&one.code) && (has_values || one.code == UNKNOWN_KEY);
+        found
+            .iter()
+            .filter(|one| known(one))
+            .for_each(|one| findings.push(one.clone()));
+        if !has_values {
+            return (None, findings);
+        }
+    }
     for profile in &merged.profiles {
         if !app.selection.profiles.contains(&profile.key) {
             let root = merged.bare.clone();
@@ -111,10 +130,18 @@ fn read_from(
     (Some(app), findings)
 }
 
+const UNKNOWN_KEY: &str = "ctos::config::unknown_key";
+
+/// What is no TOML, and numbers that are none.
+const UNPARSED: [&str; 2] = ["ctos::config::syntax", "ctos::config::number"];
+
+/// What is wrong with references to variables.
+const VARIABLES: [&str; 2] = ["ctos::config::unset_variable", "ctos::config::variable"];
+
 /// What is wrong with the keys and values of a profile by themselves. Whether its names lead anywhere may
 /// depend on another profile.
 const ASKED: [&str; 5] = [
-    "ctos::config::unknown_key",
+    UNKNOWN_KEY,
     "ctos::config::unknown_choice",
     "ctos::config::value",
     "ctos::config::name",
@@ -139,7 +166,7 @@ fn check_idle(
     for finding in found.into_sorted() {
         let here = finding.place.as_ref();
         // A variable need not be set for a profile that is not chosen; its value is unknown then.
-        let known = unset.is_empty() || finding.code == "ctos::config::unknown_key";
+        let known = unset.is_empty() || finding.code == UNKNOWN_KEY;
         let asked = known && ASKED.contains(&finding.code);
         if asked && here.is_some_and(|place| holds(&profile.value, place)) {
             findings.push(finding);

@@ -136,7 +136,7 @@ impl HandlerKind {
         check: impl Fn(&T, &TaskConfig, &App, &mut Findings) + Send + Sync + 'static,
     ) -> &mut Self {
         self.args = Some(Box::new(move |args, task, app, findings| {
-            if let Some(args) = findings.keep(args.parse::<T>()) {
+            if let Some(args) = args.parse_all::<T>(findings) {
                 check(&args, task, app, findings);
             }
         }));
@@ -208,8 +208,11 @@ pub fn unread_args(
     }
 }
 
-/// Findings about a task that hold whatever the rest of its app is like.
-const OF_A_TASK: [&str; 6] = [
+/// Findings about a task that hold whatever the rest of its app is like. Those about a file that it names hold, too.
+const OF_A_TASK: [&str; 9] = [
+    "ctos::file::not_text",
+    "ctos::file::unreadable",
+    "ctos::config::not_durable",
     "ctos::config::unknown_handler",
     "ctos::config::unknown_key",
     "ctos::config::unknown_choice",
@@ -398,14 +401,30 @@ impl Registry {
         findings
     }
 
-    /// What is wrong with the tasks of an app by themselves, beside `found`, which is wrong with its configuration. What
-    /// is wrong between tasks would be no mistake of the person where one could not be read.
+    /// What is wrong with an app beside `found`, which is wrong with its configuration. Where a task could not be read, or
+    /// nobody has its handler, what is wrong between tasks would be no mistake of the person.
     #[must_use]
     pub fn check_beside(&self, app: &App, mut found: Findings) -> Findings {
+        let configuration = app.read_so_far();
+        let knows_all = app
+            .tasks
+            .iter()
+            .all(|task| self.kind(&task.handler).is_some());
+        if knows_all && !app.is_partial() {
+            found.extend(self.check(app));
+            return found;
+        }
+        let is_named =
+            |finding: &Finding| finding.code == "ctos::config::unknown_task" && !app.is_partial();
+        let is_of_a_file = |finding: &Finding| {
+            let place = finding.place.as_ref();
+            let file = place.map(|place| place.source.name());
+            file.is_some_and(|file| !configuration.contains(file))
+        };
         let mut of_tasks = Findings::new();
         self.check_tasks(app, &mut of_tasks);
         for finding in of_tasks.into_sorted() {
-            if OF_A_TASK.contains(&finding.code) {
+            if OF_A_TASK.contains(&finding.code) || is_named(&finding) || is_of_a_file(&finding) {
                 found.push(finding);
             }
         }

@@ -31,7 +31,7 @@ use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 
 pub use lines::Number;
 pub use log::RecordLayer;
-pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan_only};
+pub use read::{Channel, Entry, Filter, ReadError, Record, Run, noted, scan_only};
 pub use replay::{Difference, ReplayError, ReplayReport, replay, replayable};
 
 pub use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
@@ -153,6 +153,10 @@ fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
         run.insert("chassis".to_owned(), chassis.name().to_owned());
         run.insert("time".to_owned(), "real".to_owned());
         run.insert("origin_ns".to_owned(), origin.to_string());
+        // Whose monotonic clock that is.
+        if let Ok(id) = std::fs::read_to_string("/proc/sys/kernel/random/boot_id") {
+            run.insert("host".to_owned(), id.trim().to_owned());
+        }
     } else {
         run.insert("time".to_owned(), "virtual".to_owned());
     }

@@ -32,6 +32,8 @@ const RETRY_NS: u64 = 5_000_000_000;
 const OVERHEAD: u64 = 47;
 /// The metadata record that says what a file is a record of.
 pub(crate) const RUN: &str = "ctos.run";
+/// The part with which the record begins that a part belongs to.
+const FIRST: &str = "first";
 /// The metadata record that says what a file lacks.
 pub(crate) const LOST: &str = "ctos.lost";
 
@@ -127,6 +129,7 @@ impl Write for Unwritten {
 
 struct Part {
     path: PathBuf,
+    number: u64,
     file: File,
     writer: LineWriter<NoSeek<Unwritten>>,
     unwritten: Unwritten,
@@ -208,7 +211,10 @@ impl Parts {
     /// # Errors
     /// When it cannot be made.
     pub(crate) fn open(place: Place, run: BTreeMap<String, String>) -> Result<Self, PartError> {
+        let mut run = run;
         let part = Part::open(&place, &run)?;
+        // Later files say to which one they belong.
+        run.insert(FIRST.to_owned(), part.number.to_string());
         Ok(Self {
             place,
             run,
@@ -408,6 +414,7 @@ impl Part {
         let mut part = Self {
             writer: writer.map_err(PartError::of(&path))?,
             path,
+            number,
             file,
             unwritten,
             lines: 0,
@@ -418,6 +425,8 @@ impl Part {
         };
         let mut run = run.clone();
         run.insert("part".to_owned(), number.to_string());
+        run.entry(FIRST.to_owned())
+            .or_insert_with(|| number.to_string());
         let begun = part.writer.metadata(RUN, run).map_err(io::Error::other);
         if let Err(error) = begun.and_then(|()| part.flush()) {
             // Nothing is in it.

@@ -337,10 +337,26 @@ impl<'a> Scan<'a> {
 ///
 /// # Errors
 /// [`ReadError`] when it cannot be opened, or is not an MCAP file from its first byte.
-pub fn scan_only(
+pub fn scan_only(path: &Path, filter: &Filter, see: impl FnMut(Entry)) -> Result<Run, ReadError> {
+    scan(path, filter, see, |_| false)
+}
+
+/// What the writer of a file noted of the run: `app`, `origin_ns`, `first`, ... Only its beginning is read.
+///
+/// # Errors
+/// As [`scan_only`].
+pub fn noted(path: &Path) -> Result<BTreeMap<String, String>, ReadError> {
+    let nothing = Filter::default();
+    let run = scan(path, &nothing, |_| (), |run| !run.noted.is_empty())?;
+    Ok(run.noted)
+}
+
+/// Reads until its end, or until there is enough.
+fn scan(
     path: &Path,
     filter: &Filter,
     mut see: impl FnMut(Entry),
+    enough: impl Fn(&Run) -> bool,
 ) -> Result<Run, ReadError> {
     let failed = |error| ReadError::Io {
         path: path.to_owned(),
@@ -372,6 +388,9 @@ pub fn scan_only(
         }
         if scan.closed || scan.run.torn.is_some() {
             break;
+        }
+        if enough(&scan.run) {
+            return Ok(scan.run);
         }
     }
     if !begun {

@@ -18,8 +18,19 @@ use std::{fmt, sync::Arc};
 use ctos::diagnostic::{Finding, Findings, Place as At};
 
 use pnt_language::net::{
-    CommandId, Net, Outputs, Part, Place, PlaceId, RemoteArc, Role, TransitionId,
+    CommandId, Net, Outputs, Part, Place, PlaceId, RemoteArc, Role, Transition, TransitionId,
 };
+
+/// Whose tokens are on their way: of a request, which part of it.
+fn sender(net: &Net, one: &Transition) -> String {
+    let part = match one.part {
+        Part::Whole | Part::Return => "",
+        Part::Start => "the start of ",
+        Part::End => "the end of ",
+        Part::Fail { .. } => "the failure of ",
+    };
+    format!("{part}{}.{}", net.name(), one.written())
+}
 
 /// Number of a place of the system.
 pub type SystemPlaceId = usize;
@@ -178,9 +189,13 @@ impl System {
     #[must_use]
     pub fn step_name(&self, step: &Step) -> impl fmt::Display + use<> {
         let net = &self.nets[step.net];
-        let transition = step.transition.map_or("", |id| net[id].name.as_str());
+        let one = step.transition.map(|id| &net[id]);
+        let transition = one.map_or("", Transition::written);
         match step.phase {
-            Phase::Fire => format!("{}.{transition}", net.name()),
+            Phase::Fire => {
+                let step = one.map(Transition::step).unwrap_or_default();
+                format!("{}.{step}", net.name())
+            }
             Phase::Start => format!("{}.{transition} starts", net.name()),
             Phase::Complete => format!("{}.{transition} completes", net.name()),
             Phase::Fail => format!("{}.{transition} fails", net.name()),
@@ -188,7 +203,8 @@ impl System {
             Phase::End => "the end of all tapes".to_owned(),
             Phase::Arrive(other) => {
                 let other = self.nets.get(other).map_or("", |net| net.name());
-                format!("tokens of {}.{transition} arrive at {other}", net.name())
+                let of = one.map(|one| sender(net, one)).unwrap_or_default();
+                format!("tokens of {of} arrive at {other}")
             }
         }
     }
@@ -399,7 +415,7 @@ fn check_resets(net: &Net, findings: &mut Findings) {
                     "pnt::app::wide_reset",
                     format!(
                         "transition `{}` empties places of large capacity in which actions are kept room: too many cases to look at",
-                        transition.name
+                        transition.written()
                     ),
                 )
                 .at(transition.at.clone())

@@ -175,6 +175,19 @@ pub enum Part {
     Return,
 }
 
+impl Part {
+    /// What stands before the author's name in the name of the part.
+    #[must_use]
+    pub fn prefix(self) -> &'static str {
+        match self {
+            Self::Whole | Self::Return => "",
+            Self::Start => "start_",
+            Self::End => "end_",
+            Self::Fail { .. } => "fail_",
+        }
+    }
+}
+
 /// A transition.
 #[derive(Debug, Clone)]
 pub struct Transition {
@@ -350,6 +363,17 @@ impl Net {
         u32::try_from(index).ok().map(TransitionId)
     }
 
+    /// The transition that its author calls `name`; a request is the part that begins it.
+    #[must_use]
+    pub fn written(&self, name: &str) -> Option<TransitionId> {
+        let begins = |one: &Transition| one.part == Part::Start && one.written() == name;
+        let request = || {
+            let index = self.transitions.iter().position(begins)?;
+            u32::try_from(index).ok().map(TransitionId)
+        };
+        self.transition(name).or_else(request)
+    }
+
     /// The command whose symbol is `symbol`.
     #[must_use]
     pub fn command(&self, symbol: &str) -> Option<CommandId> {
@@ -398,6 +422,37 @@ impl Index<CommandId> for Net {
     type Output = Command;
     fn index(&self, id: CommandId) -> &Command {
         &self.commands[id.index()]
+    }
+}
+
+impl Transition {
+    /// What its author calls it. The parts of a request are one transition in the net text.
+    #[must_use]
+    pub fn written(&self) -> &str {
+        self.name
+            .strip_prefix(self.part.prefix())
+            .unwrap_or(&self.name)
+    }
+
+    /// Its firing in words: a part of a request begins or ends what the author wrote.
+    #[must_use]
+    pub fn step(&self) -> String {
+        let does = match self.part {
+            Part::Whole | Part::Return => "",
+            Part::Start => " starts",
+            Part::End => " completes",
+            Part::Fail { .. } => " fails",
+        };
+        format!("{}{does}", self.written())
+    }
+
+    /// What people call it: a request by its author's name, and its ends by their own.
+    #[must_use]
+    pub fn called(&self) -> &str {
+        match self.part {
+            Part::Start => self.written(),
+            _ => &self.name,
+        }
     }
 }
 

@@ -14,7 +14,7 @@ mod event;
 mod replica;
 mod source;
 mod standing;
-mod view;
+pub(crate) mod view;
 
 #[cfg(test)]
 mod tests;

@@ -4,7 +4,7 @@ import { Picture } from "./draw.js";
 import { Fork, fold, linksBetween, sideBySide, subnetsOf } from "./fold.js";
 import { listen } from "./keys.js";
 import { Minimap } from "./minimap.js";
-import { Net, seconds } from "./model.js";
+import { called, Net, seconds } from "./model.js";
 import { Moments } from "./moments.js";
 import { Overview, jobWords } from "./overview.js";
 import { make, showSide } from "./panels.js";
@@ -589,7 +589,7 @@ class App extends Moments {
     }
     if (!this.control) return;
     if (shown.kind === "transition") {
-      const transition = shown.net.view.transitions[shown.node.kind.transition[0][0]].name;
+      const transition = called(shown.net.view.transitions[shown.node.kind.transition[0][0]]);
       const armed = shown.net.breakpoints.some((one) => one.transition === transition);
       this.order(what === "break" && armed ? "clear" : what, shown.net, { transition });
     } else if (shown.kind === "place" && what === "break") {

@@ -2,7 +2,7 @@
 // stand where they are told to.
 
 import { BAR, Field, RADIUS } from "./field.js";
-import { foldStanding, nodeStanding, seconds } from "./model.js";
+import { called, foldStanding, nodeStanding, seconds } from "./model.js";
 import { alongPoints, dots, element, markers, middleOf, pathOf, pointsOf } from "./shapes.js";
 import { View } from "./view.js";
 
@@ -216,7 +216,7 @@ export class Picture extends View {
     shown.state = standing.state;
     if (folded) shown.count = standing.tokens;
     const { places, transitions } = shown.net.view;
-    const parts = numbersOf(shown.node).map((number) => transitions[number].name);
+    const parts = numbersOf(shown.node).map((number) => called(transitions[number]));
     // What is folded into one node is marked there.
     const within = folded ? shown.node.kind.fold[0].map((number) => places[number]?.name) : [];
     this.mark(shown, shown.net.breakpoints.some((one) => parts.includes(one.transition) || within.includes(one.place)));

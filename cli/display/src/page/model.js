@@ -278,9 +278,23 @@ export function seconds(ns, digits = 3) {
   return `${(ns / 1e9).toFixed(digits)} s`;
 }
 
+/** What people call a transition: a request by its author's name, and its ends by their own. */
+export function called(transition) {
+  return transition.part === "start" ? transition.shown : transition.name;
+}
+
+/** What an event says to a person: the transition as its author wrote it, and what happened to it. The parts of a request
+ * fire in one step each. */
+export function told(net, event) {
+  const one = net.view.transitions[net.index.transitions.get(event.transition)];
+  if (one === undefined) return [event.transition, event.phase];
+  const happened = event.phase === "fired" ? { start: "started", end: "completed", fail: "failed", back: "failed" }[one.part] : undefined;
+  return [one.shown, happened ?? event.phase];
+}
+
 /** Whether an event has all of the words that are wanted and none of those that are not. */
-export function passes(event, wanted, unwanted) {
-  const text = [event.net, event.transition, event.phase, event.text, event.read ?? "", event.wrote ?? "", event.target,
+export function passes(net, event, wanted, unwanted) {
+  const text = [event.net, ...told(net, event), event.text, event.read ?? "", event.wrote ?? "", event.target,
     ...event.consumed.map(([place]) => place), ...event.produced.map(([place]) => place)].join(" ").toLowerCase();
   const words = (list) => list.toLowerCase().split(/\s+/).filter((word) => word !== "");
   return words(wanted).every((word) => text.includes(word)) && !words(unwanted).some((word) => text.includes(word));

@@ -1,6 +1,6 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
-import { nodeStanding, seconds } from "./model.js";
+import { called, nodeStanding, seconds } from "./model.js";
 import { placeKey } from "./plots.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
@@ -102,7 +102,7 @@ function transitionPart(net, node, app) {
       make("button", { onclick: () => app.order("fire", net, { transition: transition.name }), disabled: standing.state === "running" }, "Fire"),
       transition.target === "" ? null : make("button", { onclick: () => app.order("cancel", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as failed" }, "Fail"),
       transition.target === "" ? null : make("button", { onclick: () => app.order("complete", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as completed, without its results" }, "Succeed"),
-      breakButton(net, app, transition.name)) : null,
+      breakButton(net, app, called(transition))) : null,
     transition.task !== null ? taskPart(transition.task, app) : null);
 }
 

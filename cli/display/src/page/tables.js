@@ -2,7 +2,7 @@
 
 import { colours } from "./field.js";
 import { make, tokens } from "./panels.js";
-import { passes, seconds } from "./model.js";
+import { passes, seconds, told } from "./model.js";
 
 /** The table shows no more rows than this; filters find the others. While the present goes on it shows fewer, and
  * those often. */
@@ -142,6 +142,17 @@ function clipped(pen, text, width) {
 
 // -- events --------------------------------------------------------------------------------
 
+/** Whether a place is part of a request, and no request comes in by it. */
+function hides(net, place) {
+  return net.view.places[net.index.places.get(place)]?.wiring === true && !place.startsWith("I_");
+}
+
+/** Whether tokens go to another net only because a request is made of that. */
+function wires(net, event, { place, net: to }) {
+  const one = net.view.transitions[net.index.transitions.get(event.transition)];
+  return [...(one?.sends ?? []), ...(one?.fail_sends ?? [])].some((arc) => arc.wiring && arc.place === place && arc.net === to);
+}
+
 const BY_HAND = new Set(["put", "taken", "paused", "resumed", "cancelled"]);
 
 /** The latest events up to the moment shown; a click goes to the moment of one. */
@@ -159,7 +170,8 @@ export class Table {
     const { app } = this;
     const [wanted, unwanted, all] = this.inputs;
     const nets = all.checked ? [...app.nets.values()] : app.visibleNets();
-    const seen = [wanted.value, unwanted.value, app.cursor !== null, ...nets.flatMap((net) => [net.name, net.base.seq, app.positionOf(net)])].join("\u0000");
+    this.scroller.classList.toggle("one", nets.length === 1);
+    const seen = [wanted.value, unwanted.value, app.cursor !== null, app.detail, ...nets.flatMap((net) => [net.name, net.base.seq, app.positionOf(net)])].join("\u0000");
     if (seen === this.seen) return;
     this.seen = seen;
     const found = [];
@@ -167,7 +179,7 @@ export class Table {
       const until = app.positionOf(net);
       for (let at = until - 1; at >= 0 && found.length < MOST_ROWS * nets.length + 1; at -= 1) {
         const event = net.events[at];
-        if (passes(event, wanted.value, unwanted.value)) found.push({ net, event, at: at + 1 });
+        if (passes(net, event, wanted.value, unwanted.value)) found.push({ net, event, at: at + 1 });
       }
     }
     found.sort((a, b) => b.event.at_ns - a.event.at_ns || b.event.seq - a.event.seq);
@@ -180,13 +192,18 @@ export class Table {
   }
 
   row({ net, event, at }, first) {
-    const sent = event.sent.map((one) => `${one.place}@${one.net}`);
-    const put = [tokens(event.produced), ...sent].filter((one) => one !== "").join(" + ");
-    const moved = event.consumed.length + event.produced.length + sent.length === 0 ? "" : `${tokens(event.consumed) || "–"} → ${put || "–"}`;
+    // As in the drawing: what requests are made of is shown with the detail.
+    const full = this.app.detail === "full";
+    const seen = ([place]) => full || !hides(net, place);
+    const [taken, produced] = [event.consumed.filter(seen), event.produced.filter(seen)];
+    const sent = event.sent.filter((one) => full || !wires(net, event, one)).map((one) => `${one.place}@${one.net}`);
+    const put = [tokens(produced), ...sent].filter((one) => one !== "").join(" + ");
+    const moved = taken.length + produced.length + sent.length === 0 ? "" : `${tokens(taken) || "–"} → ${put || "–"}`;
     const read = event.read === null ? "" : `${event.phase === "asked" ? "+ " : ""}${event.read}`;
-    const cells = [seconds(event.at_ns), event.net, event.transition, event.phase, moved, read, event.wrote ?? "", event.text];
+    const [transition, phase] = told(net, event);
+    const cells = [seconds(event.at_ns), event.net, transition, phase, moved, read, event.wrote ?? "", event.text];
     const paused = this.app.cursor !== null;
-    return make("tr", { class: `${event.phase}${paused && first ? " now" : ""}${BY_HAND.has(event.phase) ? " by-hand" : ""}`, "data-seq": event.seq, tabindex: "0",
+    return make("tr", { class: `${phase}${paused && first ? " now" : ""}${BY_HAND.has(phase) ? " by-hand" : ""}`, "data-seq": event.seq, tabindex: "0",
       title: [event.target === "" ? "" : `calls ${event.target}`, event.trace === "" ? "" : `trace ${event.trace}`].filter((one) => one !== "").join(", "),
       onclick: () => this.app.goToEvent(net, at), onkeydown: (key) => key.key === "Enter" && this.app.goToEvent(net, at) },
     ...cells.map((cell) => make("td", {}, cell)));

@@ -172,7 +172,7 @@ impl Screen {
         }
         let stops = |shown: &str| {
             let mut parts = net.view.transitions.iter().filter(|one| one.shown == shown);
-            parts.any(|part| net.breakpoints.contains(&part.name))
+            parts.any(|part| net.breakpoints.iter().any(|at| at == part.called()))
         };
         // What is chosen must be seen.
         let room = usize::from(area.height).saturating_sub(lines.len() + 2);
@@ -220,7 +220,7 @@ fn events(frame: &mut Frame<'_>, area: Rect, net: &Live) {
         .iter()
         .rev()
         .take(room)
-        .map(|event| Line::from(text::event_line(event)));
+        .map(|event| Line::from(text::event_line(&net.view, event)));
     let block = Block::bordered().title(" events, latest first ");
     frame.render_widget(Paragraph::new(lines.collect::<Vec<_>>()).block(block), area);
 }

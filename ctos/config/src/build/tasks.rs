@@ -5,7 +5,7 @@ use super::super::check::check_name;
 use super::super::expander::{Expander, GeneratedTask};
 use super::super::node::{Entry, Node};
 use super::{Builder, restart};
-use crate::diagnostic::{Finding, Findings, Place};
+use crate::diagnostic::{Finding, Findings, Place, nearest};
 use crate::settings::Policy;
 use std::collections::BTreeSet;
 
@@ -18,16 +18,20 @@ impl Builder<'_> {
         chassis: &[ChassisConfig],
         expanders: &[(&'static str, &dyn Expander)],
     ) -> Vec<TaskConfig> {
-        let written = root.tables("task").iter();
-        let mut tasks: Vec<_> = written
-            .filter_map(|entry| self.task(entry, chassis))
-            .collect();
+        let written = root.tables("task");
+        let read = written.iter();
+        let mut tasks: Vec<_> = read.filter_map(|entry| self.task(entry, chassis)).collect();
+        self.partial |= tasks.len() < written.len();
         for (table, expander) in expanders {
             if let Some(entry) = root.entry(table) {
-                for generated in expander.expand(&entry.value, self.findings) {
+                let mut found = Findings::new();
+                for generated in expander.expand(&entry.value, &mut found) {
                     let task = self.generated(generated, chassis, &tasks);
+                    self.partial |= task.is_none();
                     tasks.extend(task);
                 }
+                self.partial |= found.has_errors();
+                self.findings.extend(found);
             }
         }
         tasks
@@ -40,8 +44,8 @@ impl Builder<'_> {
         let on_place = node.place_of("on")?;
         let on = node.get("on")?.as_str()?;
         let found = self.find_processor(on, &on_place, chassis);
-        // It is kept all the same: its handler and arguments may be wrong too, and are found at once.
-        let (chassis, processor) = found.unwrap_or_else(|| (on.to_owned(), String::new()));
+        // Whatever else is wrong with it is found at once, as if it were where it was probably meant to be.
+        let (chassis, processor) = found.unwrap_or_else(|| self.meant(on, chassis));
         let args = node.get("args").cloned();
         Some(TaskConfig {
             name: entry.key.clone(),
@@ -92,6 +96,21 @@ impl Builder<'_> {
             self.findings.push(finding.at(place.clone()));
         }
         found.map(|found| (chassis.name.clone(), found.to_owned()))
+    }
+
+    /// The chassis and processor that were probably meant by an unknown one.
+    fn meant(&mut self, on: &str, all: &[ChassisConfig]) -> (String, String) {
+        let (name, _) = on.split_once(['/', ':']).unwrap_or((on, ""));
+        let meant = nearest(name, all.iter().map(|chassis| chassis.name.as_str()));
+        let chassis = all.iter().find(|one| Some(one.name.as_str()) == meant);
+        let processor = chassis.and_then(|chassis| chassis.processors.first());
+        match (chassis, processor) {
+            (Some(chassis), Some(processor)) => (chassis.name.clone(), processor.name.clone()),
+            _ => {
+                self.partial = true;
+                (on.to_owned(), String::new())
+            }
+        }
     }
 
     fn generated(

@@ -101,6 +101,16 @@ fn arguments_that_no_handler_reads_are_found_with_the_name_that_was_meant() {
         task("paced", "speeed = 3, speed = 1"),
         ["app.toml:5:10: error: unknown key `speeed` (did you mean `speed`?)"]
     );
+    // All of them in one pass.
+    assert_eq!(
+        task("paced", "sped = 1, every_s = -1, often = 2"),
+        [
+            "app.toml:5:1: error: the key `speed` is missing (add `speed = ...`)",
+            "app.toml:5:10: error: unknown key `sped` (did you mean `speed`?)",
+            "app.toml:5:30: error: `every_s`: -1 s is no time (give a number of seconds, 0 or more)",
+            "app.toml:5:34: error: unknown key `often` (known here: every_s, speed)",
+        ]
+    );
     assert_eq!(
         task("paced", "speed = 1, every_s = -1"),
         ["app.toml:5:31: error: `every_s`: -1 s is no time (give a number of seconds, 0 or more)"]

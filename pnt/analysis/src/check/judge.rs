@@ -281,7 +281,7 @@ impl<'a> Judge<'a> {
                 format!(
                     "tokens of `{}.{}` can find no room in `{}`, which refuses them, and their net stops: {way}",
                     sender.name(),
-                    transition.name,
+                    transition.written(),
                     place.name,
                 ),
             )
@@ -300,7 +300,7 @@ impl<'a> Judge<'a> {
             CODE,
             format!(
                 "transition `{}` can write `{symbol}` when no command waits for it: {way}",
-                transition.name,
+                transition.written(),
             ),
         )
         .at(transition.at.clone())
@@ -367,7 +367,12 @@ impl<'a> Judge<'a> {
         let meant = |part: Part| !matches!(part, Part::Return | Part::Fail { branch: false });
         let never = all.filter(|(transition, seen)| !**seen && meant(transition.part));
         let finding = |(transition, _): (&Transition, &bool)| {
-            let text = format!("transition `{}` can never fire", transition.name);
+            let never = match transition.part {
+                Part::Whole | Part::Start | Part::Return => "fire",
+                Part::End => "complete",
+                Part::Fail { .. } => "fail",
+            };
+            let text = format!("transition `{}` can never {never}", transition.written());
             let finding = match self.rule {
                 Rule::Rest => Finding::warning("pnt::check::never_fires", text),
                 Rule::Alone | Rule::Closed => Finding::error("pnt::check::never_fires", text),

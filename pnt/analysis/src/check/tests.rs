@@ -252,6 +252,12 @@ fn a_request_that_the_coordinator_drops_is_found_in_the_composed_app() {
         dead.message.contains("dispatcher.find_spot_active"),
         "{dead}"
     );
+    // A request has its author's name, and what happens to it.
+    assert!(
+        dead.message.contains("dispatcher.find_spot starts"),
+        "{dead}"
+    );
+    assert!(!dead.message.contains("start_"), "{dead}");
 }
 
 #[test]

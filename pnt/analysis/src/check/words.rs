@@ -91,7 +91,7 @@ impl Words<'_> {
         let (_, lack, step) = begins.filter_map(of).min_by_key(|(count, ..)| *count)?;
         let place = self.system.places().get(lack.place as usize)?;
         let net = self.system.nets().get(step.net)?;
-        let transition = &net[step.transition?].name;
+        let transition = net[step.transition?].written();
         let label = match lack.wanted {
             Wanted::AtLeast(needs) => format!(
                 "this holds {} then, and `{transition}` needs {needs}",

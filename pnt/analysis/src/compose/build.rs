@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use super::{Phase, Stands, Step, System, SystemPlace, SystemPlaceId};
+use super::{Phase, Stands, Step, System, SystemPlace, SystemPlaceId, sender};
 use pnt_language::net::{
     self, CommandId, Net, Outputs, PlaceId, Servers, Transition, TransitionId,
 };
@@ -106,7 +106,7 @@ impl Builder {
         for (id, transition) in (0..).map(TransitionId).zip(net.transitions()) {
             if may_be_answered_for(net, id) {
                 bases.holders.insert(id, self.system.places.len());
-                let shown = format!("command of {name}.{}", transition.name);
+                let shown = format!("command of {name}.{}", transition.written());
                 self.place(Stands::Holds(id), shown, &transition.at, 0);
             }
         }
@@ -200,12 +200,7 @@ impl Builder {
         message: &[(PlaceId, u32)],
     ) -> SystemPlaceId {
         let (from, to) = (&self.system.nets[self.net], &self.system.nets[other]);
-        let shown = format!(
-            "tokens of {}.{} for {}",
-            from.name(),
-            from[id].name,
-            to.name()
-        );
+        let shown = format!("tokens of {} for {}", sender(from, &from[id]), to.name());
         let (at, to) = (from[id].at.clone(), Arc::clone(to));
         let way = self.system.places.len();
         self.place(Stands::OnTheWay(id), shown, &at, 0);

@@ -274,7 +274,7 @@ impl<'a> Builder<'a> {
         let going = self.bases[number].going[index];
         self.origins.push(Origin {
             index: origin,
-            name: self.qualified(number, &transition.name),
+            name: self.qualified(number, &transition.step()),
             parts: Vec::new(),
             busy: match going {
                 Some(place) => Some(Busy::Tokens(place)),

@@ -84,10 +84,11 @@ impl Expanded {
         findings: &mut Findings,
     ) {
         check_ask(draft, transition, net, request, findings);
-        let name = |prefix: &str| {
+        let name = |part: Part| {
+            let prefix = part.prefix();
             transition
                 .name
-                .derived(format!("{prefix}_{}", transition.name))
+                .derived(format!("{prefix}{}", transition.name))
         };
         let here = |prefix: &str| DraftArc::local(net.derived(format!("{prefix}_{net}")));
         let there = |place: String| DraftArc::remote(request.derived(place), net.clone());
@@ -98,7 +99,7 @@ impl Expanded {
         let active = DraftArc::local(active);
 
         let mut start = transition.clone();
-        start.name = name("start");
+        start.name = name(Part::Start);
         start.action = None;
         start.within = None;
         start.idempotent = false;
@@ -108,14 +109,15 @@ impl Expanded {
         let branch = mem::take(&mut start.fail);
         let write = start.write.take();
 
-        let mut end = DraftTransition::new(name("end"));
+        let mut end = DraftTransition::new(name(Part::End));
         end.inputs = vec![here("O"), active.clone()];
         end.outputs = outputs;
         end.write = write;
 
-        let mut fail = DraftTransition::new(name("fail"));
-        fail.inputs = vec![here("OF"), active];
         let written = !branch.is_empty();
+        let failed = Part::Fail { branch: written };
+        let mut fail = DraftTransition::new(name(failed));
+        fail.inputs = vec![here("OF"), active];
         fail.outputs = if written {
             branch
         } else {
@@ -126,7 +128,7 @@ impl Expanded {
         let parts = [
             (start, Part::Start, there(format!("I_{request}"))),
             (end, Part::End, give_back.clone()),
-            (fail, Part::Fail { branch: written }, give_back),
+            (fail, failed, give_back),
         ];
         for (draft, part, arc) in parts {
             self.transitions.push(PartOf {

@@ -59,6 +59,18 @@ impl EventPhase {
             Self::Stopped => "stopped",
         }
     }
+
+    /// What happened to the transition that the author wrote: the parts of a request fire in one step each.
+    /// `part` is that of a [`TransitionView`](super::TransitionView).
+    #[must_use]
+    pub fn of_part(self, part: &str) -> Self {
+        match (self, part) {
+            (Self::Fired, "start") => Self::Started,
+            (Self::Fired, "end") => Self::Completed,
+            (Self::Fired, "fail" | "back") => Self::Failed,
+            (phase, _) => phase,
+        }
+    }
 }
 
 impl fmt::Display for EventPhase {

@@ -397,6 +397,40 @@ fn pushes() -> impl Strategy<Value = Vec<Push>> {
     prop::collection::vec(one, 0..60)
 }
 
+#[test]
+fn a_request_is_told_by_its_authors_name_with_what_happened_to_it() {
+    let text = "net n\nplace a = 1, b, gone\ncoordinator m : go\ntransition move\n  in a\n  ask m go\n  out b\n  fail gone\ntransition turn\n  in b\n  out a\n";
+    let net = Arc::new(compile::net(&Text::new("n.net", text)).unwrap());
+    let view = NetView::new(&net);
+    let mut execution = Execution::new(Arc::clone(&net));
+    let mut source = Source::new(Arc::clone(&net), Instant::from_nanos(0));
+    let mut told = Vec::new();
+    for name in ["start_move", "end_move", "turn", "start_move", "fail_move"] {
+        if let Some(answer) = name.strip_suffix("_move").filter(|part| *part != "start") {
+            let place = if answer == "end" { "O_m" } else { "OF_m" };
+            execution.put_tokens(place, 1).unwrap();
+            execution.put_tokens("SI_m", 1).unwrap();
+        }
+        let id = net.transition(name).unwrap();
+        execution.fire(id).unwrap();
+        let what = Happened::Transition(id, EventPhase::Fired, None, String::new());
+        source.note(Instant::from_nanos(0), 0, what, &execution);
+        let event = source.last().unwrap();
+        let (transition, phase) = view.told(&event);
+        told.push(format!("{transition} {phase}"));
+    }
+    assert_eq!(
+        told,
+        [
+            "move started",
+            "move completed",
+            "turn fired",
+            "move started",
+            "move failed"
+        ]
+    );
+}
+
 proptest! {
     #[test]
     fn whatever_happens_a_replica_is_as_the_net(pushes in pushes()) {

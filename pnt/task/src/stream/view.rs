@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::event::{Event, EventPhase};
+
 use pnt_language::net::{Action, Arc, Net, Outputs, Part, RemoteArc, Role};
 
 /// A net as displays know it.
@@ -235,6 +237,16 @@ impl NetView {
         self.places.iter().position(|place| place.name == name)
     }
 
+    /// What an event says to a person: the transition as its author wrote it, and what happened to it.
+    #[must_use]
+    pub fn told<'v>(&'v self, event: &'v Event) -> (&'v str, EventPhase) {
+        let number = self.transition(&event.transition);
+        match number.and_then(|number| self.transitions.get(number)) {
+            None => (&event.transition, event.phase),
+            Some(one) => (&one.shown, event.phase.of_part(&one.part)),
+        }
+    }
+
     /// The number of the transition called `name`.
     #[must_use]
     pub fn transition(&self, name: &str) -> Option<usize> {
@@ -242,16 +254,19 @@ impl NetView {
     }
 }
 
+impl TransitionView {
+    /// What people call it: a request by its author's name, and its ends by their own.
+    #[must_use]
+    pub fn called(&self) -> &str {
+        match self.part.as_str() {
+            "start" => &self.shown,
+            _ => &self.name,
+        }
+    }
+}
+
 fn transition(net: &Net, one: &pnt_language::net::Transition) -> TransitionView {
-    let (prefix, part) = match one.part {
-        Part::Whole => ("", ""),
-        Part::Start => ("start_", "start"),
-        Part::End => ("end_", "end"),
-        Part::Fail { branch: true } => ("fail_", "fail"),
-        Part::Fail { branch: false } => ("fail_", "back"),
-        Part::Return => ("", "return"),
-    };
-    let shown = one.name.strip_prefix(prefix).unwrap_or(&one.name);
+    let part = part(one.part);
     let fail = one.fail.clone().unwrap_or_default();
     // A request goes to the coordinator whose place it marks.
     let coordinator = (one.part == Part::Start).then(|| one.outputs.remote.first());
@@ -262,7 +277,7 @@ fn transition(net: &Net, one: &pnt_language::net::Transition) -> TransitionView 
     };
     TransitionView {
         name: one.name.clone(),
-        shown: shown.to_owned(),
+        shown: one.written().to_owned(),
         part: part.to_owned(),
         inputs: arcs(&one.inputs),
         reads: arcs(&one.reads),
@@ -293,6 +308,18 @@ fn transition(net: &Net, one: &pnt_language::net::Transition) -> TransitionView 
             u64::try_from(limit.as_millis()).unwrap_or(u64::MAX)
         }),
         at: one.at.to_string(),
+    }
+}
+
+/// Which part of a request a transition is.
+pub(crate) fn part(part: Part) -> &'static str {
+    match part {
+        Part::Whole => "",
+        Part::Start => "start",
+        Part::End => "end",
+        Part::Fail { branch: true } => "fail",
+        Part::Fail { branch: false } => "back",
+        Part::Return => "return",
     }
 }
 

@@ -191,7 +191,8 @@ mod tests {
     fn a_breakpoint_at_a_question_to_a_coordinator_is_one_before_it_is_asked() {
         let text = "net n\nplace a = 1, b\ncoordinator m : go\ntransition move\n  in a\n  ask m go\n  out b\n";
         let net = compile::net(&Source::new("n.net", text)).unwrap();
-        assert_eq!(name_of("move", &net), "start_move");
+        assert_eq!(name_of("move", &net), "move");
+        assert_eq!(name_of("start_move", &net), "move");
         assert_eq!(name_of("end_move", &net), "end_move");
         assert_eq!(name_of("a>=1", &net), "a>=1");
         assert!(check_breakpoint("move", &net).is_ok());

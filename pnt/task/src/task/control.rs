@@ -197,8 +197,8 @@ impl Engine {
                 return Err(HandlerError::new(format!("it has stopped: {why}")));
             }
             let net = core.execution.net();
-            let Some(id) = net.transition(name) else {
-                let known = net.transitions().iter().map(|t| t.name.clone());
+            let Some(id) = net.written(name) else {
+                let known = net.transitions().iter().map(|t| t.called().to_owned());
                 let unknown = BreakError::Unknown {
                     net: net.name().to_owned(),
                     what: "transition",

@@ -587,6 +587,6 @@ impl Core {
     }
 
     pub(super) fn name_of(&self, id: TransitionId) -> &str {
-        &self.execution.net()[id].name
+        self.execution.net()[id].written()
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ctos::time::Instant;
 
 use super::messages::FiringEvent;
-use crate::stream::{Event, EventPhase, Happened, Source};
+use crate::stream::{Event, EventPhase, Happened, Source, view};
 use pnt_language::{
     exec::{Execution, FiringId},
     net::{Net, TransitionId},
@@ -36,9 +36,11 @@ impl Phase<'_> {
     pub(super) fn line(&self, net: &Arc<Net>) -> Option<impl FnOnce() + 'static> {
         tracing::enabled!(target: "pnt::firing", tracing::Level::INFO).then(|| {
             let (net, transition) = (Arc::clone(net), self.transition);
-            let (phase, text) = (self.phase.word(), self.text.to_owned());
+            let (phase, text) = (self.phase, self.text.to_owned());
             move || {
-                let (name, transition) = (net.name(), &net[transition].name);
+                let (name, one) = (net.name(), &net[transition]);
+                let (transition, phase) =
+                    (one.written(), phase.of_part(view::part(one.part)).word());
                 if text.is_empty() {
                     tracing::info!(target: "pnt::firing", net = name, transition, phase);
                 } else {

@@ -19,7 +19,7 @@ use crate::{
 };
 use pnt_analysis::check::{self, FunctionNames, Limits, Report, objects};
 use pnt_language::{
-    compile,
+    compile, format,
     net::{Action, Net},
 };
 
@@ -72,8 +72,19 @@ pub fn check_args(
                 settings::check(task, (&net, &read), other, app, findings);
             }
         }
-        Err(found) => findings.extend(found),
+        Err(found) => {
+            findings.extend(found);
+            if let Some(net) = as_far_as_known(task, app) {
+                check::functions(&net, functions, findings);
+            }
+        }
     }
+}
+
+/// The net of a task that has mistakes, to look at how what is known of it fits to others.
+fn as_far_as_known(task: &TaskConfig, app: &App) -> Option<Net> {
+    let file = settings(task).ok()?.net;
+    format::load_all(&app.file_at(file)).0
 }
 
 /// A net whose task is called otherwise.
@@ -136,8 +147,8 @@ pub fn nets(app: &App, registry: &Registry) -> Result<Vec<Arc<Net>>, Findings> {
     tasks.map(|task| net_of(task, app).map(Arc::new)).collect()
 }
 
-/// Checks all nets of an app together, whichever handlers run them. Nothing is said when one of the
-/// nets is wrong by itself ([`check_args`] tells), or when there is none.
+/// Checks all nets of an app together, whichever handlers run them. When one of the nets is wrong by itself
+/// ([`check_args`] tells), nothing is proved, and only what they send is looked at.
 pub fn check_app(
     app: &App,
     registry: &Registry,
@@ -155,7 +166,25 @@ pub(super) fn check_app_with(
     instead: Option<&Net>,
     findings: &mut Findings,
 ) -> Option<Report> {
-    let mut nets = nets(app, registry).ok().filter(|nets| !nets.is_empty())?;
+    let Ok(mut nets) = nets(app, registry) else {
+        let tasks = net_tasks(app, registry);
+        let known = tasks.iter().filter_map(|name| {
+            let task = app.task(name)?;
+            let whole = net_of(task, app).ok();
+            whole.or_else(|| as_far_as_known(task, app)).map(Arc::new)
+        });
+        let known: Vec<Arc<Net>> = known.collect();
+        check_messages(&known, app, registry, findings);
+        if known.len() == tasks.len() {
+            let fit = check::fit(&known).into_sorted().into_iter();
+            let sure = fit.filter(|finding| finding.code == "pnt::app::unknown_net");
+            sure.for_each(|finding| findings.push(finding));
+        }
+        return None;
+    };
+    if nets.is_empty() {
+        return None;
+    }
     if let Some(instead) = instead {
         for net in nets.iter_mut().filter(|net| net.name() == instead.name()) {
             *net = Arc::new(instead.clone());
@@ -318,6 +347,25 @@ mod tests {
         let to_net = checked(["send n.go(p)", "do find_spot", "do find_spot"]).to_string();
         let said = "n.net:11:8: error: command `go` of net `n` takes no data objects";
         assert!(to_net.contains(said), "{to_net}");
+    }
+
+    #[test]
+    fn what_a_net_sends_and_calls_is_looked_at_beside_what_is_wrong_in_its_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = "[app]\nname = \"t\"\n[chassis.a]\n[task.n]\nhandler = \"test.net\"\non = \"a\"\nargs = { net = \"n.net\" }\n[task.doubler]\nhandler = \"test.doubler\"\non = \"a\"\n";
+        let wrong = "net n\nplace a = 1\ntransition t\n  in b\n  do find_spt\n  out a\ntransition u\n  in a\n  send doubler.dubble\n  out a\n";
+        let app = write_app(folder.path(), &[("app.toml", config), ("n.net", wrong)]);
+        let found = checked(&app);
+        let codes: Vec<&str> = found.iter().map(|finding| finding.code).collect();
+        assert_eq!(
+            codes,
+            [
+                "pnt::net::unknown_place",
+                "pnt::net::unknown_function",
+                "ctos::config::unknown_command",
+            ],
+            "{found}"
+        );
     }
 
     #[test]

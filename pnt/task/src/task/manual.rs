@@ -101,14 +101,13 @@ impl Breakpoint {
                 names.into_iter()
             };
             // One that asks another net is two in the net: before it is asked, and after it has answered.
-            let begins = || net.transition(&format!("start_{name}"));
-            let transition = net.transition(name).or_else(begins);
+            let transition = net.written(name);
             let transition =
                 transition.ok_or_else(|| unknown("transition", name, names().collect()))?;
             At::Transition(transition)
         };
         let text = match at {
-            At::Transition(transition) => net[transition].name.clone(),
+            At::Transition(transition) => net[transition].called().to_owned(),
             At::Place(..) => text.to_owned(),
         };
         let held = false;

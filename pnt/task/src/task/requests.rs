@@ -12,7 +12,7 @@ fn asked(start: &Transition) -> Option<(PlaceId, String)> {
     if start.part != Part::Start {
         return None;
     }
-    let name = start.name.strip_prefix("start_").unwrap_or(&start.name);
+    let name = start.written();
     let (active, to) = (start.outputs.local.first()?, start.outputs.remote.first()?);
     Some((active.place, format!("{}: {name}", to.net)))
 }
