@@ -113,8 +113,8 @@ pub struct Part {
     pub solids: Vec<Solid>,
     /// Its colour: red, green and blue.
     pub colour: [u8; 3],
-    /// What is measured at it. A link has the position of its joint first, under the joint's name, then `error`, `velocity`
-    /// and `effort`.
+    /// What is measured at it; NaN is told where nothing is. A link has the position of its joint first, under the joint's
+    /// name, then `error`, `velocity` and `effort`.
     pub numbers: Vec<Number>,
 }
 

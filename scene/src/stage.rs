@@ -12,8 +12,8 @@ use ctos::{
 };
 
 use crate::{
-    Batch, FollowScene, MOST_FOLLOWERS, MOST_PATIENCE_MS, Mark, Moved, PERIOD, Picture, Pose, Said,
-    View,
+    Batch, FollowScene, MOST_FOLLOWERS, MOST_PATIENCE_MS, Mark, Moved, Number, PERIOD, Picture,
+    Pose, Said, View,
 };
 
 /// A smaller change of a coordinate (m), or of a part of a quaternion, is not told.
@@ -197,8 +197,11 @@ impl State {
             let known = self.states.iter_mut().zip(parts);
             for ((known, part), (pose, numbers)) in known.zip(states) {
                 let mut pairs = numbers.iter().zip(&known.1).zip(&part.numbers);
-                let moved = differ(&pose, &known.0)
-                    || pairs.any(|((new, old), number)| (new - old).abs() > number.resolution);
+                // A number that is none any more, or is one again, has changed.
+                let changes = |((new, old), number): ((&f64, &f64), &Number)| {
+                    new.is_nan() != old.is_nan() || (new - old).abs() > number.resolution
+                };
+                let moved = differ(&pose, &known.0) || pairs.any(changes);
                 if moved {
                     *known = (pose, numbers, change);
                     changed = true;
@@ -317,6 +320,20 @@ mod tests {
             told.extend(batch.moved.iter().map(|_| step));
         }
         assert_eq!(told, [4, 8]);
+    }
+
+    #[test]
+    fn a_number_that_is_none_any_more_or_is_one_again_is_told() {
+        let (mut stage, state) = stage();
+        let mut mark = stage.batch(at(0), None).mark;
+        let mut told = Vec::new();
+        for (step, weight) in (1..).zip([f64::NAN, f64::NAN, 0.0, 0.0]) {
+            state.borrow_mut().1 = weight;
+            let batch = stage.batch(at(60 * step), Some(mark));
+            mark = batch.mark;
+            told.push(batch.moved.len());
+        }
+        assert_eq!(told, [1, 0, 1, 0]);
     }
 
     #[test]

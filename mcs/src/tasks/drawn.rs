@@ -9,7 +9,7 @@ use nalgebra::Isometry3;
 use scene::{Number, Part, Pose, Said, Seen, Solid, Source, Stage, View};
 
 use super::Link;
-use crate::driver::Power;
+use crate::driver::{Power, Sensor, SensorKind};
 use crate::guard::{GuardReport, Reaction};
 use crate::model::{self, Data, Model};
 use crate::servo::{MotionPhase, ServoStatus};
@@ -40,7 +40,7 @@ impl Arm {
         let planner = link.planner.clone();
         let model = planner.model().clone();
         Self {
-            view: Some(view(name, &model)),
+            view: Some(view(name, &model, &link.sensors)),
             data: model.data(),
             link: Arc::clone(link),
             planner,
@@ -75,11 +75,22 @@ impl Source for Arm {
             vec![position, setpoint - position, velocity, torque]
         };
         let joints = self.model.dof();
+        // What nobody reads any more is no number.
+        let sensors = self.link.sensors.iter().zip(0_u32..);
+        let stale = sensors.flat_map(|(sensor, bit)| {
+            let stale = status.stale.checked_shr(bit).unwrap_or(0) & 1 == 1;
+            std::iter::repeat_n(stale, sensor.kind.width())
+        });
+        let read = status.sensors.iter().zip(stale);
+        let sensed: Vec<f64> = read
+            .map(|(value, stale)| if stale { f64::NAN } else { *value })
+            .collect();
         let poses = self.poses(&status.position);
         let states = poses.into_iter().enumerate().map(|(part, pose)| {
             let numbers = match part.checked_sub(1) {
                 Some(joint) if joint < joints => numbers(joint),
-                _ => Vec::new(),
+                Some(_) => sensed.clone(),
+                None => Vec::new(),
             };
             (pose, numbers)
         });
@@ -118,8 +129,35 @@ fn solid(solid: &model::Solid) -> Solid {
     }
 }
 
-/// The base, a part for each joint with what its frame carries, and the tool.
-fn view(name: &str, model: &Model) -> View {
+/// What a sensor reads, number by number.
+fn numbers(sensor: &Sensor) -> Vec<Number> {
+    let number = |name: String, unit: &str, resolution| Number {
+        name,
+        unit: unit.to_owned(),
+        resolution,
+    };
+    let name = &sensor.name;
+    match sensor.kind {
+        SensorKind::ForceTorque => {
+            let of = |what: &'static str, unit: &'static str, resolution| {
+                let axes = ["x", "y", "z"].into_iter();
+                axes.map(move |axis| number(format!("{name} {what} {axis}"), unit, resolution))
+            };
+            of("force", "N", 0.1)
+                .chain(of("moment", "N m", 0.01))
+                .collect()
+        }
+        SensorKind::SpaceMouse => {
+            let axes = ["x", "y", "z", "about x", "about y", "about z"].into_iter();
+            axes.map(|axis| number(format!("{name} {axis}"), "", 0.01))
+                .collect()
+        }
+        kind => vec![number(name.clone(), kind.unit(), 1e-3)],
+    }
+}
+
+/// The base, a part for each joint with what its frame carries, and the tool with what the sensors read.
+fn view(name: &str, model: &Model, sensors: &[Sensor]) -> View {
     let solids = |carrier: Option<usize>| {
         let own = model.shapes().iter();
         let own = own.filter(|shape| shape.carrier == carrier);
@@ -167,7 +205,7 @@ fn view(name: &str, model: &Model) -> View {
         kind: "tool".to_owned(),
         solids: vec![Solid::Axes(AXES)],
         colour: TOOL,
-        numbers: Vec::new(),
+        numbers: sensors.iter().flat_map(numbers).collect(),
     });
     View {
         parts,

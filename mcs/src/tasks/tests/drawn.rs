@@ -34,8 +34,8 @@ impl Viewer {
         for moved in &batch.moved {
             let part = moved.part as usize;
             self.poses[part] = moved.pose;
-            if let [position, ..] = moved.numbers[..] {
-                self.joints[part - 1] = position;
+            if let ([position, ..], 1..=6) = (&moved.numbers[..], part) {
+                self.joints[part - 1] = *position;
             }
         }
     }

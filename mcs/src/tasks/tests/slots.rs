@@ -41,6 +41,27 @@ fn slots_beside_joints_are_read_set_by_the_owner_and_stop_the_arm_when_they_fall
             let expected =
                 "lamp Lamp, pointer Laser, door DigitalInput (stale), mouse SpaceMouse (stale)";
             assert_eq!(missing.text, expected);
+            let state = cx.task("state").await?;
+            // What viewers are told of the slots: nothing of those that read nothing.
+            let shown = async || {
+                let follow = scene::FollowScene {
+                    after: None,
+                    patience_ms: 0,
+                };
+                let batch = asked(&cx, &state, follow).await?;
+                let tool = batch.moved.last().map(|tool| tool.numbers.clone());
+                let view = batch.view.unwrap_or_default();
+                let numbers = view.parts.last().map(|tool| tool.numbers.clone());
+                let named = numbers.unwrap_or_default().into_iter();
+                let named = named
+                    .map(|number| number.name)
+                    .zip(tool.unwrap_or_default());
+                Ok::<Vec<(String, f64)>, HandlerError>(named.collect())
+            };
+            let before = shown().await?;
+            assert_eq!((before[0].0.as_str(), before[0].1), ("lamp", 0.0));
+            assert_eq!(before[2].0, "door");
+            assert!(before[2].1.is_nan() && before[8].1.is_nan(), "{before:?}");
             let mut door = Writer::create(&place, &buffer("door"), Layout::new(4, 1), &clock)?;
             let mut mouse = Writer::create(&place, &buffer("mouse"), Layout::new(4, 6), &clock)?;
             for _ in 0..20 {
@@ -53,6 +74,12 @@ fn slots_beside_joints_are_read_set_by_the_owner_and_stop_the_arm_when_they_fall
             assert_eq!(there.text, expected);
             let numbers = [0.0, 0.0, 1.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6];
             assert_eq!(there.floats, numbers);
+            let after = shown().await?;
+            assert!(
+                after.iter().map(|(_, value)| *value).eq(numbers),
+                "{after:?}"
+            );
+            assert_eq!(after[8].0, "mouse about z");
             // Only its holder sets a slot, and by what it takes.
             let output = |name: &str, value: f64| SetOutput {
                 name: name.to_owned(),
