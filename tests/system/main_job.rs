@@ -189,11 +189,16 @@ fn the_default_layout_calibrates_within_its_predicted_errors() {
     must_be_complete(&result, positions);
     must_have_results(&scratch, &result);
     assert!(number(&result, "max_tracking_error_rad") < 5e-3, "{result}");
-    // Besides its trapezoid a motion needs what an error of 4 mrad takes to 0.05 at 8 Hz with critical damping, and ten
-    // periods there: 0.18 s. A position needs a message to each of six tasks and back, each at the next look of a servo.
-    let (seconds, moves) = (number(&result, "seconds"), positions as f64);
-    let most = trapezoids(&scratch) + moves * (0.18 + 6.0 * 0.018);
-    assert!(seconds <= most, "{seconds} s, and not at most {most}");
+    // It took 98 s with an arm whose six joints were part of the types. What is no motion is the settling to 0.05 mrad, ten
+    // periods there, and what the coordinators and the cameras say to one another: no third of a second for a position.
+    let seconds = number(&result, "seconds");
+    assert!(seconds < 98.0, "{seconds} s");
+    let motions = trapezoids(&scratch);
+    let most = motions + positions as f64 / 3.0;
+    assert!(
+        seconds > motions && seconds < most,
+        "{seconds} s, {motions} of them motions"
+    );
     for camera in cameras(&result) {
         assert!(
             number(camera, "rms_px") <= number(camera, "rms_true_px"),
