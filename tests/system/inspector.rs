@@ -503,9 +503,9 @@ fn the_prompt_helps_takes_plain_numbers_and_shows_names_units_and_matrices() {
     types(&mut terminal, "bar EXEC");
     terminal.until("1.5 l");
     types(&mut terminal, "kin EXEC fkin");
-    terminal.until("did you mean `fkine`?");
+    terminal.until("`fkine`?");
     types(&mut terminal, "kim");
-    let error = terminal.until("did you mean `kin`?");
+    let error = terminal.until("`kin`?");
     assert!(!error.contains(".rs:"), "{error}");
     // A script gets the reply as it reads back.
     let ended = scratch.scott(&["-c", "kin EXEC fkine FMSG 6 0 0 0 0 0 0", "-c", "list kin"]);
