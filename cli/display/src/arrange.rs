@@ -386,7 +386,7 @@ mod tests {
             "{kept}"
         );
         let mut findings = Findings::new();
-        let read = Overviews::read(&Source::new("app.toml", &kept), &mut findings);
+        let read = Overviews::read(&Source::new("app.toml", &*kept), &mut findings);
         assert!(findings.is_empty(), "{findings}");
         let layouts = read.layouts();
         assert_eq!(layouts.len(), 2, "{kept}");
