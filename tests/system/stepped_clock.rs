@@ -87,7 +87,7 @@ fn a_clock_that_is_set_back_and_forth_under_a_running_app_changes_nothing() {
     let ended = run.end();
     let result = ended.must_exit(0).json();
     assert_eq!(result["ok"], true);
-    ended.must_say("recorded run.mcap · 4 files, ");
+    ended.must_say("recorded run.mcap · 5 files, ");
     ended.must_say("look     ctos log info run.mcap");
     // Moments in the record are those of the run, which took less time than the smallest step.
     for chassis in ended.chassis.keys() {
