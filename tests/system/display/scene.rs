@@ -69,7 +69,7 @@ fn the_overview_opens_first_and_shows_the_arm_as_it_moves_with_pictures_and_prog
     browser.wait(&format!(
         "/^link2 · error: from .*° to .*°; .*° at the moment shown$/.test({told})"
     ));
-    browser.wait("(() => { const left = (css) => document.querySelector(css).getBoundingClientRect().left; return Math.abs(left('.plot canvas') - left('#lanes canvas') - nets.lanes.left) < 1; })()");
+    browser.wait("(() => { const [plot, lanes] = ['.plot canvas', '#lanes canvas'].map((css) => document.querySelector(css).getBoundingClientRect()); return Math.abs(plot.left - lanes.left - nets.lanes.left) < 1 && Math.abs(plot.right - lanes.right) < 1; })()");
     let tokens = "(() => { const net = nets.nets.get('dispatcher'); const place = net.view.places.findIndex((one, at) => net.history(one.name).length > 2); return [net.view.places[place].name, net.head.places[place]]; })()";
     let place = browser.ask(&format!("{tokens}[0]"));
     browser.ask(&format!(
