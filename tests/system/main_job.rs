@@ -222,8 +222,8 @@ fn the_default_layout_calibrates_within_its_predicted_errors() {
     }
 }
 
-/// How long (s) the arm takes from its start through all positions of the file when every joint of a motion is on a
-/// trapezoid of speed, in the time of the slowest: v and a at the configured share of their limits.
+/// How long the arm takes from its start through all positions of the file, s. Every joint of a motion is on a trapezoid of
+/// speed there, in the time of the slowest. Speed and acceleration have the configured share of their limits.
 fn trapezoids(scratch: &Scratch) -> f64 {
     let model = built_in::model("puma560", Inertias::Identified)
         .unwrap()

@@ -3,7 +3,6 @@
 use super::links::{LinkConfig, SecurityConfig};
 use super::load::SET;
 use super::node::Node;
-use super::profiles::holds;
 use super::selection::Selection;
 use super::trail::{Origin, Read, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
@@ -339,7 +338,7 @@ impl App {
             return Origin::Set(place);
         }
         let mut profiles = self.trail.applied.iter().rev();
-        match profiles.find(|profile| holds(&profile.value, &place)) {
+        match profiles.find(|profile| profile.value.holds(&place)) {
             Some(profile) => Origin::Profile {
                 name: profile.key.clone(),
                 place,

@@ -1,7 +1,6 @@
 //! serde over [`Node`]: reads types from a node and finds the place of whatever does not fit.
 
 use super::node::{Entry, Node, Value};
-use super::profiles::holds;
 use crate::diagnostic::{Finding, Findings};
 use serde::de::{
     self, Deserialize, Deserializer, IntoDeserializer, Unexpected, Visitor,
@@ -62,7 +61,7 @@ pub(super) fn read_all<T: de::DeserializeOwned>(node: &Node, findings: &mut Find
         let wrong = place.and_then(|place| {
             let mut entries = left.entries().iter();
             let here = |entry: &&Entry| {
-                entry.key_place.as_ref() == Some(place) || holds(&entry.value, place)
+                entry.key_place.as_ref() == Some(place) || entry.value.holds(place)
             };
             let entry = entries.find(here)?;
             Some((entry.key.clone(), entry.key_place.as_ref() == Some(place)))

@@ -251,6 +251,15 @@ impl Node {
         super::de::read(self)
     }
 
+    /// Whether `place` is that of a key or a value in it.
+    pub(super) fn holds(&self, place: &Place) -> bool {
+        let of_entry =
+            |entry: &Entry| entry.key_place.as_ref() == Some(place) || entry.value.holds(place);
+        self.place() == Some(place)
+            || self.elements().iter().any(|element| element.holds(place))
+            || self.entries().iter().any(of_entry)
+    }
+
     /// As [`parse`](Self::parse) for a table, with all its mistakes: they go to `findings`. Where nothing but keys that
     /// nobody reads is wrong, the rest of it is read all the same.
     #[must_use]

@@ -100,13 +100,3 @@ fn check_contents(profile: &Entry, findings: &mut Findings) {
         }
     }
 }
-
-/// Whether `place` is that of a key or a value of `node`.
-pub(super) fn holds(node: &Node, place: &Place) -> bool {
-    node.place() == Some(place)
-        || node.elements().iter().any(|element| holds(element, place))
-        || node
-            .entries()
-            .iter()
-            .any(|entry| entry.key_place.as_ref() == Some(place) || holds(&entry.value, place))
-}

@@ -9,7 +9,7 @@ use crate::{
     expander::Expander,
     load::{Files, merged},
     node::{Entry, Node},
-    profiles::{holds, lay_over},
+    profiles::lay_over,
     selection::Selection,
     trail::Trail,
     variables::Variables,
@@ -168,7 +168,7 @@ fn check_idle(
         // A variable need not be set for a profile that is not chosen; its value is unknown then.
         let known = unset.is_empty() || finding.code == UNKNOWN_KEY;
         let asked = known && ASKED.contains(&finding.code);
-        if asked && here.is_some_and(|place| holds(&profile.value, place)) {
+        if asked && here.is_some_and(|place| profile.value.holds(place)) {
             findings.push(finding);
         }
     }
