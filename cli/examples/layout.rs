@@ -212,9 +212,9 @@ fn judge(layout: &Layout, placed: &[Placed]) -> Result<(), Box<dyn Error>> {
         .map(|found| Point3::from(found.pose.translation.vector))
         .collect();
     for camera in &layout.cell.cameras {
-        let truth = camera.truth.named();
+        let truth = &camera.truth;
         for model in [LensModel::K1K2, LensModel::K1K2P1P2, LensModel::Brown5] {
-            let bound = design(&truth.camera, &points, SPOT_SD_PX, model)?;
+            let bound = design(&truth.camera(), &points, SPOT_SD_PX, model)?;
             eprintln!(
                 "{} {model:?}: position {:.2} mm, rotation {:.2} mrad, focal length {:.3} %",
                 truth.name,

@@ -14,23 +14,19 @@
 //! [`trajectory::PlanningRegistry`].
 
 pub mod client;
-pub mod control;
-pub mod driver;
-pub mod guard;
-pub mod latest;
 pub mod partition;
 pub mod services;
-pub mod servo;
 pub mod state;
 mod tasks;
 
 pub use mcs_model::{self as model, Joints, MAX_SLOTS, joints};
-pub use mcs_trajectory as trajectory;
-pub use tasks::{
-    CLIENT,
+use mcs_servo::args;
+pub use mcs_servo::{
     args::{arm, manipulator},
-    register, register_with,
+    control, driver, guard, latest, servo, words,
 };
+pub use mcs_trajectory as trajectory;
+pub use tasks::{CLIENT, register, register_with};
 
 /// The pages of the book whose examples must run.
 #[cfg(doctest)]

@@ -30,6 +30,7 @@ use ctos::registry::Registry;
 use ctos::task::{Context, HandlerError};
 use nalgebra::Isometry3;
 
+pub use crate::args::SERVO;
 use crate::client::{MotionError, Outcome};
 use crate::control::LawRegistry;
 use crate::driver::{DriverRegistry, Power, Sensor};
@@ -37,8 +38,6 @@ use crate::guard::GuardRegistry;
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::{Planner, PlanningRegistry};
 
-/// Registered name of the servo's event handler.
-pub const SERVO: &str = "mcs.servo";
 /// Registered name of the state manager's event handler.
 pub const STATE: &str = "mcs.state";
 /// Registered name of the planner's event handler.

@@ -4,32 +4,25 @@
 //! spot, `noise` the sensor. This module knows no physics: a picture is made from a [`SceneState`] alone,
 //! so it can be made in another process than the world's.
 
-mod lamp;
-mod noise;
-mod picture;
-mod raster;
-pub mod truth;
-
 use std::time::Duration;
 
-pub use lamp::LampView;
 use nalgebra::{Isometry3, Point3, Vector3};
-pub use noise::Noise;
 use vss::{
     frame::{Carried, PixelFormat},
     laser::Beam,
 };
 
-use self::{
-    lamp::Spot,
-    picture::{Picture, View},
-    raster::{Floor, Seen},
-    truth::CameraTruth,
-};
 use crate::{
     cell::{CameraSpec, Cell},
     scene::{SceneBeam, SceneLamp, SceneState},
     shapes::{Paint, Shape},
+};
+pub use sim_drawing::{lamp::LampView, noise::Noise, truth};
+use sim_drawing::{
+    lamp::Spot,
+    picture::{Picture, View},
+    raster::{self, Floor, Seen},
+    truth::CameraTruth,
 };
 
 /// What little light comes through what covers a lens, grey levels.

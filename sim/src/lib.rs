@@ -16,7 +16,6 @@ pub mod scene;
 mod scene_truth;
 pub mod scenes;
 pub mod served;
-pub mod shapes;
 pub mod simulation;
 pub mod source;
 pub mod world;
@@ -24,3 +23,4 @@ pub mod world_task;
 pub mod wrist;
 
 pub use handlers::register;
+pub use sim_drawing::shapes;

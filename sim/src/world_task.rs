@@ -15,6 +15,7 @@ use serde::Deserialize;
 use vss::command::{NamedCamera, TrueCameras};
 
 use crate::{
+    camera::truth::CameraTruth,
     cell::Cell,
     port::Port,
     scene::{CameraFault, LaserOrder, SceneState},
@@ -204,7 +205,11 @@ impl WorldTask {
     fn cameras(&self) -> Vec<NamedCamera> {
         let scene = self.simulation.borrow_mut().scene();
         let cameras = self.cell.cameras.iter();
-        cameras.map(|camera| camera.at(&scene).named()).collect()
+        let named = |truth: CameraTruth| NamedCamera {
+            camera: truth.camera(),
+            name: truth.name,
+        };
+        cameras.map(|camera| named(camera.at(&scene))).collect()
     }
 }
 

@@ -90,7 +90,7 @@ impl Table {
                     camera: truth.name.clone(),
                     ..Frame::rgb8(truth.width, truth.height, pixels)
                 },
-                camera: truth.named().camera,
+                camera: truth.camera(),
                 position_sd: 0.0,
                 rotation_sd: 0.0,
             }

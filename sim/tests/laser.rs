@@ -72,7 +72,7 @@ impl Bench {
     fn new() -> Self {
         let cell = cell();
         let renderer = Renderer::new(&cell, &cell.cameras[0], 3);
-        let camera = renderer.truth().named().camera;
+        let camera = renderer.truth().camera();
         Self {
             cell,
             renderer,

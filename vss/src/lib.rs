@@ -4,8 +4,8 @@
 //! Tool asks the Vision Module Manager ([`vmm`]) for a Vision Module, which alone touches hardware (CIRSSE report
 //! 108, section 5). The list of Services in an app's configuration makes its vision tasks ([`catalog`]).
 //!
-//! The computations stand by themselves and know no tasks: [`spot`], [`components`], [`camera`], [`calibrate`],
-//! [`camera_info`]. No simulator is named here: pictures come from a [`source::FrameSource`].
+//! The computations stand by themselves and know no tasks: `vss-tools` finds things in pictures, `vss-geometry` calibrates
+//! cameras, `vss-image` reads files. No simulator is named here: pictures come from a [`source::FrameSource`].
 
 #![allow(
     clippy::result_large_err,
@@ -13,21 +13,11 @@
 )]
 
 pub mod catalog;
-pub mod chequer;
 pub mod command;
-pub mod components;
-pub mod frame;
-pub mod laser;
-pub mod marker;
-pub mod psom;
 pub mod service;
 pub mod services;
 pub mod source;
-pub mod spot;
-pub mod target_map;
 pub mod tool;
-pub mod tracking;
-pub mod visual_jacobian;
 pub mod vm;
 pub mod vmm;
 pub mod vsm;
@@ -40,3 +30,6 @@ pub use vss_geometry::{
     bundle, calibrate, camera, camera_info, handeye, perspective, plane, pose, stereo,
 };
 pub use vss_image::{self as image, png};
+pub use vss_tools::{
+    chequer, components, frame, laser, marker, psom, spot, target_map, tracking, visual_jacobian,
+};

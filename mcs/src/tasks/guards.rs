@@ -7,8 +7,8 @@ use ctos::config::{App, Node, TaskConfig};
 use ctos::diagnostic::{Finding, Findings, Source};
 use ctos::task::{Context, HandlerError};
 
-use super::args::{RecipeArgs, ServoArgs};
 use super::{Link, SERVO};
+use crate::args::{RecipeArgs, ServoArgs};
 use crate::client::{MotionError, Outcome, Recipe, SetGuard};
 use crate::guard::{
     Around, Guard, GuardRegistry, GuardSet, GuardSettings, MAX_GUARDS, Mounted, Neighbour,

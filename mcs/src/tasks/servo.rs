@@ -12,13 +12,13 @@ use ctos::sync::{CyclicHandle, Tick};
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
 use serde::{Deserialize, Serialize};
 
-use super::args::{self, RecipeArgs, ServoArgs};
 use super::guards::{self, Maker, Recipes};
 use super::records::{Recorder, Records, records};
 use super::slots::{self, LastStop};
 use super::split_torque;
 use super::streams::Streams;
 use super::{Link, SERVO, rows};
+use crate::args::{self, RecipeArgs, ServoArgs};
 use crate::client::{
     ControlReport, GuardsReport, MotionError, Outcome, ReadControl, ReadGuards, ReadSensors,
     ReadSlots, ReadStream, RecordStates, RemoveGuard, SetControl, SetGuard, SetLaw, SetOutput,

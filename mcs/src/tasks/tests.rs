@@ -9,6 +9,8 @@ mod random;
 mod slots;
 mod stops;
 mod streams;
+#[path = "../../servo/src/driver/test_arm.rs"]
+mod test_arm;
 
 use std::sync::atomic::Ordering;
 
@@ -22,10 +24,10 @@ use super::*;
 use crate::client::*;
 use crate::control::{ControlLaw, LawRegistry};
 use crate::driver::SlotReading;
-use crate::driver::test_arm::{Knobs, START, TestArm, built_in_arm};
 use crate::joints::Joints;
 use crate::state::State;
 use crate::trajectory::Setpoint;
+use test_arm::{Knobs, START, TestArm, built_in_arm};
 
 const GOAL: [f64; 6] = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1];
 

@@ -8,14 +8,14 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Point3, Vector3};
 
-use super::{raster::Seen, truth::CameraTruth};
+use crate::{raster::Seen, truth::CameraTruth};
 
 const RINGS: u32 = 5;
 const PER_RING: u32 = 12;
 
 /// The lamp before one camera.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Spot {
+pub struct Spot {
     /// Grey levels of the shining surface.
     pub brightness: f64,
     /// Radius of the ball, m.
@@ -35,7 +35,7 @@ pub struct LampView {
 
 impl Spot {
     /// How `camera` sees the lamp at `centre` (m, world); `None` outside the picture.
-    pub(super) fn view<'a>(
+    pub fn view<'a>(
         &self,
         camera: &CameraTruth,
         centre: &Point3<f64>,
@@ -57,7 +57,7 @@ impl Spot {
     }
 
     /// Adds the spot to a picture with that many channels, in grey levels: the light is white.
-    pub(super) fn add<'a>(
+    pub fn add<'a>(
         &self,
         (light, channels): (&mut [f32], usize),
         camera: &CameraTruth,

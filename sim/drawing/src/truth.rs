@@ -6,6 +6,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
+use vss_geometry::camera::{self, Camera};
 
 /// Brown-Conrady coefficients in the usual order.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -139,18 +140,15 @@ impl CameraTruth {
 
     /// The same camera in the words of the vision system, for the judge of an estimate.
     #[must_use]
-    pub fn named(&self) -> vss::command::NamedCamera {
+    pub fn camera(&self) -> Camera {
         let Distortion { k1, k2, p1, p2, k3 } = self.distortion;
         let [fx, fy] = self.focal;
         let [cx, cy] = self.principal;
-        vss::command::NamedCamera {
-            name: self.name.clone(),
-            camera: vss::camera::Camera {
-                rotation: self.camera_t_world.rotation,
-                centre: self.position(),
-                intrinsics: vss::camera::Intrinsics { fx, fy, cx, cy },
-                distortion: vss::camera::Distortion { k1, k2, p1, p2, k3 },
-            },
+        Camera {
+            rotation: self.camera_t_world.rotation,
+            centre: self.position(),
+            intrinsics: camera::Intrinsics { fx, fy, cx, cy },
+            distortion: camera::Distortion { k1, k2, p1, p2, k3 },
         }
     }
 
@@ -193,7 +191,9 @@ impl CameraTruth {
             .all(|(u, v)| self.direction(*u, *v).is_some())
     }
 
-    pub(super) fn pixel(&self, x: f64, y: f64) -> (f64, f64) {
+    /// The pixel of a point at `(x, y)` in the plane 1 m before the camera, distorted.
+    #[must_use]
+    pub fn pixel(&self, x: f64, y: f64) -> (f64, f64) {
         let (xd, yd) = self.distortion.apply(x, y);
         (
             self.focal[0] * xd + self.principal[0],

@@ -52,17 +52,13 @@ impl DriverKind {
         self
     }
 
-    pub(crate) fn count_slots(&self, app: &App, args: &Node) -> Option<usize> {
+    /// How many slots the driver will have with these arguments, where that can be told.
+    pub fn count_slots(&self, app: &App, args: &Node) -> Option<usize> {
         self.slots.as_ref().and_then(|slots| slots(app, args))
     }
 
-    pub(crate) fn run_check(
-        &self,
-        task: &TaskConfig,
-        app: &App,
-        args: &Node,
-        findings: &mut Findings,
-    ) {
+    /// Checks the arguments that `task` gives the driver: as it was registered, or for keys that nobody reads.
+    pub fn run_check(&self, task: &TaskConfig, app: &App, args: &Node, findings: &mut Findings) {
         if let Some(check) = &self.check {
             return check(task, app, args, findings);
         }
@@ -82,16 +78,16 @@ impl DriverKind {
         );
     }
 
-    pub(crate) fn build(
-        &self,
-        cx: &Context,
-        args: &Node,
-    ) -> Result<Box<dyn ChannelDriver>, HandlerError> {
+    /// Builds the driver with the arguments `args`.
+    ///
+    /// # Errors
+    /// Why it cannot be built.
+    pub fn build(&self, cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, HandlerError> {
         (self.build)(cx, args)
     }
 }
 
-/// The channel drivers that a program offers; given to [`crate::register`].
+/// The channel drivers that a program offers; given to `mcs::register`.
 #[derive(Clone, Default)]
 pub struct DriverRegistry {
     kinds: BTreeMap<String, DriverKind>,
@@ -140,7 +136,7 @@ impl DriverRegistry {
     ///
     /// # Errors
     /// A finding without a place, when nobody registered it.
-    pub(crate) fn find(&self, name: &str, task: &str) -> Result<&DriverKind, Finding> {
+    pub fn find(&self, name: &str, task: &str) -> Result<&DriverKind, Finding> {
         self.kind(name).ok_or_else(|| {
             let text =
                 format!("task `{task}` names the channel driver `{name}`, which nobody registered");
@@ -150,7 +146,7 @@ impl DriverRegistry {
 
     /// These drivers, [`NAMED_SLOTS`](super::NAMED_SLOTS), [`DRIVES`](super::DRIVES) made of one of them, and [`TESTBED`](super::TESTBED) made of any.
     #[must_use]
-    pub(crate) fn with_testbed(mut self) -> Self {
+    pub fn with_testbed(mut self) -> Self {
         super::named::register(&mut self);
         super::drives::register(&mut self);
         super::testbed::register(&mut self);

@@ -43,7 +43,7 @@ pub struct GuardSettings<'a> {
     pub args: &'a Node,
 }
 
-/// The kinds of guard that a program offers; given to [`crate::register`].
+/// The kinds of guard that a program offers; given to `mcs::register`.
 #[derive(Clone)]
 pub struct GuardRegistry {
     kinds: BTreeMap<String, Build>,

@@ -13,7 +13,7 @@ use ctos::diagnostic::{Finding, Findings};
 use ctos::task::{Context, HandlerError};
 use ctos::time::Clock;
 use serde::Deserialize;
-use sorma::snapshot::{Layout, Place, Reader, Snapshot, Writer};
+use sorma_snapshot::{Layout, Place, Reader, Snapshot, Writer};
 
 use super::{ChannelDriver, DriverError, DriverRegistry, Power, Sensor, SensorKind, SlotReading};
 

@@ -1,10 +1,10 @@
-//! An arm for tests that obeys the equations of motion, with faults to be had.
+//! An arm for tests that obeys the equations of motion, with faults to be had. The tests of the tasks use the same file.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::{ChannelDriver, DriverError, Power, SlotReading};
+use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use crate::joints::Joints;
 use crate::model::{Data, DynamicsOptions, Model, built_in, file::Inertias};
 
@@ -29,8 +29,10 @@ pub(crate) struct Knobs {
     /// Largest joint speed at the moment when the brakes closed, rad/s or m/s.
     pub(crate) speed_at_power_off: Mutex<Option<f64>>,
     /// How often the task that moves it was begun.
+    #[allow(dead_code, reason = "the tests of the tasks read it")]
     pub(crate) lives: AtomicU64,
     /// What somebody who moved it was told.
+    #[allow(dead_code, reason = "the tests of the tasks read it")]
     pub(crate) told: Mutex<Option<String>>,
 }
 

@@ -1,7 +1,7 @@
 //! The outer form of arms, objects and the room: one list, used both by the physics (as colliders) and by the cameras
 //! (as pictures).
 
-use mcs::model::{FrameId, Model, built_in};
+use mcs_model::{FrameId, Model, built_in};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -219,7 +219,7 @@ fn last_word(name: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
-    use mcs::model::{self, file::Inertias};
+    use mcs_model::{self as model, file::Inertias};
 
     use super::*;
 

@@ -101,7 +101,7 @@ fn open(
     let task = cx
         .config()
         .ok_or("a channel driver needs a task of the configuration")?;
-    let model = crate::arm(task, cx.app()).ok_or("the arm of the servo cannot be read")?;
+    let model = crate::args::arm(task, cx.app()).ok_or("the arm of the servo cannot be read")?;
     let inner = NamedDriver::of(args).ok_or("`driver` is missing")?;
     let inner = drivers
         .find(&inner.name, cx.name())?

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use ctos::time::Clock;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use sorma::snapshot::{Layout, Place, Reader, Snapshot, SnapshotError, Writer, WriterState};
+use sorma_snapshot::{Layout, Place, Reader, Snapshot, SnapshotError, Writer, WriterState};
 
 use super::{Carried, Frame, FrameError, Left, PixelFormat};
 

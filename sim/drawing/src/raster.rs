@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
-use super::truth::CameraTruth;
 use crate::shapes::{Paint, Shape, Solid};
+use crate::truth::CameraTruth;
 
 /// Light from the lamps of the room, world frame: mostly from above.
 const LIGHT: [f64; 3] = [0.25, 0.35, 0.9];
@@ -18,10 +18,10 @@ const AMBIENT: f64 = 0.75;
 
 /// A shape put before a camera.
 #[derive(Debug, Clone)]
-pub(super) struct Seen {
+pub struct Seen {
     form: Form,
     /// What it reflects in each channel of the picture.
-    pub(super) tone: [f32; 3],
+    pub tone: [f32; 3],
     light: Vector3<f64>,
 }
 
@@ -59,7 +59,7 @@ enum Form {
 }
 
 /// What a colour is in each channel of a picture, which has one (grey) or three.
-pub(super) fn tone(paint: Paint, colour: bool) -> [f32; 3] {
+pub fn tone(paint: Paint, colour: bool) -> [f32; 3] {
     let tone = if colour {
         paint.rgb()
     } else {
@@ -70,14 +70,16 @@ pub(super) fn tone(paint: Paint, colour: bool) -> [f32; 3] {
 
 /// Columns and rows `[first, end)` of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Window {
+pub struct Window {
+    /// The first column, and that behind the last.
     pub columns: [usize; 2],
+    /// The first row, and that behind the last.
     pub rows: [usize; 2],
 }
 
 impl Window {
     /// Its pixels, a run for each row, in a picture of that width.
-    pub(super) fn runs(&self, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+    pub fn runs(&self, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let [first, end] = self.columns;
         (self.rows[0]..self.rows[1]).map(move |row| row * width + first..row * width + end)
     }
@@ -86,7 +88,7 @@ impl Window {
 impl Seen {
     /// A shape in a frame with pose `camera_t_frame`, lit in the world behind `camera_t_world`, for a picture that is in
     /// colour or not.
-    pub(super) fn new(
+    pub fn new(
         shape: &Shape,
         camera_t_frame: &Isometry3<f64>,
         camera_t_world: &Isometry3<f64>,
@@ -137,7 +139,7 @@ impl Seen {
     }
 
     /// Distance along the unit direction `ray` to the first point of the solid.
-    pub(super) fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
+    pub fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
         match &self.form {
             Form::Ball { centre, radius } => hit_ball(centre, *radius, ray),
             Form::Capsule { a, b, radius } => hit_capsule(a, b, *radius, ray),
@@ -157,7 +159,7 @@ impl Seen {
     }
 
     /// Distance to the first point of the solid along the z axis of another frame, `frame_t_camera`.
-    pub(super) fn hit_from(&self, frame_t_camera: &Isometry3<f64>) -> Option<f64> {
+    pub fn hit_from(&self, frame_t_camera: &Isometry3<f64>) -> Option<f64> {
         let form = match &self.form {
             Form::Ball { centre, radius } => Form::Ball {
                 centre: (frame_t_camera * Point3::from(*centre)).coords,
@@ -208,7 +210,7 @@ impl Seen {
     }
 
     /// Tells `found` for each of `rays` that hits: its index and the distance.
-    pub(super) fn hits(&self, rays: &[Vector3<f64>], found: impl FnMut(usize, f64)) {
+    pub fn hits(&self, rays: &[Vector3<f64>], found: impl FnMut(usize, f64)) {
         // The form is looked at once, not for each ray.
         match &self.form {
             Form::Ball { centre, radius } => {
@@ -237,7 +239,7 @@ impl Seen {
     }
 
     /// How much of its tone the point at `distance` along `ray` shows, by Lambert's law.
-    pub(super) fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
+    pub fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
         let point = ray * distance;
         let normal = match &self.form {
             Form::Ball { centre, .. } => (point - centre).normalize(),
@@ -281,7 +283,7 @@ impl Seen {
 
     /// The part of the picture outside which the solid cannot be seen; `None` when it cannot be
     /// seen at all.
-    pub(super) fn window(&self, camera: &CameraTruth) -> Option<Window> {
+    pub fn window(&self, camera: &CameraTruth) -> Option<Window> {
         let whole = Window {
             columns: [0, camera.width],
             rows: [0, camera.height],
@@ -443,14 +445,16 @@ fn lambert(grey: f64, cosine: f64) -> f64 {
 
 /// The floor, z = 0 in the world, with the joints between its tiles.
 #[derive(Debug, Clone)]
-pub(super) struct Floor {
+pub struct Floor {
     world_t_camera: Isometry3<f64>,
     /// Upwards, camera frame.
     up: Vector3<f64>,
 }
 
 impl Floor {
-    pub(super) fn new(camera_t_world: &Isometry3<f64>) -> Self {
+    /// The floor before a camera.
+    #[must_use]
+    pub fn new(camera_t_world: &Isometry3<f64>) -> Self {
         Self {
             world_t_camera: camera_t_world.inverse(),
             up: camera_t_world * Vector3::z(),
@@ -458,14 +462,14 @@ impl Floor {
     }
 
     /// Distance along the unit direction `ray`; `None` above the horizon.
-    pub(super) fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
+    pub fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
         let rise = self.up.dot(ray);
         let distance = -self.world_t_camera.translation.vector.z / rise;
         (rise < -1e-9 && distance > 0.0).then_some(distance)
     }
 
     /// How much of its tone the point at `distance` along `ray` shows.
-    pub(super) fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
+    pub fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
         let point = self.world_t_camera * Point3::from(ray * distance);
         let joint =
             |x: f64| ((x / TILE).rem_euclid(1.0) - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
@@ -663,7 +667,7 @@ mod tests {
         fn nothing_of_a_capsule_is_seen_outside_its_window(
             a in near(), b in near(), radius in 0.02..0.2_f64,
         ) {
-            let distortion = super::super::truth::Distortion {
+            let distortion = crate::truth::Distortion {
                 k1: -0.15, k2: 0.04, p1: 5e-4, p2: -5e-4, k3: 0.0,
             };
             let camera = CameraTruth {

@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-use super::{
+use crate::{
     raster::{Floor, Seen, Window},
     truth::CameraTruth,
 };
@@ -42,9 +42,9 @@ const CORNERS: usize = 4;
 
 /// What a camera sees before its lens blurs it and its sensor adds noise.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Picture {
+pub struct Picture {
     /// Grey levels, or those of red, green and blue, pixel by pixel.
-    pub(super) light: Vec<f32>,
+    pub light: Vec<f32>,
     depth: Vec<f32>,
     /// What is seen: [`SKY`], [`FLOOR`], or a solid by index from [`SOLID`].
     shown: Vec<u16>,
@@ -53,14 +53,17 @@ pub(super) struct Picture {
 }
 
 /// What is drawn, and from where.
-pub(super) struct View<'a> {
-    pub(super) camera: &'a CameraTruth,
+pub struct View<'a> {
+    /// The camera.
+    pub camera: &'a CameraTruth,
     /// Unit direction of each pixel, camera frame.
-    pub(super) rays: &'a [Vector3<f64>],
-    pub(super) floor: &'a Floor,
-    pub(super) solids: &'a [Seen],
+    pub rays: &'a [Vector3<f64>],
+    /// The floor below all.
+    pub floor: &'a Floor,
+    /// What stands on it, by index.
+    pub solids: &'a [Seen],
     /// Channels of the picture: 1 or 3.
-    pub(super) channels: usize,
+    pub channels: usize,
 }
 
 fn number(solid: usize) -> u16 {
@@ -74,7 +77,7 @@ fn solid(number: u16) -> Option<usize> {
 
 impl Picture {
     /// Floor and sky.
-    pub(super) fn empty(&mut self, view: &View<'_>, tone: [f32; 3]) {
+    pub fn empty(&mut self, view: &View<'_>, tone: [f32; 3]) {
         let pixels = view.rays.len();
         self.depth.clear();
         self.shown.clear();
@@ -93,14 +96,14 @@ impl Picture {
     }
 
     /// Becomes what another one is.
-    pub(super) fn begin_with(&mut self, other: &Self) {
+    pub fn begin_with(&mut self, other: &Self) {
         self.light.clone_from(&other.light);
         self.depth.clone_from(&other.depth);
         self.shown.clone_from(&other.shown);
     }
 
     /// Draws the solids from index `first` on.
-    pub(super) fn draw(&mut self, view: &View<'_>, first: usize) {
+    pub fn draw(&mut self, view: &View<'_>, first: usize) {
         let windows = || {
             let solids = view.solids.iter().enumerate().skip(first);
             solids.filter_map(|(index, solid)| {

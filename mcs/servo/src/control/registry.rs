@@ -34,7 +34,7 @@ pub struct LawSettings<'a> {
     pub args: &'a Node,
 }
 
-/// The control laws that a program offers; given to [`crate::register`].
+/// The control laws that a program offers; given to `mcs::register`.
 #[derive(Clone)]
 pub struct LawRegistry {
     laws: BTreeMap<String, Build>,
