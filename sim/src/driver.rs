@@ -143,13 +143,18 @@ impl SimArm {
             return Err(self.fault(format!("world `{}` began again", self.world)));
         }
         if self.waited > STANDSTILL {
-            let why = self
-                .port
-                .failure()
-                .unwrap_or_else(|| "is its task running?".to_owned());
-            return Err(self.fault(format!("world `{}` stands still: {why}", self.world)));
+            return Err(self.still());
         }
         Ok(())
+    }
+
+    fn still(&self) -> DriverError {
+        let (world, for_ms) = (&self.world, 1e3 * self.waited.as_secs_f64());
+        let why = self.port.failure();
+        let why = why.unwrap_or_else(|| "is its task running?".to_owned());
+        self.fault(format!(
+            "world `{world}` stands still, for {for_ms:.1} ms now: {why}"
+        ))
     }
 }
 
@@ -175,6 +180,10 @@ impl ChannelDriver for SimArm {
             };
         }
         Ok(())
+    }
+
+    fn silence(&self, _slot: usize) -> Option<(Duration, DriverError)> {
+        (!self.waited.is_zero()).then(|| (self.waited, self.still()))
     }
 
     fn sensors(&self) -> &[Sensor] {

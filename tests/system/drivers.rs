@@ -1,17 +1,22 @@
-//! Arms whose driver's other end is a process of its own, which is killed, frozen and started again while they move.
+//! Arms whose driver's other end is a process of its own, which is killed, frozen and started again, or lies, while they move.
 
 use std::{
     env,
-    io::Read,
+    io::{BufRead, Write},
     process::{Child, Command, Stdio},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
+        mpsc::{Receiver, TryRecvError, channel},
     },
     thread::spawn,
+    time::Duration,
 };
 
-use mcs_remote::socket::{Address, PeerSocket};
+use mcs_remote::{
+    frame::{Frame, SIZE},
+    socket::{Address, PeerSocket},
+};
 use rustix::process::{Pid, Signal, kill_process};
 use sim::{cell::Cell, served::Served};
 
@@ -27,17 +32,51 @@ fn serves_a_world() {
     let [cell, socket, own] = told.split('|').collect::<Vec<_>>()[..] else {
         panic!("{told}");
     };
-    let mut served = Served::new(&Cell::read(cell.as_ref()).unwrap(), 0, own.parse().unwrap());
+    let served = Served::new(&Cell::read(cell.as_ref()).unwrap(), 0, own.parse().unwrap());
     let socket = PeerSocket::bind(&Address::Unix(socket.into())).unwrap();
-    // Whoever started it is gone when nothing can come from there any more.
-    let over = Arc::new(AtomicBool::new(false));
+    let (over, (sender, lies)) = (Arc::new(AtomicBool::new(false)), channel());
     let until = Arc::clone(&over);
     spawn(move || {
-        let ended = std::io::stdin().read_to_end(&mut Vec::new());
+        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            let _ = sender.send(line);
+            over.store(true, Ordering::Relaxed);
+        }
+        // Whoever started it is gone when nothing can come from there any more.
         over.store(true, Ordering::Relaxed);
-        ended
     });
-    served.as_mut().unwrap().serve(&socket, &until).unwrap();
+    let mut served = served.unwrap();
+    served.serve(&socket, &until).unwrap();
+    lie(&mut served, &socket, &lies);
+}
+
+/// Answers with the lie that was told last, until nothing can be told any more.
+fn lie(served: &mut Served, socket: &PeerSocket, lies: &Receiver<String>) {
+    let (mut buffer, mut first, mut lie) = ([0; SIZE + 1], None, String::new());
+    for count in 0_u64.. {
+        match lies.try_recv() {
+            Ok(told) => lie = told,
+            Err(TryRecvError::Empty) => {}
+            Err(TryRecvError::Disconnected) => return,
+        }
+        let got = socket.receive(&mut buffer, Duration::from_millis(20));
+        let Some((bytes, from)) = got.unwrap() else {
+            continue;
+        };
+        let Some(answer) = served.take(bytes) else {
+            continue;
+        };
+        let mut frame = Frame::decode(&answer).unwrap();
+        let third = &mut frame.rows_mut()[2].values[0];
+        match lie.as_str() {
+            "no number" => *third = f64::NAN,
+            // Each time back and forth: what stays where it jumped to is believed again after a reset.
+            "jump" => *third += if count % 2 == 0 { 0.5 } else { 0.0 },
+            _ => {}
+        }
+        let first = first.get_or_insert(frame);
+        let told = if lie == "old" { *first } else { frame };
+        socket.send(&told.encode(), &from);
+    }
 }
 
 /// A world in a process of its own.
@@ -64,6 +103,11 @@ impl World {
             assert_eq!(world.0.try_wait().unwrap(), None, "it ended at once");
         }
         world
+    }
+
+    /// From now on it tells this lie.
+    fn lies(&mut self, lie: &str) {
+        writeln!(self.0.stdin.as_mut().unwrap(), "{lie}").unwrap();
     }
 
     fn signal(&self, signal: Signal) {
@@ -114,8 +158,7 @@ impl<'s> App<'s> {
         self.0.scott(&[self.1, "-c", &arm]).stdout
     }
 
-    /// A motion of the first joint by so much, under way when this returns. It is so slow that nothing is found to be in the
-    /// way of an arm whose driver is silent before the driver is found to be.
+    /// A motion of the first joint by so much, under way when this returns.
     fn moving(&self, arm: &str, (way, speed): (f64, f64)) -> Run<'s> {
         let first = || self.asked(&format!("pino{arm} EXEC state"))[0];
         let begin = first();
@@ -155,13 +198,17 @@ impl<'s> App<'s> {
     }
 }
 
-const AT_PATH: [&str; 2] = [
+/// A loop so slow that it bears what a busy machine delays.
+const AT_PATH: [&str; 3] = [
     "task.servo.args.driver_args.address=\"unix:arm.socket\"",
     "task.servo.args.driver_args.watchdog_ms=1000",
+    "task.servo.args.bandwidth_hz=3",
 ];
 const PEER: &str = "the peer at `unix:";
 /// 1 rad at a hundredth of full speed.
 const SLOW: (f64, f64) = (1.0, 0.01);
+/// So fast that the joint is away from its setpoint for `following_timeout_s` long before the watchdog of a silent peer.
+const FAST: (f64, f64) = (1.0, 0.1);
 
 #[test]
 fn a_driver_whose_process_is_killed_in_mid_motion_is_named_and_the_arm_stands_until_it_is_back() {
@@ -190,15 +237,52 @@ fn a_driver_whose_process_is_frozen_in_mid_motion_is_named_and_its_arm_has_brake
     let app = App(&scratch, "remote");
     let world = World::start(&scratch, "configs/cell.toml", 1);
     let _run = up(&scratch, "configs/remote.toml", &AT_PATH);
-    let moving = app.moving("", SLOW);
-    world.signal(Signal::STOP);
-    moving.end().must_exit_leaving(1).must_say(PEER);
-    app.must_stand("", PEER);
-    app.line("pino EXEC reset")
-        .must_exit_leaving(1)
-        .must_say(PEER);
-    world.signal(Signal::CONT);
-    app.works_again("");
+    for motion in [SLOW, FAST] {
+        let moving = app.moving("", motion);
+        world.signal(Signal::STOP);
+        let ended = moving.end();
+        ended.must_exit_leaving(1).must_say(PEER);
+        ended.must_say("it has answered nothing for ");
+        app.must_stand("", PEER);
+        while !app.line("pino EXEC reset").told.contains(PEER) {}
+        world.signal(Signal::CONT);
+        app.works_again("");
+    }
+}
+
+#[test]
+fn a_driver_whose_process_lies_in_mid_motion_is_named_with_its_lie_and_works_again_when_it_tells_the_truth()
+ {
+    let scratch = Scratch::new();
+    let app = App(&scratch, "remote");
+    let mut world = World::start(&scratch, "configs/cell.toml", 1);
+    let _run = up(&scratch, "configs/remote.toml", &AT_PATH);
+    let (way, speed) = FAST;
+    for (lie, way, named) in [
+        (
+            "no number",
+            way,
+            "sent a position or a speed of slot 3 that is no finite number",
+        ),
+        ("jump", -way, "let slot 3 jump by "),
+        ("old", way, "an old or repeated sequence number"),
+    ] {
+        let moving = app.moving("", (way, speed));
+        world.lies(lie);
+        let ended = moving.end();
+        ended.must_exit_leaving(1).must_say(PEER).must_say(named);
+        app.must_stand("", named);
+        let before = app.asked("pino EXEC state")[0];
+        // It still lies: a reset says so.
+        app.line("pino EXEC reset")
+            .must_exit_leaving(1)
+            .must_say(named);
+        world.lies("no more");
+        app.works_again("");
+        // The arm had braked at once.
+        let moved = app.asked("pino EXEC state")[0] - 0.05 - before;
+        assert!(moved.abs() < 0.05, "{lie}: {moved}");
+    }
 }
 
 #[test]
@@ -208,7 +292,7 @@ fn the_end_of_the_process_behind_one_arm_leaves_the_other_one_on_its_way() {
     let text = scratch.read("configs/testbed.toml");
     let own = "driver = \"sim.arm\"\ndriver_args = { arm = \"left\", joints = [\"arm.joint1\", \"arm.joint2\", \"arm.joint3\", \"arm.joint4\", \"arm.joint5\", \"arm.joint6\"] }";
     assert!(text.contains(own), "{text}");
-    let other = "driver = \"mcs.remote\"\ndriver_args = { address = \"unix:arm.socket\", watchdog_ms = 1000 }";
+    let other = "bandwidth_hz = 3\ndriver = \"mcs.remote\"\ndriver_args = { address = \"unix:arm.socket\", watchdog_ms = 1000 }";
     scratch.write("configs/testbed.toml", text.replace(own, other));
     let world = World::start(&scratch, "configs/cell.toml", 1);
     let _run = up(&scratch, "configs/testbed.toml", &[]);

@@ -11,6 +11,7 @@
 mod bad_input;
 mod cameras;
 mod carry;
+mod clients;
 mod control;
 mod determinism;
 mod display;

@@ -191,10 +191,47 @@ impl Findings {
     }
 }
 
+/// A neighbour whose servo shows nothing new for longer than this is not counted with any more: as the servo's own
+/// `following_timeout_s`, s.
+const SILENCE: f64 = 0.1;
+
+/// Another arm, and whether its servo still goes on.
+struct Watched {
+    arm: Neighbour,
+    servo: Words,
+    /// The ticks of its servo as they were seen last, and for how many of one's own they have been so.
+    ticks: u64,
+    unchanged: u32,
+}
+
+impl Watched {
+    /// What it shows, or whose silence keeps that from being known.
+    fn look(&mut self, period: f64) -> Result<Shown, Words> {
+        let shown = self.arm.read();
+        self.unchanged = match shown.ticks == self.ticks {
+            true => self.unchanged.saturating_add(1),
+            false => 0,
+        };
+        self.ticks = shown.ticks;
+        let (servo, silent) = (&self.servo, f64::from(self.unchanged) * period);
+        if shown.ticks == 0 {
+            return Err(words!(
+                "where the arm of `{servo}` is is not known: it has not begun"
+            ));
+        }
+        if silent > SILENCE {
+            return Err(words!(
+                "where the arm of `{servo}` is is not known: it has shown nothing for {silent:.3} s"
+            ));
+        }
+        Ok(shown)
+    }
+}
+
 /// The guard.
 pub struct Collision {
     scene: Scene,
-    others: Vec<Neighbour>,
+    others: Vec<Watched>,
     findings: Arc<Findings>,
     found: Found,
 }
@@ -221,10 +258,18 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
         if servo == settings.servo {
             return Err(format!("`{servo}` is this arm itself").into());
         }
-        others.push((settings.around.neighbour(&servo)?, at));
+        let watched = Watched {
+            arm: settings.around.neighbour(&servo)?,
+            servo: servo.as_str().into(),
+            ticks: 0,
+            unchanged: 0,
+        };
+        others.push((watched, at));
     }
     let own = (Arc::clone(settings.model), Placement::identity());
-    let arms = others.iter().map(|(arm, at)| (Arc::clone(&arm.model), *at));
+    let arms = others
+        .iter()
+        .map(|(other, at)| (Arc::clone(&other.arm.model), *at));
     let mut scene = Scene::new(std::iter::once(own).chain(arms), room, margin);
     for (solid, piece, distance) in near {
         if !scene.keep(&solid, &piece, distance) {
@@ -243,7 +288,7 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
     }
     Ok(Box::new(Collision {
         scene,
-        others: others.into_iter().map(|(arm, _)| arm).collect(),
+        others: others.into_iter().map(|(other, _)| other).collect(),
         findings,
         found: Found {
             nearest: None,
@@ -265,6 +310,10 @@ impl Collision {
 }
 
 impl Guard for Collision {
+    fn begin(&mut self, _: &Seen<'_>) {
+        self.others.iter_mut().for_each(|other| other.unchanged = 0);
+    }
+
     fn check(&mut self, seen: &Seen<'_>) -> Option<Words> {
         let pace = |joint: usize| seen.setpoint.pace(joint, seen.period);
         let own = Shown {
@@ -274,11 +323,11 @@ impl Guard for Collision {
             stopping: *seen.stopping,
         };
         self.scene.see(0, &own, seen.period, seen.period);
-        for (other, arm) in self.others.iter().zip(1..) {
-            let shown = other.read();
-            if shown.ticks == 0 {
-                return Some("where the other arm is is not known: its servo has not begun".into());
-            }
+        for (other, arm) in self.others.iter_mut().zip(1..) {
+            let shown = match other.look(seen.period) {
+                Ok(shown) => shown,
+                Err(silence) => return Some(silence),
+            };
             self.scene.see(arm, &shown, 2.0 * seen.period, seen.period);
         }
         let Looked { nearest, touches } = self.scene.look();

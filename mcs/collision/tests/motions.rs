@@ -443,6 +443,49 @@ fn an_arm_that_passes_what_stands_still_and_itself_at_35_mm_or_more_is_never_sto
 }
 
 #[test]
+fn an_arm_whose_neighbours_servo_falls_silent_stops_and_names_it_and_since_when() {
+    let start = Joints::try_from(&[0.0, 0.0, 0.0, 0.0, 0.8, -2.6, 0.0, 0.7, 0.0][..]).unwrap();
+    let mut arms = arms(&[start, start]);
+    let mut id = 0;
+    // One motion of the left arm while the right one's servo ticks now and then.
+    let mut go = |arms: &mut [Arm; 2], track: f64, other_ticks: &dyn Fn(u32) -> bool| {
+        id += 1;
+        let (from, mut goal) = (arms[0].port.status().setpoint, start);
+        goal[0] = track;
+        let segment = arms[0].planner.joint(&from, &goal, 0.2).unwrap();
+        arms[0]
+            .port
+            .order(ServoCommand::Move { id, segment })
+            .unwrap();
+        let mut ticks = 0;
+        while !arms[0].port.status().motion.phase.is_over() || ticks < 10 {
+            arms[0].servo.tick(0);
+            if other_ticks(ticks) {
+                arms[1].servo.tick(0);
+            }
+            ticks += 1;
+        }
+        let status = arms[0].port.status();
+        (
+            status.motion.phase,
+            status.ended_by_guard(id).map(|found| found.measured),
+        )
+    };
+    // One that comes late each time, but comes, is no reason to stop. Neither is what was before the motion.
+    (0..50).for_each(|_| arms[0].servo.tick(0));
+    let (phase, found) = go(&mut arms, 0.5, &|tick| tick % 20 == 10);
+    assert_eq!((phase, found), (MotionPhase::Done, None));
+    let (phase, found) = go(&mut arms, 0.0, &|tick| tick < 100);
+    assert_eq!(phase, MotionPhase::Stopped);
+    let found = found.unwrap();
+    let told = "where the arm of `right` is is not known: it has shown nothing for 0.103 s";
+    assert_eq!(found.as_str(), told);
+    // It is back, and so is the arm's right to move.
+    let (phase, found) = go(&mut arms, 0.3, &|_| true);
+    assert_eq!((phase, found), (MotionPhase::Done, None));
+}
+
+#[test]
 fn no_tick_with_the_guard_allocates_while_two_arms_run_into_one_another() {
     let (cart, arm) = ([0.0; 3], [0.0, 0.8, -2.6, 0.2, 0.7, 0.1]);
     let start = Joints::try_from(&[&cart[..], &arm].concat()[..]).unwrap();

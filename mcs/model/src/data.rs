@@ -26,13 +26,14 @@ impl Spatial {
     }
 }
 
-/// Inertia of a rigid body about a point, in some axes: mass (kg), mass times its centre (kg m), tensor about the
-/// point (kg m^2), of which only the upper half counts: it is symmetric.
+/// Inertia of a rigid body about a point, in some axes: mass (kg), mass times its centre (kg m), and the tensor about the
+/// point (kg m^2), which is symmetric: its diagonal, and the elements yz, xz and xy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct RigidInertia {
     pub mass: f64,
     pub moment: Vector3<f64>,
-    pub tensor: Matrix3<f64>,
+    pub diagonal: Vector3<f64>,
+    pub across: Vector3<f64>,
 }
 
 /// Inertia that a body seems to have while what it carries gives way: a symmetric matrix of six rows, by blocks.
@@ -94,7 +95,8 @@ impl Model {
         let no_inertia = RigidInertia {
             mass: 0.0,
             moment: Vector3::zeros(),
-            tensor: Matrix3::zeros(),
+            diagonal: Vector3::zeros(),
+            across: Vector3::zeros(),
         };
         let no_articulated = ArticulatedInertia {
             turn: Matrix3::zeros(),

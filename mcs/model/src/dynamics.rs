@@ -10,9 +10,6 @@ use super::data::{ArticulatedInertia, Data, RigidInertia, Spatial};
 use super::features::{FrameId, Joint, JointKind, Model};
 use super::kinematics::number;
 
-/// Rows and columns of the upper half of a symmetric tensor.
-const UPPER: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
-
 /// What dynamics count besides the rigid bodies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DynamicsOptions {
@@ -214,18 +211,20 @@ impl Model {
     ) -> &'d DMatrix<f64> {
         self.forward(data, q);
         self.about_one_point(data);
+        let n = self.joints.len();
+        let mass = data.mass.as_mut_slice();
         for (index, joint) in self.joints.iter().enumerate().rev() {
-            let whole = data.inertias[index + 1];
-            let axis = data.axes[index];
-            let force = whole.force(&axis);
-            data.mass[(index, index)] = axis.dot(&force) + joint.rotor(options);
+            let (carried, own) = data.inertias.split_at_mut(index + 1);
+            let (whole, axis) = (&own[0], &data.axes[index]);
+            let force = whole.force(axis);
+            mass[n * index + index] = axis.dot(&force) + joint.rotor(options);
             for carrier in self.carriers(joint.parent) {
                 let common = data.axes[carrier].dot(&force);
-                data.mass[(index, carrier)] = common;
-                data.mass[(carrier, index)] = common;
+                mass[n * index + carrier] = common;
+                mass[n * carrier + index] = common;
             }
             if joint.parent.is_some() {
-                data.inertias[joint.below()].add(&whole);
+                carried[joint.below()].add(whole);
             }
         }
         &data.mass
@@ -305,11 +304,12 @@ impl Model {
             .skip(1)
             .map(|placement| placement.origin);
         let middle = origins.sum::<Vector3<f64>>() / self.joints.len().max(1) as f64;
-        for (index, joint) in self.joints.iter().enumerate() {
-            let placement = &data.placements[index + 1];
+        let placed = self.joints.iter().zip(data.placements.iter().skip(1));
+        let written = data.axes.iter_mut().zip(data.inertias.iter_mut().skip(1));
+        for ((joint, placement), (own_axis, inertia)) in placed.zip(written) {
             let axis = placement.rotation.column(2).into_owned();
             let origin = placement.origin - middle;
-            data.axes[index] = match joint.kind {
+            *own_axis = match joint.kind {
                 JointKind::Revolute => Spatial {
                     turn: axis,
                     shift: origin.cross(&axis),
@@ -323,16 +323,24 @@ impl Model {
             let centre = turn * body.centre + origin;
             let moment = centre * body.mass;
             let half = turn * body.inertia;
-            let square = moment.dot(&centre);
-            let mut tensor = Matrix3::from_diagonal_element(square);
-            for (row, column) in UPPER {
-                let turned = half.row(row).dot(&turn.row(column));
-                tensor[(row, column)] += turned - moment[row] * centre[column];
-            }
-            data.inertias[index + 1] = RigidInertia {
+            let turned = |row: usize, column: usize| half.row(row).dot(&turn.row(column));
+            // What the mass adds away from the point.
+            let square = moment.component_mul(&centre);
+            let added = Vector3::new(
+                square.y + square.z,
+                square.x + square.z,
+                square.x + square.y,
+            );
+            let products = Vector3::new(
+                moment.y * centre.z,
+                moment.x * centre.z,
+                moment.x * centre.y,
+            );
+            *inertia = RigidInertia {
                 mass: body.mass,
                 moment,
-                tensor,
+                diagonal: Vector3::new(turned(0, 0), turned(1, 1), turned(2, 2)) + added,
+                across: Vector3::new(turned(1, 2), turned(0, 2), turned(0, 1)) - products,
             };
         }
     }
@@ -376,12 +384,13 @@ impl Model {
 impl RigidInertia {
     /// The momentum of a velocity, or the moment and force of an acceleration.
     fn force(&self, velocity: &Spatial) -> Spatial {
-        let (t, v) = (&self.tensor, &velocity.turn);
-        let turned = Vector3::new(
-            t.m11 * v.x + t.m12 * v.y + t.m13 * v.z,
-            t.m12 * v.x + t.m22 * v.y + t.m23 * v.z,
-            t.m13 * v.x + t.m23 * v.y + t.m33 * v.z,
-        );
+        let (t, v) = (&self.across, &velocity.turn);
+        let turned = self.diagonal.component_mul(v)
+            + Vector3::new(
+                t.z * v.y + t.y * v.z,
+                t.z * v.x + t.x * v.z,
+                t.y * v.x + t.x * v.y,
+            );
         Spatial {
             turn: turned + self.moment.cross(&velocity.shift),
             shift: velocity.shift * self.mass - self.moment.cross(&velocity.turn),
@@ -391,16 +400,14 @@ impl RigidInertia {
     fn add(&mut self, other: &Self) {
         self.mass += other.mass;
         self.moment += other.moment;
-        for at in UPPER {
-            self.tensor[at] += other.tensor[at];
-        }
+        self.diagonal += other.diagonal;
+        self.across += other.across;
     }
 
     /// The whole tensor.
     fn tensor(&self) -> Matrix3<f64> {
-        let mut whole = self.tensor;
-        (whole.m21, whole.m31, whole.m32) = (whole.m12, whole.m13, whole.m23);
-        whole
+        let (d, a) = (&self.diagonal, &self.across);
+        Matrix3::new(d.x, a.z, a.y, a.z, d.y, a.x, a.y, a.x, d.z)
     }
 }
 

@@ -73,6 +73,7 @@ impl Placement {
 
     /// The pose of `inner` in the other frame, where `inner` is given in this one.
     #[must_use]
+    #[inline]
     pub fn then(&self, inner: &Self) -> Self {
         Self {
             rotation: self.rotation * inner.rotation,
@@ -82,6 +83,7 @@ impl Placement {
 
     /// A point of this frame, in the other (m).
     #[must_use]
+    #[inline]
     pub fn point(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.origin
     }

@@ -22,6 +22,9 @@ use description::{Description, Form, JointText, Motion};
 use mesh::Fault;
 pub use write::write;
 
+/// A limit of speed or effort that is none: URDF asks for a number, and so do its readers.
+const UNLIMITED: f64 = 1e30;
+
 /// So many bytes may the meshes of an arm have together.
 const MOST_MESH_BYTES: u64 = 16 << 20;
 

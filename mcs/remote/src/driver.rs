@@ -118,6 +118,12 @@ impl ChannelDriver for RemoteArm {
         read.map_err(|doubt| self.doubted(doubt))
     }
 
+    fn silence(&self, _slot: usize) -> Option<(Duration, DriverError)> {
+        let silent = self.session.silent();
+        let for_ms = 1e3 * silent.as_secs_f64();
+        (!silent.is_zero()).then(|| (silent, self.doubted(Doubt::Silent { for_ms })))
+    }
+
     fn modes(&self) -> &[Mode] {
         self.session.modes()
     }

@@ -297,6 +297,12 @@ impl Session {
         Ok(())
     }
 
+    /// For how long nothing has come; zero where something came in the period that was read last.
+    #[must_use]
+    pub fn silent(&self) -> Duration {
+        self.silent
+    }
+
     /// Why the peer is not believed, if it is not.
     #[must_use]
     pub fn doubt(&self) -> Option<Doubt> {

@@ -7,6 +7,7 @@ pub mod cartesian_impedance;
 pub mod computed_torque;
 #[cfg(test)]
 mod impedance_tests;
+mod integral;
 pub mod joint_impedance;
 pub mod pid;
 mod registry;

@@ -149,6 +149,13 @@ pub trait ChannelDriver: Send {
     /// A driver fault; the servo then stops the arm.
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError>;
 
+    /// How long the last readings of a slot have been old, and whose silence that is: nothing, where they are of this very
+    /// period. The servo asks when a joint seems not to follow.
+    fn silence(&self, slot: usize) -> Option<(Duration, DriverError)> {
+        let _ = slot;
+        None
+    }
+
     /// The slots that are no joints, which never change; none unless a driver says otherwise.
     fn sensors(&self) -> &[Sensor] {
         &[]

@@ -446,7 +446,7 @@ impl Servo {
         }
         for (index, reading) in self.readings.iter().enumerate() {
             if !reading.position.is_finite() || !reading.velocity.is_finite() {
-                self.fail(Fault::Reading { slot: index });
+                self.fail(Fault::Reading { joint: index + 1 });
                 return;
             }
         }
@@ -580,6 +580,14 @@ impl Servo {
             };
             self.astray[index] = astray;
             let joint = index + 1;
+            // Where nothing was read since the joint left its window, that is why it does not follow.
+            let since = self.config.period.saturating_mul(astray);
+            if (error > limit || astray > self.patience)
+                && let Some((silent, error)) = self.driver.silence(index)
+                && silent >= since
+            {
+                return self.driver_failed(error);
+            }
             let fault = if error > limit {
                 Fault::FollowingError {
                     joint,
@@ -702,8 +710,13 @@ impl Servo {
     }
 
     fn driver_failed(&mut self, error: DriverError) {
-        // Only the first error since the last look is kept: it is the one that tells why.
-        let _ = self.driver_errors.push(error);
+        if self.status.fault.is_none() {
+            // It tells why, and no error that a fault before this one has left.
+            self.driver_errors.force_push(error);
+        } else {
+            // Of those that follow, the first since the last look is kept.
+            let _ = self.driver_errors.push(error);
+        }
         self.fail(Fault::Driver);
     }
 

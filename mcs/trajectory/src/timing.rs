@@ -127,11 +127,34 @@ pub type Motion = (JointState, JointState, JointBounds);
 /// # Errors
 /// [`TimingError`].
 pub fn between(joints: &[Motion]) -> Result<Times, TimingError> {
-    let trajectory = computed(joints, ControlInterface::Position)?;
-    Ok(Times {
-        together: trajectory.duration,
-        least: trajectory.independent_min_durations.to_vec(),
-    })
+    Timer::new(joints.len()).between(joints)
+}
+
+/// Computes [`between`] for many motions of as many joints, with one scratch.
+pub struct Timer(Engine);
+
+impl Timer {
+    /// For so many joints.
+    #[must_use]
+    pub fn new(joints: usize) -> Self {
+        Self(Engine::new(joints, ControlInterface::Position))
+    }
+
+    /// As [`between`]. Another number of joints takes a new scratch.
+    ///
+    /// # Errors
+    /// [`TimingError`].
+    pub fn between(&mut self, joints: &[Motion]) -> Result<Times, TimingError> {
+        check_all(joints, ControlInterface::Position)?;
+        if joints.len() != self.0.input.degrees_of_freedom {
+            *self = Self::new(joints.len());
+        }
+        let trajectory = self.0.compute(joints)?;
+        Ok(Times {
+            together: trajectory.duration,
+            least: trajectory.independent_min_durations.to_vec(),
+        })
+    }
 }
 
 /// How long each joint takes to come to rest, s, and how far it goes meanwhile (rad or m, with its sign).
@@ -143,7 +166,9 @@ pub fn stops(joints: &[(JointState, JointBounds)]) -> Result<Vec<(f64, f64)>, Ti
         .iter()
         .map(|(now, bounds)| (*now, JointState::default(), *bounds))
         .collect();
-    let trajectory = computed(&to_rest, ControlInterface::Velocity)?;
+    check_all(&to_rest, ControlInterface::Velocity)?;
+    let mut engine = Engine::new(joints.len(), ControlInterface::Velocity);
+    let trajectory = engine.compute(&to_rest)?;
     let mut there = InputParameter::<0>::new(Some(joints.len())).current_position;
     let mut position = Some(&mut there);
     let end = trajectory.duration;
@@ -163,13 +188,10 @@ pub fn stops(joints: &[(JointState, JointBounds)]) -> Result<Vec<(f64, f64)>, Ti
     Ok(times.zip(ways).collect())
 }
 
-fn computed(joints: &[Motion], of: ControlInterface) -> Result<Trajectory<0>, TimingError> {
-    for (index, (start, end, bounds)) in joints.iter().enumerate() {
-        check(index + 1, (start, end), bounds, of)?;
-    }
-    let mut engine = Engine::new(joints.len(), of);
-    engine.compute(joints)?;
-    Ok(engine.trajectory)
+fn check_all(joints: &[Motion], of: ControlInterface) -> Result<(), TimingError> {
+    let mut numbered = joints.iter().enumerate();
+    numbered
+        .try_for_each(|(index, (start, end, bounds))| check(index + 1, (start, end), bounds, of))
 }
 
 /// rsruckig with its scratch: for many motions of the same joints.
@@ -227,12 +249,16 @@ pub(super) fn check(
     bounds: &JointBounds,
     of: ControlInterface,
 ) -> Result<(), TimingError> {
-    let mut limits = vec![("acceleration", bounds.acceleration)];
-    if of == ControlInterface::Position {
-        limits.push(("speed", bounds.velocity));
-    }
-    for (what, value) in limits {
-        if value.is_nan() || value <= 0.0 {
+    // To come to rest no limit of speed counts, and a jerk of 0 is none.
+    let speed = (of == ControlInterface::Position).then_some(bounds.velocity);
+    let jerk = (bounds.jerk != 0.0).then_some(bounds.jerk);
+    for (what, value) in [
+        ("acceleration", Some(bounds.acceleration)),
+        ("speed", speed),
+    ] {
+        if let Some(value) = value
+            && (value.is_nan() || value <= 0.0)
+        {
             return Err(TimingError::Bound { joint, what, value });
         }
     }
@@ -242,15 +268,10 @@ pub(super) fn check(
     }
     let states = [start, end].map(|state| [state.position, state.velocity, state.acceleration]);
     let sensible = |value: &f64| value.abs() <= LARGEST;
-    let mut used = vec![bounds.acceleration];
-    if of == ControlInterface::Position {
-        used.push(bounds.velocity);
-    }
-    if bounds.jerk > 0.0 {
-        used.push(bounds.jerk);
-    }
-    let large = !states.iter().flatten().chain(&used).all(sensible);
-    if large || used.iter().any(|limit| *limit < 1.0 / LARGEST) {
+    let used = [Some(bounds.acceleration), speed, jerk];
+    let mut used = used.iter().flatten();
+    let fits = |limit: &f64| sensible(limit) && *limit >= 1.0 / LARGEST;
+    if !states.iter().flatten().all(sensible) || !used.all(fits) {
         return Err(TimingError::TooLarge { joint });
     }
     let beyond = |what, value: f64, limit: f64| match value.abs() <= limit {

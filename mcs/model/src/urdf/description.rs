@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
 use super::mesh::MeshText;
-use super::xml;
+use super::{UNLIMITED, xml};
 use crate::builder::{check_body, check_limits};
 use crate::features::{Body, Friction, JointKind, Limits, Motor};
 use crate::placement::Placement;
@@ -101,6 +101,7 @@ impl<'a> Description<'a> {
             return Err(xml::finding(source, text, xml::opening(element))
                 .help("run xacro over the file first"));
         }
+        xml::check_units(source, document)?;
         let mut description = Self {
             source,
             name: robot.attribute("name").unwrap_or("robot"),
@@ -402,11 +403,19 @@ impl<'a> Description<'a> {
             "continuous" => (f64::NEG_INFINITY, f64::INFINITY),
             _ => (number("lower", 0.0)?, number("upper", 0.0)?),
         };
+        let most = |name: &str| {
+            let given = number(name, UNLIMITED)?;
+            Ok::<f64, Finding>(if given < UNLIMITED {
+                given
+            } else {
+                f64::INFINITY
+            })
+        };
         let limits = Limits {
             lower,
             upper,
-            velocity: number("velocity", f64::INFINITY)?,
-            torque: number("effort", f64::INFINITY)?,
+            velocity: most("velocity")?,
+            torque: most("effort")?,
             ..Limits::NONE
         };
         let checked = check_limits(&limits, joint);

@@ -87,6 +87,16 @@ fn every_mistake_has_a_name_and_a_place() {
             "4:",
         ),
         (
+            robot("", &LIMIT.replace("<limit", "<limit units=\"deg\"")),
+            "unknown unit: `deg` in `units` of <limit>",
+            "4:",
+        ),
+        (
+            robot("", LIMIT).replace("<robot", "<robot unit=\"inch\""),
+            "unknown unit: `inch` in `unit` of <robot>",
+            "1:",
+        ),
+        (
             robot("", &format!("{LIMIT}<axis xyz=\"0 0 0\"/>")),
             "no axis: ",
             "4:14",
@@ -360,6 +370,11 @@ fn a_model_that_is_written_and_read_again_moves_as_before() {
             let found = again.inverse_dynamics(&mut others, q, qd, qdd, options);
             for (torque, found) in torques.iter().zip(found) {
                 assert!((torque - found).abs() < 1e-10, "{name}: {torque} {found}");
+            }
+            // Readers of others ask for both wherever there is a limit.
+            for limit in write(&model).lines().filter(|line| line.contains("<limit")) {
+                let both = limit.contains(" velocity=") && limit.contains(" effort=");
+                assert!(both, "{name}: {limit}");
             }
             for (one, other) in model.joints().iter().zip(again.joints()) {
                 let limits = |joint: &crate::Joint| {

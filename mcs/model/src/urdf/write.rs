@@ -9,6 +9,7 @@ use std::fmt::Write as _;
 
 use nalgebra::Matrix3;
 
+use super::UNLIMITED;
 use crate::features::{Body, Joint, JointKind, Limits, Model};
 use crate::placement::Placement;
 use crate::shapes::Solid;
@@ -213,13 +214,13 @@ fn write_joint(out: &mut String, joint: &Joint, parent: (&str, &Placement), link
         // Writing to a string never fails.
         let _ = write!(limit, " lower=\"{lower:?}\" upper=\"{upper:?}\"");
     }
-    for (name, most) in [("velocity", velocity), ("effort", torque)] {
-        if most.is_finite() {
-            let _ = write!(limit, " {name}=\"{most:?}\"");
-        }
-    }
-    if !limit.is_empty() {
-        line(out, format_args!("    <limit{limit}/>"));
+    // Where there is a limit, URDF asks for both of these.
+    if kind != "continuous" || velocity.is_finite() || torque.is_finite() {
+        let [velocity, effort] = [velocity, torque].map(|most| most.min(UNLIMITED));
+        line(
+            out,
+            format_args!("    <limit{limit} velocity=\"{velocity:?}\" effort=\"{effort:?}\"/>"),
+        );
     }
     let (friction, gear) = (&joint.motor.friction, joint.motor.gear_ratio.abs());
     let viscous = gear * gear * friction.viscous;

@@ -53,6 +53,31 @@ fn offset(text: &str, row: u32, column: u32) -> usize {
     text.len()
 }
 
+/// URDF knows no units but its own. What another language of descriptions says of them must not be passed over in silence.
+pub(super) fn check_units(source: &Source, document: &Document<'_>) -> Result<(), Finding> {
+    const NAMES: [&str; 3] = ["unit", "units", "angle_unit"];
+    const OWN: [&str; 6] = ["m", "meter", "metre", "rad", "radian", "kg"];
+    let elements = document.descendants().filter(Node::is_element);
+    let mut all = elements.flat_map(|element| {
+        let attributes = element.attributes();
+        attributes.map(move |attribute| (element, attribute))
+    });
+    let other = all.find(|(_, attribute)| {
+        NAMES.contains(&attribute.name()) && !OWN.contains(&attribute.value())
+    });
+    let Some((element, attribute)) = other else {
+        return Ok(());
+    };
+    let text = format!(
+        "unknown unit: `{}` in `{}` of <{}>",
+        attribute.value().chars().take(40).collect::<String>(),
+        attribute.name(),
+        element.tag_name().name()
+    );
+    Err(finding(source, text, attribute.range_value())
+        .help("a URDF has no units of its own: write lengths in m, angles in rad and masses in kg"))
+}
+
 /// Where an element begins: `<name`.
 pub(super) fn opening(node: Node<'_, '_>) -> Range<usize> {
     let start = node.range().start;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::ControlLaw;
+use super::integral::Integral;
 use crate::driver::SlotReading;
 use crate::model::{Data, DynamicsOptions, Model};
 use crate::trajectory::Setpoint;
@@ -19,6 +20,9 @@ pub struct ComputedTorque {
     /// 1/s.
     damping: f64,
     options: DynamicsOptions,
+    integral: Option<Integral>,
+    /// Inertia of each joint in the present pose, kg m^2 or kg; only the integral needs it.
+    inertia: Vec<f64>,
     position: Vec<f64>,
     velocity: Vec<f64>,
     acceleration: Vec<f64>,
@@ -37,27 +41,45 @@ impl ComputedTorque {
             stiffness: natural * natural,
             damping: 2.0 * damping * natural,
             options,
+            integral: None,
+            inertia: still.clone(),
             position: still.clone(),
             velocity: still.clone(),
             acceleration: still,
         }
     }
+
+    /// The same with an integral part, so that the arm arrives in spite of friction and of wrong masses. Not for joints that
+    /// something else holds, as in a closed chain: there it would press ever harder.
+    #[must_use]
+    pub fn with_integral(mut self) -> Self {
+        let bandwidth = self.stiffness.sqrt() / TAU;
+        self.integral = Some(Integral::new(self.position.len(), bandwidth));
+        self
+    }
 }
 
 impl ControlLaw for ComputedTorque {
-    fn reset(&mut self, _readings: &[SlotReading]) {}
+    fn reset(&mut self, _readings: &[SlotReading]) {
+        if let Some(integral) = &mut self.integral {
+            integral.reset();
+        }
+    }
 
     fn tune(&mut self, bandwidth: f64, damping: f64) {
         let natural = TAU * bandwidth;
         self.stiffness = natural * natural;
         self.damping = 2.0 * damping * natural;
+        if let Some(integral) = &mut self.integral {
+            integral.tune(bandwidth);
+        }
     }
 
     fn torques(
         &mut self,
         setpoint: &Setpoint,
         readings: &[SlotReading],
-        _period: Duration,
+        period: Duration,
         out: &mut [f64],
     ) {
         for (index, reading) in readings.iter().enumerate().take(self.position.len()) {
@@ -67,15 +89,30 @@ impl ControlLaw for ComputedTorque {
                 + self.stiffness * (setpoint.position[index] - reading.position)
                 + self.damping * (setpoint.velocity[index] - reading.velocity);
         }
-        let torques = self.model.inverse_dynamics(
-            &mut self.data,
+        let (model, data) = (&self.model, &mut self.data);
+        if self.integral.is_some() {
+            let mass = model.mass_matrix(data, &self.position, self.options);
+            for (index, inertia) in self.inertia.iter_mut().enumerate() {
+                *inertia = mass[(index, index)];
+            }
+        }
+        let torques = model.inverse_dynamics(
+            data,
             &self.position,
             &self.velocity,
             &self.acceleration,
             self.options,
         );
-        for (out, torque) in out.iter_mut().zip(torques) {
-            *out = *torque;
+        for (index, (out, torque)) in out.iter_mut().zip(torques).enumerate() {
+            *out = match &mut self.integral {
+                Some(integral) => {
+                    let error = setpoint.position[index] - self.position[index];
+                    let limit = model.joints()[index].limits.torque;
+                    let off = (self.inertia[index], error);
+                    integral.added_to(*torque, index, off, limit, period)
+                }
+                None => *torque,
+            };
         }
     }
 }

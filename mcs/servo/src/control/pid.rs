@@ -5,12 +5,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::ControlLaw;
+use super::integral::Integral;
 use crate::driver::SlotReading;
 use crate::model::{Data, DynamicsOptions, Model};
 use crate::trajectory::Setpoint;
-
-/// Share of a joint's torque limit that its integral part may take.
-const INTEGRAL_SHARE: f64 = 0.3;
 
 /// PID per joint around model-based gravity compensation, with torque limits and anti-windup.
 ///
@@ -22,8 +20,7 @@ pub struct PidGravity {
     model: Arc<Model>,
     data: Data,
     gains: Gains,
-    /// Torque of the integral part, N m or N.
-    integral: Vec<f64>,
+    integral: Integral,
     measured: Vec<f64>,
     /// Inertia of each joint in the present pose, kg m^2 or kg.
     inertia: Vec<f64>,
@@ -34,20 +31,16 @@ pub struct PidGravity {
 struct Gains {
     /// Of the position error, 1/s^2.
     proportional: f64,
-    /// Of its integral, 1/s^3.
-    integral: f64,
     /// Of the velocity error, 1/s.
     derivative: f64,
 }
 
 impl Gains {
-    /// Those that give a joint alone a natural frequency of `bandwidth` Hz with damping ratio `damping`. The integral acts
-    /// five times slower than the position loop.
+    /// Those that give a joint alone a natural frequency of `bandwidth` Hz with damping ratio `damping`.
     fn by_bandwidth(bandwidth: f64, damping: f64) -> Self {
         let natural = TAU * bandwidth;
         Self {
             proportional: natural * natural,
-            integral: natural * natural * natural / 5.0,
             derivative: 2.0 * damping * natural,
         }
     }
@@ -61,7 +54,7 @@ impl PidGravity {
         Self {
             data: model.data(),
             gains: Gains::by_bandwidth(bandwidth, damping),
-            integral: vec![0.0; n],
+            integral: Integral::new(n, bandwidth),
             measured: vec![0.0; n],
             inertia: vec![0.0; n],
             model,
@@ -71,11 +64,12 @@ impl PidGravity {
 
 impl ControlLaw for PidGravity {
     fn reset(&mut self, _readings: &[SlotReading]) {
-        self.integral.fill(0.0);
+        self.integral.reset();
     }
 
     fn tune(&mut self, bandwidth: f64, damping: f64) {
         self.gains = Gains::by_bandwidth(bandwidth, damping);
+        self.integral.tune(bandwidth);
     }
 
     fn torques(
@@ -103,15 +97,9 @@ impl ControlLaw for PidGravity {
             let share = setpoint.acceleration[index]
                 + gains.proportional * error
                 + gains.derivative * speed_error;
-            let wanted = gravity[index] + inertia * share + self.integral[index];
-            // Anti-windup: at the torque limit the integral only moves if it leads back from it.
-            let saturated = wanted.abs() > limit && wanted * error > 0.0;
-            if !saturated {
-                let bound = INTEGRAL_SHARE * limit;
-                let step = inertia * gains.integral * error * period.as_secs_f64();
-                self.integral[index] = (self.integral[index] + step).clamp(-bound, bound);
-            }
-            *out = wanted.clamp(-limit, limit);
+            let torque = gravity[index] + inertia * share;
+            let integral = &mut self.integral;
+            *out = integral.added_to(torque, index, (inertia, error), limit, period);
         }
     }
 }
@@ -160,7 +148,7 @@ mod tests {
         }
         // Back at the target at once: what was gathered is at most the share allowed.
         law.torques(&Setpoint::at_rest(q), &readings(&q), PERIOD, &mut out);
-        assert!(out[0].abs() <= INTEGRAL_SHARE * limit + 1e-9);
+        assert!(out[0].abs() <= crate::control::integral::SHARE * limit + 1e-9);
     }
 
     #[test]

@@ -67,12 +67,13 @@ impl LawRegistry {
         });
         registry.law("computed_torque", |settings| {
             no_arguments(settings)?;
-            Ok(Box::new(ComputedTorque::new(
+            let law = ComputedTorque::new(
                 Arc::clone(settings.model),
                 settings.bandwidth_hz,
                 settings.damping,
                 DynamicsOptions::WITH_ROTORS,
-            )))
+            );
+            Ok(Box::new(law.with_integral()))
         });
         registry.law("joint_impedance", |settings| {
             let JointImpedanceArgs { stiffness } = settings.args.parse()?;

@@ -13,6 +13,7 @@ use std::time::Duration;
 use ctos::task::Context;
 
 use super::ControlLaw;
+use super::integral::Integral;
 use crate::driver::SlotReading;
 use crate::guard::Words;
 use crate::latest::Latest;
@@ -129,6 +130,7 @@ pub struct SplitTorque {
     /// 1/s^2 and 1/s.
     stiffness: f64,
     damping: f64,
+    integral: Integral,
     /// Counts the questions.
     number: f64,
     answer: Vec<f64>,
@@ -149,6 +151,7 @@ impl SplitTorque {
             began: false,
             stiffness: 0.0,
             damping: 0.0,
+            integral: Integral::new(n, bandwidth),
             number: 0.0,
             newest: answer.clone(),
             answer,
@@ -185,12 +188,14 @@ impl ControlLaw for SplitTorque {
     fn reset(&mut self, _readings: &[SlotReading]) {
         self.began = false;
         self.gave_up = None;
+        self.integral.reset();
     }
 
     fn tune(&mut self, bandwidth: f64, damping: f64) {
         let natural = TAU * bandwidth;
         self.stiffness = natural * natural;
         self.damping = 2.0 * damping * natural;
+        self.integral.tune(bandwidth);
     }
 
     fn gave_up(&self) -> Option<Words> {
@@ -201,7 +206,7 @@ impl ControlLaw for SplitTorque {
         &mut self,
         setpoint: &Setpoint,
         readings: &[SlotReading],
-        _period: Duration,
+        period: Duration,
         out: &mut [f64],
     ) {
         let n = self.wanted.len();
@@ -221,7 +226,11 @@ impl ControlLaw for SplitTorque {
         for (index, (out, torque)) in out.iter_mut().zip(torques).enumerate() {
             let columns = self.wanted.iter().enumerate();
             let own = columns.map(|(column, wanted)| matrix[column * n + index] * wanted);
-            *out = own.sum::<f64>() + torque;
+            let (torque, inertia) = (own.sum::<f64>() + torque, matrix[index * n + index]);
+            let error = setpoint.position[index] - self.first.asked[1 + index];
+            let limit = self.first.model.joints()[index].limits.torque;
+            let integral = &mut self.integral;
+            *out = integral.added_to(torque, index, (inertia, error), limit, period);
         }
     }
 }

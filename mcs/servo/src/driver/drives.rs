@@ -204,6 +204,10 @@ impl ChannelDriver for Drives {
         read
     }
 
+    fn silence(&self, slot: usize) -> Option<(Duration, DriverError)> {
+        self.inner.silence(slot)
+    }
+
     fn sensors(&self) -> &[Sensor] {
         self.inner.sensors()
     }

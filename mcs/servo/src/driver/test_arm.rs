@@ -18,7 +18,7 @@ pub(crate) fn built_in_arm(name: &str) -> Model {
     built_in::model(name, Inertias::Engine).unwrap().unwrap()
 }
 
-/// Faults to be had from the arm: 1 read error, 2 write error, 3 not a number, 4 joint 1 held fast.
+/// Faults to be had from the arm: 1 read error, 2 write error, 3 not a number, 4 joint 1 held fast, 5 nothing new is read.
 #[derive(Default)]
 pub(crate) struct Knobs {
     pub(crate) fault: AtomicU8,
@@ -44,6 +44,8 @@ pub(crate) struct TestArm {
     start: Vec<f64>,
     q: Vec<f64>,
     qd: Vec<f64>,
+    period: Duration,
+    silent: Duration,
     knobs: Arc<Knobs>,
 }
 
@@ -57,6 +59,8 @@ impl TestArm {
             q: start.to_vec(),
             qd: vec![0.0; model.dof()],
             model,
+            period: Duration::ZERO,
+            silent: Duration::ZERO,
             knobs: Arc::clone(knobs),
         }
     }
@@ -113,7 +117,20 @@ impl ChannelDriver for TestArm {
         self.q.len()
     }
 
+    fn silence(&self, _: usize) -> Option<(Duration, DriverError)> {
+        let error = DriverError::Fault {
+            driver: "arm".to_owned(),
+            reason: format!("silent for {:?}", self.silent),
+        };
+        (!self.silent.is_zero()).then_some((self.silent, error))
+    }
+
     fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
+        if self.knobs.fault.load(Ordering::Relaxed) == 5 {
+            self.silent += self.period;
+            return Ok(());
+        }
+        self.silent = Duration::ZERO;
         for (index, reading) in readings.iter_mut().enumerate() {
             reading.position = self.q[index];
             reading.velocity = self.qd[index];
@@ -133,6 +150,7 @@ impl ChannelDriver for TestArm {
         period: Duration,
     ) -> Result<(), DriverError> {
         let written = Joints::try_from(torques).unwrap();
+        self.period = period;
         *self.knobs.last_write.lock().unwrap() = Some((power, written));
         if power != Power::Released {
             let speed = self.qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));

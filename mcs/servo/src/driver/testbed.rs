@@ -190,6 +190,11 @@ impl ChannelDriver for Testbed {
         self.parts.iter_mut().map(read).fold(Ok(()), Result::and)
     }
 
+    fn silence(&self, slot: usize) -> Option<(Duration, DriverError)> {
+        let own = self.parts.iter().find(|own| own.slots.contains(&slot))?;
+        own.driver.silence(slot - own.slots.start)
+    }
+
     fn sensors(&self) -> &[Sensor] {
         &self.sensors
     }

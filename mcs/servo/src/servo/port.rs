@@ -97,16 +97,18 @@ pub enum Fault {
     /// The channel driver reported an error; [`ServoPort::driver_error`] has its words.
     #[error("the channel driver failed")]
     Driver,
-    /// A slot read as a NaN or an infinity.
-    #[error("slot {slot} reads as no finite number")]
+    /// A joint read as a NaN or an infinity.
+    #[error("joint {joint} reads as no finite number")]
     Reading {
-        /// Slot, from 0.
-        slot: usize,
+        /// Joint number, from 1.
+        joint: usize,
     },
     /// A sensor read a NaN or an infinity.
-    #[error("number {number} of the sensors is no finite number")]
+    #[error("number {number} of slot `{slot}` is no finite number")]
     Sensor {
-        /// Among the numbers of all sensors, from 0.
+        /// The sensor's name.
+        slot: Words,
+        /// Which of its numbers, from 1.
         number: usize,
     },
     /// A joint was too far from its setpoint.

@@ -19,8 +19,9 @@ impl Servo {
                 *number = *wanted;
             }
         }
-        if let Some(number) = sensed.iter().position(|number| !number.is_finite()) {
-            return self.fail(Fault::Sensor { number });
+        if let Some(at) = sensed.iter().position(|number| !number.is_finite()) {
+            let (slot, number) = self.slots.whose(at);
+            return self.fail(Fault::Sensor { slot, number });
         }
         self.status.sensors = sensed;
         self.driver.ages(&mut self.slots.ages);

@@ -1,6 +1,7 @@
 //! The slots that are no joints: what inputs read, how old that is, and what outputs are set to.
 
 use crate::driver::{Sensor, SensorKind};
+use crate::guard::Words;
 use crate::joints::{Joints, MAX_SLOTS};
 
 /// All of them, by the numbers that they have one after the other.
@@ -40,6 +41,18 @@ impl Slots {
             wanted: Joints::zeros(found),
             is_output,
         })
+    }
+
+    /// The name of the slot that has the number at this place, and which of its numbers it is, from 1.
+    pub(super) fn whose(&self, at: usize) -> (Words, usize) {
+        let mut before = 0;
+        for Sensor { name, kind } in &self.sensors {
+            if at < before + kind.width() {
+                return (name.as_str().into(), at - before + 1);
+            }
+            before += kind.width();
+        }
+        (Words::default(), at + 1)
     }
 
     /// How many numbers they have.

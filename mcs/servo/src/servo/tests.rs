@@ -1,5 +1,6 @@
 //! The servo on an arm that obeys the equations of motion.
 
+mod drivers;
 mod estop;
 mod modes;
 mod slots;
@@ -75,6 +76,13 @@ impl Rig {
         self.planner.joint(&start, &GOAL.into(), speed).unwrap()
     }
 
+    /// Largest distance of a joint from its setpoint so many ticks later, rad or m.
+    fn off_after(&mut self, ticks: u32) -> f64 {
+        (0..ticks).for_each(|_| self.servo.tick(0));
+        let status = self.port.status();
+        distance(&status.setpoint, &status.position)
+    }
+
     fn run_to_end(&mut self) -> MotionStatus {
         for _ in 0..10_000 {
             self.servo.tick(0);
@@ -140,6 +148,8 @@ fn tracking(
     for (torque, joint) in status.torque.iter().zip(model.joints()) {
         assert!(torque.abs() <= joint.limits.torque);
     }
+    // A moment later it is there to 0.05 mrad, and to 0.05 mm.
+    assert!(rig.off_after(222) < 5e-5);
     motion.max_tracking_error
 }
 
@@ -151,7 +161,7 @@ fn any_arm_tracks_within_four_milliradians_and_ten_times_better_with_computed_to
         let pid = tracking(*case, |model| Box::new(PidGravity::new(model, 8.0, 1.0)));
         let computed = tracking(*case, |model| {
             let options = DynamicsOptions::WITH_ROTORS;
-            Box::new(ComputedTorque::new(model, 8.0, 1.0, options))
+            Box::new(ComputedTorque::new(model, 8.0, 1.0, options).with_integral())
         });
         assert!(pid.turning < 4e-3, "{case:?}: {pid:?}");
         assert!(pid.sliding < 1e-3, "{case:?}: {pid:?}");
@@ -241,23 +251,34 @@ fn a_joint_that_slides_has_limits_in_metres_of_its_own() {
 }
 
 #[test]
-fn a_tenth_more_mass_and_dry_friction_still_settle_through_the_integral() {
-    let heavy = built_in_arm("puma560").with_joints(|_, joint| {
-        joint.body.mass *= 1.1;
-        joint.body.inertia *= 1.1;
+fn with_a_tenth_more_mass_and_dry_friction_an_arm_still_settles_through_the_integral_of_its_law() {
+    let model = Arc::new(built_in_arm("puma560"));
+    let pid: fn(Arc<Model>) -> Box<dyn ControlLaw> =
+        |model| Box::new(PidGravity::new(model, 8.0, 1.0));
+    let computed: fn(Arc<Model>) -> Box<dyn ControlLaw> = |model| {
+        let law = ComputedTorque::new(model, 8.0, 1.0, DynamicsOptions::WITH_ROTORS);
+        Box::new(law.with_integral())
+    };
+    let cases = [(pid, 0.5), (pid, 1.0), (computed, 0.5), (computed, 1.0)];
+    let found = cases.map(|(law, speed)| {
+        let heavy = built_in_arm("puma560").with_joints(|_, joint| {
+            joint.body.mass *= 1.1;
+            joint.body.inertia *= 1.1;
+        });
+        let law = law(Arc::clone(&model));
+        let mut rig = Rig::at((heavy, Arc::clone(&model)), &START, true, law);
+        rig.release();
+        let segment = rig.plan(speed);
+        rig.start(segment);
+        let motion = rig.run_to_end();
+        let status = rig.port.status();
+        assert_eq!(motion.phase, MotionPhase::Done, "{motion:?} {status:?}");
+        // A joint that sticks is let go by the integral now and then, a little too far.
+        [motion.max_tracking_error.turning, rig.off_after(222)]
     });
-    let mut rig = Rig::new(heavy, true, pid());
-    rig.release();
-    let segment = rig.plan(0.5);
-    rig.start(segment);
-    let motion = rig.run_to_end();
-    assert_eq!(
-        motion.phase,
-        MotionPhase::Done,
-        "{motion:?} {:?}",
-        rig.port.status()
-    );
-    assert!(motion.max_tracking_error.turning < 0.03, "{motion:?}");
+    // As `docs/mcs-states.md` says, rad.
+    let within = |[moving, later]: &[f64; 2]| *moving < 1e-2 && *later < 1e-3;
+    assert!(found.iter().all(within), "{found:?}");
 }
 
 #[test]
@@ -403,7 +424,7 @@ fn a_driver_fault_cuts_power_in_the_same_tick_and_stays_until_reset() {
     for (knob, expected) in [
         (1, Fault::Driver),
         (2, Fault::Driver),
-        (3, Fault::Reading { slot: 4 }),
+        (3, Fault::Reading { joint: 5 }),
     ] {
         let mut rig = Rig::pid();
         rig.release();

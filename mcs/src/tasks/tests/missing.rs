@@ -21,7 +21,11 @@ fn a_driver_that_fails_while_the_arm_is_cold_is_named_to_who_reserves_or_resets_
                     knobs.fault.store(fault, Ordering::Relaxed);
                     let writes = knobs.writes_under_power.load(Ordering::Relaxed);
                     cx.sleep(a_tick).await;
-                    let words = if fault == 3 { "slot 4" } else { "cable out" };
+                    let words = if fault == 3 {
+                        "joint 5 reads as no finite number"
+                    } else {
+                        "cable out"
+                    };
                     let acquire = error_of(&cx, &mcs, Acquire {}).await?;
                     assert_eq!(acquire.outcome, Outcome::Fault, "{acquire}");
                     let reset = error_of(&cx, &mcs, Reset {}).await?;

@@ -9,6 +9,7 @@ struct Part {
     joints: usize,
     sensors: Vec<Sensor>,
     broken: bool,
+    silent: Duration,
     written: std::sync::Arc<std::sync::Mutex<Vec<f64>>>,
 }
 
@@ -23,6 +24,7 @@ impl Part {
             joints,
             sensors: sensors.iter().map(named).collect(),
             broken: false,
+            silent: Duration::ZERO,
             written: std::sync::Arc::default(),
         }
     }
@@ -32,12 +34,16 @@ impl Part {
         self
     }
 
+    fn failure(&self) -> DriverError {
+        DriverError::Fault {
+            driver: format!("part {}", self.at),
+            reason: "cable out".to_owned(),
+        }
+    }
+
     fn outcome(&self) -> Result<(), DriverError> {
         match self.broken {
-            true => Err(DriverError::Fault {
-                driver: format!("part {}", self.at),
-                reason: "cable out".to_owned(),
-            }),
+            true => Err(self.failure()),
             false => Ok(()),
         }
     }
@@ -55,6 +61,11 @@ impl ChannelDriver for Part {
             velocity: -self.at,
         });
         self.outcome()
+    }
+
+    fn silence(&self, slot: usize) -> Option<(Duration, DriverError)> {
+        assert!(slot < self.joints);
+        (!self.silent.is_zero()).then(|| (self.silent, self.failure()))
     }
 
     fn sensors(&self) -> &[Sensor] {
@@ -167,4 +178,25 @@ fn one_driver_that_fails_is_named_and_the_others_are_read_and_written_all_the_sa
         wrong.to_string().contains("5 commands for 6 slots"),
         "{wrong}"
     );
+}
+
+#[test]
+fn whose_silence_keeps_a_joint_from_being_read_is_asked_of_that_joints_own_driver() {
+    let mut quiet = Part::new(20.0, 3, &[]);
+    quiet.silent = Duration::from_millis(50);
+    let testbed = testbed(vec![
+        Part::new(10.0, 2, &[]),
+        quiet,
+        Part::new(30.0, 1, &[]),
+    ]);
+    for slot in 0..7 {
+        let expected = (2..5).contains(&slot);
+        match testbed.silence(slot) {
+            Some((silent, error)) => {
+                assert!(expected && silent == Duration::from_millis(50), "{slot}");
+                assert!(error.to_string().contains("part 20"), "{error}");
+            }
+            None => assert!(!expected, "{slot}"),
+        }
+    }
 }

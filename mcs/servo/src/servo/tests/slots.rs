@@ -6,10 +6,11 @@ use super::*;
 use crate::driver::{Sensor, SensorKind};
 use crate::servo::stream::{Following, Newest, Source, Stream, StreamKind};
 
-/// Ages of a switch and of a space mouse, and what a lamp and a laser were set to.
+/// Ages of a switch and of a space mouse, whether that reads no number, and what a lamp and a laser were set to.
 #[derive(Default)]
 struct Bench {
     ages: [f64; 2],
+    no_number: bool,
     set: Vec<f64>,
 }
 
@@ -30,6 +31,9 @@ impl ChannelDriver for Beside {
 
     fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
         numbers.copy_from_slice(&[1.0, 9.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 9.0]);
+        if self.2.lock().unwrap().no_number {
+            numbers[5] = f64::NAN;
+        }
         Ok(())
     }
 
@@ -123,6 +127,18 @@ fn outputs_are_set_while_there_is_power_and_read_as_they_are_set() {
     rig.order(ServoCommand::Reset);
     rig.order(ServoCommand::PowerOn);
     assert_eq!(bench.lock().unwrap().set, [0.0; 9], "they stay off");
+}
+
+#[test]
+fn a_sensor_that_reads_no_number_is_a_fault_with_its_name_and_which_of_its_numbers() {
+    let (mut rig, bench) = rig();
+    rig.release();
+    bench.lock().unwrap().no_number = true;
+    rig.servo.tick(0);
+    let status = rig.port.status();
+    assert_eq!(status.power, Power::Off);
+    let told = status.fault.unwrap().to_string();
+    assert_eq!(told, "number 4 of slot `mouse` is no finite number");
 }
 
 #[test]
