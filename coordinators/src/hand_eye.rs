@@ -255,6 +255,13 @@ fn told(camera: &str, looks: &Looks, found: &HandEye) -> AppResult {
     }
     let (rad, m) = (found.rms_rad, found.rms_m);
     let _ = writeln!(text, "  target off by {rad:.1e} rad and {m:.1e} m (rms)");
+    for one in &found.rejected {
+        let (number, rad, m) = (one.row + 1, one.off_rad, one.off_m);
+        let _ = writeln!(
+            text,
+            "  sample {number} is left out: off by {rad:.1e} rad and {m:.1e} m"
+        );
+    }
     for miss in &looks.missed {
         let _ = writeln!(text, "  not seen from {miss}");
     }

@@ -79,6 +79,62 @@ fn frames_cross_between_chassis_of_a_host_without_their_pixels() {
     stopped(run);
 }
 
+/// Each camera is asked for as many pictures as it gives, in each of which a spot is looked for, while the arm moves. A release
+/// on an idle machine with two cores is held to 25 Hz of each and to the servo's period; anything else to giving all pictures.
+#[test]
+#[allow(clippy::print_stdout, reason = "what was measured is told, too")]
+fn five_cameras_take_pictures_as_fast_as_they_are_asked_beside_a_moving_arm() {
+    let measured = std::env::var_os("CTOS_CAMERAS_HZ").is_some();
+    let pictures = if measured { 250 } else { 20 };
+    let scratch = Scratch::new();
+    let name = format!("fast_{}", std::process::id());
+    let run = up(&scratch, &name, &[]);
+    let told = |line: &str| {
+        let ended = scratch.scott(&[&name, "--json", "-c", line]);
+        ended.must_exit_leaving(0);
+        ended.json()
+    };
+    told("spot CTRL -threshold 90 -min-area 5 -most 10000");
+    // Ticks of the servo, and those that were missed.
+    let ticks = || numbers(&told("pino.arm EXEC state")["ints"]);
+    let before = ticks();
+    let asked = FIVE.map(|camera| {
+        let lines = format!("{}.txt", camera);
+        scratch.write(&lines, format!("{}\n", spot(camera)).repeat(pictures));
+        scratch.start(SCOTT, &[&name, "--json", "-f", &lines], &[])
+    });
+    let moved = told("mvpos.arm EXEC by FMSG 6 0.3 0.1 0.1 0 0 0.5");
+    assert_eq!(moved["ret"], 0, "{moved}");
+    let mut rates = Vec::new();
+    for (camera, run) in FIVE.iter().zip(asked) {
+        let ended = run.end();
+        ended.must_exit_leaving(0);
+        let answers: Vec<Value> = ended
+            .stdout
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(answers.len(), pictures, "{camera}");
+        // The last two are the picture's number and the stamp, ns.
+        let stamps = answers.iter().map(|answer| {
+            let ints = numbers(&answer["ints"]);
+            (ints[ints.len() - 2], ints[ints.len() - 1])
+        });
+        let stamps: Vec<(f64, f64)> = stamps.collect();
+        assert!(stamps.is_sorted_by(|one, other| one.0 < other.0 && one.1 < other.1));
+        let seconds = (stamps[pictures - 1].1 - stamps[0].1) * 1e-9;
+        rates.push((pictures - 1) as f64 / seconds);
+    }
+    let after = ticks();
+    let (all, missed) = (after[0] - before[0], after[1] - before[1]);
+    println!("pictures a second {rates:.1?}; ticks {all}, of which missed {missed}");
+    if measured {
+        assert!(rates.iter().all(|rate| *rate >= 25.0), "{rates:.1?}");
+        assert!(missed <= 0.001 * all, "{missed} of {all} ticks are missed");
+    }
+    stopped(run);
+}
+
 #[test]
 fn what_a_killed_chassis_held_of_a_camera_is_taken_back() {
     let scratch = Scratch::new();

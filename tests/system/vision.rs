@@ -80,6 +80,7 @@ fn run(seed: u64) -> Vec<[f64; 3]> {
 }
 
 #[test]
+#[allow(clippy::print_stdout, reason = "what was measured is told, too")]
 fn errors_of_calibrated_cameras_have_the_size_that_is_predicted() {
     let asked = std::env::var("CTOS_RUNS").ok();
     let runs = asked.map_or(FEW, |runs| runs.parse().unwrap());
@@ -104,6 +105,7 @@ fn errors_of_calibrated_cameras_have_the_size_that_is_predicted() {
     let rms: Vec<f64> = (0..QUANTITIES.len())
         .map(|k| (found.iter().map(|one| one[k] * one[k]).sum::<f64>() / count).sqrt())
         .collect();
+    println!("errors over standard deviations, rms over {count} cameras: {QUANTITIES:?} {rms:.3?}");
     // The root mean square of so many normal deviates scatters by 1/sqrt(2 n).
     let allowed = (3.5 / (2.0 * count).sqrt()).max(0.1);
     for ((error, _), rms) in QUANTITIES.iter().zip(&rms) {

@@ -43,6 +43,8 @@ const CAUCHY_SD: f64 = 1.5;
 const REJECTION_ROUNDS: usize = 20;
 /// Noise that no measurement of a spot is below, px: the limit of the rejection never falls under so much of it.
 const LEAST_SPOT_NOISE_PX: f64 = 0.01;
+/// A camera whose focal length has this standard deviation or more, relative to it, is poor.
+pub const POOR_FOCAL: f64 = 0.02;
 /// Noise below which residuals are rounding errors, px.
 const LEAST_NOISE_PX: f64 = 1e-6;
 /// Equations that must be left over beyond the parameters before a lens model is tried.
@@ -182,6 +184,8 @@ pub struct Calibration {
     pub used: usize,
     /// The others.
     pub rejected: Vec<RejectedPoint>,
+    /// Shortest over longest extent (rms) of the positions used: how far they are from one plane.
+    pub flatness: f64,
     /// Standard deviations of the estimate.
     pub uncertainty: Uncertainty,
 }
@@ -243,8 +247,7 @@ pub fn calibrate(
 ) -> Result<Calibration, CalibrationError> {
     table::check(table, width, height)?;
     let largest = LensModel::largest_for(table.len());
-    let stand = estimate(table, (width, height), largest, Beforehand::Lenses, rng)?;
-    assemble(table, width, height, &stand)
+    estimate(table, (width, height), largest, Beforehand::Lenses, rng)
 }
 
 /// What is known of a lens before a point is seen.
@@ -295,9 +298,9 @@ pub fn calibrate_as(
             })
     };
     enough(table.len())?;
-    let stand = estimate(table, (width, height), model, beforehand, rng)?;
-    enough(stand.used.len())?;
-    assemble(table, width, height, &stand)
+    let found = estimate(table, (width, height), model, beforehand, rng)?;
+    enough(found.used)?;
+    Ok(found)
 }
 
 /// The camera without outliers; unless the points lie on a curve that many cameras see alike.
@@ -307,19 +310,22 @@ fn estimate(
     model: LensModel,
     beforehand: Beforehand,
     rng: &mut ChaCha8Rng,
-) -> Result<Stand, CalibrationError> {
-    let found = start::find(table, size.0, size.1, rng)
+) -> Result<Calibration, CalibrationError> {
+    let stand = start::find(table, size.0, size.1, rng)
         .and_then(|start| robust_fit(table, start, model))
         .and_then(|robust| reject(table, robust, size, beforehand));
-    let used = found.as_ref().ok().map(|stand| stand.used.as_slice());
+    let used = stand.as_ref().ok().map(|stand| stand.used.as_slice());
     let is_used = |row: &usize| used.is_none_or(|used| used.binary_search(row).is_ok());
     let rows = table.iter().enumerate().filter(|(row, _)| is_used(row));
     let positions: Vec<Point3<f64>> = rows.map(|(_, point)| point.position()).collect();
-    match (curve::Curve::of(&positions), found) {
-        (Some(curve), Ok(stand)) if !curve.passes(&stand.camera.centre) => Ok(stand),
-        (Some(_), _) => Err(CalibrationError::Curve),
-        (None, found) => found,
-    }
+    let curve = curve::Curve::of(&positions);
+    let found = stand.and_then(|stand| assemble(table, size.0, size.1, &stand));
+    let Some(curve) = curve else { return found };
+    // Where they pass through the true camera, the fit may end at another one.
+    let sure = |found: &Calibration| {
+        found.focal_sd_rel() < POOR_FOCAL && !curve.passes(&found.camera.centre)
+    };
+    found.ok().filter(sure).ok_or(CalibrationError::Curve)
 }
 
 /// A camera with the points that it stands on.
@@ -441,6 +447,7 @@ fn assemble(
         noise_px: summary.noise_px,
         used: stand.used.len(),
         rejected: rejected.collect(),
+        flatness: table::flatness(table, &stand.used),
         residuals,
         uncertainty: summary.uncertainty,
     })

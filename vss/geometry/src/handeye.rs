@@ -21,7 +21,7 @@ pub struct Sample {
 }
 
 /// Where the camera sits.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct HandEye {
     /// The camera in the tool's frame.
     pub tool_t_camera: Isometry3<f64>,
@@ -29,10 +29,23 @@ pub struct HandEye {
     pub sd: [f64; 6],
     /// The target in the base frame.
     pub base_t_target: Isometry3<f64>,
-    /// Root of the mean square over the samples of the angle between the target as seen and as expected, rad.
+    /// Root of the mean square over the samples used of the angle between the target as seen and as expected, rad.
     pub rms_rad: f64,
     /// The same of the distance between the two, m.
     pub rms_m: f64,
+    /// The samples that were left out, for they do not agree with the others.
+    pub rejected: Vec<Rejected>,
+}
+
+/// A sample that was left out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rejected {
+    /// Its row, from 0.
+    pub row: usize,
+    /// The angle between the target as seen and as expected, rad.
+    pub off_rad: f64,
+    /// The distance between the two, m.
+    pub off_m: f64,
 }
 
 /// Why there is no answer.
@@ -49,6 +62,21 @@ pub enum HandEyeError {
     /// The tool hardly turned.
     #[error("the tool turns by at most {0:.1e} rad; turn it by 0.3 rad or more between samples")]
     NoTurns(f64),
+    /// The positions are spread over more than any laboratory.
+    #[error(
+        "the tool's positions are {0:.0} m apart (rms): positions are in m; are these millimetres?"
+    )]
+    TooLarge(f64),
+    /// No place of the camera explains the samples.
+    #[error(
+        "no place of the camera explains the samples: the target is {rad:.2} rad and {m:.2} m (rms) off where it should be; are both poses of a row of the same moment, in the same unit, and base_T_tool and camera_T_target, not their inverses?"
+    )]
+    Disagree {
+        /// Root mean square of the angles, rad.
+        rad: f64,
+        /// The same of the distances, m.
+        m: f64,
+    },
     /// The fit broke down.
     #[error("the samples do not determine the camera's place")]
     Undetermined,
@@ -60,49 +88,90 @@ const LEAST_SPREAD: f64 = 0.02;
 /// The tool must turn by this angle, rad.
 const LEAST_TURN: f64 = 0.01;
 
+/// Extent (rms) above which positions are not in metres, m.
+const LARGEST_M: f64 = 50.0;
+
+/// A sample is left out that is off by so many times the median, of this many samples or more.
+const REJECT_MEDIANS: f64 = 5.0;
+const FEWEST_TO_REJECT: usize = 6;
+
+/// Rounds after which a set of samples that still changes is taken as it is.
+const ROUNDS: usize = 10;
+
+/// Angles and distances may be off (rms) by so much of the turns of the tool and of the distance of the target.
+const MOST_OFF: f64 = 0.2;
+
+/// No camera is off by this angle (rms), rad.
+const MOST_OFF_RAD: f64 = 0.1;
+
 /// Most samples that are compared each with each for the start.
 const MOST_PAIRED: usize = 100;
 
 /// Residuals below these are rounding errors, rad and m.
 const LEAST_NOISE: f64 = 1e-12;
 
+/// Tables are rounded: what is off by less is no reason to leave a sample out, rad and m.
+const ROUNDED: f64 = 1e-5;
+
 /// Parameters of a fit: two poses.
 const UNKNOWN: usize = 12;
 
-/// Fits the camera's place on the tool.
+/// Fits the camera's place on the tool. Samples that do not agree with the others are left out.
 ///
 /// # Errors
 /// When the samples do not determine it.
 pub fn hand_eye(samples: &[Sample]) -> Result<HandEye, HandEyeError> {
-    if samples.len() < 3 {
-        return Err(HandEyeError::TooFew(samples.len()));
+    let spread = extent(samples.iter().map(|one| one.base_t_tool.translation.vector));
+    if spread > LARGEST_M {
+        return Err(HandEyeError::TooLarge(spread));
     }
-    let mut fit = Fit::start(samples)?;
-    // The noises follow from the residuals, and the residuals from the weights that the noises mean.
-    let mut noise = fit.noise(samples);
-    for _ in 0..5 {
-        fit = fit.refined(samples, noise)?;
-        noise = fit.noise(samples);
+    let mut used: Vec<usize> = (0..samples.len()).collect();
+    for _ in 0..ROUNDS {
+        let kept: Vec<Sample> = used
+            .iter()
+            .filter_map(|row| samples.get(*row))
+            .copied()
+            .collect();
+        let fit = Fit::of(&kept)?;
+        let agreeing = fit.agreeing(samples);
+        if agreeing == used || agreeing.len() < FEWEST_TO_REJECT {
+            break;
+        }
+        used = agreeing;
     }
-    let (normal, _) = fit.equations(samples, noise);
-    let covariance = normal.try_inverse().ok_or(HandEyeError::Undetermined)?;
-    let unturn = left_jacobian(fit.tool_t_camera.rotation.scaled_axis());
-    let unturn = unturn.try_inverse().ok_or(HandEyeError::Undetermined)?;
-    let mut change = SMatrix::<f64, 6, 6>::identity();
-    change.fixed_view_mut::<3, 3>(0, 0).copy_from(&unturn);
-    let found = change * covariance.fixed_view::<6, 6>(0, 0) * change.transpose();
-    let n = samples.len() as f64;
-    let residuals = samples.iter().map(|sample| fit.residual(sample));
-    let (turns, ways) = residuals.fold((0.0, 0.0), |(turns, ways), (turn, way)| {
-        (turns + turn.norm_squared(), ways + way.norm_squared())
-    });
-    Ok(HandEye {
-        tool_t_camera: fit.tool_t_camera,
-        sd: std::array::from_fn(|k| found[(k, k)].sqrt()),
-        base_t_target: fit.base_t_target,
-        rms_rad: (turns / n).sqrt(),
-        rms_m: (ways / n).sqrt(),
-    })
+    let kept: Vec<Sample> = used
+        .iter()
+        .filter_map(|row| samples.get(*row))
+        .copied()
+        .collect();
+    let mut found = Fit::of(&kept)?.answer(&kept)?;
+    found.rejected = (0..samples.len())
+        .filter(|row| used.binary_search(row).is_err())
+        .filter_map(|row| {
+            let fit = Fit {
+                tool_t_camera: found.tool_t_camera,
+                base_t_target: found.base_t_target,
+            };
+            let (off_rad, off_m) = fit.off(samples.get(row)?);
+            Some(Rejected {
+                row,
+                off_rad,
+                off_m,
+            })
+        })
+        .collect();
+    Ok(found)
+}
+
+/// Root mean square of the distances from the mean.
+fn extent(places: impl Iterator<Item = Vector3<f64>> + Clone) -> f64 {
+    let n = places.clone().count().max(1) as f64;
+    let mean = places.clone().sum::<Vector3<f64>>() / n;
+    (places
+        .map(|place| (place - mean).norm_squared())
+        .sum::<f64>()
+        / n)
+        .sqrt()
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -112,6 +181,77 @@ struct Fit {
 }
 
 impl Fit {
+    /// The fit of least squares. The noises follow from the residuals, and the residuals from the weights that the noises
+    /// mean.
+    fn of(samples: &[Sample]) -> Result<Self, HandEyeError> {
+        if samples.len() < 3 {
+            return Err(HandEyeError::TooFew(samples.len()));
+        }
+        let mut fit = Self::start(samples)?;
+        for _ in 0..5 {
+            fit = fit.refined(samples, fit.noise(samples))?;
+        }
+        Ok(fit)
+    }
+
+    fn answer(&self, samples: &[Sample]) -> Result<HandEye, HandEyeError> {
+        let (normal, _) = self.equations(samples, self.noise(samples));
+        let covariance = normal.try_inverse().ok_or(HandEyeError::Undetermined)?;
+        let unturn = left_jacobian(self.tool_t_camera.rotation.scaled_axis());
+        let unturn = unturn.try_inverse().ok_or(HandEyeError::Undetermined)?;
+        let mut change = SMatrix::<f64, 6, 6>::identity();
+        change.fixed_view_mut::<3, 3>(0, 0).copy_from(&unturn);
+        let found = change * covariance.fixed_view::<6, 6>(0, 0) * change.transpose();
+        let rms = |of: &dyn Fn(&Sample) -> f64| {
+            let squares: f64 = samples.iter().map(|sample| of(sample).powi(2)).sum();
+            (squares / samples.len() as f64).sqrt()
+        };
+        let (rad, m) = (
+            rms(&|sample| self.off(sample).0),
+            rms(&|sample| self.off(sample).1),
+        );
+        let first = samples
+            .first()
+            .ok_or(HandEyeError::Undetermined)?
+            .base_t_tool;
+        let turns = rms(&|sample| first.rotation.angle_to(&sample.base_t_tool.rotation));
+        let away = rms(&|sample| sample.camera_t_target.translation.vector.norm());
+        if rad > MOST_OFF_RAD.min(MOST_OFF * turns) || m > MOST_OFF * away {
+            return Err(HandEyeError::Disagree { rad, m });
+        }
+        Ok(HandEye {
+            tool_t_camera: self.tool_t_camera,
+            sd: std::array::from_fn(|k| found[(k, k)].sqrt()),
+            base_t_target: self.base_t_target,
+            rms_rad: rad,
+            rms_m: m,
+            rejected: Vec::new(),
+        })
+    }
+
+    /// The angle and the distance of the target as seen from where it is expected, rad and m.
+    fn off(&self, sample: &Sample) -> (f64, f64) {
+        let (turn, way) = self.residual(sample);
+        (turn.norm(), way.norm())
+    }
+
+    /// The samples that are off by no more than usual, both ways.
+    fn agreeing(&self, samples: &[Sample]) -> Vec<usize> {
+        let (turns, ways): (Vec<f64>, Vec<f64>) =
+            samples.iter().map(|sample| self.off(sample)).unzip();
+        let limit = |all: &[f64]| {
+            let mut sorted = all.to_vec();
+            sorted.sort_by(f64::total_cmp);
+            let median = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+            REJECT_MEDIANS * median.max(ROUNDED)
+        };
+        let (turn_limit, way_limit) = (limit(&turns), limit(&ways));
+        let both = turns.iter().zip(&ways).enumerate();
+        both.filter(|(_, (turn, way))| **turn <= turn_limit && **way <= way_limit)
+            .map(|(row, _)| row)
+            .collect()
+    }
+
     /// Park and Martin's closed form over pairs of samples.
     fn start(samples: &[Sample]) -> Result<Self, HandEyeError> {
         let paired = samples.get(..MOST_PAIRED).unwrap_or(samples);

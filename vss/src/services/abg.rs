@@ -138,17 +138,22 @@ impl Filter {
         }
     }
 
-    /// The gains for an interval, s.
-    fn gains_for(&self, dt: f64) -> Result<Gains, Report> {
+    /// The gains for an interval, s; none where the index of that is no number above 0.
+    fn gains_for(&self, dt: f64) -> Option<Gains> {
         let share = dt / self.0.period;
-        Gains::of(self.index() * share * share).ok_or_else(|| {
+        Gains::of(self.index() * share * share)
+    }
+
+    /// The gains for the period.
+    fn own_gains(&self) -> Result<Gains, Report> {
+        self.gains_for(self.0.period).ok_or_else(|| {
             let text = "there is no manoeuvring index: set CTRL -lambda L -period T, or -sigma-w, -sigma-v and -period, above 0";
             Report::error(sorma::report::code::VALUE, text)
         })
     }
 
     fn gains(&self, io: &mut Transport) -> Outcome {
-        let gains = self.gains_for(self.0.period)?;
+        let gains = self.own_gains()?;
         io.floats = vec![gains.alpha, gains.beta, gains.gamma];
         Ok(())
     }
@@ -157,6 +162,11 @@ impl Filter {
         let path = io.text.trim().strip_prefix("filter").unwrap_or_default();
         let source = opened(path.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
+        self.own_gains()?;
+        if table.at.is_empty() {
+            let text = format!("{}: the table has no rows", source.name());
+            return Err(Report::error(code::TABLE, text));
+        }
         let mut answer = Vec::with_capacity(4 * table.at.len());
         let mut state: Option<(f64, Track)> = None;
         for (row, numbers) in table.rows().enumerate() {
@@ -180,8 +190,21 @@ impl Filter {
                     let after = if z.is_nan() {
                         predicted
                     } else {
-                        predicted.corrected(z, self.gains_for(dt)?, dt)
+                        let gains = self.gains_for(dt).ok_or_else(|| {
+                            let text =
+                                format!("no filter follows over the {dt:?} s since the row before");
+                            wrong(&source, &table, row, &text)
+                        })?;
+                        predicted.corrected(z, gains, dt)
                     };
+                    if ![after.x, after.v, after.a]
+                        .iter()
+                        .all(|number| number.is_finite())
+                    {
+                        let text =
+                            format!("the {dt:?} s since the row before lead to no finite position");
+                        return Err(wrong(&source, &table, row, &text));
+                    }
                     (after, predicted.x)
                 }
             };

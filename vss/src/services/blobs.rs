@@ -7,12 +7,16 @@ use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transpor
 
 use super::{code, ended, picture};
 use crate::{
-    components::{Component, Connectivity, Expectation, Region, connected, regions},
+    components::{Component, Connectivity, Expectation, Region, connected_within, regions},
     frame::Frame,
 };
 
 /// Deeper regions are not moved further to the right in a text.
 const DEEPEST_SHOWN: usize = 20;
+
+/// Parts of components that a picture may have, so that they fit into 256 MiB; a tree has those of its holes, too.
+const PARTS_MOST: usize = 1 << 20;
+const PARTS_OF_TREE_MOST: usize = 1 << 18;
 
 /// So many components that are not as expected are told one by one.
 const MOST_TOLD: usize = 20;
@@ -70,7 +74,7 @@ impl Default for Options {
             dark: false,
             connectivity: "8".to_owned(),
             min: 1,
-            most: 100_000,
+            most: 75_000,
             area: vec![1, 1_000_000_000],
             eccentricity: 0.6,
             holes: "0".to_owned(),
@@ -202,7 +206,8 @@ impl Blobs {
     fn components(&self, seen: &Seen) -> Result<Vec<Component>, Report> {
         let (pixels, width) = (&seen.frame.pixels, seen.frame.width);
         let mut found = match seen.least {
-            Some(least) => connected(pixels, width, least, seen.connectivity),
+            Some(least) => connected_within(pixels, width, least, seen.connectivity, PARTS_MOST)
+                .ok_or_else(|| noisy(&seen.path))?,
             None => Vec::new(),
         };
         found.retain(|component| component.area >= self.0.min.unsigned_abs());
@@ -279,7 +284,8 @@ impl Blobs {
         let seen = self.seen("tree", io)?;
         let (pixels, width) = (&seen.frame.pixels, seen.frame.width);
         let all = match seen.least {
-            Some(least) => regions(pixels, width, least, seen.connectivity),
+            Some(least) => regions(pixels, width, least, seen.connectivity, PARTS_OF_TREE_MOST)
+                .ok_or_else(|| noisy(&seen.path))?,
             None => Vec::new(),
         };
         let kept = kept(&all, self.0.min.unsigned_abs());
@@ -296,6 +302,13 @@ impl Blobs {
         io.text = drawn(&kept);
         Ok(())
     }
+}
+
+fn noisy(path: &str) -> Report {
+    let text = format!(
+        "`{path}` has more parts of components than fit into memory, as noise has: change -threshold, or take a smaller picture"
+    );
+    Report::error(code::NO_SPOT, text)
 }
 
 /// A region of a tree from which small components were taken.

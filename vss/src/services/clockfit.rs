@@ -113,7 +113,7 @@ impl ClockFit {
         io.floats = vec![
             exchanges.offset + seconds(difference.offset_ns as f64),
             found.drift(),
-            seconds(difference.error_ns as f64),
+            seconds(difference.error_ns as f64) + exchanges.rounding,
         ];
         Ok(())
     }
@@ -127,16 +127,30 @@ struct Exchanges {
     end: Instant,
     /// First t2 minus first t1, s.
     offset: f64,
+    /// The steps of times as large as those of the table, s.
+    rounding: f64,
 }
 
 impl Exchanges {
     fn of(source: &Source, table: &Table) -> Result<Self, Report> {
-        let mut first = None;
+        let (mut first, mut rounding) = (None, 0.0_f64);
         let mut all = Vec::with_capacity(table.at.len());
         for (row, numbers) in table.rows().enumerate() {
             let &[t1, t2, t3, t4] = numbers else {
                 continue;
             };
+            // What the other clock counts beyond that is more than drift and rounding of the table.
+            let (way, stay) = (t4 - t1, t3 - t2);
+            let largest = numbers.iter().fold(0.0_f64, |most, t| most.max(t.abs()));
+            rounding = rounding.max(f64::EPSILON * largest);
+            let allowed = MOST_DRIFT * stay + 4.0 * rounding + 1e-8;
+            if stay - way > allowed && way >= 0.0 {
+                let text = format!(
+                    "{}: the server had the request for longer ({stay:?} s from t2 to t3) than request and reply took ({way:?} s from t1 to t4)",
+                    table.place(source, row)
+                );
+                return Err(Report::error(code::TABLE, text));
+            }
             let (here, there) = *first.get_or_insert((t1, t2));
             let times = [t1 - here, t2 - there, t3 - there, t4 - here];
             if times.iter().any(|time| time.abs() > LONGEST_S) {
@@ -169,6 +183,7 @@ impl Exchanges {
             end: all.last().map_or(Instant::START, |(_, last)| last.t4),
             all,
             offset: there - here,
+            rounding,
         })
     }
 

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
-    code, ended, opened,
+    MOST_TOLD, code, ended, opened,
     table::{self, Columns},
     told,
 };
@@ -86,6 +86,22 @@ fn calibrate(io: &mut Transport) -> Outcome {
     }
     let found = hand_eye(&samples)
         .map_err(|why| Report::error(code::NO_CAMERA, format!("{}: {why}", source.name())))?;
+    if !found.rejected.is_empty() {
+        let told = found.rejected.iter().take(MOST_TOLD).map(|one| {
+            let at = table.place(&source, one.row);
+            format!(
+                "{at} is off by {:.4} rad and {:.4} m",
+                one.off_rad, one.off_m
+            )
+        });
+        let told: Vec<String> = told.collect();
+        let (all, samples) = (found.rejected.len(), samples.len());
+        let text = format!(
+            "{all} of {samples} samples are not used: {}",
+            told.join("; ")
+        );
+        io.report(Report::warning(code::REJECTED, text));
+    }
     io.floats.clear();
     let turn = found.tool_t_camera.rotation.scaled_axis();
     let shift = found.tool_t_camera.translation.vector;

@@ -13,11 +13,15 @@ use super::{
     told,
 };
 use crate::calibrate::{
-    Beforehand, Calibration, CalibrationError, LensModel, LightPoint, RejectReason, calibrate_as,
+    Beforehand, Calibration, CalibrationError, LensModel, LightPoint, POOR_FOCAL, RejectReason,
+    calibrate_as,
 };
 
-/// A camera whose focal length has this standard deviation or more, relative to it, is told to be poor.
-const POOR_FOCAL: f64 = 0.02;
+/// Positions with a smaller share of thickness in their length are told to be nearly in one plane.
+const NEARLY_FLAT: f64 = 0.02;
+
+/// So are those that say so much less of what is around them than of what is between them, and so little, px.
+const AROUND: (f64, f64) = (5.0, 1.0);
 
 const COLUMNS: Columns = Columns {
     names: &["X", "Y", "Z", "u", "v"],
@@ -193,10 +197,21 @@ pub(super) fn warnings(source: &Source, table: &Table, found: &Calibration) -> V
         let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
         warnings.push(Report::warning(code::NO_CAMERA, text));
     }
+    let (between, around) = (
+        found.uncertainty.volume_error_px,
+        found.uncertainty.cube_error_px,
+    );
+    if found.flatness < NEARLY_FLAT || (around > AROUND.0 * between && around > AROUND.1) {
+        let text = format!(
+            "the positions lie nearly in one plane (thickness/length {:.1e}): pixels of points among them are predicted to {between:.2} px, and as far off them as they are wide to {around:.2} px; use two heights or more",
+            found.flatness
+        );
+        warnings.push(Report::warning(code::NO_CAMERA, text));
+    }
     let focal = found.focal_sd_rel();
     if focal > POOR_FOCAL {
         let text = format!(
-            "the points determine the camera poorly: its focal length to {:.1} %, its place to {:.3} m; are they nearly in one plane? Spread them in depth",
+            "the points determine the camera poorly: its focal length to {:.1} %, its place to {:.3} m; spread them over the picture and in depth",
             100.0 * focal,
             found.position_sd_m()
         );

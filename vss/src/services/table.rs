@@ -209,7 +209,8 @@ pub(super) fn rows(text: &str) -> impl Iterator<Item = Vec<Field<'_>>> {
         if content.is_empty() || content.starts_with('#') {
             return None;
         }
-        let fields = line.split(',').map(|field| {
+        // An empty last cell stands in its own line.
+        let fields = line.trim_end().split(',').map(|field| {
             let shown = field.trim();
             let at = start + (field.len() - field.trim_start().len());
             start += field.len() + 1;

@@ -436,7 +436,7 @@ fn every_degenerate_table_is_named() {
             eye.z * t * t * t / 27.0,
         )
     };
-    let cases: [(&str, String, &str); 13] = [
+    let cases: [(&str, String, &str); 14] = [
         ("coplanar", changed(&|_, r| r[2] = 0.1), "lie in one plane"),
         (
             "collinear",
@@ -491,6 +491,11 @@ fn every_degenerate_table_is_named() {
             "empty cell",
             format!("{good}1,2,,4,5\n"),
             ":62:5: error: Z must be a finite number, not ``",
+        ),
+        (
+            "empty last cell",
+            format!("{good}1,2,3,4,\n"),
+            ":62:9: error: v must be a finite number, not ``",
         ),
         (
             "unit in a cell",

@@ -3,6 +3,8 @@
 
 mod buffer;
 mod directory;
+#[cfg(test)]
+mod fuzz;
 mod recording;
 mod stream;
 

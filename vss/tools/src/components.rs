@@ -209,8 +209,20 @@ pub fn connected(
     threshold: u8,
     connectivity: Connectivity,
 ) -> Vec<Component> {
+    connected_within(pixels, width, threshold, connectivity, usize::MAX).unwrap_or_default()
+}
+
+/// The same; none when more than about `most` parts of components begin. Each takes memory, also one that joins another below.
+#[must_use]
+pub fn connected_within(
+    pixels: &[u8],
+    width: usize,
+    threshold: u8,
+    connectivity: Connectivity,
+    most: usize,
+) -> Option<Vec<Component>> {
     if width == 0 {
-        return Vec::new();
+        return Some(Vec::new());
     }
     let mut forest = Forest::new(connectivity);
     let (mut above, mut here) = (Vec::new(), Vec::new());
@@ -218,10 +230,15 @@ pub fn connected(
         here.clear();
         find_runs(line, threshold, &mut here);
         forest.connect(&above, &mut here, row);
+        if forest.parts.len() > most {
+            return None;
+        }
         std::mem::swap(&mut above, &mut here);
     }
-    let (roots, _) = forest.settled();
-    roots.into_iter().map(|(_, component)| component).collect()
+    let roots = forest.settle();
+    let (mut parts, mut labels) = (forest.parts, roots.iter().enumerate());
+    parts.retain(|_| labels.next().is_some_and(|(label, root)| label == *root));
+    Some(parts)
 }
 
 /// Appends the runs of `line` that are at least `threshold`, from left to right.
@@ -331,8 +348,8 @@ impl Forest {
         low
     }
 
-    /// The components with their labels, in the order of their first pixels, and for each label that of its component.
-    fn settled(mut self) -> (Vec<(usize, Component)>, Vec<usize>) {
+    /// Adds every part to the part with the first pixel of its component, and answers the label of that for each label.
+    fn settle(&mut self) -> Vec<usize> {
         for label in (0..self.parts.len()).rev() {
             let parent = self.parents[label];
             if parent != label {
@@ -343,11 +360,17 @@ impl Forest {
                 }
             }
         }
-        let mut roots = self.parents;
+        let mut roots = std::mem::take(&mut self.parents);
         for label in 0..roots.len() {
             // A parent's root is known already.
             roots[label] = roots[roots[label]];
         }
+        roots
+    }
+
+    /// The components with their labels, in the order of their first pixels, and for each label that of its component.
+    fn settled(mut self) -> (Vec<(usize, Component)>, Vec<usize>) {
+        let roots = self.settle();
         let parts = self.parts.into_iter().enumerate();
         let components = parts.filter(|(label, _)| roots.get(*label) == Some(label));
         (components.collect(), roots)
@@ -534,6 +557,18 @@ mod tests {
         let n = width as f64;
         assert_eq!(found[0].moments().uu, (n * n - 1.0) / 12.0);
         assert_eq!(found[0].moments().vv, 0.0);
+    }
+
+    /// A chequered picture has no two pixels that share a side.
+    #[test]
+    fn a_picture_of_too_many_parts_is_given_up_before_they_take_the_memory() {
+        let pixels: Vec<u8> = (0..200 * 200)
+            .map(|at| ((at % 200 + at / 200) % 2) as u8)
+            .collect();
+        let find = |most| connected_within(&pixels, 200, 1, Connectivity::Four, most);
+        assert_eq!(find(20_000).map(|found| found.len()), Some(20_000));
+        assert_eq!(find(19_000), None);
+        assert_eq!(regions(&pixels, 200, 1, Connectivity::Four, 19_000), None);
     }
 
     #[test]

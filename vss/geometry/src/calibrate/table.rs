@@ -259,6 +259,14 @@ fn check_geometry(table: &[LightPoint], rows: &[usize]) -> Result<(), Calibratio
     Ok(())
 }
 
+/// Shortest over longest extent (rms) of the positions of `rows`.
+pub(super) fn flatness(table: &[LightPoint], rows: &[usize]) -> f64 {
+    let points = rows.iter().filter_map(|row| table.get(*row));
+    let positions: Vec<[f64; 3]> = points.map(|p| [p.x, p.y, p.z]).collect();
+    let [longest, _, shortest] = extents::<3>(&positions);
+    shortest / longest
+}
+
 /// Rms extents along the principal axes, largest first.
 fn extents<const D: usize>(points: &[[f64; D]]) -> [f64; D] {
     let n = points.len().max(1) as f64;

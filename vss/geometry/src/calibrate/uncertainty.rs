@@ -1,6 +1,6 @@
 //! How good an estimated camera is: covariance, standard deviations, condition, expected error in the work volume.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, SMatrix};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, SMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{CalibrationError, LightPoint, Stand, fit, held::Held};
@@ -10,6 +10,8 @@ use crate::camera::{Camera, PARAMETERS};
 const WORST_CONDITION: f64 = 1e8;
 /// Points per side of the grid on which the work volume is judged.
 const GRID: usize = 5;
+/// Nothing is judged nearer to the camera than this part of the distance of the middle.
+const NEAREST: f64 = 0.25;
 
 pub(crate) type Covariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
@@ -35,6 +37,9 @@ pub struct Uncertainty {
     pub condition: f64,
     /// Expected error (rms of the length) of a point projected anywhere in the box around the light positions, px.
     pub volume_error_px: f64,
+    /// The same in the cube around them whose sides are as long as the longest of the box, px. Positions nearly in one plane
+    /// say little of it.
+    pub cube_error_px: f64,
 }
 
 impl Uncertainty {
@@ -164,6 +169,15 @@ pub(crate) fn describe(
     let position: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
     let focal = 0.25 * covariance.fixed_view::<2, 2>(6, 6).sum();
     let array = |m: &Matrix3<f64>| std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]));
+    let ends = (
+        Vector3::repeat(f64::INFINITY),
+        Vector3::repeat(f64::NEG_INFINITY),
+    );
+    let (low, high) = points.iter().fold(ends, |(low, high), p| {
+        (low.inf(&p.coords), high.sup(&p.coords))
+    });
+    let (middle, half) = ((low + high) / 2.0, (high - low) / 2.0);
+    let error = |half: Vector3<f64>| grid_error(camera, (middle, half), covariance);
     Uncertainty {
         parameter_sd: std::array::from_fn(|k| covariance[(k, k)].sqrt()),
         position_covariance: array(&position),
@@ -173,7 +187,8 @@ pub(crate) fn describe(
         rotation_sd_rad: rotation.trace().sqrt(),
         focal_sd_rel: focal.sqrt() / camera.focal(),
         condition,
-        volume_error_px: volume_error(camera, points, covariance),
+        volume_error_px: error(half),
+        cube_error_px: error(Vector3::repeat(half.max())),
     }
 }
 
@@ -194,23 +209,23 @@ fn camera_t_world_covariance(camera: &Camera, covariance: &Covariance) -> [[f64;
     std::array::from_fn(|i| std::array::from_fn(|j| found[(i, j)]))
 }
 
-/// Rms over a grid in the box around `points` of the error that `covariance` means for a projected point, px.
-fn volume_error(camera: &Camera, points: &[Point3<f64>], covariance: &Covariance) -> f64 {
-    let Some(first) = points.first() else {
-        return f64::NAN;
-    };
-    let (low, high) = points
-        .iter()
-        .fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
+/// Rms over a grid in the box about `middle` with half sides `half` of the error that `covariance` means for a projected
+/// point, px. What is much nearer to the camera than the middle is left out.
+fn grid_error(
+    camera: &Camera,
+    (middle, half): (Vector3<f64>, Vector3<f64>),
+    covariance: &Covariance,
+) -> f64 {
     // The middles of equal cells, so that every part of the volume counts the same.
-    let part = |k: usize| (k as f64 + 0.5) / GRID as f64;
+    let part = |k: usize| (2 * k + 1) as f64 / GRID as f64 - 1.0;
+    let depth = |point: Vector3<f64>| camera.in_camera_frame(&point.into()).z;
+    let nearest = NEAREST * depth(middle);
     let (mut sum, mut count) = (0.0, 0.0);
     for cell in 0..GRID.pow(3) {
         let at = [cell % GRID, cell / GRID % GRID, cell / GRID / GRID].map(part);
-        let offset = (high - low).component_mul(&nalgebra::Vector3::from(at));
-        let point = low + offset;
-        if camera.in_camera_frame(&point).z > 0.0
-            && let Some((_, j)) = camera.project_with_jacobian(&point)
+        let point = middle + half.component_mul(&Vector3::from(at));
+        if depth(point) > nearest.max(0.0)
+            && let Some((_, j)) = camera.project_with_jacobian(&point.into())
         {
             sum += (j * covariance * j.transpose()).trace();
             count += 1.0;

@@ -84,6 +84,70 @@ fn samples_without_an_answer_are_refused_with_their_reason() {
     assert_eq!(hand_eye(&two), Err(HandEyeError::TooFew(2)));
     let one_axis = samples(12, [0.0, 0.0, 0.8], (1e-4, 1e-4), 2);
     assert!(matches!(hand_eye(&one_axis), Err(HandEyeError::OneAxis(_))));
+    let large = samples(12, [0.8; 3], (1e-4, 1e-4), 4)
+        .into_iter()
+        .map(|mut one| {
+            one.base_t_tool.translation.vector *= 1e3;
+            one
+        });
+    let large = hand_eye(&large.collect::<Vec<_>>()).unwrap_err();
+    assert!(
+        large.to_string().contains("are these millimetres?"),
+        "{large}"
+    );
+    // Poses of other moments, and inverses.
+    let good = samples(12, [0.8; 3], (1e-4, 1e-4), 5);
+    let shuffled: Vec<Sample> = (0..12)
+        .map(|k| Sample {
+            camera_t_target: good[(5 * k + 3) % 12].camera_t_target,
+            ..good[k]
+        })
+        .collect();
+    let inverse = |one: &Sample| Sample {
+        base_t_tool: one.base_t_tool.inverse(),
+        ..*one
+    };
+    let inverses: Vec<Sample> = good.iter().map(inverse).collect();
+    let lengths = |one: &Sample| {
+        let mut one = *one;
+        one.camera_t_target.translation.vector *= 1e3;
+        one
+    };
+    let lengths: Vec<Sample> = good.iter().map(lengths).collect();
+    for wrong in [shuffled, inverses, lengths] {
+        let refused = hand_eye(&wrong);
+        assert!(
+            matches!(refused, Err(HandEyeError::Disagree { .. })),
+            "{refused:?}"
+        );
+    }
     let still = samples(12, [0.0; 3], (1e-4, 1e-4), 3);
     assert!(matches!(hand_eye(&still), Err(HandEyeError::NoTurns(_))));
+}
+
+#[test]
+fn samples_that_do_not_agree_with_the_others_are_left_out_and_named() {
+    for seed in 0..20 {
+        let good = samples(15, [0.7; 3], (1e-3, 5e-4), 100 + seed);
+        let mut some = good.clone();
+        some[4].camera_t_target = pose([0.2, 0.0, 0.0], [0.0; 3]) * some[4].camera_t_target;
+        some[9].camera_t_target.translation.vector.x += 0.1;
+        let found = hand_eye(&some).unwrap();
+        let rows: Vec<usize> = found.rejected.iter().map(|one| one.row).collect();
+        assert_eq!(rows, [4, 9]);
+        assert!((found.rejected[0].off_rad - 0.2).abs() < 0.01, "{found:?}");
+        assert!((found.rejected[1].off_m - 0.1).abs() < 0.01, "{found:?}");
+        let without: Vec<Sample> = (0..15)
+            .filter(|k| ![4, 9].contains(k))
+            .map(|k| good[k])
+            .collect();
+        let without = hand_eye(&without).unwrap();
+        assert!(without.rejected.is_empty());
+        assert_eq!(
+            (found.tool_t_camera, found.sd),
+            (without.tool_t_camera, without.sd)
+        );
+        // Noise alone is no reason.
+        assert!(hand_eye(&good).unwrap().rejected.is_empty());
+    }
 }

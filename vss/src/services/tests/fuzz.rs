@@ -109,6 +109,20 @@ fn readers() -> Vec<Reader> {
             &["colour CTRL -train FILE"],
             "class,r,g,b\nred,200,10,10\nred,190,20,10\nblue,10,10,200\nblue,20,10,190\n",
         ),
+        reader(
+            "colour watch",
+            &["colour CTRL -watch FILE"],
+            "u,v,radius,r,g,b\n3,3,1,200,10,10\n9,4,0,10,10,200\n",
+        ),
+        reader(
+            "board train",
+            &[
+                "board CTRL -train FILE",
+                "findBrdMarker CTRL -train FILE -class white",
+                "getDisk CTRL -train FILE",
+            ],
+            "class,r,g,b\nwhite,240,240,230\nwhite,250,250,250\nblack,10,10,10\nblack,20,10,10\ndark,90,60,40\ndark,80,60,50\n",
+        ),
     ]
 }
 
@@ -210,6 +224,82 @@ fn files_of_cameras_and_frames_of_messages_take_any_bytes() {
     mutator.play("frame", vec![frame], |bytes| {
         if let Ok(frame) = postcard::from_bytes::<Frame>(bytes) {
             let _ = (frame.is_whole(), frame.grey().len(), frame.get(7, 9));
+        }
+    });
+}
+
+/// A chequered board of 8 x 8 px squares with two discs, and a ball.
+fn small_board() -> Vec<u8> {
+    let mut bytes = b"P5 80 80 255\n".to_vec();
+    for at in 0..80 * 80 {
+        let (u, v) = (at % 80, at / 80);
+        let inside = (8..72).contains(&u) && (8..72).contains(&v);
+        let far = |x: f64, y: f64| (f64::from(u) - x).hypot(f64::from(v) - y);
+        bytes.push(match () {
+            () if far(19.5, 11.5) < 3.0 || far(75.0, 75.0) < 3.5 => 250,
+            () if far(11.5, 67.5) < 3.0 => 5,
+            () if inside && (u / 8 + v / 8) % 2 == 0 => 200,
+            () if inside => 90,
+            () => 40,
+        });
+    }
+    bytes
+}
+
+#[test]
+fn pictures_of_any_bytes_are_answered_by_every_class_that_takes_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, table) = (
+        folder.path().join("picture"),
+        folder.path().join("table.csv"),
+    );
+    fs::write(
+        &table,
+        "class,r,g,b\nred,200,10,10\nred,190,20,10\nblue,10,10,200\nblue,20,10,190\n",
+    )
+    .unwrap();
+    let sorm = manager();
+    for line in [
+        format!("colour CTRL -train {}", table.display()),
+        "spot CTRL -fit on".to_owned(),
+        "corners CTRL -inner 7 7".to_owned(),
+    ] {
+        let reply = ask(&sorm, &line);
+        assert!(reply.is_ok(), "{line}: {:?}", reply.reports);
+    }
+    let mutator = Mutator {
+        corpus: concat!(env!("CARGO_MANIFEST_DIR"), "/tests/corpus").into(),
+        words: &["P5 ", "P6 ", "65535\n", "255\n", "80 ", "9 ", "# ", "BM"],
+        longest: 8192,
+        seconds: 2.0,
+        targets: 1,
+    };
+    let asked = [
+        "blobs EXEC TMSG FILE",
+        "blobs EXEC tree FILE",
+        "blobs EXEC expect FILE",
+        "spot EXEC TMSG FILE",
+        "colour EXEC TMSG FILE",
+        "board EXEC TMSG FILE",
+        "board EXEC marker FILE",
+        "board EXEC disk FILE FMSG 2 0.5 0.5",
+        "findBrdMarker EXEC TMSG FILE",
+        "getDisk EXEC FILE FMSG 2 0.5 0.5",
+        "getDisk EXEC near FILE FMSG 3 19 11 3",
+        "corners EXEC TMSG FILE",
+    ];
+    mutator.play("picture", vec![small_board()], |bytes| {
+        fs::write(&path, bytes).unwrap();
+        for line in asked {
+            let reply = ask(&sorm, &line.replace("FILE", &path.display().to_string()));
+            let told = format!("{line}: {:?}", reply.reports);
+            assert!(!told.contains("panicked"), "{told}");
+            assert!(
+                reply.floats.iter().all(|x| x.is_finite()),
+                "{told} {:?}",
+                reply.floats
+            );
+            assert!(reply.is_ok() || !reply.reports.is_empty(), "{told}");
         }
     });
 }

@@ -63,7 +63,7 @@ impl Args for DirectoryArgs {
 }
 
 /// A picture's file and its stamp, if it has one.
-type Listed = (PathBuf, Option<Duration>);
+pub(super) type Listed = (PathBuf, Option<Duration>);
 
 /// The pictures in a folder.
 pub(super) struct Directory {
@@ -188,7 +188,7 @@ fn named(folder: &Path) -> Result<Vec<PathBuf>, String> {
 }
 
 /// The last number in a file's name: seconds if it has a point, else nanoseconds, as common data sets have it.
-fn stamp_of(path: &Path) -> Result<Duration, String> {
+pub(super) fn stamp_of(path: &Path) -> Result<Duration, String> {
     let stem = path
         .file_stem()
         .and_then(|stem| stem.to_str())
@@ -225,7 +225,7 @@ fn ascending(stamped: &[Listed]) -> Result<(), String> {
 }
 
 /// The pictures that a table names, with their stamps.
-fn from_table(folder: &Path, table: &str) -> Result<Vec<Listed>, String> {
+pub(super) fn from_table(folder: &Path, table: &str) -> Result<Vec<Listed>, String> {
     let source = Source::read(&folder.join(table)).map_err(|finding| finding.to_string())?;
     let mut listed: Vec<Listed> = Vec::new();
     let (mut at, mut headed) = (0, false);

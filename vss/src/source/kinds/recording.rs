@@ -1,6 +1,9 @@
 //! The frames in a record of an app (MCAP): what its Vision Modules answered.
 
-use std::{collections::VecDeque, path::PathBuf};
+use std::{
+    collections::VecDeque,
+    path::{Path, PathBuf},
+};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use ctos::{
@@ -60,56 +63,15 @@ impl Recording {
             frames: None,
         };
         if !cx.is_replay() {
-            own.frames = Some(own.read().map_err(HandlerError::new)?);
+            own.frames = Some(frames(&own.path, &own.recorded).map_err(HandlerError::new)?);
         }
         Ok(own)
-    }
-
-    fn read(&self) -> Result<VecDeque<Frame>, String> {
-        let filter = Filter {
-            topics: vec!["/reply/*".to_owned()],
-            ..Filter::default()
-        };
-        let (mut frames, mut bytes, mut others) = (VecDeque::new(), 0_usize, Vec::new());
-        let shown = self.path.display();
-        let run = scan_only(&self.path, &filter, |entry| {
-            let Some(frame) = frame_of(&entry.json) else {
-                return;
-            };
-            if frame.camera == self.recorded {
-                bytes += frame.pixels.len();
-                if bytes <= BYTES_MOST {
-                    frames.push_back(frame);
-                }
-            } else if !others.contains(&frame.camera) {
-                others.push(frame.camera);
-            }
-        });
-        run.map_err(|error| error.to_string())?;
-        if bytes > BYTES_MOST {
-            return Err(format!(
-                "the frames of camera `{}` in `{shown}` take {bytes} bytes, more than {BYTES_MOST}: cut a part out with `ctos log \
-                 filter --from --to`",
-                self.recorded
-            ));
-        }
-        if frames.is_empty() {
-            let others = match others.as_slice() {
-                [] => "of no camera".to_owned(),
-                others => format!("of {}", others.join(", ")),
-            };
-            return Err(format!(
-                "`{shown}` has no frames of camera `{}`, but {others}",
-                self.recorded
-            ));
-        }
-        Ok(frames)
     }
 
     fn next(&mut self) -> Result<Frame, String> {
         let frames = match self.frames.take() {
             Some(frames) => frames,
-            None => self.read()?,
+            None => frames(&self.path, &self.recorded)?,
         };
         let recorded =
             self.frames.insert(frames).pop_front().ok_or_else(|| {
@@ -129,8 +91,48 @@ impl Recording {
     }
 }
 
+/// All frames of a camera in a record.
+pub(super) fn frames(path: &Path, camera: &str) -> Result<VecDeque<Frame>, String> {
+    let filter = Filter {
+        topics: vec!["/reply/*".to_owned()],
+        ..Filter::default()
+    };
+    let (mut frames, mut bytes, mut others) = (VecDeque::new(), 0_usize, Vec::new());
+    let shown = path.display();
+    let run = scan_only(path, &filter, |entry| {
+        let Some(frame) = frame_of(&entry.json) else {
+            return;
+        };
+        if frame.camera == camera {
+            bytes += frame.pixels.len();
+            if bytes <= BYTES_MOST {
+                frames.push_back(frame);
+            }
+        } else if !others.contains(&frame.camera) {
+            others.push(frame.camera);
+        }
+    });
+    run.map_err(|error| error.to_string())?;
+    if bytes > BYTES_MOST {
+        return Err(format!(
+            "the frames of camera `{camera}` in `{shown}` take {bytes} bytes, more than {BYTES_MOST}: cut a part out with `ctos log \
+             filter --from --to`"
+        ));
+    }
+    if frames.is_empty() {
+        let others = match others.as_slice() {
+            [] => "of no camera".to_owned(),
+            others => format!("of {}", others.join(", ")),
+        };
+        return Err(format!(
+            "`{shown}` has no frames of camera `{camera}`, but {others}"
+        ));
+    }
+    Ok(frames)
+}
+
 /// The frame that a line of a reply holds, if it is one.
-fn frame_of(json: &[u8]) -> Option<Frame> {
+pub(super) fn frame_of(json: &[u8]) -> Option<Frame> {
     #[derive(Deserialize)]
     struct Reply {
         code: u32,

@@ -18,16 +18,18 @@ pub struct Region {
 
 /// All components of the pixels that are at least `threshold`, and their holes, in the order of their first pixels.
 ///
-/// A region comes after the one around it. Rows are as in [`components`](super::components).
+/// A region comes after the one around it. Rows are as in [`components`](super::components). None when more than about `most`
+/// parts of components, or of the background, begin.
 #[must_use]
 pub fn regions(
     pixels: &[u8],
     width: usize,
     threshold: u8,
     connectivity: Connectivity,
-) -> Vec<Region> {
+    most: usize,
+) -> Option<Vec<Region>> {
     if width == 0 {
-        return Vec::new();
+        return Some(Vec::new());
     }
     let other = match connectivity {
         Connectivity::Four => Connectivity::Eight,
@@ -43,8 +45,11 @@ pub fn regions(
         dark.note_lefts(&bright.here);
         bright.next_row();
         dark.next_row();
+        if bright.lefts.len().max(dark.lefts.len()) > most {
+            return None;
+        }
     }
-    nested(bright, dark, (width, pixels.len() / width))
+    Some(nested(bright, dark, (width, pixels.len() / width)))
 }
 
 /// The foreground, or the background.
@@ -145,7 +150,7 @@ mod tests {
 
     fn tree(rows: &[&str], connectivity: Connectivity) -> Vec<(bool, u64, Option<usize>)> {
         let pixels: Vec<u8> = rows.concat().bytes().map(|b| u8::from(b == b'#')).collect();
-        let found = regions(&pixels, rows[0].len(), 1, connectivity);
+        let found = regions(&pixels, rows[0].len(), 1, connectivity, 100).unwrap();
         let short = |one: &Region| (one.hole, one.component.area, one.parent);
         found.iter().map(short).collect()
     }
@@ -218,7 +223,7 @@ mod tests {
             let whole = pixels.len() / width * width;
             let pixels: Vec<u8> = pixels[..whole].iter().map(|p| if inverse { 1 - p } else { *p }).collect();
             let connectivity = if corners { Connectivity::Eight } else { Connectivity::Four };
-            let found = regions(&pixels, width, 1, connectivity);
+            let found = regions(&pixels, width, 1, connectivity, 1000).unwrap();
             let members = |region: &Region| {
                 let own = u8::from(!region.hole);
                 let wall: Vec<bool> = pixels.iter().map(|pixel| *pixel != own).collect();

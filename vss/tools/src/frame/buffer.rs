@@ -223,7 +223,7 @@ impl Frame {
 }
 
 /// A frame of a record.
-fn frame(description: &str, floats: &[f64], pixels: Vec<u8>) -> Option<Frame> {
+pub(crate) fn frame(description: &str, floats: &[f64], pixels: Vec<u8>) -> Option<Frame> {
     let &[
         number,
         width,
@@ -360,6 +360,36 @@ mod tests {
             there[0].clone().fetched(),
             Err(FrameError::Gone { number: 2, .. })
         ));
+    }
+
+    /// A copy needs room for the pixels. The way in has it in the buffer, and takes none besides; the way out takes it once.
+    #[test]
+    fn pixels_are_copied_once_into_the_buffer_and_once_out_of_it() {
+        const PIXELS: u64 = 500 * 500;
+        let app = format!("vss-copies-{}", std::process::id());
+        let mut writer = FrameWriter::new((&app, "frames.left"), &Clock::real());
+        let frame = Frame {
+            camera: "left".into(),
+            ..Frame::grey8(500, 500, vec![7; PIXELS as usize])
+        };
+        // The first one makes the buffer.
+        writer.write(&frame).unwrap();
+        let (mut left, mut sent, mut there) = (None, Vec::new(), None);
+        let room = |work: &mut dyn FnMut()| allocation_counter::measure(work).bytes_total;
+        let leaving = room(&mut || left = Some(writer.write(&frame).unwrap()));
+        let frame = Frame { left, ..frame };
+        let passing = room(&mut || drop(frame.clone().fetched().unwrap()));
+        let sending = room(&mut || sent = postcard::to_allocvec(&frame).unwrap());
+        let fetching = room(&mut || {
+            let come: Frame = postcard::from_bytes(&sent).unwrap();
+            there = Some(come.fetched().unwrap());
+        });
+        assert!(
+            leaving + passing + sending < 10_000,
+            "{leaving} {passing} {sending}"
+        );
+        assert!((PIXELS..PIXELS + 20_000).contains(&fetching), "{fetching}");
+        assert_eq!(there.unwrap().pixels, frame.pixels);
     }
 
     #[test]

@@ -12,6 +12,9 @@ use super::{
 pub(in crate::spot) const REACH: f64 = 3.5;
 /// A fit that has not settled after this many evaluations per parameter will not.
 const PATIENCE: usize = 10;
+/// Pixels of a fit, about. Of a larger window every second, third and so on row and column is fitted, so that nothing large
+/// takes long.
+const PIXELS: usize = 2048;
 /// Parameters of the Gaussian on a constant.
 pub(super) const CONSTANT: usize = 5;
 /// Most parameters.
@@ -143,8 +146,10 @@ impl Problem {
         let window = Window::around(picture, guess);
         let (middle, _) = window.middle();
         let (mut pixels, mut saturated) = (Vec::new(), 0);
-        for v in window.v.0..window.v.1 {
-            for u in window.u.0..window.u.1 {
+        let all = (window.u.1 - window.u.0) * (window.v.1 - window.v.0);
+        let stride = ((all as f64 / PIXELS as f64).sqrt().ceil() as usize).max(1);
+        for v in (window.v.0..window.v.1).step_by(stride) {
+            for u in (window.u.0..window.u.1).step_by(stride) {
                 let Some(value) = picture.value(u, v) else {
                     saturated += 1;
                     continue;

@@ -270,3 +270,27 @@ proptest! {
         }
     }
 }
+
+/// Discs of any size, and a wall, are centroids: how many evaluations a fit takes does not grow with them.
+#[test]
+fn what_is_much_larger_than_a_spot_is_found_and_fitted_to_some_of_its_pixels() {
+    for radius in [15.0, 60.0, 400.0] {
+        let size = 1000;
+        let pixels: Vec<u8> = (0..size * size)
+            .map(|at| {
+                let far = ((at % size) as f64 - 500.25).hypot((at / size) as f64 - 499.5);
+                (20.0 + 160.0 / (1.0 + ((far - radius) / 0.8).exp())) as u8 + (at % 3) as u8
+            })
+            .collect();
+        let found =
+            find_spots(&Frame::grey8(size, size, pixels), &SpotsOptions::default()).unwrap();
+        let [spot] = found.spots[..] else {
+            panic!("{radius}: {found:?}");
+        };
+        assert!(
+            (spot.u - 500.25).abs() < 0.05 && (spot.v - 499.5).abs() < 0.05,
+            "{spot:?}"
+        );
+        assert!(!spot.gaussian, "{spot:?}");
+    }
+}
