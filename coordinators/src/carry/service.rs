@@ -113,7 +113,7 @@ static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         )
         .choice(
             "lost",
-            &[USUAL, "tell", "fetch"],
+            &[USUAL, "tell", "fetch", "ask"],
             "what is done with a thing that was lost on the way",
             |options| &mut options.lost,
         )
