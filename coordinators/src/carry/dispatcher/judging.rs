@@ -35,7 +35,15 @@ pub(super) async fn aim(action: Act) -> Acted {
     }
     let mut ends = Ends::default();
     match sight::aimed(&errand, &sight) {
-        Ok(aimed) => return store.store(&cx, ERRAND, &aimed).await,
+        Ok(aimed) => {
+            if aimed.open_m < errand.open_m {
+                let open_mm = aimed.open_m * 1e3;
+                action.note(format!(
+                    "fingers open {open_mm:.0} mm, for what stands beside"
+                ));
+            }
+            return store.store(&cx, ERRAND, &aimed).await;
+        }
         Err(Hindrance::NothingAtFrom(text)) => {
             if action.with_state(|state| state.tried > 0) {
                 // It was there before it was touched.
