@@ -1,5 +1,8 @@
 //! The operator: stands in for the Organization Level. Puts one command on a Dispatcher's input tape, or one after the other
-//! from a list, waits for each answer on its output tape, and ends the app with the last.
+//! from a list, waits for each answer on its output tape, and ends the app with the last. After a list it tells how long each step of the
+//! net took.
+
+mod phases;
 
 use std::time::Duration;
 
@@ -12,9 +15,10 @@ use ctos::{
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
 use pnt::net::Net;
-use pnt::task::{PutOnce, RequestId, TapeAnswer, put_once};
+use pnt::task::{Marking, PutOnce, RequestId, TapeAnswer, put_once};
 use serde::Deserialize;
 
+use self::phases::Phases;
 use crate::referee::Judge;
 
 /// The handler's name.
@@ -179,7 +183,9 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
     let boot = cx.started_ns();
     let orders = orders(cx, args)?;
     let (mut symbol, mut text) = (String::new(), String::new());
+    let mut phases = Phases::default();
     for (number, arguments) in (1..).zip(&orders) {
+        let asked = cx.now();
         let put = PutOnce {
             request: RequestId {
                 from: format!("{} {boot:016x}", cx.name()),
@@ -204,7 +210,13 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
                 &args.command,
                 &arguments.join(" "),
             );
+            let dispatcher = cx.task(&args.dispatcher).await?;
+            let net = cx.call(&dispatcher, Marking {}).await?;
+            phases.add(&net.events, asked);
         }
+    }
+    if orders.len() > 1 {
+        text = format!("{text}\n{}", phases.table());
     }
     let Some(judge) = &args.judge else {
         let json = serde_json::json!({ "ok": true, "answer": symbol }).to_string();
@@ -240,7 +252,7 @@ mod tests {
     };
     use pnt::{
         library::{Action, Library},
-        task::{COMMANDS, Marking, NetTask, settings},
+        task::{COMMANDS, NetTask, settings},
     };
 
     use super::*;

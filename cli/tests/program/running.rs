@@ -177,6 +177,7 @@ const CARRY: &[(&str, Then)] = &[
     ),
     ("ctos boot configs/carry.toml --profile durable", ComesUp),
     ("ctos boot configs/carry.toml --profile planned", ComesUp),
+    ("ctos boot configs/carry-hand.toml", ComesUp),
     (
         "ctos boot --detach --profile waiting configs/carry.toml",
         Ends,
@@ -184,6 +185,7 @@ const CARRY: &[(&str, Then)] = &[
     ("scott carry -c carry EXEC FMSG 6 3 4 0 4 5 0", Ends),
     ("scott carry -c pointer@laser EXEC FMSG 3 4 5 0", Ends),
     ("scott carry -c sound@speaker EXEC disc lost at D 4", Ends),
+    ("ctos net put people answer fetch", Ends),
     (
         "scott carry -c dict CTRL -add carry.slow '-SUBST carry -transferSpeed 0.2' -c carry.slow EXEC FMSG 6 4 5 0 3 4 0",
         Ends,
