@@ -301,6 +301,7 @@ mod tests {
     /// How it ends.
     fn operated(rig: &Rig, more: &str) -> AppResult {
         let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("twice.txt"), "once\nagain\n").unwrap();
         let text = with_operator(rig, folder.path(), more);
         let world = Shared::default();
         let registry = rig::registry(rig, &world);
@@ -372,6 +373,28 @@ mod tests {
             "{}",
             result.text
         );
+    }
+
+    #[test]
+    fn after_a_list_stands_how_often_each_step_was_done_and_how_long_it_took() {
+        let result = operated(&Rig::default(), "list = \"twice.txt\"");
+        assert!(result.ok, "{}", result.text);
+        let rows = result
+            .text
+            .lines()
+            .skip_while(|line| !line.starts_with("step "));
+        let rows: Vec<Vec<&str>> = rows.map(|row| row.split_whitespace().collect()).collect();
+        assert!(rows.len() > 2, "{}", result.text);
+        for row in &rows[1..] {
+            let [_, times, mean, most] = row.as_slice() else {
+                panic!("{row:?}");
+            };
+            let (mean, most): (f64, f64) = (mean.parse().unwrap(), most.parse().unwrap());
+            assert!(
+                times.parse::<u32>().unwrap() >= 2 && 0.0 < mean && mean <= most,
+                "{row:?}"
+            );
+        }
     }
 
     #[test]

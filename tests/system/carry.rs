@@ -122,6 +122,55 @@ fn two_discs_that_are_lifted_as_one_weigh_too_much_and_are_set_back_where_they_w
     nothing_was_hit(&seen);
 }
 
+/// A green button of the cell in place of the red disc, and the file that a newcomer writes for it: size, colour and grasp.
+fn with_a_button() -> Scratch {
+    let scratch = Scratch::new();
+    let (disc, button) = (
+        "radius = 0.018\nheight = 0.01\nmass = 0.02\nfriction = 0.6\ncolour = [190.0, 45.0, 40.0]\nposition = [0.41, -0.03, 0.425]",
+        "radius = 0.015\nheight = 0.014\nmass = 0.012\nfriction = 0.6\ncolour = [40.0, 150.0, 60.0]\nposition = [0.41, -0.03, 0.427]",
+    );
+    let cell = scratch.read("configs/carry-cell.toml");
+    assert!(cell.contains(disc));
+    scratch.write("configs/carry-cell.toml", cell.replace(disc, button));
+    let thing = "name = \"button\"\nwidth_m = 0.030\ntolerance_m = 0.003\nheight_m = 0.014\nmass_kg = 0.012\n\
+        [grasp]\nforce_n = 8.0\nopen_m = 0.046\nabove_m = 0.016\nturns_deg = [0.0, 90.0]\n\
+        [[colour]]\nname = \"green\"\nrgb = [40.0, 150.0, 60.0]\n";
+    scratch.write("configs/carry/button.toml", thing.to_owned());
+    scratch
+}
+
+#[test]
+fn all_that_is_said_of_another_object_is_one_file() {
+    let thing = "[task.dispatcher.args]\nthing = \"carry/button.toml\"\n";
+    let carried = vec![Step::Carry("3,4 4,5".to_owned())];
+    let seen = seen_in(&with_a_button(), thing, carried);
+    let all = seen.answers.lock().unwrap();
+    assert_eq!(all[0].symbol, "carried", "{}", all[0].text);
+    assert!(all[0].text.contains("grasp of button"), "{}", all[0].text);
+    assert!(error(&all[0], [4.0, 5.0]) < 1.5e-3, "{all:?}");
+}
+
+#[test]
+fn what_one_recipe_of_the_collision_watch_knows_of_the_room_and_the_other_does_not_is_found() {
+    let check = |scratch: &Scratch| {
+        scratch
+            .start(CTOS, &["check", "configs/carry.toml"], &[])
+            .end()
+    };
+    let whole = check(&with_a_post());
+    whole.must_exit(0);
+    whole.must_not_say("mcs::collision::rooms");
+    let scratch = with_a_post();
+    let app = scratch.read("configs/carry.toml");
+    let (most, _) = app
+        .rsplit_once("\n[[task.servo_arm.args.guards.clear")
+        .unwrap();
+    scratch.write("configs/carry.toml", most.to_owned());
+    let half = check(&scratch);
+    half.must_say("the recipe `clear` has no `post`, as `collision` has");
+    half.must_say("mcs::collision::rooms");
+}
+
 /// A disc of the app of carry-hand.toml, which is 30 mm high, on a field of the board there.
 fn high_disc(body: &'static str, [column, row]: [f64; 2]) -> Step {
     let (x, y) = ((column - 4.5) * 0.06, (row - 4.5) * 0.06);

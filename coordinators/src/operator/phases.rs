@@ -30,18 +30,13 @@ impl Phases {
     pub(super) fn add(&mut self, events: &[FiringEvent], from: Instant) {
         let mut begun: HashMap<&str, u64> = HashMap::new();
         let events = events.iter().filter(|event| event.at_ns >= from.as_nanos());
-        for FiringEvent {
-            at_ns,
-            transition,
-            phase,
-            ..
-        } in events
-        {
-            if phase == "started" {
-                begun.insert(transition, *at_ns);
-            } else if let Some(began) = begun.remove(transition.as_str()) {
-                let took = self.0.entry(transition.clone()).or_insert_with(|| Took {
-                    first_ns: *at_ns,
+        for event in events {
+            let (at_ns, (step, begins)) = (event.at_ns, part(event));
+            if begins {
+                begun.insert(step, at_ns);
+            } else if let Some(began) = begun.remove(step) {
+                let took = self.0.entry(step.to_owned()).or_insert_with(|| Took {
+                    first_ns: at_ns,
                     ..Took::default()
                 });
                 let time = Duration::from_nanos(at_ns.saturating_sub(began));
@@ -70,6 +65,22 @@ impl Phases {
     }
 }
 
+/// The transition as the author wrote it, and whether it begins: a request is a transition that asks and one that takes the answer.
+fn part(event: &FiringEvent) -> (&str, bool) {
+    let name = event.transition.as_str();
+    let ends = ["end_", "fail_"];
+    match event.phase.as_str() {
+        "fired" => match name.strip_prefix("start_") {
+            Some(step) => (step, true),
+            None => {
+                let step = ends.iter().find_map(|end| name.strip_prefix(end));
+                (step.unwrap_or(name), false)
+            }
+        },
+        phase => (name, phase == "started"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -89,11 +100,11 @@ mod tests {
         let earlier = [event(1, "lift", "started"), event(900, "lift", "completed")];
         let first = [
             event(1000, "lift", "started"),
-            event(1200, "approach", "started"),
+            event(1200, "start_approach", "fired"),
             event(2000, "lift", "completed"),
             event(2001, "judge", "started"),
             event(2002, "judge", "completed"),
-            event(2700, "approach", "failed"),
+            event(2700, "fail_approach", "fired"),
         ];
         let second = [
             event(3000, "lift", "started"),

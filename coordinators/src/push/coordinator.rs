@@ -71,7 +71,7 @@ impl Part {
 }
 
 /// What the functions share.
-struct Coordinator {
+pub(super) struct Coordinator {
     args: Rc<ArmArgs>,
     store: DomStore,
     /// The part that was asked for last.
