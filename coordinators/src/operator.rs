@@ -301,7 +301,7 @@ mod tests {
     /// How it ends.
     fn operated(rig: &Rig, more: &str) -> AppResult {
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("twice.txt"), "once\nagain\n").unwrap();
+        std::fs::write(folder.path().join("twice.txt"), "enough=50%\nenough=50%\n").unwrap();
         let text = with_operator(rig, folder.path(), more);
         let world = Shared::default();
         let registry = rig::registry(rig, &world);
