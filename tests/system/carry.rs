@@ -204,6 +204,8 @@ fn three_fingers_carry_a_disc_from_beside_another_one_and_tell_when_it_is_lost_i
     assert_eq!(symbol, "not_carried", "{text}");
     assert!(text.contains("no disc is in the grasp"), "{text}");
     assert!(text.contains("a red disc lies beside the board"), "{text}");
+    let shown = "the pointer in the hand has shown where it lies";
+    assert!(text.contains(shown), "{text}");
     // Nothing but fingers was pressed on.
     let touches = seen.touches.lock().unwrap();
     for (link, most) in &*touches {
