@@ -135,7 +135,7 @@ fn with_a_button() -> Scratch {
     let thing = "name = \"button\"\nwidth_m = 0.030\ntolerance_m = 0.003\nheight_m = 0.014\nmass_kg = 0.012\n\
         [grasp]\nforce_n = 8.0\nopen_m = 0.046\nabove_m = 0.016\nturns_deg = [0.0, 90.0]\n\
         [[colour]]\nname = \"green\"\nrgb = [40.0, 150.0, 60.0]\n";
-    scratch.write("configs/carry/button.toml", thing.to_owned());
+    scratch.write("configs/carry/button.toml", thing);
     scratch
 }
 
@@ -165,7 +165,7 @@ fn what_one_recipe_of_the_collision_watch_knows_of_the_room_and_the_other_does_n
     let (most, _) = app
         .rsplit_once("\n[[task.servo_arm.args.guards.clear")
         .unwrap();
-    scratch.write("configs/carry.toml", most.to_owned());
+    scratch.write("configs/carry.toml", most);
     let half = check(&scratch);
     half.must_say("the recipe `clear` has no `post`, as `collision` has");
     half.must_say("mcs::collision::rooms");
