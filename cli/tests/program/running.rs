@@ -189,7 +189,10 @@ const CARRY: &[(&str, Then)] = &[
         "scott carry -c pino@robot DBX -version -c gripper@hand DBX -version -c getDisk@vision DBX -version -c psom@transform DBX -version -c pointer@laser DBX -version",
         Ends,
     ),
-    ("ctos net put people answer fetch", Ends),
+    (
+        "scott carry -c carry.answer EXEC fetch",
+        Refused(1, "nobody asks whether a thing is fetched"),
+    ),
     (
         "scott carry -c dict CTRL -add carry.slow '-SUBST carry -transferSpeed 0.2' -c carry.slow EXEC FMSG 6 4 5 0 3 4 0",
         Ends,

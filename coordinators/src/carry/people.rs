@@ -100,9 +100,8 @@ async fn question(action: Act) -> Acted {
     let cx = action.cx();
     let errand: Errand = store.fetch(cx, ERRAND).await?;
     tracing::warn!(
-        "shall the {} be fetched? Say so with `ctos net put {} answer fetch`, or `answer leave`",
-        errand.thing.name,
-        cx.name()
+        "shall the {} be fetched? Say so with `carry.answer EXEC fetch`, or `leave`",
+        errand.thing.name
     );
     let speaker = args.speaker.as_deref();
     let speaker = speaker.and_then(|name| Speaker::named(name).ok());
