@@ -12,7 +12,7 @@ use mcs::{
     Joints,
     client::{
         Manipulator, MotionError, Move, MoveReport, Outcome as Motion, PathKind, Plan, PlanReport,
-        SetOutput, Target,
+        ReadSensors, SensorReport, SetOutput, Target,
     },
 };
 use nalgebra::{Isometry3, Matrix4};
@@ -190,6 +190,15 @@ impl Arm<'_> {
                 Err(error.into())
             }
         }
+    }
+
+    /// What the arm's sensors read.
+    pub(crate) async fn sensors(&self) -> Result<SensorReport, Failure> {
+        let read = self.ask(|_| async {
+            let mcs = self.cx.task(self.mcs).await?;
+            Ok(self.cx.call(&mcs, ReadSensors {}).await?)
+        });
+        read.await
     }
 
     /// Sets an output among the arm's slots. The arm must be reserved.

@@ -3,7 +3,8 @@
 //!
 //! A Dispatcher ([`dispatcher`]) has the steps done by Coordinators: [`robot`] moves the arm, [`hand`] opens and closes
 //! the gripper, [`vision`] finds the board and the thing, for which it asks the Service [`eyes`]; what follows from what was seen is
-//! [`sight`]. A fourth one, [`laser`], points at what was lost. Their nets stand in `configs/nets/carry/`, what is carried in a file of its own ([`thing`]). The class `carry`
+//! [`sight`]. A fourth one, [`laser`], points at what was lost, and [`people`] asks
+//! whether it is fetched. Their nets stand in `configs/nets/carry/`, what is carried in a file of its own ([`thing`]). The class `carry`
 //! ([`service`]) gives such commands by text. A referee ([`referee`]) holds the result against the truth. No motion of a camera calibration is known here.
 
 pub mod board;
@@ -13,6 +14,7 @@ pub mod errand;
 pub mod eyes;
 pub mod hand;
 pub mod laser;
+pub mod people;
 pub mod referee;
 pub mod robot;
 pub mod service;
@@ -33,6 +35,7 @@ pub(crate) fn register(registry: &mut Registry) {
     robot::register(registry);
     hand::register(registry);
     laser::register(registry);
+    people::register(registry);
     eyes::register(registry);
     vision::register(registry);
     referee::register(registry);

@@ -1,5 +1,8 @@
 //! The operator: stands in for the Organization Level. Puts one command on a Dispatcher's input tape, or one after the other
-//! from a list, waits for each answer on its output tape, and ends the app with the last.
+//! from a list, waits for each answer on its output tape, and ends the app with the last. After a list it tells how long each step of the
+//! net took.
+
+mod phases;
 
 use std::time::Duration;
 
@@ -12,9 +15,10 @@ use ctos::{
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
 use pnt::net::Net;
-use pnt::task::{PutOnce, RequestId, TapeAnswer, put_once};
+use pnt::task::{Marking, PutOnce, RequestId, TapeAnswer, put_once};
 use serde::Deserialize;
 
+use self::phases::Phases;
 use crate::referee::Judge;
 
 /// The handler's name.
@@ -179,7 +183,9 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
     let boot = cx.started_ns();
     let orders = orders(cx, args)?;
     let (mut symbol, mut text) = (String::new(), String::new());
+    let mut phases = Phases::default();
     for (number, arguments) in (1..).zip(&orders) {
+        let asked = cx.now();
         let put = PutOnce {
             request: RequestId {
                 from: format!("{} {boot:016x}", cx.name()),
@@ -204,7 +210,13 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
                 &args.command,
                 &arguments.join(" "),
             );
+            let dispatcher = cx.task(&args.dispatcher).await?;
+            let net = cx.call(&dispatcher, Marking {}).await?;
+            phases.add(&net.events, asked);
         }
+    }
+    if orders.len() > 1 {
+        text = format!("{text}\n{}", phases.table());
     }
     let Some(judge) = &args.judge else {
         let json = serde_json::json!({ "ok": true, "answer": symbol }).to_string();
@@ -240,7 +252,7 @@ mod tests {
     };
     use pnt::{
         library::{Action, Library},
-        task::{COMMANDS, Marking, NetTask, settings},
+        task::{COMMANDS, NetTask, settings},
     };
 
     use super::*;
@@ -289,6 +301,7 @@ mod tests {
     /// How it ends.
     fn operated(rig: &Rig, more: &str) -> AppResult {
         let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("twice.txt"), "enough=50%\nenough=50%\n").unwrap();
         let text = with_operator(rig, folder.path(), more);
         let world = Shared::default();
         let registry = rig::registry(rig, &world);
@@ -360,6 +373,28 @@ mod tests {
             "{}",
             result.text
         );
+    }
+
+    #[test]
+    fn after_a_list_stands_how_often_each_step_was_done_and_how_long_it_took() {
+        let result = operated(&Rig::default(), "list = \"twice.txt\"");
+        assert!(result.ok, "{}", result.text);
+        let rows = result
+            .text
+            .lines()
+            .skip_while(|line| !line.starts_with("step "));
+        let rows: Vec<Vec<&str>> = rows.map(|row| row.split_whitespace().collect()).collect();
+        assert!(rows.len() > 2, "{}", result.text);
+        for row in &rows[1..] {
+            let [_, times, mean, most] = row.as_slice() else {
+                panic!("{row:?}");
+            };
+            let (mean, most): (f64, f64) = (mean.parse().unwrap(), most.parse().unwrap());
+            assert!(
+                times.parse::<u32>().unwrap() >= 2 && 0.0 < mean && mean <= most,
+                "{row:?}"
+            );
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! thing again, a few times, and passes up only what it cannot solve. Both nets stand in `configs/nets/push/`; [`job`] is what
 //! they exchange. A [`referee`] holds the result against the truth.
 
+mod args;
 pub mod coordinator;
 pub mod dispatcher;
 pub mod job;

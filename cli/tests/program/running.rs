@@ -177,6 +177,7 @@ const CARRY: &[(&str, Then)] = &[
     ),
     ("ctos boot configs/carry.toml --profile durable", ComesUp),
     ("ctos boot configs/carry.toml --profile planned", ComesUp),
+    ("ctos boot configs/carry-hand.toml", ComesUp),
     (
         "ctos boot --detach --profile waiting configs/carry.toml",
         Ends,
@@ -184,6 +185,14 @@ const CARRY: &[(&str, Then)] = &[
     ("scott carry -c carry EXEC FMSG 6 3 4 0 4 5 0", Ends),
     ("scott carry -c pointer@laser EXEC FMSG 3 4 5 0", Ends),
     ("scott carry -c sound@speaker EXEC disc lost at D 4", Ends),
+    (
+        "scott carry -c pino@robot DBX -version -c gripper@hand DBX -version -c getDisk@vision DBX -version -c psom@transform DBX -version -c pointer@laser DBX -version",
+        Ends,
+    ),
+    (
+        "scott carry -c carry.answer EXEC fetch",
+        Refused(1, "nobody asks whether a thing is fetched"),
+    ),
     (
         "scott carry -c dict CTRL -add carry.slow '-SUBST carry -transferSpeed 0.2' -c carry.slow EXEC FMSG 6 4 5 0 3 4 0",
         Ends,

@@ -18,7 +18,7 @@ use pnt::library::Library;
 
 pub(super) use self::state::{CarryArgs, Dispatcher};
 use self::{
-    judging::{aim, aim_point, judge, tell_found, weigh_hand, weigh_trouble},
+    judging::{aim, aim_point, hear, judge, tell_found, weigh_hand, weigh_trouble},
     orders::{begin, begin_point, refuse},
     state::Ends,
     telling::{report, report_held, report_point, tell_shown, tell_unverified},
@@ -96,6 +96,7 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         tried: 0,
         again: false,
         fetches: false,
+        asks: false,
         tag: String::new(),
         hindrances: Vec::new(),
         wishes: Wishes::default(),
@@ -103,14 +104,14 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
     Library::new(state)
         .kept(
             |state| {
-                let tries = (state.tried, state.again, state.fetches);
+                let tries = (state.tried, state.again, state.fetches, state.asks);
                 let why = (state.tag.clone(), state.hindrances.clone());
                 let wishes = state.wishes.clone();
                 (state.command, state.ends, tries, why, wishes)
             },
             |state, (command, ends, tries, why, wishes)| {
                 (state.command, state.ends, state.wishes) = (command, ends, wishes);
-                (state.tried, state.again, state.fetches) = tries;
+                (state.tried, state.again, state.fetches, state.asks) = tries;
                 (state.tag, state.hindrances) = why;
             },
         )
@@ -123,6 +124,7 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         })
         .enabling("another_try", |state: &Dispatcher| state.again)
         .enabling("is_fetched", |state: &Dispatcher| state.again)
+        .enabling("is_asked", |state: &Dispatcher| state.asks)
         .enabling("is_shown", |state: &Dispatcher| state.ends.is_shown)
         .enabling("hand_is_full", |state: &Dispatcher| state.ends.hand_is_full)
         .action("begin", begin)
@@ -133,6 +135,7 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         .action("tell_unverified", tell_unverified)
         .action("tell_found", tell_found)
         .action("tell_shown", tell_shown)
+        .action("hear", hear)
         .action("begin_point", begin_point)
         .action("aim_point", aim_point)
         .action("report_point", report_point)

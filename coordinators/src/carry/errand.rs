@@ -24,6 +24,8 @@ pub const HAND_PROBLEMS: &str = "hand_problems";
 pub const VISION_PROBLEMS: &str = "vision_problems";
 /// What the Laser Coordinator could not do: [`Problems`].
 pub const LASER_PROBLEMS: &str = "laser_problems";
+/// What the People Coordinator could not do: [`Problems`].
+pub const PEOPLE_PROBLEMS: &str = "people_problems";
 
 /// [`ERRAND`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -42,6 +44,8 @@ pub struct Errand {
     pub yaw: f64,
     /// How far above the fields the gripper goes to and fro, m.
     pub clearance_m: f64,
+    /// How far the fingers open round the thing, between what lies beside it at both ends, m.
+    pub open_m: f64,
     /// Fraction of full speed to and fro; as the Robot Coordinator has it when it is left out.
     pub speed: Option<f64>,
     /// What is carried.

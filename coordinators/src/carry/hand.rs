@@ -1,4 +1,5 @@
-//! The Hand Coordinator: the functions of `nets/carry/hand.net`, which open and close the gripper, and see what it holds.
+//! The Hand Coordinator: the functions of `nets/carry/hand.net`, which open and close the gripper, and see what it holds. A hand
+//! that grasps with three fingertips is asked for the same.
 
 use std::{future::Future, rc::Rc, time::Duration};
 
@@ -34,7 +35,7 @@ const LIMIT: Duration = Duration::from_secs(60);
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct HandArgs {
-    /// The task of the gripper.
+    /// The task of the gripper, or of a hand.
     #[serde(default = "gripper_task")]
     gripper: String,
     /// The data object manager.
@@ -185,7 +186,7 @@ async fn feel(hand: Hand, errand: Errand) -> Result<(), Failure> {
 /// Opens as far as goes round the thing and between its neighbours, which also lets go of it.
 async fn preshape(hand: Hand, errand: Errand) -> Result<(), Failure> {
     let open = Open {
-        width_m: Some(errand.thing.grasp.open_m),
+        width_m: Some(errand.open_m),
         speed: hand.args.speed,
     };
     hand.ask(open).await.map(|_| ())
@@ -205,12 +206,12 @@ async fn check(hand: Hand, errand: Errand) -> Result<(), Failure> {
 fn is_it(held: &Held, errand: &Errand) -> Result<(), Failure> {
     let thing = &errand.thing;
     if !held.holds {
-        let text = format!("no {} is between the jaws", thing.name);
+        let text = format!("no {} is in the grasp", thing.name);
         return Err(Failure::new(Outcome::Absent, text));
     }
     if (held.width_m - thing.width_m).abs() > thing.tolerance_m {
         let text = format!(
-            "what is between the jaws is {:.1} mm wide, and a {} is {:.1} mm",
+            "what is in the grasp is {:.1} mm wide, and a {} is {:.1} mm",
             held.width_m * 1e3,
             thing.name,
             thing.width_m * 1e3

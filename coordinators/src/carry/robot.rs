@@ -5,6 +5,7 @@
 //! down, and a failure elsewhere.
 
 mod ride;
+mod weighing;
 mod wrist;
 
 use std::rc::Rc;
@@ -130,7 +131,7 @@ enum Leg {
     Adjust,
     /// Down around the thing.
     Descend,
-    /// Up with it.
+    /// Up with it, where it is weighed.
     Lift,
     /// To above the target.
     Transfer,
@@ -343,10 +344,16 @@ async fn note_grasp(action: &Act, leg: Leg, gone: &Result<(), Failure>) {
     let ended = match (leg, gone) {
         (Leg::Lift, Ok(())) => Ok(String::new()),
         (Leg::Descend, Err(failure)) if failure.outcome == Outcome::Guard => Err(failure.clone()),
+        // These have nothing to do with the grasp.
+        (
+            Leg::Lift,
+            Err(Failure {
+                outcome: Outcome::Stuck,
+                ..
+            }),
+        ) => return forget_grasp(action),
         (Leg::Descend, Err(failure)) if failure.outcome != Outcome::Stopped => {
-            // It has nothing to do with the grasp.
-            action.with_state(|state| state.grasp.chosen = None);
-            return;
+            return forget_grasp(action);
         }
         (Leg::Withdraw, Ok(())) => Err(Failure::new(Outcome::Guard, "it was not grasped")),
         _ => return,
@@ -364,6 +371,11 @@ async fn note_grasp(action: &Act, leg: Leg, gone: &Result<(), Failure>) {
     if noted {
         tell(action).await;
     }
+}
+
+/// Learns nothing of the grasp in work.
+fn forget_grasp(action: &Act) {
+    action.with_state(|state| state.grasp.chosen = None);
 }
 
 /// Begins a way above an end; all ways are open. To the thing, a turn of the gripper is chosen before.

@@ -20,6 +20,7 @@ sorma::prototypes! {
         NOTHING_AT_FROM = 172, Error, "no thing stands where it was to be taken", "nothing has moved; the text says what is seen";
         OCCUPIED = 173, Error, "something stands where the thing was to be set down", "nothing has moved; the text says what is seen";
         NO_CARRIER = 171, Error, "nobody carries outside an app", "attach to an app that has a Dispatcher for it: `scott carry`";
+        NOBODY_ASKS = 176, Error, "nobody asks whether a thing is fetched", "people are asked when a thing was lost, with `-lost ask`";
     }
 }
 
@@ -40,12 +41,29 @@ const FORMS: &[Form] = &[
         results: "",
         help: "has a hand that could not put something down bring it back to where it was taken",
     },
+    Form {
+        text: "fetch",
+        floats: 0,
+        takes: "",
+        gives: "",
+        results: "",
+        help: "answers for people who are asked: what was lost is fetched",
+    },
+    Form {
+        text: "leave",
+        floats: 0,
+        takes: "",
+        gives: "",
+        results: "",
+        help: "answers for people who are asked: what was lost stays where it lies",
+    },
 ];
 
 /// What an object of the class keeps.
 #[derive(Debug, Clone)]
 struct Options {
     task: String,
+    people: String,
     speed: Vec<f64>,
     tries: String,
     lost: String,
@@ -77,6 +95,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             task: "dispatcher".to_owned(),
+            people: "people".to_owned(),
             speed: Vec::new(),
             tries: USUAL.to_owned(),
             lost: USUAL.to_owned(),
@@ -94,6 +113,12 @@ static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "TASK",
             "the app's task with the handler coordinators.carry",
             |options: &mut Options| &mut options.task,
+        )
+        .word(
+            "people",
+            "TASK",
+            "the app's task with the handler coordinators.carry_people",
+            |options: &mut Options| &mut options.people,
         )
         .floats(
             "transferSpeed",
@@ -113,7 +138,7 @@ static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         )
         .choice(
             "lost",
-            &[USUAL, "tell", "fetch"],
+            &[USUAL, "tell", "fetch", "ask"],
             "what is done with a thing that was lost on the way",
             |options| &mut options.lost,
         )
@@ -153,11 +178,28 @@ struct Carry {
 }
 
 impl Carry {
+    /// Answers for people who are asked.
+    async fn answer(&self, cx: &Waiting<'_>, io: &mut Transport, word: &str) -> Outcome {
+        let words = vec![word.to_owned()];
+        let answer = crate::services::put(cx, &self.options.people, "answer", words).await?;
+        io.text = answer.text;
+        match answer.symbol.as_str() {
+            "heard" => Ok(()),
+            _ => Err(Report::error(
+                code::NOBODY_ASKS,
+                "nobody asks whether a thing is fetched",
+            )),
+        }
+    }
+
     async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
         let form = TABLE.form(io)?.text;
         if !cx.is_in_app() {
             let text = format!("`{}` has an app carry, and here is none", cx.name());
             return Err(Report::error(code::NO_CARRIER, text));
+        }
+        if let "fetch" | "leave" = form {
+            return self.answer(cx, io, form).await;
         }
         let (put, success) = match (form, io.floats.as_slice()) {
             ("", &[column, row, height, to_column, to_row, to_height]) => {

@@ -112,6 +112,18 @@ impl Overview {
         all
     }
 
+    /// How far the middles of what stands beside a place are from it, m: all but the thing itself, and what lies deeper.
+    fn beside<'a>(
+        &'a self,
+        place: &'a Point3<f64>,
+        thing: &'a Thing,
+        itself: &'a SeenDisc,
+    ) -> impl Iterator<Item = f64> + 'a {
+        let others = self.discs.iter().filter(move |disc| *disc != itself);
+        let beside = others.filter(move |disc| disc.at.z > place.z - 0.5 * thing.height_m);
+        beside.map(move |disc| (disc.at.xy() - place.xy()).norm())
+    }
+
     /// The thing at a place of the board, unless another one lies upon it. Only the uppermost of a stack is seen.
     fn at(&self, board: &Board, field: &Field, thing: &Thing) -> Option<&SeenDisc> {
         let top = self.on_field(board, field).pop()?;
@@ -128,6 +140,7 @@ impl Overview {
 pub fn aimed(errand: &Errand, sight: &Sight) -> Result<Errand, Hindrance> {
     let (board, thing) = (sight.board, &errand.thing);
     let mut points = [errand.from, errand.to].map(|field| board.point(&field, thing.height_m));
+    let mut open_m = errand.open_m;
     if let Some(seen) = &sight.seen {
         let (from, to) = (&errand.from, &errand.to);
         let Some(disc) = seen.at(&board, from, thing) else {
@@ -136,11 +149,14 @@ pub fn aimed(errand: &Errand, sight: &Sight) -> Result<Errand, Hindrance> {
         points[0] = board.pose() * disc.at;
         is_alone(seen, &board, thing, disc)?;
         is_free(seen, &board, to, thing, disc)?;
+        let ends = [disc.at, board.on_board(to, thing.height_m)];
+        open_m = thing.opening(ends.iter().flat_map(|end| seen.beside(end, thing, disc)));
     }
     Ok(Errand {
         points,
         yaw: board.yaw(),
         board,
+        open_m,
         ..errand.clone()
     })
 }

@@ -20,6 +20,8 @@ pub struct Thing {
     pub tolerance_m: f64,
     /// How high it is, m.
     pub height_m: f64,
+    /// How heavy it is, kg. What weighs more by half when it is lifted is more than one; nobody weighs it when it is left out.
+    pub mass_kg: Option<f64>,
     /// How it is grasped.
     pub grasp: Grasping,
     /// In which colours cameras look for it; in none, when it cannot be seen.
@@ -46,8 +48,11 @@ const HUED: f64 = 40.0;
 pub struct Grasping {
     /// How hard each jaw presses, N.
     pub force_n: f64,
-    /// How far the pads are apart on the way down, m: room for the thing, and between its neighbours.
+    /// How far the pads are apart on the way down, m, where there is room; nearer where other things lie beside it.
     pub open_m: f64,
+    /// How much room a finger takes outside of the opening, m.
+    #[serde(default)]
+    pub finger_m: f64,
     /// The middle between the pads above the bottom of the thing, m.
     pub above_m: f64,
     /// How the gripper may be turned about the vertical of the board, degrees: the first turn with which the arm reaches
@@ -55,7 +60,25 @@ pub struct Grasping {
     pub turns_deg: Vec<f64>,
 }
 
+/// Between a finger and what it goes past, m.
+const PAST_M: f64 = 1e-3;
+
+/// Between a finger and the thing that it goes round, m: no opening is narrower.
+const ROUND_M: f64 = 2e-3;
+
 impl Thing {
+    /// How far fingers open to go round it, m: between things whose middles are so far from its own, m.
+    #[must_use]
+    pub fn opening(&self, neighbours_m: impl Iterator<Item = f64>) -> f64 {
+        let Grasping {
+            open_m, finger_m, ..
+        } = self.grasp;
+        let nearest = neighbours_m.fold(f64::INFINITY, f64::min);
+        let room = 2.0 * (nearest - 0.5 * self.width_m - finger_m - PAST_M);
+        let least = self.width_m + 2.0 * ROUND_M;
+        room.max(least).min(open_m)
+    }
+
     /// Reads the text of a thing's file.
     ///
     /// # Errors
@@ -76,12 +99,14 @@ impl Thing {
             });
         };
         let grasp = &thing.grasp;
-        let ranges: [(&str, f64, RangeInclusive<f64>); 6] = [
+        let ranges: [(&str, f64, RangeInclusive<f64>); 8] = [
             ("width_m", thing.width_m, 1e-3..=0.5),
             ("tolerance_m", thing.tolerance_m, 1e-4..=0.1),
             ("height_m", thing.height_m, 1e-3..=0.5),
+            ("mass_kg", thing.mass_kg.unwrap_or(1.0), 1e-3..=50.0),
             ("grasp.force_n", grasp.force_n, 0.1..=500.0),
             ("grasp.open_m", grasp.open_m, 1e-3..=0.5),
+            ("grasp.finger_m", grasp.finger_m, 0.0..=0.2),
             ("grasp.above_m", grasp.above_m, 0.0..=0.5),
         ];
         for (key, value, range) in ranges {
@@ -143,10 +168,24 @@ mod tests {
     }
 
     #[test]
+    fn fingers_open_as_far_as_there_is_room_between_the_thing_and_its_neighbours_and_no_further() {
+        let mut disc = parse(DISC).unwrap();
+        (disc.width_m, disc.grasp.open_m, disc.grasp.finger_m) = (0.036, 0.05, 0.018);
+        let opening = |neighbours: &[f64]| disc.opening(neighbours.iter().copied());
+        assert_eq!(opening(&[]), 0.05);
+        assert_eq!(opening(&[0.2, 0.1]), 0.05);
+        // A finger of 18 mm beside a rim that is 60 - 18 mm away.
+        assert!((opening(&[0.1, 0.06]) - 0.046).abs() < 1e-12);
+        // It goes round the thing in any case.
+        assert!((opening(&[0.045]) - 0.040).abs() < 1e-12);
+    }
+
+    #[test]
     fn what_makes_no_sense_is_found_at_its_place() {
         let broken = [
             ("width_m = 0.036", "width_m = -1.0", "`width_m` is -1"),
             ("open_m = 0.05", "open_m = 0.03", "do not go round"),
+            ("mass_kg = 0.02", "mass_kg = 0.0", "`mass_kg` is 0"),
             ("height_m = 0.01", "heigth_m = 0.01", "heigth_m"),
             ("turns_deg = [", "turns_deg = [] # [", "at least one turn"),
             ("force_n = 15.0", "force_n = \"much\"", "force_n"),

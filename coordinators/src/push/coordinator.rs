@@ -7,7 +7,7 @@ use std::{rc::Rc, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings},
+    diagnostic::Findings,
     registry::Registry,
     task::Context,
 };
@@ -17,12 +17,14 @@ use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
-use super::job::{ACCOUNT, Account, JOB, Job};
+use super::{
+    args::ArmArgs,
+    job::{ACCOUNT, Account, JOB, Job},
+};
 use crate::{
-    arm::{self, Arm, ArmKeys},
+    arm::{self, Arm},
     dom::DomStore,
     handler::{self, NetArgs},
-    motion::{mcs_task, resume_within_s},
     outcome::{Failure, Outcome},
 };
 
@@ -31,148 +33,6 @@ pub const HANDLER: &str = "coordinators.push_arm";
 
 /// How long the fingers may take.
 const SHAPED: Duration = Duration::from_secs(60);
-
-/// Arguments.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ArmArgs {
-    /// The client interface of MCS.
-    #[serde(default = "mcs_task")]
-    mcs: String,
-    /// The data object manager.
-    #[serde(default = "crate::dom_task")]
-    dom: String,
-    /// Fraction of full speed to and fro.
-    #[serde(default = "speed")]
-    speed: f64,
-    /// The same while it feels for the thing, and while it pushes.
-    #[serde(default = "gentle")]
-    gentle: f64,
-    /// The same of the acceleration in a push.
-    #[serde(default = "softly")]
-    softly: f64,
-    /// Height of what pushes, m.
-    height_m: f64,
-    /// What pushes, in the tool's frame, m: the tool itself when it is left out.
-    #[serde(default)]
-    tip_m: [f64; 3],
-    /// The hand whose fingers are shaped before; none when it is left out.
-    hand: Option<HandArgs>,
-    /// How far above that it goes to and fro, m.
-    #[serde(default = "clearance_m")]
-    clearance_m: f64,
-    /// How the tool may be turned about the vertical from the direction of the push, degrees: the first turn with which the
-    /// arm reaches all of the way is taken.
-    #[serde(default = "turns_deg")]
-    turns_deg: Vec<f64>,
-    /// The recipe of the guard that ends an approach at a touch.
-    #[serde(default = "touch")]
-    touch: String,
-    /// The recipe of the guard that ends a push which meets too much force.
-    #[serde(default = "blocked")]
-    blocked: String,
-    /// The recipe of the guard that ends a push whose contact is lost.
-    #[serde(default = "contact")]
-    contact: String,
-    /// The control law in a push, and otherwise.
-    #[serde(default = "compliant")]
-    compliant: String,
-    /// See above.
-    #[serde(default = "stiff")]
-    stiff: String,
-    /// A compliant arm lags behind: a push is done when it ends so near to its end, m.
-    #[serde(default = "within_m")]
-    within_m: f64,
-    /// How often a contact that was lost is felt for again.
-    #[serde(default = "again")]
-    again: u32,
-    /// How far it backs off a thing before it goes up, m.
-    #[serde(default = "back_m")]
-    back_m: f64,
-    /// Where the arm waits, degrees of its joints.
-    park_deg: Vec<f64>,
-    /// How long a protective stop is waited out before the request fails, s.
-    #[serde(default = "resume_within_s")]
-    resume_within_s: f64,
-    /// How long an MCS that is gone, and may be started again, is waited for, s.
-    #[serde(default = "crate::service_within_s")]
-    service_within_s: f64,
-}
-
-/// A hand with fingers.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct HandArgs {
-    /// Its task.
-    task: String,
-    /// Its joints while it pushes, degrees: one finger straight, the others out of the way.
-    posture_deg: Vec<f64>,
-    /// Fraction of full speed of the fingers.
-    #[serde(default = "speed")]
-    speed: f64,
-}
-
-fn speed() -> f64 {
-    0.5
-}
-
-fn gentle() -> f64 {
-    0.08
-}
-
-fn softly() -> f64 {
-    0.2
-}
-
-fn clearance_m() -> f64 {
-    0.1
-}
-
-fn turns_deg() -> Vec<f64> {
-    vec![0.0, 180.0]
-}
-
-fn touch() -> String {
-    "touch".to_owned()
-}
-
-fn blocked() -> String {
-    "blocked".to_owned()
-}
-
-fn contact() -> String {
-    "contact".to_owned()
-}
-
-fn compliant() -> String {
-    "cartesian_impedance".to_owned()
-}
-
-fn stiff() -> String {
-    "pid".to_owned()
-}
-
-fn within_m() -> f64 {
-    0.01
-}
-
-fn again() -> u32 {
-    2
-}
-
-fn back_m() -> f64 {
-    0.02
-}
-
-impl ArmArgs {
-    fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
-        Arm {
-            cx,
-            mcs: &self.mcs,
-            within_s: self.service_within_s,
-        }
-    }
-}
 
 /// A part of a push, as the Dispatcher asks for it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -211,7 +71,7 @@ impl Part {
 }
 
 /// What the functions share.
-struct Coordinator {
+pub(super) struct Coordinator {
     args: Rc<ArmArgs>,
     store: DomStore,
     /// The part that was asked for last.
@@ -241,53 +101,7 @@ impl NetArgs for ArmArgs {
     }
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
-        check(self, task, app, findings);
-    }
-}
-
-fn check(args: &ArmArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    let keys = ArmKeys {
-        mcs: &args.mcs,
-        resume_within_s: args.resume_within_s,
-        service_within_s: args.service_within_s,
-        speeds: &[
-            ("speed", args.speed),
-            ("gentle", args.gentle),
-            ("softly", args.softly),
-        ],
-        park_deg: Some(&args.park_deg),
-    };
-    keys.check(task, app, "coordinators::push::range", findings);
-    if let Some(hand) = &args.hand {
-        crate::need_task(task, app, "hand.task", &hand.task, findings);
-        crate::check_speed(task, "hand.speed", hand.speed, findings);
-    }
-    let mut wrong = |key: &str, text: String| {
-        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-        findings.push(Finding::error("coordinators::push::range", text).at(place));
-    };
-    for (key, value, most) in [
-        ("clearance_m", args.clearance_m, 2.0),
-        ("back_m", args.back_m, 0.5),
-        ("within_m", args.within_m, 0.2),
-    ] {
-        if !(0.0..=most).contains(&value) {
-            wrong(key, format!("`{key}` is {value}; give from 0 to {most} m"));
-        }
-    }
-    if !(-5.0..=5.0).contains(&args.height_m) {
-        let text = format!("`height_m` is {}; give from -5 to 5 m", args.height_m);
-        wrong("height_m", text);
-    }
-    if args.tip_m.iter().any(|part| !(-1.0..=1.0).contains(part)) {
-        let text = format!("`tip_m` is {:?}; give from -1 to 1 m", args.tip_m);
-        wrong("tip_m", text);
-    }
-    if args.turns_deg.is_empty() {
-        wrong(
-            "turns_deg",
-            "`turns_deg` needs at least one turn".to_owned(),
-        );
+        ArmArgs::check(self, task, app, findings);
     }
 }
 

@@ -1,6 +1,7 @@
 //! The event handler `mcs.collision`: tells what the guards of the arms on its chassis found, to whoever asks and in the
 //! log.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use ctos::config::{App, TaskConfig};
@@ -10,7 +11,7 @@ use ctos::registry::Registry;
 use ctos::task::{Context, EventHandler, Handled, Phase};
 use serde::{Deserialize, Serialize};
 
-use crate::guard::{Findings, Found};
+use crate::guard::{Findings, Found, KIND, Surroundings};
 
 /// Its registered name.
 pub const HANDLER: &str = "mcs.collision";
@@ -86,7 +87,66 @@ fn check(args: &Args, task: &TaskConfig, app: &App, wrong: &mut Wrong) {
             let finding = Finding::error("mcs::unknown_part", text).at(place("servos"));
             wrong.push(finding.suggest(servo, names));
         }
+        if let Some(other) = app.tasks.iter().find(|other| other.name == *servo) {
+            check_rooms(other, wrong);
+        }
     }
+}
+
+/// The pieces of a room, and whose recipe has them.
+type Room = (String, BTreeMap<String, String>);
+
+/// Warns of what one recipe of a servo says of the room, and another one otherwise or not at all: an arm that one of them watches
+/// runs into what only the other knows.
+fn check_rooms(servo: &TaskConfig, wrong: &mut Wrong) {
+    let Some(guards) = servo.args.get("guards") else {
+        return;
+    };
+    let recipes = guards.entries().iter().filter_map(|recipe| {
+        let kind = recipe.value.get("kind")?.as_str()?;
+        // What is wrong with it, its servo says.
+        let around = Surroundings::read(recipe.value.get("args")?).ok()?;
+        let mut room: BTreeMap<String, String> = BTreeMap::new();
+        for (piece, solid) in around.room {
+            *room.entry(piece).or_default() += &format!("{solid:?};");
+        }
+        (kind == KIND).then(|| (recipe.key.clone(), room))
+    });
+    let recipes: Vec<Room> = recipes.collect();
+    for (index, one) in recipes.iter().enumerate() {
+        for other in recipes.iter().skip(index + 1) {
+            for text in differences(one, other) {
+                let key = format!("guards.{}", other.0);
+                let place = servo
+                    .args
+                    .locate(&key)
+                    .unwrap_or_else(|| servo.place.clone());
+                let text = format!("task `{}`: {text}", servo.name);
+                let finding = Finding::warning("mcs::collision::rooms", text).at(place);
+                wrong.push(finding.help("say the same of the room in both recipes"));
+            }
+        }
+    }
+}
+
+fn differences((one, here): &Room, (other, there): &Room) -> Vec<String> {
+    let names: BTreeSet<&String> = here.keys().chain(there.keys()).collect();
+    let differences =
+        names
+            .into_iter()
+            .filter_map(|name| match (here.get(name), there.get(name)) {
+                (Some(form), Some(same)) if form == same => None,
+                (Some(_), Some(_)) => Some(format!(
+                    "`{name}` has another form in the recipe `{one}` than in `{other}`"
+                )),
+                (Some(_), None) => Some(format!(
+                    "the recipe `{other}` has no `{name}`, as `{one}` has"
+                )),
+                _ => Some(format!(
+                    "the recipe `{one}` has no `{name}`, as `{other}` has"
+                )),
+            });
+    differences.collect()
 }
 
 struct Collisions {
@@ -157,5 +217,30 @@ impl EventHandler for Collisions {
             cx.spawn(watch(cx.clone(), self.args.clone()));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_one_recipe_says_of_the_room_and_another_otherwise_or_not_at_all_is_named() {
+        let room = |recipe: &str, pieces: &[(&str, &str)]| {
+            let pieces = pieces.iter();
+            let pieces = pieces.map(|(name, form)| ((*name).to_owned(), (*form).to_owned()));
+            (recipe.to_owned(), pieces.collect())
+        };
+        let whole = room("collision", &[("floor", "a"), ("table", "b")]);
+        assert!(differences(&whole, &room("clear", &[("table", "b"), ("floor", "a")])).is_empty());
+        let found = differences(&whole, &room("clear", &[("post", "c"), ("table", "d")]));
+        assert_eq!(
+            found,
+            [
+                "the recipe `clear` has no `floor`, as `collision` has",
+                "the recipe `collision` has no `post`, as `clear` has",
+                "`table` has another form in the recipe `collision` than in `clear`",
+            ]
+        );
     }
 }

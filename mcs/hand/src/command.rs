@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 /// Whether a gripper holds something.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Held {
-    /// It closed on something, still presses on it, and the jaws stand still.
+    /// It closed on something, still presses on it, and the jaws stand still; of a hand, every fingertip feels it.
     pub holds: bool,
-    /// How far the pads are apart, m: as wide as what it holds.
+    /// How far the pads are apart, m: as wide as what it holds. Of a hand, the width of the round thing that all fingertips touch.
     pub width_m: f64,
-    /// How hard each jaw may press, N.
+    /// How hard each jaw may press; of a hand, what is felt by the fingertip that feels the least, N.
     pub force_n: f64,
 }
 

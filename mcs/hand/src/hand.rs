@@ -3,11 +3,16 @@
 //! It moves them through the client interface of their servo, whose law is [`crate::grip`]. A tripod grasp sends three
 //! fingertips towards one point, each with the torques that press there with the force asked for. It holds when every one
 //! of them feels that something presses back. What fingertips feel comes from the task that has their sensors.
+//!
+//! What a gripper is asked for it does as well, with the same three fingertips around one point: whoever carries things need
+//! not know which of both it has.
 
 use std::{sync::Arc, time::Duration};
 
 use ctos::{
     Context,
+    config::TaskConfig,
+    diagnostic::{Finding, Findings},
     message::{Command, Message},
     registry::Registry,
     task::{EventHandler, Handled, HandlerError, Phase, StopReason, TaskRef},
@@ -22,7 +27,8 @@ use serde::Deserialize;
 
 use crate::{
     command::{
-        HandState, LetGo, MoveFingers, ReadHand, ReadTouch, SetStiffness, SwitchOff, Tripod,
+        Grasp, HandState, Held, LetGo, MoveFingers, Open, ReadHand, ReadHeld, ReadTouch,
+        SetStiffness, SwitchOff, Tripod,
     },
     fingers::{FingerError, Fingers},
     grip::{Grip, Grips},
@@ -61,6 +67,54 @@ struct HandArgs {
     touch: String,
     /// The arm that the hand is on, by its name there; the only one when it is left out.
     arm: Option<String>,
+    /// Where the fingertips meet in the grasp of a gripper, in the base frame of the hand's model, m.
+    #[serde(default = "centre_m")]
+    centre_m: [f64; 3],
+    /// How hard each fingertip presses then, when nobody says, N.
+    #[serde(default = "force_n")]
+    force_n: f64,
+    /// How far the skin of a fingertip is from its middle, m.
+    #[serde(default = "tip_m")]
+    tip_m: f64,
+}
+
+fn centre_m() -> [f64; 3] {
+    [0.0, 0.0, 0.145]
+}
+
+fn force_n() -> f64 {
+    2.0
+}
+
+fn tip_m() -> f64 {
+    9e-3
+}
+
+impl HandArgs {
+    /// Findings where a number makes no sense.
+    fn check(&self, task: &TaskConfig, findings: &mut Findings) {
+        let mut wrong = |key: &str, text: String, help: &str| {
+            let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+            let finding = Finding::error("mcs::hand::grasp", text).at(place);
+            findings.push(finding.help(help));
+        };
+        if !self.centre_m.iter().all(|at| at.abs() <= 0.5) {
+            let text = format!("`centre_m` is {:?}", self.centre_m);
+            wrong(
+                "centre_m",
+                text,
+                "give a place nearer to the palm than 0.5 m",
+            );
+        }
+        if !(0.1..=20.0).contains(&self.force_n) {
+            let text = format!("`force_n` is {}", self.force_n);
+            wrong("force_n", text, "give from 0.1 to 20 N");
+        }
+        if !(0.0..=0.05).contains(&self.tip_m) {
+            let text = format!("`tip_m` is {}", self.tip_m);
+            wrong("tip_m", text, "give from 0 to 0.05 m");
+        }
+    }
 }
 
 /// Registers the handler; laws of the process are found in `grips`.
@@ -72,6 +126,9 @@ pub(crate) fn register(registry: &mut Registry, grips: &Grips) {
         ReadHand::INFO,
         SetStiffness::INFO,
         SwitchOff::INFO,
+        Grasp::INFO,
+        Open::INFO,
+        ReadHeld::INFO,
     ];
     let grips = grips.clone();
     registry
@@ -85,12 +142,13 @@ pub(crate) fn register(registry: &mut Registry, grips: &Grips) {
         })
         .checked_args::<HandArgs>(|args, task, app, findings| {
             check_parts(&args.client, &args.grip, (task, app), findings);
+            args.check(task, findings);
             if app.task(&args.touch).is_none() {
                 let place = task.args.locate("touch");
                 let text = format!("there is no task `{}`", args.touch);
                 let names = app.tasks.iter().map(|other| other.name.as_str());
                 findings.push(
-                    ctos::diagnostic::Finding::error("mcs::hand::touch", text)
+                    Finding::error("mcs::hand::touch", text)
                         .at(place.unwrap_or_else(|| task.place.clone()))
                         .suggest(&args.touch, names),
                 );
@@ -135,6 +193,16 @@ fn outwards(
     let way = tip - middle;
     let out = Vector3::new(way.x, way.y, 0.0).try_normalize(1e-6);
     out.ok_or_else(|| refused(format!("finger {finger} is in the middle already")))
+}
+
+/// The radius of the circle through three places, across the direction of approach, m; 0 where there is none.
+fn radius(one: &Point3<f64>, two: &Point3<f64>, three: &Point3<f64>) -> f64 {
+    let [a, b, c] = [two - three, three - one, one - two].map(|side| side.xy());
+    let twice_area = a.perp(&b).abs();
+    if twice_area < 1e-9 {
+        return 0.0;
+    }
+    a.norm() * b.norm() * c.norm() / (2.0 * twice_area)
 }
 
 /// The springs of a grasp, N m/rad: those that were asked for, where there are some.
@@ -290,6 +358,58 @@ impl Hand {
         self.fingers(cx, &back).await
     }
 
+    /// Opens the fingertips around the middle of a grasp, so far that something of that width fits between them (m); straight
+    /// fingers when no width is given. What they hold, they let go.
+    async fn open(&mut self, cx: &Context, order: &Open) -> Result<Held, MotionError> {
+        let joints = self.around(order.width_m)?;
+        let open = MoveFingers {
+            joints,
+            speed: order.speed,
+            time_s: None,
+        };
+        let state = self.fingers(cx, &open).await?;
+        self.held(&state)
+    }
+
+    fn around(&self, width_m: Option<f64>) -> Result<Joints, MotionError> {
+        let mut fingers = self.parts()?.fingers;
+        let mut to = Joints::zeros(fingers.model().dof());
+        let Some(width_m) = width_m else {
+            return Ok(to);
+        };
+        let (straight, middle) = (fingers.tips(&to), Point3::from(self.args.centre_m));
+        for (finger, tip) in (1..=THREE).zip(&straight) {
+            let out = outwards(tip, &middle, finger)?;
+            let at = middle + out * (0.5 * width_m + self.args.tip_m);
+            to = fingers.reach(finger, &at, &to).map_err(cannot)?;
+        }
+        Ok(to)
+    }
+
+    /// A tripod grasp where a gripper would grasp.
+    async fn grasp(&mut self, cx: &Context, order: &Grasp) -> Result<Held, MotionError> {
+        let order = Tripod {
+            centre_m: self.args.centre_m,
+            force_n: order.force_n.unwrap_or(self.args.force_n),
+            speed: order.speed,
+        };
+        let state = self.tripod(cx, &order).await?;
+        self.held(&state)
+    }
+
+    /// What a gripper would tell: the width is that of the round thing that all fingertips touch.
+    fn held(&self, state: &HandState) -> Result<Held, MotionError> {
+        let tips = self.parts()?.fingers.tips(&state.joints);
+        let [one, two, three] = *tips.as_slice() else {
+            return Err(refused("a tripod grasp takes three fingers"));
+        };
+        Ok(Held {
+            holds: state.holds,
+            width_m: (2.0 * (radius(&one, &two, &three) - self.args.tip_m)).max(0.0),
+            force_n: state.touch_n.into_iter().fold(f64::INFINITY, f64::min),
+        })
+    }
+
     async fn state(&self, cx: &Context) -> Result<HandState, MotionError> {
         let Parts { hand, touch, .. } = self.parts()?;
         let joints = hand.position().await?.joints;
@@ -337,6 +457,19 @@ impl EventHandler for Hand {
             ReadHand::CODE => {
                 let (ReadHand {}, reply) = message.open::<ReadHand>()?;
                 reply.ok(self.state(cx).await)
+            }
+            Open::CODE => {
+                let (order, reply) = message.open::<Open>()?;
+                reply.ok(self.open(cx, &order).await)
+            }
+            Grasp::CODE => {
+                let (order, reply) = message.open::<Grasp>()?;
+                reply.ok(self.grasp(cx, &order).await)
+            }
+            ReadHeld::CODE => {
+                let (ReadHeld {}, reply) = message.open::<ReadHeld>()?;
+                let state = self.state(cx).await;
+                reply.ok(state.and_then(|state| self.held(&state)))
             }
             SetStiffness::CODE => {
                 let (order, reply) = message.open::<SetStiffness>()?;

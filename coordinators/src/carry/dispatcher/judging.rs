@@ -14,6 +14,7 @@ use crate::{
         board::Field,
         errand::{ERRAND, Errand, Problem},
         laser::{SHOWN, Shown},
+        people::{ANSWERED, Answer, Answered},
         sight::{self, FOUND, Found, Hindrance, SIGHT, Sight},
         speaker,
     },
@@ -34,7 +35,15 @@ pub(super) async fn aim(action: Act) -> Acted {
     }
     let mut ends = Ends::default();
     match sight::aimed(&errand, &sight) {
-        Ok(aimed) => return store.store(&cx, ERRAND, &aimed).await,
+        Ok(aimed) => {
+            if aimed.open_m < errand.open_m {
+                let open_mm = aimed.open_m * 1e3;
+                action.note(format!(
+                    "fingers open {open_mm:.0} mm, for what stands beside"
+                ));
+            }
+            return store.store(&cx, ERRAND, &aimed).await;
+        }
         Err(Hindrance::NothingAtFrom(text)) => {
             if action.with_state(|state| state.tried > 0) {
                 // It was there before it was touched.
@@ -176,10 +185,11 @@ pub(super) async fn aim_point(action: Act) -> Acted {
     store.store(&cx, SHOWN, &shown).await
 }
 
-/// Notes where the thing is that was not carried. One that was lost is fetched from there, where the configuration says so.
+/// Notes where the thing is that was not carried. One that was lost is fetched from there, where the configuration says so, or a
+/// person.
 pub(super) async fn tell_found(action: Act) -> Acted {
     action.with_state(|state| {
-        state.again = false;
+        (state.again, state.asks) = (false, false);
         state.ends.is_shown = false;
     });
     let found = found(&action).await?;
@@ -187,25 +197,55 @@ pub(super) async fn tell_found(action: Act) -> Acted {
         action.note(note);
     }
     say_lost(&action, &found).await;
-    let (cx, _, store) = parts(&action);
     let (has_fetched, lost) = action.with_state(|state| {
         let lost = state.wishes.lost.unwrap_or(state.args.lost);
         (state.fetches, lost)
     });
-    let errand: Errand = store.fetch(&cx, ERRAND).await?;
-    if lost == Lost::Fetch
-        && !has_fetched
-        && let Some(there) = sight::at_found(&errand, &found)
-    {
-        let field = speaker::field(&there.from);
-        store.store(&cx, ERRAND, &there).await?;
-        let Field { column, row, .. } = there.from;
-        action.note(format!("it is fetched from {column:.2},{row:.2}"));
-        say(&action, &format!("fetching from {field}"));
-        action.with_state(|state| (state.again, state.fetches) = (true, true));
+    if lost == Lost::Fetch && !has_fetched && fetch(&action, &found).await? {
         return Ok(());
     }
     let is_shown = prepare_to_show(&action, &found).await?;
-    action.with_state(|state| state.ends.is_shown = is_shown);
+    let (cx, _, store) = parts(&action);
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    let may_be_fetched = !has_fetched && sight::at_found(&errand, &found).is_some();
+    action.with_state(|state| {
+        state.ends.is_shown = is_shown;
+        state.asks = lost == Lost::Ask && may_be_fetched;
+    });
+    Ok(())
+}
+
+/// Makes an errand of fetching what was lost from where it was found. Whether it may be only one thing.
+async fn fetch(action: &Act, found: &Found) -> Result<bool, HandlerError> {
+    let (cx, _, store) = parts(action);
+    let errand: Errand = store.fetch(&cx, ERRAND).await?;
+    let Some(there) = sight::at_found(&errand, found) else {
+        return Ok(false);
+    };
+    let field = speaker::field(&there.from);
+    store.store(&cx, ERRAND, &there).await?;
+    let Field { column, row, .. } = there.from;
+    action.note(format!("it is fetched from {column:.2},{row:.2}"));
+    say(action, &format!("fetching from {field}"));
+    action.with_state(|state| (state.again, state.fetches) = (true, true));
+    Ok(true)
+}
+
+/// What people answered: what is lost is fetched, or left.
+pub(super) async fn hear(action: Act) -> Acted {
+    let (cx, _, store) = parts(&action);
+    let command = action.with_state(|state| state.command);
+    let answered: Answered = store.fetch(&cx, ANSWERED).await?;
+    if answered.command != command {
+        return Err(HandlerError::new("nobody answered for this errand"));
+    }
+    match answered.answer {
+        Answer::Fetch => {
+            action.note("people said that it is fetched");
+            let found = found(&action).await?;
+            fetch(&action, &found).await?;
+        }
+        Answer::Leave => action.note("people said that it is left"),
+    }
     Ok(())
 }

@@ -43,7 +43,7 @@ fn begin_anew(action: &Act, command: u32, tag: String, began: &Acted) {
     action.with_state(|state| {
         state.command = command;
         state.ends = Ends::default();
-        (state.tried, state.again, state.fetches) = (0, false, false);
+        (state.tried, state.again, state.fetches, state.asks) = (0, false, false, false);
         (state.tag, state.hindrances) = (tag, hindrances);
     });
 }
@@ -66,6 +66,7 @@ fn begun(
         points: [from, to].map(|field| args.board.point(&field, thing.height_m)),
         yaw: args.board.yaw(),
         clearance_m: args.clearance_m,
+        open_m: thing.grasp.open_m,
         speed: wishes.speed,
         thing,
     };
@@ -171,7 +172,7 @@ mod tests {
             (&["3,4"][..], "FROM and TO"),
             (&["3,4", "4,5", "5,6"], "3 fields"),
             (&["3,4", "4,5", "speed=2"], "fraction of full speed"),
-            (&["3,4", "4,5", "lost=find"], "`tell` or `fetch`"),
+            (&["3,4", "4,5", "lost=find"], "`tell`, `fetch` or `ask`"),
             (&["3,4", "4,5", "tries=0"], "from 1 to"),
             (&["3,4", "4,5", "show=yes"], "`on` or `off`"),
             (&["3,4", "4,5", "speaker=sound"], "at which daemon"),

@@ -62,6 +62,8 @@ pub(in crate::carry) struct Dispatcher {
     pub again: bool,
     /// The thing was lost, and is being fetched from where it was seen.
     pub fetches: bool,
+    /// A person is asked whether it is fetched.
+    pub asks: bool,
     /// What the command's sender calls it, and what was in the way besides the problems of the Coordinators.
     pub tag: String,
     pub hindrances: Vec<Failure>,

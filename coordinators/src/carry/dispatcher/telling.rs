@@ -7,8 +7,8 @@ use crate::{
     carry::{
         board::Field,
         errand::{
-            ERRAND, Errand, HAND_PROBLEMS, LASER_PROBLEMS, Problem, Problems, ROBOT_PROBLEMS,
-            VISION_PROBLEMS, WAY, WAYS, Way, Ways,
+            ERRAND, Errand, HAND_PROBLEMS, LASER_PROBLEMS, PEOPLE_PROBLEMS, Problem, Problems,
+            ROBOT_PROBLEMS, VISION_PROBLEMS, WAY, WAYS, Way, Ways,
         },
         sight::Found,
         speaker,
@@ -106,6 +106,7 @@ pub(super) async fn problems(action: &Act) -> Vec<Problem> {
         HAND_PROBLEMS,
         VISION_PROBLEMS,
         LASER_PROBLEMS,
+        PEOPLE_PROBLEMS,
     ] {
         if let Ok(found) = store.fetch::<Problems>(&cx, object).await
             && found.command == command
@@ -153,7 +154,15 @@ pub(super) async fn say_lost(action: &Act, found: &Found) {
     if !found.looked {
         return;
     }
-    say(action, &lost(&errand, found));
+    let problems = problems(action).await;
+    let is_stuck = problems
+        .iter()
+        .any(|problem| problem.failure.outcome == Outcome::Stuck);
+    let words = match is_stuck {
+        true => format!("stuck together at {}", speaker::field(&errand.from)),
+        false => lost(&errand, found),
+    };
+    say(action, &words);
     action.with_state(|state| state.ends.said = true);
 }
 

@@ -16,6 +16,8 @@ pub(in crate::carry) enum Lost {
     Tell,
     /// It is fetched, once.
     Fetch,
+    /// A person is asked which of both.
+    Ask,
 }
 
 /// What a command wants otherwise than the configuration has it: the words `KEY=VALUE` among its arguments.
@@ -48,7 +50,8 @@ impl Wishes {
                 self.lost = Some(match value {
                     "tell" => Lost::Tell,
                     "fetch" => Lost::Fetch,
-                    _ => return Err("give `tell` or `fetch`".to_owned()),
+                    "ask" => Lost::Ask,
+                    _ => return Err("give `tell`, `fetch` or `ask`".to_owned()),
                 });
             }
             "show" => {

@@ -75,7 +75,8 @@ impl<'a> Ride<'a> {
             }
             Leg::Lift => {
                 let up = self.grip_above(End::From).await?;
-                self.line(up, self.args.slow, &[]).await
+                self.line(up, self.args.slow, &[]).await?;
+                self.weigh().await
             }
             Leg::SetDown => self.set_down(End::To).await,
             Leg::Withdraw => self.withdraw().await,

@@ -74,7 +74,7 @@ fn without_cameras_a_thing_that_is_not_there_or_cannot_be_set_down_is_told_and_s
     assert_eq!(world.looks, 0);
     let (symbol, text) = &world.bench.answers[0];
     assert_eq!(symbol, "not_carried");
-    assert!(text.contains("no disc is between the jaws"), "{text}");
+    assert!(text.contains("no disc is in the grasp"), "{text}");
     let mut occupied = World::default();
     occupied.believes = "known";
     occupied.others.push(on("4,5"));

@@ -1,10 +1,10 @@
 //! What is seen before and after, or not seen.
 
 use mcs::client::Outcome as Motion;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 use super::world::{
-    BOARD, CARRY, Place, World, motions, on, requests, run, run_all_with, run_with,
+    BOARD, CARRY, Place, World, disc, motions, on, requests, run, run_all_with, run_with,
 };
 use crate::{
     bench::Fault,
@@ -133,6 +133,47 @@ fn things_that_are_stuck_together_are_named_and_nothing_moves() {
 }
 
 #[test]
+fn a_thing_that_another_one_sticks_to_weighs_too_much_is_set_back_and_told_as_that() {
+    let mut stuck = World::default();
+    stuck.is_stuck = true;
+    let world = run(stuck, &[CARRY]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "not_carried", "{text}");
+    let said = "lift: what was lifted weighs 0.39 N, and a disc 0.20 N: another one sticks to it";
+    assert!(text.contains(said), "{text}");
+    assert!((world.stands_at() - on("3,4")).norm() < 1e-9);
+    assert!(!world.dropped && world.hand_full() == 0 && world.rests());
+    // The grasp was not the reason.
+    assert!(!text.contains("turned by"), "{text}");
+}
+
+#[test]
+fn fingers_open_no_further_than_what_stands_beside_the_thing_allows_at_either_end() {
+    let widths = |others: &[Point3<f64>]| {
+        let mut world = World::default();
+        world.others = others.to_vec();
+        let world = run(world, &[CARRY]);
+        assert_eq!(
+            world.bench.answers[0].0, "carried",
+            "{:?}",
+            world.bench.answers
+        );
+        world.opened
+    };
+    let usual = disc().grasp.open_m;
+    assert!(widths(&[]).iter().all(|open| *open == usual));
+    // 50 mm beside it: 18 mm to its rim, and a jaw of 12 mm, of which 1 mm is left free.
+    for field in ["3,4", "4,5"] {
+        let near = on(field) + BOARD.pose() * Vector3::new(0.05, 0.0, 0.0);
+        let opened = widths(&[near]);
+        assert!(!opened.is_empty());
+        for open in opened {
+            assert!((open - 0.040).abs() < 1e-9, "{field}: {open}");
+        }
+    }
+}
+
+#[test]
 fn a_thing_that_slipped_in_the_air_is_fetched_where_the_configuration_says_so_and_once_only() {
     let moves = motions(&requests());
     let slip = (moves[4], Fault::Slips);
@@ -154,6 +195,46 @@ fn a_thing_that_slipped_in_the_air_is_fetched_where_the_configuration_says_so_an
     assert_eq!(symbol, "not_carried", "{text}");
     assert_eq!(text.matches("it is fetched from").count(), 1, "{text}");
     assert!(world.rests());
+}
+
+#[test]
+fn people_are_asked_whether_a_lost_thing_is_fetched_and_who_says_nothing_is_not_waited_for_for_ever()
+ {
+    let moves = motions(&requests());
+    let ask = "task.dispatcher.args.lost=\"ask\"";
+    let asked = |says| {
+        let mut world = World::new(&[(moves[4], Fault::Slips)]);
+        world.says = says;
+        run_with(world, &[ask])
+    };
+    let world = asked(Some("fetch"));
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    assert!(text.contains("people said that it is fetched"), "{text}");
+    assert!((world.stands_at() - on("4,5")).norm() < 1e-6, "{text}");
+    // Who says it twice is told that nobody asks any more.
+    assert_eq!(world.replies, ["heard", "nobody_asked"]);
+
+    for (says, reply, said) in [
+        (Some("leave"), "heard", "people said that it is left"),
+        (
+            Some("perhaps"),
+            "not_understood",
+            "question: nobody answered",
+        ),
+        (
+            None,
+            "",
+            "question: nobody answered whether it shall be fetched",
+        ),
+    ] {
+        let world = asked(says);
+        let (symbol, text) = &world.bench.answers[0];
+        assert_eq!(symbol, "not_carried", "{text}");
+        assert!(text.contains(said), "{said}: {text}");
+        assert!(says.is_none() || world.replies.contains(&reply.to_owned()));
+        assert!(world.rests() && world.hand_full() == 0);
+    }
 }
 
 #[test]

@@ -10,8 +10,8 @@ use ctos::{
 use mcs::{
     Joints,
     client::{
-        GuardsReport, MotionError, Move, Outcome as Motion, PathKind, Plan, ReadGuards, SetOutput,
-        Target,
+        GuardsReport, MotionError, Move, Outcome as Motion, PathKind, Plan, ReadGuards,
+        ReadSensors, SensorReport, SetOutput, Target,
     },
     guard::GuardReport,
 };
@@ -21,6 +21,7 @@ use mcs_path::{
     task::{PlanWay, Planned, Unplanned},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
+use pnt::task::PutTape;
 use vss::{
     command::{DiskOffset, DiskReport, DiskSight, Outcome as Vss, VisionError},
     visual_jacobian::{Correction, Seen},
@@ -28,7 +29,7 @@ use vss::{
 use vss_board::{discs::SeenDisc, pose::BoardPose};
 
 use crate::{
-    bench::{self, Bench, Fault, StandIn, configs, lock, pose},
+    bench::{self, Bench, Fault, Shared, StandIn, configs, lock, pose},
     carry::{board::Board, errand::Errand, eyes::LookOver, sight::Overview, thing::Thing},
 };
 
@@ -66,6 +67,7 @@ pub(in crate::carry) fn errand() -> Errand {
         points: [from, to].map(|field| BOARD.point(&field, thing.height_m)),
         yaw: BOARD.yaw(),
         clearance_m: 0.1,
+        open_m: thing.grasp.open_m,
         speed: None,
         thing,
     }
@@ -122,6 +124,14 @@ pub(crate) struct World {
     pub taught: usize,
     /// The planner finds no way.
     pub is_walled_in: bool,
+    /// How far the gripper was asked to open, m.
+    pub opened: Vec<f64>,
+    /// What a person says some seconds after each look, while that is not answered.
+    pub says: Option<&'static str>,
+    /// What was answered to that.
+    pub replies: Vec<String>,
+    /// Another thing hangs on the one that is lifted.
+    pub is_stuck: bool,
     /// Where the thing was at each answer.
     pub at_answers: Vec<Place>,
 }
@@ -159,6 +169,10 @@ impl World {
             squint: Vector3::zeros(),
             taught: 0,
             is_walled_in: false,
+            opened: Vec::new(),
+            says: None,
+            replies: Vec::new(),
+            is_stuck: false,
             at_answers: Vec::new(),
         }
     }
@@ -343,6 +357,20 @@ impl World {
         }
     }
 
+    /// What the sensor in the wrist reads: force, N, and torque.
+    fn weight(&self) -> SensorReport {
+        let things = match self.thing {
+            Place::InHand => 1.0 + f64::from(u8::from(self.is_stuck)),
+            Place::At(_) => 0.0,
+        };
+        let weight = things * 9.80665 * disc().mass_kg.unwrap_or_default();
+        SensorReport {
+            sensors: Vec::new(),
+            numbers: vec![0.0, 0.0, weight, 0.0, 0.0, 0.0],
+            stale: Vec::new(),
+        }
+    }
+
     fn held(&self) -> Held {
         let holds = self.thing == Place::InHand;
         Held {
@@ -363,6 +391,7 @@ impl bench::World for World {
         PlanWay::INFO,
         DiskOffset::INFO,
         ReadGuards::INFO,
+        ReadSensors::INFO,
     ];
 
     fn bench(&mut self) -> &mut Bench {
@@ -473,12 +502,18 @@ impl bench::World for World {
                 world.closes();
                 Ok(world.held())
             }),
-            Open::CODE => stand_in.typed::<Open, _>(cx, message, |world, _| {
+            Open::CODE => stand_in.typed::<Open, _>(cx, message, |world, order| {
+                world.opened.extend(order.width_m);
                 world.opens();
                 Ok(world.held())
             }),
             ReadHeld::CODE => {
                 stand_in.typed::<ReadHeld, _>(cx, message, |world, _| Ok(world.held()))
+            }
+            // Asked so often that no fault is drawn for it.
+            ReadSensors::CODE => {
+                let (ReadSensors {}, reply) = message.open::<ReadSensors>()?;
+                reply.ok(lock(&stand_in.0).weight())
             }
             ReadGuards::CODE => stand_in.plain::<ReadGuards>(message, |world, _| GuardsReport {
                 recipes: Vec::new(),
@@ -525,6 +560,9 @@ impl bench::World for World {
             }
             LookOver::CODE => {
                 let (LookOver { .. }, reply) = message.open::<LookOver>()?;
+                if let Some(words) = lock(&stand_in.0).says {
+                    answer(cx, words, stand_in.0.clone());
+                }
                 let error = |outcome| Err(VisionError::new(outcome, "no picture on purpose"));
                 match stand_in.meets("look_over").0 {
                     Some(Fault::Meets(Motion::Lost)) => reply.fail("it is broken"),
@@ -538,6 +576,21 @@ impl bench::World for World {
             _ => cx.default_processing(message),
         }
     }
+}
+
+/// A person answers some seconds later.
+fn answer(cx: &Context, words: &'static str, world: Shared<World>) {
+    let child = cx.clone();
+    cx.spawn(async move {
+        child.sleep(Duration::from_secs(20)).await;
+        let put = PutTape {
+            symbol: "answer".to_owned(),
+            arguments: words.split_whitespace().map(ToOwned::to_owned).collect(),
+        };
+        let people = child.task("people").await.unwrap();
+        let reply = child.call(&people, put).await.unwrap();
+        lock(&world).replies.push(reply.symbol);
+    });
 }
 
 /// The tasks of the nets.
@@ -576,6 +629,10 @@ light = [0.05, 0.0, -0.065]
 blinks = {BLINKS}
 park_deg = [0, 75, -180, 0, -75, 0]
 service_within_s = 2.0
+[task.people]
+handler = "coordinators.carry_people"
+on = "ws1"
+args.net = "{configs}/nets/carry/people.net"
 [task.vision]
 handler = "coordinators.carry_vision"
 on = "ws1"

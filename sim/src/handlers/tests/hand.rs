@@ -1,7 +1,9 @@
 //! The app of `configs/hand.toml` in virtual time: three fingertips pick a round piece up, weigh it and place it elsewhere.
 
 use mcs::client::ReadSensors;
-use mcs_hand::command::{HandState, LetGo, MoveFingers, ReadHand, Tripod};
+use mcs_hand::command::{
+    Grasp, HandState, Held, LetGo, MoveFingers, Open, ReadHand, ReadHeld, Tripod,
+};
 use nalgebra::Vector3;
 
 use super::{
@@ -139,4 +141,60 @@ fn a_hand_whose_piece_is_too_heavy_says_that_it_holds_nothing_when_it_is_lifted(
     let (held, at) = holds("lifted");
     assert!(!held);
     assert!((at.z - PIECE[2]).abs() < 2e-3, "{at}");
+}
+
+/// What the hand says when it is asked as a gripper: opened, closed on nothing, around the piece, with it in the air, and after it.
+async fn as_a_gripper(cx: Context, steps: Arc<Mutex<Vec<Held>>>) {
+    let hand = cx.task("hand").await.unwrap();
+    let arm = Manipulator::find(&cx, "mcs").await.unwrap();
+    let open = async |width_m: Option<f64>| {
+        let order = Open {
+            width_m,
+            speed: 1.0,
+        };
+        cx.call(&hand, order).await.unwrap()
+    };
+    let close = async |force_n: Option<f64>| {
+        let order = Grasp {
+            force_n,
+            speed: 0.3,
+        };
+        cx.call(&hand, order).await.unwrap().unwrap()
+    };
+    arm.acquire().await.unwrap();
+    go(&arm, down(PIECE, ABOVE), PathKind::Joint).await;
+    let mut all = vec![open(None).await.unwrap(), close(None).await];
+    all.push(open(Some(0.05)).await.unwrap());
+    assert!(open(Some(0.3)).await.is_err());
+    go(&arm, down(PIECE, 0.0), PathKind::StraightLine).await;
+    all.push(close(Some(FORCE)).await);
+    go(&arm, down(PIECE, ABOVE), PathKind::StraightLine).await;
+    all.push(cx.call(&hand, ReadHeld {}).await.unwrap().unwrap());
+    go(&arm, down(PIECE, 0.001), PathKind::StraightLine).await;
+    all.push(open(Some(0.05)).await.unwrap());
+    arm.release().await.unwrap();
+    *steps.lock().unwrap() = all;
+}
+
+#[test]
+fn a_hand_does_what_a_gripper_is_asked_for_and_tells_how_wide_the_round_thing_is_that_it_holds() {
+    let steps = run_app("hand", ("mass = 0.1", "mass = 0.1"), |cx, steps| {
+        Box::pin(as_a_gripper(cx, steps))
+    });
+    let [straight, closed, round, grasped, lifted, gone] = steps.as_slice() else {
+        panic!("{steps:?}");
+    };
+    // Fingers stand 40 mm from the middle, and their tips are balls of 9 mm.
+    assert!((straight.width_m - 0.062).abs() < 1e-3, "{straight:?}");
+    assert!(closed.width_m < 1e-3, "{closed:?}");
+    for open in [straight, closed, round, gone] {
+        assert!(!open.holds && open.force_n < 1e-9, "{open:?}");
+    }
+    for open in [round, gone] {
+        assert!((open.width_m - 0.05).abs() < 1e-3, "{open:?}");
+    }
+    for held in [grasped, lifted] {
+        assert!(held.holds && held.force_n > 0.5 * FORCE, "{held:?}");
+        assert!((held.width_m - 0.04).abs() < 1e-3, "{held:?}");
+    }
 }
