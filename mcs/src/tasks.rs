@@ -16,6 +16,7 @@ mod slots;
 mod split_torque;
 pub mod state;
 mod streams;
+mod ways;
 
 #[cfg(test)]
 mod tests;
@@ -87,6 +88,8 @@ pub struct Link {
     pub config: ServoConfig,
     /// The recipes of its guards.
     guards: guards::Recipes,
+    /// The motions that were ordered and have not ended, for viewers.
+    ways: ways::Ways,
     /// The slots that are no joints.
     sensors: Vec<Sensor>,
 }

@@ -46,7 +46,16 @@ pub trait Guard: Send {
     fn feels(&self) -> bool {
         false
     }
+
+    /// Straight lines in the base frame, m, that show a viewer what it forbids; none where that has no place. Asked once,
+    /// before it watches.
+    fn outline(&self) -> Vec<Line> {
+        Vec::new()
+    }
 }
+
+/// A straight line between two points, m.
+pub type Line = [[f64; 3]; 2];
 
 /// What happens when a guard finds something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -1,4 +1,5 @@
-//! The arm as viewers draw it: the solids of its model where the measured joints put them, and what is measured at each joint.
+//! The arm as viewers draw it: the solids of its model where the measured joints put them, and what is measured at each joint;
+//! with what its guards forbid, and the way of its tool that is planned.
 //!
 //! The state manager shows it, from what every servo tick leaves for readers anyway. So the servo neither knows nor does
 //! anything of it, and nobody computes anything while nobody follows.
@@ -8,9 +9,9 @@ use std::sync::Arc;
 use nalgebra::Isometry3;
 use scene::{Number, Part, Pose, Said, Seen, Solid, Source, Stage, View};
 
-use super::Link;
+use super::{Link, ways};
 use crate::driver::{Power, Sensor, SensorKind};
-use crate::guard::{GuardReport, Reaction};
+use crate::guard::{GuardReport, Line, Reaction};
 use crate::model::{self, Data, Model};
 use crate::servo::{MotionPhase, ServoStatus};
 use crate::trajectory::Planner;
@@ -21,6 +22,10 @@ const AXES: f64 = 0.12;
 const BASE: [u8; 3] = [92, 99, 112];
 const LINKS: [[u8; 3]; 2] = [[222, 221, 214], [201, 203, 200]];
 const TOOL: [u8; 3] = [217, 119, 6];
+const GUARD: [u8; 3] = [200, 62, 62];
+const WAY: [u8; 3] = [37, 99, 235];
+/// Radius of what is drawn as a line, m.
+const LINE: f64 = 0.003;
 
 /// What the state manager of the servo task `name` shows.
 pub(super) fn stage(name: &str, link: &Arc<Link>) -> Stage {
@@ -32,15 +37,21 @@ struct Arm {
     planner: Planner,
     model: Arc<Model>,
     data: Data,
-    view: Option<View>,
+    /// Base, links and tool.
+    arm: Vec<Part>,
+    /// What was shown last beside the arm: the outlines of guards, and the motions under way.
+    beside: Option<Beside>,
 }
+
+type Beside = (Vec<(String, Vec<Line>)>, Vec<u64>);
 
 impl Arm {
     fn new(name: &str, link: &Arc<Link>) -> Self {
         let planner = link.planner.clone();
         let model = planner.model().clone();
         Self {
-            view: Some(view(name, &model, &link.sensors)),
+            arm: parts(name, &model, &link.sensors),
+            beside: None,
             data: model.data(),
             link: Arc::clone(link),
             planner,
@@ -57,13 +68,53 @@ impl Arm {
             .map(|carrier| pose(&self.data.carrier(carrier).isometry()))
             .collect();
         poses.push(pose(&self.planner.tool_pose(q)));
+        // What stands beside the arm is in the frame of its base.
+        let (guards, ways) = self.beside.as_ref().map_or((0, 0), |(guards, ways)| {
+            (guards.len(), usize::from(!ways.is_empty()))
+        });
+        let base = pose(&self.data.carrier(None).isometry());
+        poses.extend(std::iter::repeat_n(base, guards + ways));
         poses
     }
 }
 
 impl Source for Arm {
     fn view(&mut self) -> Option<View> {
-        self.view.take()
+        let under_way = self.link.ways.under_way(&self.link.port.status().ended);
+        let ids = under_way.iter().map(|(id, _)| *id).collect();
+        let beside = (self.link.guards.outlines(), ids);
+        if self.beside.as_ref() == Some(&beside) {
+            return None;
+        }
+        let mut parts = self.arm.clone();
+        let base = parts.first().map(|base| base.name.clone());
+        let drawn = |name: String, kind: &str, colour, solids| Part {
+            name,
+            parent: base.clone(),
+            kind: kind.to_owned(),
+            solids,
+            colour,
+            numbers: Vec::new(),
+        };
+        let guards = beside.0.iter();
+        parts.extend(guards.map(|(name, outline)| {
+            let lines = outline.iter().map(|[a, b]| line(*a, *b)).collect();
+            drawn(format!("guard {name}"), "guard", GUARD, lines)
+        }));
+        let mut way = Vec::new();
+        for (_, segment) in &under_way {
+            let points = ways::points(segment, &mut self.planner);
+            let ends = points.iter().zip(points.iter().skip(1));
+            way.extend(ends.map(|(from, to)| line(*from, *to)));
+        }
+        if !under_way.is_empty() {
+            parts.push(drawn("way".to_owned(), "way", WAY, way));
+        }
+        self.beside = Some(beside);
+        Some(View {
+            parts,
+            ..View::default()
+        })
     }
 
     fn look(&mut self) -> Seen {
@@ -89,8 +140,8 @@ impl Source for Arm {
         let states = poses.into_iter().enumerate().map(|(part, pose)| {
             let numbers = match part.checked_sub(1) {
                 Some(joint) if joint < joints => numbers(joint),
-                Some(_) => sensed.clone(),
-                None => Vec::new(),
+                Some(tool) if tool == joints => sensed.clone(),
+                _ => Vec::new(),
             };
             (pose, numbers)
         });
@@ -108,6 +159,10 @@ fn pose(placed: &Isometry3<f64>) -> Pose {
         at: placed.translation.vector.into(),
         turn: turn.into(),
     }
+}
+
+fn line(a: [f64; 3], b: [f64; 3]) -> Solid {
+    Solid::Capsule { a, b, radius: LINE }
 }
 
 fn solid(solid: &model::Solid) -> Solid {
@@ -157,7 +212,7 @@ fn numbers(sensor: &Sensor) -> Vec<Number> {
 }
 
 /// The base, a part for each joint with what its frame carries, and the tool with what the sensors read.
-fn view(name: &str, model: &Model, sensors: &[Sensor]) -> View {
+fn parts(name: &str, model: &Model, sensors: &[Sensor]) -> Vec<Part> {
     let solids = |carrier: Option<usize>| {
         let own = model.shapes().iter();
         let own = own.filter(|shape| shape.carrier == carrier);
@@ -207,10 +262,7 @@ fn view(name: &str, model: &Model, sensors: &[Sensor]) -> View {
         colour: TOOL,
         numbers: sensors.iter().flat_map(numbers).collect(),
     });
-    View {
-        parts,
-        ..View::default()
-    }
+    parts
 }
 
 fn said(link: &Link, status: &ServoStatus) -> Said {

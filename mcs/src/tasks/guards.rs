@@ -11,22 +11,36 @@ use super::{Link, SERVO};
 use crate::args::{RecipeArgs, ServoArgs};
 use crate::client::{MotionError, Outcome, Recipe, SetGuard};
 use crate::guard::{
-    Around, Guard, GuardRegistry, GuardSet, GuardSettings, MAX_GUARDS, Mounted, Neighbour,
+    Around, Guard, GuardRegistry, GuardSet, GuardSettings, Line, MAX_GUARDS, Mounted, Neighbour,
 };
 use crate::model::Model;
 
-/// The recipes of one servo; each has the slot of the servo that is its index.
+/// The recipes of one servo, each with the outline of its guard; a recipe has the slot of the servo that is its index.
 #[derive(Debug, Default)]
-pub(super) struct Recipes(Mutex<Vec<Option<Recipe>>>);
+pub(super) struct Recipes(Mutex<Vec<Option<(Recipe, Vec<Line>)>>>);
 
 impl Recipes {
-    fn lock(&self) -> MutexGuard<'_, Vec<Option<Recipe>>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<Option<(Recipe, Vec<Line>)>>> {
         // It is changed in whole steps, so one who panicked has left it whole.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub fn all(&self) -> Vec<Recipe> {
-        self.lock().iter().flatten().cloned().collect()
+        let recipes = self.lock();
+        let recipes = recipes.iter().flatten();
+        recipes.map(|(recipe, _)| recipe.clone()).collect()
+    }
+
+    /// The names of the guards that have an outline, with that, in the base frame.
+    pub fn outlines(&self) -> Vec<(String, Vec<Line>)> {
+        let recipes = self.lock();
+        let drawn = recipes
+            .iter()
+            .flatten()
+            .filter(|(_, outline)| !outline.is_empty());
+        drawn
+            .map(|(recipe, outline)| (recipe.name.clone(), outline.clone()))
+            .collect()
     }
 
     /// The guards that a motion names.
@@ -38,7 +52,7 @@ impl Recipes {
         names.iter().try_fold(GuardSet::default(), |set, name| {
             let found = recipes.iter().position(|recipe| is(recipe, name));
             found.map(|slot| set.with(slot)).ok_or_else(|| {
-                let known: Vec<&str> = recipes.iter().flatten().map(|one| one.name.as_str()).collect();
+                let known: Vec<&str> = recipes.iter().flatten().map(|(one, _)| one.name.as_str()).collect();
                 let known = match known.is_empty() {
                     true => "it has none".to_owned(),
                     false => format!("it has {}", known.join(", ")),
@@ -50,8 +64,10 @@ impl Recipes {
     }
 }
 
-fn is(recipe: &Option<Recipe>, name: &str) -> bool {
-    recipe.as_ref().is_some_and(|recipe| recipe.name == name)
+fn is(recipe: &Option<(Recipe, Vec<Line>)>, name: &str) -> bool {
+    recipe
+        .as_ref()
+        .is_some_and(|(recipe, _)| recipe.name == name)
 }
 
 /// A recipe's name is a word that stands after a dot.
@@ -158,7 +174,7 @@ impl Maker {
             .lock()
             .iter()
             .flatten()
-            .any(|recipe| recipe.name == request.name && recipe.configured);
+            .any(|(recipe, _)| recipe.name == request.name && recipe.configured);
         let recipe = Recipe {
             name: request.name,
             kind: request.kind,
@@ -178,6 +194,7 @@ impl Maker {
     ) -> Result<(), HandlerError> {
         let built = self.build((&recipe.name, &recipe.kind), (&Running(cx), Some(cx)), args);
         let guard = built.map_err(|error| format!("guard `{}`: {error}", recipe.name))?;
+        let outline = guard.outline();
         let mounted = Mounted::new(&recipe.name, recipe.reaction, recipe.always, guard);
         let mut recipes = link.guards.lock();
         let free = || recipes.iter().position(Option::is_none);
@@ -190,7 +207,7 @@ impl Maker {
         if slot == recipes.len() {
             recipes.push(None);
         }
-        recipes[slot] = Some(recipe);
+        recipes[slot] = Some((recipe, outline));
         Ok(())
     }
 
@@ -202,7 +219,7 @@ impl Maker {
         };
         if recipes[slot]
             .as_ref()
-            .is_some_and(|recipe| recipe.configured)
+            .is_some_and(|(recipe, _)| recipe.configured)
         {
             let text = format!(
                 "guard `{name}` stands in the configuration of `{}`; take it out there",

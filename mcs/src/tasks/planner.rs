@@ -146,6 +146,7 @@ impl PlannerTask {
             None => ServoCommand::Move { id, segment },
         })?;
         self.waiting.borrow_mut().push_back((id, reply));
+        link.ways.add(id, segment, &status.ended);
         self.last_id = id;
         self.last = Some(Last { segment, end, pace });
         let duration = Duration::from_secs_f64(segment.duration());

@@ -17,6 +17,7 @@ use super::records::{Recorder, Records, records};
 use super::slots::{self, LastStop};
 use super::split_torque;
 use super::streams::Streams;
+use super::ways::Ways;
 use super::{Link, SERVO, rows};
 use crate::args::{self, RecipeArgs, ServoArgs};
 use crate::client::{
@@ -313,6 +314,7 @@ impl ServoTask {
             planner: planner.clone(),
             config,
             guards: Recipes::default(),
+            ways: Ways::default(),
             sensors,
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));

@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use ctos::task::HandlerError;
 
-use super::{Guard, GuardSettings, Seen, Words};
+use super::{Guard, GuardSettings, Line, Seen, Words};
 
 /// A box along the axes of the base frame, m.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -49,7 +49,27 @@ pub struct Workspace {
 /// Shallower than this, m, is rounding.
 const ROUNDING: f64 = 1e-9;
 
+/// How far from the origin the outline of what has no end is drawn, m.
+const DRAWN: f64 = 1.5;
+
 impl Region {
+    /// Its edges; those at infinity are drawn at [`DRAWN`].
+    fn edges(&self) -> impl Iterator<Item = Line> {
+        let bound = |edge: &[f64; 3]| edge.map(|at| at.clamp(-DRAWN, DRAWN));
+        let ends = [bound(&self.low), bound(&self.high)];
+        (0..3).flat_map(move |along| {
+            let (one, other) = ((along + 1) % 3, (along + 2) % 3);
+            [(0, 0), (0, 1), (1, 1), (1, 0)].map(|(first, second)| {
+                [0, 1].map(|end| {
+                    let mut corner = ends[end];
+                    corner[one] = ends[first][one];
+                    corner[other] = ends[second][other];
+                    corner
+                })
+            })
+        })
+    }
+
     /// How far a point is outside, m, along the axis where it is farthest; how far inside where that is below zero.
     fn out(&self, point: &Vector3<f64>, grown: f64) -> f64 {
         let axes = (0..3).map(|axis| {
@@ -76,6 +96,21 @@ impl Region {
             leaves = leaves.min(one.max(other));
         }
         enters < leaves
+    }
+}
+
+impl HalfSpace {
+    /// The edges of a square of its surface, around the point nearest to the origin, and its normal there.
+    fn edges(&self) -> impl Iterator<Item = Line> {
+        let normal = Vector3::from(self.normal);
+        let across = normal.cross(&Vector3::ith(normal.iamin(), 1.0)).normalize();
+        let other = normal.cross(&across);
+        let middle = normal * self.at;
+        let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)];
+        let corners = corners.map(|(u, v)| middle + (across * u + other * v) * DRAWN);
+        let edges = [0, 1, 2, 3].map(|at| [corners[at], corners[(at + 1) % 4]]);
+        let edges = edges.into_iter().chain([[middle, middle + normal * 0.1]]);
+        edges.map(|edge| edge.map(Into::into))
     }
 }
 
@@ -181,6 +216,14 @@ impl Guard for Workspace {
     fn check(&mut self, seen: &Seen<'_>) -> Option<Words> {
         self.violated(&seen.tool.origin, &seen.tool_at_rest.origin)
     }
+
+    fn outline(&self) -> Vec<Line> {
+        let boxes = self.inside.iter().chain(&self.keep_out);
+        let boxes = boxes.flat_map(Region::edges);
+        boxes
+            .chain(self.above.iter().flat_map(HalfSpace::edges))
+            .collect()
+    }
 }
 
 #[cfg(test)]
@@ -218,6 +261,42 @@ mod tests {
             let found = table.violated(&from, &to);
             assert_eq!(found.is_some(), forbidden, "{from} {to} {found:?}");
         }
+    }
+
+    #[test]
+    fn the_outline_of_a_workspace_is_the_edges_of_its_boxes_and_squares_of_its_surfaces() {
+        let mut workspace = table();
+        workspace.above = vec![HalfSpace {
+            normal: [0.0, 0.0, -2.0],
+            at: -1.0,
+        }];
+        workspace.check().unwrap();
+        let (outline, table) = (workspace.outline(), &workspace.keep_out[0]);
+        let (edges, square) = outline.split_at(12);
+        // Each of the 12 edges goes along one axis, from the one face to the other.
+        for [from, to] in edges {
+            let differ: Vec<usize> = (0..3).filter(|axis| from[*axis] != to[*axis]).collect();
+            let [along] = differ[..] else {
+                panic!("{from:?} {to:?}");
+            };
+            let ends = [table.low[along].max(-DRAWN), table.high[along]];
+            assert_eq!([from[along], to[along]], ends);
+        }
+        let mut corners: Vec<String> = edges.iter().flatten().map(|at| format!("{at:?}")).collect();
+        corners.sort();
+        corners.dedup();
+        assert_eq!((edges.len(), corners.len(), square.len()), (12, 8, 5));
+        // The surface is 1 m below the origin's plane of the normal -z: at z = 1.
+        assert!(
+            square[..4]
+                .iter()
+                .flatten()
+                .all(|at| (at[2] - 1.0).abs() < 1e-12)
+        );
+        assert!(
+            (square[4][1][2] - 0.9).abs() < 1e-12,
+            "the normal points down"
+        );
     }
 
     #[test]

@@ -6,6 +6,7 @@ use scene::{Batch, FollowScene, Layer, PERIOD};
 use super::*;
 use crate::model::Placement;
 
+/// Of the arm, its tool included.
 const PARTS: usize = 8;
 
 async fn followed(
@@ -29,7 +30,7 @@ struct Viewer {
 
 impl Viewer {
     fn take(&mut self, batch: &Batch) {
-        self.poses.resize(PARTS, scene::Pose::default());
+        self.poses.resize(PARTS + 1, scene::Pose::default());
         self.joints.resize(6, 0.0);
         for moved in &batch.moved {
             let part = moved.part as usize;
@@ -56,6 +57,51 @@ impl Viewer {
     }
 }
 
+/// The ends of the pieces of the way in a view, one after the other.
+fn way(view: &scene::View) -> Vec<[f64; 3]> {
+    let ways = view.parts.iter().filter(|part| part.kind == "way");
+    let solids = ways.flat_map(|part| &part.solids);
+    let ends = solids.flat_map(|solid| match solid {
+        scene::Solid::Capsule { a, b, .. } => [*a, *b],
+        other => panic!("{other:?}"),
+    });
+    ends.collect()
+}
+
+#[test]
+fn what_a_guard_forbids_is_drawn_as_long_as_there_is_the_guard() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let state = cx.task("state").await?;
+            let drawn = async |after| -> Result<_, HandlerError> {
+                let batch = followed(&cx, &state, after).await?;
+                let view = batch.view.ok_or("the guards have changed")?;
+                let guards = view.parts.iter().filter(|part| part.kind == "guard");
+                let told = guards.map(|part| format!("{} {}", part.name, part.solids.len()));
+                Ok((told.collect::<Vec<_>>().join(" "), batch.mark))
+            };
+            let (none, mark) = drawn(None).await?;
+            assert_eq!(none, "");
+            let table = SetGuard {
+                name: "table".to_owned(),
+                kind: "workspace".to_owned(),
+                args: "keep_out = [{ low = [0.2, -0.5, -inf], high = [0.8, 0.5, 0.1] }]".to_owned(),
+                always: true,
+                reaction: crate::guard::Reaction::Stop,
+            };
+            asked(&cx, &mcs, table).await?;
+            let (one, mark) = drawn(Some(mark)).await?;
+            let name = "table".to_owned();
+            asked(&cx, &mcs, RemoveGuard { name }).await?;
+            let (gone, _) = drawn(Some(mark)).await?;
+            assert_eq!(gone, "");
+            Ok(one)
+        })
+    });
+    assert_eq!(text, "guard table 12");
+}
+
 #[test]
 fn a_viewer_is_told_the_arm_as_a_whole_and_then_where_forward_kinematics_puts_it() {
     let text = text_of(|cx, mcs, _| {
@@ -74,7 +120,9 @@ fn a_viewer_is_told_the_arm_as_a_whole_and_then_where_forward_kinematics_puts_it
             // All of the model's, and the tool's axes.
             assert_eq!(solids, model.shapes().len() + 1);
             viewer.take(&first);
+            let from = viewer.poses[PARTS - 1].at;
             let (mut after, mut at, mut batches) = (first.mark, first.at_ns, 0_u32);
+            let mut ways = Vec::new();
             let mut moving = Box::pin(done(&cx, &mcs, to(Target::Joints(GOAL.into()))));
             let begun = cx.now();
             loop {
@@ -89,7 +137,7 @@ fn a_viewer_is_told_the_arm_as_a_whole_and_then_where_forward_kinematics_puts_it
                         batch?
                     }
                 };
-                assert!(batch.view.is_none(), "what does not change is told once");
+                ways.extend(batch.view.as_ref().map(way));
                 if batch.moved.is_empty() {
                     continue;
                 }
@@ -102,6 +150,19 @@ fn a_viewer_is_told_the_arm_as_a_whole_and_then_where_forward_kinematics_puts_it
             }
             let (took, least) = ((cx.now() - begun).as_secs_f64(), 10.0);
             assert!(f64::from(batches) > least * took, "{batches} in {took} s");
+
+            // What does not change is told once: the arm, and the way that it goes for as long as it does.
+            let told = followed(&cx, &state, Some(after)).await?;
+            ways.extend(told.view.as_ref().map(way));
+            let [way, gone] = &ways[..] else {
+                panic!("{ways:?}");
+            };
+            assert!(gone.is_empty(), "{gone:?}");
+            let to = viewer.poses[PARTS - 1].at;
+            for (end, told) in [(from, way[0]), (to, way[way.len() - 1])] {
+                let apart = nalgebra::Vector3::from(end) - nalgebra::Vector3::from(told);
+                assert!(apart.norm() < 1e-3, "{end:?}: {way:?}");
+            }
 
             // One who comes now is told where the arm really is.
             let late = followed(&cx, &state, None).await?;
