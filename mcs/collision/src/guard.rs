@@ -11,11 +11,12 @@ use std::sync::{Arc, Weak};
 
 use ctos::config::Node;
 use ctos::task::{Context, HandlerError};
-use mcs::guard::{Guard, GuardSettings, Neighbour, Seen, Shown, Words};
+use mcs::guard::{Guard, GuardSettings, Line, Neighbour, Seen, Shown, Words, edges};
 use mcs::latest::Latest;
 use mcs::model::file::{AtText, ShapeText};
 use mcs::model::{Placement, Solid};
 use mcs::words;
+use nalgebra::Vector3;
 use serde::Deserialize;
 
 use crate::scene::{Looked, Near, Scene};
@@ -234,6 +235,20 @@ pub struct Collision {
     others: Vec<Watched>,
     findings: Arc<Findings>,
     found: Found,
+    /// Of the room, as viewers draw it.
+    outline: Vec<Line>,
+}
+
+/// A solid as viewers draw what a guard forbids: the edges of a box, or of that around a hull; the axis of a capsule.
+fn outline(solid: &Solid) -> Vec<Line> {
+    let (at, half) = match solid {
+        Solid::Capsule { a, b, .. } => return vec![[(*a).into(), (*b).into()]],
+        Solid::Block { at, half } => (at, *half),
+        Solid::Hull { at, hull } => (at, *hull.half()),
+    };
+    let placed = |corner: [f64; 3]| (at.rotation * Vector3::from(corner) + at.origin).into();
+    let edges = edges((-half).into(), half.into()).into_iter();
+    edges.map(|edge| edge.map(placed)).collect()
 }
 
 /// Makes the guard from the recipe's arguments.
@@ -270,6 +285,7 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
     let arms = others
         .iter()
         .map(|(other, at)| (Arc::clone(&other.arm.model), *at));
+    let outline = room.iter().flat_map(|(_, solid)| outline(solid)).collect();
     let mut scene = Scene::new(std::iter::once(own).chain(arms), room, margin);
     for (solid, piece, distance) in near {
         if !scene.keep(&solid, &piece, distance) {
@@ -295,6 +311,7 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
             stops: 0,
             last: None,
         },
+        outline,
     }))
 }
 
@@ -310,6 +327,10 @@ impl Collision {
 }
 
 impl Guard for Collision {
+    fn outline(&self) -> Vec<Line> {
+        self.outline.clone()
+    }
+
     fn begin(&mut self, _: &Seen<'_>) {
         self.others.iter_mut().for_each(|other| other.unchanged = 0);
     }

@@ -57,6 +57,24 @@ pub trait Guard: Send {
 /// A straight line between two points, m.
 pub type Line = [[f64; 3]; 2];
 
+/// The twelve edges of a box along the axes, between two of its corners, m.
+#[must_use]
+pub fn edges(low: [f64; 3], high: [f64; 3]) -> Vec<Line> {
+    let ends = [low, high];
+    let of_axis = |along: usize| {
+        let (one, other) = ((along + 1) % 3, (along + 2) % 3);
+        [(0, 0), (0, 1), (1, 1), (1, 0)].map(|(first, second)| {
+            [0, 1].map(|end| {
+                let mut corner = ends[end];
+                corner[one] = ends[first][one];
+                corner[other] = ends[second][other];
+                corner
+            })
+        })
+    };
+    (0..3).flat_map(of_axis).collect()
+}
+
 /// What happens when a guard finds something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use ctos::task::HandlerError;
 
-use super::{Guard, GuardSettings, Line, Seen, Words};
+use super::{Guard, GuardSettings, Line, Seen, Words, edges};
 
 /// A box along the axes of the base frame, m.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -54,20 +54,9 @@ const DRAWN: f64 = 1.5;
 
 impl Region {
     /// Its edges; those at infinity are drawn at [`DRAWN`].
-    fn edges(&self) -> impl Iterator<Item = Line> {
-        let bound = |edge: &[f64; 3]| edge.map(|at| at.clamp(-DRAWN, DRAWN));
-        let ends = [bound(&self.low), bound(&self.high)];
-        (0..3).flat_map(move |along| {
-            let (one, other) = ((along + 1) % 3, (along + 2) % 3);
-            [(0, 0), (0, 1), (1, 1), (1, 0)].map(|(first, second)| {
-                [0, 1].map(|end| {
-                    let mut corner = ends[end];
-                    corner[one] = ends[first][one];
-                    corner[other] = ends[second][other];
-                    corner
-                })
-            })
-        })
+    fn edges(&self) -> Vec<Line> {
+        let bound = |corner: &[f64; 3]| corner.map(|at| at.clamp(-DRAWN, DRAWN));
+        edges(bound(&self.low), bound(&self.high))
     }
 
     /// How far a point is outside, m, along the axis where it is farthest; how far inside where that is below zero.
