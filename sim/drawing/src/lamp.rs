@@ -10,13 +10,8 @@ use nalgebra::{Point3, Vector3};
 
 use crate::{raster::Seen, truth::CameraTruth};
 
-/// Rings of points, and points of a ring, of a lamp that is seen small.
 const RINGS: u32 = 5;
 const PER_RING: u32 = 12;
-/// So many blurs of radius they serve without being seen one by one: then there are twice as many each, and so on.
-const BLURS: f64 = 4.0;
-/// No lamp is cut into more than this many times squared as many points.
-const FINEST: u32 = 12;
 
 /// The lamp before one camera.
 #[derive(Debug, Clone, Copy)]
@@ -52,7 +47,7 @@ impl Spot {
             return None;
         }
         let shining = self
-            .points(camera, centre, 1)
+            .points(camera, centre)
             .filter(|point| is_free(point, solids.clone()))
             .count();
         Some(LampView {
@@ -72,11 +67,8 @@ impl Spot {
         let Some(area) = self.area(camera, centre) else {
             return;
         };
-        let radius = (area / PI).sqrt();
-        // A saturating cast: an infinite size becomes the finest.
-        let finer = ((radius / (BLURS * self.blur)).ceil() as u32).clamp(1, FINEST);
-        let share = self.brightness * area / f64::from(RINGS * PER_RING * finer * finer);
-        for point in self.points(camera, centre, finer) {
+        let share = self.brightness * area / f64::from(RINGS * PER_RING);
+        for point in self.points(camera, centre) {
             let place = camera.project(&(camera.camera_t_world.inverse() * Point3::from(point)));
             if let Some(place) = place
                 && is_free(&point, solids.clone())
@@ -86,23 +78,20 @@ impl Spot {
         }
     }
 
-    /// Points of the disc that the camera sees the ball as, camera frame: on `finer` times as many rings, with so many times
-    /// as many points each.
+    /// Points of the disc that the camera sees the ball as, camera frame.
     fn points(
         &self,
         camera: &CameraTruth,
         centre: &Point3<f64>,
-        finer: u32,
     ) -> impl Iterator<Item = Vector3<f64>> + use<> {
         let centre = (camera.camera_t_world * centre).coords;
         let [right, down] = disc_axes(&centre);
         let radius = self.radius;
-        let (rings, per_ring) = (RINGS * finer, PER_RING * finer);
-        (0..rings * per_ring).map(move |index| {
-            let (ring, step) = (f64::from(index / per_ring), f64::from(index % per_ring));
-            let r = radius * ((ring + 0.5) / f64::from(rings)).sqrt();
+        (0..RINGS * PER_RING).map(move |index| {
+            let (ring, step) = (f64::from(index / PER_RING), f64::from(index % PER_RING));
+            let r = radius * ((ring + 0.5) / f64::from(RINGS)).sqrt();
             // Every other ring is turned by half a step: no direction of the disc is preferred.
-            let angle = TAU * (step + (ring * 0.5).fract()) / f64::from(per_ring);
+            let angle = TAU * (step + (ring * 0.5).fract()) / f64::from(PER_RING);
             centre + (right * angle.cos() + down * angle.sin()) * r
         })
     }

@@ -119,7 +119,6 @@ fn readers() -> Vec<Reader> {
             &[
                 "board CTRL -train FILE",
                 "findBrdMarker CTRL -train FILE -class white",
-                "getDisk CTRL -train FILE",
             ],
             "class,r,g,b\nwhite,240,240,230\nwhite,250,250,250\nblack,10,10,10\nblack,20,10,10\ndark,90,60,40\ndark,80,60,50\n",
         ),
