@@ -15,12 +15,15 @@ use crate::guard::{
 };
 use crate::model::Model;
 
-/// The recipes of one servo, each with the outline of its guard; a recipe has the slot of the servo that is its index.
+/// The recipes of one servo; each has the slot of the servo that is its index.
 #[derive(Debug, Default)]
-pub(super) struct Recipes(Mutex<Vec<Option<(Recipe, Vec<Line>)>>>);
+pub(super) struct Recipes(Mutex<Vec<Slot>>);
+
+/// A place for a guard in the servo, with the recipe of the guard that is there, and its outline.
+type Slot = Option<(Recipe, Vec<Line>)>;
 
 impl Recipes {
-    fn lock(&self) -> MutexGuard<'_, Vec<Option<(Recipe, Vec<Line>)>>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<Slot>> {
         // It is changed in whole steps, so one who panicked has left it whole.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -64,7 +67,7 @@ impl Recipes {
     }
 }
 
-fn is(recipe: &Option<(Recipe, Vec<Line>)>, name: &str) -> bool {
+fn is(recipe: &Slot, name: &str) -> bool {
     recipe
         .as_ref()
         .is_some_and(|(recipe, _)| recipe.name == name)
