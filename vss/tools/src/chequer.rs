@@ -122,4 +122,6 @@ fn reaches(ordered: &[usize], found: &[corner::Saddle], columns: usize) -> Vec<f
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod rendered;
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,10 @@
 //! The classes `corners` and `planecal` by their textual requests, and OpenCV's answers to the same.
 
+#[path = "../../../tools/src/chequer/rendered.rs"]
+mod rendered;
+
 use super::*;
-use crate::chequer::tests::{camera as before_board, rendered, truth};
+use rendered::{camera as before_board, rendered, truth};
 use std::process::Command;
 
 /// Pictures of a board of 8 x 5 inner corners whose fields are 1 wide.

@@ -222,8 +222,10 @@ impl Frame {
     }
 }
 
-/// A frame of a record.
-pub(crate) fn frame(description: &str, floats: &[f64], pixels: Vec<u8>) -> Option<Frame> {
+/// The frame that a record of a snapshot buffer is: its description, its numbers as [`FLOATS`] names them, and its pixels.
+/// `None` where they are no frame's.
+#[must_use]
+pub fn frame(description: &str, floats: &[f64], pixels: Vec<u8>) -> Option<Frame> {
     let &[
         number,
         width,
