@@ -2,7 +2,6 @@
 //! the stand-in for a monitor, which keeps what it shows and can write it as a PNG file.
 
 mod shown;
-mod watch;
 
 use std::{
     collections::BTreeMap,
@@ -27,7 +26,7 @@ use crate::{
     tool::fetched,
 };
 
-use watch::{Watch, WatchArgs};
+use vss_tools::watch::{Watch, WatchArgs};
 
 /// The commands of `vss.vm_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, SnapNow::INFO];

@@ -13,5 +13,6 @@ pub mod spot;
 pub mod target_map;
 pub mod tracking;
 pub mod visual_jacobian;
+pub mod watch;
 
 use vss_geometry::camera;

@@ -13,7 +13,7 @@ use crate::frame::{Doubt, Frame, PixelFormat};
 /// How a camera is watched: `[vss.cameras.NAME.watch]`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct WatchArgs {
+pub struct WatchArgs {
     /// Whether equal pixels are a fault. A camera without noise that sees a still scene has them.
     frozen: bool,
     /// A camera whose pictures are darker on average is black, grey levels; 0: none is.
@@ -54,7 +54,7 @@ struct Before {
 
 /// Watches one camera.
 #[derive(Debug)]
-pub(crate) struct Watch {
+pub struct Watch {
     args: WatchArgs,
     /// Whether the source's stamps are of the app's clock, and its pixels those of a sensor.
     live: bool,
@@ -68,7 +68,9 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    pub(crate) fn new(args: WatchArgs, live: bool) -> Self {
+    /// Watches one camera. `live` says whether its stamps are of the app's clock, and its pixels those of a sensor.
+    #[must_use]
+    pub fn new(args: WatchArgs, live: bool) -> Self {
         Self {
             args,
             live,
@@ -81,7 +83,7 @@ impl Watch {
     }
 
     /// What is wrong with the camera whose next frame, which came at `now`, this is: the first thing, in words.
-    pub(crate) fn look(&mut self, frame: &Frame, now: Duration) -> Option<(Doubt, String)> {
+    pub fn look(&mut self, frame: &Frame, now: Duration) -> Option<(Doubt, String)> {
         let found = self.numbers(frame, now);
         let pixels = self.pixels(frame);
         self.before = Some(Before {
