@@ -146,7 +146,8 @@ impl Problem {
         let window = Window::around(picture, guess);
         let (middle, _) = window.middle();
         let (mut pixels, mut saturated) = (Vec::new(), 0);
-        let all = (window.u.1 - window.u.0) * (window.v.1 - window.v.0);
+        let side = |(first, end): (usize, usize)| end.saturating_sub(first);
+        let all = side(window.u) * side(window.v);
         let stride = ((all as f64 / PIXELS as f64).sqrt().ceil() as usize).max(1);
         for v in (window.v.0..window.v.1).step_by(stride) {
             for u in (window.u.0..window.u.1).step_by(stride) {
