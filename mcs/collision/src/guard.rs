@@ -239,14 +239,18 @@ pub struct Collision {
     outline: Vec<Line>,
 }
 
+/// How far from the arm's base the outline of something large, a floor or a wall, is drawn, along each axis, m.
+const DRAWN: f64 = 1.5;
+
 /// A solid as viewers draw what a guard forbids: the edges of a box, or of that around a hull; the axis of a capsule.
 fn outline(solid: &Solid) -> Vec<Line> {
+    let near = |point: Vector3<f64>| point.map(|along| along.clamp(-DRAWN, DRAWN)).into();
     let (at, half) = match solid {
-        Solid::Capsule { a, b, .. } => return vec![[(*a).into(), (*b).into()]],
+        Solid::Capsule { a, b, .. } => return vec![[near(*a), near(*b)]],
         Solid::Block { at, half } => (at, *half),
         Solid::Hull { at, hull } => (at, *hull.half()),
     };
-    let placed = |corner: [f64; 3]| (at.rotation * Vector3::from(corner) + at.origin).into();
+    let placed = |corner: [f64; 3]| near(at.rotation * Vector3::from(corner) + at.origin);
     let edges = edges((-half).into(), half.into()).into_iter();
     edges.map(|edge| edge.map(placed)).collect()
 }

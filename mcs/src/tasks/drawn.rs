@@ -108,7 +108,7 @@ impl Source for Arm {
             way.extend(ends.map(|(from, to)| line(*from, *to)));
         }
         if !under_way.is_empty() {
-            parts.push(drawn("way".to_owned(), "way", WAY, way));
+            parts.push(drawn("planned path".to_owned(), "path", WAY, way));
         }
         self.beside = Some(beside);
         Some(View {

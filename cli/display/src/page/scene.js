@@ -175,6 +175,8 @@ export class SceneView {
 
   /** Shows all parts, as at first. */
   fit(parts) {
+    // What guards forbid may reach far beyond what there is to see.
+    parts = parts.filter(({ part }) => part.kind !== "guard");
     [this.from, this.followed] = [null, null];
     const balls = parts.flatMap(({ part, frame }) => part.solids.map(ballOf).filter((ball) => ball !== null).map(([at, radius]) => [point4(frame, at).slice(0, 3), radius]));
     if (balls.length === 0) return;

@@ -59,7 +59,7 @@ impl Viewer {
 
 /// The ends of the pieces of the way in a view, one after the other.
 fn way(view: &scene::View) -> Vec<[f64; 3]> {
-    let ways = view.parts.iter().filter(|part| part.kind == "way");
+    let ways = view.parts.iter().filter(|part| part.kind == "path");
     let solids = ways.flat_map(|part| &part.solids);
     let ends = solids.flat_map(|solid| match solid {
         scene::Solid::Capsule { a, b, .. } => [*a, *b],
