@@ -42,7 +42,9 @@ with open(sys.argv[1], "rb") as file:
                 assert abs(norm - 1) < 1e-6, transform
                 places[transform.child_frame_id] = numpy.array([at.x, at.y, at.z])
             if topic == "/tf/state":
+                # The planned path stands in the frame of the base, beside the arm.
                 names = [transform.child_frame_id for transform in one.transforms]
+                names = [name for name in names if "planned path" not in name]
                 tool.append(places[names[-1]])
                 for before, after in zip(names, names[1:]):
                     length = numpy.linalg.norm(places[after] - places[before])
