@@ -53,12 +53,14 @@ impl Joints {
 impl Deref for Joints {
     type Target = [f64];
 
+    #[inline]
     fn deref(&self) -> &[f64] {
         &self.0
     }
 }
 
 impl DerefMut for Joints {
+    #[inline]
     fn deref_mut(&mut self) -> &mut [f64] {
         &mut self.0
     }
@@ -74,6 +76,7 @@ impl<'a> IntoIterator for &'a Joints {
     type Item = &'a f64;
     type IntoIter = std::slice::Iter<'a, f64>;
 
+    #[inline]
     fn into_iter(self) -> Self::IntoIter {
         self.iter()
     }
