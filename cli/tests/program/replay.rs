@@ -118,8 +118,13 @@ fn replay_all(file: &Path, seed: u64, record: &Record) -> Replayed {
 /// Records a run in virtual time, and replays all its tasks.
 fn run_and_replay(file: &Path, seed: u64, faults: &str) -> Replayed {
     let app = app(file, seed);
-    // An app of daemons has no end of its own, and nothing comes after its start.
-    let seconds = if app.until.is_some() { 60 } else { 3 };
+    // An app of daemons has no end of its own, and nothing comes after its start. A longer record has more of the same:
+    // `tests/run --long` reads those.
+    let seconds = match app.until {
+        Some(_) if std::env::var_os("CTOS_REPLAY_SEEDS").is_some() => 60,
+        Some(_) => 20,
+        None => 3,
+    };
     let setup = Setup {
         faults: Faults::built_in(faults).unwrap(),
         stop_after: Some(Duration::from_secs(seconds)),
