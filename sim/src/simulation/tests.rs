@@ -1,3 +1,5 @@
+mod wrist;
+
 use ctos::diagnostic::Source;
 use mcs::driver::{ChannelDriver, Power, SlotReading};
 

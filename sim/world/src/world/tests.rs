@@ -4,7 +4,7 @@ mod hand;
 mod puma;
 mod wrist;
 
-use ctos::diagnostic::Source;
+use ctos_config::diagnostic::Source;
 use nalgebra::Vector6;
 
 use super::*;

@@ -8,7 +8,7 @@ mod laser;
 mod sensor;
 mod thing;
 
-use ctos::diagnostic::{Finding, Findings, Source};
+use ctos_config::diagnostic::{Finding, Findings, Source};
 use serde::Deserialize;
 use toml::Spanned;
 

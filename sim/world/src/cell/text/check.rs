@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use ctos::diagnostic::{Finding, Findings, Source};
-use mcs::model::{
+use ctos_config::diagnostic::{Finding, Findings, Source};
+use mcs_model::{
     FrameId, Model, built_in,
     file::{self, Inertias},
     urdf,

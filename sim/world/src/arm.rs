@@ -1,12 +1,12 @@
 //! One arm as its drives, its brakes and what touches it move it.
 //!
-//! Smooth forces are integrated with the articulated bodies of `mcs::model` by the classical method of Runge and Kutta.
+//! Smooth forces are integrated with the articulated bodies of `mcs_model` by the classical method of Runge and Kutta.
 //! Dry friction, brakes and stops are impulses at the end of each step, as large as it takes to bring a joint to rest and
 //! no larger than they can be: a joint that they hold does not creep (Gauss-Seidel with bounds, after J. J. Moreau).
 //!
 //! Units are those of the model; the base frame of the model is the world's. Knows no engine, no slot and no file.
 
-use mcs::model::{Data, DynamicsOptions, FrameId, Limits, Model, Motor};
+use mcs_model::{Data, DynamicsOptions, FrameId, Limits, Model, Motor};
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector3};
 
 /// Braking force as a multiple of the largest of the drive.

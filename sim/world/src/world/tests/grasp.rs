@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use mcs::{
+use mcs_hand::grip::GripLaw;
+use mcs_servo::{
     control::{ControlLaw as _, PidGravity},
     driver::SlotReading,
     model::{built_in, file::Inertias},
     trajectory::Setpoint,
 };
-use mcs_hand::grip::GripLaw;
 
 use super::*;
 use crate::wrist::{Electronics, Wrist};

@@ -1,6 +1,6 @@
 //! What touches an arm, and what an arm touches.
 
-use mcs::model::DynamicsOptions;
+use mcs_model::DynamicsOptions;
 
 use super::*;
 

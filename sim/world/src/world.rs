@@ -297,7 +297,7 @@ impl World {
     }
 
     /// Where a frame of an arm is that carries something, in the world.
-    pub(crate) fn link(&mut self, mount: Mount) -> Isometry3<f64> {
+    pub fn link(&mut self, mount: Mount) -> Isometry3<f64> {
         link_pose(&self.cell, &mut self.arms, mount)
     }
 

@@ -1,11 +1,11 @@
-use ctos::diagnostic::Source;
+use ctos_config::diagnostic::Source;
 use nalgebra::Point3;
 use proptest::prelude::*;
 
 use super::*;
 
 fn cell() -> Cell {
-    let text = include_str!("../../../configs/cell.toml");
+    let text = include_str!("../../../../configs/cell.toml");
     Cell::parse(&Source::new("cell.toml", text)).unwrap()
 }
 
@@ -176,7 +176,7 @@ fn a_picture_shows_at_every_pixel_the_nearest_solid_of_the_scene() {
         position = [-0.6, 0.4, 0.5]
         rpy = [0.0, 0.0, 20.0]
     ";
-    let text = include_str!("../../../configs/cell.toml").to_owned() + objects;
+    let text = include_str!("../../../../configs/cell.toml").to_owned() + objects;
     let cell = Cell::parse(&Source::new("cell.toml", text)).unwrap();
     let mut renderer = renderer(&cell, 1);
     let joints = [0.7, 0.4, -0.9, 0.3, 0.6, 0.1];
@@ -364,7 +364,7 @@ fn a_colour_camera_sees_colours_that_a_grey_one_sees_by_bt_709() {
         assert!((rgb[0] - 2.0 * rgb[1]).abs() < 1e-3 && (rgb[1] - 2.0 * rgb[2]).abs() < 1e-3);
     }
     let frame = renderer.render(&scene, 1);
-    let frame = vss::frame::Frame::rgb8(64, 64, frame);
+    let frame = vss_tools::frame::Frame::rgb8(64, 64, frame);
     assert!(frame.is_whole());
     let [red, green, blue] = frame.rgb(31, 31).unwrap().map(i32::from);
     assert!(red > 150 && (red - 2 * green).abs() <= 3 && (green - 2 * blue).abs() <= 3);
@@ -384,7 +384,7 @@ fn the_same_seed_and_number_give_the_same_picture() {
 
 #[test]
 fn a_camera_on_a_link_sees_what_a_fixed_one_sees_from_there() {
-    let text = include_str!("../../../configs/cell.toml").replace(
+    let text = include_str!("../../../../configs/cell.toml").replace(
         "name = \"ceiling_west\"",
         "name = \"wrist\"\narm = \"puma\"\nlink = \"link4\"",
     );

@@ -1,6 +1,6 @@
 //! A force-torque sensor of the cell: `[[force_torque]]`.
 
-use mcs::model::{Body, FrameId, Model};
+use mcs_model::{Body, FrameId, Model};
 use serde::Deserialize;
 use toml::Spanned;
 

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 use toml::Spanned;
-use vss::laser::Scanner;
+use vss_tools::laser::Scanner;
 
 use super::{
     super::{ArmSpec, LaserSpec},

@@ -1,6 +1,6 @@
 //! What lies and stands in the cell: `[[object]]`, `[[furniture]]` and `[[mark]]`.
 
-use mcs::model::Placement;
+use mcs_model::Placement;
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 use toml::Spanned;

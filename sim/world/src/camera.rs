@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use vss::{
+use vss_tools::{
     frame::{Carried, PixelFormat},
     laser::Beam,
 };

@@ -8,10 +8,10 @@ mod text;
 
 use std::{path::Path, time::Duration};
 
-use ctos::diagnostic::{Finding, Findings, Source};
-use mcs::model::{Body, FrameId, Model};
+use ctos_config::diagnostic::{Finding, Findings, Source};
+use mcs_model::{Body, FrameId, Model};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
-use vss::laser::Scanner;
+use vss_tools::laser::Scanner;
 
 use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape, wrist::Electronics};
 

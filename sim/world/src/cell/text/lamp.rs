@@ -1,6 +1,6 @@
 //! A lamp of the cell: `[[lamp]]`.
 
-use ctos::diagnostic::Finding;
+use ctos_config::diagnostic::Finding;
 use serde::Deserialize;
 use toml::Spanned;
 

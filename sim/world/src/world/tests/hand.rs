@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use mcs::{
+use mcs_hand::{fingers::Fingers, grip::GripLaw};
+use mcs_servo::{
     Joints,
     control::{ControlLaw as _, PidGravity},
     driver::SlotReading,
     model::{Data, Model, built_in, file::Inertias},
     trajectory::Setpoint,
 };
-use mcs_hand::{fingers::Fingers, grip::GripLaw};
 
 use super::*;
 

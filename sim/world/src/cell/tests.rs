@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-const TEXT: &str = include_str!("../../../configs/cell.toml");
+const TEXT: &str = include_str!("../../../../configs/cell.toml");
 
 fn findings(text: &str) -> Vec<String> {
     match Cell::parse(&Source::new("cell.toml", text)) {

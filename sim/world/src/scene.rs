@@ -6,7 +6,7 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
-use vss::laser::Beam;
+use vss_tools::laser::Beam;
 
 use crate::{
     cell::{Cell, LaserSpec, Origin},

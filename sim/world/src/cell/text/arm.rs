@@ -1,6 +1,6 @@
 //! An arm of the cell: `[[arm]]`.
 
-use mcs::model::{FrameId, JointKind, Model, Placement};
+use mcs_model::{FrameId, JointKind, Model, Placement};
 use nalgebra::Vector3;
 use serde::Deserialize;
 use toml::Spanned;
