@@ -1,0 +1,18 @@
+//! The game of checkers on 8x8 boards: rules of seven variants, search, endgame tables, FEN and PDN.
+//!
+//! The engine alone: it knows no robot, no camera, no task and no clock. What plays with it says when a search stops.
+
+mod board;
+mod capture;
+mod fen;
+mod judge;
+mod moves;
+mod notation;
+mod perft;
+mod rules;
+
+pub use board::{Colour, Piece, Position, Squares, each};
+pub use moves::{Move, MoveList, Route};
+pub use notation::{LONGEST, Numbering, Refusal, TextError, Written};
+pub use perft::{DEEPEST, Leaves, MOST_LEAVES, perft};
+pub use rules::{DrawRules, Variant};
