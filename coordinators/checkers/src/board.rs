@@ -23,7 +23,8 @@ pub(crate) enum Way {
 }
 
 impl Way {
-    pub(crate) const ALL: [Self; 4] = [Self::UpLeft, Self::UpRight, Self::DownLeft, Self::DownRight];
+    pub(crate) const ALL: [Self; 4] =
+        [Self::UpLeft, Self::UpRight, Self::DownLeft, Self::DownRight];
 
     /// The two ways at right angles to this one.
     pub(crate) const fn across(self) -> [Self; 2] {
@@ -37,12 +38,8 @@ impl Way {
     #[inline(always)]
     pub(crate) const fn step(self, from: Squares) -> Squares {
         match self {
-            Self::UpLeft => {
-                ((from & RIGHT_ROWS) >> 4) | ((from & LEFT_ROWS & !FIRST_COLUMN) >> 5)
-            }
-            Self::UpRight => {
-                ((from & RIGHT_ROWS & !LAST_COLUMN) >> 3) | ((from & LEFT_ROWS) >> 4)
-            }
+            Self::UpLeft => ((from & RIGHT_ROWS) >> 4) | ((from & LEFT_ROWS & !FIRST_COLUMN) >> 5),
+            Self::UpRight => ((from & RIGHT_ROWS & !LAST_COLUMN) >> 3) | ((from & LEFT_ROWS) >> 4),
             Self::DownLeft => {
                 ((from & RIGHT_ROWS) << 4) | ((from & LEFT_ROWS & !FIRST_COLUMN) << 3)
             }

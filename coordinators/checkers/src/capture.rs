@@ -78,7 +78,8 @@ fn capturing_men(position: &Position, rules: &Rules) -> Squares {
         men_that_capture(left, men, prey, empty) | men_that_capture(right, men, prey, empty);
     if rules.men_back {
         let [left, right] = position.turn.other().forward();
-        found |= men_that_capture(left, men, prey, empty) | men_that_capture(right, men, prey, empty);
+        found |=
+            men_that_capture(left, men, prey, empty) | men_that_capture(right, men, prey, empty);
     }
     found
 }

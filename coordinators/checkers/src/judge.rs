@@ -32,7 +32,10 @@ impl Position {
             }
         }
         if meant.is_empty() {
-            for route in routes.iter().filter(|route| self::fits(route, written, true)) {
+            for route in routes
+                .iter()
+                .filter(|route| self::fits(route, written, true))
+            {
                 if !meant.contains(&route.step) {
                     meant.push(route.step);
                 }
@@ -52,13 +55,20 @@ impl Position {
                 }
                 Ok(*one)
             }
-            [] => Err(Refusal(self.broken_rule(&routes, written, variant, numbering))),
+            [] => Err(Refusal(
+                self.broken_rule(&routes, written, variant, numbering),
+            )),
             several => {
                 let words = self.words(variant, numbering);
                 let words = words.iter().filter(|(_, step)| several.contains(step));
-                let words: Vec<&str> = words.map(|(word, _)| word.as_str()).take(MOST_TOLD).collect();
+                let words: Vec<&str> = words
+                    .map(|(word, _)| word.as_str())
+                    .take(MOST_TOLD)
+                    .collect();
                 let words = words.join(", ");
-                Err(Refusal(format!("this can be any of {words}: write more of its squares")))
+                Err(Refusal(format!(
+                    "this can be any of {words}: write more of its squares"
+                )))
             }
         }
     }
@@ -104,7 +114,9 @@ impl Position {
             let mut begun = written.clone();
             begun.captures = None;
             let over = travelled(route);
-            route.step.from == *from && written.captures != Some(false) && subsequence(&begun.squares, &over)
+            route.step.from == *from
+                && written.captures != Some(false)
+                && subsequence(&begun.squares, &over)
         };
         if let Some(longer) = all.iter().find(stops_early) {
             let word = numbering.route(longer, 'x');
@@ -145,9 +157,13 @@ impl Position {
         let most = most.max().unwrap_or_default();
         let king = self.kings & bit(route.step.from) != 0;
         if most > count && variant.rules().priority != Priority::WithKing {
-            return format!("the largest number must be captured, {most} and not {count}: {example}");
+            return format!(
+                "the largest number must be captured, {most} and not {count}: {example}"
+            );
         }
-        let with_king = legal.iter().any(|other| self.kings & bit(other.step.from) != 0);
+        let with_king = legal
+            .iter()
+            .any(|other| self.kings & bit(other.step.from) != 0);
         if with_king && !king {
             return format!("where a king can capture, it must: {example}");
         }

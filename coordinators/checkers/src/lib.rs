@@ -4,15 +4,20 @@
 
 mod board;
 mod capture;
+mod evaluate;
 mod fen;
 mod judge;
 mod moves;
 mod notation;
 mod perft;
 mod rules;
+mod search;
+mod tables;
 
 pub use board::{Colour, Piece, Position, Squares, each};
 pub use moves::{Move, MoveList, Route};
 pub use notation::{LONGEST, Numbering, Refusal, TextError, Written};
 pub use perft::{DEEPEST, Leaves, MOST_LEAVES, perft};
 pub use rules::{DrawRules, Variant};
+pub use search::{Found, Limits, PROVEN, WON, search};
+pub use tables::{MOST_PIECES, Outcome, TableError, Tables, file_name};

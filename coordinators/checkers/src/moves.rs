@@ -176,7 +176,11 @@ impl Position {
                         crowned: false,
                         captured: 0,
                     });
-                    to = if rules.flying { way.step(to) & empty } else { 0 };
+                    to = if rules.flying {
+                        way.step(to) & empty
+                    } else {
+                        0
+                    };
                 }
             }
         }

@@ -200,10 +200,7 @@ impl Written {
                 Some(_) => {
                     let other = word.get(at..).and_then(|rest| rest.chars().next());
                     let other = other.unwrap_or(' ').escape_debug();
-                    return wrong(
-                        at,
-                        format!("`{other}` stands where `-`, `x` or `:` should"),
-                    );
+                    return wrong(at, format!("`{other}` stands where `-`, `x` or `:` should"));
                 }
             };
             if squares.len() > 1 && sign != captures {
@@ -218,7 +215,10 @@ impl Written {
             at += usize::from(sign.is_some());
         }
         if squares.len() < 2 {
-            return wrong(at, "a move has two squares or more, such as `11-15`".to_owned());
+            return wrong(
+                at,
+                "a move has two squares or more, such as `11-15`".to_owned(),
+            );
         }
         Ok(Self { squares, captures })
     }
@@ -235,7 +235,10 @@ pub(crate) fn read_square(
     let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
     if digits > 0 {
         let number = rest.get(..digits).unwrap_or_default();
-        let square = number.parse().ok().and_then(|number| numbering.square(number));
+        let square = number
+            .parse()
+            .ok()
+            .and_then(|number| numbering.square(number));
         return match square {
             Some(square) => Ok((square, at + digits)),
             None => {

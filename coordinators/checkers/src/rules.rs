@@ -75,7 +75,13 @@ impl Variant {
 
     /// Their names, in the order of [`Variant::ALL`].
     pub const NAMES: &'static [&'static str] = &[
-        "brazilian", "russian", "pool", "english", "italian", "spanish", "czech",
+        "brazilian",
+        "russian",
+        "pool",
+        "english",
+        "italian",
+        "spanish",
+        "czech",
     ];
 
     /// The variant's name.

@@ -7,7 +7,8 @@
 use checkers::{Leaves, Numbering, Position, Variant, perft};
 
 fn counts(position: &Position, variant: Variant, leaves: Leaves, depths: usize) -> Vec<u64> {
-    (1..).take(depths)
+    (1..)
+        .take(depths)
         .map(|depth| perft(position, variant, depth, leaves).unwrap_or_default())
         .collect()
 }
@@ -58,7 +59,11 @@ fn every_variant_has_the_published_number_of_games_to_depth_10() {
     for (variant, moves, _) in PUBLISHED {
         let start = Position::start(variant.starts());
         let expected = [FIRST.as_slice(), &moves].concat();
-        assert_eq!(counts(&start, variant, Leaves::Moves, 10), expected, "{variant:?}");
+        assert_eq!(
+            counts(&start, variant, Leaves::Moves, 10),
+            expected,
+            "{variant:?}"
+        );
     }
 }
 
@@ -67,7 +72,11 @@ fn every_variant_has_the_published_number_of_games_to_depth_10_when_orders_of_ca
     for (variant, _, orders) in PUBLISHED {
         let start = Position::start(variant.starts());
         let expected = [FIRST.as_slice(), &orders].concat();
-        assert_eq!(counts(&start, variant, Leaves::Orders, 10), expected, "{variant:?}");
+        assert_eq!(
+            counts(&start, variant, Leaves::Orders, 10),
+            expected,
+            "{variant:?}"
+        );
     }
 }
 
@@ -76,7 +85,9 @@ fn positions_of_ed_gilbert_have_the_published_numbers_of_italian_games() {
     let cases: [(&str, &[u64]); 3] = [
         (
             "W:W30,26,27,22,23,24,17,18,20:B14,15,16,9,11,5,6,1,3",
-            &[5, 13, 42, 107, 360, 1_099, 3_736, 12_495, 43_686, 164_177, 628_686, 2_643_623],
+            &[
+                5, 13, 42, 107, 360, 1_099, 3_736, 12_495, 43_686, 164_177, 628_686, 2_643_623,
+            ],
         ),
         (
             "B:W30,21,22,17,20,K6:B25,28,9,5,1,3",
