@@ -6,15 +6,18 @@ mod board;
 mod capture;
 mod evaluate;
 mod fen;
+mod game;
 mod judge;
 mod moves;
 mod notation;
+pub mod pdn;
 mod perft;
 mod rules;
 mod search;
 mod tables;
 
 pub use board::{Colour, Piece, Position, Squares, each};
+pub use game::{Drawn, Game, Status, Won};
 pub use moves::{Move, MoveList, Route};
 pub use notation::{LONGEST, Numbering, Refusal, TextError, Written};
 pub use perft::{DEEPEST, Leaves, MOST_LEAVES, perft};

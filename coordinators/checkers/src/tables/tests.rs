@@ -185,7 +185,6 @@ fn a_search_of_20000_nodes_without_tables_keeps_the_value_in_98_of_100_positions
     let mut random = ChaCha8Rng::seed_from_u64(98);
     let kept = (0..250).filter(|_| keeps(&drawn_by_lot(&mut random, 4), None, 20_000));
     let kept = kept.count();
-    eprintln!("KEPT {kept}");
     assert!(kept >= 245, "{kept} of 250");
 }
 
