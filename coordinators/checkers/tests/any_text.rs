@@ -7,7 +7,7 @@ const NUMBERINGS: [Numbering; 3] = [Numbering::Plain, Numbering::Mirrored, Numbe
 
 /// Texts that are nearly right.
 fn nearly() -> impl Strategy<Value = String> {
-    let words = [
+    const WORDS: &[&str] = &[
         "W",
         "B",
         ":",
@@ -57,11 +57,8 @@ fn nearly() -> impl Strategy<Value = String> {
         "1-12",
         "12-1",
     ];
-    proptest::collection::vec(
-        prop_oneof![Just(" "), select(&words[..]), select(&words[..])],
-        0..40,
-    )
-    .prop_map(|words| words.concat())
+    proptest::collection::vec(prop_oneof![Just(" "), select(WORDS), select(WORDS)], 0..40)
+        .prop_map(|words| words.concat())
 }
 
 fn answered(text: &str) -> Result<(), TestCaseError> {
