@@ -4,6 +4,7 @@
 
 mod board;
 mod capture;
+mod carries;
 mod evaluate;
 mod fen;
 mod game;
@@ -12,15 +13,22 @@ mod moves;
 mod notation;
 pub mod pdn;
 mod perft;
+mod plot;
 mod rules;
 mod search;
+#[cfg(test)]
+mod table;
 mod tables;
+mod watch;
 
 pub use board::{Colour, Piece, Position, Squares, each};
+pub use carries::{Carry, Heaps, Place};
 pub use game::{Drawn, Game, Status, Won};
 pub use moves::{Move, MoveList, Route};
 pub use notation::{LONGEST, Numbering, Refusal, TextError, Written};
 pub use perft::{DEEPEST, Leaves, MOST_LEAVES, perft};
+pub use plot::{Next, Plot};
 pub use rules::{DrawRules, Variant};
 pub use search::{Found, Limits, PROVEN, WON, search};
 pub use tables::{MOST_PIECES, Outcome, TableError, Tables, file_name};
+pub use watch::{Look, Sight, Verdict, Watch};

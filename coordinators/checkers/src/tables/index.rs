@@ -138,17 +138,28 @@ fn key([a, b, c, d]: Counts) -> usize {
         .fold(0, |key, count| key << 3 | usize::from(count & 7))
 }
 
-/// In how many ways `count` of `squares` can be chosen.
-const fn choose(squares: u32, count: u32) -> usize {
-    if count > squares {
-        return 0;
-    }
-    let (mut ways, mut at) = (1_usize, 0);
-    while at < count {
-        ways = ways * (squares - at) as usize / (at + 1) as usize;
-        at += 1;
+/// In how many ways up to four of up to 32 squares can be chosen: Pascal's triangle.
+const WAYS: [[u32; 5]; 33] = {
+    let mut ways = [[0; 5]; 33];
+    let mut squares = 0;
+    while squares <= 32 {
+        ways[squares][0] = 1;
+        let mut count = 1;
+        while count <= 4 && squares > 0 {
+            ways[squares][count] = ways[squares - 1][count - 1] + ways[squares - 1][count];
+            count += 1;
+        }
+        squares += 1;
     }
     ways
+};
+
+/// In how many ways `count` of `squares` can be chosen.
+#[inline]
+fn choose(squares: u32, count: u32) -> usize {
+    let row = WAYS.get(squares as usize);
+    let ways = row.and_then(|row| row.get(count as usize)).copied();
+    ways.unwrap_or_default() as usize
 }
 
 /// The number of a set among those with as many squares (combinatorial number system).
