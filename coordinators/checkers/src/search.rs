@@ -311,7 +311,7 @@ impl Search<'_> {
 
     /// The move that was best before first, then captures of many, then moves that were good elsewhere.
     fn sort(&self, moves: &mut MoveList, best: Option<Move>) {
-        moves.sort_by_cached_key(|step| {
+        moves.sort_by_key(|step| {
             let history = self.history.get(pair(*step)).copied().unwrap_or_default();
             (
                 std::cmp::Reverse(Some(*step) == best),

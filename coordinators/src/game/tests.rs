@@ -58,7 +58,7 @@ fn the_contracts_of_the_class_are_kept() {
     );
     assert_eq!(
         told("game EXEC TMSG 'moves W : W 18 , K22 : B .'").ints,
-        [5]
+        [8]
     );
 }
 
