@@ -98,6 +98,7 @@ const FORMS: &[Form] = &[
 #[derive(Debug, Clone, PartialEq)]
 struct Options {
     variant: String,
+    board: String,
     nodes: i64,
     depth: i64,
     tables: String,
@@ -107,6 +108,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             variant: Variant::Brazilian.name().to_owned(),
+            board: "auto".to_owned(),
             nodes: 0,
             depth: 99,
             tables: String::new(),
@@ -128,6 +130,12 @@ static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             Variant::NAMES,
             "the rules; brazilian are the international rules on 8x8",
             |options: &mut Options| &mut options.variant,
+        )
+        .choice(
+            "board",
+            &["auto", "plain", "mirrored"],
+            "where square 1 is: b8 on a plain board, a8 on a mirrored one; auto: as PDN has it, mirrored for italian and spanish",
+            |options| &mut options.board,
         )
         .int(
             "nodes",
@@ -223,7 +231,11 @@ fn split(text: &str) -> (&str, &str) {
 
 impl Game {
     fn numbering(&self) -> Numbering {
-        Numbering::of(self.options.variant())
+        match self.options.board.as_str() {
+            "plain" => Numbering::Plain,
+            "mirrored" => Numbering::Mirrored,
+            _ => Numbering::of(self.options.variant()),
+        }
     }
 
     fn position(&self, text: &str) -> Result<Position, Report> {

@@ -80,6 +80,9 @@ fn the_variant_is_switched() {
     }
     ask(&sorm, "game CTRL -variant italian");
     assert_eq!(ask(&sorm, "game EXEC TMSG 'moves W:W30:B27'").text, "30x23");
+    ask(&sorm, "game CTRL -board plain");
+    let plain = ask(&sorm, "game EXEC TMSG 'moves W:W30:B26'");
+    assert_eq!(plain.text, "30x23");
     assert!(
         ask(&sorm, "game CTRL -dump")
             .text
