@@ -200,7 +200,9 @@ impl Search<'_> {
             .copied()
             .filter(|entry| entry.key == key);
         let known = known.unwrap_or_default();
-        if ply > 0 && known.depth >= depth {
+        // A deeper value would be another one, but for the end that was seen.
+        let seen = known.value.abs() > PROVEN && known.depth > depth;
+        if ply > 0 && (known.depth == depth || seen) {
             let value = from_here(known.value, -distance);
             let enough = match known.bound {
                 Bound::None => false,
@@ -349,3 +351,6 @@ impl Outcome {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
