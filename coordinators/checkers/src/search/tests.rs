@@ -11,9 +11,9 @@ fn position(fen: &str, variant: Variant) -> Position {
 }
 
 fn found(position: &Position, variant: Variant, depth: u32) -> Found {
-    // Enough for all of it, and no more room for known positions than that.
+    // Enough for a shallow search, and no more room for known positions than that.
     let limits = Limits {
-        nodes: Some(100_000),
+        nodes: (depth < 8).then_some(100_000),
         depth,
         stop: &mut || false,
     };
