@@ -11,6 +11,7 @@ pub mod dispatcher;
 mod dispatching;
 pub mod dom;
 mod drawn;
+mod game;
 pub mod hand_eye;
 mod handler;
 pub mod motion;

@@ -10,7 +10,7 @@ use sorma::{
     Waiting,
 };
 
-use crate::carry;
+use crate::{carry, game};
 
 /// Version of the classes.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -27,11 +27,24 @@ sorma::prototypes! {
 }
 
 /// The recipes that are shipped with the classes, from which others are derived.
-pub const DICTIONARY: &str = "carry -task dispatcher\npush -task dispatcher\ngo -task dispatcher\npointer -task dispatcher\n";
+pub const DICTIONARY: &str = "\
+carry -task dispatcher
+push -task dispatcher
+go -task dispatcher
+pointer -task dispatcher
+game.brazilian -variant brazilian
+game.russian -variant russian
+game.pool -variant pool
+game.english -variant english
+game.italian -variant italian
+game.spanish -variant spanish
+game.czech -variant czech
+";
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
     carry::service::register(sorm);
+    game::register(sorm);
     for kind in &KINDS {
         let class = Class::new(kind.class, VERSION, move |_, _| {
             let options = Options::default();
@@ -46,6 +59,7 @@ pub fn register(sorm: &Sorm) {
 #[must_use]
 pub fn classes() -> Vec<ClassInfo> {
     let mut classes = carry::service::classes();
+    classes.push(game::class());
     let infos = KINDS.iter();
     classes.extend(infos.map(|kind| (kind.table)().class(kind.class, VERSION)));
     classes
