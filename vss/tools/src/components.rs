@@ -274,9 +274,9 @@ fn find_runs(line: &[u8], threshold: u8, runs: &mut Vec<Run>) {
         // A bit for each pixel, and then for each pixel that differs from the one before it: no branch looks at a pixel.
         let bits = block.iter().enumerate();
         let bright = bits.fold(0_u64, |bits, (at, &value)| {
-            bits | u64::from(value >= threshold) << at
+            bits | (u64::from(value >= threshold) << at)
         });
-        let mut edges = bright ^ (bright << 1 | u64::from(open.is_some()));
+        let mut edges = bright ^ ((bright << 1) | u64::from(open.is_some()));
         if block.len() < STRIDE {
             edges &= (1 << block.len()) - 1;
         }
