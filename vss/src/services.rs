@@ -12,6 +12,7 @@ mod bundle;
 mod clockfit;
 mod colour;
 mod corners;
+mod diskfind;
 mod handeye;
 mod laser;
 mod picture;
@@ -22,6 +23,7 @@ mod resect;
 mod spot;
 mod stereo;
 mod table;
+mod triangulate;
 
 use std::{fs::File, path::Path};
 
@@ -69,12 +71,14 @@ sorma::prototypes! {
             "the text says why: more points, not all in one plane, from nearer, each in the row of its pixel";
         MARKERS = 155, Error, "the markers of a board are not seen",
             "the text says what was seen instead: -threshold, -dark and -area, or -train and -class, say what a marker is";
+        NO_POINT = 156, Error, "no point follows from the pixels of two cameras",
+            "the text says why: pixels of two points, rays that are nearly parallel, or a lens that cannot be undone there";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 17] = [
+    let made: [Class; 19] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -117,6 +121,12 @@ pub fn register(sorm: &Sorm) {
         Class::new("getDisk", VERSION, |_, _| {
             Ok(Box::new(brd::GetDisk::default()))
         }),
+        Class::new("triangulate", VERSION, |_, _| {
+            Ok(Box::new(triangulate::Triangulate::default()))
+        }),
+        Class::new("diskFind", VERSION, |_, _| {
+            Ok(Box::new(diskfind::DiskFind::default()))
+        }),
     ];
     for (class, info) in made.into_iter().zip(classes()) {
         sorm.register(class.codes(code::PROTOTYPES).described(info));
@@ -144,6 +154,8 @@ pub fn classes() -> Vec<ClassInfo> {
         board::TABLE.class("board", VERSION),
         brd::MARKER.class("findBrdMarker", VERSION),
         brd::DISK.class("getDisk", VERSION),
+        triangulate::TABLE.class("triangulate", VERSION),
+        diskfind::TABLE.class("diskFind", VERSION),
     ]
 }
 

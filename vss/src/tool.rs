@@ -26,8 +26,8 @@ use crate::{
     spot::{SpotOptions, SpotsOptions, find_spot, find_spots},
 };
 
-pub(crate) use disk::DiskFindArgs;
 pub use disk::{DISK_FIND_COMMANDS, DiskFindTool};
+pub(crate) use disk::{DiskFindArgs, disk_about};
 
 /// The commands of `vss.tool_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[Snap::INFO];

@@ -138,6 +138,21 @@ impl Seen {
         }
     }
 
+    /// Centre and radius of a ball that it is in.
+    pub(crate) fn ball(&self) -> (Vector3<f64>, f64) {
+        match &self.form {
+            Form::Ball { centre, radius } | Form::Disc { centre, radius, .. } => (*centre, *radius),
+            Form::Capsule { a, b, radius } => ((a + b) / 2.0, (b - a).norm() / 2.0 + radius),
+            Form::Block { turn, eye, half } => (-turn.tr_mul(eye), half.norm()),
+            Form::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => (-turn.tr_mul(eye), half.hypot(*radius)),
+        }
+    }
+
     /// Distance along the unit direction `ray` to the first point of the solid.
     pub fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
         match &self.form {

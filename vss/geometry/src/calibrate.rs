@@ -253,8 +253,9 @@ pub fn calibrate(
 /// What is known of a lens before a point is seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Beforehand {
-    /// k1, k2 and k3 add to the radius in the corners of the picture with standard deviations of 50, 25 and 10 % of it; those
-    /// of p1 and p2 are 3e-3. The estimate and its standard deviations are those of Bayes.
+    /// k1, k2 and k3 add to the radius in the corners of the picture with standard deviations of 50, 25 and 5 % of it; those of
+    /// p1 and p2 are 3e-3. A k3 that comes out beyond 10 % is expected within 25 %. The estimate and its standard deviations are
+    /// those of Bayes.
     #[default]
     Lenses,
     /// Nothing: plain least squares. With few points its standard deviations are too small.
@@ -400,7 +401,12 @@ fn reject(
         }
         stand.model = stand.model.min(LensModel::largest_for(stand.used.len()));
         stand.camera = fit::without_terms_beyond(stand.camera, stand.model);
-        stand.held = hold.then(|| Held::of(&stand.camera, size, noise));
+        // What a robust fit says of k3, which nothing held, decides nothing.
+        let seen = match round {
+            0 => fit::without_terms_beyond(stand.camera, LensModel::K1K2P1P2),
+            _ => stand.camera,
+        };
+        stand.held = hold.then(|| Held::of(&seen, size, noise));
         let (used, camera, model) = (&stand.used, stand.camera, stand.model);
         stand.camera = fit::fit(table, used, camera, model, None, stand.held.as_ref())?;
     }

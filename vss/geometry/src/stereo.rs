@@ -1,6 +1,6 @@
 //! Two cameras that saw the same lights: how one stands to the other, and points from pairs of pixels.
 
-use nalgebra::{Isometry3, Matrix3, Point3, SMatrix, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2x3, Matrix3, Point3, SMatrix, Vector2, Vector3};
 
 use crate::{
     calibrate::{Calibration, left_jacobian},
@@ -68,6 +68,42 @@ pub fn pair(left: &Calibration, right: &Calibration) -> Pair {
     }
 }
 
+/// How far apart two calibrated cameras stand, seen from the middle of the lights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Base {
+    /// Between the centres, m.
+    pub length_m: f64,
+    /// Its standard deviation, m.
+    pub sd_m: f64,
+    /// The angle between the rays to the middle of the lights, rad.
+    pub angle: f64,
+}
+
+impl Base {
+    /// Whether the cameras saw everything from one place: no depth follows from such a pair.
+    #[must_use]
+    pub fn is_one_place(&self) -> bool {
+        self.angle < PARALLEL || self.length_m < 3.0 * self.sd_m
+    }
+}
+
+/// The base of a pair that saw lights around `middle`.
+#[must_use]
+pub fn base(left: &Calibration, right: &Calibration, middle: &Point3<f64>) -> Base {
+    let (l, r) = (left.camera.centre, right.camera.centre);
+    let (d, e) = (middle - l, middle - r);
+    let along = (r - l).try_normalize(0.0).unwrap_or_else(Vector3::x);
+    let variance = |one: &Calibration| {
+        let covariance = &one.uncertainty.position_covariance;
+        (along.transpose() * Matrix3::from_fn(|i, j| covariance[i][j]) * along).x
+    };
+    Base {
+        length_m: (r - l).norm(),
+        sd_m: (variance(left) + variance(right)).sqrt(),
+        angle: d.cross(&e).norm().atan2(d.dot(&e)),
+    }
+}
+
 /// A point from its pixels in two pictures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Triangulated {
@@ -77,6 +113,24 @@ pub struct Triangulated {
     pub gap_m: f64,
     /// The angle between the rays, rad: the depth is as uncertain as it is small.
     pub angle: f64,
+}
+
+impl Triangulated {
+    /// Standard deviations of the point and of the gap, m, when each coordinate of the pixels has `sd_px` and the cameras are
+    /// exact; `None` when a camera does not see the point.
+    #[must_use]
+    pub fn sd(&self, left: &Camera, right: &Camera, sd_px: f64) -> Option<([f64; 3], f64)> {
+        let (mut normal, mut gap) = (Matrix3::zeros(), 0.0);
+        for camera in [left, right] {
+            let (_, by) = camera.project_with_jacobian(&self.point)?;
+            let by: Matrix2x3<f64> = by.fixed_view::<2, 3>(0, 3).into_owned();
+            normal += by.transpose() * by;
+            gap += ((self.point - camera.centre).norm() / camera.focal()).powi(2);
+        }
+        let covariance = normal.try_inverse()? * sd_px.powi(2);
+        let sd = covariance.diagonal().map(|one| one.max(0.0).sqrt());
+        Some((sd.into(), sd_px * gap.sqrt()))
+    }
 }
 
 /// Why two pixels give no point.

@@ -2,16 +2,17 @@
 
 use std::sync::LazyLock;
 
-use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, Unit, Vector2, Vector3};
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::{
     code, ended, opened,
+    resect::{self, pose},
     table::{self, Columns},
     told,
 };
 use crate::{
-    camera::{Camera, Distortion, Intrinsics},
+    camera::Camera,
     laser::{Met, NoLaser, Plane, Scanner, calibrate, on_beam, on_plane, plane_through},
 };
 
@@ -139,10 +140,7 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         )
         .floats(
             "camera",
-            &[
-                "FX", "FY", "CX", "CY", "K1", "K2", "P1", "P2", "K3", "RX", "RY", "RZ", "X", "Y",
-                "Z",
-            ],
+            &resect::CAMERA,
             -1e6..=1e6,
             "",
             "the camera as `resect` answers it: px, and camera_T_world in rad and m",
@@ -178,15 +176,6 @@ fn nothing(why: NoLaser) -> Report {
     Report::error(code::NO_CAMERA, why.to_string())
 }
 
-/// A pose from a rotation vector and a translation.
-fn pose(numbers: &[f64]) -> Option<Isometry3<f64>> {
-    let &[rx, ry, rz, x, y, z] = numbers else {
-        return None;
-    };
-    let turn = UnitQuaternion::new(Vector3::new(rx, ry, rz));
-    Some(Isometry3::from_parts(Translation3::new(x, y, z), turn))
-}
-
 impl Laser {
     fn scanner(&self) -> Result<Scanner, Report> {
         let Options {
@@ -209,22 +198,7 @@ impl Laser {
     }
 
     fn camera(&self) -> Result<Camera, Report> {
-        let unset = || wrong("no camera is known: set -camera to what `resect` answers".to_owned());
-        let &[fx, fy, cx, cy, k1, k2, p1, p2, k3, ..] = self.0.camera.as_slice() else {
-            return Err(unset());
-        };
-        let seen = self.0.camera.get(9..).and_then(pose).ok_or_else(unset)?;
-        if fx <= 0.0 || fy <= 0.0 {
-            return Err(wrong(format!(
-                "no camera has the focal lengths {fx} and {fy} px"
-            )));
-        }
-        Ok(Camera {
-            rotation: seen.rotation,
-            centre: seen.inverse() * Point3::origin(),
-            intrinsics: Intrinsics { fx, fy, cx, cy },
-            distortion: Distortion { k1, k2, p1, p2, k3 },
-        })
+        resect::camera(&self.0.camera, "-camera")
     }
 
     fn answer(&self, form: &str, io: &mut Transport) -> Outcome {

@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 
 use ctos::diagnostic::Source;
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
@@ -12,9 +13,12 @@ use super::{
     table::{self, Columns, Table},
     told,
 };
-use crate::calibrate::{
-    Beforehand, Calibration, CalibrationError, LensModel, LightPoint, POOR_FOCAL, RejectReason,
-    calibrate_as,
+use crate::{
+    calibrate::{
+        Beforehand, Calibration, CalibrationError, LensModel, LightPoint, POOR_FOCAL, RejectReason,
+        calibrate_as,
+    },
+    camera::{Camera, Distortion, Intrinsics},
 };
 
 /// Positions with a smaller share of thickness in their length are told to be nearly in one plane.
@@ -234,6 +238,45 @@ fn answer(found: &Calibration, io: &mut Transport) {
     io.floats.extend(lens(found));
     io.floats.extend(turn.iter().chain(shift.iter()));
     io.floats.push(found.rms_px);
+}
+
+/// The numbers by which other classes are told a camera: the first that [`Resect`] answers.
+pub(super) const CAMERA: [&str; 15] = [
+    "FX", "FY", "CX", "CY", "K1", "K2", "P1", "P2", "K3", "RX", "RY", "RZ", "X", "Y", "Z",
+];
+
+/// The camera that they mean, given by `option`.
+pub(super) fn camera(numbers: &[f64], option: &str) -> Result<Camera, Report> {
+    let wrong = |text: String| Report::error(sorma::report::code::VALUE, text);
+    let unset = || {
+        wrong(format!(
+            "no camera is known: set {option} to what `resect` answers"
+        ))
+    };
+    let &[fx, fy, cx, cy, k1, k2, p1, p2, k3, ..] = numbers else {
+        return Err(unset());
+    };
+    let seen = numbers.get(9..).and_then(pose).ok_or_else(unset)?;
+    if fx <= 0.0 || fy <= 0.0 {
+        return Err(wrong(format!(
+            "no camera has the focal lengths {fx} and {fy} px"
+        )));
+    }
+    Ok(Camera {
+        rotation: seen.rotation,
+        centre: seen.inverse() * Point3::origin(),
+        intrinsics: Intrinsics { fx, fy, cx, cy },
+        distortion: Distortion { k1, k2, p1, p2, k3 },
+    })
+}
+
+/// A pose from a rotation vector and a translation.
+pub(super) fn pose(numbers: &[f64]) -> Option<Isometry3<f64>> {
+    let &[rx, ry, rz, x, y, z] = numbers else {
+        return None;
+    };
+    let turn = UnitQuaternion::new(Vector3::new(rx, ry, rz));
+    Some(Isometry3::from_parts(Translation3::new(x, y, z), turn))
 }
 
 fn light(row: &[f64]) -> Option<LightPoint> {

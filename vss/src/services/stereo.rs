@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use nalgebra::{Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
@@ -13,7 +14,7 @@ use super::{
 };
 use crate::{
     calibrate::{Calibration, LightPoint, calibrate_as},
-    stereo::pair,
+    stereo::{base, pair},
 };
 
 const COLUMNS: Columns = Columns {
@@ -63,7 +64,7 @@ impl Stereo {
         let (width, height) = self.0.size()?;
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
-        let mut found = Vec::new();
+        let (mut found, mut middle) = (Vec::new(), Point3::origin());
         for (side, at) in [("left", 3), ("right", 5)] {
             let light = |row: &[f64]| match *row {
                 [x, y, z, ..] => Some(LightPoint {
@@ -76,6 +77,8 @@ impl Stereo {
                 _ => None,
             };
             let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
+            let sum: Vector3<f64> = points.iter().map(|point| point.position().coords).sum();
+            middle = Point3::from(sum / points.len().max(1) as f64);
             let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed());
             let (model, beforehand) = (self.0.model(), self.0.beforehand());
             let one = calibrate_as(&points, width, height, model, beforehand, &mut rng);
@@ -94,6 +97,14 @@ impl Stereo {
         let [left, right] = found.as_slice() else {
             return Ok(());
         };
+        let apart = base(left, right, &middle);
+        if apart.is_one_place() {
+            let text = format!(
+                "both cameras saw the points from one place: they stand {:.4} m apart, known to {:.4} m, and their rays enclose {:.1e} rad: no depth follows from such a pair",
+                apart.length_m, apart.sd_m, apart.angle
+            );
+            io.report(Report::warning(code::NO_CAMERA, text));
+        }
         let both = pair(left, right);
         io.floats.clear();
         for one in [left, right] {

@@ -208,7 +208,7 @@ fn drawn_lens(seed: u64) -> Camera {
             k2: drawn(0.25 / square.powi(2)),
             p1: drawn(3e-3),
             p2: drawn(3e-3),
-            k3: drawn(0.1 / square.powi(3)),
+            k3: drawn(0.05 / square.powi(3)),
         });
         // What folds the picture over is no lens.
         if lens.is_monotonic_over(640, 480) {
@@ -436,7 +436,7 @@ fn every_degenerate_table_is_named() {
             eye.z * t * t * t / 27.0,
         )
     };
-    let cases: [(&str, String, &str); 14] = [
+    let cases: [(&str, String, &str); 16] = [
         ("coplanar", changed(&|_, r| r[2] = 0.1), "lie in one plane"),
         (
             "collinear",
@@ -467,6 +467,16 @@ fn every_degenerate_table_is_named() {
             "millimetres",
             changed(&|_, r| (0..3).for_each(|k| r[k] *= 1e3)),
             "are these millimetres",
+        ),
+        (
+            "centimetres",
+            changed(&|_, r| (0..3).for_each(|k| r[k] *= 1e2)),
+            "are these millimetres or centimetres",
+        ),
+        (
+            "u and v swapped",
+            changed(&|_, r| r.swap(3, 4)),
+            "with u and v swapped",
         ),
         (
             "NaN",

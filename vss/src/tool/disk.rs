@@ -102,7 +102,6 @@ impl DiskFindTool {
         })
     }
 
-    /// The disc that is known best among those that are seen about where one is expected.
     fn disc(&self, frame: Frame) -> Result<Disc, VisionError> {
         let (width, height) = (frame.width as f64, frame.height as f64);
         let radius = self.args.radius_px;
@@ -117,20 +116,25 @@ impl DiskFindTool {
             pixels: frame.pixels.into(),
             notes: Vec::new(),
         };
-        let places = AROUND
-            .iter()
-            .flat_map(|x| AROUND.map(|y| (x * radius, y * radius)));
-        let found = places.filter_map(|(x, y)| disc_near(&picture, [u + x, v + y], radius).ok());
-        let worth = |disc: &Disc| disc.sd_px[0].hypot(disc.sd_px[1]);
-        let best = found.min_by(|a, b| worth(a).total_cmp(&worth(b)));
-        best.ok_or_else(|| {
-            let text = format!(
-                "no disc of about {radius} px is within {:.0} px of ({u:.0}, {v:.0})",
-                WITHIN * radius
-            );
-            VisionError::new(Outcome::Unseen, text)
-        })
+        disk_about(&picture, [u, v], radius).map_err(|why| VisionError::new(Outcome::Unseen, why))
     }
+}
+
+/// The disc that is known best among those that are seen about `at` with about that radius, px; else why there is none.
+pub(crate) fn disk_about(picture: &Picture, at: [f64; 2], radius: f64) -> Result<Disc, String> {
+    let [u, v] = at;
+    let places = AROUND
+        .iter()
+        .flat_map(|x| AROUND.map(|y| (x * radius, y * radius)));
+    let found = places.filter_map(|(x, y)| disc_near(picture, [u + x, v + y], radius).ok());
+    let worth = |disc: &Disc| disc.sd_px[0].hypot(disc.sd_px[1]);
+    let best = found.min_by(|a, b| worth(a).total_cmp(&worth(b)));
+    best.ok_or_else(|| {
+        format!(
+            "no disc of about {radius} px is within {:.0} px of ({u:.0}, {v:.0})",
+            WITHIN * radius
+        )
+    })
 }
 
 impl Taught {

@@ -13,7 +13,7 @@ pub use expectation::{Doubt, Expectation};
 pub use tree::{Region, regions};
 
 /// Bytes that are looked at together when background is skipped.
-const STRIDE: usize = 32;
+const STRIDE: usize = 64;
 
 /// Which neighbours of a pixel belong to its component. The background between is connected the other way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -179,6 +179,10 @@ impl Component {
 
 /// The sum of k² for k < n: (n-1) n (2n-1) / 6.
 fn squares_below(n: u64) -> u128 {
+    // 128 bits are divided by a call, twice for each run.
+    if n < 1 << 21 {
+        return u128::from(n.saturating_sub(1) * n * (2 * n).saturating_sub(1) / 6);
+    }
     let n = u128::from(n);
     n.saturating_sub(1) * n * (2 * n).saturating_sub(1) / 6
 }
@@ -190,6 +194,24 @@ struct Run {
     peak: u8,
     peak_at: usize,
     label: usize,
+}
+
+impl Run {
+    fn new(line: &[u8], start: usize, end: usize) -> Self {
+        let (mut peak, mut peak_at) = (0, start);
+        for (at, &value) in line.iter().enumerate().take(end).skip(start) {
+            if value > peak {
+                (peak, peak_at) = (value, at);
+            }
+        }
+        Self {
+            start,
+            end,
+            peak,
+            peak_at,
+            label: 0,
+        }
+    }
 }
 
 /// The 8-connected components of all pixels that are at least `threshold`, in the order of their first pixel.
@@ -243,39 +265,31 @@ pub fn connected_within(
 
 /// Appends the runs of `line` that are at least `threshold`, from left to right.
 fn find_runs(line: &[u8], threshold: u8, runs: &mut Vec<Run>) {
-    let mut open: Option<Run> = None;
+    let mut open: Option<usize> = None;
     for (index, block) in line.chunks(STRIDE).enumerate() {
         let dark = block.iter().fold(0, |most, &value| most.max(value)) < threshold;
         if dark && open.is_none() {
             continue;
         }
-        for (offset, &value) in block.iter().enumerate() {
-            let u = index * STRIDE + offset;
-            if value < threshold {
-                runs.extend(open.take());
-                continue;
-            }
-            match &mut open {
-                Some(run) => {
-                    run.end = u + 1;
-                    if value > run.peak {
-                        run.peak = value;
-                        run.peak_at = u;
-                    }
-                }
-                None => {
-                    open = Some(Run {
-                        start: u,
-                        end: u + 1,
-                        peak: value,
-                        peak_at: u,
-                        label: 0,
-                    });
-                }
+        // A bit for each pixel, and then for each pixel that differs from the one before it: no branch looks at a pixel.
+        let bits = block.iter().enumerate();
+        let bright = bits.fold(0_u64, |bits, (at, &value)| {
+            bits | (u64::from(value >= threshold) << at)
+        });
+        let mut edges = bright ^ ((bright << 1) | u64::from(open.is_some()));
+        if block.len() < STRIDE {
+            edges &= (1 << block.len()) - 1;
+        }
+        while edges != 0 {
+            let at = index * STRIDE + edges.trailing_zeros() as usize;
+            edges &= edges - 1;
+            match open.take() {
+                Some(start) => runs.push(Run::new(line, start, at)),
+                None => open = Some(at),
             }
         }
     }
-    runs.extend(open);
+    runs.extend(open.map(|start| Run::new(line, start, line.len())));
 }
 
 /// Union-find over components. A parent never has a larger label than its child, and labels are given

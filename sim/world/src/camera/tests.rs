@@ -78,6 +78,101 @@ proptest! {
     }
 }
 
+/// The disc of a lamp that is `distance` m in front of the first camera, off its axis, and the radius of its picture, px.
+fn near_lamp(cell: &Cell, renderer: &Renderer, distance: f64) -> (SceneState, f64) {
+    let there = renderer.truth().camera_t_world.inverse();
+    let scene = lamp_at(
+        cell,
+        there * Point3::new(0.05 * distance, -0.03 * distance, distance),
+    );
+    let radius = cell.lamps[0].radius * renderer.truth().focal[0] / distance;
+    (scene, radius)
+}
+
+#[test]
+fn a_lamp_near_a_camera_is_an_even_round_disc_with_its_centre_where_that_projects() {
+    let cell = cell();
+    let mut renderer = renderer(&cell, 0);
+    for distance in [0.06, 0.1, 0.2, 0.4, 0.7, 1.2] {
+        let (scene, radius) = near_lamp(&cell, &renderer, distance);
+        let light = spot(&mut renderer, &scene);
+        let (u, v) = renderer.truth().project(&scene.lamps[0].centre).unwrap();
+        let ((su, sv), sd, _) = moments(&light, 500);
+        assert!(
+            (su - u).hypot(sv - v) < 0.02,
+            "{distance}: {su} {sv} against {u} {v}"
+        );
+        // A disc has a quarter of the square of its radius along each axis.
+        let blur = cell.cameras[0].blur;
+        for sd in [sd.0, sd.1] {
+            let expected = (0.25 * radius * radius + blur * blur).sqrt();
+            assert!(
+                (sd / expected - 1.0).abs() < 0.03,
+                "{distance}: {sd} {expected}"
+            );
+        }
+        let brightness = cell.lamps[0].brightness;
+        let inside = light.iter().enumerate().filter(|(at, _)| {
+            let far = ((at % 500) as f64 - u).hypot((at / 500) as f64 - v);
+            far < 0.95 * radius - 4.0 * blur
+        });
+        for (at, grey) in inside {
+            assert!(
+                (grey / brightness - 1.0).abs() < 1e-3,
+                "{distance}: {grey} at {at}"
+            );
+        }
+        let sum: f64 = light.iter().sum();
+        // The lens makes a large disc a little smaller.
+        let area = std::f64::consts::PI * radius * radius;
+        assert!(
+            (sum / brightness / area - 1.0).abs() < 0.03,
+            "{distance}: {sum}"
+        );
+    }
+}
+
+/// What is found in the pictures of lamps at any distance is where they are.
+#[test]
+fn spots_of_near_and_far_lamps_come_back_within_two_hundredths_of_a_pixel() {
+    let mut cell = cell();
+    cell.lamps[0].brightness = 180.0;
+    for camera in &mut cell.cameras {
+        (camera.read_noise, camera.shot_noise) = (0.0, 0.0);
+    }
+    cell.room.clear();
+    cell.bodies.clear();
+    let mut renderer = renderer(&cell, 0);
+    for (number, distance) in (0..).zip([0.1, 0.15, 0.22, 0.33, 0.5, 0.75, 1.1, 1.7]) {
+        let (scene, _) = near_lamp(&cell, &renderer, distance);
+        let pixels = renderer.render(&scene, number);
+        let frame = vss::frame::Frame::grey8(500, 500, pixels);
+        let found = vss::spot::find_spots(&frame, &vss::spot::SpotsOptions::default()).unwrap();
+        let (u, v) = renderer.truth().project(&scene.lamps[0].centre).unwrap();
+        let [spot] = found.spots[..] else {
+            panic!("{distance}: {found:?}");
+        };
+        let off = (spot.u - u).hypot(spot.v - v);
+        assert!(off < 0.02, "{distance}: {off} {spot:?}");
+        assert!(!spot.flags.elongated, "{distance}: {spot:?}");
+    }
+}
+
+/// A lamp that fills the picture costs what its pixels cost, and one behind the camera nothing.
+#[test]
+fn a_lamp_before_the_lens_fills_the_picture_evenly() {
+    let cell = cell();
+    let mut renderer = renderer(&cell, 0);
+    let there = renderer.truth().camera_t_world.inverse();
+    let scene = lamp_at(&cell, there * Point3::new(0.0, 0.0, 0.004));
+    let brightness = cell.lamps[0].brightness;
+    let light = spot(&mut renderer, &scene);
+    let off = light.iter().map(|grey| (grey / brightness - 1.0).abs());
+    assert!(off.fold(0.0, f64::max) < 2e-3);
+    let behind = lamp_at(&cell, there * Point3::new(0.0, 0.0, -0.1));
+    assert!(spot(&mut renderer, &behind).iter().all(|grey| *grey == 0.0));
+}
+
 #[test]
 fn spots_are_as_wide_and_as_bright_as_centroids_of_0_15_px_need() {
     let cell = cell();

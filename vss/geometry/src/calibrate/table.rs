@@ -10,8 +10,8 @@ use crate::camera::Camera;
 const FLAT: f64 = 1e-3;
 /// Extent (rms) below which all positions are one, m.
 const ONE_POSITION_M: f64 = 1e-3;
-/// Extent (rms) above which positions are not in metres, m: no laboratory is so large.
-const LARGEST_M: f64 = 50.0;
+/// Extent (rms) above which positions are not in metres, m: no laboratory is 35 m long, and one in centimetres is longer.
+const LARGEST_M: f64 = 10.0;
 /// Extent (rms) below which all pixels are one, px.
 const ONE_PIXEL: f64 = 1.0;
 
@@ -48,6 +48,16 @@ pub enum CalibrationError {
         /// Height, px.
         height: usize,
     },
+    /// Pixels are not in the picture, and all of them are when columns and rows change places.
+    #[error(
+        "spots are outside the picture of {width} x {height} px, and all are inside it with u and v swapped: u is the column, v the row"
+    )]
+    Swapped {
+        /// Width, px.
+        width: usize,
+        /// Height, px.
+        height: usize,
+    },
     /// Too few rows.
     #[error(
         "{points} points; a calibration needs at least {MINIMUM_POINTS} at distinct positions, and 50 or more to be good"
@@ -78,7 +88,7 @@ pub enum CalibrationError {
     },
     /// The lights are spread over more than any laboratory.
     #[error(
-        "the light positions are {extent_m:.0} m apart (rms): positions are in m; are these millimetres?"
+        "the light positions are {extent_m:.0} m apart (rms): positions are in m; are these millimetres or centimetres?"
     )]
     TooLarge {
         /// Their extent (rms), m.
@@ -177,6 +187,8 @@ pub(super) fn check(
     if width == 0 || height == 0 {
         return Err(CalibrationError::NoPicture { width, height });
     }
+    let within = |at: f64, size: usize| at >= -0.5 && at <= size as f64 - 0.5;
+    let inside = |u: f64, v: f64| within(u, width) && within(v, height);
     for (row, p) in table.iter().enumerate() {
         if ![p.x, p.y, p.z, p.u, p.v]
             .iter()
@@ -184,8 +196,10 @@ pub(super) fn check(
         {
             return Err(CalibrationError::NotFinite { row });
         }
-        let inside = |at: f64, size: usize| at >= -0.5 && at <= size as f64 - 0.5;
-        if !inside(p.u, width) || !inside(p.v, height) {
+        if !inside(p.u, p.v) {
+            if table.iter().all(|other| inside(other.v, other.u)) {
+                return Err(CalibrationError::Swapped { width, height });
+            }
             let (u, v) = (p.u, p.v);
             return Err(CalibrationError::OutsidePicture {
                 row,

@@ -322,14 +322,40 @@ fn points_behind_the_camera_are_told_or_refused() {
 }
 
 #[test]
-fn positions_in_millimetres_are_refused_as_such() {
-    let mut table = good_table(50);
-    for point in &mut table {
-        (point.x, point.y, point.z) = (1e3 * point.x, 1e3 * point.y, 1e3 * point.z);
+fn positions_in_millimetres_or_centimetres_are_refused_as_such() {
+    for unit in [1e3, 1e2] {
+        let mut table = good_table(50);
+        for point in &mut table {
+            (point.x, point.y, point.z) = (unit * point.x, unit * point.y, unit * point.z);
+        }
+        let refused = run(&table).unwrap_err();
+        assert!(
+            refused
+                .to_string()
+                .contains("are these millimetres or centimetres?"),
+            "{refused}"
+        );
     }
+}
+
+/// In a picture that is wider than high some of them are outside, which is no fault of theirs.
+#[test]
+fn swapped_columns_of_a_wide_picture_are_refused_as_such() {
+    let mut table = seen_by(&table_camera(), &volume(60, &mut rng(4)), 0.2, &mut rng(5));
+    for point in &mut table {
+        (point.u, point.v) = (point.v, point.u);
+    }
+    assert!(table.iter().any(|point| point.v > 480.0));
+    let swapped = CalibrationError::Swapped {
+        width: 640,
+        height: 480,
+    };
+    assert_eq!(run(&table), Err(swapped));
+    // One that is outside either way is told by itself.
+    table[7].u = 900.0;
     let refused = run(&table).unwrap_err();
     assert!(
-        refused.to_string().contains("are these millimetres?"),
+        matches!(refused, CalibrationError::OutsidePicture { .. }),
         "{refused}"
     );
 }

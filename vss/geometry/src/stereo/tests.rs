@@ -61,3 +61,28 @@ fn rays_that_are_parallel_or_part_are_refused() {
         "{found:?}"
     );
 }
+
+/// Over many noisy pixels, errors over standard deviations have an rms of 1, and so have gaps.
+#[test]
+fn points_and_gaps_scatter_as_predicted() {
+    use rand::{RngExt, SeedableRng};
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+    let (left, right) = cameras();
+    let (trials, sd) = (2000, 0.2);
+    let (mut errors, mut gaps) = (0.0, 0.0);
+    for _ in 0..trials {
+        let mut within = |side: f64| rng.random_range(-side..side);
+        let point = Point3::new(within(0.4), within(0.4), 0.6 + within(0.4));
+        let mut noise = || sd * rng.sample::<f64, _>(rand_distr::StandardNormal);
+        let mut pixel =
+            |camera: &Camera| camera.project(&point).unwrap() + Vector2::new(noise(), noise());
+        let found = triangulate(&left, &right, pixel(&left), pixel(&right)).unwrap();
+        let (sds, gap) = found.sd(&left, &right, sd).unwrap();
+        for (error, sd) in (found.point - point).iter().zip(sds) {
+            errors += (error / sd).powi(2) / (3.0 * f64::from(trials));
+        }
+        gaps += (found.gap_m / gap).powi(2) / f64::from(trials);
+    }
+    assert!((errors.sqrt() - 1.0).abs() < 0.1, "{errors}");
+    assert!((gaps.sqrt() - 1.0).abs() < 0.15, "{gaps}");
+}

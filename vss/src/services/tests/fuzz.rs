@@ -285,6 +285,7 @@ fn pictures_of_any_bytes_are_answered_by_every_class_that_takes_one() {
         "findBrdMarker EXEC TMSG FILE",
         "getDisk EXEC FILE FMSG 2 0.5 0.5",
         "getDisk EXEC near FILE FMSG 3 19 11 3",
+        "diskFind EXEC FILE",
         "corners EXEC TMSG FILE",
     ];
     mutator.play("picture", vec![small_board()], |bytes| {

@@ -261,7 +261,8 @@ impl Search<'_> {
                 flags: SpotFlags {
                     touches_border,
                     saturated: peak == super::SATURATED,
-                    elongated: centroid.ratio > ELONGATED,
+                    // What the border cuts is short or long by that.
+                    elongated: !touches_border && centroid.ratio > ELONGATED,
                     ..SpotFlags::default()
                 },
                 gaussian: false,

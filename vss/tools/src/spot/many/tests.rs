@@ -181,6 +181,22 @@ fn spots_are_answered_with_width_height_and_flags() {
     assert!((long.u - 80.4).hypot(long.v - 70.2) < 0.1, "{long:?}");
 }
 
+/// What is left of a round spot at the border is not round.
+#[test]
+fn a_cut_spot_is_cut_and_not_elongated_besides() {
+    for at in [(0.3, 25.4), (40.2, 49.1), (78.8, 20.3), (-0.4, 49.6)] {
+        let frame = picture(80, 50, 0.0, |u, v| 30.0 + 150.0 * gaussian(u, v, at, 2.5));
+        let spots = found(&frame, &SpotsOptions::default());
+        let [spot] = spots[..] else {
+            panic!("{at:?}: {spots:?}");
+        };
+        assert!(
+            spot.flags.touches_border && !spot.flags.elongated,
+            "{spot:?}"
+        );
+    }
+}
+
 #[test]
 fn options_say_what_counts() {
     let frame = picture(80, 40, 0.0, |u, v| {
