@@ -10,6 +10,7 @@ pub mod camera;
 pub mod cell;
 pub mod driver;
 mod engine;
+pub mod hand;
 pub mod handlers;
 pub mod port;
 pub mod scene;
