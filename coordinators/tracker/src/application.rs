@@ -109,7 +109,7 @@ fn mcs_task() -> String {
 }
 
 fn half() -> [f64; 3] {
-    [0.09, 0.09, 0.09]
+    [0.08, 0.08, 0.06]
 }
 
 fn pictures() -> usize {
