@@ -110,7 +110,10 @@ pub(crate) fn register(registry: &mut Registry) {
         };
         let world = app.task(&args.world);
         if world.is_none_or(|world| world.chassis != task.chassis) {
-            let text = format!("no task `{}` is on the chassis of `{}`", args.world, task.name);
+            let text = format!(
+                "no task `{}` is on the chassis of `{}`",
+                args.world, task.name
+            );
             let help = "name the world's task, and put both on one chassis".to_owned();
             refuse("world", text, help);
         }

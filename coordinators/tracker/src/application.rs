@@ -312,7 +312,10 @@ async fn learn_with(
     cx.call(&client, request).await?;
     // Held against places between those of the grid.
     let mut squares = Vec::new();
-    for [x, y, z] in grid(args.grid_m.map(|half| 0.5 * half)).into_iter().step_by(5) {
+    for [x, y, z] in grid(args.grid_m.map(|half| 0.5 * half))
+        .into_iter()
+        .step_by(5)
+    {
         let there = home * Translation3::new(-x, -y, -z);
         let between = example(cx, args, arm, &home, &there).await?;
         let seen = between.seen;

@@ -104,9 +104,17 @@ pub(crate) fn register(registry: &mut Registry) {
             let text = format!("`period_ms` is {}", args.period_ms);
             refuse("period_ms", text, "give a number from 1 to 10000");
         }
-        if !args.latency_ms.iter().all(|ms| (0.0..=2_000.0).contains(ms)) {
+        if !args
+            .latency_ms
+            .iter()
+            .all(|ms| (0.0..=2_000.0).contains(ms))
+        {
             let text = format!("`latency_ms` is {:?}", args.latency_ms);
-            refuse("latency_ms", text, "give mean and spread, each from 0 to 2000");
+            refuse(
+                "latency_ms",
+                text,
+                "give mean and spread, each from 0 to 2000",
+            );
         }
         if args.show.as_ref().is_some_and(|show| show.every == 0) {
             refuse("show", "`show.every` is 0".to_owned(), "give 1 or more");

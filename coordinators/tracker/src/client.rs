@@ -91,12 +91,14 @@ impl Client {
 
     /// Trains a map of examples, keeps them, and uses it.
     fn learn(&self, cx: &Context, examples: &[Example]) -> Result<(), HandlerError> {
-        let trained = map::trained(examples).map_err(|error| HandlerError::new(error.to_string()))?;
+        let trained =
+            map::trained(examples).map_err(|error| HandlerError::new(error.to_string()))?;
         let path = cx.path(&self.args.map);
         let table = map::table(examples);
         // A replay writes nothing.
         cx.outside("the file of the map", || {
-            std::fs::write(&path, table).map_err(|error| format!("cannot write `{}`: {error}", path.display()))
+            std::fs::write(&path, table)
+                .map_err(|error| format!("cannot write `{}`: {error}", path.display()))
         })?;
         *self.map.borrow_mut() = Some(trained);
         Ok(())

@@ -60,7 +60,7 @@ impl Default for ControlArgs {
             },
             prediction: true,
             lead_s: 0.009,
-            reach_m: 0.35,
+            reach_m: 0.3,
             overdue_s: 0.2,
         }
     }
@@ -245,11 +245,7 @@ impl Control {
     }
 
     /// The goal, within reach; one that goes outwards there goes along the border.
-    fn within_reach(
-        &self,
-        goal: Point3<f64>,
-        moving: Vector3<f64>,
-    ) -> (Point3<f64>, Vector3<f64>) {
+    fn within_reach(&self, goal: Point3<f64>, moving: Vector3<f64>) -> (Point3<f64>, Vector3<f64>) {
         let way = goal - self.home;
         let length = way.norm();
         if length <= self.args.reach_m {
@@ -321,7 +317,12 @@ mod tests {
             f64::from(self.tick) * PERIOD
         }
 
-        fn run(&mut self, seconds: f64, ball: impl Fn(f64) -> Option<Point3<f64>>, force: Vector3<f64>) {
+        fn run(
+            &mut self,
+            seconds: f64,
+            ball: impl Fn(f64) -> Option<Point3<f64>>,
+            force: Vector3<f64>,
+        ) {
             for _ in 0..(seconds / PERIOD) as u32 {
                 self.tick += 1;
                 let now = self.now();
@@ -370,7 +371,10 @@ mod tests {
         rig.run(3.0, still, NONE);
         rig.run(3.0, still, Vector3::new(0.0, 8.0, 0.0));
         let pushed = rig.control.course().place;
-        assert!((pushed - Point3::new(0.1, 0.02, 0.0)).norm() < 1e-3, "{pushed}");
+        assert!(
+            (pushed - Point3::new(0.1, 0.02, 0.0)).norm() < 1e-3,
+            "{pushed}"
+        );
         rig.run(3.0, still, NONE);
         assert!((rig.control.course().place - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-3);
     }

@@ -26,7 +26,7 @@ impl Default for CourseArgs {
     fn default() -> Self {
         Self {
             speed: 1.0,
-            acceleration: 6.0,
+            acceleration: 4.0,
             settle_s: 0.05,
         }
     }
@@ -161,7 +161,7 @@ mod tests {
             course.go(&goal, &Vector3::zeros(), PERIOD);
             time += PERIOD;
         }
-        // A trapezoid of 1 m/s and 6 m/s^2 over 0.5 m.
+        // A trapezoid of 1 m/s and 4 m/s^2 over 0.5 m.
         let least = 0.5 / args.speed + args.speed / args.acceleration;
         assert!(time < 1.25 * least, "{time} s, and {least} s at least");
     }

@@ -17,7 +17,9 @@ use ctos::{
     time::Instant,
 };
 use mcs::{
-    client::{Acquire, Manipulator, MotionError, ReadStream, RecordStates, StreamKind, StreamSetpoints},
+    client::{
+        Acquire, Manipulator, MotionError, ReadStream, RecordStates, StreamKind, StreamSetpoints,
+    },
     trajectory::Solver,
 };
 use serde::Deserialize;
@@ -26,8 +28,8 @@ use sorma::clock::{ClockDifference, Exchange, Observed, USUAL_DRIFT};
 use crate::{
     control::{self, ControlArgs},
     wire::{
-        CompareClocks, ReadTracker, SETPOINT, STATES, StartTracking, StopTracking, TargetSeen,
-        TrackerReport, ClockTruth, TrueClock, seconds,
+        ClockTruth, CompareClocks, ReadTracker, SETPOINT, STATES, StartTracking, StopTracking,
+        TargetSeen, TrackerReport, TrueClock, seconds,
     },
 };
 use period::Period;
@@ -65,6 +67,10 @@ struct DruideArgs {
     period_ms: f64,
     /// Which number of the slots that are no joints is the first of the force at the wrist, from 0; none where there is no sensor.
     wrist: Option<usize>,
+    /// About where the ball is seen from a hand that is where it should be: m along the axes of the tool. It counts as far as the hand
+    /// is turned from how it was at the beginning.
+    #[serde(default)]
+    ball_m: [f64; 3],
     /// A deflection of the mouse older than this counts as none, s.
     #[serde(default = "mouse_age_s")]
     mouse_age_s: f64,
@@ -130,7 +136,9 @@ pub(crate) fn register(registry: &mut Registry) {
             ("mouse_age_s", args.mouse_age_s, 0.001, 10.0),
             ("drift", args.drift, 0.0, sorma::clock::MOST_DRIFT),
         ];
-        let own = own.into_iter().find(|(_, value, least, most)| !(*value >= *least && *value <= *most));
+        let own = own
+            .into_iter()
+            .find(|(_, value, least, most)| !(*value >= *least && *value <= *most));
         let wrong = wrong.or_else(|| own.map(|(key, value, ..)| (key.to_owned(), value)));
         if let Some((key, value)) = wrong {
             let text = format!("`{key}` is {value}");
@@ -413,7 +421,11 @@ impl Watch {
         };
         match asked.await {
             Ok(report) if report.follows => None,
-            Ok(report) => Some(report.end.unwrap_or_else(|| "no stream is under way".to_owned())),
+            Ok(report) => Some(
+                report
+                    .end
+                    .unwrap_or_else(|| "no stream is under way".to_owned()),
+            ),
             Err(error) => Some(error.to_string()),
         }
     }

@@ -31,7 +31,11 @@ impl History {
             return;
         }
         self.poses.push_back((at, pose));
-        while self.poses.front().is_some_and(|(old, _)| at - old > self.span) {
+        while self
+            .poses
+            .front()
+            .is_some_and(|(old, _)| at - old > self.span)
+        {
             self.poses.pop_front();
         }
     }
@@ -52,8 +56,13 @@ impl History {
             return None;
         }
         let share = (moment - from) / (to - from);
-        let place = first.translation.vector.lerp(&last.translation.vector, share);
-        let turn = first.rotation.try_slerp(&last.rotation, share.min(1.0), 1e-12);
+        let place = first
+            .translation
+            .vector
+            .lerp(&last.translation.vector, share);
+        let turn = first
+            .rotation
+            .try_slerp(&last.rotation, share.min(1.0), 1e-12);
         Some(Isometry3::from_parts(
             place.into(),
             turn.unwrap_or(last.rotation),

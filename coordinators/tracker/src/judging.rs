@@ -132,7 +132,8 @@ impl Judge {
 
     /// Where the ball was at a moment.
     pub fn ball(&mut self, at: f64, place: Point3<f64>) {
-        let pose = Isometry3::from_parts(Translation3::from(place.coords), UnitQuaternion::identity());
+        let pose =
+            Isometry3::from_parts(Translation3::from(place.coords), UnitQuaternion::identity());
         self.ball.note(at, pose);
     }
 
@@ -220,12 +221,38 @@ impl Default for Judge {
 pub fn lines(verdict: &Verdict, counts: &Counts) -> String {
     let mm = 1e3;
     let rows = [
-        ("judged", format!("{:.1} s, of which {:.1} % followed", verdict.seconds, 100.0 * verdict.tracked)),
-        ("following error", format!("{:.2} mm rms, {:.2} mm at 95 %", verdict.rms_m * mm, verdict.p95_m * mm)),
-        ("estimate", format!("{:.2} mm rms", verdict.estimate_rms_m * mm)),
-        ("servo", format!("{:.2} mm rms from where it was sent", verdict.servo_rms_m * mm)),
+        (
+            "judged",
+            format!(
+                "{:.1} s, of which {:.1} % followed",
+                verdict.seconds,
+                100.0 * verdict.tracked
+            ),
+        ),
+        (
+            "following error",
+            format!(
+                "{:.2} mm rms, {:.2} mm at 95 %",
+                verdict.rms_m * mm,
+                verdict.p95_m * mm
+            ),
+        ),
+        (
+            "estimate",
+            format!("{:.2} mm rms", verdict.estimate_rms_m * mm),
+        ),
+        (
+            "servo",
+            format!(
+                "{:.2} mm rms from where it was sent",
+                verdict.servo_rms_m * mm
+            ),
+        ),
         ("force", format!("{:.1} N at most", verdict.max_force_n)),
-        ("acceleration", format!("{:.3} of its limit at most", verdict.max_acceleration_ratio)),
+        (
+            "acceleration",
+            format!("{:.3} of its limit at most", verdict.max_acceleration_ratio),
+        ),
         (
             "clocks",
             format!(
@@ -236,9 +263,18 @@ pub fn lines(verdict: &Verdict, counts: &Counts) -> String {
         ),
         (
             "pictures",
-            format!("{} used, {} late, {} far off", counts.used, counts.late, counts.far),
+            format!(
+                "{} used, {} late, {} far off",
+                counts.used, counts.late, counts.far
+            ),
         ),
-        ("ball", format!("lost {} times, expired {} times", counts.lost, counts.expired)),
+        (
+            "ball",
+            format!(
+                "lost {} times, expired {} times",
+                counts.lost, counts.expired
+            ),
+        ),
     ];
     let mut text = String::new();
     for (name, value) in rows {
@@ -290,7 +326,10 @@ mod tests {
         assert!((found.estimate_rms_m - 0.002_f64.hypot(0.001)).abs() < 1e-6);
         assert!((found.clock_error_s - 0.000_5).abs() < 1e-9 && found.clock_within);
         assert!((found.tracked - 1.0).abs() < 1e-9 && found.seconds > 6.9);
-        assert_eq!((found.max_force_n, found.max_acceleration_ratio), (1.0, 0.5));
+        assert_eq!(
+            (found.max_force_n, found.max_acceleration_ratio),
+            (1.0, 0.5)
+        );
         assert!(!lines(&found, &Counts::default()).is_empty());
     }
 }

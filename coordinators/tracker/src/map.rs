@@ -35,7 +35,9 @@ pub struct Example {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MapError {
     /// It is no such table.
-    #[error("line {line}: {reason}; the first line is `{HEADER}`, and each of the {EXAMPLES} others has as many numbers")]
+    #[error(
+        "line {line}: {reason}; the first line is `{HEADER}`, and each of the {EXAMPLES} others has as many numbers"
+    )]
     Line {
         /// Which, from 1.
         line: usize,
@@ -43,7 +45,9 @@ pub enum MapError {
         reason: String,
     },
     /// It has another number of examples.
-    #[error("there are {0} examples, and a map has {EXAMPLES}: 3 x 3 x 3, the last coordinate changes first")]
+    #[error(
+        "there are {0} examples, and a map has {EXAMPLES}: 3 x 3 x 3, the last coordinate changes first"
+    )]
     Count(usize),
     /// They make no map.
     #[error("the examples make no map: {0}")]
@@ -116,7 +120,9 @@ pub fn trained(examples: &[Example]) -> Result<TargetMap, MapError> {
             (Point3::from(*place), seen)
         })
         .collect();
-    let pairs = pairs.first_chunk::<EXAMPLES>().filter(|_| pairs.len() == EXAMPLES);
+    let pairs = pairs
+        .first_chunk::<EXAMPLES>()
+        .filter(|_| pairs.len() == EXAMPLES);
     let pairs = pairs.ok_or(MapError::Count(examples.len()))?;
     TargetMap::train(pairs, &SD, LARGEST).map_err(|error| MapError::Untrained(error.to_string()))
 }
@@ -150,7 +156,12 @@ mod tests {
             let radius = 410.0 * 0.02 / depth;
             Example {
                 place,
-                seen: [250.0 + 410.0 * x / depth, 250.0 + 410.0 * y / depth, radius, radius],
+                seen: [
+                    250.0 + 410.0 * x / depth,
+                    250.0 + 410.0 * y / depth,
+                    radius,
+                    radius,
+                ],
             }
         };
         grid([0.08, 0.08, 0.06]).into_iter().map(example).collect()

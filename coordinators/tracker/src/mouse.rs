@@ -52,7 +52,10 @@ pub(crate) fn register(registry: &mut Registry) {
         })
     });
     handler.checked_args::<MouseArgs>(|args, task, _, findings| {
-        let all = [("rate_hz", args.rate_hz, 1e3), ("callback_s", args.callback_s, 60.0)];
+        let all = [
+            ("rate_hz", args.rate_hz, 1e3),
+            ("callback_s", args.callback_s, 60.0),
+        ];
         for (key, value, most) in all {
             if !(value > 0.0 && value <= most) {
                 let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
@@ -79,8 +82,13 @@ impl EventHandler for Mouse {
             return cx.default_processing(message);
         }
         let (DeflectMouse { numbers }, reply) = message.open::<DeflectMouse>()?;
-        if let Some(wrong) = numbers.iter().find(|number| !(-1.0..=1.0).contains(*number)) {
-            return reply.fail(format!("a deflection goes from -1 to 1, and one is {wrong}"));
+        if let Some(wrong) = numbers
+            .iter()
+            .find(|number| !(-1.0..=1.0).contains(*number))
+        {
+            return reply.fail(format!(
+                "a deflection goes from -1 to 1, and one is {wrong}"
+            ));
         }
         *self.deflected.borrow_mut() = Some((cx.now(), numbers));
         reply.ok(())

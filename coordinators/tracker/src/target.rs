@@ -154,7 +154,12 @@ impl Target {
             return self.begin(at, place);
         };
         let off = |(track, z): (&Track, &f64)| (z - track.x).powi(2);
-        let far = expected.iter().zip(place.iter()).map(off).sum::<f64>().sqrt();
+        let far = expected
+            .iter()
+            .zip(place.iter())
+            .map(off)
+            .sum::<f64>()
+            .sqrt();
         if far > self.args.gate_m {
             let since = *self.far_since.get_or_insert(before);
             if at - since > self.args.expiry_s {
@@ -214,16 +219,23 @@ impl Target {
             let [x, y, z] = tracks.each_ref().map(pick);
             Vector3::new(x, y, z)
         };
-        let (place, velocity, acceleration) =
-            (axis(|track| track.x), axis(|track| track.v), axis(|track| track.a));
+        let (place, velocity, acceleration) = (
+            axis(|track| track.x),
+            axis(|track| track.v),
+            axis(|track| track.a),
+        );
         let counts = moves(velocity.norm(), self.args.still_m_s);
         let (velocity, acceleration) = (velocity * counts, acceleration * counts);
         let expiry = self.args.expiry_s;
         let (going, after) = (age.min(expiry), (age - expiry).max(0.0));
         // The acceleration decays, so velocity and place are its integrals.
-        let (lasts, left) = (self.args.manoeuvre_s, (-going / self.args.manoeuvre_s).exp());
+        let (lasts, left) = (
+            self.args.manoeuvre_s,
+            (-going / self.args.manoeuvre_s).exp(),
+        );
         let speed = velocity + acceleration * (lasts * (1.0 - left));
-        let there = place + velocity * going + acceleration * (lasts * (going - lasts * (1.0 - left)));
+        let there =
+            place + velocity * going + acceleration * (lasts * (going - lasts * (1.0 - left)));
         let decay = self.args.decay_s;
         let left = (-after / decay).exp();
         Some(Predicted {

@@ -97,7 +97,10 @@ mod tests {
     fn the_length_is_null_then_scaled_then_clipped() {
         for (length, expected) in [(0.5, 0.0), (1.0, 0.0), (3.0, 1.0), (7.0, 3.0), (50.0, 3.0)] {
             let found = settled(Vector3::new(0.0, length, 0.0));
-            assert!((found - Vector3::new(0.0, expected, 0.0)).norm() < 1e-6, "{length}: {found}");
+            assert!(
+                (found - Vector3::new(0.0, expected, 0.0)).norm() < 1e-6,
+                "{length}: {found}"
+            );
         }
     }
 

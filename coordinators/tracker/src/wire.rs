@@ -207,7 +207,18 @@ impl BlobRecord {
     /// From floats; `None` when they are others.
     #[must_use]
     pub fn from_floats(floats: &[f64]) -> Option<Self> {
-        let [stamp, number, u, v, radius, spread, area, eccentricity, blobs, doubts] = *floats
+        let [
+            stamp,
+            number,
+            u,
+            v,
+            radius,
+            spread,
+            area,
+            eccentricity,
+            blobs,
+            doubts,
+        ] = *floats
         else {
             return None;
         };
@@ -269,7 +280,9 @@ impl CourseRecord {
     /// As floats; a target that is not there has none that are numbers.
     #[must_use]
     pub fn floats(&self) -> [f64; Self::FLOATS] {
-        let target = self.target.map_or([f64::NAN; 3], |target| target.coords.into());
+        let target = self
+            .target
+            .map_or([f64::NAN; 3], |target| target.coords.into());
         let [x, y, z] = target;
         let phase = Phase::ALL.iter().position(|phase| *phase == self.phase);
         [
@@ -300,7 +313,25 @@ impl CourseRecord {
     #[must_use]
     pub fn from_floats(floats: &[f64]) -> Option<Self> {
         let all: &[f64; Self::FLOATS] = floats.try_into().ok()?;
-        let [now, x, y, z, vx, vy, vz, tx, ty, tz, age, phase, hx, hy, hz, at, rest @ ..] = *all;
+        let [
+            now,
+            x,
+            y,
+            z,
+            vx,
+            vy,
+            vz,
+            tx,
+            ty,
+            tz,
+            age,
+            phase,
+            hx,
+            hy,
+            hz,
+            at,
+            rest @ ..,
+        ] = *all;
         let [force, ratio, clock, clock_bound] = rest;
         let target = Point3::new(tx, ty, tz);
         Some(Self {

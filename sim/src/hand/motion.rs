@@ -204,7 +204,9 @@ mod tests {
         };
         let home = Point3::new(0.6, -0.1, 1.5);
         let mut motion = Motion::new(kind, home, sizes, ChaCha8Rng::seed_from_u64(seed));
-        (0..20_000).map(|step| motion.at(f64::from(step) * STEP)).collect()
+        (0..20_000)
+            .map(|step| motion.at(f64::from(step) * STEP))
+            .collect()
     }
 
     const ALL: [Kind; 5] = [
@@ -222,7 +224,10 @@ mod tests {
                 let all = places(kind, seed);
                 let speeds: Vec<Vector3<f64>> =
                     all.windows(2).map(|two| (two[1] - two[0]) / STEP).collect();
-                assert!((all[0] - Point3::new(0.6, -0.1, 1.5)).norm() < 1e-12, "{kind:?}");
+                assert!(
+                    (all[0] - Point3::new(0.6, -0.1, 1.5)).norm() < 1e-12,
+                    "{kind:?}"
+                );
                 assert!(speeds[0].norm() < 0.02, "{kind:?}: {}", speeds[0].norm());
                 for two in speeds.windows(2) {
                     let change = (two[1] - two[0]).norm();

@@ -35,6 +35,8 @@ pub(super) struct Period {
     control: Control,
     states: Reader,
     mouse: Option<Reader>,
+    /// What the mouse said last: which record, since when it is known here, and how the mouse is deflected.
+    said: (u64, f64, Vector3<f64>),
     place: Place,
     record: Snapshot,
     solver: Solver,
@@ -43,6 +45,8 @@ pub(super) struct Period {
     courses: Writer,
     /// How the hand is turned, which does not change.
     turn: UnitQuaternion<f64>,
+    /// About where the ball is seen from a hand that is where it should be, m.
+    ball: Point3<f64>,
     /// Which number of the slots is the first of the force.
     wrist: Option<usize>,
     mouse_age: f64,
@@ -80,6 +84,7 @@ impl Period {
             control: Control::new(args.control, pose.translation.vector.into()),
             states,
             mouse: None,
+            said: (0, 0.0, Vector3::zeros()),
             record,
             solver,
             history: History::new(REMEMBERED),
@@ -87,6 +92,7 @@ impl Period {
             courses: Writer::create(&place, COURSE, layout, clock)?,
             place,
             turn: pose.rotation,
+            ball: Point3::from(args.ball_m),
             wrist: args.wrist,
             mouse_age: args.mouse_age_s,
             period: args.period_ms * 1e-3,
@@ -114,8 +120,11 @@ impl Period {
         let Some(pose) = self.history.at(at) else {
             return false;
         };
-        let place = pose * Point3::from(*relative);
+        // The ball is seen from a hand that may be turned a little, as a hand that is late is; the map was learned without that.
+        let ball = pose * (self.ball + Vector3::from(*relative));
+        let place = ball - self.turn * self.ball.coords;
         let taken = self.control.measure(now, at, &place);
+        tracing::trace!(at, late = now - at, ?relative, place = ?place.coords, ?taken);
         if matches!(taken, Taken::Begun) {
             tracing::info!(x = place.x, y = place.y, z = place.z, "the ball is seen");
         }
@@ -132,7 +141,7 @@ impl Period {
     ) {
         self.count += 1;
         self.read_states(cx);
-        let mouse = self.deflection(cx);
+        let mouse = self.deflection(now);
         let mut ratio = 0.0;
         if self.halted {
             // What is sent is where the arm is held, so that it begins there.
@@ -211,20 +220,24 @@ impl Period {
         Some(pose.translation.vector.into())
     }
 
-    /// How the mouse is deflected; not at all where nobody has said so for a while.
-    fn deflection(&mut self, cx: &Context) -> Vector3<f64> {
+    /// How the mouse is deflected; not at all where its daemon has said nothing new for a while.
+    fn deflection(&mut self, now: f64) -> Vector3<f64> {
         if self.mouse.as_ref().is_none_or(Reader::is_over) && self.count % LOOK == 1 {
             self.mouse = Reader::open(&self.place, MOUSE).ok();
         }
-        let Some(mouse) = &mut self.mouse else {
-            return Vector3::zeros();
-        };
         let mut record = Snapshot::default();
-        let new = mouse.latest(&mut record).unwrap_or(false);
-        let age = record.age(cx.chassis().clock()).as_secs_f64();
-        match record.floats[..] {
-            [x, y, z, ..] if new && age <= self.mouse_age => Vector3::new(x, y, z),
-            _ => Vector3::zeros(),
+        let mouse = self.mouse.as_mut();
+        let read = mouse.is_some_and(|mouse| mouse.latest(&mut record).unwrap_or(false));
+        if let [x, y, z, ..] = record.floats[..]
+            && read
+            && record.count != self.said.0
+        {
+            self.said = (record.count, now, Vector3::new(x, y, z));
+        }
+        let (_, since, deflection) = self.said;
+        match now - since <= self.mouse_age {
+            true => deflection,
+            false => Vector3::zeros(),
         }
     }
 

@@ -145,7 +145,11 @@ fn errors(motion: fn(f64) -> f64, latency: [f64; 2], agility: f64, seed: u64) ->
 #[allow(clippy::print_stdout, reason = "what was measured is told, too")]
 fn the_estimate_is_as_good_as_a_kalman_filters_and_far_better_than_none() {
     type Motion = (&'static str, fn(f64) -> f64, f64);
-    let motions: [Motion; 3] = [("circle", circle, 1.0), ("sweep", sweep, 3.0), ("saccade", saccade, 8.0)];
+    let motions: [Motion; 3] = [
+        ("circle", circle, 1.0),
+        ("sweep", sweep, 3.0),
+        ("saccade", saccade, 8.0),
+    ];
     for (name, motion, agility) in motions {
         for latency in [[0.04, 0.0], [0.11, 0.02], [0.2, 0.0]] {
             let mut sums = [0.0; 3];
@@ -157,10 +161,16 @@ fn the_estimate_is_as_good_as_a_kalman_filters_and_far_better_than_none() {
             }
             let [ours, kalman, last] = sums.map(f64::sqrt);
             println!("{name} {latency:?}: {ours:.5} m, Kalman {kalman:.5}, without {last:.5}");
-            assert!(ours <= 1.15 * kalman, "{name} {latency:?}: {ours} and {kalman}");
+            assert!(
+                ours <= 1.15 * kalman,
+                "{name} {latency:?}: {ours} and {kalman}"
+            );
             // A jump that nobody can foresee costs about as much as it is late.
             let least = if name == "saccade" { 1.3 } else { 2.0 };
-            assert!(last >= least * ours, "{name} {latency:?}: {ours} and {last}");
+            assert!(
+                last >= least * ours,
+                "{name} {latency:?}: {ours} and {last}"
+            );
         }
     }
 }
