@@ -59,7 +59,7 @@ impl Default for ControlArgs {
                 clip: 0.1,
             },
             prediction: true,
-            lead_s: 0.009,
+            lead_s: 0.0135,
             reach_m: 0.3,
             overdue_s: 0.2,
         }
@@ -347,7 +347,7 @@ mod tests {
         let mut rig = Rig::new(ControlArgs::default());
         rig.run(5.0, |t| Some(sweep(t)), NONE);
         assert_eq!(rig.control.phase(), Phase::Track);
-        let off = rig.control.course().place - sweep(rig.now() + 0.009);
+        let off = rig.control.course().place - sweep(rig.now() + 0.0135);
         assert!(off.norm() < 0.01, "{off}");
         rig.run(0.3, |_| None, NONE);
         assert_eq!(rig.control.phase(), Phase::Lost);
@@ -358,7 +358,7 @@ mod tests {
         assert!(rig.control.course().velocity.norm() < 1e-3);
         rig.run(3.0, |t| Some(sweep(t)), NONE);
         assert_eq!(rig.control.phase(), Phase::Track);
-        assert!((rig.control.course().place - sweep(rig.now() + 0.009)).norm() < 0.01);
+        assert!((rig.control.course().place - sweep(rig.now() + 0.0135)).norm() < 0.01);
         let counts = rig.control.counts();
         assert_eq!((counts.lost, counts.expired), (1, 1));
         assert!(rig.worst <= 1.0 + 1e-9, "{}", rig.worst);

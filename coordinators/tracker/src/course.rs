@@ -67,15 +67,15 @@ impl Course {
         }
     }
 
-    /// Goes on by a period, s, towards a goal that moves with a velocity. The change of the velocity is never more than the
-    /// acceleration allows.
+    /// Goes on by a period, s, towards a goal that moves with a velocity and is there at the end of the period. The change of the
+    /// velocity is never more than the acceleration allows.
     pub fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
         let CourseArgs {
             speed,
             acceleration,
             settle_s,
         } = self.args;
-        let way = goal - self.place;
+        let way = goal - moving * period - self.place;
         let left = way.norm();
         // v(d) = d/T near the goal, and further off as fast as it can brake: the two meet with one slope at d = a T^2.
         let braking = PLANNED * acceleration;
@@ -174,7 +174,6 @@ mod tests {
             let goal = Point3::new(0.1, 0.0, 0.2) + moving * (f64::from(step) * PERIOD);
             course.go(&goal, &moving, PERIOD);
             if step > 700 {
-                // The goal is that of the end of the period, so the least is what it moves in a part of one.
                 assert!((goal - course.place).norm() < 1e-5);
             }
         }

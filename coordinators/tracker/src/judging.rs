@@ -318,7 +318,7 @@ mod tests {
             let ball = 0.1 * now;
             judge.ball(now, Point3::new(0.5 + ball, 0.0, 0.0));
             // 2 mm behind from the beginning of the motion on.
-            let behind = if step == 0 { 0.0 } else { 0.002 };
+            let behind = if step < 10 { 0.0 } else { 0.002 };
             judge.course(&record(now, ball - behind));
         }
         let found = judge.verdict();

@@ -278,9 +278,11 @@ proptest! {
             let place = at(rng.random_range(-0.2..0.2));
             target.measure(now, &place);
             let found = target.at(now + rng.random_range(0.0..2.0));
-            prop_assert!(found.is_none_or(|found| {
-                found.place.iter().chain(found.velocity.iter()).all(|number| number.is_finite())
-            }));
+            let finite = found.is_none_or(|found| {
+                let mut numbers = found.place.iter().chain(found.velocity.iter());
+                numbers.all(|number| number.is_finite())
+            });
+            prop_assert!(finite);
         }
     }
 }
