@@ -129,7 +129,9 @@ fn the_arm_learns_its_map_by_one_command() {
     let learn = "task.tracker.args.mode=\"learn\"";
     let rest = "task.ball.args.motion=\"rest\"";
     let few = "task.tracker.args.pictures=3";
-    let all = ["--set", learn, "--set", rest, "--set", few];
+    // Most of a run is pictures that nobody needs.
+    let slow = "task.argus.args.period_ms=200.0";
+    let all = ["--set", learn, "--set", rest, "--set", few, "--set", slow];
     let result = run(&scratch, "learn", 1.0, &all);
     assert_eq!(result["examples"], 27, "{result}");
     assert!(number(&result, "checked_rms_m") < 0.002, "{result}");
