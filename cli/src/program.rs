@@ -28,6 +28,7 @@ pub fn registry() -> Registry {
     mcs::register(&mut registry, drivers, laws, guards);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
+    tracker::register(&mut registry);
     cli_display::register(&mut registry);
     scene_viewers::register(&mut registry);
     panel::register(&mut registry);

@@ -499,8 +499,8 @@ ctos::command! {
 }
 ctos::command! {
     /// Writes what every servo tick leaves to a snapshot buffer of the app from now on, or to none: positions, velocities,
-    /// setpoints and torques of all joints, rad or m, N m or N, as the buffer's description says. Until the servo's task is built
-    /// anew. Anybody may ask.
+    /// setpoints and torques of all joints, rad or m, N m or N, and what slots that are no joints read, as the buffer's description
+    /// says. Until the servo's task is built anew. Anybody may ask.
     #[derive(Debug, Clone, PartialEq)]
     pub struct RecordStates {
         /// The buffer's name.

@@ -5,6 +5,7 @@
 //! source. [`served`] is an arm for a control layer in another process.
 
 pub mod driver;
+pub mod hand;
 pub mod handlers;
 pub mod port;
 mod scene_truth;

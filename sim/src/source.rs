@@ -31,6 +31,20 @@ pub struct CameraArgs {
     pub world: String,
     /// The snapshot buffer in which the world leaves scenes, on this host; its task is asked when none is named.
     pub scenes: Option<String>,
+    /// Whose clock its stamps are of.
+    #[serde(default)]
+    pub stamps: Stamps,
+}
+
+/// Whose clock the stamps of a camera are of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stamps {
+    /// The world's, of the tick that left the scene.
+    #[default]
+    World,
+    /// The camera's own, as of a real one: the middle of the exposure, up to a tick of the world after the scene.
+    Camera,
 }
 
 /// By how much the stamps of a camera are ahead that jumps in time.
@@ -47,6 +61,7 @@ pub struct SimCamera {
     name: String,
     world: String,
     scenes: Option<SceneReader>,
+    stamps: Stamps,
     renderer: Renderer,
     taken: u64,
     /// Which camera of the cell it is.
@@ -65,6 +80,7 @@ impl SimCamera {
             cell,
             world,
             scenes,
+            stamps,
         } = args.parse()?;
         let cell = Cell::read(&cx.app().file_at(&cell))?;
         let camera = cell.camera(name)?;
@@ -76,6 +92,7 @@ impl SimCamera {
             name: name.to_owned(),
             world,
             scenes: scenes.map(|buffer| SceneReader::new(&cx.app().name, &buffer)),
+            stamps,
             renderer: Renderer::new(&cell, camera, seed),
             taken: 0,
             index,
@@ -84,7 +101,7 @@ impl SimCamera {
     }
 
     /// Takes a picture of the world as it is in the middle of the exposure, which begins now; its stamp is that of the
-    /// scene.
+    /// scene, or the moment by the clock here.
     ///
     /// # Errors
     /// When the world's task does not answer, or leaves no scenes.
@@ -93,6 +110,7 @@ impl SimCamera {
         if !exposure.is_zero() {
             cx.sleep(exposure / 2).await;
         }
+        let middle = cx.now().since_start();
         let scene = self.scene(cx).await.map_err(|reason| FrameError::Fault {
             camera: self.name.clone(),
             reason,
@@ -110,7 +128,10 @@ impl SimCamera {
         let frame = Frame {
             camera: self.name.clone(),
             number,
-            stamp: scene.stamp,
+            stamp: match self.stamps {
+                Stamps::World => scene.stamp,
+                Stamps::Camera => middle,
+            },
             exposure,
             carrier: self.renderer.carrier(&scene),
             format: self.renderer.format(),

@@ -48,6 +48,7 @@ mod stepped_clock;
 mod structure;
 mod testbed;
 mod traces;
+mod tracker;
 mod viewers;
 mod vision;
 mod ways;

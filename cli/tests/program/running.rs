@@ -205,6 +205,7 @@ const WAYS: &[(&str, Then)] = &[
     ("ctos boot configs/around.toml", ComesUp),
     ("ctos boot configs/push.toml", ComesUp),
     ("ctos boot configs/push-finger.toml", ComesUp),
+    ("ctos boot configs/tracker.toml", ComesUp),
 ];
 
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.

@@ -9,12 +9,13 @@ use crossbeam_queue::ArrayQueue;
 use ctos::time::Clock;
 use sorma::snapshot::{Layout, Place, SnapshotError, Writer};
 
+use crate::driver::{Sensor, SensorKind};
 use crate::model::Model;
 use crate::servo::ServoStatus;
 
 /// How many records a buffer keeps: 9 s at 4.5 ms.
 const SLOTS: usize = 2000;
-/// The vectors of a record; each has a number for every joint.
+/// The vectors of a record; each has a number for every joint. What the slots that are no joints read comes after them.
 const VECTORS: [&str; 4] = ["position", "velocity", "setpoint", "torque"];
 
 /// The task's side: which buffer is written.
@@ -23,6 +24,8 @@ pub struct Records {
     buffer: Option<String>,
     orders: Arc<ArrayQueue<Option<Writer>>>,
     retired: Arc<ArrayQueue<Writer>>,
+    /// The slots that are no joints.
+    sensors: Vec<Sensor>,
 }
 
 /// The tick's side.
@@ -33,25 +36,31 @@ pub struct Recorder {
     floats: Vec<f64>,
 }
 
-/// Both sides, for an arm of so many joints.
-pub fn records(joints: usize) -> (Records, Recorder) {
+/// How many numbers the slots that are no joints have.
+fn width(sensors: &[Sensor]) -> usize {
+    sensors.iter().map(|sensor| sensor.kind.width()).sum()
+}
+
+/// Both sides, for an arm of so many joints, with these slots besides.
+pub fn records(joints: usize, sensors: &[Sensor]) -> (Records, Recorder) {
     let (orders, retired) = (Arc::new(ArrayQueue::new(1)), Arc::new(ArrayQueue::new(2)));
     let recorder = Recorder {
         orders: Arc::clone(&orders),
         retired: Arc::clone(&retired),
         writer: None,
-        floats: Vec::with_capacity(VECTORS.len() * joints),
+        floats: Vec::with_capacity(VECTORS.len() * joints + width(sensors)),
     };
     let records = Records {
         buffer: None,
         orders,
         retired,
+        sensors: sensors.to_vec(),
     };
     (records, recorder)
 }
 
 /// What the floats of a record are, a line for each.
-fn description(model: &Model) -> String {
+fn description(model: &Model, sensors: &[Sensor]) -> String {
     let mut text = String::new();
     for vector in VECTORS {
         for joint in model.joints() {
@@ -63,6 +72,16 @@ fn description(model: &Model) -> String {
             };
             // Writing to a string cannot fail.
             let _ = writeln!(text, "{vector}.{} {unit}", joint.name);
+        }
+    }
+    for Sensor { name, kind } in sensors {
+        for number in 1..=kind.width() {
+            let unit = match (kind, number) {
+                (SensorKind::ForceTorque, ..=3) => "N",
+                (SensorKind::ForceTorque, _) => "N m",
+                _ => kind.unit(),
+            };
+            let _ = writeln!(text, "slot.{name}.{number} {unit}");
         }
     }
     text
@@ -86,8 +105,9 @@ impl Records {
         let writer = match name {
             Some(name) => {
                 let place = Place::of_app(app)?;
-                let layout = Layout::new(SLOTS, VECTORS.len() * model.dof());
-                let layout = layout.described(description(model));
+                let floats = VECTORS.len() * model.dof() + width(&self.sensors);
+                let layout = Layout::new(SLOTS, floats);
+                let layout = layout.described(description(model, &self.sensors));
                 Some(Writer::create(&place, name, layout, clock)?)
             }
             None => None,
@@ -120,6 +140,7 @@ impl Recorder {
             &status.velocity,
             &status.setpoint,
             &status.torque,
+            &status.sensors,
         ] {
             self.floats.extend_from_slice(vector);
         }

@@ -309,6 +309,7 @@ impl ServoTask {
         let planner = Planner::new(Arc::clone(&model), args.cartesian, setpoint_period)?;
         let planner = planner.limiting_jerk(args.limit_jerk).solving_by(solver);
         let planner = planner.offering(Arc::clone(planning));
+        let (records, recorder) = records(planner.model().dof(), &sensors);
         let link = Arc::new(Link {
             port,
             planner: planner.clone(),
@@ -318,7 +319,6 @@ impl ServoTask {
             sensors,
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));
-        let (records, recorder) = records(planner.model().dof());
         Ok(Self {
             link,
             planner,

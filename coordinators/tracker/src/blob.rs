@@ -1,0 +1,134 @@
+//! What a picture shows of the ball: the largest bright blob, and whether it is what the ball looks like (SORMA technical report,
+//! section 2.2.3). Knows no tasks.
+
+use serde::{Deserialize, Serialize};
+use vss::{
+    components::{Expectation, components},
+    frame::Frame,
+    target_map::Seen,
+};
+
+/// What the ball is expected to look like. It can be tuned while argus works.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Look {
+    /// Grey value from which a pixel is of the ball.
+    pub threshold: u8,
+    /// Fewest and most pixels.
+    pub area_px: [u64; 2],
+    /// Largest eccentricity: 0 is a circle, 0.6 an ellipse whose axes are as 4 to 5.
+    pub eccentricity: f64,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self {
+            threshold: 80,
+            area_px: [150, 20_000],
+            eccentricity: 0.5,
+        }
+    }
+}
+
+/// The largest blob of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// What is seen of it.
+    pub seen: Seen,
+    /// Its pixels.
+    pub area: u64,
+    /// Its eccentricity.
+    pub eccentricity: f64,
+    /// Blobs that are large enough to be the ball.
+    pub blobs: usize,
+    /// What it is not, as flags of [`vss::components::Doubt`]; 0 is the ball.
+    pub doubts: i64,
+}
+
+/// A second blob that is as good as the largest: nobody knows which is the ball.
+pub const AMBIGUOUS: i64 = 64;
+
+/// A blob this much smaller than the largest is none that could be taken for it.
+const RIVAL: f64 = 0.5;
+
+/// The largest blob; `None` in a picture that is dark everywhere.
+#[must_use]
+pub fn largest(frame: &Frame, look: &Look) -> Option<Sighting> {
+    let found = components(&frame.grey(), frame.width, look.threshold);
+    let [least, most] = look.area_px;
+    let largest = found.iter().max_by_key(|blob| blob.area)?;
+    let expected = Expectation {
+        area: (least, most),
+        eccentricity: look.eccentricity,
+        holes: None,
+    };
+    let is_ball = |doubts: &[vss::components::Doubt]| doubts.is_empty();
+    let doubts = expected.doubts(largest, frame.width, frame.height);
+    let mut flags: i64 = doubts.iter().map(|doubt| doubt.flag()).sum();
+    let rivals = found.iter().filter(|blob| {
+        !std::ptr::eq(*blob, largest)
+            && blob.area as f64 > RIVAL * largest.area as f64
+            && is_ball(&expected.doubts(blob, frame.width, frame.height))
+    });
+    if rivals.count() > 0 {
+        flags |= AMBIGUOUS;
+    }
+    Some(Sighting {
+        seen: Seen::of(largest),
+        area: largest.area,
+        eccentricity: largest.moments().eccentricity(),
+        blobs: found.iter().filter(|blob| blob.area >= least).count(),
+        doubts: flags,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE: usize = 200;
+
+    fn picture(bright: impl Fn(f64, f64) -> bool) -> Frame {
+        let pixel = |at: usize| match bright((at % SIDE) as f64, (at / SIDE) as f64) {
+            true => 220,
+            false => 20,
+        };
+        let pixels: Vec<u8> = (0..SIDE * SIDE).map(pixel).collect();
+        Frame::grey8(SIDE, SIDE, pixels)
+    }
+
+    fn disc(x: f64, y: f64, (u, v): (f64, f64), radius: f64) -> bool {
+        (x - u).hypot(y - v) < radius
+    }
+
+    fn seen(bright: impl Fn(f64, f64) -> bool) -> Option<Sighting> {
+        largest(&picture(bright), &Look::default())
+    }
+
+    #[test]
+    fn a_ball_is_seen_where_it_is() {
+        let found = seen(|x, y| disc(x, y, (80.3, 120.6), 20.0)).unwrap();
+        assert_eq!((found.doubts, found.blobs), (0, 1));
+        assert!((found.seen.u - 80.3).abs() < 0.1 && (found.seen.v - 120.6).abs() < 0.1);
+        assert!((found.seen.radius - 20.0).abs() < 0.1 && (found.seen.spread - 20.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn what_is_no_whole_ball_is_not_taken_for_one() {
+        let none = |bright: &dyn Fn(f64, f64) -> bool| seen(bright).unwrap().doubts != 0;
+        // Cut by the border, a reflection, a half that is covered, and two of them.
+        assert!(none(&|x, y| disc(x, y, (5.0, 100.0), 20.0)));
+        assert!(none(&|x, y| disc(x, y, (100.0, 100.0), 3.0)));
+        assert!(none(&|x, y| disc(x, y, (100.0, 100.0), 20.0) && x < 102.0));
+        assert!(none(&|x, y| {
+            disc(x, y, (60.0, 100.0), 20.0) || disc(x, y, (140.0, 100.0), 18.0)
+        }));
+        assert_eq!(seen(|_, _| false), None);
+    }
+
+    #[test]
+    fn a_small_reflection_beside_the_ball_does_no_harm() {
+        let found = seen(|x, y| disc(x, y, (60.0, 100.0), 20.0) || disc(x, y, (150.0, 40.0), 8.0));
+        assert_eq!(found.unwrap().doubts, 0);
+    }
+}

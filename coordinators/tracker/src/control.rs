@@ -1,0 +1,426 @@
+//! One period of the tracker: from what was seen, felt and steered to the next setpoint of the hand (SORMA technical report, figure
+//! 2.7). Knows no tasks and no clocks: times are seconds of one clock, places m in the arm's base frame.
+//!
+//! The ball's place, as it is told here, is where the hand should be: the map was trained to give the way from the hand to there. A
+//! force or a mouse moves that place, as a spring would that pulls the hand to it. Without a ball they move the hand itself.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    course::{Course, CourseArgs},
+    target::{Predicted, Taken, Target, TargetArgs},
+    vector::{VectorArgs, VectorFilter},
+};
+
+/// A target that has expired and is slower than this, m/s, is given up.
+const AT_REST: f64 = 0.002;
+
+/// How fast force and mouse move a hand that has no target: parts of their displacement for each second.
+const FREELY: f64 = 2.0;
+
+/// How the hand follows.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ControlArgs {
+    /// The ball.
+    pub target: TargetArgs,
+    /// Limits of the hand.
+    pub course: CourseArgs,
+    /// From the force at the wrist, N, to a displacement, m.
+    pub wrist: VectorArgs,
+    /// From the mouse, whose axes go from -1 to 1, to a displacement, m.
+    pub mouse: VectorArgs,
+    /// Whether the ball's motion is predicted.
+    pub prediction: bool,
+    /// How long a setpoint takes to become a place of the hand, s.
+    pub lead_s: f64,
+    /// The hand stays within this distance from where it began, m.
+    pub reach_m: f64,
+    /// Without a measurement for this time the ball counts as lost, s; it is followed until it expires.
+    pub overdue_s: f64,
+}
+
+impl Default for ControlArgs {
+    fn default() -> Self {
+        Self {
+            target: TargetArgs::default(),
+            course: CourseArgs::default(),
+            wrist: VectorArgs {
+                low_pass_hz: 4.0,
+                null_radius: 3.0,
+                scale: 0.004,
+                clip: 0.1,
+            },
+            mouse: VectorArgs {
+                low_pass_hz: 4.0,
+                null_radius: 0.05,
+                scale: 0.1,
+                clip: 0.1,
+            },
+            prediction: true,
+            lead_s: 0.0135,
+            reach_m: 0.3,
+            overdue_s: 0.2,
+        }
+    }
+}
+
+impl ControlArgs {
+    /// The first number that cannot be, by its key.
+    #[must_use]
+    pub fn wrong(&self) -> Option<(String, f64)> {
+        let parts = [
+            ("target", self.target.wrong()),
+            ("course", self.course.wrong()),
+            ("wrist", self.wrist.wrong()),
+            ("mouse", self.mouse.wrong()),
+        ];
+        let part = parts
+            .into_iter()
+            .find_map(|(name, wrong)| wrong.map(|(key, value)| (format!("{name}.{key}"), value)));
+        let own = [
+            ("lead_s", self.lead_s, 0.0),
+            ("reach_m", self.reach_m, 0.01),
+            ("overdue_s", self.overdue_s, 0.001),
+        ];
+        let wrong = |(_, value, least): &(_, f64, f64)| !(*value >= *least && *value <= 10.0);
+        let own = own.into_iter().find(wrong);
+        part.or_else(|| own.map(|(key, value, _)| (key.to_owned(), value)))
+    }
+}
+
+/// How the tracker is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Phase {
+    /// It does not move the arm.
+    #[default]
+    Idle,
+    /// It looks for the ball.
+    Acquire,
+    /// It follows the ball.
+    Track,
+    /// Nothing was seen of the ball for a while; it is followed all the same.
+    Lost,
+    /// The ball has expired, and the hand comes to rest.
+    Expired,
+    /// The arm was stopped by somebody else: a guard, a stop, a fault.
+    Stopped,
+}
+
+impl Phase {
+    /// All, in the order of their numbers.
+    pub const ALL: [Self; 6] = [
+        Self::Idle,
+        Self::Acquire,
+        Self::Track,
+        Self::Lost,
+        Self::Expired,
+        Self::Stopped,
+    ];
+}
+
+/// What has happened so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Counts {
+    /// Measurements that were used.
+    pub used: u64,
+    /// Those that came too late, or twice.
+    pub late: u64,
+    /// Those that were too far from the ball.
+    pub far: u64,
+    /// How often the ball was lost,
+    pub lost: u64,
+    /// and how often it has expired.
+    pub expired: u64,
+}
+
+/// The tracker of one hand.
+#[derive(Debug, Clone)]
+pub struct Control {
+    args: ControlArgs,
+    home: Point3<f64>,
+    target: Target,
+    course: Course,
+    wrist: VectorFilter,
+    mouse: VectorFilter,
+    /// Where the hand should be without a target.
+    hold: Point3<f64>,
+    phase: Phase,
+    counts: Counts,
+    /// When a measurement was used last.
+    seen: f64,
+    offset: Vector3<f64>,
+}
+
+impl Control {
+    /// Of a hand that is at rest at `home`.
+    #[must_use]
+    pub fn new(args: ControlArgs, home: Point3<f64>) -> Self {
+        Self {
+            target: Target::new(args.target),
+            course: Course::at_rest(args.course, home),
+            wrist: VectorFilter::new(args.wrist),
+            mouse: VectorFilter::new(args.mouse),
+            hold: home,
+            home,
+            phase: Phase::Acquire,
+            counts: Counts::default(),
+            seen: f64::NEG_INFINITY,
+            offset: Vector3::zeros(),
+            args,
+        }
+    }
+
+    /// The hand rests elsewhere now: it was stopped. What was counted stays.
+    pub fn rest_at(&mut self, place: Point3<f64>) {
+        let (counts, home) = (self.counts, self.home);
+        *self = Self::new(self.args, place);
+        (self.counts, self.home) = (counts, home);
+    }
+
+    /// Takes in that the hand should have been at `place` at the moment `at`; it is known `now`.
+    pub fn measure(&mut self, now: f64, at: f64, place: &Point3<f64>) -> Taken {
+        let taken = self.target.measure(at, place);
+        match taken {
+            Taken::Begun | Taken::Used => {
+                self.counts.used += 1;
+                self.seen = now;
+                self.phase = Phase::Track;
+            }
+            Taken::Late => self.counts.late += 1,
+            Taken::Far | Taken::Wrong => self.counts.far += 1,
+        }
+        taken
+    }
+
+    /// Goes on by a period, s, until `now`. `force` is what the hand is pushed with, N in the base frame, `mouse` how the mouse is
+    /// deflected. Answers how large the change of the velocity was, as a part of what the limit allows.
+    pub fn go(&mut self, now: f64, force: &Vector3<f64>, mouse: &Vector3<f64>, period: f64) -> f64 {
+        self.offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
+        let ahead = now + self.args.lead_s;
+        let expected = match self.args.prediction {
+            true => self.target.at(ahead),
+            false => self.target.last(ahead),
+        };
+        let (goal, moving) = match expected {
+            Some(target) => {
+                self.watch(now, &target);
+                self.hold = target.place + self.offset;
+                (self.hold, target.velocity)
+            }
+            None => {
+                let moving = self.offset * FREELY;
+                self.hold += moving * period;
+                (self.hold, moving)
+            }
+        };
+        let (goal, moving) = self.within_reach(goal, moving);
+        if expected.is_none() {
+            self.hold = goal;
+        }
+        let before = self.course.velocity;
+        self.course.go(&goal, &moving, period);
+        self.course.ratio(&before, period)
+    }
+
+    /// How the ball is that is followed.
+    fn watch(&mut self, now: f64, target: &Predicted) {
+        let phase = match target.expired {
+            true => Phase::Expired,
+            false if now - self.seen > self.args.overdue_s => Phase::Lost,
+            false => Phase::Track,
+        };
+        if phase == Phase::Lost && self.phase == Phase::Track {
+            self.counts.lost += 1;
+        }
+        if phase == Phase::Expired && self.phase != Phase::Expired {
+            self.counts.expired += 1;
+        }
+        self.phase = phase;
+        if target.expired && target.velocity.norm() < AT_REST {
+            self.target.forget();
+            self.phase = Phase::Acquire;
+        }
+    }
+
+    /// The goal, within reach; one that goes outwards there goes along the border.
+    fn within_reach(&self, goal: Point3<f64>, moving: Vector3<f64>) -> (Point3<f64>, Vector3<f64>) {
+        let way = goal - self.home;
+        let length = way.norm();
+        if length <= self.args.reach_m {
+            return (goal, moving);
+        }
+        let outward = way / length;
+        let along = moving - outward * moving.dot(&outward).max(0.0);
+        (self.home + outward * self.args.reach_m, along)
+    }
+
+    /// Where the hand is sent, and how fast it goes.
+    #[must_use]
+    pub fn course(&self) -> &Course {
+        &self.course
+    }
+
+    /// Where the ball is believed to be at a moment, s.
+    #[must_use]
+    pub fn target(&self, now: f64) -> Option<Predicted> {
+        match self.args.prediction {
+            true => self.target.at(now),
+            false => self.target.last(now),
+        }
+    }
+
+    /// How it is.
+    #[must_use]
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// What has happened.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// By how much force and mouse move the hand from the ball, m.
+    #[must_use]
+    pub fn offset(&self) -> Vector3<f64> {
+        self.offset
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: f64 = 0.0045;
+    const NONE: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
+
+    /// A rig for a ball that is measured every 40 ms, 40 ms late, where it can be seen.
+    struct Rig {
+        control: Control,
+        tick: u32,
+        worst: f64,
+    }
+
+    impl Rig {
+        fn new(args: ControlArgs) -> Self {
+            Self {
+                control: Control::new(args, Point3::origin()),
+                tick: 0,
+                worst: 0.0,
+            }
+        }
+
+        fn now(&self) -> f64 {
+            f64::from(self.tick) * PERIOD
+        }
+
+        fn run(
+            &mut self,
+            seconds: f64,
+            ball: impl Fn(f64) -> Option<Point3<f64>>,
+            force: Vector3<f64>,
+        ) {
+            for _ in 0..(seconds / PERIOD) as u32 {
+                self.tick += 1;
+                let now = self.now();
+                let seen = now - 0.04;
+                if self.tick.is_multiple_of(9)
+                    && let Some(place) = ball(seen)
+                {
+                    self.control.measure(now, seen, &place);
+                }
+                let ratio = self.control.go(now, &force, &NONE, PERIOD);
+                self.worst = self.worst.max(ratio);
+            }
+        }
+    }
+
+    fn sweep(t: f64) -> Point3<f64> {
+        Point3::new(0.2 * (2.5 * t).sin(), 0.0, 0.0)
+    }
+
+    #[test]
+    fn a_ball_is_followed_through_loss_expiry_and_its_return_without_a_step() {
+        let mut rig = Rig::new(ControlArgs::default());
+        rig.run(5.0, |t| Some(sweep(t)), NONE);
+        assert_eq!(rig.control.phase(), Phase::Track);
+        let off = rig.control.course().place - sweep(rig.now() + 0.0135);
+        assert!(off.norm() < 0.01, "{off}");
+        rig.run(0.3, |_| None, NONE);
+        assert_eq!(rig.control.phase(), Phase::Lost);
+        rig.run(0.4, |_| None, NONE);
+        assert_eq!(rig.control.phase(), Phase::Expired);
+        rig.run(2.0, |_| None, NONE);
+        assert_eq!(rig.control.phase(), Phase::Acquire);
+        assert!(rig.control.course().velocity.norm() < 1e-3);
+        rig.run(3.0, |t| Some(sweep(t)), NONE);
+        assert_eq!(rig.control.phase(), Phase::Track);
+        assert!((rig.control.course().place - sweep(rig.now() + 0.0135)).norm() < 0.01);
+        let counts = rig.control.counts();
+        assert_eq!((counts.lost, counts.expired), (1, 1));
+        assert!(rig.worst <= 1.0 + 1e-9, "{}", rig.worst);
+    }
+
+    #[test]
+    fn a_push_moves_the_hand_from_the_ball_and_a_spring_brings_it_back() {
+        let mut rig = Rig::new(ControlArgs::default());
+        let still = |_| Some(Point3::new(0.1, 0.0, 0.0));
+        rig.run(3.0, still, NONE);
+        rig.run(3.0, still, Vector3::new(0.0, 8.0, 0.0));
+        let pushed = rig.control.course().place;
+        assert!(
+            (pushed - Point3::new(0.1, 0.02, 0.0)).norm() < 1e-3,
+            "{pushed}"
+        );
+        rig.run(3.0, still, NONE);
+        assert!((rig.control.course().place - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-3);
+    }
+
+    #[test]
+    fn without_a_ball_a_push_guides_the_hand_and_it_stays_there() {
+        let mut rig = Rig::new(ControlArgs::default());
+        rig.run(2.0, |_| None, Vector3::new(0.0, 8.0, 0.0));
+        rig.run(2.0, |_| None, NONE);
+        let there = rig.control.course().place;
+        assert!(there.y > 0.05, "{there}");
+        rig.run(2.0, |_| None, NONE);
+        assert!((rig.control.course().place - there).norm() < 1e-4);
+    }
+
+    #[test]
+    fn a_ball_out_of_reach_is_followed_as_far_as_that_goes() {
+        let args = ControlArgs {
+            reach_m: 0.3,
+            ..ControlArgs::default()
+        };
+        let mut rig = Rig::new(args);
+        rig.run(8.0, |t| Some(Point3::new(0.1 * t, 0.02 * t, 0.0)), NONE);
+        let place = rig.control.course().place;
+        assert!((place.coords.norm() - 0.3).abs() < 0.005, "{place}");
+        assert!(rig.worst <= 1.0 + 1e-9);
+    }
+
+    #[test]
+    fn an_hour_of_a_still_ball_has_no_drift() {
+        let mut rig = Rig::new(ControlArgs::default());
+        rig.run(3600.0, |_| Some(Point3::new(0.1, 0.05, 0.0)), NONE);
+        assert!((rig.control.course().place - Point3::new(0.1, 0.05, 0.0)).norm() < 1e-6);
+        assert_eq!(rig.control.counts().lost, 0);
+    }
+
+    #[test]
+    fn numbers_that_cannot_be_are_named() {
+        let mut args = ControlArgs::default();
+        assert_eq!(args.wrong(), None);
+        args.course.speed = f64::NAN;
+        assert_eq!(args.wrong().unwrap().0, "course.speed");
+        let args = ControlArgs {
+            reach_m: 0.0,
+            ..ControlArgs::default()
+        };
+        assert_eq!(args.wrong(), Some(("reach_m".to_owned(), 0.0)));
+    }
+}
