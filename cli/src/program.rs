@@ -1,5 +1,6 @@
 //! What configurations can name: every event handler, channel driver, guard, frame source and expander.
 
+use bridge_ros2::BridgeExpander;
 use cli_scott::{panel, services};
 use ctos::{
     config::{App, Expander, Selection},
@@ -31,6 +32,7 @@ pub fn registry() -> Registry {
     tracker::register(&mut registry);
     cli_display::register(&mut registry);
     scene_viewers::register(&mut registry);
+    bridge_ros2::register(&mut registry);
     panel::register(&mut registry);
     pnt::store::keep_states(&mut registry);
     // It cannot be wrong: a test reads it.
@@ -43,7 +45,11 @@ pub fn registry() -> Registry {
 }
 
 /// The top-level tables of a configuration that this program turns into tasks.
-pub const EXPANDERS: [(&str, &dyn Expander); 2] = [("mcs", &McsExpander), ("vss", &VssExpander)];
+pub const EXPANDERS: [(&str, &dyn Expander); 3] = [
+    ("bridge", &BridgeExpander),
+    ("mcs", &McsExpander),
+    ("vss", &VssExpander),
+];
 
 /// The JSON schema of a configuration for this program.
 #[must_use]

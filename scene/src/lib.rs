@@ -8,6 +8,7 @@
 //! draw it.
 
 pub mod follow;
+pub mod known;
 pub mod picture;
 mod stage;
 pub mod track;

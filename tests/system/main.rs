@@ -42,6 +42,8 @@ mod nets;
 mod recording;
 mod remote;
 mod restarts;
+#[cfg(feature = "ros2")]
+mod ros2;
 mod runaways;
 mod startup;
 mod stepped_clock;

@@ -150,6 +150,12 @@ fn restarts(chassis: &ChassisView) -> Option<String> {
 
 fn task_lines(task: &TaskView, chassis: &ChassisView) -> Vec<String> {
     let mut lines = vec![line("does", remote::does(task))];
+    // Whom it waits for hides what it says itself.
+    if task.activity == Activity::Waits
+        && let Some(at) = &task.at
+    {
+        lines.push(line("says", at.clone()));
+    }
     for wait in task.waits.iter().skip(1) {
         let time = remote::span(wait.for_s);
         lines.push(line(

@@ -306,6 +306,10 @@ const HELLO: &[(&str, Then)] = &[
         "ctos boot configs/hello.toml --set same_host=zenoh --set zenoh.multicast=lo",
         Refused(3, "--features zenoh"),
     ),
+    (
+        "ctos boot configs/calibrate-ros2.toml",
+        Refused(3, "--features ros2"),
+    ),
 ];
 
 /// Lines for files of the reader's: nets, apps, scripts of requests, spots that were seen.

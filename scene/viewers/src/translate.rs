@@ -6,16 +6,19 @@ use ctos::record::ChannelSchema;
 use foxglove::{
     Encode,
     messages::{
-        CircleAnnotation, Color, CompressedImage, FrameTransform, FrameTransforms,
-        ImageAnnotations, JointState, JointStates, Log, Point2, SceneEntity, SceneEntityDeletion,
-        SceneUpdate, Timestamp, log, scene_entity_deletion,
+        CameraCalibration, CircleAnnotation, Color, CompressedImage, FrameTransform,
+        FrameTransforms, ImageAnnotations, JointState, JointStates, Log, Point2, SceneEntity,
+        SceneEntityDeletion, SceneUpdate, Timestamp, log, scene_entity_deletion,
     },
 };
 use jpeg_encoder::{ColorType, Encoder};
-use scene::{Batch, Layer, Moved, Part, Picture, Said, Solid, View};
+use scene::{
+    Batch, Layer, Moved, Part, Picture,
+    known::{Joint, Known, Lens, camera_frame, frame},
+};
 use serde_json::{Map, Value};
 
-use crate::{lens, shapes};
+use crate::shapes;
 
 /// The frame that all others are in.
 pub const WORLD: &str = "world";
@@ -78,16 +81,6 @@ pub struct Translator {
     cameras: BTreeMap<String, Camera>,
 }
 
-/// What one task shows.
-#[derive(Debug, Default)]
-struct Known {
-    at_ns: u64,
-    view: View,
-    /// By their part.
-    moved: BTreeMap<usize, Moved>,
-    said: Option<Said>,
-}
-
 /// What is known of a camera besides its pyramid.
 #[derive(Debug, Default)]
 struct Camera {
@@ -100,10 +93,6 @@ fn time(at_ns: u64) -> Timestamp {
     let at = Duration::from_nanos(at_ns);
     let seconds = u32::try_from(at.as_secs()).unwrap_or(u32::MAX);
     Timestamp::new_checked(seconds, at.subsec_nanos()).unwrap_or(Timestamp::MAX)
-}
-
-fn frame(source: &str, part: &Part) -> String {
-    format!("{source}/{}", part.name)
 }
 
 fn sent<M: Encode>(channel: String, at_ns: u64, message: &M) -> Result<Sent, TranslateError> {
@@ -133,37 +122,21 @@ impl Translator {
     /// Something in it cannot be encoded; the rest is known from now on.
     pub fn take(&mut self, source: &str, batch: Batch) -> Result<Vec<Sent>, TranslateError> {
         let known = self.sources.entry(source.to_owned()).or_default();
-        known.at_ns = batch.at_ns;
-        // A task that shows pictures alone has no parts.
-        let has_parts = |view: &View| !view.parts.is_empty();
-        let is_new = batch.view.as_ref().is_some_and(has_parts) || has_parts(&known.view);
-        let is_new = batch.view.is_some() && is_new;
-        if let Some(view) = batch.view {
-            known.view = view;
-            known.moved.clear();
-        }
-        let moved = !batch.moved.is_empty();
-        for one in batch.moved {
-            known.moved.insert(one.part as usize, one);
-        }
-        let said = batch.said.is_some();
-        if batch.said.is_some() {
-            known.said = batch.said;
-        }
+        let news = known.take(batch);
         let mut all = Vec::new();
-        if is_new {
-            all.push(known.solids(source)?);
+        if news.parts {
+            all.push(solids(known, source)?);
         }
-        if is_new || moved {
-            all.extend(known.places(source)?);
+        if news.parts || news.moved {
+            all.extend(places(known, source)?);
         }
-        if said {
-            all.extend(known.saying(source)?);
+        if news.said {
+            all.extend(saying(known, source)?);
         }
-        if is_new {
+        if news.parts {
             all.extend(self.lenses(source)?);
         }
-        for picture in batch.pictures {
+        for picture in news.pictures {
             all.extend(self.picture(picture)?);
         }
         Ok(all)
@@ -179,10 +152,10 @@ impl Translator {
         };
         let mut all = Vec::new();
         if !known.view.parts.is_empty() {
-            all.push(known.solids(source)?);
+            all.push(solids(known, source)?);
         }
-        all.extend(known.places(source)?);
-        all.extend(known.saying(source)?);
+        all.extend(places(known, source)?);
+        all.extend(saying(known, source)?);
         all.extend(self.lenses(source)?);
         Ok(all)
     }
@@ -190,14 +163,15 @@ impl Translator {
     /// The cameras whose pyramids `source` shows, as far as the size of their pictures is known.
     fn lenses(&self, source: &str) -> Result<Vec<Sent>, TranslateError> {
         let known = self.sources.get(source);
-        let known = known.filter(|known| known.view.layer == Layer::Measured);
+        let known = known.filter(|known| known.is_measured());
         let mut all = Vec::new();
         for (camera, corners, part) in known.into_iter().flat_map(Known::pyramids) {
             let Some(size) = self.cameras.get(camera).and_then(|known| known.size) else {
                 continue;
             };
             let at_ns = known.map_or(0, |known| known.at_ns);
-            let lens = lens::calibration(corners, size, frame(source, part), time(at_ns));
+            let lens = Lens::of(corners, size)
+                .map(|lens| calibration(lens, size, frame(source, part), time(at_ns)));
             if let Some(lens) = lens {
                 all.push(sent(format!("/camera/{camera}/calibration"), at_ns, &lens)?);
             }
@@ -205,25 +179,8 @@ impl Translator {
         Ok(all)
     }
 
-    /// The frame of a camera: that of its pyramid, once it is known.
-    fn camera_frame(&self, camera: &str) -> String {
-        let mut measured = self
-            .sources
-            .iter()
-            .filter(|(_, known)| known.view.layer == Layer::Measured)
-            .flat_map(|(source, known)| {
-                let pyramids = known.pyramids();
-                pyramids.map(move |(of, _, part)| (of, source, part))
-            });
-        let found = measured.find(|(of, _, _)| *of == camera);
-        found.map_or_else(
-            || format!("camera/{camera}"),
-            |(_, source, part)| frame(source, part),
-        )
-    }
-
     fn picture(&mut self, picture: Picture) -> Result<Vec<Sent>, TranslateError> {
-        let frame_id = self.camera_frame(&picture.camera);
+        let frame_id = camera_frame(&self.sources, &picture.camera);
         let Picture {
             camera,
             number,
@@ -315,136 +272,130 @@ fn jpeg(
     Ok(bytes)
 }
 
-impl Known {
-    /// The pyramids of cameras: the camera, the corners, and the part that has them.
-    fn pyramids(&self) -> impl Iterator<Item = (&str, &[[f64; 3]; 4], &Part)> {
-        self.view.parts.iter().flat_map(|part| {
-            part.solids.iter().filter_map(move |solid| match solid {
-                Solid::Frustum { corners, camera } => Some((camera.as_str(), corners, part)),
-                _ => None,
-            })
-        })
-    }
-
-    /// The solids of all parts, in place of those that were shown before.
-    fn solids(&self, source: &str) -> Result<Sent, TranslateError> {
-        let timestamp = Some(time(self.at_ns));
-        let alpha = match self.view.layer {
-            Layer::Measured => 1.0,
-            Layer::Truth => TRUTH,
-        };
-        let drawn = self
-            .view
-            .parts
-            .iter()
-            .filter(|part| !part.solids.is_empty());
-        let entity = |part: &Part| {
-            let mut entity = SceneEntity {
-                timestamp,
-                frame_id: frame(source, part),
-                id: part.name.clone(),
-                frame_locked: true,
-                ..SceneEntity::default()
-            };
-            let fill = shapes::colour(part.colour, alpha);
-            for solid in &part.solids {
-                shapes::add(&mut entity, solid, fill);
-            }
-            entity
-        };
-        let update = SceneUpdate {
-            deletions: vec![SceneEntityDeletion {
-                timestamp,
-                r#type: scene_entity_deletion::Type::All as i32,
-                id: String::new(),
-            }],
-            entities: drawn.map(entity).collect(),
-        };
-        sent(format!("/solids/{source}"), self.at_ns, &update)
-    }
-
-    /// Where all parts are, and their numbers. All of them each time: a viewer that jumps to a moment reads the last
-    /// message before it.
-    fn places(&self, source: &str) -> Result<Vec<Sent>, TranslateError> {
-        let timestamp = Some(time(self.at_ns));
-        let parts = self.view.parts.iter().enumerate();
-        let placed = parts.filter_map(|(index, part)| Some((part, self.moved.get(&index)?)));
-        let mut transforms = FrameTransforms::default();
-        let mut joints = JointStates {
+/// The solids of all parts, in place of those that were shown before.
+fn solids(known: &Known, source: &str) -> Result<Sent, TranslateError> {
+    let timestamp = Some(time(known.at_ns));
+    let alpha = match known.view.layer {
+        Layer::Measured => 1.0,
+        Layer::Truth => TRUTH,
+    };
+    let parts = known.view.parts.iter();
+    let drawn = parts.filter(|part| !part.solids.is_empty());
+    let entity = |part: &Part| {
+        let mut entity = SceneEntity {
             timestamp,
-            joints: Vec::new(),
+            frame_id: frame(source, part),
+            id: part.name.clone(),
+            frame_locked: true,
+            ..SceneEntity::default()
         };
-        let mut numbers = Map::new();
-        for (part, moved) in placed {
-            transforms.transforms.push(FrameTransform {
-                timestamp,
-                parent_frame_id: WORLD.to_owned(),
-                child_frame_id: frame(source, part),
-                translation: Some(shapes::vector(moved.pose.at)),
-                rotation: Some(shapes::quaternion(moved.pose.turn)),
-            });
-            joints.joints.extend(joint(part, moved));
-            if !part.numbers.is_empty() {
-                numbers.insert(part.name.clone(), named(part, moved));
-            }
+        let fill = shapes::colour(part.colour, alpha);
+        for solid in &part.solids {
+            shapes::add(&mut entity, solid, fill);
         }
-        let mut all = Vec::new();
-        if !transforms.transforms.is_empty() {
-            all.push(sent(format!("/tf/{source}"), self.at_ns, &transforms)?);
-        }
-        if !joints.joints.is_empty() {
-            all.push(sent(format!("/joints/{source}"), self.at_ns, &joints)?);
-        }
-        if !numbers.is_empty() {
-            all.push(Sent {
-                channel: format!("/numbers/{source}"),
-                at_ns: self.at_ns,
-                schema: Arc::new(ChannelSchema {
-                    name: Cow::Borrowed("ctos.Numbers"),
-                    language: Cow::Borrowed("jsonschema"),
-                    text: Cow::Borrowed(br#"{"type":"object","additionalProperties":{"type":"object","additionalProperties":{"type":["number","null"]}}}"#),
-                    encoding: Cow::Borrowed("json"),
-                }),
-                bytes: Value::Object(numbers).to_string().into_bytes(),
-            });
-        }
-        Ok(all)
-    }
+        entity
+    };
+    let update = SceneUpdate {
+        deletions: vec![SceneEntityDeletion {
+            timestamp,
+            r#type: scene_entity_deletion::Type::All as i32,
+            id: String::new(),
+        }],
+        entities: drawn.map(entity).collect(),
+    };
+    sent(format!("/solids/{source}"), known.at_ns, &update)
+}
 
-    fn saying(&self, source: &str) -> Result<Option<Sent>, TranslateError> {
-        let Some(said) = self.said.as_ref().filter(|said| !said.words.is_empty()) else {
-            return Ok(None);
-        };
-        let level = match said.fault {
-            true => log::Level::Warning,
-            false => log::Level::Info,
-        };
-        let log = Log {
-            timestamp: Some(time(self.at_ns)),
-            level: level as i32,
-            message: said.words.clone(),
-            name: source.to_owned(),
-            ..Log::default()
-        };
-        sent(format!("/said/{source}"), self.at_ns, &log).map(Some)
+/// Where all parts are, and their numbers. All of them each time: a viewer that jumps to a moment reads the last
+/// message before it.
+fn places(known: &Known, source: &str) -> Result<Vec<Sent>, TranslateError> {
+    let timestamp = Some(time(known.at_ns));
+    let mut transforms = FrameTransforms::default();
+    let joints = JointStates {
+        timestamp,
+        joints: known.joints().map(joint).collect(),
+    };
+    let mut numbers = Map::new();
+    for (part, moved) in known.placed() {
+        transforms.transforms.push(FrameTransform {
+            timestamp,
+            parent_frame_id: WORLD.to_owned(),
+            child_frame_id: frame(source, part),
+            translation: Some(shapes::vector(moved.pose.at)),
+            rotation: Some(shapes::quaternion(moved.pose.turn)),
+        });
+        if !part.numbers.is_empty() {
+            numbers.insert(part.name.clone(), named(part, moved));
+        }
+    }
+    let mut all = Vec::new();
+    if !transforms.transforms.is_empty() {
+        all.push(sent(format!("/tf/{source}"), known.at_ns, &transforms)?);
+    }
+    if !joints.joints.is_empty() {
+        all.push(sent(format!("/joints/{source}"), known.at_ns, &joints)?);
+    }
+    if !numbers.is_empty() {
+        all.push(Sent {
+            channel: format!("/numbers/{source}"),
+            at_ns: known.at_ns,
+            schema: Arc::new(ChannelSchema {
+                name: Cow::Borrowed("ctos.Numbers"),
+                language: Cow::Borrowed("jsonschema"),
+                text: Cow::Borrowed(br#"{"type":"object","additionalProperties":{"type":"object","additionalProperties":{"type":["number","null"]}}}"#),
+                encoding: Cow::Borrowed("json"),
+            }),
+            bytes: Value::Object(numbers).to_string().into_bytes(),
+        });
+    }
+    Ok(all)
+}
+
+fn saying(known: &Known, source: &str) -> Result<Option<Sent>, TranslateError> {
+    let Some(said) = known.said.as_ref().filter(|said| !said.words.is_empty()) else {
+        return Ok(None);
+    };
+    let level = match said.fault {
+        true => log::Level::Warning,
+        false => log::Level::Info,
+    };
+    let log = Log {
+        timestamp: Some(time(known.at_ns)),
+        level: level as i32,
+        message: said.words.clone(),
+        name: source.to_owned(),
+        ..Log::default()
+    };
+    sent(format!("/said/{source}"), known.at_ns, &log).map(Some)
+}
+
+fn joint(joint: Joint) -> JointState {
+    JointState {
+        name: joint.name,
+        position: joint.position,
+        velocity: joint.velocity,
+        acceleration: None,
+        effort: joint.effort,
     }
 }
 
-/// The joint of a part that is a link: see [`Part::numbers`].
-fn joint(part: &Part, moved: &Moved) -> Option<JointState> {
-    let of = |name: &str| {
-        let at = part.numbers.iter().position(|number| number.name == name)?;
-        moved.numbers.get(at).copied()
-    };
-    let (velocity, effort) = (of("velocity")?, of("effort")?);
-    let finite = |value: f64| value.is_finite().then_some(value);
-    Some(JointState {
-        name: part.numbers.first()?.name.clone(),
-        position: moved.numbers.first().copied().and_then(finite),
-        velocity: finite(velocity),
-        acceleration: None,
-        effort: finite(effort),
-    })
+fn calibration(
+    lens: Lens,
+    size: [u32; 2],
+    frame_id: String,
+    timestamp: Timestamp,
+) -> CameraCalibration {
+    let (k, p) = lens.matrices();
+    CameraCalibration {
+        timestamp: Some(timestamp),
+        frame_id,
+        width: size[0],
+        height: size[1],
+        k: k.into(),
+        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: p.into(),
+        ..CameraCalibration::default()
+    }
 }
 
 /// The numbers of a part, under names with their units: `error_rad`, `velocity_rad_per_s`.

@@ -1,5 +1,5 @@
 use foxglove::{Decode, messages::CameraCalibration};
-use scene::{Found, Mark, Number, Pose};
+use scene::{Found, Mark, Number, Pose, Said, Solid, View};
 use zune_jpeg::{JpegDecoder, zune_core::bytestream::ZCursor};
 
 use super::*;
