@@ -146,8 +146,9 @@ fn spots_of_near_and_far_lamps_come_back_within_two_hundredths_of_a_pixel() {
     for (number, distance) in (0..).zip([0.1, 0.15, 0.22, 0.33, 0.5, 0.75, 1.1, 1.7]) {
         let (scene, _) = near_lamp(&cell, &renderer, distance);
         let pixels = renderer.render(&scene, number);
-        let frame = vss::frame::Frame::grey8(500, 500, pixels);
-        let found = vss::spot::find_spots(&frame, &vss::spot::SpotsOptions::default()).unwrap();
+        let frame = vss_tools::frame::Frame::grey8(500, 500, pixels);
+        let found =
+            vss_tools::spot::find_spots(&frame, &vss_tools::spot::SpotsOptions::default()).unwrap();
         let (u, v) = renderer.truth().project(&scene.lamps[0].centre).unwrap();
         let [spot] = found.spots[..] else {
             panic!("{distance}: {found:?}");
