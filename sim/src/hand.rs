@@ -106,7 +106,11 @@ pub(crate) fn register(registry: &mut Registry) {
     handler.checked_args::<HandArgs>(|args, task, app, findings| {
         let mut refuse = |key: &str, text: String, help: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-            findings.push(Finding::error("sim::hand", text).at(place).help(help));
+            findings.push(
+                Finding::error("sim::hand::motion", text)
+                    .at(place)
+                    .help(help),
+            );
         };
         let world = app.task(&args.world);
         if world.is_none_or(|world| world.chassis != task.chassis) {

@@ -4,7 +4,7 @@ use std::{
     cell::{Cell, RefCell},
     collections::BTreeMap,
     rc::Rc,
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::Duration,
 };
 
 use ctos::{
@@ -35,13 +35,9 @@ const LOG_TARGET: &str = "ctos::page";
 
 /// The date of the host when the clock of the app stood at zero, ns since 1970: ROS stamps messages with dates.
 fn started_ns(cx: &Context) -> u64 {
-    let date = cx.outside("date of the host", || {
-        let since = SystemTime::now().duration_since(UNIX_EPOCH);
-        since.map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
-    });
-    date.saturating_sub(cx.now().as_nanos())
+    cx.outside("date of the host", || {
+        cx.chassis().clock().started_date_ns().unwrap_or_default()
+    })
 }
 
 /// What all parts of the task share.

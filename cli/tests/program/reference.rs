@@ -291,7 +291,7 @@ fn codes_in(folder: &Path, codes: &mut BTreeSet<String>) {
 }
 
 fn is_code(word: &str) -> bool {
-    let plain = |letter: char| letter.is_ascii_lowercase() || letter == '_';
+    let plain = |letter: char| matches!(letter, 'a'..='z' | '0'..='9' | '_');
     let parts: Vec<&str> = word.split("::").collect();
     parts.len() == 3
         && !["crate", "self", "super"].contains(&parts[0])

@@ -140,7 +140,7 @@ pub(crate) fn register(registry: &mut Registry) {
             }
         }
         let mut refuse = |key: &str, text: String, help: &str| {
-            let finding = Finding::error("tracker::application", text);
+            let finding = Finding::error("coordinators::tracker::application", text);
             findings.push(finding.at(place(key)).help(help));
         };
         if !(0.0..=1e6).contains(&args.seconds) {

@@ -97,7 +97,7 @@ pub(crate) fn register(registry: &mut Registry) {
     handler.checked_args::<ArgusArgs>(|args, task, _, findings| {
         let mut refuse = |key: &str, text: String, help: &str| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-            let finding = Finding::error("tracker::argus", text);
+            let finding = Finding::error("coordinators::tracker::argus", text);
             findings.push(finding.at(place).help(help));
         };
         if !(args.period_ms >= 1.0 && args.period_ms <= 10_000.0) {

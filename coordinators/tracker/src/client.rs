@@ -61,7 +61,7 @@ pub(crate) fn register(registry: &mut Registry) {
         if let Err(error) = map::read(source.text()).and_then(|all| map::trained(&all)) {
             let text = format!("`{}` is no map: {error}", args.map);
             let help = "learn it anew with `--set 'task.tracker.args.mode=\"learn\"'`";
-            let finding = Finding::error("tracker::map", text);
+            let finding = Finding::error("coordinators::tracker::map", text);
             findings.push(finding.at(place("map")).help(help));
         }
     });

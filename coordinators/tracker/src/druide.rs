@@ -143,7 +143,7 @@ pub(crate) fn register(registry: &mut Registry) {
         if let Some((key, value)) = wrong {
             let text = format!("`{key}` is {value}");
             let at = place(&key);
-            let finding = Finding::error("tracker::druide", text).at(at);
+            let finding = Finding::error("coordinators::tracker::druide", text).at(at);
             findings.push(finding.help("`docs/tracker.md` says what it may be"));
         }
     });

@@ -59,7 +59,10 @@ pub(crate) fn register(registry: &mut Registry) {
         for (key, value, most) in all {
             if !(value > 0.0 && value <= most) {
                 let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-                let finding = Finding::error("tracker::mouse", format!("`{key}` is {value}"));
+                let finding = Finding::error(
+                    "coordinators::tracker::mouse",
+                    format!("`{key}` is {value}"),
+                );
                 let help = format!("give a number above 0, up to {most}");
                 findings.push(finding.at(place).help(help));
             }

@@ -11,7 +11,7 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    time::Duration,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use rustix::time::{ClockId, clock_gettime};
@@ -218,6 +218,16 @@ impl Clock {
     #[must_use]
     pub fn origin_ns(&self) -> Option<u64> {
         self.simulated.is_none().then_some(self.origin_ns)
+    }
+
+    /// The date of the host when a real clock stood at its start, ns since 1970, for those who stamp with dates; `None` for a
+    /// virtual clock.
+    #[must_use]
+    pub fn started_date_ns(&self) -> Option<u64> {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+        let date_ns = u64::try_from(since_1970.as_nanos()).ok()?;
+        self.origin_ns()
+            .map(|_| date_ns.saturating_sub(self.now().0))
     }
 
     /// How a virtual clock is wrong; a real one is the truth itself.
