@@ -123,6 +123,31 @@ fn a_vision_chassis_that_is_killed_comes_back_and_so_does_the_hand() {
 }
 
 #[test]
+fn after_too_much_force_the_hand_stays_where_it_is_until_a_person_says_so() {
+    let scratch = Scratch::new();
+    let app = scratch.read("configs/tracker.toml");
+    let force = "args.force = 40.0";
+    assert!(app.contains(force));
+    // What the sensor's noise is too much for.
+    scratch.write(
+        "configs/tracker.toml",
+        app.replace(force, "args.force = 0.01"),
+    );
+    let name = format!("app.name=\"tracker_overload_{}\"", std::process::id());
+    let own = ["sim", "configs/tracker.toml", "--json", "--set", &name];
+    let ended = scratch.ctos(&[&own[..], &["--set", "task.tracker.args.seconds=6.0"]].concat());
+    let result = ended.json()["result"].clone();
+    assert_eq!(
+        (&result["phase"], &result["stops"]),
+        (&"Stopped".into(), &1.into()),
+        "{result}"
+    );
+    let why = result["stopped"].as_str().unwrap();
+    assert!(why.contains("overload"), "{why}");
+    assert!(number(&result, "tracked") < 0.1, "{result}");
+}
+
+#[test]
 fn the_arm_learns_its_map_by_one_command() {
     let scratch = Scratch::new();
     let map = scratch.read("configs/tracker-map.csv");

@@ -1,8 +1,8 @@
 //! Druide moves the arm: knows where the hand was when a picture was exposed, predicts the ball, and leaves a setpoint in every period
 //! (SORMA technical report, sections 2.2.5 to 2.2.8).
 //!
-//! The servo follows its snapshot buffer and stops by itself when that falls silent. What was stopped by a guard or a stop is begun
-//! anew after a while; what needs a person is told, and waits for one.
+//! The servo follows its snapshot buffer and stops by itself when that falls silent. What was stopped is begun anew after a while, but
+//! for what needs a person: an emergency stop, a stop that holds, and the guards that the configuration names.
 
 mod period;
 
@@ -18,8 +18,10 @@ use ctos::{
 };
 use mcs::{
     client::{
-        Acquire, Manipulator, MotionError, ReadStream, RecordStates, StreamKind, StreamSetpoints,
+        Acquire, Manipulator, MotionError, ReadGuards, ReadStream, RecordStates, StreamKind,
+        StreamSetpoints,
     },
+    guard::GuardReport,
     trajectory::Solver,
 };
 use serde::Deserialize;
@@ -80,6 +82,9 @@ struct DruideArgs {
     /// Whether the ball's motion is predicted.
     #[serde(default = "yes")]
     prediction: bool,
+    /// Guards after which the arm does not begin again by itself: a person has to start the tracking anew.
+    #[serde(default = "waits_after")]
+    waits_after: Vec<String>,
     /// How the hand follows.
     #[serde(default)]
     control: ControlArgs,
@@ -99,6 +104,10 @@ fn period_ms() -> f64 {
 
 fn mouse_age_s() -> f64 {
     0.1
+}
+
+fn waits_after() -> Vec<String> {
+    vec!["overload".to_owned()]
 }
 
 fn drift() -> f64 {
@@ -190,6 +199,15 @@ impl Druide {
     /// Takes the arm and follows from now on.
     async fn start(&mut self, cx: &Context) -> Result<(), HandlerError> {
         let arm = Manipulator::find(cx, &self.args.mcs).await?;
+        let recipes = arm.guards().await?.recipes;
+        for name in &self.args.waits_after {
+            if !recipes.iter().any(|recipe| recipe.name == *name) {
+                let text = format!(
+                    "`waits_after` names the guard `{name}`, which the arm has not: add it, or leave the name out"
+                );
+                return Err(HandlerError::new(text));
+            }
+        }
         arm.acquire().await?;
         let client = cx.task(&self.args.mcs).await?;
         let buffer = Some(STATES.to_owned());
@@ -220,6 +238,8 @@ impl Druide {
         let watch = Watch {
             cx: cx.clone(),
             mcs: self.args.mcs.clone(),
+            waits_after: self.args.waits_after.clone(),
+            found: RefCell::default(),
             shared: Rc::clone(&self.shared),
             serial: (Rc::clone(&self.serial), serial),
         };
@@ -344,6 +364,9 @@ async fn compare(cx: &Context, argus: &str, shared: &RefCell<Shared>) -> Result<
 struct Watch {
     cx: Context,
     mcs: String,
+    waits_after: Vec<String>,
+    /// What a guard had found last when the arm began to follow.
+    found: RefCell<Option<GuardReport>>,
     shared: Rc<RefCell<Shared>>,
     serial: (Rc<RefCell<u64>>, u64),
 }
@@ -356,6 +379,8 @@ impl Watch {
     /// Has the servo follow the setpoints.
     async fn begin(&self) -> Result<(), MotionError> {
         let client = self.cx.task(&self.mcs).await?;
+        let guards = self.cx.call(&client, ReadGuards {}).await?;
+        self.found.replace(guards.last);
         let stream = StreamSetpoints {
             kind: StreamKind::Tool,
             buffer: Some(SETPOINT.to_owned()),
@@ -382,6 +407,7 @@ impl Watch {
             if self.is_over() {
                 return;
             }
+            let person = self.needs_person().await;
             {
                 let mut shared = self.shared.borrow_mut();
                 if let Some(period) = &mut shared.period
@@ -390,6 +416,21 @@ impl Watch {
                     tracing::warn!("the arm was stopped: {why}");
                     shared.report.stops += 1;
                     shared.report.stopped = Some(why);
+                }
+            }
+            match person {
+                Ok(None) => {}
+                Ok(Some(guard)) => {
+                    tracing::warn!(
+                        guard,
+                        "the arm waits for a person, who starts the tracking anew"
+                    );
+                    return;
+                }
+                // Not known is no permission: it is looked again.
+                Err(error) => {
+                    tracing::debug!("the guards do not answer: {error}");
+                    continue;
                 }
             }
             self.cx.sleep(AGAIN).await;
@@ -411,6 +452,15 @@ impl Watch {
                 }
             }
         }
+    }
+
+    /// The guard that ended the stream, if it is one after which a person has to say that it goes on.
+    async fn needs_person(&self) -> Result<Option<String>, MotionError> {
+        let client = self.cx.task(&self.mcs).await?;
+        let last = self.cx.call(&client, ReadGuards {}).await?.last;
+        let new = last.filter(|last| self.found.borrow().as_ref() != Some(last));
+        let guard = new.map(|report| report.guard.to_string());
+        Ok(guard.filter(|guard| self.waits_after.contains(guard)))
     }
 
     /// Why the arm does not follow, if it does not.
