@@ -137,6 +137,7 @@ fn after_too_much_force_the_hand_stays_where_it_is_until_a_person_says_so() {
     let own = ["sim", "configs/tracker.toml", "--json", "--set", &name];
     let ended = scratch.ctos(&[&own[..], &["--set", "task.tracker.args.seconds=6.0"]].concat());
     let result = ended.json()["result"].clone();
+    ended.must_exit(1);
     assert_eq!(
         (&result["phase"], &result["stops"]),
         (&"Stopped".into(), &1.into()),

@@ -16,6 +16,7 @@ use serde::Deserialize;
 use sorma::snapshot::{Place, Reader, Snapshot};
 
 use crate::{
+    control,
     judging::{Judge, lines},
     map::{Example, grid},
     wire::{
@@ -245,7 +246,8 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
     if truth.is_none() {
         text += "Nobody knows where the ball truly was: the errors mean nothing.\n";
     }
-    let ok = report.counts.used > 0;
+    // A hand that stands where something stopped it follows nothing.
+    let ok = report.counts.used > 0 && report.phase != control::Phase::Stopped;
     let json = serde_json::json!({
         "ok": ok,
         "seconds": verdict.seconds,
