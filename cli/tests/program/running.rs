@@ -206,6 +206,10 @@ const WAYS: &[(&str, Then)] = &[
     ("ctos boot configs/push.toml", ComesUp),
     ("ctos boot configs/push-finger.toml", ComesUp),
     ("ctos boot configs/tracker.toml", ComesUp),
+    (
+        "ctos sim configs/tracker.toml --set task.tracker.args.seconds=5",
+        Ends,
+    ),
 ];
 
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.
