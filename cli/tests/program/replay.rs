@@ -182,6 +182,7 @@ fn every_task_of_every_shipped_app_does_the_same_again_or_says_what_it_reads_els
                     "shared memory `",
                     "a synchronous function",
                     "the grip `",
+                    "what argus sees",
                     "what the servo leaves",
                     "what the tracker leaves",
                 ];
