@@ -148,7 +148,7 @@ fn seeds() -> std::ops::Range<u64> {
 }
 
 /// The tasks of the shipped apps that share memory with others, or are called in time: what they read is in no record.
-const REFUSED: [&str; 14] = [
+const REFUSED: [&str; 15] = [
     "argus",
     "ball",
     "client",
@@ -156,6 +156,7 @@ const REFUSED: [&str; 14] = [
     "druide",
     "gripper",
     "hand",
+    "mouse",
     "planner",
     "servo",
     "state",
