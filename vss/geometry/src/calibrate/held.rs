@@ -12,8 +12,8 @@ use crate::camera::Camera;
 const FIRST_TERM: usize = 10;
 
 /// Standard deviations of what k1, k2 and k3 each add to the radius in the corners of a picture, relative to it. That of k3 is
-/// a tenth of that of k1, as the terms of the classical projections are whose corners are 35 degrees off the axis (equidistant
-/// 17, 5 and 1.8 %, orthographic 25, 9 and 4 %). The cameras of `sim`, KITTI and EuRoC stay within one or two of them.
+/// a tenth of that of k1. The terms of the classical projections are so, 35 degrees off the axis: equidistant 17, 5 and 1.8 %,
+/// orthographic 25, 9 and 4 %. The cameras of `sim`, KITTI and EuRoC stay within one or two of them.
 const RADIAL_SD: [f64; 3] = [0.5, 0.25, 0.05];
 
 /// That of k3 once it comes out beyond [`USUAL`] of the other: lenses with a strong k2 balance it by k3, as those of Kinects do
