@@ -96,10 +96,28 @@ pub enum ModelError {
     },
 }
 
+impl ModelError {
+    /// What to do about it, where its text does not say that.
+    fn advice(&self) -> Option<&'static str> {
+        Some(match self {
+            Self::SameName { .. } => "give one of them another name",
+            Self::NegativeMass { .. } => "give its mass in kg, 0 or more",
+            Self::Inertia { .. } => "give its inertia about its centre of mass, in kg m^2",
+            Self::NoAxis { .. } => "give a direction, as `0 0 1`",
+            Self::LimitOrder { .. } => "give the lower limit first",
+            _ => return None,
+        })
+    }
+}
+
 impl From<&ModelError> for Finding {
     /// Still without its place.
     fn from(error: &ModelError) -> Self {
-        Self::error("mcs::model::impossible", error.to_string())
+        let finding = Self::error("mcs::model::impossible", error.to_string());
+        match error.advice() {
+            Some(advice) => finding.help(advice),
+            None => finding,
+        }
     }
 }
 

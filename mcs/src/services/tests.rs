@@ -661,7 +661,7 @@ fn a_request_for_times_with_the_wrong_count_or_limit_says_what_is_right() {
         ),
         (
             "traj EXEC TMSG rest FMSG 6 1 0 1e200 1 1 1",
-            "EXEC rest: joint 1: its numbers must be finite and at most 1e6, its limits at least 1e-6",
+            "EXEC rest: the position at the end of joint 1 is 1e200; numbers must be finite and at most 1e6, limits at least 1e-6",
         ),
     ] {
         let reply = ask(&sorm, line);
@@ -730,7 +730,7 @@ fn a_path_that_makes_no_sense_is_refused_by_name() {
         ),
         (
             "traj EXEC TMSG path FMSG 5 0 1 1 1 -1 IMSG 1 0",
-            "EXEC path: the largest jerk of joint 1 is -1; it must be above zero",
+            "EXEC path: the largest jerk of joint 1 is -1; it must be above zero, or 0 for none",
         ),
         (
             "traj EXEC TMSG path FMSG 6 0 1 1 1 1 0 IMSG 1 1",

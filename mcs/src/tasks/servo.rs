@@ -465,10 +465,11 @@ impl ServoTask {
             .iter()
             .filter(|sensor| sensor.kind.is_output());
         let names: Vec<&str> = outputs.map(|sensor| sensor.name.as_str()).collect();
-        refused(format!(
-            "there is no output `{name}`; there are: {}",
-            names.join(", ")
-        ))
+        let there = match names.as_slice() {
+            [] => "the manipulator has no outputs".to_owned(),
+            names => format!("there are: {}", names.join(", ")),
+        };
+        refused(format!("there is no output `{name}`; {there}"))
     }
 
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.

@@ -13,6 +13,9 @@ use rsruckig::prelude::{
 /// Larger numbers than this, and smaller limits than its inverse, are no joint's.
 const LARGEST: f64 = 1e6;
 
+/// What errors call the limit that 0 stands for none of.
+const JERK: &str = "jerk";
+
 /// Position and its derivatives at one end of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct JointState {
@@ -64,7 +67,10 @@ pub struct Times {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TimingError {
     /// A limit that nothing can be moved under.
-    #[error("the largest {what} of joint {joint} is {value}; it must be above zero")]
+    #[error(
+        "the largest {what} of joint {joint} is {value}; it must be {}",
+        if *.what == JERK { "above zero, or 0 for none" } else { "above zero" }
+    )]
     Bound {
         /// Joint number, from 1.
         joint: usize,
@@ -86,10 +92,17 @@ pub enum TimingError {
         limit: f64,
     },
     /// A number with which nothing can be computed.
-    #[error("joint {joint}: its numbers must be finite and at most {LARGEST:e}, its limits at least {:e}", 1.0 / LARGEST)]
+    #[error(
+        "the {what} of joint {joint} is {value:?}; numbers must be finite and at most {LARGEST:e}, limits at least {:e}",
+        1.0 / LARGEST
+    )]
     TooLarge {
         /// Joint number, from 1.
         joint: usize,
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
     },
     /// Nothing lies between two points of a path.
     #[error(
@@ -250,29 +263,26 @@ pub(super) fn check(
     of: ControlInterface,
 ) -> Result<(), TimingError> {
     // To come to rest no limit of speed counts, and a jerk of 0 is none.
-    let speed = (of == ControlInterface::Position).then_some(bounds.velocity);
-    let jerk = (bounds.jerk != 0.0).then_some(bounds.jerk);
-    for (what, value) in [
-        ("acceleration", Some(bounds.acceleration)),
-        ("speed", speed),
-    ] {
-        if let Some(value) = value
-            && (value.is_nan() || value <= 0.0)
-        {
-            return Err(TimingError::Bound { joint, what, value });
-        }
-    }
-    if bounds.jerk.is_nan() || bounds.jerk < 0.0 {
-        let (what, value) = ("jerk", bounds.jerk);
+    let speed = (of == ControlInterface::Position).then_some(("speed", bounds.velocity));
+    let jerk = (bounds.jerk != 0.0).then_some((JERK, bounds.jerk));
+    let limits = [Some(("acceleration", bounds.acceleration)), speed, jerk];
+    let limits = || limits.into_iter().flatten();
+    if let Some((what, value)) = limits().find(|(_, value)| value.is_nan() || *value <= 0.0) {
         return Err(TimingError::Bound { joint, what, value });
     }
-    let states = [start, end].map(|state| [state.position, state.velocity, state.acceleration]);
-    let sensible = |value: &f64| value.abs() <= LARGEST;
-    let used = [Some(bounds.acceleration), speed, jerk];
-    let mut used = used.iter().flatten();
-    let fits = |limit: &f64| sensible(limit) && *limit >= 1.0 / LARGEST;
-    if !states.iter().flatten().all(sensible) || !used.all(fits) {
-        return Err(TimingError::TooLarge { joint });
+    let states = [
+        ("position at the start", start.position),
+        ("speed at the start", start.velocity),
+        ("acceleration at the start", start.acceleration),
+        ("position at the end", end.position),
+        ("speed at the end", end.velocity),
+        ("acceleration at the end", end.acceleration),
+    ];
+    let sensible = |value: f64| value.abs() <= LARGEST;
+    let wrong_state = states.into_iter().find(|(_, value)| !sensible(*value));
+    let wrong_limit = limits().find(|(_, value)| !sensible(*value) || *value < 1.0 / LARGEST);
+    if let Some((what, value)) = wrong_state.or(wrong_limit) {
+        return Err(TimingError::TooLarge { joint, what, value });
     }
     let beyond = |what, value: f64, limit: f64| match value.abs() <= limit {
         true => Ok(()),

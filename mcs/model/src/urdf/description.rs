@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::ops::Range;
+use std::f64::consts::PI;
+use std::ops::{Range, RangeInclusive};
 
 use ctos_config::diagnostic::{Finding, Source};
 use nalgebra::{Matrix3, Vector3};
@@ -14,6 +15,12 @@ use crate::builder::{check_body, check_limits};
 use crate::features::{Body, Friction, JointKind, Limits, Motor};
 use crate::placement::Placement;
 use crate::shapes::Solid;
+
+/// A range of more rad than four turns was meant in degrees. A number beyond stands for no limit.
+const DEGREES: RangeInclusive<f64> = 8.0 * PI..=1e3;
+
+/// No part of a robot is farther from the one that carries it, m.
+const FARTHEST: f64 = 100.0;
 
 /// Axes shorter than this have no direction.
 const NO_AXIS: f64 = 1e-9;
@@ -292,6 +299,12 @@ impl<'a> Description<'a> {
             return Ok(Placement::identity());
         };
         let xyz = xml::numbers(self.source, origin, "xyz", [0.0; 3])?;
+        if let Some(far) = xyz.iter().find(|part| part.abs() > FARTHEST) {
+            let text = format!("too far: `xyz` of <origin> has {far} m, which looks like mm");
+            return Err(
+                xml::finding(self.source, text, xml::opening(origin)).help("lengths are in m")
+            );
+        }
         let rpy = xml::numbers(self.source, origin, "rpy", [0.0; 3])?;
         Ok(Placement::from_radians(xyz, rpy))
     }
@@ -401,8 +414,26 @@ impl<'a> Description<'a> {
         };
         let (lower, upper) = match kind {
             "continuous" => (f64::NEG_INFINITY, f64::INFINITY),
+            _ if !limit.has_attribute("lower") && !limit.has_attribute("upper") => {
+                let text = format!(
+                    "no limits: the <limit> of joint `{joint}` has neither `lower` nor `upper`, which is a range of 0"
+                );
+                return Err(xml::finding(self.source, text, xml::opening(limit))
+                    .help("give both, or make the joint continuous, or fixed"));
+            }
             _ => (number("lower", 0.0)?, number("upper", 0.0)?),
         };
+        if kind == "revolute"
+            && [lower, upper]
+                .iter()
+                .any(|end| DEGREES.contains(&end.abs()))
+        {
+            let text = format!(
+                "too far: joint `{joint}` turns from {lower} to {upper} rad, which looks like degrees"
+            );
+            return Err(xml::finding(self.source, text, xml::opening(limit))
+                .help("angles are in rad; make a joint that turns on and on continuous"));
+        }
         let most = |name: &str| {
             let given = number(name, UNLIMITED)?;
             Ok::<f64, Finding>(if given < UNLIMITED {
@@ -411,10 +442,16 @@ impl<'a> Description<'a> {
                 f64::INFINITY
             })
         };
+        let velocity = most("velocity")?;
+        if velocity == 0.0 {
+            let text = format!("cannot move: the largest velocity of joint `{joint}` is 0");
+            return Err(xml::finding(self.source, text, xml::opening(limit))
+                .help("give its velocity in rad/s or m/s, or leave `velocity` out"));
+        }
         let limits = Limits {
             lower,
             upper,
-            velocity: most("velocity")?,
+            velocity,
             torque: most("effort")?,
             ..Limits::NONE
         };
@@ -497,7 +534,9 @@ impl<'a> Description<'a> {
         let Some((root, first)) = roots.next() else {
             let link = &self.links[0];
             let text = format!("loop: every link has a parent, link `{}` too", link.name);
-            return Err(self.finding(text, &link.range));
+            return Err(self
+                .finding(text, &link.range)
+                .help("one link must be the <child> of no joint"));
         };
         match roots.next() {
             None => Ok(root),

@@ -67,6 +67,31 @@ fn every_mistake_has_a_name_and_a_place() {
         ),
         (robot("", ""), "no limits: joint `j`", "4:1"),
         (
+            robot("", "<limit velocity=\"1\" effort=\"1\"/>"),
+            "no limits: the <limit> of joint `j` has neither",
+            "4:",
+        ),
+        (
+            robot("", "<limit lower=\"-180\" upper=\"180\"/>"),
+            "too far: joint `j` turns from -180 to 180 rad",
+            "4:",
+        ),
+        (
+            robot("", "<limit lower=\"-1\" upper=\"1\" velocity=\"0\"/>"),
+            "cannot move: the largest velocity of joint `j` is 0",
+            "4:",
+        ),
+        (
+            robot("", &format!("{LIMIT}<origin xyz=\"0 431.8 1\"/>")),
+            "too far: `xyz` of <origin> has 431.8 m",
+            "4:",
+        ),
+        (
+            robot(&inertial("<mass value=\"1 kg\"/>", unit), LIMIT),
+            "not a number: `kg` after 1 in `value` of <mass>",
+            "3:",
+        ),
+        (
             robot("", LIMIT).replace("revolute", "screw"),
             "unknown joint type: `screw`",
             "4:23",

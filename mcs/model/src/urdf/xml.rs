@@ -163,6 +163,9 @@ pub(super) fn numbers<const N: usize>(
     }
     match words.next() {
         None => Ok(numbers),
-        Some(_) => Err(wrong(format!("{N} are needed, more stand"))),
+        Some(more) => {
+            let more = more.chars().take(40).collect::<String>();
+            Err(wrong(format!("`{more}` after {N}")))
+        }
     }
 }
