@@ -152,7 +152,7 @@ fn the_laser_scanner_points_and_draws_and_a_camera_sees_where() {
         ended.json()
     };
     told("spot CTRL -threshold 90 -min-area 3 -most 10000");
-    told("lines CTRL -contrast 25 -length 60");
+    told("lines CTRL -contrast 25 -length 40");
     let none = told("lines EXEC camera ceiling_west");
     let target = [0.2, -0.7, 0.0];
     let command = numbers(&told("laser.scanner EXEC point FMSG 3 0.2 -0.7 0")["floats"]);
@@ -167,7 +167,7 @@ fn the_laser_scanner_points_and_draws_and_a_camera_sees_where() {
     for (met, target) in met[0].iter().zip(target) {
         assert!((met - target).abs() < 6e-3, "{met}, not {target}");
     }
-    told("laser.scanner EXEC draw FMSG 4 -3 4 3 4");
+    told("laser.scanner EXEC draw FMSG 4 3.77 -2 3.77 2");
     let drawn = told("lines EXEC camera ceiling_west");
     told("laser.scanner EXEC off");
     let off = told("lines EXEC camera ceiling_west");
