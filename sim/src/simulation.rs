@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::{
     cell::{Cell, LaserSpec},
     port::{Claim, Port},
-    scene::{CameraFault, LaserOrder, SceneBeam, SceneState},
+    scene::{self, CameraFault, LaserOrder, SceneBeam, SceneState},
     world::{World, WorldError},
     wrist::Wrist,
 };
@@ -103,7 +103,7 @@ impl Simulation {
         let mut beams = Vec::new();
         for (index, (spec, order)) in self.lasers.iter().enumerate() {
             let Some(mount) = spec.mount else {
-                beams.extend(order.beams(spec));
+                beams.extend(scene::beams(*order, spec));
                 continue;
             };
             let mut drivers = self.drivers.iter();
@@ -112,7 +112,7 @@ impl Simulation {
                 let mut there = spec.clone();
                 let scanner = &mut there.scanner;
                 scanner.world_t_scanner = self.world.link(mount) * scanner.world_t_scanner;
-                beams.extend(LaserOrder::Spot([0.0; 2]).beams(&there));
+                beams.extend(scene::beams(LaserOrder::Spot([0.0; 2]), &there));
             }
         }
         beams

@@ -12,13 +12,13 @@ use ctos::{
 use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
 use nalgebra::Isometry3;
 use serde::Deserialize;
-use vss::command::{NamedCamera, TrueCameras};
+use vss::command::{NamedCamera, OrderLaser, TrueCameras};
 
 use crate::{
     camera::truth::CameraTruth,
     cell::Cell,
     port::Port,
-    scene::{CameraFault, LaserOrder, SceneState},
+    scene::{CameraFault, SceneState},
     scenes::SceneWriter,
     simulation::Simulation,
 };
@@ -59,17 +59,6 @@ ctos::command! {
         /// What it does; nothing wrong when there is none.
         pub fault: Option<CameraFault>,
     } => (), 0x0504, "fail_camera"
-}
-
-ctos::command! {
-    /// Has a laser scanner point, draw a line, or be off.
-    #[derive(Debug, Clone, PartialEq)]
-    pub struct OrderLaser {
-        /// Its name in the cell.
-        pub laser: String,
-        /// What it does.
-        pub order: LaserOrder,
-    } => (), 0x0505, "order_laser"
 }
 
 ctos::command! {

@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Point3, Unit, Vector2, Vector3};
 use sim::{
     camera::Renderer,
     cell::Cell,
-    scene::{LaserOrder, SceneState},
+    scene::{LaserOrder, SceneState, beams},
 };
 use vss::{
     camera::Camera,
@@ -83,7 +83,7 @@ impl Bench {
 
     fn scene(&self, order: LaserOrder) -> SceneState {
         let mut scene = self.cell.start();
-        scene.beams = order.beams(&self.cell.lasers[0]).collect();
+        scene.beams = beams(order, &self.cell.lasers[0]).collect();
         scene
     }
 

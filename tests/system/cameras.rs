@@ -140,6 +140,52 @@ fn five_cameras_take_pictures_as_fast_as_they_are_asked_beside_a_moving_arm() {
     stopped(run);
 }
 
+/// Without the light there is nothing; a spot is where it was sent, and a line is found as one.
+#[test]
+fn the_laser_scanner_points_and_draws_and_a_camera_sees_where() {
+    let scratch = Scratch::new();
+    let name = format!("scanner_{}", std::process::id());
+    let run = up(&scratch, &name, &[]);
+    let told = |line: &str| {
+        let ended = scratch.scott(&[&name, "--json", "-c", line]);
+        ended.must_exit_leaving(0);
+        ended.json()
+    };
+    told("spot CTRL -threshold 90 -min-area 3 -most 10000");
+    told("lines CTRL -contrast 25 -length 40");
+    let none = told("lines EXEC camera ceiling_west");
+    let target = [0.2, -0.7, 0.0];
+    let command = numbers(&told("laser.scanner EXEC point FMSG 3 0.2 -0.7 0")["floats"]);
+    let spots = numbers(&told("spot EXEC camera ceiling_west")["floats"]);
+    let met = spots.chunks(3).map(|spot| {
+        let [a, b, u, v] = [command[0], command[1], spot[0], spot[1]];
+        numbers(&told(&format!("laser.scanner EXEC spot FMSG 4 {a} {b} {u} {v}"))["floats"])
+    });
+    // A spot that is not of the beam has a gap; a pixel is 7 mm there.
+    let met: Vec<Vec<f64>> = met.filter(|met| met[3] < 5e-3).collect();
+    assert_eq!(met.len(), 1, "{met:?} of {spots:?}");
+    for (met, target) in met[0].iter().zip(target) {
+        assert!((met - target).abs() < 6e-3, "{met}, not {target}");
+    }
+    told("laser.scanner EXEC draw FMSG 4 3.77 -2 3.77 2");
+    let drawn = told("lines EXEC camera ceiling_west");
+    told("laser.scanner EXEC off");
+    let off = told("lines EXEC camera ceiling_west");
+    let pieces = |answer: &Value| answer["ints"][0].as_i64().unwrap();
+    assert!(pieces(&drawn) > pieces(&none), "{drawn} {none}");
+    assert_eq!(pieces(&off), pieces(&none), "{off} {none}");
+    // One that the cell does not have is told.
+    told("laser CTRL -name pointer");
+    let ended = scratch.scott(&[&name, "-c", "laser EXEC off"]);
+    ended.must_exit_leaving(1);
+    assert!(
+        ended.stderr.contains("no laser `pointer`"),
+        "{}",
+        ended.stderr
+    );
+    stopped(run);
+}
+
 #[test]
 fn what_a_killed_chassis_held_of_a_camera_is_taken_back() {
     let scratch = Scratch::new();

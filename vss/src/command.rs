@@ -13,6 +13,7 @@ use crate::{
     calibrate::{Calibration, LightPoint},
     camera::Camera,
     frame::{Carried, Frame},
+    laser::LaserOrder,
     pose::TargetPose,
     spot::{NoSpot, Spot, SpotFlags},
     visual_jacobian::{Correction, Seen},
@@ -80,6 +81,15 @@ ctos::command! {
         /// The known offset of the gripper, m; none to be told the correction.
         pub taught: Option<[f64; 2]>,
     } => Result<DiskSight, VisionError>, 0x0481, "locate_disk"
+
+    /// Has a laser scanner make a spot, draw a line, or be off. The task that drives the scanner answers.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct OrderLaser {
+        /// The scanner's name.
+        pub laser: String,
+        /// What it does.
+        pub order: LaserOrder,
+    } => (), 0x0490, "order_laser"
 
     /// Asks the manager for the hardware behind a Vision Module; answered when it is free.
     #[derive(Debug, Clone, PartialEq)]

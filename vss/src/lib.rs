@@ -31,5 +31,6 @@ pub use vss_geometry::{
 };
 pub use vss_image::{self as image, png};
 pub use vss_tools::{
-    chequer, components, frame, laser, marker, psom, spot, target_map, tracking, visual_jacobian,
+    chequer, components, frame, laser, lines, marker, psom, spot, target_map, tracking,
+    visual_jacobian,
 };

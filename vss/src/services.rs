@@ -15,6 +15,7 @@ mod corners;
 mod diskfind;
 mod handeye;
 mod laser;
+mod lines;
 mod picture;
 mod planecal;
 mod pose;
@@ -73,12 +74,16 @@ sorma::prototypes! {
             "the text says what was seen instead: -threshold, -dark and -area, or -train and -class, say what a marker is";
         NO_POINT = 156, Error, "no point follows from the pixels of two cameras",
             "the text says why: pixels of two points, rays that are nearly parallel, or a lens that cannot be undone there";
+        NO_LINE = 157, Warning, "there is no line or edge in a picture, or there are too many",
+            "look at the picture, then at -kind, -sigma, -contrast and -length";
+        NO_LASER = 158, Error, "a laser scanner does not what it is ordered to",
+            "the text says why: only an app has scanners, -name and -task say which one is ordered by whom";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let made: [Class; 19] = [
+    let made: [Class; 20] = [
         // A camera's picture is waited for.
         Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default()))).waits(),
         Class::new("blobs", VERSION, |_, _| {
@@ -101,9 +106,16 @@ pub fn register(sorm: &Sorm) {
             Ok(Box::new(bundle::Cameras::default()))
         }),
         Class::new("pose", VERSION, |_, _| Ok(Box::new(pose::Pose::default()))),
+        // A scanner of the app is waited for.
         Class::new("laser", VERSION, |_, _| {
             Ok(Box::new(laser::Laser::default()))
-        }),
+        })
+        .waits(),
+        // And so is a camera's picture.
+        Class::new("lines", VERSION, |_, _| {
+            Ok(Box::new(lines::Lines::default()))
+        })
+        .waits(),
         Class::new("psom", VERSION, |_, _| Ok(Box::new(psom::Map::default()))),
         Class::new("abg", VERSION, |_, _| Ok(Box::new(abg::Filter::default()))),
         Class::new("clockfit", VERSION, |_, _| {
@@ -147,6 +159,7 @@ pub fn classes() -> Vec<ClassInfo> {
         bundle::TABLE.class("bundle", VERSION),
         pose::TABLE.class("pose", VERSION),
         laser::TABLE.class("laser", VERSION),
+        lines::TABLE.class("lines", VERSION),
         psom::TABLE.class("psom", VERSION),
         abg::TABLE.class("abg", VERSION),
         clockfit::TABLE.class("clockfit", VERSION),

@@ -6,6 +6,8 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
+pub use vss_tools::laser::LaserOrder;
+
 use vss_tools::laser::Beam;
 
 use crate::{
@@ -41,37 +43,23 @@ pub struct SceneBeam {
     pub brightness: f64,
 }
 
-/// What a laser scanner does.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub enum LaserOrder {
-    /// It is off.
-    #[default]
-    Off,
-    /// A spot at a command for both mirrors.
-    Spot([f64; 2]),
-    /// A line between two commands, drawn faster than any exposure.
-    Line([f64; 2], [f64; 2]),
-}
-
-impl LaserOrder {
-    /// The beams of a scanner that does so.
-    pub fn beams(self, spec: &LaserSpec) -> impl Iterator<Item = SceneBeam> {
-        let (from, to, count) = match self {
-            Self::Off => ([0.0; 2], [0.0; 2], 0),
-            Self::Spot(at) => (at, at, 1),
-            Self::Line(from, to) => (from, to, LINE),
-        };
-        let share = if count > 1 { LINE_SHARE } else { 1.0 };
-        (0..count).map(move |step| {
-            let t = f64::from(step) / f64::from(count.max(2) - 1);
-            let command = std::array::from_fn(|k| from[k] + t * (to[k] - from[k]));
-            SceneBeam {
-                beam: spec.scanner.beam(command),
-                radius: spec.radius,
-                brightness: spec.brightness * share,
-            }
-        })
-    }
+/// The beams of a scanner that does what it is ordered to.
+pub fn beams(order: LaserOrder, spec: &LaserSpec) -> impl Iterator<Item = SceneBeam> {
+    let (from, to, count) = match order {
+        LaserOrder::Off => ([0.0; 2], [0.0; 2], 0),
+        LaserOrder::Spot(at) => (at, at, 1),
+        LaserOrder::Line(from, to) => (from, to, LINE),
+    };
+    let share = if count > 1 { LINE_SHARE } else { 1.0 };
+    (0..count).map(move |step| {
+        let t = f64::from(step) / f64::from(count.max(2) - 1);
+        let command = std::array::from_fn(|k| from[k] + t * (to[k] - from[k]));
+        SceneBeam {
+            beam: spec.scanner.beam(command),
+            radius: spec.radius,
+            brightness: spec.brightness * share,
+        }
+    })
 }
 
 /// Spots that a line is made of, and what each has of the brightness of a spot that stands.

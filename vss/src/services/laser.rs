@@ -1,9 +1,10 @@
 //! The class `laser`: where a scanner's beam goes, where it must be sent, what a camera's ray meets of it, and its calibration.
 
-use std::sync::LazyLock;
+use std::{sync::LazyLock, time::Duration};
 
+use futures_util::future::LocalBoxFuture;
 use nalgebra::{Point3, Unit, Vector2, Vector3};
-use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
 use super::{
     code, ended, opened,
@@ -13,7 +14,10 @@ use super::{
 };
 use crate::{
     camera::Camera,
-    laser::{Met, NoLaser, Plane, Scanner, calibrate, on_beam, on_plane, plane_through},
+    command::OrderLaser,
+    laser::{
+        LaserOrder, Met, NoLaser, Plane, Scanner, calibrate, on_beam, on_plane, plane_through,
+    },
 };
 
 const POINTS: Columns = Columns {
@@ -31,6 +35,30 @@ const SAMPLES: Columns = Columns {
 };
 
 const FORMS: &[Form] = &[
+    Form {
+        text: "point",
+        floats: 3,
+        takes: "a point X Y Z in the world, m",
+        gives: "2 floats: the command for both mirrors, which the scanner has now",
+        results: "a b",
+        help: "has the scanner of an app send its beam there",
+    },
+    Form {
+        text: "draw",
+        floats: 4,
+        takes: "commands for both mirrors: where a line begins, and where it ends",
+        gives: "nothing",
+        results: "",
+        help: "has the scanner of an app draw a line, faster than any exposure",
+    },
+    Form {
+        text: "off",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        results: "",
+        help: "switches the scanner of an app off",
+    },
     Form {
         text: "aim",
         floats: 3,
@@ -51,16 +79,17 @@ const FORMS: &[Form] = &[
         text: "spot",
         floats: 4,
         takes: "the command for both mirrors, and the pixel u v at which the camera sees the spot",
-        gives: "4 floats: the spot in the world and how far beam and ray are apart there, m",
-        results: "X Y Z gap: m",
+        gives: "8 floats: the spot in the world and how far beam and ray are apart there (m); their standard deviations (m) when the \
+                pixel has that of -sd",
+        results: "X Y Z gap sd_X sd_Y sd_Z sd_gap: m",
         help: "where a spot is; -camera must be set",
     },
     Form {
         text: "line",
         floats: 6,
         takes: "the plane of light nx ny nz d (m), and the pixel u v at which the camera sees a point of the line",
-        gives: "3 floats: the point in the world, m",
-        results: "X Y Z: m",
+        gives: "6 floats: the point in the world and its standard deviations (m) when the pixel has that of -sd",
+        results: "X Y Z sd_X sd_Y sd_Z: m",
         help: "where a point of a line of light is; -camera must be set",
     },
     Form {
@@ -76,9 +105,10 @@ const FORMS: &[Form] = &[
         text: "calibrate FILE",
         floats: 0,
         takes: "",
-        gives: "12 floats: rotation vector (rad) and translation (m) of world_T_scanner, offset of the mirrors (m), both gains (rad), \
-                both zeros (rad), and the root mean square of the distances of the points from their beams (m)",
-        results: "rx ry rz: rad; x y z offset: m; gain_a gain_b zero_a zero_b: rad; rms: m",
+        gives: "22 floats: rotation vector (rad) and translation (m) of world_T_scanner, offset of the mirrors (m), both gains (rad), \
+                both zeros (rad), and the root mean square of the distances of the points from their beams (m); standard deviations \
+                of a turn about the world's axes (rad), of translation and offset (m), of both gains and of the first zero (rad)",
+        results: "rx ry rz: rad; x y z offset: m; gain_a gain_b zero_a zero_b: rad; rms: m; sd_turn: rad; sd_shift sd_offset: m; sd_gain_a sd_gain_b sd_zero_a: rad",
         help: "the scanner from a table a,b,X,Y,Z; the options say what is known of it before",
     },
 ];
@@ -90,6 +120,9 @@ pub(super) struct Options {
     gain: Vec<f64>,
     zero: Vec<f64>,
     camera: Vec<f64>,
+    sd_px: f64,
+    name: String,
+    task: String,
 }
 
 impl Default for Options {
@@ -100,6 +133,9 @@ impl Default for Options {
             gain: vec![1.0; 2],
             zero: vec![0.0; 2],
             camera: Vec::new(),
+            sd_px: 0.1,
+            name: "scanner".to_owned(),
+            task: "world".to_owned(),
         }
     }
 }
@@ -146,6 +182,22 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "the camera as `resect` answers it: px, and camera_T_world in rad and m",
             |options| &mut options.camera,
         )
+        .float(
+            "sd",
+            1e-6..=1e3,
+            "px",
+            "standard deviation of each coordinate of a pixel",
+            |options| &mut options.sd_px,
+        )
+        .word(
+            "name",
+            "SCANNER",
+            "the scanner of the app that is ordered",
+            |options| &mut options.name,
+        )
+        .word("task", "TASK", "the app's task that drives it", |options| {
+            &mut options.task
+        })
 });
 
 /// An object of class `laser`.
@@ -153,9 +205,21 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
 pub(super) struct Laser(Options);
 
 impl ServiceObject for Laser {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = TABLE.form(io).and_then(|form| self.answer(form.text, io));
-        ended(io, outcome)
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = match TABLE.form(io) {
+                Ok(form) => match self.order(form.text, io) {
+                    Some(order) => self.ordered(cx, order, io).await,
+                    None => self.answer(form.text, io),
+                },
+                Err(report) => Err(report),
+            };
+            ended(io, outcome)
+        }))
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
@@ -197,6 +261,67 @@ impl Laser {
         scanner.ok_or_else(|| wrong("a mirror with a -gain of 0 does not move".to_owned()))
     }
 
+    /// What a request orders the scanner to do, if it is an order.
+    fn order(&self, form: &str, io: &Transport) -> Option<Result<LaserOrder, Report>> {
+        match (form, io.floats.as_slice()) {
+            ("off", _) => Some(Ok(LaserOrder::Off)),
+            ("draw", &[a, b, to_a, to_b]) => Some(Ok(LaserOrder::Line([a, b], [to_a, to_b]))),
+            ("point", &[x, y, z]) => {
+                let command = self.scanner().map(|own| own.aim(&Point3::new(x, y, z)));
+                let command = command.and_then(|aim| aim.ok_or_else(|| nothing(NoLaser::Nowhere)));
+                Some(command.map(LaserOrder::Spot))
+            }
+            _ => None,
+        }
+    }
+
+    async fn ordered(
+        &self,
+        cx: &Waiting<'_>,
+        order: Result<LaserOrder, Report>,
+        io: &mut Transport,
+    ) -> Outcome {
+        const DEADLINE: Duration = Duration::from_secs(10);
+        let order = order?;
+        let Options { name, task, .. } = &self.0;
+        let failed = |why: &str| Report::error(code::NO_LASER, format!("scanner `{name}`: {why}"));
+        if !cx.is_in_app() {
+            return Err(failed(
+                "there is none here, for no app runs here: attach to one",
+            ));
+        }
+        let request = OrderLaser {
+            laser: name.clone(),
+            order,
+        };
+        let done = cx.call_task(task, request, DEADLINE).await;
+        done.map_err(|report| failed(&report.text))?;
+        io.floats = match order {
+            LaserOrder::Spot(command) => command.to_vec(),
+            _ => Vec::new(),
+        };
+        Ok(())
+    }
+
+    /// Numbers that follow from a pixel, and then their standard deviations.
+    fn with_sd<const N: usize>(
+        &self,
+        pixel: Vector2<f64>,
+        of: impl Fn(Vector2<f64>) -> Result<[f64; N], NoLaser>,
+    ) -> Result<Vec<f64>, Report> {
+        const STEP: f64 = 1e-3;
+        let numbers = of(pixel).map_err(nothing)?;
+        let mut squares = [0.0; N];
+        for step in [Vector2::new(STEP, 0.0), Vector2::new(0.0, STEP)] {
+            let beside = of(pixel + step).map_err(nothing)?;
+            for ((square, there), here) in squares.iter_mut().zip(beside).zip(numbers) {
+                *square += (self.0.sd_px * (there - here) / STEP).powi(2);
+            }
+        }
+        let sd = squares.iter().map(|square| square.sqrt());
+        Ok(numbers.iter().copied().chain(sd).collect())
+    }
+
     fn camera(&self) -> Result<Camera, Report> {
         resect::camera(&self.0.camera, "-camera")
     }
@@ -215,16 +340,20 @@ impl Laser {
             }
             ("spot", &[a, b, u, v]) => {
                 let beam = self.scanner()?.beam([a, b]);
-                let met = on_beam(&self.camera()?, Vector2::new(u, v), &beam);
-                let Met { place, gap } = met.map_err(nothing)?;
-                vec![place.x, place.y, place.z, gap]
+                let camera = self.camera()?;
+                self.with_sd(Vector2::new(u, v), |pixel| {
+                    let Met { place, gap } = on_beam(&camera, pixel, &beam)?;
+                    Ok([place.x, place.y, place.z, gap])
+                })?
             }
             ("line", &[nx, ny, nz, distance, u, v]) => {
                 let normal = Unit::try_new(Vector3::new(nx, ny, nz), 1e-9);
                 let normal = normal.ok_or_else(|| wrong("a plane has a normal".to_owned()))?;
                 let light = Plane { normal, distance };
-                let met = on_plane(&self.camera()?, Vector2::new(u, v), &light);
-                met.map_err(nothing)?.place.iter().copied().collect()
+                let camera = self.camera()?;
+                self.with_sd(Vector2::new(u, v), |pixel| {
+                    Ok(on_plane(&camera, pixel, &light)?.place.coords.into())
+                })?
             }
             ("plane FILE", _) => {
                 let source = opened(path(io, "plane"))?;
@@ -253,7 +382,7 @@ impl Laser {
                 let shift = world_t_scanner.translation.vector;
                 let numbers = turn.iter().chain(shift.iter()).copied();
                 let numbers = numbers.chain([offset]).chain(gain).chain(zero);
-                numbers.chain([found.rms_m]).collect()
+                numbers.chain([found.rms_m]).chain(found.sd).collect()
             }
         };
         Ok(())
@@ -326,9 +455,17 @@ mod tests {
         for (met, truth) in met.iter().zip([0.3, -0.2, 0.0, 0.0]) {
             assert!((met - truth).abs() < 1e-9, "{met}");
         }
+        // Depth by a base of 0.5 m from 2 m: Z^2 / (f b) of a pixel's standard deviation.
+        assert_eq!(met.len(), 8);
+        assert!((met[6] / 1.6e-3 - 1.0).abs() < 0.05, "{met:?}");
+        assert!(met[7] > 1e-4, "{met:?}");
+        let alone = ask(&sorm, "laser EXEC point FMSG 3 0.3 -0.2 0");
+        assert!(alone.reports[0].text.contains("attach to one"), "{alone:?}");
         let met = floats(&sorm, &format!("laser EXEC line FMSG 6 0 0 1 0 {u} {v}"));
         assert!(
-            (met[0] - 0.3).abs() < 1e-9 && (met[1] + 0.2).abs() < 1e-9,
+            (met[0] - 0.3).abs() < 1e-9
+                && (met[1] + 0.2).abs() < 1e-9
+                && (met[3] - 4e-4).abs() < 1e-6,
             "{met:?}"
         );
         let folder = tempfile::tempdir().unwrap();
@@ -362,7 +499,7 @@ mod tests {
             &sorm,
             &format!("laser EXEC calibrate {}", write("s.csv", &samples)),
         );
-        assert_eq!(found.len(), 12);
+        assert_eq!(found.len(), 22);
         assert!(found[11] < 1e-6, "{found:?}");
         let few = ask(
             &sorm,

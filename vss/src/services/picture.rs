@@ -1,12 +1,12 @@
 //! Pictures in files, as the classes read them.
 
-use std::fs;
+use std::{fs, time::Duration};
 
-use sorma::{Report, Transport};
+use sorma::{Report, Transport, Waiting};
 use vss_image::{FILE_MOST, Format, Picture};
 
 use super::{check_file, code};
-use crate::frame::Frame;
+use crate::{command::Snap, frame::Frame};
 
 /// What a class says of the files it reads.
 pub(super) const FORMATS: &str = "PNG, JPEG, PNM, BMP";
@@ -31,6 +31,33 @@ pub(super) fn opened(path: &str, io: &mut Transport) -> Result<Picture, Report> 
 pub(super) fn read(path: &str, io: &mut Transport) -> Result<Frame, Report> {
     let picture = opened(path, io)?;
     Ok(frame(picture).into_grey())
+}
+
+/// The first word of a request for a camera's picture.
+pub(super) const CAMERA: &str = "camera";
+
+/// A picture is taken when the camera is free.
+const DEADLINE: Duration = Duration::from_secs(60);
+
+/// A picture that a camera of the app takes now, through the task `tool`.
+pub(super) async fn taken(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<Frame, Report> {
+    let wrong = |text: String| Report::error(code::CAMERA, text);
+    if !cx.is_in_app() {
+        return Err(wrong(format!(
+            "there is no camera `{camera}` here, for no app runs here: attach to one, or give the name of a file"
+        )));
+    }
+    let request = Snap {
+        camera: camera.to_owned(),
+    };
+    let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
+    let taken = cx.call_task(tool, request, DEADLINE).await;
+    let taken = taken.map_err(|report| nothing(&report.text))?;
+    let frame = taken.map_err(|error| nothing(&error.reason))?;
+    let whole = frame
+        .fetched()
+        .map_err(|error| nothing(&error.to_string()))?;
+    Ok(whole.into_grey())
 }
 
 /// A picture that no camera took.

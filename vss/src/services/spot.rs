@@ -1,22 +1,15 @@
 //! The class `spot`: the spots of a picture, from a file or, in an app, from one of its cameras.
 
-use std::{sync::LazyLock, time::Duration};
+use std::sync::LazyLock;
 
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
 use super::{code, ended, picture};
 use crate::{
-    command::Snap,
     frame::Frame,
     spot::{SpotsOptions, find_spots},
 };
-
-/// A picture is taken when the camera is free.
-const DEADLINE: Duration = Duration::from_secs(60);
-
-/// The first word of a request for a camera's picture.
-const CAMERA: &str = "camera";
 
 const FORMS: &[Form] = &[
     Form {
@@ -185,9 +178,9 @@ impl Spot {
         TABLE.form(io)?;
         let text = io.text.trim().to_owned();
         match text.split_once(char::is_whitespace) {
-            Some((CAMERA, name)) => {
+            Some((picture::CAMERA, name)) => {
                 let name = name.trim();
-                let frame = self.snap(cx, name).await?;
+                let frame = picture::taken(cx, name, &self.0.tool).await?;
                 self.find(&format!("the picture of camera `{name}`"), &frame, io)?;
                 let stamp_ns = i64::try_from(frame.stamp.as_nanos()).unwrap_or(i64::MAX);
                 let number = i64::try_from(frame.number).unwrap_or(i64::MAX);
@@ -196,28 +189,6 @@ impl Spot {
             }
             _ => self.find(&format!("`{text}`"), &picture::read(&text, io)?, io),
         }
-    }
-
-    /// A picture that a camera of the app takes now.
-    async fn snap(&self, cx: &Waiting<'_>, camera: &str) -> Result<Frame, Report> {
-        let wrong = |text: String| Report::error(code::CAMERA, text);
-        if !cx.is_in_app() {
-            return Err(wrong(format!(
-                "there is no camera `{camera}` here, for no app runs here: attach to one, or give the name of a file"
-            )));
-        }
-        let tool = &self.0.tool;
-        let request = Snap {
-            camera: camera.to_owned(),
-        };
-        let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
-        let taken = cx.call_task(tool, request, DEADLINE).await;
-        let taken = taken.map_err(|report| nothing(&report.text))?;
-        let frame = taken.map_err(|error| nothing(&error.reason))?;
-        let whole = frame
-            .fetched()
-            .map_err(|error| nothing(&error.to_string()))?;
-        Ok(whole.into_grey())
     }
 
     /// Answers with the spots of a picture that is called `what`.

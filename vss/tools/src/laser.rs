@@ -66,6 +66,18 @@ impl Scanner {
     }
 }
 
+/// What a laser scanner does.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub enum LaserOrder {
+    /// It is off.
+    #[default]
+    Off,
+    /// A spot at a command for both mirrors.
+    Spot([f64; 2]),
+    /// A line between two commands, drawn faster than any exposure.
+    Line([f64; 2], [f64; 2]),
+}
+
 /// All points x with normal . x = distance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Plane {
@@ -203,6 +215,9 @@ pub struct Fitted {
     pub scanner: Scanner,
     /// Root of the mean square distance of the points from their beams, m.
     pub rms_m: f64,
+    /// Standard deviations: of a turn about the axes of the world (rad), of the shift (m), of the offset (m), of both gains and
+    /// of the zero of the first mirror (rad).
+    pub sd: [f64; UNKNOWN],
 }
 
 /// Unknowns of a scanner: turn and shift of its frame, offset, gains, zero of the first mirror.
@@ -244,17 +259,21 @@ pub fn calibrate(met: &[([f64; 2], Point3<f64>)], start: &Scanner) -> Result<Fit
             zero: [scanner.zero[0] + by[9], scanner.zero[1]],
         }
     };
-    let (mut scanner, mut damping) = (*start, 1e-3);
-    let mut off = residuals(&scanner);
-    for _ in 0..100 {
-        let mut jacobian = DMatrix::zeros(off.len(), UNKNOWN);
+    let jacobian_at = |scanner: &Scanner| {
+        let mut jacobian = DMatrix::zeros(2 * met.len(), UNKNOWN);
         for (column, step) in STEPS.iter().enumerate() {
             let mut by = SVector::zeros();
             by[column] = *step;
-            let slope = (residuals(&moved(&scanner, &by)) - residuals(&moved(&scanner, &-by)))
-                / (2.0 * step);
+            let slope =
+                (residuals(&moved(scanner, &by)) - residuals(&moved(scanner, &-by))) / (2.0 * step);
             jacobian.set_column(column, &slope);
         }
+        jacobian
+    };
+    let (mut scanner, mut damping) = (*start, 1e-3);
+    let mut off = residuals(&scanner);
+    for _ in 0..100 {
+        let jacobian = jacobian_at(&scanner);
         let mut normal = jacobian.tr_mul(&jacobian);
         for k in 0..UNKNOWN {
             normal[(k, k)] *= 1.0 + damping;
@@ -277,12 +296,43 @@ pub fn calibrate(met: &[([f64; 2], Point3<f64>)], start: &Scanner) -> Result<Fit
     if !rms_m.is_finite() {
         return Err(NoLaser::Undetermined);
     }
-    Ok(Fitted { scanner, rms_m })
+    let unit = unit_covariance(&jacobian_at(&scanner)).ok_or(NoLaser::Undetermined)?;
+    // Two distances of each point, less what was fitted.
+    let noise = off.norm_squared() / (2 * met.len() - UNKNOWN) as f64;
+    let sd = std::array::from_fn(|k| (noise * unit[(k, k)]).max(0.0).sqrt());
+    Ok(Fitted { scanner, rms_m, sd })
+}
+
+/// The covariance of the unknowns for noise of 1 m; `None` when the points leave one of them open.
+fn unit_covariance(jacobian: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    const LEAST: f64 = 1e-10;
+    let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
+    let mut scaled = jacobian.clone();
+    for (mut column, length) in scaled.column_iter_mut().zip(&lengths) {
+        column /= *length;
+    }
+    let parts = (scaled.transpose() * &scaled).symmetric_eigen();
+    let (least, most) = (parts.eigenvalues.min(), parts.eigenvalues.max());
+    if least.is_nan() || least <= LEAST * most {
+        return None;
+    }
+    let inverse = parts.eigenvalues.map(|value| 1.0 / value);
+    let mut unit =
+        &parts.eigenvectors * DMatrix::from_diagonal(&inverse) * parts.eigenvectors.transpose();
+    for (row, first) in lengths.iter().enumerate() {
+        for (column, second) in lengths.iter().enumerate() {
+            unit[(row, column)] /= first * second;
+        }
+    }
+    Some(unit)
 }
 
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
 
     use super::*;
     use crate::camera::{Distortion, Intrinsics};
@@ -430,5 +480,53 @@ mod tests {
             calibrate(&met[..5], &start),
             Err(NoLaser::TooFew(5, FEWEST_POINTS))
         );
+        // The same point again and again leaves all but two unknowns open.
+        assert_eq!(calibrate(&[met[0]; 20], &start), Err(NoLaser::Undetermined));
+    }
+
+    /// Points with noise of 1 mm: the beams, the gains and the place are off by what is answered.
+    #[test]
+    fn a_calibrated_scanner_is_off_by_its_standard_deviations() {
+        let truth = scanner();
+        let (mut squares, sets) = ([0.0; UNKNOWN], 200);
+        for seed in 0..sets {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut noise = || {
+                let drawn: f64 = rng.sample(StandardNormal);
+                1e-3 * drawn
+            };
+            let mut met = Vec::new();
+            for at in 0..50 {
+                let command = [
+                    1.5 * f64::from(at % 5) - 3.0,
+                    1.5 * f64::from(at / 5 % 5) - 3.0,
+                ];
+                let point = at_height(&truth.beam(command), if at < 25 { 0.0 } else { 0.4 });
+                met.push((command, point + Vector3::new(noise(), noise(), noise())));
+            }
+            let Fitted { scanner, sd, .. } = calibrate(&met, &truth).unwrap();
+            let turn = scanner.world_t_scanner.rotation * truth.world_t_scanner.rotation.inverse();
+            let turn = turn.scaled_axis();
+            let shift = scanner.world_t_scanner.translation.vector
+                - truth.world_t_scanner.translation.vector;
+            let off = [
+                turn.x,
+                turn.y,
+                turn.z,
+                shift.x,
+                shift.y,
+                shift.z,
+                scanner.offset - truth.offset,
+                scanner.gain[0] - truth.gain[0],
+                scanner.gain[1] - truth.gain[1],
+                scanner.zero[0] - truth.zero[0],
+            ];
+            for ((square, off), sd) in squares.iter_mut().zip(off).zip(sd) {
+                *square += (off / sd).powi(2) / sets as f64;
+            }
+        }
+        for square in squares {
+            assert!((0.85..1.15).contains(&square.sqrt()), "{squares:?}");
+        }
     }
 }

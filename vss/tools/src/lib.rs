@@ -7,6 +7,7 @@ pub mod chequer;
 pub mod components;
 pub mod frame;
 pub mod laser;
+pub mod lines;
 pub mod marker;
 pub mod psom;
 pub mod spot;

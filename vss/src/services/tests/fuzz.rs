@@ -287,6 +287,8 @@ fn pictures_of_any_bytes_are_answered_by_every_class_that_takes_one() {
         "getDisk EXEC near FILE FMSG 3 19 11 3",
         "diskFind EXEC FILE",
         "corners EXEC TMSG FILE",
+        "lines EXEC TMSG FILE",
+        "lines EXEC points FILE",
     ];
     mutator.play("picture", vec![small_board()], |bytes| {
         fs::write(&path, bytes).unwrap();

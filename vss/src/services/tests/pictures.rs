@@ -366,3 +366,72 @@ fn a_picture_without_a_board_is_refused_with_the_reason() {
     let (_, text) = refused(&sorm, &format!("board CTRL -train {samples}"));
     assert!(text.contains("no class is called `white`"), "{text}");
 }
+
+/// A line of light along v = 20, and a box from u = 40 on.
+fn lit(light: f64) -> Vec<u8> {
+    let grey = |at: usize| {
+        let (u, v) = ((at % 80) as f64, (at / 80) as f64);
+        let line = light * (-0.5 * ((v - 20.0) / 1.2).powi(2)).exp();
+        (20.0 + if u >= 40.0 { 60.0 } else { 0.0 } + line) as u8
+    };
+    let mut bytes = b"P5 80 60 255\n".to_vec();
+    bytes.extend((0..80 * 60).map(grey));
+    bytes
+}
+
+#[test]
+fn lines_answers_lines_of_light_and_edges_with_standard_deviations() {
+    let sorm = manager();
+    let (_folder, path) = file("lit.pgm", &lit(90.0));
+    let (_other, dark) = file("dark.pgm", &lit(0.0));
+    ask(&sorm, &format!("lines CTRL -less {dark}"));
+    let reply = ask(&sorm, &format!("lines EXEC {path}"));
+    assert!(reply.is_ok(), "{:?}", reply.reports);
+    assert_eq!((reply.ints[0], reply.floats.len()), (1, 8), "{reply:?}");
+    let [u1, v1, u2, v2, sd, sd_direction, ..] = reply.floats[..] else {
+        panic!("{reply:?}");
+    };
+    assert!(
+        (v1 - 20.0).abs() < 0.02 && (v2 - 20.0).abs() < 0.02,
+        "{reply:?}"
+    );
+    assert!(u1 < 6.0 && u2 > 73.0, "{reply:?}");
+    assert!(
+        (1e-4..0.02).contains(&sd) && (1e-6..1e-3).contains(&sd_direction),
+        "{reply:?}"
+    );
+    let points = ask(&sorm, &format!("lines EXEC points {path}"));
+    assert_eq!(
+        points.floats.len(),
+        5 * usize::try_from(points.ints[0]).unwrap()
+    );
+    assert!(
+        points
+            .floats
+            .chunks(5)
+            .all(|point| (point[1] - 20.0).abs() < 0.05)
+    );
+    // Its edge is between two columns, and the bright side on the right of the way: upwards.
+    ask(&sorm, "lines CTRL -less '' -kind edge");
+    let edge = ask(&sorm, &format!("lines EXEC {dark}"));
+    assert_eq!(edge.ints[0], 1, "{edge:?}");
+    let floats = &edge.floats;
+    assert!(
+        (floats[0] - 39.5).abs() < 0.02 && (floats[2] - 39.5).abs() < 0.02,
+        "{edge:?}"
+    );
+    assert!(floats[1] > floats[3], "{edge:?}");
+    // What is not there is a warning, and what cannot be read an error.
+    ask(&sorm, "lines CTRL -kind dark");
+    let none = ask(&sorm, &format!("lines EXEC {dark}"));
+    assert_eq!(
+        (none.code, none.reports[0].code),
+        (0, code::NO_LINE),
+        "{none:?}"
+    );
+    ask(&sorm, "lines CTRL -less no.png");
+    let (number, text) = refused(&sorm, &format!("lines EXEC {path}"));
+    assert!(number == code::FILE && text.contains("no.png"), "{text}");
+    let (number, _) = refused(&sorm, "lines EXEC camera west");
+    assert_eq!(number, code::CAMERA);
+}
