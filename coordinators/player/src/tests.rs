@@ -1,0 +1,125 @@
+//! Dry games over six daemons in virtual time, each from its seed.
+
+use std::{path::Path, sync::Arc};
+
+use ctos::{
+    boot::{End, Fault, FaultKind, Observer, simulate},
+    config,
+    registry::Registry,
+    time::Instant,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+use sorma::{Dictionary, daemon};
+
+/// The six daemons.
+const DAEMONS: [&str; 6] = ["player", "speaker", "transform", "vision", "robot", "hand"];
+
+/// How a game ends, with settings as `--set` takes them.
+fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/checkers.toml");
+    let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
+    sets.push(format!("app.seed={seed}"));
+    sets.push("time.mode=\"virtual\"".to_owned());
+    sets.push("task.player.args.nodes=150".to_owned());
+    let app = config::load(&file, &sets, &[]).unwrap_or_else(|found| panic!("{found}"));
+    let mut registry = Registry::new();
+    coordinators::register(&mut registry);
+    crate::register(&mut registry);
+    pnt::store::keep_states(&mut registry);
+    daemon::register(&mut registry, Dictionary::default(), |_, _| {});
+    let observer: Observer = Arc::new(|_| {});
+    match simulate(app, registry, faults, &observer).unwrap().end {
+        End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
+            panic!("seed {seed}: {}", result.text);
+        }),
+        other => panic!("seed {seed}: {other:?}"),
+    }
+}
+
+#[test]
+fn a_program_plays_both_sides_to_a_true_end_and_the_same_again_from_the_same_seed() {
+    let one = game(1, &[], &[]);
+    assert_eq!(one["ok"], true, "{one:#}");
+    assert!(one["plies"].as_u64().unwrap() > 10, "{one:#}");
+    assert_eq!(one, game(1, &[], &[]));
+    assert_ne!(one["pdn"], game(2, &[], &[])["pdn"]);
+}
+
+#[test]
+fn a_person_who_makes_every_error_is_told_the_rule_and_the_game_goes_on_to_a_true_end() {
+    let sets = [
+        "task.player.args.opponent=\"program\"",
+        "task.room.args.errors=0.5",
+        "task.room.args.slips=0.1",
+        "task.room.args.bumps=0.02",
+        "task.room.args.glare=0.2",
+    ];
+    let mut errors = std::collections::BTreeSet::new();
+    let mut said = String::new();
+    for seed in 0..2 {
+        let game = game(seed, &sets, &[]);
+        assert_eq!(game["ok"], true, "seed {seed}: {game:#}");
+        let kinds = game["errors"].as_array().unwrap().iter();
+        errors.extend(kinds.map(|kind| kind.as_str().unwrap().to_owned()));
+        let words = game["said"].as_array().unwrap().iter();
+        said.extend(words.map(|words| format!("{words}\n")));
+        assert!(game["slipped"].as_u64().unwrap() > 0, "{game:#}");
+        assert!(game["moved"].as_u64().unwrap() > 0, "{game:#}");
+    }
+    assert_eq!(errors.len(), 7, "{errors:?}");
+    for words in [
+        "not accepted: more than one piece was moved",
+        "not accepted: from ",
+        "a disc stands crooked: put it in the middle of",
+        "please take your hand away",
+        "I have lost",
+        "the board was moved",
+        "your turn",
+        "game over",
+    ] {
+        assert!(said.contains(words), "`{words}` was not said:\n{said}");
+    }
+}
+
+/// Seeds of the campaign; few unless `CTOS_CHECKERS_SEEDS` says how many.
+fn seeds() -> u64 {
+    let given = std::env::var("CTOS_CHECKERS_SEEDS").ok();
+    given.map_or(3, |text| text.parse().unwrap())
+}
+
+#[test]
+fn games_with_errors_lost_discs_moved_boards_and_killed_daemons_end_truly() {
+    let mut failed = Vec::new();
+    for seed in 0..seeds() {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let variant = checkers::Variant::NAMES[rng.random_range(0..7)];
+        let opponent = ["self", "program", "program"][rng.random_range(0..3)];
+        let colour = ["white", "black"][rng.random_range(0..2)];
+        let sets = [
+            format!("task.player.args.variant=\"{variant}\""),
+            format!("task.player.args.opponent=\"{opponent}\""),
+            format!("task.player.args.colour=\"{colour}\""),
+            "task.room.args.errors=0.2".to_owned(),
+            "task.room.args.slips=0.03".to_owned(),
+        ];
+        let sets: Vec<&str> = sets.iter().map(String::as_str).collect();
+        let kills: Vec<Fault> = (0..rng.random_range(1..6))
+            .map(|_| {
+                let daemon = DAEMONS[rng.random_range(0..DAEMONS.len())];
+                let at = rng.random_range(0..500_000_000_000);
+                Fault::on(daemon, FaultKind::Kill, Instant::from_nanos(at))
+            })
+            .collect();
+        let case = format!("seed {seed}, {sets:?}, {kills:?}");
+        let ran = std::panic::catch_unwind(|| {
+            let game = game(seed, &sets, &kills);
+            assert_eq!(game["ok"], true, "{case}: {game:#}");
+        });
+        if ran.is_err() {
+            failed.push(case);
+        }
+    }
+    assert!(failed.is_empty(), "{}: {failed:#?}", failed.len());
+}
