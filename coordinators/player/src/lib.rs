@@ -5,6 +5,7 @@
 //! `room` without physics is in the place of table, arm and person; `referee` holds the game against it. `wire` has what they exchange.
 
 mod hand;
+mod people;
 mod person;
 mod player;
 mod referee;
@@ -26,6 +27,7 @@ pub fn register(registry: &mut Registry) {
     coordinators::handler::register::<transform::TransformArgs>(registry);
     coordinators::handler::register::<robot::RobotArgs>(registry);
     coordinators::handler::register::<hand::HandArgs>(registry);
+    coordinators::handler::register::<people::PeopleArgs>(registry);
     coordinators::handler::register::<speaker::SpeakerArgs>(registry);
     room::register(registry);
     referee::register(registry);

@@ -89,6 +89,10 @@ impl Person {
     }
 
     fn hear_one(&mut self, table: &mut Table, words: &str, now: f64) {
+        if words.contains("a new game") {
+            (self.at, self.base) = (At::Rest, None);
+            table.hand = false;
+        }
         let busy = matches!(self.at, At::Moves(..) | At::Thinks(_));
         if words == "your turn" && !busy {
             if let Some((before, step)) = self.base

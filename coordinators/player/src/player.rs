@@ -16,11 +16,14 @@ use serde::Deserialize;
 
 use crate::{
     state::{Phase, Play, State},
-    wire::{self, Hue, Played, Situation, Words},
+    wire::{self, Hue, Played, Situation, WISH, Wish, Words},
 };
 
 /// As the class `game` has it: in virtual time a search ends after so many positions a second.
 const POSITIONS_PER_SECOND: f64 = 4e6;
+
+/// A draw is agreed to when the position is worth no more than this, hundredths of a man.
+const FAIR: i32 = 50;
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -211,9 +214,7 @@ async fn begin(action: Act) -> Acted {
     }
     wire::keep(action.cx(), &store(&action), wire::GAZE, &0_u8).await?;
     action.with_state(|player| {
-        let said = player.play.state.said;
-        player.play = Play::new(player.args.rules(), player.args.ours());
-        player.play.state.said = said;
+        player.play.again();
     });
     Ok(())
 }
@@ -222,10 +223,17 @@ async fn judge(action: Act) -> Acted {
     let (cx, store) = (action.cx().clone(), store(&action));
     let seen: Situation = wire::fetch(&cx, &store, wire::SITUATION).await?;
     let record = record(&action)?;
+    let wish: Option<Wish> = store.fetch(&cx, WISH).await.ok();
     let gaze = action.with_state(|player| {
         let play = &mut player.play;
         let before = play.state.gaze;
         play.judge(&seen);
+        if let Some(wish) = wish
+            && wish.number > play.state.wish
+            && play.listens()
+        {
+            take_up(play, &wish);
+        }
         if let Some(record) = &*record
             && play.state.phase != Phase::Setting
             && play.state.tasks.is_empty()
@@ -256,18 +264,42 @@ fn end_as(play: &mut Play, record: &pdn::Record) {
         return;
     }
     let turn = Hue::of(play.game.position().turn);
-    play.state.ended = match record.result.as_str() {
-        "1-0" | "2-0" => Some(Some(Hue::Dark)),
-        "0-1" | "0-2" => Some(Some(Hue::Light)),
-        "1/2-1/2" | "1-1" => Some(None),
+    play.end(match record.result.as_str() {
+        "1-0" | "2-0" => Some(Hue::Dark),
+        "0-1" | "0-2" => Some(Hue::Light),
+        "1/2-1/2" | "1-1" => None,
         // Unfinished: whoever should move does not.
-        _ => Some(Some(turn)),
-    };
-    match play.state.ended {
-        Some(Some(hue)) => play.game.resign(hue.colour()),
-        _ => play.game.agree(),
+        _ => Some(turn),
+    });
+}
+
+/// Takes up what people want.
+fn take_up(play: &mut Play, wish: &Wish) {
+    play.state.wish = wish.number;
+    let turn = play.game.position().turn;
+    match wish.what.as_str() {
+        "resign" => play.end(Some(Hue::of(play.ours.map_or(turn, Colour::other)))),
+        "draw" if value(play) <= FAIR => play.end(None),
+        "draw" => play.state.words.push("I play on".to_owned()),
+        _ => {
+            play.again();
+            let words = "a new game: please set up the board".to_owned();
+            play.state.words.push(words);
+        }
     }
-    play.state.ready = true;
+}
+
+/// What the position is worth to the robot, hundredths of a man.
+fn value(play: &Play) -> i32 {
+    let game = &play.game;
+    let limits = Limits {
+        nodes: Some(1000),
+        depth: 99,
+        stop: &mut || false,
+    };
+    let found = search(game.position(), game.variant(), game.before(), None, limits);
+    let own = play.ours.is_none_or(|ours| ours == game.position().turn);
+    if own { found.value } else { -found.value }
 }
 
 async fn put_words(action: Act) -> Acted {

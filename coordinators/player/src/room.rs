@@ -52,6 +52,7 @@ struct Inner {
     table: Table,
     person: Option<Person>,
     heard: u32,
+    starts: checkers::Colour,
 }
 
 /// The event handler.
@@ -108,6 +109,7 @@ impl Room {
             table: Table::new(chances, rules.starts(), cx.rng("room")),
             person: side.map(|side| Person::new(side, rules, record)),
             heard: 0,
+            starts: rules.starts(),
         };
         Ok(Self {
             inner: Rc::new(RefCell::new(inner)),
@@ -170,6 +172,10 @@ impl EventHandler for Room {
                 if number > inner.heard {
                     inner.heard = number;
                     inner.table.truth.heard.push(words.clone());
+                    // Somebody in the room does that.
+                    if words.contains("set up the board") {
+                        inner.table.begin_anew(inner.starts);
+                    }
                     if let Some(person) = &mut inner.person {
                         person.hear(&mut inner.table, &words, now);
                     }

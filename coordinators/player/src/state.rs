@@ -74,6 +74,8 @@ pub struct State {
     pub said: u32,
     /// What was said last, and how many looks ago.
     pub last: (String, u32),
+    /// The wish that was taken up last.
+    pub wish: u32,
     /// From which pose it looks, and how often it has looked again.
     pub gaze: u8,
     pub again: u32,
@@ -122,6 +124,7 @@ impl Play {
             words: Vec::new(),
             said: 0,
             last: (String::new(), 0),
+            wish: 0,
             gaze: 0,
             again: 0,
             searched: 0,
@@ -181,6 +184,32 @@ impl Play {
         }
         self.state.last = (words.clone(), 0);
         self.state.words.push(words);
+    }
+
+    /// A new game, by whoever the board is set up; what counts on goes on.
+    pub fn again(&mut self) {
+        let before = self.state.clone();
+        *self = Self::new(self.game.variant(), self.ours);
+        self.state.errand.number = before.errand.number;
+        (self.state.said, self.state.wish) = (before.said, before.wish);
+    }
+
+    /// Whether a wish can be taken up: nothing is carried.
+    #[must_use]
+    pub fn listens(&self) -> bool {
+        self.state.tasks.is_empty()
+            && self.state.phase != Phase::Setting
+            && self.game.status() == Status::Playing
+    }
+
+    /// A side gives up, or both agree that nobody wins.
+    pub fn end(&mut self, given_up: Option<Hue>) {
+        self.state.ended = Some(given_up);
+        match given_up {
+            Some(hue) => self.game.resign(hue.colour()),
+            None => self.game.agree(),
+        }
+        self.state.ready = true;
     }
 
     /// Whether the robot moves for the side whose turn it is.

@@ -90,14 +90,7 @@ impl Table {
             chances,
             rng,
         };
-        for hue in [Hue::Light, Hue::Dark] {
-            let at = Spot::Spare(hue).on_table(&board);
-            table.stacks.push(Stack {
-                on_board: false,
-                at,
-                discs: vec![hue; 12],
-            });
-        }
+        table.set_spare();
         table.set_up(&Position::start(turn));
         table.note();
         table
@@ -115,6 +108,26 @@ impl Table {
                     discs: vec![Hue::of(piece.colour); discs],
                 });
             }
+        }
+    }
+
+    /// All discs are gathered, and the first position is set up.
+    pub fn begin_anew(&mut self, turn: Colour) {
+        self.stacks.clear();
+        self.away.clear();
+        self.set_spare();
+        self.set_up(&Position::start(turn));
+        self.note();
+    }
+
+    fn set_spare(&mut self) {
+        for hue in [Hue::Light, Hue::Dark] {
+            let at = Spot::Spare(hue).on_table(&self.board);
+            self.stacks.push(Stack {
+                on_board: false,
+                at,
+                discs: vec![hue; 12],
+            });
         }
     }
 

@@ -204,6 +204,8 @@ pub const ERRAND: &str = "errand";
 pub const POINTS: &str = "points";
 /// [`Words`], written by the player.
 pub const WORDS: &str = "words";
+/// [`Wish`], written by the People Coordinator.
+pub const WISH: &str = "wish";
 /// [`Played`], written by the player at the end.
 pub const PLAYED: &str = "played";
 
@@ -251,6 +253,15 @@ pub struct Words {
     pub number: u32,
     /// In words.
     pub words: String,
+}
+
+/// What people want during a game.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Wish {
+    /// From 1.
+    pub number: u32,
+    /// `resign`, `draw` or `new_game`.
+    pub what: String,
 }
 
 /// The game when it is over.
