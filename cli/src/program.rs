@@ -30,6 +30,7 @@ pub fn registry() -> Registry {
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     tracker::register(&mut registry);
+    checkers_player::register(&mut registry);
     cli_display::register(&mut registry);
     scene_viewers::register(&mut registry);
     bridge_ros2::register(&mut registry);

@@ -19,7 +19,7 @@ pub mod referee;
 pub mod robot;
 pub mod service;
 pub mod sight;
-mod speaker;
+pub mod speaker;
 pub mod thing;
 pub mod vision;
 mod ways;

@@ -17,7 +17,7 @@ use serde::de::DeserializeOwned;
 use crate::dom::DomStore;
 
 /// The arguments of a handler, and the functions that they make.
-pub(crate) trait NetArgs: DeserializeOwned + Clone + 'static {
+pub trait NetArgs: DeserializeOwned + Clone + 'static {
     /// The handler's name.
     const HANDLER: &'static str;
     /// What the functions share.
@@ -35,7 +35,7 @@ pub(crate) trait NetArgs: DeserializeOwned + Clone + 'static {
 }
 
 /// Registers a handler.
-pub(crate) fn register<A: NetArgs>(registry: &mut Registry) {
+pub fn register<A: NetArgs>(registry: &mut Registry) {
     registry
         .handler(A::HANDLER, &COMMANDS, |cx| {
             let args: A = args_of(cx)?;

@@ -13,7 +13,7 @@ pub mod dom;
 mod drawn;
 mod game;
 pub mod hand_eye;
-mod handler;
+pub mod handler;
 pub mod motion;
 pub mod objects;
 mod observations;
@@ -93,7 +93,7 @@ const ASK_AGAIN: Duration = Duration::from_millis(250);
 
 /// Asks a service that may be started again until it answers, at most for `within` and not when the app is
 /// being stopped. Only for requests that may be done twice.
-pub(crate) async fn patiently<T, E, F: Future<Output = Result<T, E>>>(
+pub async fn patiently<T, E, F: Future<Output = Result<T, E>>>(
     cx: &Context,
     within: Duration,
     is_lost: impl Fn(&E) -> bool,
@@ -135,13 +135,7 @@ pub(crate) fn check_speed(task: &TaskConfig, key: &str, value: f64, findings: &m
 }
 
 /// A finding when `task` names a task that the app does not have.
-pub(crate) fn need_task(
-    task: &TaskConfig,
-    app: &App,
-    key: &str,
-    name: &str,
-    findings: &mut Findings,
-) {
+pub fn need_task(task: &TaskConfig, app: &App, key: &str, name: &str, findings: &mut Findings) {
     if app.task(name).is_none() {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
         let names = app.tasks.iter().map(|task| task.name.as_str());

@@ -206,6 +206,12 @@ const WAYS: &[(&str, Then)] = &[
     ("ctos boot configs/push.toml", ComesUp),
     ("ctos boot configs/push-finger.toml", ComesUp),
     ("ctos boot configs/tracker.toml", ComesUp),
+    ("ctos boot configs/checkers.toml", ComesUp),
+    ("ctos sim configs/checkers.toml --seed 7", Ends),
+    (
+        "ctos sim configs/checkers.toml --set task.player.args.opponent=program --seeds 0..3 --json",
+        Ends,
+    ),
     (
         "ctos sim configs/tracker.toml --set task.tracker.args.seconds=5",
         Ends,

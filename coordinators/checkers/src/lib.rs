@@ -13,7 +13,6 @@ mod moves;
 mod notation;
 pub mod pdn;
 mod perft;
-mod plot;
 mod rules;
 mod search;
 #[cfg(test)]
@@ -27,7 +26,6 @@ pub use game::{Drawn, Game, Status, Won};
 pub use moves::{Move, MoveList, Route};
 pub use notation::{LONGEST, Numbering, Refusal, TextError, Written};
 pub use perft::{DEEPEST, Leaves, MOST_LEAVES, perft};
-pub use plot::{Next, Plot};
 pub use rules::{DrawRules, Variant};
 pub use search::{Found, Limits, PROVEN, WON, search};
 pub use tables::{MOST_PIECES, Outcome, TableError, Tables, file_name};

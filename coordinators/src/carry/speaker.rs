@@ -12,14 +12,14 @@ use super::board::Field;
 
 /// The service object that speaks, at its daemon.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Speaker(ObjectName);
+pub struct Speaker(ObjectName);
 
 impl Speaker {
     /// The object of that name, such as `fork.sound@speaker`.
     ///
     /// # Errors
     /// It is no name, or no daemon is named.
-    pub(super) fn named(name: &str) -> Result<Self, String> {
+    pub fn named(name: &str) -> Result<Self, String> {
         let object: ObjectName = name.parse().map_err(|error| format!("{error}"))?;
         match object.location() {
             Location::Alias(_) | Location::Address { .. } => Ok(Self(object)),
@@ -28,7 +28,7 @@ impl Speaker {
     }
 
     /// The task of its daemon, if it is named by that.
-    pub(super) fn daemon(&self) -> Option<&str> {
+    pub fn daemon(&self) -> Option<&str> {
         match self.0.location() {
             Location::Alias(task) => Some(task),
             _ => None,
@@ -36,7 +36,7 @@ impl Speaker {
     }
 
     /// Has it say something. Nobody waits for it; a speaker that cannot be reached is told in the log.
-    fn say(&self, cx: &Context, words: &str) {
+    pub fn say(&self, cx: &Context, words: &str) {
         let (child, object) = (cx.clone(), self.0.clone());
         let body = Transport::text(words);
         cx.spawn(async move {
@@ -54,7 +54,7 @@ impl Speaker {
 }
 
 /// Findings where the argument `speaker` names nobody who speaks.
-pub(super) fn check(name: Option<&str>, task: &TaskConfig, app: &App, findings: &mut Findings) {
+pub fn check(name: Option<&str>, task: &TaskConfig, app: &App, findings: &mut Findings) {
     match name.map(Speaker::named) {
         Some(Ok(speaker)) => {
             if let Some(daemon) = speaker.daemon() {
@@ -74,7 +74,7 @@ pub(super) fn check(name: Option<&str>, task: &TaskConfig, app: &App, findings: 
 }
 
 /// Says something, and writes it in any case.
-pub(super) fn say(cx: &Context, speaker: Option<&Speaker>, words: &str) {
+pub fn say(cx: &Context, speaker: Option<&Speaker>, words: &str) {
     tracing::info!(task = cx.name(), "said: {words}");
     if let Some(speaker) = speaker {
         speaker.say(cx, words);
@@ -82,7 +82,7 @@ pub(super) fn say(cx: &Context, speaker: Option<&Speaker>, words: &str) {
 }
 
 /// A field as players name it, `D 4`: the letter of its column and the number of its row.
-pub(super) fn field(field: &Field) -> String {
+pub fn field(field: &Field) -> String {
     let nearest = |number: f64| number.round().clamp(1.0, 1000.0) as u32;
     let (column, row) = (nearest(field.column), nearest(field.row));
     match ('A'..='Z').nth(column as usize - 1) {

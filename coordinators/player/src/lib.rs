@@ -1,0 +1,37 @@
+//! The robot checkers player (SORMA technical report, section 2.1): the plot of a game over six daemons.
+//!
+//! `player` follows the plot, and has Coordinators do the rest: `vision` reads the board, `transform` says where its fields are,
+//! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
+//! `room` without physics is in the place of table, arm and person; `referee` holds the game against it. `wire` has what they exchange.
+
+mod hand;
+mod people;
+mod person;
+mod player;
+mod referee;
+mod robot;
+mod room;
+mod speaker;
+mod state;
+mod table;
+mod transform;
+mod vision;
+mod wire;
+
+use ctos::registry::Registry;
+
+/// Registers the event handlers.
+pub fn register(registry: &mut Registry) {
+    coordinators::handler::register::<player::PlayerArgs>(registry);
+    coordinators::handler::register::<vision::VisionArgs>(registry);
+    coordinators::handler::register::<transform::TransformArgs>(registry);
+    coordinators::handler::register::<robot::RobotArgs>(registry);
+    coordinators::handler::register::<hand::HandArgs>(registry);
+    coordinators::handler::register::<people::PeopleArgs>(registry);
+    coordinators::handler::register::<speaker::SpeakerArgs>(registry);
+    room::register(registry);
+    referee::register(registry);
+}
+
+#[cfg(test)]
+mod tests;

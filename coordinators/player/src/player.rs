@@ -1,0 +1,409 @@
+//! The functions of `nets/checkers/player.net`: the plot of a game (SORMA technical report, section 2.1.2).
+
+use std::{cell::OnceCell, rc::Rc, time::Duration};
+
+use checkers::{Colour, Limits, Move, Status, Variant, pdn, search};
+use coordinators::{dom::DomStore, handler::NetArgs};
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    task::{Context, HandlerError},
+};
+use pnt::library::{Acted, Action, Library};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Deserialize;
+
+use crate::{
+    state::{Phase, Play, State},
+    wire::{self, Hue, Played, Situation, WISH, Wish, Words},
+};
+
+/// As the class `game` has it: in virtual time a search ends after so many positions a second.
+const POSITIONS_PER_SECOND: f64 = 4e6;
+
+/// A draw is agreed to when the position is worth no more than this, hundredths of a man.
+const FAIR: i32 = 50;
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlayerArgs {
+    /// The data object manager.
+    #[serde(default = "dom")]
+    dom: String,
+    /// Who plays against the robot: `self`, `program`, or a file of PDN whose first game is played.
+    #[serde(default = "own")]
+    pub opponent: String,
+    /// The robot's side against an opponent.
+    #[serde(default = "white")]
+    pub colour: String,
+    /// The rules.
+    #[serde(default = "brazilian")]
+    pub variant: String,
+    /// How long a move is thought about, s.
+    seconds: Option<f64>,
+    /// How many positions are looked at for a move, in place of a time.
+    nodes: Option<u64>,
+    /// The seed of the opening; that of the app when it is left out.
+    seed: Option<u64>,
+    /// So many half-moves at the beginning are drawn.
+    #[serde(default = "opening")]
+    opening: usize,
+    /// Where the game is written as PDN, relative to the configuration's folder.
+    pdn: Option<String>,
+}
+
+fn dom() -> String {
+    "dom".to_owned()
+}
+
+fn own() -> String {
+    "self".to_owned()
+}
+
+fn white() -> String {
+    "white".to_owned()
+}
+
+fn brazilian() -> String {
+    "brazilian".to_owned()
+}
+
+const fn opening() -> usize {
+    4
+}
+
+impl PlayerArgs {
+    /// The rules.
+    #[must_use]
+    pub fn rules(&self) -> Variant {
+        Variant::named(&self.variant).unwrap_or(Variant::Brazilian)
+    }
+
+    /// The robot's side; `None` for both.
+    #[must_use]
+    pub fn ours(&self) -> Option<Colour> {
+        match (self.opponent.as_str(), self.colour.as_str()) {
+            ("self", _) => None,
+            (_, "black") => Some(Colour::Black),
+            _ => Some(Colour::White),
+        }
+    }
+
+    /// The game that is played, when it is one of a file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or its first game is wrong or of other rules.
+    pub fn record(&self, app: &App) -> Result<Option<pdn::Record>, String> {
+        if ["self", "program"].contains(&self.opponent.as_str()) {
+            return Ok(None);
+        }
+        let source = app
+            .read(&self.opponent)
+            .map_err(|error| error.to_string())?;
+        let mut games = pdn::read(source.text(), self.rules()).into_iter();
+        let game = games.next().ok_or("there is no game in it")?;
+        let game = game.map_err(|error| error.to_string())?;
+        if game.variant != self.rules() {
+            return Err(format!("its game has {} rules", game.variant.name()));
+        }
+        if game.start != checkers::Position::start(game.variant.starts()) {
+            return Err("its game does not begin at the beginning".to_owned());
+        }
+        Ok(Some(game))
+    }
+}
+
+/// What the functions share.
+pub struct Player {
+    args: Rc<PlayerArgs>,
+    store: DomStore,
+    play: Play,
+    record: Rc<OnceCell<Option<pdn::Record>>>,
+}
+
+type Act = Action<Player>;
+
+impl NetArgs for PlayerArgs {
+    const HANDLER: &'static str = "checkers.player";
+    type State = Player;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Player> {
+        let play = Play::new(self.rules(), self.ours());
+        let note = |note: fn(&mut Play)| {
+            move |action: Act| async move {
+                action.with_state(|player| note(&mut player.play));
+                Ok(())
+            }
+        };
+        Library::new(Player {
+            args: Rc::new(self),
+            store,
+            play,
+            record: Rc::default(),
+        })
+        .kept(
+            |player| player.play.state.clone(),
+            |player, state: State| player.play.restore(state),
+        )
+        .enabling("has_words", |player: &Player| {
+            !player.play.state.words.is_empty()
+        })
+        .enabling("board_moved", |player: &Player| player.play.state.moved)
+        .enabling("is_over", |player: &Player| player.play.is_over())
+        .enabling("is_ready", |player: &Player| player.play.state.ready)
+        .enabling("has_carries", |player: &Player| {
+            !player.play.state.tasks.is_empty()
+        })
+        .action("begin", begin)
+        .action("judge", judge)
+        .action("put_words", put_words)
+        .action("think", think)
+        .action("aim", aim)
+        .action("note_hindered", note(Play::hindered))
+        .action("note_missed", note(Play::missed))
+        .action("note_held", note(Play::held))
+        .action("note_lost", note(Play::lost))
+        .action("note_carried", note(Play::carried))
+        .action("finish", finish)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        let mut wrong = |key: &str, text: String, help: String| {
+            let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+            let finding = Finding::error("checkers::player::args", text);
+            findings.push(finding.at(place).help(help));
+        };
+        if Variant::named(&self.variant).is_none() {
+            let text = format!("there are no rules `{}`", self.variant);
+            wrong(
+                "variant",
+                text,
+                format!("give one of {}", Variant::NAMES.join(", ")),
+            );
+        } else if let Err(text) = self.record(app) {
+            let help = "give \"self\", \"program\", or a file of PDN".to_owned();
+            wrong("opponent", format!("`opponent`: {text}"), help);
+        }
+        if !["white", "black"].contains(&self.colour.as_str()) {
+            let text = format!("`colour` is `{}`", self.colour);
+            wrong("colour", text, "give \"white\" or \"black\"".to_owned());
+        }
+        if let Some(seconds) = self.seconds
+            && !(seconds > 0.0 && seconds <= 3600.0)
+        {
+            let help = "give more than 0 and up to 3600 s".to_owned();
+            wrong("seconds", format!("`seconds` is {seconds}"), help);
+        }
+    }
+}
+
+fn store(action: &Act) -> DomStore {
+    action.with_state(|player| player.store.clone())
+}
+
+/// A new game.
+async fn begin(action: Act) -> Acted {
+    if let Some(word) = action.arguments().first() {
+        return Err(HandlerError::new(format!("`play` takes no `{word}`")));
+    }
+    wire::keep(action.cx(), &store(&action), wire::GAZE, &0_u8).await?;
+    action.with_state(|player| {
+        player.play.again();
+    });
+    Ok(())
+}
+
+async fn judge(action: Act) -> Acted {
+    let (cx, store) = (action.cx().clone(), store(&action));
+    let seen: Situation = wire::fetch(&cx, &store, wire::SITUATION).await?;
+    let record = record(&action)?;
+    let wish: Option<Wish> = store.fetch(&cx, WISH).await.ok();
+    let gaze = action.with_state(|player| {
+        let play = &mut player.play;
+        let before = play.state.gaze;
+        play.judge(&seen);
+        if let Some(wish) = wish
+            && wish.number > play.state.wish
+            && play.listens()
+        {
+            take_up(play, &wish);
+        }
+        if let Some(record) = &*record
+            && play.state.phase != Phase::Setting
+            && play.state.tasks.is_empty()
+        {
+            end_as(play, record);
+        }
+        (play.state.gaze != before).then_some(play.state.gaze)
+    });
+    match gaze {
+        Some(gaze) => wire::keep(&cx, &store, wire::GAZE, &gaze).await,
+        None => Ok(()),
+    }
+}
+
+/// The game of the file, which is read once.
+fn record(action: &Act) -> Result<Rc<Option<pdn::Record>>, HandlerError> {
+    let (args, cell) = action.with_state(|player| (player.args.clone(), player.record.clone()));
+    if cell.get().is_none() {
+        let read = args.record(action.cx().app()).map_err(HandlerError::new)?;
+        let _ = cell.set(read);
+    }
+    Ok(Rc::new(cell.get().cloned().flatten()))
+}
+
+/// A game that has gone as the file has it ends as it does there.
+fn end_as(play: &mut Play, record: &pdn::Record) {
+    if play.game.moves() != record.moves.as_slice() || play.game.status() != Status::Playing {
+        return;
+    }
+    let turn = Hue::of(play.game.position().turn);
+    play.end(match record.result.as_str() {
+        "1-0" | "2-0" => Some(Hue::Dark),
+        "0-1" | "0-2" => Some(Hue::Light),
+        "1/2-1/2" | "1-1" => None,
+        // Unfinished: whoever should move does not.
+        _ => Some(turn),
+    });
+}
+
+/// Takes up what people want.
+fn take_up(play: &mut Play, wish: &Wish) {
+    play.state.wish = wish.number;
+    let turn = play.game.position().turn;
+    match wish.what.as_str() {
+        "resign" => play.end(Some(Hue::of(play.ours.map_or(turn, Colour::other)))),
+        "draw" if value(play) <= FAIR => play.end(None),
+        "draw" => play.state.words.push("I play on".to_owned()),
+        _ => {
+            play.again();
+            let words = "a new game: please set up the board".to_owned();
+            play.state.words.push(words);
+        }
+    }
+}
+
+/// What the position is worth to the robot, hundredths of a man.
+fn value(play: &Play) -> i32 {
+    let game = &play.game;
+    let limits = Limits {
+        nodes: Some(1000),
+        depth: 99,
+        stop: &mut || false,
+    };
+    let found = search(game.position(), game.variant(), game.before(), None, limits);
+    let own = play.ours.is_none_or(|ours| ours == game.position().turn);
+    if own { found.value } else { -found.value }
+}
+
+async fn put_words(action: Act) -> Acted {
+    let words = action.with_state(|player| Words {
+        number: player.play.state.said + 1,
+        words: player.play.state.words.join("; "),
+    });
+    wire::keep(action.cx(), &store(&action), wire::WORDS, &words).await?;
+    action.with_state(|player| {
+        player.play.state.said = words.number;
+        player.play.state.words.clear();
+    });
+    Ok(())
+}
+
+async fn think(action: Act) -> Acted {
+    let record = record(&action)?;
+    let cx = action.cx().clone();
+    action.with_state(|player| {
+        let game = &player.play.game;
+        let step = recorded(game.moves(), record.as_ref().as_ref())
+            .or_else(|| drawn(&cx, player))
+            .or_else(|| best(&cx, player));
+        let step = step.ok_or("there is no move")?;
+        player.play.think(step);
+        Ok(())
+    })
+}
+
+/// The next move of the record, as long as the game goes as it says.
+pub(crate) fn recorded(moves: &[Move], record: Option<&pdn::Record>) -> Option<Move> {
+    record?.moves.strip_prefix(moves)?.first().copied()
+}
+
+/// A move of the opening.
+fn drawn(cx: &Context, player: &Player) -> Option<Move> {
+    let (args, game) = (&player.args, &player.play.game);
+    let ply = game.moves().len();
+    if ply >= args.opening {
+        return None;
+    }
+    let stream = format!("half-move {ply}");
+    let mut rng = match args.seed {
+        Some(seed) => {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(ply as u64);
+            rng
+        }
+        None => cx.rng(&stream),
+    };
+    let moves = game.position().moves(game.variant());
+    moves.get(rng.random_range(0..moves.len().max(1))).copied()
+}
+
+fn best(cx: &Context, player: &Player) -> Option<Move> {
+    let (args, game) = (&player.args, &player.play.game);
+    let begin = cx.now();
+    let seconds = args.seconds.unwrap_or(1.0);
+    let time = Duration::from_secs_f64(seconds);
+    let mut stop = || args.nodes.is_none() && cx.now().since(begin) >= time;
+    let most = (seconds * POSITIONS_PER_SECOND) as u64;
+    let limits = Limits {
+        nodes: Some(args.nodes.unwrap_or(most).max(1)),
+        depth: 99,
+        stop: &mut stop,
+    };
+    let found = search(game.position(), game.variant(), game.before(), None, limits);
+    let moves = game.position().moves(game.variant());
+    found.line.first().or(moves.first()).copied()
+}
+
+async fn aim(action: Act) -> Acted {
+    let errand = action.with_state(|player| player.play.aim());
+    let errand = errand.ok_or("there is nothing to carry")?;
+    wire::keep(action.cx(), &store(&action), wire::ERRAND, &errand).await
+}
+
+/// Tells the result, and writes the game.
+async fn finish(action: Act) -> Acted {
+    let (cx, store) = (action.cx().clone(), store(&action));
+    let (played, args, number) = action.with_state(|player| {
+        let play = &player.play;
+        let played = Played {
+            pdn: play.game.record().write(),
+            result: play.result(),
+        };
+        (played, player.args.clone(), play.state.said + 1)
+    });
+    let words = Words {
+        number,
+        words: format!("game over, {}", played.result),
+    };
+    wire::keep(&cx, &store, wire::PLAYED, &played).await?;
+    wire::keep(&cx, &store, wire::WORDS, &words).await?;
+    if let Some(file) = &args.pdn {
+        let path = cx.path(file);
+        if let Err(error) = std::fs::write(&path, &played.pdn) {
+            action.note(format!(
+                "{}: the game cannot be written: {error}",
+                path.display()
+            ));
+        }
+    }
+    action.note(played.result);
+    action.with_state(|player| player.play.state.said = number);
+    Ok(())
+}

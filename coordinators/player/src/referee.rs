@@ -1,0 +1,204 @@
+//! The referee of a dry game: replays the game that the player has written, and holds it against what stood on the table. It runs when
+//! everything is done; nothing that plays may ask it.
+
+use checkers::{Game, Position, Status, Variant, pdn};
+use coordinators::{dom::DomStore, referee::Judge};
+use ctos::{
+    message::{Command, Message},
+    registry::Registry,
+    system::AppResult,
+    task::{Context, EventHandler, Handled, HandlerError},
+};
+use serde::{Deserialize, Serialize};
+
+use crate::wire::{self, PLAYED, Played, TrueTable, Truth};
+
+/// The handler's name.
+pub const HANDLER: &str = "checkers.referee";
+
+/// Discs of each colour in the room.
+const DISCS: u32 = 24;
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RefereeArgs {
+    /// The room.
+    #[serde(default = "room")]
+    room: String,
+    /// The data object manager.
+    #[serde(default = "dom")]
+    dom: String,
+}
+
+fn room() -> String {
+    "room".to_owned()
+}
+
+fn dom() -> String {
+    "dom".to_owned()
+}
+
+/// The verdict.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Whether all of it is true.
+    pub ok: bool,
+    /// The result in words.
+    pub result: String,
+    /// What is not true.
+    pub wrong: Vec<String>,
+    /// Half-moves.
+    pub plies: usize,
+    /// The game.
+    pub pdn: String,
+    /// Of the app's time.
+    pub seconds: f64,
+    /// The person's errors.
+    pub errors: Vec<String>,
+    /// Discs that slipped out of the hand.
+    pub slipped: u32,
+    /// How often the board was moved.
+    pub moved: u32,
+    /// What was said.
+    pub said: Vec<String>,
+}
+
+struct Referee {
+    args: RefereeArgs,
+}
+
+/// Registers the handler.
+pub(crate) fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &[Judge::INFO], |cx| {
+            Ok(Referee { args: cx.args()? })
+        })
+        .checked_args::<RefereeArgs>(|args, task, app, findings| {
+            coordinators::need_task(task, app, "room", &args.room, findings);
+            coordinators::need_task(task, app, "dom", &args.dom, findings);
+        });
+}
+
+impl EventHandler for Referee {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Judge::CODE => {
+                let (request, reply) = message.open::<Judge>()?;
+                reply.ok(self.judge(cx, &request).await?)
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+impl Referee {
+    async fn judge(&self, cx: &Context, judge: &Judge) -> Result<AppResult, HandlerError> {
+        let store = DomStore::new(&self.args.dom);
+        let played: Played = wire::fetch(cx, &store, PLAYED).await?;
+        let truth = wire::ask(cx, &self.args.room, Truth {}).await?;
+        let verdict = verdict(&played, &truth, judge.seconds);
+        let mut text = verdict.result.clone();
+        text += &format!(
+            ", after {} half-moves and {:.0} s",
+            verdict.plies, verdict.seconds
+        );
+        text += &format!(
+            "\n{} errors of the person, {} discs lost and told, the board moved {} times",
+            verdict.errors.len(),
+            verdict.slipped,
+            verdict.moved
+        );
+        for wrong in &verdict.wrong {
+            text += &format!("\nnot true: {wrong}");
+        }
+        text += &format!("\n\n{}", verdict.pdn.trim_end());
+        Ok(AppResult {
+            ok: verdict.ok,
+            text,
+            json: serde_json::to_string(&verdict)?,
+        })
+    }
+}
+
+/// Holds a game against what stood on the table.
+#[must_use]
+pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
+    let mut wrong = Vec::new();
+    let mut plies = 0;
+    // The tag says which rules.
+    match pdn::read(&played.pdn, Variant::Brazilian)
+        .into_iter()
+        .next()
+    {
+        Some(Ok(record)) => {
+            plies = record.moves.len();
+            wrong.extend(replay(&record, played));
+            wrong.extend(stood(&record, truth));
+        }
+        Some(Err(error)) => wrong.push(format!("the game cannot be read: {error}")),
+        None => wrong.push("there is no game".to_owned()),
+    }
+    if truth.discs != [DISCS; 2] {
+        wrong.push(format!("there are {:?} discs", truth.discs));
+    }
+    let told = |words: &&String| words.contains("I have lost");
+    if truth.slipped > 0 && truth.heard.iter().filter(told).count() == 0 {
+        wrong.push("a disc was lost, and nobody was told".to_owned());
+    }
+    if truth.met > 0 {
+        wrong.push("arm and hand were over the board at the same time".to_owned());
+    }
+    Verdict {
+        ok: wrong.is_empty(),
+        result: played.result.clone(),
+        wrong,
+        plies,
+        pdn: played.pdn.clone(),
+        seconds,
+        errors: truth.errors.clone(),
+        slipped: truth.slipped,
+        moved: truth.moved,
+        said: truth.heard.clone(),
+    }
+}
+
+/// Plays the game once more.
+fn replay(record: &pdn::Record, played: &Played) -> Option<String> {
+    let mut game = Game::new(record.variant);
+    for (ply, step) in (1..).zip(&record.moves) {
+        if let Err(refusal) = game.make(*step) {
+            return Some(format!("half-move {ply}: {refusal}"));
+        }
+    }
+    let agreed = played.result.contains("gave up") || played.result.contains("agreed");
+    let status = game.status();
+    if (status == Status::Playing) != agreed {
+        return Some(format!("`{}`, but it is {status:?}", played.result));
+    }
+    let expected = match status {
+        Status::Won(side, _) => format!("{} has won", side.name()),
+        Status::Drawn(_) => "drawn".to_owned(),
+        Status::Playing => return None,
+    };
+    let is_said = played.result.starts_with(&expected) && record.result == game.record().result;
+    (!is_said).then(|| format!("`{}`, but {expected}", played.result))
+}
+
+/// Every position of the game stood on the table, in its order, and the last one stands there now.
+fn stood(record: &pdn::Record, truth: &TrueTable) -> Option<String> {
+    let mut history = truth.history.iter();
+    let board = |position: &Position| [position.white, position.black, position.kings];
+    let mut position = record.start;
+    for (ply, step) in (1..).zip(&record.moves) {
+        position = position.after(*step);
+        let wanted = board(&position);
+        if !history.any(|stood| *stood == wanted) {
+            return Some(format!(
+                "what half-move {ply} led to never stood on the table"
+            ));
+        }
+    }
+    let last = truth.history.last() == Some(&board(&position));
+    (!last).then(|| "the last position does not stand on the table".to_owned())
+}

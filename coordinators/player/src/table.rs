@@ -1,0 +1,342 @@
+//! A table without physics: discs, board, arm and hand of a dry game, and what goes wrong with them. Knows no task.
+
+use checkers::{Colour, Position};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use serde::Deserialize;
+
+use crate::wire::{ASIDE_M, FIELD_M, Hue, MARKERS, Picture, Pose, Spot, TrueTable, apart, centre};
+
+/// The hand takes what is so near beneath it, m.
+const REACH_M: f64 = 0.024;
+
+/// How often things go wrong, 0 to 1.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Chances {
+    /// The person's errors, of moves.
+    pub errors: f64,
+    /// A disc slips out of the hand, of what is carried.
+    pub slips: f64,
+    /// The board is pushed aside, of looks.
+    pub bumps: f64,
+    /// A square is not seen well, of looks.
+    pub glare: f64,
+}
+
+/// Discs that stand on one another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stack {
+    /// Whether they move with the board.
+    pub on_board: bool,
+    /// In the frame of the board, or of the table.
+    pub at: [f64; 2],
+    /// The lowest first.
+    pub discs: Vec<Hue>,
+}
+
+/// Everything that is in the room.
+pub struct Table {
+    pub board: Pose,
+    pub stacks: Vec<Stack>,
+    /// What the person has captured, and what fell from the table.
+    pub away: Vec<Hue>,
+    /// Where the arm is; `None` where it waits.
+    pub arm: Option<[f64; 2]>,
+    /// The number of the arm's latest motion, and whether it moves.
+    pub motion: u32,
+    pub moving: bool,
+    /// In the arm's hand.
+    pub held: Vec<Hue>,
+    slips: bool,
+    closed: (u32, u8),
+    opened: (u32, u8),
+    /// Whether the person's hand is over the board.
+    pub hand: bool,
+    pub truth: TrueTable,
+    pub chances: Chances,
+    pub rng: ChaCha8Rng,
+}
+
+impl Table {
+    /// The first position, the board anywhere.
+    #[must_use]
+    pub fn new(chances: Chances, turn: Colour, mut rng: ChaCha8Rng) -> Self {
+        let board = Pose {
+            at: [rng.random_range(0.45..0.55), rng.random_range(-0.05..0.05)],
+            yaw: rng.random_range(-0.3..0.3),
+        };
+        let mut table = Self {
+            board,
+            stacks: Vec::new(),
+            away: Vec::new(),
+            arm: None,
+            motion: 0,
+            moving: false,
+            held: Vec::new(),
+            slips: false,
+            closed: (0, 0),
+            opened: (0, 0),
+            hand: false,
+            truth: TrueTable {
+                history: Vec::new(),
+                discs: [0, 0],
+                heard: Vec::new(),
+                slipped: 0,
+                moved: 0,
+                errors: Vec::new(),
+                met: 0,
+            },
+            chances,
+            rng,
+        };
+        table.set_spare();
+        table.set_up(&Position::start(turn));
+        table.note();
+        table
+    }
+
+    /// The discs on the board stand as a position says; each in the middle of its field.
+    pub fn set_up(&mut self, position: &Position) {
+        self.stacks.retain(|stack| !stack.on_board);
+        for square in 0..32 {
+            if let Some(piece) = position.piece(square) {
+                let discs = 1 + usize::from(piece.king);
+                self.stacks.push(Stack {
+                    on_board: true,
+                    at: centre(square),
+                    discs: vec![Hue::of(piece.colour); discs],
+                });
+            }
+        }
+    }
+
+    /// All discs are gathered, and the first position is set up.
+    pub fn begin_anew(&mut self, turn: Colour) {
+        self.stacks.clear();
+        self.away.clear();
+        self.set_spare();
+        self.set_up(&Position::start(turn));
+        self.note();
+    }
+
+    fn set_spare(&mut self) {
+        for hue in [Hue::Light, Hue::Dark] {
+            let at = Spot::Spare(hue).on_table(&self.board);
+            self.stacks.push(Stack {
+                on_board: false,
+                at,
+                discs: vec![hue; 12],
+            });
+        }
+    }
+
+    /// The stack on a square.
+    #[must_use]
+    pub fn on(&self, square: u8) -> Option<usize> {
+        let near =
+            |stack: &Stack| stack.on_board && apart(stack.at, centre(square)) < FIELD_M / 2.0;
+        self.stacks.iter().position(near)
+    }
+
+    /// The squares of White, Black, and kings.
+    #[must_use]
+    pub fn squares(&self) -> [u32; 3] {
+        let mut all = [0; 3];
+        for square in 0..32 {
+            let Some(stack) = self.on(square).and_then(|at| self.stacks.get(at)) else {
+                continue;
+            };
+            let [white, black, kings] = &mut all;
+            match stack.discs.first() {
+                Some(Hue::Light) => *white |= 1 << square,
+                Some(Hue::Dark) => *black |= 1 << square,
+                None => {}
+            }
+            *kings |= u32::from(stack.discs.len() > 1) << square;
+        }
+        all
+    }
+
+    /// The position, if it is the turn of a side.
+    #[must_use]
+    pub fn position(&self, turn: Colour) -> Position {
+        let [white, black, kings] = self.squares();
+        Position {
+            white,
+            black,
+            kings,
+            turn,
+        }
+    }
+
+    /// Notes what stands on the board when nobody is at it.
+    pub fn note(&mut self) {
+        if self.hand || self.arm.is_some() || self.moving || !self.held.is_empty() {
+            return;
+        }
+        let now = self.squares();
+        if self.truth.history.last() != Some(&now) {
+            self.truth.history.push(now);
+        }
+    }
+
+    /// What is true.
+    #[must_use]
+    pub fn truth(&self) -> TrueTable {
+        let stacks = self.stacks.iter().flat_map(|stack| &stack.discs);
+        let all = stacks.chain(&self.away).chain(&self.held);
+        let mut truth = self.truth.clone();
+        for hue in all {
+            let [light, dark] = &mut truth.discs;
+            *(if *hue == Hue::Light { light } else { dark }) += 1;
+        }
+        truth
+    }
+
+    /// A picture from a pose; the board may be pushed before.
+    pub fn see(&mut self, pose: u8) -> Picture {
+        let chances = self.chances;
+        if !self.hand && self.arm.is_none() && !self.moving && self.rng.random_bool(chances.bumps) {
+            self.board.at = [
+                (self.board.at[0] + self.rng.random_range(-0.03..0.03)).clamp(0.44, 0.56),
+                (self.board.at[1] + self.rng.random_range(-0.03..0.03)).clamp(-0.06, 0.06),
+            ];
+            self.board.yaw = (self.board.yaw + self.rng.random_range(-0.1..0.1)).clamp(-0.4, 0.4);
+            self.truth.moved += 1;
+        }
+        let noise = |rng: &mut ChaCha8Rng, [x, y]: [f64; 2]| {
+            let off = |rng: &mut ChaCha8Rng| rng.random_range(-5e-4..5e-4);
+            [x + off(rng), y + off(rng)]
+        };
+        let mut discs = Vec::new();
+        for stack in &self.stacks {
+            if let Some(top) = stack.discs.last() {
+                discs.push((*top, noise(&mut self.rng, table_at(stack, &self.board))));
+            }
+        }
+        let markers = MARKERS.map(|mark| noise(&mut self.rng, self.board.on_table(mark)));
+        // From elsewhere it does not glare.
+        let glares = pose == 0 && self.rng.random_bool(chances.glare);
+        let glare = glares.then(|| {
+            let square = self.rng.random_range(0..32);
+            self.board.on_table(centre(square))
+        });
+        Picture {
+            markers,
+            discs,
+            glare,
+            hand: self.hand,
+        }
+    }
+
+    /// The arm begins to move; says for how long, s, or that a hand is in the way.
+    pub fn go(&mut self, to: Option<[f64; 2]>) -> Option<f64> {
+        if self.hand {
+            return None;
+        }
+        self.motion += 1;
+        self.moving = true;
+        let home = [0.3, 0.0];
+        let way = apart(self.arm.unwrap_or(home), to.unwrap_or(home));
+        Some(0.8 + way / 0.5)
+    }
+
+    /// The arm has come to where it was to go.
+    pub fn arrived(&mut self, motion: u32, to: Option<[f64; 2]>) {
+        if self.motion != motion {
+            return;
+        }
+        (self.arm, self.moving) = (to, false);
+        if std::mem::take(&mut self.slips) {
+            for hue in std::mem::take(&mut self.held) {
+                self.drop(hue);
+            }
+        }
+        self.note();
+    }
+
+    /// A disc falls: somewhere on the board, or from the table.
+    fn drop(&mut self, hue: Hue) {
+        self.truth.slipped += 1;
+        for _ in 0..20 {
+            let at = [
+                self.rng.random_range(-0.23..0.23),
+                self.rng.random_range(-0.23..0.23),
+            ];
+            let on_board = |stack: &&Stack| stack.on_board;
+            let mut others = self.stacks.iter().filter(on_board);
+            if others.all(|other| apart(other.at, at) > 0.04) && self.rng.random_bool(0.8) {
+                self.stacks.push(Stack {
+                    on_board: true,
+                    at,
+                    discs: vec![hue],
+                });
+                return;
+            }
+        }
+        self.away.push(hue);
+    }
+
+    /// The hand closes.
+    pub fn close(&mut self, errand: u32, discs: u8) -> u8 {
+        if self.closed.0 == errand {
+            return self.closed.1;
+        }
+        let arm = self.arm.filter(|_| self.held.is_empty());
+        let board = self.board;
+        let near = arm.and_then(|arm| {
+            let far = |stack: &Stack| apart(table_at(stack, &board), arm);
+            let stacks = self.stacks.iter().enumerate();
+            let nearest = stacks.min_by(|one, other| far(one.1).total_cmp(&far(other.1)));
+            nearest
+                .filter(|(_, stack)| far(stack) < REACH_M)
+                .map(|(at, _)| at)
+        });
+        if let Some(stack) = near.and_then(|at| self.stacks.get_mut(at)) {
+            let below = stack.discs.len().saturating_sub(usize::from(discs));
+            self.held = stack.discs.split_off(below);
+            self.slips = self.rng.random_bool(self.chances.slips);
+        }
+        self.stacks.retain(|stack| !stack.discs.is_empty());
+        self.closed = (errand, u8::try_from(self.held.len()).unwrap_or(u8::MAX));
+        self.closed.1
+    }
+
+    /// The hand opens.
+    pub fn open(&mut self, errand: u32) -> u8 {
+        if self.opened.0 == errand {
+            return self.opened.1;
+        }
+        let held = std::mem::take(&mut self.held);
+        self.opened = (errand, u8::try_from(held.len()).unwrap_or(u8::MAX));
+        if let Some(arm) = self.arm
+            && !held.is_empty()
+        {
+            let board = self.board;
+            let mut stacks = self.stacks.iter_mut();
+            match stacks.find(|stack| apart(table_at(stack, &board), arm) < REACH_M) {
+                Some(stack) => stack.discs.extend(held),
+                None => {
+                    let on_board = arm[1].abs() < ASIDE_M;
+                    let at = if on_board { board.on_board(arm) } else { arm };
+                    self.stacks.push(Stack {
+                        on_board,
+                        at,
+                        discs: held,
+                    });
+                }
+            }
+        }
+        self.opened.1
+    }
+}
+
+/// Where a stack is in the table's frame.
+fn table_at(stack: &Stack, board: &Pose) -> [f64; 2] {
+    if stack.on_board {
+        board.on_table(stack.at)
+    } else {
+        stack.at
+    }
+}

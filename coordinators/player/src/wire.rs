@@ -1,0 +1,315 @@
+//! What the parts of the player exchange: requests to the room, and data objects by name and type. Lengths are in m, angles in rad.
+//!
+//! The board's frame has its origin in the middle, x along White's row, and y from White to Black; the table's frame is the arm's.
+
+use std::time::Duration;
+
+use checkers::Colour;
+use coordinators::dom::DomStore;
+use ctos::task::{Context, HandlerError};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+/// Side of a field, m.
+pub const FIELD_M: f64 = 0.06;
+
+/// The colour of a disc.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Hue {
+    /// White's.
+    Light,
+    /// Black's.
+    Dark,
+}
+
+impl Hue {
+    /// The discs of a side.
+    #[must_use]
+    pub const fn of(colour: Colour) -> Self {
+        match colour {
+            Colour::White => Self::Light,
+            Colour::Black => Self::Dark,
+        }
+    }
+
+    /// Whose discs these are.
+    #[must_use]
+    pub const fn colour(self) -> Colour {
+        match self {
+            Self::Light => Colour::White,
+            Self::Dark => Colour::Black,
+        }
+    }
+}
+
+/// The middle of a square in the board's frame.
+#[must_use]
+pub fn centre(square: u8) -> [f64; 2] {
+    let (row, column) = (square / 4, square % 4);
+    let file = 2 * column + u8::from(row.is_multiple_of(2));
+    let along = |number: u8| (f64::from(number) - 3.5) * FIELD_M;
+    [along(file), along(7 - row)]
+}
+
+/// How far apart two places are, m.
+#[must_use]
+pub fn apart(one: [f64; 2], other: [f64; 2]) -> f64 {
+    (one[0] - other[0]).hypot(one[1] - other[1])
+}
+
+/// The markers of the board in its own frame: the middles of its left and right border.
+pub const MARKERS: [[f64; 2]; 2] = [[-0.26, 0.0], [0.26, 0.0]];
+
+/// Where the board lies on the table.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Its middle.
+    pub at: [f64; 2],
+    /// How it is turned.
+    pub yaw: f64,
+}
+
+impl Pose {
+    /// The pose by which the markers are where they are seen.
+    #[must_use]
+    pub fn of_markers([left, right]: [[f64; 2]; 2]) -> Self {
+        Self {
+            at: [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0],
+            yaw: (right[1] - left[1]).atan2(right[0] - left[0]),
+        }
+    }
+
+    /// From the board's frame to the table's.
+    #[must_use]
+    pub fn on_table(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw.sin_cos();
+        [
+            self.at[0] + cos * x - sin * y,
+            self.at[1] + sin * x + cos * y,
+        ]
+    }
+
+    /// From the table's frame to the board's.
+    #[must_use]
+    pub fn on_board(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw.sin_cos();
+        let (x, y) = (x - self.at[0], y - self.at[1]);
+        [cos * x + sin * y, cos * y - sin * x]
+    }
+}
+
+/// A place where a disc is taken or set down.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum Spot {
+    /// In the board's frame.
+    Board([f64; 2]),
+    /// The tray of captured discs of a colour, by its place from 0.
+    Tray(Hue, u8),
+    /// The discs of a colour that are no part of the game.
+    Spare(Hue),
+}
+
+impl Spot {
+    /// In the table's frame.
+    #[must_use]
+    pub fn on_table(&self, board: &Pose) -> [f64; 2] {
+        let side = |hue: Hue| match hue {
+            Hue::Light => -1.0,
+            Hue::Dark => 1.0,
+        };
+        match self {
+            Self::Board(at) => board.on_table(*at),
+            Self::Tray(hue, place) => [0.2 + 0.05 * f64::from(*place), 0.5 * side(*hue)],
+            Self::Spare(hue) => [0.1, 0.6 * side(*hue)],
+        }
+    }
+}
+
+/// What lies beyond this to both sides of the table is no part of the game.
+pub const ASIDE_M: f64 = 0.46;
+
+ctos::command! {
+    /// A picture of the table, from one of several poses of the camera.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct See { pub pose: u8 } => Picture, 0x0701, "see"
+}
+ctos::command! {
+    /// Moves the arm above a place on the table; where it waits, without one. Says whether it is there: no when somebody's hand is in the way.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Go { pub to: Option<[f64; 2]> } => bool, 0x0702, "go"
+}
+ctos::command! {
+    /// Closes the hand for an errand, about so many discs of the top of what stands beneath. Says how many it holds.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct Close { pub errand: u32, pub discs: u8 } => u8, 0x0703, "close"
+}
+ctos::command! {
+    /// Opens the hand for an errand. Says how many discs it has set down.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct Open { pub errand: u32 } => u8, 0x0704, "open"
+}
+ctos::command! {
+    /// People in the room hear something; the same number is the same words.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct Hear { pub number: u32, pub words: String } => (), 0x0705, "hear"
+}
+ctos::command! {
+    /// What is true, for the referee only.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct Truth => TrueTable, 0x0706, "truth"
+}
+
+/// What a picture shows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Picture {
+    /// The markers of the board, in the table's frame.
+    pub markers: [[f64; 2]; 2],
+    /// Discs from above, in the table's frame: of a stack the top one.
+    pub discs: Vec<(Hue, [f64; 2])>,
+    /// Where something glares, in the table's frame.
+    pub glare: Option<[f64; 2]>,
+    /// Whether a hand is seen.
+    pub hand: bool,
+}
+
+/// What is true in the room.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrueTable {
+    /// The squares of White, Black and the kings, each time that the table was at rest and not as before.
+    pub history: Vec<[u32; 3]>,
+    /// All discs of each colour wherever they are.
+    pub discs: [u32; 2],
+    /// What people have heard.
+    pub heard: Vec<String>,
+    /// Discs that slipped out of the hand.
+    pub slipped: u32,
+    /// How often the board was moved.
+    pub moved: u32,
+    /// The person's errors, by their kind.
+    pub errors: Vec<String>,
+    /// How often arm and person's hand were over the table at the same time.
+    pub met: u32,
+}
+
+/// Where the markers were seen: [`MARKS`].
+pub const MARKS: &str = "marks";
+/// Where the board lies: a [`Pose`], written by the transform.
+pub const BOARD: &str = "board";
+/// From which pose vision looks: a number, written by the player.
+pub const GAZE: &str = "gaze";
+/// [`Situation`], written by vision.
+pub const SITUATION: &str = "situation";
+/// [`Errand`], written by the player.
+pub const ERRAND: &str = "errand";
+/// FROM and TO of the errand in the table's frame, written by the transform.
+pub const POINTS: &str = "points";
+/// [`Words`], written by the player.
+pub const WORDS: &str = "words";
+/// [`Wish`], written by the People Coordinator.
+pub const WISH: &str = "wish";
+/// [`Played`], written by the player at the end.
+pub const PLAYED: &str = "played";
+
+/// What is seen on a square.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// The disc.
+    pub disc: Option<Hue>,
+    /// How surely, 0 to 1.
+    pub confidence: f64,
+    /// Where its middle is, in the board's frame.
+    pub at: [f64; 2],
+}
+
+/// The situation on the board.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Situation {
+    /// By square, 0 to 31.
+    pub squares: Vec<Reading>,
+    /// Discs on the table that are on no square, in the board's frame.
+    pub strays: Vec<(Hue, [f64; 2])>,
+    /// Whether a hand is seen.
+    pub hand: bool,
+    /// Whether the board is not where it was found.
+    pub moved: bool,
+}
+
+/// What is carried from where to where.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Errand {
+    /// From 1.
+    pub number: u32,
+    /// From where.
+    pub from: Spot,
+    /// To where.
+    pub to: Spot,
+    /// One disc or two.
+    pub discs: u8,
+}
+
+/// What people are told.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Words {
+    /// From 1.
+    pub number: u32,
+    /// In words.
+    pub words: String,
+}
+
+/// What people want during a game.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Wish {
+    /// From 1.
+    pub number: u32,
+    /// `resign`, `draw` or `new_game`.
+    pub what: String,
+}
+
+/// The game when it is over.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Played {
+    /// As PDN.
+    pub pdn: String,
+    /// The result in words.
+    pub result: String,
+}
+
+/// How long another process that is gone is waited for.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A data object, also when the process that keeps them is just being started again.
+pub(crate) async fn fetch<T: DeserializeOwned>(
+    cx: &Context,
+    store: &DomStore,
+    name: &str,
+) -> Result<T, HandlerError> {
+    coordinators::patiently(cx, PATIENCE, |_| true, || store.fetch(cx, name)).await
+}
+
+/// Stores a data object in the same way.
+pub(crate) async fn keep<T: Serialize>(
+    cx: &Context,
+    store: &DomStore,
+    name: &str,
+    value: &T,
+) -> Result<(), HandlerError> {
+    coordinators::patiently(cx, PATIENCE, |_| true, || store.store(cx, name, value)).await
+}
+
+/// Asks the room, or what stands in its place.
+pub(crate) async fn ask<C: ctos::message::Command + Clone>(
+    cx: &Context,
+    room: &str,
+    request: C,
+) -> Result<C::Reply, HandlerError> {
+    coordinators::patiently(
+        cx,
+        PATIENCE,
+        |_| true,
+        || async {
+            let room = cx.task(room).await?;
+            let answer = cx.call(&room, request.clone()).await;
+            answer.map_err(|error| HandlerError::new(error.reason()))
+        },
+    )
+    .await
+}
