@@ -1,6 +1,8 @@
 //! A disc is carried over a board by nets, in virtual time: where it should stand it stands, and what cannot be done is told. Cameras
 //! see where board and disc are; a person moves them, and covers cameras.
 
+mod campaign;
+
 use std::{
     collections::BTreeMap,
     fs::Permissions,
@@ -12,15 +14,16 @@ use std::{
 
 use ctos::{
     boot::{self, End, Launcher},
-    config,
+    config::{self, App},
     message::Message,
+    registry::Registry,
     system::AppResult,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use mcs::client::{Manipulator, MotionError, Move, PathKind, Target};
+use mcs::client::{EmergencyStop, Manipulator, MotionError, Move, PathKind, Resume, Stop, Target};
 use mcs_hand::command::ReadTouch;
 use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector3};
-use pnt::task::PutTape;
+use pnt::task::{Marking, PutTape};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
@@ -227,8 +230,32 @@ enum Step {
     Carry(String),
     /// Looks from now on what the pointer does.
     Watch,
+    /// Looks from now on where board, disc and hand are.
+    Trace,
+    /// Does something to cameras or arm later, while something else is done.
+    After(Duration, Deed),
+    /// Waits.
+    Rest(Duration),
     /// Moves the tool straight to a pose, with guards besides those that always watch, and gives the arm back.
     Move(Isometry3<f64>, &'static [&'static str]),
+}
+
+/// What a person does beside the robot.
+#[derive(Debug, Clone, Copy)]
+enum Deed {
+    Camera(&'static str, Option<CameraFault>),
+    Stop,
+    Resume,
+    EmergencyStop,
+}
+
+/// Where things truly are at a moment.
+#[derive(Debug, Clone)]
+struct Moment {
+    at: Duration,
+    board: Isometry3<f64>,
+    disc: Isometry3<f64>,
+    hand: Isometry3<f64>,
 }
 
 /// What a camera saw when the pointer was lit, or out.
@@ -269,6 +296,39 @@ async fn watch(cx: &Context, pictures: &Pictures) -> Result<(), HandlerError> {
             before = lit;
         }
         cx.sleep(LOOK).await;
+    }
+    Ok(())
+}
+
+/// Notes where things are, until the app stops.
+async fn trace(cx: &Context, moments: &Mutex<Vec<Moment>>) -> Result<(), HandlerError> {
+    let world = cx.task("world").await?;
+    while !cx.is_stopping() {
+        let scene = cx.call(&world, GetScene {}).await?;
+        let pose = |name: &str| scene.body(name).map(|body| body.pose).ok_or("no body");
+        let moment = Moment {
+            at: cx.now().since_start(),
+            board: pose("board")?,
+            disc: pose("disc")?,
+            hand: pose("puma.gripper.palm")?,
+        };
+        moments.lock().unwrap().push(moment);
+        cx.sleep(LOOK).await;
+    }
+    Ok(())
+}
+
+/// Does something beside the robot; when that was done.
+async fn does(cx: &Context, deed: Deed) -> Result<(), HandlerError> {
+    let mcs = cx.task("mcs").await?;
+    match deed {
+        Deed::Camera(camera, fault) => {
+            let (world, camera) = (cx.task("world").await?, camera.to_owned());
+            cx.call(&world, FailCamera { camera, fault }).await?;
+        }
+        Deed::Stop => cx.call(&mcs, Stop {}).await?,
+        Deed::Resume => cx.call(&mcs, Resume {}).await?,
+        Deed::EmergencyStop => cx.call(&mcs, EmergencyStop {}).await?,
     }
     Ok(())
 }
@@ -349,6 +409,13 @@ struct Seen {
     answers: Answers,
     pictures: Pictures,
     touches: Touches,
+    moments: Arc<Mutex<Vec<Moment>>>,
+    /// What was done beside the robot, and when.
+    deeds: Arc<Mutex<Vec<(Duration, Deed)>>>,
+    /// When each answer came.
+    answered: Arc<Mutex<Vec<Duration>>>,
+    /// Tokens of the Dispatcher's `hand_full` after the latest answer.
+    hand_full: Arc<Mutex<u32>>,
 }
 
 struct Person {
@@ -384,13 +451,10 @@ impl EventHandler for Person {
     }
 }
 
-async fn act(
-    cx: &Context,
-    steps: Vec<Step>,
-    Seen {
+async fn act(cx: &Context, steps: Vec<Step>, seen: &Seen) -> Result<(), HandlerError> {
+    let Seen {
         answers, pictures, ..
-    }: &Seen,
-) -> Result<(), HandlerError> {
+    } = seen;
     let answered = |symbol: String, text: String, scene: &SceneState| -> Result<(), HandlerError> {
         let pose = |name: &str| scene.body(name).map(|body| body.pose);
         answers.lock().unwrap().push(Answer {
@@ -428,6 +492,29 @@ async fn act(
                     let _ = watch(&child, &pictures).await;
                 });
             }
+            Step::Trace => {
+                let (child, moments) = (cx.clone(), seen.moments.clone());
+                cx.spawn(async move {
+                    // What was not seen, the test misses.
+                    let _ = trace(&child, &moments).await;
+                });
+            }
+            Step::After(after, deed) => {
+                let (child, deeds) = (cx.clone(), seen.deeds.clone());
+                cx.spawn(async move {
+                    child.sleep(after).await;
+                    let begun = child.now().since_start();
+                    if does(&child, deed).await.is_ok() {
+                        // A stop holds when it was answered, and one is over when somebody begins to end it.
+                        let at = match deed {
+                            Deed::Resume => begun,
+                            _ => child.now().since_start(),
+                        };
+                        deeds.lock().unwrap().push((at, deed));
+                    }
+                });
+            }
+            Step::Rest(time) => cx.sleep(time).await,
             Step::Carry(line) => {
                 // What was put somewhere comes to rest.
                 cx.sleep(Duration::from_millis(500)).await;
@@ -438,6 +525,11 @@ async fn act(
                 let answer = cx.call(&dispatcher, put);
                 let answer = answer.deadline(Duration::from_secs(600)).await?;
                 let scene = cx.call(&world, GetScene {}).await?;
+                let marking = cx.call(&dispatcher, Marking {}).await?;
+                let places = marking.places.iter();
+                let full = places.filter(|(place, _)| place == "hand_full");
+                *seen.hand_full.lock().unwrap() = full.map(|(_, tokens)| *tokens).sum();
+                seen.answered.lock().unwrap().push(cx.now().since_start());
                 answered(answer.symbol, answer.text, &scene)?;
             }
             Step::Move(to, guards) => {
@@ -479,7 +571,8 @@ fn seen_in(scratch: &Scratch, more: &str, steps: Vec<Step>) -> Seen {
     seen_by("carry.toml", scratch, more, steps)
 }
 
-fn seen_by(app: &str, scratch: &Scratch, more: &str, steps: Vec<Step>) -> Seen {
+/// The app with a person in it, and what that person sees.
+fn prepared(app: &str, scratch: &Scratch, more: &str, steps: Vec<Step>) -> (App, Registry, Seen) {
     let text = format!("include = [\"{app}\"]\n{PERSON}{more}");
     scratch.write("configs/person.toml", text);
     let file = scratch.path("configs/person.toml");
@@ -494,6 +587,11 @@ fn seen_by(app: &str, scratch: &Scratch, more: &str, steps: Vec<Step>) -> Seen {
             seen: shared.clone(),
         })
     });
+    (app, registry, seen)
+}
+
+fn seen_by(app: &str, scratch: &Scratch, more: &str, steps: Vec<Step>) -> Seen {
+    let (app, registry, seen) = prepared(app, scratch, more, steps);
     let launcher = Launcher {
         program: "none".into(),
         arguments: Vec::new(),

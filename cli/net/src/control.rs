@@ -1,11 +1,11 @@
 //! Interventions in a running net, and looking at it: `ctos net fire`, `put`, `take`, `pause`, `resume`,
-//! `step`, `break`, `cancel`, `complete`, `replace`, `tape` and `marking`.
+//! `step`, `break`, `cancel`, `complete`, `replace`, `ask`, `tape` and `marking`.
 
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
 use ctos::message::Command;
-use pnt::task::{Control, Marking, Order, Output, ReadTape, Snapshot};
+use pnt::task::{Control, Marking, Order, Output, PutTape, ReadTape, Snapshot};
 
 use cli_common::{
     exit,
@@ -93,6 +93,27 @@ pub struct ReplaceArgs {
     pub file: PathBuf,
     /// How long to wait for a safe marking, s
     #[arg(long, default_value_t = 10.0, value_name = "SECONDS")]
+    pub within: f64,
+}
+
+/// A net and a command for its tape.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  ctos net ask dispatcher --success carried carry 3,4,0 4,5,0")]
+pub struct AskArgs {
+    /// Which net
+    #[command(flatten)]
+    pub task: NetTaskArgs,
+    /// The command, as the net has it
+    pub symbol: String,
+    /// Its arguments
+    #[arg(allow_hyphen_values = true)]
+    pub arguments: Vec<String>,
+    /// Exit with 1 unless this is the answer (can be repeated)
+    #[arg(long, value_name = "ANSWER")]
+    pub success: Vec<String>,
+    /// How long to wait for the answer, s; the command goes on without being waited for
+    #[arg(long, default_value_t = 600.0, value_name = "SECONDS")]
     pub within: f64,
 }
 
@@ -193,6 +214,37 @@ pub fn replace(args: &ReplaceArgs) -> u8 {
         within_ms: (args.within * 1000.0) as u64,
     };
     told(&args.task, order, args.within + LIMIT_S)
+}
+
+/// Runs `ctos net ask`.
+#[must_use]
+pub fn ask_command(args: &AskArgs) -> u8 {
+    if !(args.within > 0.0 && args.within <= 86_400.0) {
+        show::say("error: `--within` is a number of seconds above 0, up to 86400");
+        return exit::USAGE;
+    }
+    let put = PutTape {
+        symbol: args.symbol.clone(),
+        arguments: args.arguments.clone(),
+    };
+    let answer = match ask(&args.task, put, args.within) {
+        Ok(answer) => answer,
+        Err(code) => return code,
+    };
+    let is_success = args.success.is_empty() || args.success.contains(&answer.symbol);
+    if args.task.json {
+        data(&serde_json::json!({
+            "net": args.task.net, "answer": answer.symbol, "text": answer.text,
+        }));
+    } else {
+        let text = answer.text.replace('\n', "\n          ");
+        // A reader that went away has what it wanted.
+        let _ = show::data(&format!("{}  {text}", answer.symbol));
+    }
+    match is_success {
+        true => exit::OK,
+        false => exit::FAILED,
+    }
 }
 
 /// Runs `ctos net tape`.

@@ -51,6 +51,8 @@ pub enum NetCommand {
     /// It is checked together with all nets of the app first, and put in place at the next safe marking: one that the
     /// net declares, or else its rest marking between two commands. Tokens are carried over by the names of places.
     Replace(control::ReplaceArgs),
+    /// Put a command on the tape of a running net, and wait for its answer
+    Ask(control::AskArgs),
     /// Read the output tape of a running net: answers that nobody waited for
     Tape(control::TapeArgs),
     /// Show the marking of a running net
@@ -92,6 +94,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Cancel(args) => control::cancel(args),
         NetCommand::Complete(args) => control::complete(args),
         NetCommand::Replace(args) => control::replace(args),
+        NetCommand::Ask(args) => control::ask_command(args),
         NetCommand::Tape(args) => control::tape(args),
         NetCommand::Marking(args) => control::marking(args),
         NetCommand::Draw(args) => draw::run(args, |file, form| {

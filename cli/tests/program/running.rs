@@ -197,6 +197,15 @@ const CARRY: &[(&str, Then)] = &[
         "scott carry -c dict CTRL -add carry.slow '-SUBST carry -transferSpeed 0.2' -c carry.slow EXEC FMSG 6 4 5 0 3 4 0",
         Ends,
     ),
+    (
+        "ctos net ask dispatcher --success carried carry 3,4,0 4,5,0",
+        Ends,
+    ),
+    // It is there no more.
+    (
+        "ctos net ask dispatcher --success carried carry 3,4 4,5",
+        Refused(1, "nothing_at_from"),
+    ),
     ("ctos stop", Ends),
 ];
 

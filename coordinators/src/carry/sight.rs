@@ -69,6 +69,8 @@ pub struct Found {
     pub off_m: Option<[f64; 2]>,
     /// The board by then.
     pub board: Board,
+    /// Where the thing was taken, in the base frame of the arm, m.
+    pub taken: Point3<f64>,
     /// The middles of what may be it where it does not stand on TO, in the board's frame, m.
     pub lies: Vec<Point3<f64>>,
     /// Where it is, in words.
@@ -217,7 +219,8 @@ pub fn at_found(errand: &Errand, found: &Found) -> Option<Errand> {
         return None;
     };
     let there = board.pose() * at;
-    let is_lost = (there - errand.points[0]).norm() > NEAR * board.field_m;
+    // The errand may be that of fetching it by now.
+    let is_lost = (there - found.taken).norm() > NEAR * board.field_m;
     is_lost.then(|| Errand {
         from: board.field(at, thing.height_m),
         board,
@@ -303,6 +306,7 @@ pub fn arrival(errand: &Errand, before: Option<&Overview>, now: &Overview) -> Fo
         arrived: Some(arrived.is_some()),
         off_m: arrived,
         board,
+        taken: errand.points[0],
         lies: match arrived {
             Some(_) => Vec::new(),
             None => strays.iter().map(|disc| disc.at).collect(),
@@ -329,6 +333,7 @@ pub fn whereabouts(errand: &Errand, before: Option<&Overview>, now: &Overview) -
         arrived: None,
         off_m: None,
         board,
+        taken: errand.points[0],
         lies: strays.iter().map(|disc| disc.at).collect(),
         notes,
     }

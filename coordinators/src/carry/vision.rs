@@ -341,6 +341,7 @@ async fn known(
                 arrived: None,
                 off_m: None,
                 board: errand.board,
+                taken: errand.points[0],
                 lies: Vec::new(),
                 notes,
             };

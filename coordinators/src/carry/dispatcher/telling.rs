@@ -214,6 +214,7 @@ mod tests {
             arrived: None,
             off_m: None,
             board: errand.board,
+            taken: errand.points[0],
             lies: lies.to_vec(),
             notes: Vec::new(),
         };

@@ -11,21 +11,24 @@ use ctos::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::world::{CARRY, Place, STAND_INS, World, on, tasks};
+use super::world::{CARRY, Place, STAND_INS, World, motions, on, requests, tasks};
 use crate::bench::{self, FAULTS, Fault as Wrong};
 
-/// The tasks, each in a process of its own. The first six are durable.
-const TASKS: [&str; 9] = [
+/// The tasks, each in a process of its own. The first [`DURABLE`] are durable.
+const TASKS: [&str; 10] = [
     "dispatcher",
     "robot",
     "hand",
     "vision",
     "laser",
+    "people",
     "dom",
     "mcs",
     "gripper",
     "eyes",
 ];
+
+const DURABLE: usize = 7;
 
 /// The app with each task in a process that comes back.
 fn app() -> (String, Vec<String>) {
@@ -36,7 +39,7 @@ fn app() -> (String, Vec<String>) {
             "[chassis.on_{task}]\nrestart = \"always\"\nmax_restarts = 100\nrestart_backoff_s = 0.05\n"
         );
         sets.push(format!("task.{task}.on=\"on_{task}\""));
-        if number < 6 {
+        if number < DURABLE {
             sets.push(format!("task.{task}.args.durable=true"));
         }
     }
@@ -242,6 +245,61 @@ fn a_pointer_whose_process_dies_while_it_points_points_again_and_is_out_in_the_e
         let (symbol, text) = &world.bench.answers[2];
         assert!(symbol == "pointed" || task == "mcs", "{case}: {text}");
     }
+}
+
+/// An errand whose thing slips on the way to the target; people are asked whether it is fetched, and say so, or nothing.
+fn asked(says: Option<&'static str>, kills: &[Fault]) -> World {
+    let moves = motions(&requests());
+    let mut world = world();
+    world.bench.faults = vec![(moves[4], Wrong::Slips)];
+    world.says = says;
+    let (text, mut sets) = app();
+    sets.push("task.dispatcher.args.lost=\"ask\"".to_owned());
+    bench::run_with(world, (&text, &sets), &[CARRY, "put_back", POINT], kills)
+}
+
+#[test]
+fn whoever_is_killed_while_people_are_asked_what_they_said_is_done_and_the_answer_is_true() {
+    let every = std::env::var("CTOS_CARRY_SEEDS").is_ok();
+    let (mut tried, mut failed) = (0, Vec::new());
+    for (says, symbol) in [(Some("fetch"), "carried"), (None, "not_carried")] {
+        let plain = asked(says, &[]);
+        let answers = &plain.bench.answers;
+        assert_eq!(answers[0].0, symbol, "{answers:?}");
+        let firings = plain.bench.firings.iter();
+        let asking = firings.filter(|(net, event)| {
+            net == "people" || ["ask", "hear"].contains(&event.transition.as_str())
+        });
+        let phases: BTreeSet<u64> = asking.map(|(_, event)| event.at_ns).collect();
+        let (first, last) = (phases.first().unwrap(), phases.last().unwrap());
+        let mut moments: Vec<u64> = phases.iter().flat_map(|at| [*at, at + 1_000_000]).collect();
+        // While nobody has said anything yet.
+        moments.push(first + 15_000_000_000.min((last - first) / 2));
+        // The person of these tests lives with the eyes.
+        let tasks = ["people", "dispatcher", "dom", "vision", "robot"];
+        let all = moments
+            .iter()
+            .flat_map(|at| tasks.iter().map(move |task| (task, at)));
+        for (task, at) in all.step_by(if every { 1 } else { 3 }) {
+            let case = format!("{says:?}: {task} was killed at {} ms", *at as f64 / 1e6);
+            tried += 1;
+            let ran = std::panic::catch_unwind(|| {
+                let world = asked(says, &[kill(task, *at)]);
+                is_true(&world, &case);
+                let answers = &world.bench.answers;
+                assert_eq!(answers[0].0, symbol, "{case}: {answers:?}");
+                assert_eq!(world.hand_full(), 0, "{case}");
+            });
+            if ran.is_err() {
+                failed.push(case);
+            }
+        }
+    }
+    assert!(
+        failed.is_empty(),
+        "{} of {tried}: {failed:#?}",
+        failed.len()
+    );
 }
 
 /// How often ways were tried that an answer's last line tells about.

@@ -21,7 +21,7 @@ use mcs_path::{
     task::{PlanWay, Planned, Unplanned},
 };
 use nalgebra::{Isometry3, Point3, Vector3};
-use pnt::task::PutTape;
+use pnt::task::{PutOnce, RequestId, put_once};
 use vss::{
     command::{DiskOffset, DiskReport, DiskSight, Outcome as Vss, VisionError},
     visual_jacobian::{Correction, Seen},
@@ -583,12 +583,17 @@ fn answer(cx: &Context, words: &'static str, world: Shared<World>) {
     let child = cx.clone();
     cx.spawn(async move {
         child.sleep(Duration::from_secs(20)).await;
-        let put = PutTape {
+        // The same answer is heard once, also by a process that comes back.
+        let put = PutOnce {
+            request: RequestId {
+                from: "person".to_owned(),
+                number: child.now().as_nanos(),
+            },
             symbol: "answer".to_owned(),
             arguments: words.split_whitespace().map(ToOwned::to_owned).collect(),
         };
-        let people = child.task("people").await.unwrap();
-        let reply = child.call(&people, put).await.unwrap();
+        let within = Duration::from_secs(60);
+        let reply = put_once(&child, "people", &put, within).await.unwrap();
         lock(&world).replies.push(reply.symbol);
     });
 }
