@@ -16,6 +16,11 @@ use crate::wire::{self, PLAYED, Played, TrueTable, Truth};
 /// The handler's name.
 pub const HANDLER: &str = "checkers.referee";
 
+/// What is said of each loss.
+pub(crate) const LOST: &str = "I have lost";
+pub(crate) const A_DISC: &str = "a disc";
+pub(crate) const TWO_DISCS: &str = "two discs";
+
 /// Discs of each colour in the room.
 const DISCS: u32 = 24;
 
@@ -142,9 +147,19 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
     if truth.discs != [DISCS; 2] {
         wrong.push(format!("there are {:?} discs", truth.discs));
     }
-    let told = |words: &&String| words.contains("I have lost");
-    if truth.slipped > 0 && truth.heard.iter().filter(told).count() == 0 {
-        wrong.push("a disc was lost, and nobody was told".to_owned());
+    let told = |what: &str| {
+        let said = format!("{LOST} {what}");
+        let heard = truth.heard.iter();
+        heard
+            .map(|words| words.matches(&said).count())
+            .sum::<usize>()
+    };
+    let told = told(A_DISC) + 2 * told(TWO_DISCS);
+    if told < usize::try_from(truth.slipped).unwrap_or(usize::MAX) {
+        wrong.push(format!(
+            "{} discs were lost, and people were told of {told}",
+            truth.slipped
+        ));
     }
     if truth.met > 0 {
         wrong.push("arm and hand were over the board at the same time".to_owned());

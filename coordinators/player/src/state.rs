@@ -6,7 +6,10 @@ use checkers::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::wire::{Errand, Hue, Situation, Spot, centre};
+use crate::{
+    referee::{A_DISC, LOST, TWO_DISCS},
+    wire::{Errand, Hue, Situation, Spot, centre},
+};
 
 /// A disc that is seen less surely is unknown.
 const SURE: f64 = 0.8;
@@ -599,18 +602,14 @@ impl Play {
         };
         self.state.tasks.splice(0..1, (0..task.discs).map(one));
         (self.state.searched, self.state.found) = (0, None);
-        let what = if task.discs > 1 {
-            "two discs"
-        } else {
-            "a disc"
-        };
+        let what = if task.discs > 1 { TWO_DISCS } else { A_DISC };
         let side = task.hue.colour().name();
         let to = match task.to {
             End::Square(square, _) => format!("on the way to {}", self.number(square)),
             _ => "on the way to the captured ones".to_owned(),
         };
         self.state.last.0.clear();
-        self.say(format!("I have lost {what} of {side} {to}"));
+        self.say(format!("{LOST} {what} of {side} {to}"));
     }
 
     /// There was nothing between the fingers.

@@ -21,7 +21,7 @@ const FORMS: &[Form] = &[
         takes: "",
         gives: "5 n floats: u, v (px), direction (rad from u towards v), standard deviation across the line (px) and contrast (grey \
                 values) of each point, row by row; 1 int: n. `points camera NAME` takes a picture for that",
-        results: "* u v: px; direction: rad; sd: px; contrast; ints n",
+        results: "* u v direction sd contrast; ints n",
         help: "finds the points of lines or edges: one for each row that a line crosses steeply, or column",
     },
     Form {
@@ -39,7 +39,7 @@ const FORMS: &[Form] = &[
         gives: "8 k floats: u, v of both ends (px), standard deviation of the middle across the piece (px) and of its direction \
                 (rad), rms distance of its points from it (px) and contrast (grey values) of each straight piece, those with most \
                 points first; 1 + k ints: k, and how many points each has. An edge runs with its bright side on the right",
-        results: "* u1 v1 u2 v2 sd: px; sd_direction: rad; rms: px; contrast; ints k points..",
+        results: "* u1 v1 u2 v2 sd sd_direction rms contrast; ints k; ints * points",
         help: "finds the straight pieces of lines of light or of edges of a picture (PNG, JPEG, PNM, BMP)",
     },
 ];
