@@ -543,3 +543,19 @@ fn the_tool_goes_where_poses_and_displacements_say() {
         assert!(streamed.end().contains(expected), "{}", streamed.end());
     }
 }
+
+#[test]
+fn an_emergency_stop_on_a_stream_takes_the_power_in_its_tick_and_a_value_after_it_moves_nothing() {
+    for ticks in (1..200).step_by(9) {
+        let mut streamed = Streamed::following(StreamKind::Joints);
+        streamed.hold(&GOAL, ticks);
+        let at = format!("tick {ticks}");
+        streamed.put(&GOAL);
+        estop::must_lose_power(&mut streamed.rig, &at, |stopped| {
+            assert!(stopped.stream.end.is_some(), "{at}");
+        });
+        let here = streamed.status().setpoint;
+        streamed.hold(&GOAL, 20);
+        assert!(distance(&streamed.status().setpoint, &here) < 1e-9, "{at}");
+    }
+}
