@@ -328,6 +328,50 @@ mod tests {
         assert!((force - 15.0).abs() < 0.01 * 15.0, "{force}");
     }
 
+    /// Where a hand that pushes with 10 N for a second, and then lets go, leaves the tool, m from where it was, and the most that
+    /// it turned by then, rad.
+    fn guided(force_gain: f64, along: Vector3<f64>) -> (Vector3<f64>, f64) {
+        let args = CartesianImpedanceArgs {
+            stiffness: [0.0, 0.0, 0.0, 60.0, 60.0, 60.0],
+            force_gain,
+            ..CartesianImpedanceArgs::default()
+        };
+        let (mut law, mut arm) = (law(args), Pushed::new(START, [0.0; 6]));
+        let (model, mut data) = (puma(), puma().data());
+        let start = model.placement(&mut data, &START, model.tip());
+        let (mut now, mut turned) = (start, 0.0_f64);
+        for tick in 0..600 {
+            let push = if tick < 222 {
+                along * 10.0
+            } else {
+                Vector3::zeros()
+            };
+            arm.push = at_joints(&arm.q, [push.x, push.y, push.z, 0.0, 0.0, 0.0]).to_vec();
+            let felt = now.rotation.tr_mul(&push);
+            law.sense(&[felt.x, felt.y, felt.z, 0.0, 0.0, 0.0]);
+            arm.run(&mut law, PERIOD.as_secs_f64());
+            now = model.placement(&mut data, &arm.q, model.tip());
+            turned = turned.max(turn(&now.rotation, &start.rotation).norm());
+        }
+        // It lies where it was left.
+        assert!(arm.qd.iter().all(|qd| qd.abs() < 5e-3), "{:?}", arm.qd);
+
+        (now.origin - start.origin, turned)
+    }
+
+    #[test]
+    fn a_hand_that_pushes_guides_a_tool_without_a_spring_and_the_more_easily_the_more_it_is_felt() {
+        for along in [Vector3::x(), Vector3::y(), -Vector3::z()] {
+            let (by, turned) = guided(0.0, along);
+            let (way, aside) = (by.dot(&along), (by - along * by.dot(&along)).norm());
+            assert!(way > 0.015 && aside < 0.2 * way, "{along}: {by}");
+            assert!(turned < 0.01, "{along}: {turned} rad");
+            // Half of what moves it is the hand's now, the other half the sensor's.
+            let lightly = guided(1.0, along).0.dot(&along);
+            assert!((1.8..2.2).contains(&(lightly / way)), "{along}: {lightly}");
+        }
+    }
+
     #[test]
     fn a_turn_too_small_to_see_is_still_a_number() {
         let mut law = law(CartesianImpedanceArgs::default());
