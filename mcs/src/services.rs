@@ -48,6 +48,8 @@ sorma::prototypes! {
             "mend it at file:line:column, which the text begins with";
         NO_INERTIA = 128, Error, "no accelerations follow from the torques",
             "give every link that is moved its mass and inertia, or set -rotor";
+        MEET = 129, Warning, "the pose is singular: postures coincide",
+            "go there by joints; a straight line through it needs unlimited joint speeds";
     }
 }
 

@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot be set up fails")]
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,7 +17,8 @@ use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use mcs::guard::{Around, GuardRegistry, GuardSettings, Mounted, Neighbour, Reaction};
 use mcs::model::{JointKind, Model, Placement, Solid, built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
-use mcs::trajectory::{CartesianLimits, Planner, Setpoint};
+use mcs::trajectory::{CartesianLimits, Planner, Segment, Setpoint};
+use nalgebra::{Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rapier3d_f64::parry::math::{Pose, Rotation};
@@ -246,15 +248,15 @@ impl Judge {
         each.sum()
     }
 
-    /// The pairs that are not always nearer than the margin.
-    fn counts(&mut self) -> Vec<bool> {
+    /// The pairs that are not always nearer than so many m.
+    fn counts(&mut self, near: f64) -> Vec<bool> {
         let mut rng = ChaCha8Rng::seed_from_u64(99);
         let mut counts = vec![false; self.pairs.len()];
         for _ in 0..300 {
             let (one, other) = (position(&mut rng), position(&mut rng));
             let all = self.distances([&one, &other]);
             for (counts, distance) in counts.iter_mut().zip(all) {
-                *counts |= distance > MARGIN;
+                *counts |= distance > near;
             }
         }
         counts
@@ -262,7 +264,7 @@ impl Judge {
 }
 
 /// How far two balls are from one another, m.
-fn apart(one: &(nalgebra::Vector3<f64>, f64), other: &(nalgebra::Vector3<f64>, f64)) -> f64 {
+fn apart(one: &(Vector3<f64>, f64), other: &(Vector3<f64>, f64)) -> f64 {
     (one.0 - other.0).norm() - one.1 - other.1
 }
 
@@ -274,7 +276,7 @@ fn elsewhere(one: &Solid, other: &Solid) -> f64 {
     let made = |solid: &Solid| -> (Pose, Box<dyn shape::Shape>) {
         match solid {
             Solid::Capsule { a, b, radius } => {
-                let end = |v: &nalgebra::Vector3<f64>| [v.x, v.y, v.z].into();
+                let end = |v: &Vector3<f64>| [v.x, v.y, v.z].into();
                 let capsule = shape::Capsule::new(end(a), end(b), *radius);
                 (Pose::identity(), Box::new(capsule))
             }
@@ -321,10 +323,32 @@ fn starts(rng: &mut ChaCha8Rng, judge: &mut Judge, counts: &[bool]) -> [Joints; 
     }
 }
 
+/// To anywhere within the limits, or straight or on an arc to anywhere near, where the arm can do that.
+fn segment(rng: &mut ChaCha8Rng, planner: &mut Planner, start: &Joints) -> Segment {
+    let speed = rng.random_range(0.3..1.0);
+    let goal = position(rng);
+    let near = [(); 3].map(|()| rng.random_range(-0.6..0.6));
+    let via = [(); 3].map(|()| rng.random_range(-0.2..0.2));
+    let shape = rng.random_range(0..4);
+    let tool = planner.tool_pose(start);
+    let pose = Translation3::from(near) * tool;
+    let line = match shape {
+        0 => planner.line(start, &pose, speed),
+        1 => {
+            let half = 0.5 * (tool.translation.vector + pose.translation.vector);
+            planner.arc_through(start, (half + Vector3::from(via), &pose), speed)
+        }
+        _ => planner.joint(start, &goal, speed),
+    };
+    // Many lines lead out of reach.
+    line.or_else(|_| planner.joint(start, &goal, speed))
+        .unwrap()
+}
+
 #[test]
 fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
     let (mut judge, mut stopped, mut arrived) = (Judge::new(), 0, 0);
-    let counts = judge.counts();
+    let counts = judge.counts(MARGIN);
     for seed in 0..motions() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let starts = starts(&mut rng, &mut judge, &counts);
@@ -333,14 +357,7 @@ fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
         if rng.random() {
             begins.reverse();
         }
-        let segments = [0, 1].map(|side| {
-            let speed = rng.random_range(0.3..1.0);
-            let goal = position(&mut rng);
-            arms[side]
-                .planner
-                .joint(&starts[side], &goal, speed)
-                .unwrap()
-        });
+        let segments = [0, 1].map(|side| segment(&mut rng, &mut arms[side].planner, &starts[side]));
         // What both can move in all before they are nearer than they may be.
         let (mut room, mut before) = (0.0, starts);
         for tick in 0..20_000 {
@@ -390,58 +407,106 @@ fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
     assert!((0.02..0.95).contains(&share), "{stopped} of {arrived}");
 }
 
-#[test]
-fn an_arm_that_passes_what_stands_still_and_itself_at_35_mm_or_more_is_never_stopped() {
-    let mut judge = Judge::new();
-    let counts = judge.counts();
-    let (mut passes, mut seed) = (0, 10_000);
-    while passes < motions() / 3 {
-        seed += 1;
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let starts = starts(&mut rng, &mut judge, &counts);
-        let goal = position(&mut rng);
-        let way = |share: f64| {
-            Joints::from_fn(9, |joint| {
-                starts[0][joint] + (goal[joint] - starts[0][joint]) * share
-            })
-        };
+/// Motions of both arms, or of the left one alone, that pass near something, and no wide way off, all by themselves.
+struct Pass {
+    starts: [Joints; 2],
+    segments: [Option<Segment>; 2],
+    least: f64,
+}
+
+/// The next seed whose motions come as near as this and no nearer, m.
+fn pass(seed: &mut u64, both: bool, near: Range<f64>, judge: &mut Judge, counts: &[bool]) -> Pass {
+    loop {
+        *seed += 1;
+        let mut rng = ChaCha8Rng::seed_from_u64(*seed);
+        let starts = starts(&mut rng, judge, counts);
+        let mut planner = Planner::new(model(), CartesianLimits::default(), 0.018).unwrap();
+        let segments = [(0, true), (1, both)].map(|(side, moves)| {
+            let (goal, speed) = (position(&mut rng), rng.random_range(0.3..1.0));
+            moves.then(|| planner.joint(&starts[side], &goal, speed).unwrap())
+        });
         let mut least = f64::INFINITY;
+        let longest = segments
+            .iter()
+            .flatten()
+            .map(Segment::duration)
+            .fold(0.0, f64::max);
         for step in 0..=400 {
-            least = least.min(judge.least([&way(f64::from(step) / 400.0), &starts[1]], &counts));
-            if least < 0.035 {
+            let time = longest * f64::from(step) / 400.0;
+            let at = [0, 1].map(|side| match &segments[side] {
+                Some(segment) => {
+                    let (time, near) = (time.min(segment.duration()), &starts[side]);
+                    let mut solver = planner.solver().clone();
+                    segment.at(&mut solver, time, near).unwrap().position
+                }
+                None => starts[side],
+            });
+            least = least.min(judge.least([&at[0], &at[1]], counts));
+            if least < near.start {
                 break;
             }
         }
-        // A near pass, and no wide one.
-        if !(0.035..0.1).contains(&least) {
-            continue;
+        if near.contains(&least) {
+            return Pass {
+                starts,
+                segments,
+                least,
+            };
         }
-        passes += 1;
-        let mut arms = arms(&starts);
-        let speed = rng.random_range(0.3..1.0);
-        let segment = arms[0].planner.joint(&starts[0], &goal, speed).unwrap();
-        arms[0]
-            .port
-            .order(ServoCommand::Move { id: 1, segment })
-            .unwrap();
-        for _ in 0..20_000 {
-            for arm in &mut arms {
-                arm.servo.tick(0);
-            }
-            if arms[0].port.status().motion.phase.is_over() {
-                break;
-            }
-        }
-        let status = arms[0].port.status();
-        assert_eq!(
-            status.motion.phase,
-            MotionPhase::Done,
-            "seed {seed}, {least} m: {:?}",
-            status.guard
-        );
     }
 }
 
+#[test]
+fn an_arm_that_passes_what_stands_still_and_itself_at_35_mm_or_more_is_never_stopped() {
+    let mut judge = Judge::new();
+    // Of what is always about as far away, none passes.
+    let counts = judge.counts(0.1);
+    let mut seed = 10_000;
+    for _ in 0..motions() / 3 {
+        let pass = pass(&mut seed, false, 0.035..0.08, &mut judge, &counts);
+        let ended = made(pass.segments, arms(&pass.starts));
+        let Pass { least, .. } = pass;
+        assert_eq!(ended, None, "seed {seed}, {least} m");
+    }
+}
+
+#[test]
+fn two_arms_that_pass_one_another_and_all_else_at_80_mm_or_more_are_never_stopped() {
+    let mut judge = Judge::new();
+    // Of what is always about as far away, none passes.
+    let counts = judge.counts(0.1);
+    let mut seed = 30_000;
+    for _ in 0..motions() / 3 {
+        let pass = pass(&mut seed, true, 0.08..0.12, &mut judge, &counts);
+        let ended = made(pass.segments, arms(&pass.starts));
+        let Pass { least, .. } = pass;
+        assert_eq!(ended, None, "seed {seed}, {least} m");
+    }
+}
+
+/// Makes these motions at once, to their ends; what a guard said that ended one.
+fn made(segments: [Option<Segment>; 2], mut arms: [Arm; 2]) -> Option<String> {
+    for (arm, segment) in arms.iter().zip(segments) {
+        if let Some(segment) = segment {
+            let order = ServoCommand::Move { id: 1, segment };
+            arm.port.order(order).unwrap();
+        }
+    }
+    for _ in 0..20_000 {
+        for arm in &mut arms {
+            arm.servo.tick(0);
+        }
+        let phases = || arms.iter().map(|arm| arm.port.status().motion.phase);
+        if phases().all(|phase| phase == MotionPhase::None || phase.is_over()) {
+            break;
+        }
+    }
+    arms.iter().zip(segments).find_map(|(arm, segment)| {
+        let status = arm.port.status();
+        let arrived = segment.is_none() || status.motion.phase == MotionPhase::Done;
+        (!arrived).then(|| format!("{:?}: {:?}", status.motion.phase, status.guard))
+    })
+}
 #[test]
 fn an_arm_whose_neighbours_servo_falls_silent_stops_and_names_it_and_since_when() {
     let start = Joints::try_from(&[0.0, 0.0, 0.0, 0.0, 0.8, -2.6, 0.0, 0.7, 0.0][..]).unwrap();

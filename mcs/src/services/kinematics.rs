@@ -7,7 +7,7 @@ use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transpor
 
 use super::arm::{NamesArm, Which, described, pedestal};
 use super::{code, ended, six};
-use crate::model::inverse::{ClosedForm, IkError, IkSolution, Preferences, Search};
+use crate::model::inverse::{ClosedForm, IkError, IkSolution, Preferences, Search, Singular};
 use crate::model::{Data, FrameId, Limits, Model, Placement, built_in, file::Inertias};
 
 /// How many joints an arm with a closed form has.
@@ -329,6 +329,7 @@ impl Kinematics {
             self.singular(closed, posture, io)?;
         }
         let coincide = found.singular.elbow || found.singular.shoulder;
+        meeting(found.singular, io);
         let same = if coincide { SAME_AT_SINGULARITY } else { SAME };
         let mut solutions: Vec<Joints> = Vec::new();
         for turned in postures
@@ -399,6 +400,23 @@ impl Kinematics {
             all = turned;
         }
         all
+    }
+}
+
+/// Warns of a pose in which the arm cannot move one way although each of its postures there is determined.
+fn meeting(singular: Singular, io: &mut Transport) {
+    let mut warn = |text: &str| io.report(Report::warning(code::MEET, text.to_owned()));
+    if singular.shoulder {
+        warn(
+            "singular shoulder: the wrist centre is as near to joint 1's axis as it can be; both shoulder postures \
+             coincide, and the wrist cannot move straight towards that axis or away from it",
+        );
+    }
+    if singular.elbow {
+        warn(
+            "singular elbow: the arm is stretched out or folded; both elbow postures coincide, and the wrist cannot \
+             move straight towards the shoulder or away from it",
+        );
     }
 }
 

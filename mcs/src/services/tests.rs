@@ -207,6 +207,60 @@ fn a_pose_that_the_arm_cannot_take_is_refused_by_name() {
 }
 
 #[test]
+fn a_stretched_elbow_and_a_shoulder_over_its_axis_are_named_beside_their_solutions() {
+    let sorm = manager();
+    let inverse = |q: [f64; 6]| {
+        let [a, b, c, d, e, f] = q;
+        let there = ask(
+            &sorm,
+            &format!("kin.puma560 EXEC fkine FMSG 6 {a:?} {b:?} {c:?} {d:?} {e:?} {f:?}"),
+        );
+        let pose: Vec<String> = there
+            .floats
+            .iter()
+            .map(|number| format!("{number:?}"))
+            .collect();
+        ask(
+            &sorm,
+            &format!("kin.puma560 EXEC ikine FMSG 16 {}", pose.join(" ")),
+        )
+    };
+    // The elbow is straight where the forearm, a3 and d4, is in line with the upper arm.
+    let straight = -(0.4318_f64).atan2(0.0203);
+    // The wrist is over the shoulder where a2 cos q2 + a3 cos (q2 + q3) - d4 sin (q2 + q3) = 0.
+    let (q2, a2, a3, d4) = (1.0_f64, 0.4318_f64, 0.0203_f64, 0.4318_f64);
+    let over = (a2 * q2.cos() / a3.hypot(d4)).asin() + a3.atan2(d4) - q2;
+    let sound = inverse([0.3, 0.4, -2.5, 0.2, 0.6, 1.0]);
+    assert!(
+        sound.is_ok() && sound.reports.is_empty(),
+        "{:?}",
+        sound.reports
+    );
+    for (q, name) in [
+        ([0.2, 0.5, straight, 0.0, 0.3, 0.0], "singular elbow: "),
+        ([0.2, q2, over, 0.4, 0.6, 0.1], "singular shoulder: "),
+    ] {
+        let found = inverse(q);
+        let said = found
+            .reports
+            .iter()
+            .map(|report| (report.code, report.text.as_str()));
+        let said: Vec<_> = said.collect();
+        assert!(found.is_ok(), "{said:?}");
+        let [(code::MEET, text)] = said[..] else {
+            panic!("{name}: {said:?}")
+        };
+        assert!(text.starts_with(name), "{text}");
+        let near = |joints: &[f64]| joints.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-6);
+        assert!(
+            found.floats.chunks(6).any(near),
+            "{name}: {:?}",
+            found.floats
+        );
+    }
+}
+
+#[test]
 fn wrong_requests_say_what_would_have_been_right() {
     let sorm = manager();
     let cases = [

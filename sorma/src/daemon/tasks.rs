@@ -322,7 +322,12 @@ impl Comm for Tasks {
     ) -> Answer<'a, Vec<u8>> {
         Box::pin(async move {
             let found = self.cx.task(task).await;
-            let found = found.map_err(|error| raise!(code::DAEMON, "{error}"))?;
+            let found = found.map_err(|error| {
+                raise!(
+                    code::DAEMON,
+                    "{error}; the options of an object name its task: CTRL -help tells which"
+                )
+            })?;
             let answer = self.cx.call_raw(&found, command, data, deadline).await;
             answer.map_err(|error| match &error.fault {
                 Fault::Refused { text } => {

@@ -20,6 +20,8 @@ type Joints = [f64; DOF];
 const SINGULAR: f64 = 1e-9;
 /// The elbow's angle comes from an arc cosine near one, which keeps only half the digits.
 const SINGULAR_ELBOW: f64 = 1e-6;
+/// The wrist centre is so near the plane of joint 1's axis, m: both shoulder postures are within a microradian there.
+const SINGULAR_SHOULDER: f64 = 1e-7;
 /// A joint this little (rad) beyond its limit is rounding and is set onto the limit.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
@@ -252,7 +254,7 @@ impl Puma {
             up,
             bend,
             singular: Singular {
-                shoulder: outward < SINGULAR,
+                shoulder: outward < SINGULAR_SHOULDER,
                 elbow: bend.sin() < SINGULAR_ELBOW,
                 wrist: false,
             },

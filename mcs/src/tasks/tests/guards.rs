@@ -133,6 +133,45 @@ fn after_a_retreat_the_tool_is_where_all_was_well() {
 }
 
 #[test]
+fn an_emergency_stop_in_a_retreat_leaves_the_arm_where_it_is_and_is_what_the_mover_is_told() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let start = height(&cx, &mcs).await?;
+            asked(&cx, &mcs, table(start - 0.1, Reaction::Retreat)).await?;
+            let order = down(&cx, &mcs, 0.2, &["no-table"]).await?;
+            let press = async {
+                // Up again: it goes back.
+                let (mut lowest, mut now) = (start, start);
+                while now < lowest + 2e-4 {
+                    cx.sleep(Duration::from_millis(9)).await;
+                    now = height(&cx, &mcs).await?;
+                    lowest = lowest.min(now);
+                }
+                asked(&cx, &mcs, EmergencyStop {}).await?;
+                cx.sleep(Duration::from_millis(9)).await;
+                height(&cx, &mcs).await
+            };
+            let moving = error_of(&cx, &mcs, order);
+            let (pressed, moved) = futures_util::future::join(press, moving).await;
+            let (pressed, moved) = (pressed?, moved?);
+            assert_eq!(moved.outcome, Outcome::Estopped, "{moved}");
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!((status.state, status.holder), (State::Estopped, None));
+            cx.sleep(Duration::from_secs(2)).await;
+            let later = height(&cx, &mcs).await?;
+            assert!((later - pressed).abs() < 1e-4, "{pressed} {later}");
+            let last = asked(&cx, &mcs, ReadGuards {}).await?.last;
+            let last = last.ok_or("nothing was found")?;
+            let there = asked(&cx, &mcs, ReadPosition {}).await?.joints;
+            let mut pairs = there.iter().zip(&last.allowed);
+            assert!(pairs.any(|(found, allowed)| (found - allowed).abs() > 5e-3));
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
 fn a_recipe_of_the_dictionary_watches_the_motions_of_who_names_its_object() {
     text_of(|cx, mcs, _| {
         Box::pin(async move {

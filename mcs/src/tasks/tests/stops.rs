@@ -108,6 +108,49 @@ fn a_stop_of_an_arm_that_stands_holds_too_and_a_reset_ends_it() {
     });
 }
 
+/// Presses the emergency stop in the state that the arm is in, and sees that it is estopped, moves nothing, and comes back by
+/// a reset and a new reservation alone.
+async fn must_stop_in(cx: &Context, mcs: &TaskRef, state: State) -> Result<(), HandlerError> {
+    let status = asked(cx, mcs, Status {}).await?;
+    assert_eq!(status.state, state);
+    asked(cx, mcs, EmergencyStop {}).await?;
+    cx.sleep(Duration::from_millis(20)).await;
+    let status = asked(cx, mcs, Status {}).await?;
+    assert_eq!((status.state, status.holder), (State::Estopped, None));
+    let stands = asked(cx, mcs, ReadPosition {}).await?.joints;
+    for refused in [
+        error_of(cx, mcs, Acquire {}).await?,
+        error_of(cx, mcs, to(Target::Joints(GOAL.into()))).await?,
+    ] {
+        assert_eq!(refused.outcome, Outcome::Estopped, "{state:?}: {refused}");
+    }
+    cx.sleep(Duration::from_secs(1)).await;
+    assert_eq!(asked(cx, mcs, ReadPosition {}).await?.joints, stands);
+    assert_eq!(done(cx, mcs, Reset {}).await?, State::Cold);
+    let early = error_of(cx, mcs, to(Target::Joints(GOAL.into()))).await?;
+    assert_eq!(early.outcome, Outcome::Refused, "{state:?}: {early}");
+    Ok(())
+}
+
+#[test]
+fn an_emergency_stop_in_any_state_of_rest_is_left_by_a_reset_and_a_new_reservation_alone() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            must_stop_in(&cx, &mcs, State::Cold).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            must_stop_in(&cx, &mcs, State::Active).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL.into()))).await?;
+            must_stop_in(&cx, &mcs, State::Motion).await?;
+            asked(&cx, &mcs, EmergencyStop {}).await?;
+            must_stop_in(&cx, &mcs, State::Estopped).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(START.into()))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
 #[test]
 fn a_controlled_stop_comes_to_rest_before_power_goes_off_and_is_told_for_what_it_is() {
     text_of(|cx, mcs, _| {
