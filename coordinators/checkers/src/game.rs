@@ -2,6 +2,7 @@
 
 use crate::{
     board::{Colour, Position},
+    ending::Ending,
     moves::Move,
     notation::{Numbering, Refusal, Written},
     pdn::Record,
@@ -15,8 +16,8 @@ pub enum Drawn {
     Repetition,
     /// Kings only moved for too long.
     QuietKings,
-    /// Three kings did not win against one in time.
-    ThreeAgainstOne,
+    /// Nobody won this ending in time.
+    Ending(Ending),
     /// Both agreed.
     Agreement,
 }
@@ -50,8 +51,8 @@ pub struct Game {
     position: Position,
     /// The keys of the positions since the last capture or move of a man, with this one.
     keys: Vec<u64>,
-    /// Half-moves since three kings stood against one.
-    three: Option<u32>,
+    /// The endings that the position is, and the half-moves since each arose.
+    endings: Vec<(Ending, u32)>,
     ended: Option<Status>,
 }
 
@@ -71,7 +72,9 @@ impl Game {
             moves: Vec::new(),
             position: start,
             keys: vec![start.key()],
-            three: three_against_one(&start).then_some(0),
+            endings: Ending::of(&start, variant.draws())
+                .map(|ending| (ending, 0))
+                .collect(),
             ended: None,
         }
     }
@@ -126,11 +129,14 @@ impl Game {
         }
         self.position = self.position.after(step);
         self.keys.push(self.position.key());
-        self.three = match (three_against_one(&self.position), self.three) {
-            (false, _) => None,
-            (true, None) => Some(0),
-            (true, Some(count)) => Some(count + 1),
+        let before = std::mem::take(&mut self.endings);
+        let count = |ending: Ending| {
+            let mut before = before.iter();
+            let found = before.find(|(other, _)| *other == ending);
+            (ending, found.map_or(0, |(_, count)| count + 1))
         };
+        let endings = Ending::of(&self.position, self.variant.draws());
+        self.endings = endings.map(count).collect();
         self.moves.push(step);
         Ok(())
     }
@@ -180,14 +186,14 @@ impl Game {
         if self.keys.iter().filter(|key| **key == now).count() >= draws.repetitions {
             return Status::Drawn(Drawn::Repetition);
         }
-        let limit = |limit: u32, count: u32| count >= limit;
-        if let (Some(most), Some(count)) = (draws.three_against_one, self.three)
-            && limit(most, count)
-        {
-            return Status::Drawn(Drawn::ThreeAgainstOne);
+        let over = |(ending, count): &&(Ending, u32)| {
+            ending.most(draws).is_some_and(|most| *count >= most)
+        };
+        if let Some((ending, _)) = self.endings.iter().find(over) {
+            return Status::Drawn(Drawn::Ending(*ending));
         }
         let quiet = u32::try_from(self.keys.len() - 1).unwrap_or(u32::MAX);
-        if limit(draws.quiet, quiet) {
+        if quiet >= draws.quiet {
             return Status::Drawn(Drawn::QuietKings);
         }
         Status::Playing
@@ -210,13 +216,6 @@ impl Game {
             result: result.to_owned(),
         }
     }
-}
-
-/// Three kings or more, and nothing else, against one king.
-fn three_against_one(position: &Position) -> bool {
-    let only_kings = (position.white | position.black) & !position.kings == 0;
-    let (white, black) = (position.white.count_ones(), position.black.count_ones());
-    only_kings && ((white >= 3 && black == 1) || (white == 1 && black >= 3))
 }
 
 #[cfg(test)]

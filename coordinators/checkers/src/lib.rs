@@ -5,6 +5,7 @@
 mod board;
 mod capture;
 mod carries;
+mod ending;
 mod evaluate;
 mod fen;
 mod game;
@@ -22,6 +23,7 @@ mod watch;
 
 pub use board::{Colour, Piece, Position, Squares, each};
 pub use carries::{Carry, Heaps, Place};
+pub use ending::Ending;
 pub use game::{Drawn, Game, Status, Won};
 pub use moves::{Move, MoveList, Route};
 pub use notation::{LONGEST, Numbering, Refusal, TextError, Written};

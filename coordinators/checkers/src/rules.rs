@@ -59,6 +59,8 @@ pub struct DrawRules {
     pub quiet: u32,
     /// Three kings or more against one king have so many moves, from when that arose.
     pub three_against_one: Option<u32>,
+    /// Whether an [`Ending`](crate::Ending) of few pieces is a draw, too.
+    pub few_pieces: bool,
 }
 
 impl Variant {
@@ -144,7 +146,7 @@ impl Variant {
         matches!(self, Self::Italian | Self::Spanish)
     }
 
-    /// When a game is drawn. Repetition is common to all; Brazilian and Russian as FMJD-64 has them (15 moves), the others
+    /// When a game is drawn. Repetition is common to all; Brazilian and Russian as FMJD-64 has them (7.2.3 to 7.2.8), the others
     /// as their federations do: 40 moves in English and Italian draughts, 13 for three kings against one in pool.
     #[must_use]
     pub const fn draws(self) -> DrawRules {
@@ -157,6 +159,7 @@ impl Variant {
             repetitions: 3,
             quiet,
             three_against_one,
+            few_pieces: matches!(self, Self::Brazilian | Self::Russian),
         }
     }
 

@@ -4,6 +4,7 @@
 //! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
 //! `room` without physics is in the place of table, arm and person; `referee` holds the game against it. `wire` has what they exchange.
 
+mod coordinator;
 mod hand;
 mod people;
 mod person;
@@ -18,15 +19,16 @@ mod transform;
 mod vision;
 mod wire;
 
+use coordinator::RoomArgs;
 use ctos::registry::Registry;
 
 /// Registers the event handlers.
 pub fn register(registry: &mut Registry) {
     coordinators::handler::register::<player::PlayerArgs>(registry);
-    coordinators::handler::register::<vision::VisionArgs>(registry);
-    coordinators::handler::register::<transform::TransformArgs>(registry);
-    coordinators::handler::register::<robot::RobotArgs>(registry);
-    coordinators::handler::register::<hand::HandArgs>(registry);
+    coordinators::handler::register::<RoomArgs<vision::Vision>>(registry);
+    coordinators::handler::register::<RoomArgs<transform::Transform>>(registry);
+    coordinators::handler::register::<RoomArgs<robot::Robot>>(registry);
+    coordinators::handler::register::<RoomArgs<hand::Hand>>(registry);
     coordinators::handler::register::<people::PeopleArgs>(registry);
     coordinators::handler::register::<speaker::SpeakerArgs>(registry);
     room::register(registry);

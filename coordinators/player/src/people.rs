@@ -15,12 +15,8 @@ use crate::wire::{self, WISH, Wish};
 #[serde(deny_unknown_fields)]
 pub struct PeopleArgs {
     /// The data object manager.
-    #[serde(default = "dom")]
+    #[serde(default = "crate::coordinator::dom")]
     dom: String,
-}
-
-fn dom() -> String {
-    "dom".to_owned()
 }
 
 /// What the functions share.

@@ -30,7 +30,7 @@ const FAIR: i32 = 50;
 #[serde(deny_unknown_fields)]
 pub struct PlayerArgs {
     /// The data object manager.
-    #[serde(default = "dom")]
+    #[serde(default = "crate::coordinator::dom")]
     dom: String,
     /// Who plays against the robot: `self`, `program`, or a file of PDN whose first game is played.
     #[serde(default = "own")]
@@ -52,10 +52,6 @@ pub struct PlayerArgs {
     opening: usize,
     /// Where the game is written as PDN, relative to the configuration's folder.
     pdn: Option<String>,
-}
-
-fn dom() -> String {
-    "dom".to_owned()
 }
 
 fn own() -> String {

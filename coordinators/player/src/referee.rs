@@ -29,19 +29,11 @@ const DISCS: u32 = 24;
 #[serde(deny_unknown_fields)]
 struct RefereeArgs {
     /// The room.
-    #[serde(default = "room")]
+    #[serde(default = "crate::coordinator::room")]
     room: String,
     /// The data object manager.
-    #[serde(default = "dom")]
+    #[serde(default = "crate::coordinator::dom")]
     dom: String,
-}
-
-fn room() -> String {
-    "room".to_owned()
-}
-
-fn dom() -> String {
-    "dom".to_owned()
 }
 
 /// The verdict.

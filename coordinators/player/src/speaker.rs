@@ -15,21 +15,13 @@ use crate::wire::{self, Words};
 #[serde(deny_unknown_fields)]
 pub struct SpeakerArgs {
     /// The data object manager.
-    #[serde(default = "dom")]
+    #[serde(default = "crate::coordinator::dom")]
     dom: String,
     /// The task of the room.
-    #[serde(default = "room")]
+    #[serde(default = "crate::coordinator::room")]
     room: String,
     /// The service object that speaks, such as `fork.sound@speaker_daemon`.
     speaker: Option<String>,
-}
-
-fn dom() -> String {
-    "dom".to_owned()
-}
-
-fn room() -> String {
-    "room".to_owned()
 }
 
 /// What the functions share.

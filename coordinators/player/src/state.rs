@@ -628,7 +628,7 @@ impl Play {
     /// The result in words.
     #[must_use]
     pub fn result(&self) -> String {
-        use checkers::{Drawn, Won};
+        use checkers::{Drawn, Ending, Won};
         match self.game.status() {
             Status::Playing => "the game is not over".to_owned(),
             Status::Won(side, Won::NoMove) => {
@@ -640,8 +640,16 @@ impl Play {
             }
             Status::Drawn(Drawn::Repetition) => "drawn: a position three times".to_owned(),
             Status::Drawn(Drawn::QuietKings) => "drawn: kings only moved for too long".to_owned(),
-            Status::Drawn(Drawn::ThreeAgainstOne) => {
-                "drawn: three kings did not win against one in time".to_owned()
+            Status::Drawn(Drawn::Ending(ending)) => {
+                let what = match ending {
+                    Ending::ThreeKings => "three kings did not win against one",
+                    Ending::MainRoad => "three pieces did not win against a king on the main road",
+                    Ending::TwoAgainstOne => "two pieces did not win against a king",
+                    Ending::Balance { .. } => {
+                        "few pieces are left, and nothing was captured or crowned"
+                    }
+                };
+                format!("drawn: {what} in time")
             }
             Status::Drawn(Drawn::Agreement) => "drawn: both agreed".to_owned(),
         }

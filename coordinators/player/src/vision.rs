@@ -1,66 +1,22 @@
 //! The Vision Coordinator of the checkers player: the functions of `nets/checkers/vision.net`, which find the board and read it.
 
-use coordinators::{dom::DomStore, handler::NetArgs};
-use ctos::{
-    config::{App, TaskConfig},
-    diagnostic::Findings,
-};
 use pnt::library::{Acted, Action, Library};
-use serde::Deserialize;
 
-use crate::wire::{self, Picture, Pose, Reading, See, Situation, apart};
+use crate::{
+    coordinator::{Functions, InRoom},
+    wire::{self, Picture, Pose, Reading, See, Situation, apart},
+};
 
-/// Arguments.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct VisionArgs {
-    /// The data object manager.
-    #[serde(default = "dom")]
-    dom: String,
-    /// The task of the room.
-    #[serde(default = "room")]
-    room: String,
-}
+/// The functions.
+#[derive(Debug, Clone)]
+pub struct Vision;
 
-fn dom() -> String {
-    "dom".to_owned()
-}
-
-fn room() -> String {
-    "room".to_owned()
-}
-
-/// What the functions share.
-pub struct Vision {
-    args: VisionArgs,
-    store: DomStore,
-}
-
-type Act = Action<Vision>;
-
-impl NetArgs for VisionArgs {
+impl Functions for Vision {
     const HANDLER: &'static str = "checkers.vision";
-    type State = Vision;
 
-    fn dom(&self) -> &str {
-        &self.dom
+    fn add(library: Library<InRoom>) -> Library<InRoom> {
+        library.action("find", find).action("look", look)
     }
-
-    fn library(self, store: DomStore) -> Library<Vision> {
-        Library::new(Vision { args: self, store })
-            // Between two requests there is nothing to know.
-            .kept(|_| (), |_, ()| ())
-            .action("find", find)
-            .action("look", look)
-    }
-
-    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
-        coordinators::need_task(task, app, "room", &self.room, findings);
-    }
-}
-
-fn parts(action: &Act) -> (VisionArgs, DomStore) {
-    action.with_state(|state| (state.args.clone(), state.store.clone()))
 }
 
 /// A disc so near to the middle of a square stands well, m.
@@ -71,20 +27,20 @@ const OFF_M: f64 = 0.021;
 const MOVED_M: f64 = 0.004;
 
 /// Where the markers are (`findBrdMarker` of the report).
-async fn find(action: Act) -> Acted {
-    let (args, store) = parts(&action);
+async fn find(action: Action<InRoom>) -> Acted {
+    let InRoom { store, room } = InRoom::of(&action);
     let cx = action.cx();
-    let picture = wire::ask(cx, &args.room, See { pose: 0 }).await?;
+    let picture = wire::ask(cx, &room, See { pose: 0 }).await?;
     wire::keep(cx, &store, wire::MARKS, &picture.markers).await
 }
 
 /// The situation on the board (`getBrdSit` of the report).
-async fn look(action: Act) -> Acted {
-    let (args, store) = parts(&action);
+async fn look(action: Action<InRoom>) -> Acted {
+    let InRoom { store, room } = InRoom::of(&action);
     let cx = action.cx();
     let pose: u8 = wire::fetch(cx, &store, wire::GAZE).await?;
     let board: Pose = wire::fetch(cx, &store, wire::BOARD).await?;
-    let picture = wire::ask(cx, &args.room, See { pose }).await?;
+    let picture = wire::ask(cx, &room, See { pose }).await?;
     wire::keep(cx, &store, wire::SITUATION, &read(&picture, &board)).await
 }
 

@@ -49,18 +49,26 @@ fn a_move_of_a_man_begins_the_count_anew() {
     );
 }
 
-/// Kings wander, and capture nothing and leave nothing to capture; the longest of several such games.
-fn wander(variant: Variant, fen: &str) -> Game {
+/// Both sides wander where `may` lets them, and capture nothing and leave nothing to capture; men move when kings alone have moved
+/// for long. The longest of several such games.
+fn wander(variant: Variant, fen: &str, may: impl Fn(&Position) -> bool) -> Game {
     let games = (0..200).map(|seed| {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut game = game(variant, fen, &[]);
         while game.status() == Status::Playing {
+            let quiet = game.before().len();
+            let seen = |position: &Position| game.before().contains(&position.key());
             let moves = game.position().moves(variant);
-            let quiet = moves.iter().copied().filter(|step| {
+            let moves = moves.iter().copied().filter(|step| {
                 let next = game.position().after(*step);
-                step.captured == 0 && !next.captures(variant)
+                let patient = quiet >= 24 || !game.position().lasting(*step);
+                step.captured == 0
+                    && !next.captures(variant)
+                    && may(&next)
+                    && !seen(&next)
+                    && patient
             });
-            let Some(step) = quiet.collect::<Vec<_>>().choose(&mut random).copied() else {
+            let Some(step) = moves.collect::<Vec<_>>().choose(&mut random).copied() else {
                 break;
             };
             game.make(step).unwrap();
@@ -72,19 +80,79 @@ fn wander(variant: Variant, fen: &str) -> Game {
 
 #[test]
 fn kings_that_only_move_for_15_moves_are_a_draw_in_russian_draughts() {
-    let game = wander(Variant::Russian, "W:WK32,K31:BK1,K4");
+    let game = wander(Variant::Russian, "W:WK32,K31:BK1,K4", |_| true);
     assert_eq!(game.moves().len(), 30);
     assert_eq!(game.status(), Status::Drawn(Drawn::QuietKings));
 }
 
 #[test]
 fn three_kings_have_15_moves_against_one() {
-    let game = wander(Variant::Brazilian, "W:WK32,K31,K30:BK4");
+    let game = wander(Variant::Brazilian, "W:WK32,K31,K30:BK1", |_| true);
     assert_eq!(game.moves().len(), 30);
-    assert_eq!(game.status(), Status::Drawn(Drawn::ThreeAgainstOne));
-    let pool = wander(Variant::Pool, "W:WK32,K31,K30:BK4");
-    assert_eq!(pool.status(), Status::Drawn(Drawn::ThreeAgainstOne));
+    assert_eq!(
+        game.status(),
+        Status::Drawn(Drawn::Ending(Ending::ThreeKings))
+    );
+    let pool = wander(Variant::Pool, "W:WK32,K31,K30:BK4", |_| true);
+    assert_eq!(
+        pool.status(),
+        Status::Drawn(Drawn::Ending(Ending::ThreeKings))
+    );
     assert_eq!(pool.moves().len(), 26);
+}
+
+#[test]
+fn two_pieces_have_5_moves_against_a_king_but_not_in_pool() {
+    for fen in [
+        "W:WK32,K31:BK1",
+        "W:WK32,9:BK4",
+        "W:WK32:BK1",
+        "B:WK1:BK32,21",
+    ] {
+        let game = wander(Variant::Russian, fen, |_| true);
+        assert_eq!(game.moves().len(), 10, "{fen}");
+        let ending = Drawn::Ending(Ending::TwoAgainstOne);
+        assert_eq!(game.status(), Status::Drawn(ending), "{fen}");
+    }
+    assert!(
+        wander(Variant::Pool, "W:WK32,K31:BK1", |_| true)
+            .moves()
+            .len()
+            > 20
+    );
+}
+
+#[test]
+fn three_pieces_have_5_moves_against_a_king_that_stays_on_the_main_road() {
+    let on_road = |position: &Position| {
+        let king = position.black.trailing_zeros() + 1;
+        [4, 8, 11, 15, 18, 22, 25, 29].contains(&king)
+    };
+    for fen in ["W:WK32,K31,K5:BK4", "W:WK32,K31,21:BK4", "W:WK32,28,21:BK4"] {
+        let stays = wander(Variant::Brazilian, fen, on_road);
+        assert_eq!(stays.moves().len(), 10, "{fen}");
+        let ending = Drawn::Ending(Ending::MainRoad);
+        assert_eq!(stays.status(), Status::Drawn(ending), "{fen}");
+        // It is counted anew when the king comes back.
+        let leaves = wander(Variant::Brazilian, fen, |_| true);
+        assert!(leaves.moves().len() > 10, "{fen}");
+    }
+}
+
+#[test]
+fn five_pieces_have_30_moves_without_a_capture_or_a_crown_and_seven_60() {
+    for (fen, moves) in [
+        ("W:WK30,21,24:BK3,12", 60),
+        ("W:WK30,29,32,31:BK3,1,4", 120),
+    ] {
+        let kings = |position: &Position| position.kings.count_ones() == 2;
+        let game = wander(Variant::Russian, fen, kings);
+        assert_eq!(game.moves().len(), moves, "{fen}: {:?}", game.status());
+        assert!(matches!(
+            game.status(),
+            Status::Drawn(Drawn::Ending(Ending::Balance { .. }))
+        ));
+    }
 }
 
 #[test]
