@@ -420,12 +420,12 @@ fn pass(seed: &mut u64, both: bool, near: Range<f64>, judge: &mut Judge, counts:
         *seed += 1;
         let mut rng = ChaCha8Rng::seed_from_u64(*seed);
         let starts = starts(&mut rng, judge, counts);
-        let mut planner = Planner::new(model(), CartesianLimits::default(), 0.018).unwrap();
+        let planner = Planner::new(model(), CartesianLimits::default(), 0.018).unwrap();
         let segments = [(0, true), (1, both)].map(|(side, moves)| {
             let (goal, speed) = (position(&mut rng), rng.random_range(0.3..1.0));
             moves.then(|| planner.joint(&starts[side], &goal, speed).unwrap())
         });
-        let mut least = f64::INFINITY;
+        let (mut least, mut solver) = (f64::INFINITY, planner.solver().clone());
         let longest = segments
             .iter()
             .flatten()
@@ -436,7 +436,6 @@ fn pass(seed: &mut u64, both: bool, near: Range<f64>, judge: &mut Judge, counts:
             let at = [0, 1].map(|side| match &segments[side] {
                 Some(segment) => {
                     let (time, near) = (time.min(segment.duration()), &starts[side]);
-                    let mut solver = planner.solver().clone();
                     segment.at(&mut solver, time, near).unwrap().position
                 }
                 None => starts[side],
