@@ -58,21 +58,26 @@ struct Told {
 
 impl Told {
     fn send(&self, cx: &Context, all: &[Sent]) {
-        let live = self.live.borrow();
         for sent in all {
             cx.record_encoded(&sent.channel, &sent.schema, &sent.bytes);
-            if let Some(live) = &*live {
-                live.send(sent);
-            }
+        }
+        self.show(all);
+    }
+
+    /// Tells those that are connected, and no record.
+    fn show(&self, all: &[Sent]) {
+        if let Some(live) = &*self.live.borrow() {
+            all.iter().for_each(|sent| live.send(sent));
         }
     }
 
-    /// Tells all that is known of `source`.
-    fn whole(&self, cx: &Context, source: &str) {
-        match self.translator.borrow().whole(source) {
-            Ok(all) => self.send(cx, &all),
-            Err(error) => tracing::warn!(source, %error, "viewers are told nothing of it"),
-        }
+    /// All that is known of `source`.
+    fn whole(&self, source: &str) -> Vec<Sent> {
+        let whole = self.translator.borrow().whole(source);
+        whole.unwrap_or_else(|error| {
+            tracing::warn!(source, %error, "viewers are told nothing of it");
+            Vec::new()
+        })
     }
 }
 
@@ -142,10 +147,11 @@ impl EventHandler for Viewers {
     }
 }
 
+/// Who comes is told the whole. A record has it already, and does not grow because somebody looks on.
 async fn greet(cx: &Context, told: &Told, mut comes: Receiver<()>) {
     while comes.recv().await.is_some() {
         for source in sources(cx.app(), &cx.registry()) {
-            told.whole(cx, &source);
+            told.show(&told.whole(&source));
         }
     }
 }
@@ -167,14 +173,14 @@ async fn follow(cx: &Context, source: &str, told: &Told) {
         let begun = std::mem::replace(&mut recorders, cx.recorders()) != cx.recorders();
         note(cx, source, &mut track, &batch, begun);
         if begun {
-            told.whole(cx, source);
+            told.send(cx, &told.whole(source));
         }
         let all = told.translator.borrow_mut().take(source, batch);
         match all {
             Ok(all) => told.send(cx, &all),
             Err(error) => {
                 tracing::warn!(source, %error, "viewers miss this; they are told the rest anew");
-                told.whole(cx, source);
+                told.send(cx, &told.whole(source));
             }
         }
     }
