@@ -8,7 +8,10 @@ use std::{
 };
 
 use cli_common::records;
-use ctos::record::{Filter, ReadError, scan_only};
+use ctos::{
+    diagnostic::{Findings, Source},
+    record::{Filter, ReadError, scan_only},
+};
 use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
 use scene::track::{SceneStep, Shown};
 use serde::Deserialize;
@@ -31,6 +34,8 @@ pub(crate) struct Recorded {
     pictures: Vec<Shown>,
     /// What tasks handled, and what the log says of them.
     handled: Handled,
+    /// The app's file of displays as it was when the run was recorded.
+    displays: Option<Kept>,
     /// What a person should know of the records.
     pub(crate) warnings: Vec<String>,
 }
@@ -48,6 +53,13 @@ pub(crate) enum Step {
     /// It is as this, after so many events that are not known.
     State(Box<State>, u64),
     Event(Box<Event>),
+}
+
+/// A file that a record keeps.
+#[derive(Debug, Deserialize)]
+struct Kept {
+    file: String,
+    text: String,
 }
 
 #[derive(Deserialize)]
@@ -83,6 +95,7 @@ impl Recorded {
                 "/picture/*",
                 "/ended/*",
                 "/log/*",
+                "/displays",
             ]
             .map(str::to_owned)
             .to_vec(),
@@ -101,6 +114,8 @@ impl Recorded {
             } else if topic.starts_with("/ended/") {
                 serde_json::from_slice::<Ended>(&entry.json)
                     .map(|ended| self.handled.take(entry.at, ended))
+            } else if topic == "/displays" {
+                serde_json::from_slice(&entry.json).map(|kept| self.displays = Some(kept))
             } else if topic.starts_with("/log/") {
                 serde_json::from_slice::<Said>(&entry.json)
                     .map(|said| self.handled.note(entry.at, said))
@@ -158,6 +173,16 @@ impl Recorded {
     fn step(&mut self, source: &str, step: SceneStep) {
         let steps = self.scenes.entry(source.to_owned()).or_default();
         steps.push(step);
+    }
+
+    /// The displays and layouts that the record keeps; what is wrong in them is left out and told.
+    pub(crate) fn overviews(&self) -> (Overviews, Findings) {
+        let mut findings = Findings::new();
+        let read = self.displays.as_ref().map(|Kept { file, text }| {
+            let source = Source::new(format!("{file} of the record"), text.clone());
+            Overviews::read(&source, &mut findings)
+        });
+        (read.unwrap_or_default(), findings)
     }
 
     /// The nets and the scene as a display shows them.

@@ -73,7 +73,7 @@ pub struct DisplayArgs {
     /// This net only
     #[arg(long, value_name = "NET")]
     pub net: Option<String>,
-    /// A file of overview displays
+    /// A file of overview displays and layouts; without it, that which the record keeps
     #[arg(long, value_name = "FILE")]
     pub displays: Option<PathBuf>,
     /// Where the page is served; port 0 takes any that is free
@@ -124,7 +124,12 @@ pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
         return print(args, &recorded);
     }
     let overviews = match args.displays.as_deref().map(overviews).transpose() {
-        Ok(overviews) => overviews.unwrap_or_default(),
+        Ok(Some(named)) => named,
+        Ok(None) => {
+            let (kept, findings) = recorded.overviews();
+            show::findings(findings);
+            kept
+        }
         Err(code) => return code,
     };
     let displays = overviews.clone();

@@ -1,6 +1,10 @@
 //! The task: follows what all tasks of the app show, records what viewers are told, and tells those that are connected.
 
-use std::{cell::RefCell, net::SocketAddr, rc::Rc};
+use std::{
+    cell::{Cell, RefCell},
+    net::SocketAddr,
+    rc::Rc,
+};
 
 use ctos::{
     config::{App, TaskConfig},
@@ -30,10 +34,26 @@ const LOG_TARGET: &str = "ctos::page";
 pub(crate) struct Args {
     /// Where viewers connect; port 0 takes any that is free. Without it everything is only recorded.
     listen: Option<SocketAddr>,
+    /// The app's file of displays, relative to the configuration's folder: each record keeps it as it is.
+    displays: Option<String>,
+}
+
+/// The channel of a record that keeps the app's file of displays.
+pub const DISPLAYS: &str = "/displays";
+
+/// What is kept of it.
+#[derive(Debug, Clone, serde::Serialize)]
+struct Displays {
+    file: String,
+    text: String,
 }
 
 /// Checks the arguments: nobody else may look on, for this server knows no keys.
-pub(crate) fn check(args: &Args, task: &TaskConfig, _app: &App, findings: &mut Findings) {
+pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    if let Some(Err(finding)) = args.displays.as_ref().map(|file| app.read(file)) {
+        let place = task.args.locate("displays");
+        findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
+    }
     let Some(listen) = args.listen else { return };
     if listen.ip().to_canonical().is_loopback() {
         return;
@@ -54,6 +74,9 @@ pub(crate) fn check(args: &Args, task: &TaskConfig, _app: &App, findings: &mut F
 struct Told {
     translator: RefCell<Translator>,
     live: RefCell<Option<Live>>,
+    displays: Option<Displays>,
+    /// How many records there were when the displays were written.
+    kept: Cell<u64>,
 }
 
 impl Told {
@@ -68,6 +91,16 @@ impl Told {
     fn show(&self, all: &[Sent]) {
         if let Some(live) = &*self.live.borrow() {
             all.iter().for_each(|sent| live.send(sent));
+        }
+    }
+
+    /// Each record has the displays once.
+    fn keep_displays(&self, cx: &Context) {
+        let records = cx.recorders();
+        if let Some(displays) = &self.displays
+            && self.kept.replace(records) != records
+        {
+            cx.record(DISPLAYS, displays);
         }
     }
 
@@ -89,11 +122,19 @@ pub(crate) struct Viewers {
 
 impl Viewers {
     pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let args: Args = cx.args()?;
+        let displays = args.displays.clone();
+        let displays = displays.map(|file| {
+            let text = cx.app().read(&file)?.text().to_owned();
+            Ok::<_, Finding>(Displays { file, text })
+        });
         Ok(Self {
-            args: cx.args()?,
+            args,
             told: Rc::new(Told {
                 translator: RefCell::default(),
                 live: RefCell::default(),
+                displays: displays.transpose()?,
+                kept: Cell::default(),
             }),
         })
     }
@@ -171,6 +212,7 @@ async fn follow(cx: &Context, source: &str, told: &Told) {
         };
         // Each record begins with the whole.
         let begun = std::mem::replace(&mut recorders, cx.recorders()) != cx.recorders();
+        told.keep_displays(cx);
         note(cx, source, &mut track, &batch, begun);
         if begun {
             told.send(cx, &told.whole(source));
