@@ -41,6 +41,8 @@ class App extends Moments {
     this.control = false;
     this.detail = "written";
     this.hops = false;
+    /** Whether what is under way is kept in view. */
+    this.active = false;
     /** The subnets that are drawn as one node, by net. */
     this.folded = new Map();
     /** What a person plays through: copies of nets, by name. */
@@ -62,6 +64,7 @@ class App extends Moments {
       select: (key) => this.choose(key),
       open: (key) => this.openNode(key),
       looked: () => this.minimap?.update(),
+      took: () => this.followActive(false),
       movable: (key) => this.control && this.forks.size === 0 && !this.paned() && !("fold" in this.picture.nodes.get(key).node.kind),
       moved: (key) => this.keep(key),
     });
@@ -150,11 +153,10 @@ class App extends Moments {
     this.picked = true;
     const wish = this.wish;
     const wished = this.known(wish?.get("net"));
-    const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
     this.tabs();
     $("names").replaceChildren();
     if (!wished && this.touched && this.known(this.shown)) return this.stay();
-    this.open(wished ? wish.get("net") : busiest?.name ?? null, wish?.get("node") ?? null);
+    this.open(wished ? wish.get("net") : this.mainNet()?.name ?? null, wish?.get("node") ?? null);
     if (this.panes.openLayout(wish?.get("layout"))) { /* it is shown */ } else if (!wish?.has("net") && this.hasScene) this.openWhole();
     if (wished) [this.wish, this.touched] = [null, true];
     for (const key of wish?.getAll("plot") ?? []) if (!this.plots.has(key)) this.plots.toggle(key);
@@ -223,6 +225,7 @@ class App extends Moments {
       this.hasScene = true;
       this.tabs();
     }
+    if (!this.panes.cell && this.whole !== this.panes.wantsCell()) this.panes.arrange();
   }
 
   jump(net, { state, skipped, fresh }) {
@@ -265,17 +268,43 @@ class App extends Moments {
     return folded?.size > 0 ? fold(drawing, folded) : drawing;
   }
 
-  /** The overview: the scene, the pictures, and the net with most commands. */
+  /** The net of the task as a whole: the one that asks most other nets. Of several the one with most commands. */
+  mainNet() {
+    const asks = (net) => new Set(net.view.transitions.map((one) => one.task).filter((task) => task !== net.name && this.nets.has(task))).size;
+    return [...this.nets.values()].sort((a, b) => asks(b) - asks(a) || b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
+  }
+
+  /** The overview: the scene, the pictures, and the net of the task. */
   openWhole() {
-    const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
-    if (busiest !== undefined) this.open(busiest.name, null);
+    const main = this.mainNet();
+    if (main !== undefined) this.open(main.name, null);
     this.panes.open("overview");
+    this.picture.fit();
+    this.followActive(main !== undefined && !this.picture.readable);
     this.tabs();
     this.remember();
   }
 
+  /** What is under way, the latest first; where nothing is, what may fire, and then where tokens are. */
+  activeNodes() {
+    const all = [...this.picture.nodes.values()];
+    const running = all.filter((one) => one.state === "running");
+    const names = (one) => (one.node.kind.transition?.[0] ?? []).map((number) => one.net.view.transitions[number].name);
+    const latest = (one) => Math.max(0, ...this.stateOf(one.net).running.filter((action) => names(one).includes(action.transition)).map((action) => action.since_ns));
+    if (running.length > 0) return running.sort((a, b) => latest(b) - latest(a)).map((one) => one.node);
+    const enabled = all.filter((one) => one.state === "enabled");
+    return (enabled.length > 0 ? enabled : all.filter((one) => one.count > 0)).map((one) => one.node);
+  }
+
+  followActive(on) {
+    this.active = on;
+    if (!on) this.picture.glide = null;
+    $("active").setAttribute("aria-pressed", String(on));
+  }
+
   open(name, key) {
     if (name === null || !this.known(name)) return;
+    this.followActive(false);
     this.panes.open("net");
     this.shown = name;
     this.chosen = null;
@@ -326,6 +355,8 @@ class App extends Moments {
     this.chosen = key;
     this.task = null;
     this.picture.select(key);
+    if (key !== null) [this.active, this.picture.glide] = [false, null];
+    $("active").setAttribute("aria-pressed", String(this.active));
     if (key !== null) this.picture.center(key);
     if (this.hops) this.picture.focus(key);
     this.asking = null;
@@ -473,7 +504,7 @@ class App extends Moments {
       }
       return this.tasks.get(task)?.now;
     };
-    const text = this.nets.size === 0 ? "waiting for the nets of the app"
+    const text = this.nets.size === 0 ? (this.wanted?.length === 0 ? "this app has no nets" : "waiting for the nets of the app")
       : first === null || this.forks.size > 0 ? "nothing is under way" : whyOf(first, this.nets, (net) => this.stateOf(net), nowOf, this.now());
     if ($("why").textContent !== text) $("why").textContent = text;
   }
@@ -493,6 +524,7 @@ class App extends Moments {
     const now = performance.now();
     if (this.playing) this.play(now);
     this.picture.tick(now);
+    if (this.active && this.shown !== null) this.picture.follow(this.activeNodes(), now);
     if (this.whole) this.overview.tick(now);
     if (this.shown !== null || this.whole) {
       if (this.dirty) {
@@ -548,7 +580,8 @@ class App extends Moments {
     $("next").onclick = () => this.step(1);
     $("play").onclick = () => this.togglePlay();
     $("live").onclick = () => this.live();
-    $("fit").onclick = () => this.picture.fit();
+    $("fit").onclick = () => this.fit();
+    $("active").onclick = () => this.followActive(!this.active);
     $("near").onclick = () => this.toggleNear();
     $("full").onclick = () => this.toggleDetail();
     $("help").onclick = () => $("keys").showModal();
@@ -565,6 +598,12 @@ class App extends Moments {
     $("search").onfocus = () => this.fillNames();
     $("search").onchange = () => this.find($("search").value);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.picture.looked(); this.changed(); });
+  }
+
+  /** Shows all of the net. */
+  fit() {
+    this.followActive(false);
+    this.picture.fit();
   }
 
   toggleNear() {

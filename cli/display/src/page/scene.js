@@ -1,7 +1,7 @@
 // The scene in three dimensions, by WebGL2. It draws what it is given, and says which part is where a person points.
 
 import { Sights, pyramidOf, seenFrom } from "./sight.js";
-import { ballOf, cross, hit, inner, looking, minus, norm, outline, perspective, placed, plus, point4, surface, times, unit3, unit4 } from "./solids.js";
+import { arrowFrames, arrowParts, ballOf, cross, hit, inner, looking, minus, norm, outline, perspective, placed, plus, point4, surface, times, unit3, unit4 } from "./solids.js";
 
 const SOLID = [`#version 300 es
 in vec3 at; in vec3 normal;
@@ -61,6 +61,11 @@ const LIFT = 0.004;
 const ANGLE = 0.6;
 /** Where the sun is. */
 const SUN = [0.45, -0.5, 0.85];
+/** Radius of an arrow, m, and the longest that is drawn. */
+const ARROW = 0.008;
+const LONGEST_ARROW = 1.5;
+/** What does not say how large the scene is: it may reach far beyond, or is nowhere yet. */
+const BESIDE = new Set(["guard", "margin", "nearest", "contact", "path", "force"]);
 const VIEWS = { azimuth: -0.95, height: 0.34 };
 
 /** A drawing area. `colours` gives those of the page by name. */
@@ -98,6 +103,7 @@ export class SceneView {
     }
     this.ground = this.buffer(new Float32Array(ground), 4);
     this.way = this.buffer(new Float32Array(4), 4);
+    this.arrows = Object.fromEntries(Object.entries(arrowParts).map(([name, numbers]) => [name, this.buffer(new Float32Array(numbers), 6)]));
     gl.enable(gl.DEPTH_TEST);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
   }
@@ -175,8 +181,7 @@ export class SceneView {
 
   /** Shows all parts, as at first. */
   fit(parts) {
-    // What guards forbid may reach far beyond what there is to see.
-    parts = parts.filter(({ part }) => part.kind !== "guard");
+    parts = parts.filter(({ part }) => !BESIDE.has(part.kind));
     [this.from, this.followed] = [null, null];
     const balls = parts.flatMap(({ part, frame }) => part.solids.map(ballOf).filter((ball) => ball !== null).map(([at, radius]) => [point4(frame, at).slice(0, 3), radius]));
     if (balls.length === 0) return;
@@ -276,7 +281,7 @@ export class SceneView {
     const solids = (look, prepared) => {
       for (const one of own) {
         const made = this.lookOf(one.part)[look];
-        if (made === null) continue;
+        if (made === null || one.part.kind === "margin") continue;
         prepared(one);
         gl.uniformMatrix4fv(at.frame, false, one.frame);
         this.draw(made, gl.TRIANGLES);
@@ -291,6 +296,17 @@ export class SceneView {
       gl.uniform1f(at.glow, one.chosen ? 0.6 : colours.rim);
     });
     gl.disable(gl.CULL_FACE);
+    for (const one of parts) {
+      if (one.part.kind === "nearest") continue;
+      for (const { way, turns } of vectorsOf(one)) {
+        gl.uniform3fv(at.colour, one.chosen ? colours.mark : one.truth ? colours.truth : one.part.colour.map((value) => value / 255));
+        gl.uniform1f(at.glow, 0.6);
+        for (const [name, frame] of arrowFrames(way, ARROW, turns)) {
+          gl.uniformMatrix4fv(at.frame, false, times(one.frame, frame));
+          this.draw(this.arrows[name], gl.TRIANGLES);
+        }
+      }
+    }
     gl.enable(gl.BLEND);
     this.lines(this.ground, seen, unit4(), [...colours.faint, 0.42], GROUND_REACH);
     for (const points of trails) {
@@ -302,8 +318,13 @@ export class SceneView {
     for (const one of parts.filter((other) => other !== this.through)) {
       const { outline: edges, axes, surface: mesh } = this.lookOf(one.part);
       // What is only lines is drawn so in every layer.
-      if (edges !== null && (one.truth || mesh === null)) this.lines(edges, seen, one.frame, [...(one.chosen ? colours.mark : one.truth ? colours.truth : colours.soft), one.chosen ? 1 : 0.75], 0);
+      if (edges !== null && (one.truth || mesh === null || one.part.kind === "margin")) this.lines(edges, seen, one.frame, [...(one.chosen ? colours.mark : one.truth ? colours.truth : one.part.kind === "margin" ? one.part.colour.map((value) => value / 255) : colours.soft), one.chosen ? 1 : one.part.kind === "margin" ? 0.4 : 0.75], 0);
       if (axes !== null && !one.truth) this.axes(seen, one.frame, axes);
+      if (one.part.kind !== "nearest") continue;
+      for (const { way } of vectorsOf(one)) {
+        this.fill(this.way, new Float32Array([0, 0, 0, 1, ...way, 1]), 4);
+        this.lines(this.way, seen, one.frame, [...(one.chosen ? colours.mark : one.part.colour.map((value) => value / 255)), 1], 0);
+      }
     }
     gl.disable(gl.BLEND);
     this.drawn += 1;
@@ -337,6 +358,16 @@ export class SceneView {
       this.lines(this.way, seen, frame, [...colour, 1], 0);
     }
   }
+}
+
+/** The arrows of a part as they are now: along its numbers, m, in its frame, as long as there is anything of them. */
+export function vectorsOf({ part, row }) {
+  return part.solids.map((solid) => solid.vector).filter((one) => one !== undefined).map(({ first, scale, turns }) => {
+    const numbers = row.slice(8 + first, 11 + first);
+    const size = norm(numbers) * scale;
+    const known = numbers.length === 3 && !numbers.includes(null) && size > 1e-3;
+    return known ? { way: numbers.map((one) => (one * scale * Math.min(1, LONGEST_ARROW / size))), turns } : null;
+  }).filter((one) => one !== null);
 }
 
 /** The parts of tracks at a moment, with the frame of each. */

@@ -54,6 +54,16 @@ function along(a, b) {
   return [...x, 0, ...y, 0, ...z, 0, ...a, 1];
 }
 
+/** The rods and cones of an arrow from the origin along `way`, m, each as the frame that makes it of `arrowParts`. */
+export function arrowFrames(way, radius, twoHeads) {
+  const length = norm(way);
+  const at = (from, size) => scaled(along(plus([0, 0, 0], way, from / length), plus([0, 0, 0], way, from / length + 1)), size);
+  const head = Math.min(5 * radius, length / (twoHeads ? 2 : 1));
+  const wide = Math.min(2.4 * radius, head);
+  const cones = twoHeads ? [length - head, Math.max(0, length - 1.8 * head)] : [length - head];
+  return [["rod", at(0, [radius, radius, Math.max(0, length - head)])], ...cones.map((from) => ["cone", at(from, [wide, wide, head])])];
+}
+
 /** What is seen from `eye` towards `to`, z up. */
 export function looking(eye, to) {
   const back = unit3(minus(eye, to));
@@ -99,6 +109,11 @@ function capsule(length, radius, coarse) {
 const tube = grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x, y, 2 * v - 1, x, y, 0]; });
 const disc = (side) => grid(1, AROUND, (v, u) => { const [x, y] = roundTo(-side * u); return [x * v, y * v, side, 0, 0, side]; });
 const can = [...tube, ...disc(1), ...disc(-1)];
+/** A cone along z, its tip at 1. */
+const cone = [...grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x * (1 - v), y * (1 - v), v, x * 0.7, y * 0.7, 0.7]; }), ...grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x * v, y * v, 0, 0, 0, -1]; })];
+/** A rod along z, from 0 to 1. */
+const rod = grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x, y, v, x, y, 0]; });
+export const arrowParts = { rod, cone };
 const cube = [0, 1, 2].flatMap((axis) => [-1, 1].flatMap((side) => grid(1, 1, (v, u) => {
   const corner = [0, 0, 0];
   const normal = [0, 0, 0];
