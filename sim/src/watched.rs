@@ -89,3 +89,58 @@ impl Watched {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{sync::Arc, time::Duration};
+
+    use ctos::diagnostic::Source;
+
+    use super::*;
+    use crate::{port::Port, simulation::Simulation};
+
+    const TICK: Duration = Duration::from_micros(1500);
+    /// A box above the shoulder of an arm that its brakes hold, and one on the floor.
+    const CELL: &str = "[[arm]]\nname = 'puma'\nmodel = 'puma560'\nstart = [0.0, 45.0, -90.0, 0.0, 45.0, 0.0]\n\
+        [[object]]\nname = 'falling'\nshape = 'box'\nsize = [0.2, 0.2, 0.05]\nmass = 0.5\nfriction = 0.5\ngrey = 100.0\nposition = [0.0, 0.0, 1.3]\n\
+        [[object]]\nname = 'lying'\nshape = 'box'\nsize = [0.1, 0.1, 0.1]\nmass = 0.5\nfriction = 0.5\ngrey = 100.0\nposition = [1.5, 1.0, 0.05]\n\
+        [room]\nfloor_grey = 24.0\n";
+
+    #[test]
+    fn objects_and_what_touches_an_arm_are_shown_while_somebody_looks_and_not_otherwise() {
+        let cell = Cell::parse(&Source::new("cell.toml", CELL)).unwrap_or_else(|f| panic!("{f}"));
+        let port = Arc::new(Port::new(&cell));
+        let mut simulation = Simulation::new(&cell, Arc::clone(&port));
+        let mut now = Duration::ZERO;
+        let mut ticks = |count: u64| {
+            for _ in 0..count {
+                now += TICK;
+                simulation.tick(TICK, 0, now).unwrap();
+            }
+        };
+        let height = || port.watched.object(0).translation.z;
+        // Nobody looks: it falls, and nobody is told.
+        ticks(TICKS + 20);
+        assert_eq!(height(), 1.3);
+        port.watched.look();
+        ticks(1);
+        assert!(height() < 1.2, "{}", height());
+        assert!((port.watched.object(1).translation.z - 0.05).abs() < 0.01);
+        // It lies on the arm, or has slid down on one of its links meanwhile.
+        let mut touched = Vec::new();
+        for _ in 0..40 {
+            port.watched.look();
+            ticks(20);
+            touched.extend(port.watched.contacts().flatten());
+        }
+        let (middle, force) = touched.first().expect("nothing ever touched the arm");
+        assert!(middle.z > 0.3 && middle.coords.norm() < 1.5, "{middle}");
+        // Whom brakes hold feels nothing.
+        assert_eq!(*force, Vector3::zeros());
+        // Once nobody looks any more, the last that was seen stays.
+        ticks(TICKS);
+        let seen = port.watched.object(0);
+        ticks(200);
+        assert_eq!(port.watched.object(0), seen);
+    }
+}
