@@ -540,7 +540,7 @@ class App extends Moments {
       const busy = this.cursor === null && this.mode === "live" && this.picture.running?.length > 0;
       // The present goes on also while nothing happens.
       const idle = this.cursor === null && this.mode === "live" && now - (this.panelled ?? 0) > PRESENT_EVERY;
-      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > MANY_NODES || this.visibleNets().some((net) => net.events.length > MANY_EVENTS) ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
+      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > MANY_NODES || (this.whole && this.overview.view.quality < 1) || this.visibleNets().some((net) => net.events.length > MANY_EVENTS) ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
         this.panelled = now;
         this.stale = false;
         this.panels();

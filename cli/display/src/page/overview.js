@@ -21,6 +21,8 @@ const LAYERS = [
   ["margins", "How far guards keep everything from the arm, and what is nearest to it", ["margin", "nearest"], false],
   ["contacts", "What touches the arms, as the simulator says", ["contact"], true],
 ];
+/** After so long without a change, ms. */
+const SHARPEN_AFTER = 400;
 /** A distance is written beside what is nearer than this, m. */
 const WRITTEN = 0.5;
 
@@ -189,7 +191,15 @@ export class Overview {
   tick(now) {
     const moment = this.moment();
     if (moment !== this.at) [this.at, this.due] = [moment, true];
-    if (!this.due && !this.view.stale) return;
+    const [gap, painted] = [now - (this.ticked ?? now), this.painted];
+    [this.ticked, this.painted] = [now, false];
+    if (painted) this.view.pace(gap);
+    if (!this.due && !this.view.stale) {
+      // What stands still is drawn with all its pixels.
+      if (this.view.coarse && now - this.moving > SHARPEN_AFTER) this.paint(this.parts(), 1);
+      return;
+    }
+    [this.painted, this.moving] = [true, now];
     if (this.due) this.showPictures(moment);
     this.due = false;
     const parts = this.parts();
@@ -206,11 +216,11 @@ export class Overview {
     }
   }
 
-  paint(parts = this.parts()) {
+  paint(parts = this.parts(), quality = this.view.quality) {
     const tools = parts.filter((one) => one.part.kind === "tool" && !one.truth);
     const trails = tools.map((one) => one.track.trail(one.row[0], one.track.at(this.moment())));
     const pictures = new Map([...this.pictures.cameras.keys()].map((camera) => [camera, this.pictures.at(camera, this.moment())]));
-    this.view.paint(parts, trails, pictures);
+    this.view.paint(parts, trails, pictures, quality);
   }
 
   /** The chosen part has its name beside it. */
