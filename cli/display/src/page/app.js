@@ -79,7 +79,7 @@ class App extends Moments {
     this.panes = new Panes(this);
     this.controls();
     listen(this);
-    new ResizeObserver(() => { if (this.shown !== null) { this.picture.look(this.picture.box); this.changed(); } }).observe($("stage"));
+    new ResizeObserver(() => this.resized()).observe($("stage"));
     requestAnimationFrame(() => this.frame());
   }
 
@@ -279,8 +279,7 @@ class App extends Moments {
     const main = this.mainNet();
     if (main !== undefined) this.open(main.name, null);
     this.panes.open("overview");
-    this.picture.fit();
-    this.followActive(main !== undefined && !this.picture.readable);
+    if (main !== undefined) this.fitWhole();
     this.tabs();
     this.remember();
   }
@@ -296,8 +295,24 @@ class App extends Moments {
     return (enabled.length > 0 ? enabled : all.filter((one) => one.count > 0)).map((one) => one.node);
   }
 
+  /** The net has more room, or less. As long as nobody has looked at a part of it, it is fitted in again. */
+  resized() {
+    if (this.shown === null) return;
+    this.picture.glide = null;
+    if (this.fits) this.fitWhole();
+    else this.picture.look(this.picture.box);
+    this.changed();
+  }
+
+  /** Shows all of the net where its names can be read then, and else what is under way. */
+  fitWhole() {
+    this.picture.fit();
+    this.followActive(!this.picture.readable);
+    this.fits = true;
+  }
+
   followActive(on) {
-    this.active = on;
+    [this.active, this.fits] = [on, false];
     if (!on) this.picture.glide = null;
     $("active").setAttribute("aria-pressed", String(on));
   }
@@ -355,8 +370,7 @@ class App extends Moments {
     this.chosen = key;
     this.task = null;
     this.picture.select(key);
-    if (key !== null) [this.active, this.picture.glide] = [false, null];
-    $("active").setAttribute("aria-pressed", String(this.active));
+    if (key !== null) this.followActive(false);
     if (key !== null) this.picture.center(key);
     if (this.hops) this.picture.focus(key);
     this.asking = null;
