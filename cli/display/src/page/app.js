@@ -132,6 +132,8 @@ class App extends Moments {
     this.appTasks = message.tasks;
     this.picked = false;
     if (this.wanted.length === 0 && this.hasScene) this.openWhole();
+    // Nets come later: the scene does not wait for them.
+    else if (this.hasScene && this.shown === null && !this.wish?.has("net") && !this.wish?.has("layout")) this.panes.open("overview");
   }
 
   addNet(message) {

@@ -70,6 +70,8 @@ const BESIDE = new Set(["guard", "margin", "nearest", "contact", "path", "force"
 const SLOW_FRAME = 45;
 const FAST_FRAME = 22;
 const LEAST_QUALITY = 0.4;
+/** The first picture is there soon. */
+const FIRST_QUALITY = 0.6;
 /** Below this round things have fewer facets, and below that nothing has a shadow. */
 const FINE_QUALITY = 0.8;
 const SHADED_QUALITY = 0.5;
@@ -87,7 +89,7 @@ export class SceneView {
     [this.followed, this.from] = [null, null];
     this.drawn = 0;
     /** Pixels of the drawing for one of the page, along a side: fewer where drawing them takes too long. */
-    this.quality = 1;
+    this.quality = FIRST_QUALITY;
     [this.cost, this.paced] = [0, 0];
     /** What is drawn of each part; it goes with the part. */
     this.looks = new WeakMap();
@@ -102,7 +104,7 @@ export class SceneView {
     this.cost = this.cost === 0 ? took : 0.7 * this.cost + 0.3 * Math.min(took, 500);
     this.paced += 1;
     if (this.cost > SLOW_FRAME && this.paced >= 4) this.quality = Math.max(LEAST_QUALITY, this.quality * 0.75);
-    else if (this.cost < FAST_FRAME && this.paced >= 40 && this.quality < 1) this.quality = Math.min(1, this.quality * 1.2);
+    else if (this.cost < FAST_FRAME && this.paced >= 12 && this.quality < 1) this.quality = Math.min(1, this.quality * 1.2);
     else return;
     [this.cost, this.paced] = [0, 0];
   }
