@@ -185,11 +185,14 @@ fn ten_viewers_are_told_the_same_beside_those_that_stop_reading_or_go_away_witho
         assert!(next(viewer).contains("hello"));
     }
     // So much that no buffer of the system has room for it: who reads nothing is behind.
-    let parts = (0..40).map(|at| scene::Part {
-        name: format!("part {at} {}", "x".repeat(500)),
-        ..scene::Part::default()
-    });
-    let parts: Vec<scene::Part> = parts.collect();
+    let rows = |at: u32| {
+        let row = move |part: u32| {
+            let mut row = vec![Some(f64::from(at) + 0.123_45); 12];
+            row[0] = Some(f64::from(part));
+            row
+        };
+        (0..200).map(row).collect::<Vec<_>>()
+    };
     drop(gone);
     let readers: Vec<_> = viewers
         .into_iter()
@@ -204,18 +207,15 @@ fn ten_viewers_are_told_the_same_beside_those_that_stop_reading_or_go_away_witho
             })
         })
         .collect();
-    for at in 0..2_000_u64 {
+    for at in 0..700_u32 {
         let words = match at {
-            1_999 => "the last word".to_owned(),
+            699 => "the last word".to_owned(),
             _ => format!("word {at}"),
         };
         let step = scene::track::SceneStep {
-            at_ns: at,
-            view: Some(scene::View {
-                parts: parts[usize::from(at % 2 == 0)..].to_vec(),
-                ..scene::View::default()
-            }),
-            moved: Vec::new(),
+            at_ns: at.into(),
+            view: None,
+            moved: rows(at),
             said: Some(scene::Said {
                 words,
                 ..scene::Said::default()
