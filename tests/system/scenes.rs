@@ -29,6 +29,10 @@ fn shown(partition: &str, lines: &[&str]) -> BTreeMap<String, Shown> {
     }
     run.signal(Signal::INT);
     run.end();
+    // It is shown without a net, too.
+    let export = ["display", "run.mcap", "--export", "run.html"];
+    scratch.ctos(&export).must_exit(0);
+    assert!(scratch.read("run.html").contains("\"kind\":\"scene\""));
     let cat = ["log", "cat", "run.mcap", "--topic", "/scene/*", "--json"];
     let mut all: BTreeMap<String, Shown> = BTreeMap::new();
     for entry in scratch.ctos(&cat).json_lines() {

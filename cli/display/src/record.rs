@@ -78,11 +78,44 @@ impl Recorded {
         for path in records::of_a_run(paths)? {
             recorded.file(&path).map_err(|error| error.to_string())?;
         }
-        if recorded.nets.is_empty() {
-            let text = "no net stands in these records: they are of an app without nets, or of an older version";
+        if recorded.is_empty() {
+            let text = "no net and no scene stands in these records: they are of an app without both, or of an older version";
             recorded.warnings.push(text.to_owned());
         }
         Ok(recorded)
+    }
+
+    /// Leaves every other picture of each camera out, from its last one back, until all of them take at most `most` bytes or
+    /// each camera has one; how many were left out.
+    pub(crate) fn thin(&mut self, most: usize) -> usize {
+        let before = self.pictures.len();
+        loop {
+            let bytes: usize = self.pictures.iter().map(|one| one.png.len()).sum();
+            let mut later: BTreeMap<String, usize> = BTreeMap::new();
+            if bytes <= most {
+                break;
+            }
+            let length = self.pictures.len();
+            let mut kept = Vec::with_capacity(length);
+            for picture in self.pictures.drain(..).rev() {
+                let count = later.entry(picture.camera.clone()).or_default();
+                if count.is_multiple_of(2) {
+                    kept.push(picture);
+                }
+                *count += 1;
+            }
+            kept.reverse();
+            self.pictures = kept;
+            if self.pictures.len() == length {
+                break;
+            }
+        }
+        before - self.pictures.len()
+    }
+
+    /// Whether there is nothing to show.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.nets.is_empty() && self.scenes.is_empty() && self.pictures.is_empty()
     }
 
     fn file(&mut self, path: &Path) -> Result<(), ReadError> {
@@ -328,6 +361,35 @@ mod tests {
             view: view(),
             state: state(seq),
         }
+    }
+
+    #[test]
+    fn pictures_are_thinned_evenly_and_the_last_of_each_camera_stays() {
+        let picture = |camera: &str, number: u64| Shown {
+            camera: camera.to_owned(),
+            number,
+            at_ns: number,
+            taken: [1; 2],
+            size: [1; 2],
+            png: "x".repeat(100),
+            marks: Vec::new(),
+        };
+        let pictures: Vec<Shown> = (1..=16)
+            .flat_map(|number| [picture("west", number), picture("east", number)])
+            .collect();
+        let thinned = |most: usize| {
+            let mut recorded = Recorded {
+                pictures: pictures.clone(),
+                ..Recorded::default()
+            };
+            let left_out = recorded.thin(most);
+            let west = recorded.pictures.iter().filter(|one| one.camera == "west");
+            let west: Vec<u64> = west.map(|one| one.number).collect();
+            (left_out, west, recorded.pictures.len())
+        };
+        assert_eq!(thinned(3_200).0, 0);
+        assert_eq!(thinned(1_000), (24, vec![4, 8, 12, 16], 8));
+        assert_eq!(thinned(1), (30, vec![16], 2));
     }
 
     #[test]

@@ -38,6 +38,9 @@ use crate::{
 };
 use live::Nets;
 
+/// Pictures of a page that is written as one file take so many bytes at most.
+const MOST_PICTURES: usize = 8_000_000;
+
 /// Watch the nets of a running app in the terminal, or those of a recorded run in a browser
 ///
 /// Without a record: the nets of a running app, one at a time, with what runs, what is enabled, the last events, and the
@@ -117,10 +120,11 @@ pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
         }
         recorded.nets.retain(|name, _| name == net);
     }
-    if recorded.nets.is_empty() {
+    let prints = args.once || args.json;
+    if recorded.is_empty() || (prints && recorded.nets.is_empty()) {
         return exit::FAILED;
     }
-    if args.once || args.json {
+    if prints {
         return print(args, &recorded);
     }
     let overviews = match args.displays.as_deref().map(overviews).transpose() {
@@ -132,6 +136,15 @@ pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
         }
         Err(code) => return code,
     };
+    if args.export.is_some() {
+        let left_out = recorded.thin(MOST_PICTURES);
+        if left_out > 0 {
+            show::say(&format!(
+                "warning: {left_out} pictures are left out, evenly: a page has {} MB of them at most",
+                MOST_PICTURES / 1_000_000
+            ));
+        }
+    }
     let displays = overviews.clone();
     let hub = recorded.hub(overviews);
     let drawings = recorded.nets.keys();

@@ -18,7 +18,7 @@ const KINDS: &str = "[...new Set(nets.overview.parts().map((one) => one.part.kin
 /// How many pixels of the scene have another colour than those of a second drawing, without `layer`.
 fn pixels_of(layer: &str) -> String {
     format!(
-        "(() => {{ const {{ view }} = nets.overview; const {{ gl }} = view; const read = () => {{ nets.overview.paint(); const all = new Uint8Array(4 * gl.drawingBufferWidth * gl.drawingBufferHeight); \
+        "(() => {{ const {{ view }} = nets.overview; const {{ gl }} = view; const read = () => {{ nets.overview.paint(nets.overview.parts(), 1); const all = new Uint8Array(4 * gl.drawingBufferWidth * gl.drawingBufferHeight); \
          gl.readPixels(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight, gl.RGBA, gl.UNSIGNED_BYTE, all); return all; }}; \
          const box = document.querySelector('[data-layer={layer}] input'); const one = read(); box.click(); const other = read(); box.click(); \
          return one.reduce((sum, value, at) => sum + (at % 4 === 0 && value !== other[at] ? 1 : 0), 0); }})()"
@@ -86,7 +86,14 @@ fn forces_that_a_wrist_feels_and_contacts_of_the_simulator_are_drawn_as_arrows()
             "nets.overview.parts().filter((one) => one.part.kind === '{kind}').map((one) => Math.hypot(...one.row.slice(8, 11))).some((force) => force > 2)"
         )
     };
-    browser.wait(&format!("{} && {}", arrow("force"), arrow("contact")));
+    // The page stops at such a moment, near the wrist.
+    browser.wait(&format!(
+        "(() => {{ const both = {} && {}; if (both && nets.cursor === null) nets.goTo(nets.now()); return both; }})()",
+        arrow("force"),
+        arrow("contact")
+    ));
+    browser.ask("nets.overview.choose('state_arm/wrist')");
+    browser.ask("(() => { const { view } = nets.overview; view.followed = 'state_arm/wrist'; view.dolly(0.45); nets.overview.choose(null); })()");
     let drawn = browser.ask(&pixels_of("forces")).as_f64().unwrap();
     pictures(&mut browser, "forces");
     assert!(drawn > 20.0, "{drawn} px of an arrow");
