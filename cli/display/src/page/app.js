@@ -1,11 +1,11 @@
 // The page: what is shown of which net at which moment, and who is told of what a person does.
 
+import { Attention } from "./attention.js";
 import { Picture } from "./draw.js";
 import { Fork, fold, linksBetween, sideBySide, subnetsOf } from "./fold.js";
 import { listen } from "./keys.js";
 import { Minimap } from "./minimap.js";
 import { called, Net, seconds } from "./model.js";
-import { Moments } from "./moments.js";
 import { Overview, jobWords } from "./overview.js";
 import { make, showSide } from "./panels.js";
 import { Panes } from "./panes.js";
@@ -25,7 +25,7 @@ const RETRY = 1000;
 /** A task that is looked at is asked how it is so often, ms. */
 const ASK_EVERY = 1000;
 
-class App extends Moments {
+class App extends Attention {
   constructor() {
     super();
     this.nets = new Map();
@@ -270,12 +270,6 @@ class App extends Moments {
     return folded?.size > 0 ? fold(drawing, folded) : drawing;
   }
 
-  /** The net of the task as a whole: the one that asks most other nets. Of several the one with most commands. */
-  mainNet() {
-    const asks = (net) => new Set(net.view.transitions.map((one) => one.task).filter((task) => task !== net.name && this.nets.has(task))).size;
-    return [...this.nets.values()].sort((a, b) => asks(b) - asks(a) || b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
-  }
-
   /** The overview: the scene, the pictures, and the net of the task. */
   openWhole() {
     const main = this.mainNet();
@@ -284,39 +278,6 @@ class App extends Moments {
     if (main !== undefined) this.fitWhole();
     this.tabs();
     this.remember();
-  }
-
-  /** What is under way, the latest first; where nothing is, what may fire, and then where tokens are. */
-  activeNodes() {
-    const all = [...this.picture.nodes.values()];
-    const running = all.filter((one) => one.state === "running");
-    const names = (one) => (one.node.kind.transition?.[0] ?? []).map((number) => one.net.view.transitions[number].name);
-    const latest = (one) => Math.max(0, ...this.stateOf(one.net).running.filter((action) => names(one).includes(action.transition)).map((action) => action.since_ns));
-    if (running.length > 0) return running.sort((a, b) => latest(b) - latest(a)).map((one) => one.node);
-    const enabled = all.filter((one) => one.state === "enabled");
-    return (enabled.length > 0 ? enabled : all.filter((one) => one.count > 0)).map((one) => one.node);
-  }
-
-  /** The net has more room, or less. As long as nobody has looked at a part of it, it is fitted in again. */
-  resized() {
-    if (this.shown === null) return;
-    this.picture.glide = null;
-    if (this.fits) this.fitWhole();
-    else this.picture.look(this.picture.box);
-    this.changed();
-  }
-
-  /** Shows all of the net where its names can be read then, and else what is under way. */
-  fitWhole() {
-    this.picture.fit();
-    this.followActive(!this.picture.readable);
-    this.fits = true;
-  }
-
-  followActive(on) {
-    [this.active, this.fits] = [on, false];
-    if (!on) this.picture.glide = null;
-    $("active").setAttribute("aria-pressed", String(on));
   }
 
   open(name, key) {
@@ -614,12 +575,6 @@ class App extends Moments {
     $("search").onfocus = () => this.fillNames();
     $("search").onchange = () => this.find($("search").value);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.picture.looked(); this.changed(); });
-  }
-
-  /** Shows all of the net. */
-  fit() {
-    this.followActive(false);
-    this.picture.fit();
   }
 
   toggleNear() {

@@ -69,12 +69,12 @@ const BESIDE = new Set(["guard", "margin", "nearest", "contact", "path", "force"
 /** A frame that takes longer, ms, has too many pixels; one that takes less could have more. */
 const SLOW_FRAME = 45;
 const FAST_FRAME = 22;
-const LEAST_QUALITY = 0.4;
+const LEAST_QUALITY = 0.5;
 /** The first picture is there soon. */
 const FIRST_QUALITY = 0.6;
 /** Below this round things have fewer facets, and below that nothing has a shadow. */
 const FINE_QUALITY = 0.8;
-const SHADED_QUALITY = 0.5;
+const SHADED_QUALITY = 0.6;
 const VIEWS = { azimuth: -0.95, height: 0.34 };
 
 /** A drawing area. `colours` gives those of the page by name. */
