@@ -14,6 +14,7 @@ mod retreat;
 pub mod servo;
 mod slots;
 mod split_torque;
+mod stands;
 pub mod state;
 mod streams;
 mod ways;
@@ -21,6 +22,7 @@ mod ways;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,6 +34,7 @@ use ctos::task::{Context, HandlerError};
 use nalgebra::Isometry3;
 
 pub use crate::args::SERVO;
+use crate::args::StandsArgs;
 use crate::client::{MotionError, Outcome};
 use crate::control::LawRegistry;
 use crate::driver::{DriverRegistry, Power, Sensor};
@@ -92,6 +95,9 @@ pub struct Link {
     ways: ways::Ways,
     /// The slots that are no joints.
     sensors: Vec<Sensor>,
+    /// Where viewers see the arm, and what its sensors read.
+    stands: Option<StandsArgs>,
+    sensor_frames: BTreeMap<String, String>,
 }
 
 impl Link {

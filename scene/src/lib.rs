@@ -161,6 +161,15 @@ pub enum Solid {
     },
     /// The axes of the frame, drawn so long, m.
     Axes(f64),
+    /// An arrow from the origin, along three of the part's numbers: a force, or a way. Zeros and what is not known draw nothing.
+    Vector {
+        /// The index of the first of them, in the part's axes.
+        first: u32,
+        /// How long one of their units is drawn, m.
+        scale: f64,
+        /// Whether it is an axis to turn about, such as a moment: its arrow has two heads.
+        turns: bool,
+    },
     /// What a camera at the origin sees up to `depth` along z: the four corners there, in its frame, in turn.
     Frustum {
         /// The corners, m.
@@ -197,6 +206,18 @@ pub struct Moved {
     pub pose: Pose,
     /// Its numbers, in the order of [`Part::numbers`].
     pub numbers: Vec<f64>,
+}
+
+impl Moved {
+    /// The vector whose first number has the index `first`; none where a number is not known, or where all are zero.
+    #[must_use]
+    pub fn vector(&self, first: u32) -> Option<[f64; 3]> {
+        let first = usize::try_from(first).ok()?;
+        let numbers = self.numbers.get(first..first.checked_add(3)?)?;
+        let vector: [f64; 3] = numbers.try_into().ok()?;
+        let length = vector.iter().map(|part| part * part).sum::<f64>();
+        (length.is_finite() && length > 0.0).then_some(vector)
+    }
 }
 
 /// What a task says about what it shows.

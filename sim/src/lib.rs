@@ -13,6 +13,7 @@ pub mod scenes;
 pub mod served;
 pub mod simulation;
 pub mod source;
+mod watched;
 pub mod world_task;
 
 pub use handlers::register;

@@ -16,7 +16,7 @@ use mcs::driver::Power;
 
 use mcs::latest::Latest;
 
-use crate::{cell::Cell, wrist::Wrench};
+use crate::{cell::Cell, watched::Watched, wrist::Wrench};
 
 /// The joints that somebody asked for are not to be had.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -35,6 +35,8 @@ pub struct Port {
     sensors: Vec<Latest>,
     /// Whether each laser is lit that an arm carries, 0 or 1.
     lasers: Vec<Latest>,
+    /// What those who look on see besides.
+    pub(crate) watched: Watched,
     claims: Mutex<Vec<Arc<Claim>>>,
     /// Counts the changes of the claims.
     changes: AtomicU64,
@@ -97,6 +99,7 @@ impl Port {
                 .map(|_| Latest::new(&[0.0; 6]))
                 .collect(),
             lasers: cell.lasers.iter().map(|_| Latest::new(&[0.0])).collect(),
+            watched: Watched::new(cell),
             claims: Mutex::new(Vec::new()),
             changes: AtomicU64::new(0),
             failure: Mutex::new(None),

@@ -1,7 +1,6 @@
-//! The simulator's truth for viewers: the arms where the world has them, what stands in the room, the lamps and the cameras. Only a
-//! display may follow it. It reads what the world shows to channel drivers anyway, so the world does nothing for it.
-//!
-//! Objects that move by forces are left out: where they are, only the world's engine knows.
+//! The simulator's truth for viewers: the arms and the objects where the world has them, what touches the arms, what stands in the
+//! room, the lamps and the cameras. Only a display may follow it. It reads what the world shows to channel drivers anyway. Objects
+//! and contacts the world shows for as long as somebody looks.
 
 use std::sync::Arc;
 
@@ -12,7 +11,7 @@ use ctos::{
     task::{EventHandler, Handled, HandlerError, Phase},
 };
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use scene::{FollowScene, Layer, Part, Pose, Said, Seen, Source, Stage, View};
+use scene::{FollowScene, Layer, Number, Part, Pose, Said, Seen, Source, Stage, View};
 use serde::Deserialize;
 
 use crate::{
@@ -29,6 +28,8 @@ pub const TRUTH: &str = "sim.truth";
 
 /// How far the pyramid of a camera reaches, m.
 const DEPTH: f64 = 0.6;
+/// How long a newton is drawn, m.
+const FORCE_SCALE: f64 = 0.01;
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -120,18 +121,25 @@ impl Source for World {
     }
 
     fn look(&mut self) -> Seen {
+        self.port.watched.look();
         let scene = self.scene();
         let bodies = self.cell.bodies.iter().zip(&scene.bodies);
-        let bodies = bodies.filter(|(spec, _)| is_shown(&spec.origin));
-        let bodies = bodies.map(|(_, body)| pose(&body.pose));
+        let bodies = bodies.map(|(spec, body)| match spec.origin {
+            Origin::Link(_) => pose(&body.pose),
+            Origin::Object(index) => pose(&self.port.watched.object(index)),
+        });
         let lamps = scene.lamps.iter();
         let lamps = lamps.map(|lamp| pose(&Isometry3::from(lamp.centre.coords)));
         let cameras = self.cell.cameras.iter();
         let cameras = cameras.map(|camera| pose(&camera.at(&scene).camera_t_world.inverse()));
         let room = std::iter::once(Pose::default());
         let all = room.chain(bodies).chain(lamps).chain(cameras);
+        let contacts = self.port.watched.contacts().map(|contact| {
+            let (at, force) = contact.unwrap_or_default();
+            (pose(&Isometry3::from(at.coords)), force.as_slice().to_vec())
+        });
         Seen {
-            states: all.map(|pose| (pose, Vec::new())).collect(),
+            states: all.map(|pose| (pose, Vec::new())).chain(contacts).collect(),
             said: Said {
                 words: "what the simulator says; no robot knows it".to_owned(),
                 ..Said::default()
@@ -141,12 +149,7 @@ impl Source for World {
     }
 }
 
-/// Objects move as the engine wants.
-fn is_shown(origin: &Origin) -> bool {
-    matches!(origin, Origin::Link(_))
-}
-
-/// The room, the links, the lamps and the cameras, in this order.
+/// The room, links and objects, the lamps, the cameras, and what touches links, in this order.
 fn view(cell: &Cell) -> View {
     let part = |name: &str, kind: &str, solids: Vec<scene::Solid>| Part {
         name: name.to_owned(),
@@ -157,9 +160,13 @@ fn view(cell: &Cell) -> View {
     };
     let room = cell.room.iter().map(solid).collect();
     let mut parts = vec![part("room", "furniture", room)];
-    for body in cell.bodies.iter().filter(|body| is_shown(&body.origin)) {
+    for body in &cell.bodies {
         let solids = body.shapes.iter().map(solid).collect();
-        parts.push(part(&body.name, "link", solids));
+        let kind = match body.origin {
+            Origin::Link(_) => "link",
+            Origin::Object(_) => "object",
+        };
+        parts.push(part(&body.name, kind, solids));
     }
     for lamp in &cell.lamps {
         let ball = scene::Solid::Capsule {
@@ -175,6 +182,22 @@ fn view(cell: &Cell) -> View {
             camera: camera.truth.name.clone(),
         };
         parts.push(part(&camera.truth.name, "camera", vec![pyramid]));
+    }
+    for body in cell.touchable() {
+        let force = scene::Solid::Vector {
+            first: 0,
+            scale: FORCE_SCALE,
+            turns: false,
+        };
+        let number = |axis: &str| Number {
+            name: format!("force {axis}"),
+            unit: "N".to_owned(),
+            resolution: 0.1,
+        };
+        parts.push(Part {
+            numbers: ["x", "y", "z"].map(number).into(),
+            ..part(&format!("contact of {}", body.name), "contact", vec![force])
+        });
     }
     View {
         layer: Layer::Truth,

@@ -247,6 +247,7 @@ impl Simulation {
             let (positions, velocities) = (self.world.positions(arm), self.world.velocities(arm));
             self.port.show(arm, self.tick, positions, velocities);
         }
+        self.port.watched.show(self.tick, &self.world);
     }
 }
 

@@ -5,7 +5,9 @@
 //! the page about displays.
 
 mod browser;
+mod layers;
 mod looking;
+mod numbers;
 mod panel;
 mod scene;
 

@@ -45,6 +45,7 @@ mod restarts;
 #[cfg(feature = "ros2")]
 mod ros2;
 mod runaways;
+mod scenes;
 mod startup;
 mod stepped_clock;
 mod structure;

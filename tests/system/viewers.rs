@@ -196,6 +196,55 @@ fn a_viewer_that_comes_late_is_told_the_whole_beside_one_that_stops_reading() {
 }
 
 #[test]
+fn a_record_does_not_grow_because_somebody_looks_on() {
+    let scratch = Scratch::new();
+    let mut run = scratch.start_boot(&["--foxglove=127.0.0.1:0", "--record", "run.mcap"]);
+    let line = run.line_with("ws://127.0.0.1:");
+    let (_, rest) = line.split_once("ws://").unwrap();
+    let end = rest.find(|one: char| !one.is_ascii_digit() && !".:".contains(one));
+    let address = format!("ws://{}", &rest[..end.unwrap_or(rest.len())]);
+    run.wait_for("phase 3");
+    // Each subscribes to every channel, and is told the whole each time.
+    for _ in 0..4 {
+        let mut viewer = Viewer::connect(&address, "foxglove.sdk.v1").unwrap();
+        while viewer.count("/solids/state") == 0 || viewer.count("/tf/state") < 15 {
+            viewer.read();
+        }
+    }
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+    let lines = |topic: &str| {
+        let cat = ["log", "cat", "run.mcap", "--topic", topic, "--json"];
+        scratch.ctos(&cat).json_lines()
+    };
+    // The parts are recorded when there are others, and for nobody else.
+    let scenes = lines("/scene/state");
+    let views = scenes
+        .iter()
+        .filter(|step| step["line"]["view"].is_object());
+    assert_eq!(lines("/solids/state").len(), views.count());
+}
+
+#[test]
+fn a_record_keeps_the_layouts_of_the_app_for_whoever_shows_it_without_the_app() {
+    let scratch = Scratch::short();
+    recorded(&scratch, &[]);
+    std::fs::remove_file(scratch.path("configs/displays/calibrate.toml")).unwrap();
+    let export = ["display", "run.mcap", "--export", "run.html"];
+    scratch.ctos(&export).must_exit(0);
+    let page = scratch.read("run.html");
+    for layout in ["following", "seeing"] {
+        assert!(page.contains(&format!("\"name\":\"{layout}\"")), "{layout}");
+    }
+    // A file that a person names comes first, and what is wrong in it is told.
+    scratch.write("mine.toml", "[layout.mine]\npanes = [\"scene\"]\n");
+    let named = [&export[..], &["--displays", "mine.toml"]].concat();
+    scratch.ctos(&named).must_exit(0);
+    let page = scratch.read("run.html");
+    assert!(page.contains("\"name\":\"mine\"") && !page.contains("\"name\":\"following\""));
+}
+
+#[test]
 fn rubbish_from_a_viewer_ends_nothing_but_perhaps_its_own_connection() {
     let scratch = Scratch::new();
     let (run, address) = served(&scratch);

@@ -66,6 +66,16 @@ impl DisplayArgs {
     }
 }
 
+/// The file of displays of an app, relative to its configuration's folder: that of its display, or the usual one if it is there.
+#[must_use]
+pub fn displays_of(app: &App) -> Option<String> {
+    let mut tasks = app.tasks.iter();
+    let own = tasks.find(|task| task.handler == HANDLER);
+    let named = own.and_then(|task| task.args.get("displays")?.as_str().map(str::to_owned));
+    let file = named.unwrap_or_else(|| usual_file(&app.name));
+    app.file_at(&file).is_file().then_some(file)
+}
+
 fn listen() -> SocketAddr {
     DEFAULT_LISTEN
 }

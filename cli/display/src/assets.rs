@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 21] = [
+const SCRIPTS: [Asset; 22] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
     ("field.js", SCRIPT, include_str!("page/field.js")),
     ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
@@ -30,6 +30,7 @@ const SCRIPTS: [Asset; 21] = [
     ("panes.js", SCRIPT, include_str!("page/panes.js")),
     ("keys.js", SCRIPT, include_str!("page/keys.js")),
     ("moments.js", SCRIPT, include_str!("page/moments.js")),
+    ("attention.js", SCRIPT, include_str!("page/attention.js")),
     ("app.js", SCRIPT, include_str!("page/app.js")),
 ];
 
@@ -48,7 +49,11 @@ pub(crate) fn standalone(messages: &[String]) -> String {
     let scripts: String = SCRIPTS.iter().map(|(_, _, text)| alone(text)).collect();
     // In JSON a `<` stands in strings only, where it may be written so; nothing then ends the element.
     let run = messages.join(",\n").replace('<', "\\u003c");
-    let html = HTML
+    // Its scripts are in it.
+    let preloaded = |line: &&str| !line.starts_with("<link rel=\"modulepreload\"");
+    let lines = HTML.lines().filter(preloaded);
+    let html = lines
+        .fold(String::new(), |all, line| all + line + "\n")
         .replace("<link rel=\"stylesheet\" href=\"style.css\">", &style)
         .replace("<script type=\"module\" src=\"app.js\"></script>\n", "");
     let (before, after) = html
@@ -81,6 +86,10 @@ mod tests {
             assert!(!is_file || asset(quoted).is_some(), "{quoted}");
         }
         for (name, _, text) in SCRIPTS {
+            // All are asked for at once.
+            assert!(
+                HTML.contains(&format!("\"{name}\">")) || HTML.contains(&format!("src=\"{name}\""))
+            );
             for import in text.lines().filter(|line| line.starts_with("import ")) {
                 let from = import
                     .split('"')
@@ -125,6 +134,7 @@ mod tests {
         let page = standalone(&["{\"app\":\"</script><b>\"}".to_owned()]);
         assert!(page.contains("\\u003c/script>"));
         assert!(!page.contains("src=\"") && !page.contains("href=\"style.css\""));
+        assert!(!page.contains(".js\">"));
         assert!(!page.contains("\nimport ") && !page.contains("\nexport "));
         assert_eq!(page.matches("</script>").count(), 2);
     }

@@ -430,7 +430,7 @@ impl Hub {
         let clock = self.clock.as_ref().filter(|_| !known.ended);
         let now_ns = clock.map_or(0, |clock| clock.now().as_nanos());
         let now_ns = now_ns.max(known.now_ns);
-        told.extend(nets.map(|track| track.told(&known.notes, now_ns)));
+        let nets = nets.map(|track| track.told(&known.notes, now_ns));
         let scenes = known.scenes.iter().map(|(source, track)| {
             Told::Scene {
                 source,
@@ -442,6 +442,8 @@ impl Hub {
         told.extend(scenes);
         let pictures = known.pictures.values().flatten();
         told.extend(pictures.map(|picture| Told::Picture { picture }.text()));
+        // After the scene, which is seen at once: nets have long pasts.
+        told.extend(nets);
         let tasks = known.tasks.iter().cloned();
         told.extend(tasks.map(|task| Told::Task { task }.text()));
         if known.ended {

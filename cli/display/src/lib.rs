@@ -26,7 +26,7 @@ mod text;
 pub mod watch;
 mod wire;
 
-pub use args::{DEFAULT_LISTEN, HANDLER};
+pub use args::{DEFAULT_LISTEN, HANDLER, displays_of};
 
 use ctos::registry::Registry;
 

@@ -8,7 +8,10 @@ use std::{
 };
 
 use cli_common::records;
-use ctos::record::{Filter, ReadError, scan_only};
+use ctos::{
+    diagnostic::{Findings, Source},
+    record::{Filter, ReadError, scan_only},
+};
 use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
 use scene::track::{SceneStep, Shown};
 use serde::Deserialize;
@@ -31,6 +34,8 @@ pub(crate) struct Recorded {
     pictures: Vec<Shown>,
     /// What tasks handled, and what the log says of them.
     handled: Handled,
+    /// The app's file of displays as it was when the run was recorded.
+    displays: Option<Kept>,
     /// What a person should know of the records.
     pub(crate) warnings: Vec<String>,
 }
@@ -50,6 +55,13 @@ pub(crate) enum Step {
     Event(Box<Event>),
 }
 
+/// A file that a record keeps.
+#[derive(Debug, Deserialize)]
+struct Kept {
+    file: String,
+    text: String,
+}
+
 #[derive(Deserialize)]
 struct Whole {
     view: NetView,
@@ -66,11 +78,44 @@ impl Recorded {
         for path in records::of_a_run(paths)? {
             recorded.file(&path).map_err(|error| error.to_string())?;
         }
-        if recorded.nets.is_empty() {
-            let text = "no net stands in these records: they are of an app without nets, or of an older version";
+        if recorded.is_empty() {
+            let text = "no net and no scene stands in these records: they are of an app without both, or of an older version";
             recorded.warnings.push(text.to_owned());
         }
         Ok(recorded)
+    }
+
+    /// Leaves every other picture of each camera out, from its last one back, until all of them take at most `most` bytes or
+    /// each camera has one; how many were left out.
+    pub(crate) fn thin(&mut self, most: usize) -> usize {
+        let before = self.pictures.len();
+        loop {
+            let bytes: usize = self.pictures.iter().map(|one| one.png.len()).sum();
+            let mut later: BTreeMap<String, usize> = BTreeMap::new();
+            if bytes <= most {
+                break;
+            }
+            let length = self.pictures.len();
+            let mut kept = Vec::with_capacity(length);
+            for picture in self.pictures.drain(..).rev() {
+                let count = later.entry(picture.camera.clone()).or_default();
+                if count.is_multiple_of(2) {
+                    kept.push(picture);
+                }
+                *count += 1;
+            }
+            kept.reverse();
+            self.pictures = kept;
+            if self.pictures.len() == length {
+                break;
+            }
+        }
+        before - self.pictures.len()
+    }
+
+    /// Whether there is nothing to show.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.nets.is_empty() && self.scenes.is_empty() && self.pictures.is_empty()
     }
 
     fn file(&mut self, path: &Path) -> Result<(), ReadError> {
@@ -83,6 +128,7 @@ impl Recorded {
                 "/picture/*",
                 "/ended/*",
                 "/log/*",
+                "/displays",
             ]
             .map(str::to_owned)
             .to_vec(),
@@ -101,6 +147,8 @@ impl Recorded {
             } else if topic.starts_with("/ended/") {
                 serde_json::from_slice::<Ended>(&entry.json)
                     .map(|ended| self.handled.take(entry.at, ended))
+            } else if topic == "/displays" {
+                serde_json::from_slice(&entry.json).map(|kept| self.displays = Some(kept))
             } else if topic.starts_with("/log/") {
                 serde_json::from_slice::<Said>(&entry.json)
                     .map(|said| self.handled.note(entry.at, said))
@@ -158,6 +206,16 @@ impl Recorded {
     fn step(&mut self, source: &str, step: SceneStep) {
         let steps = self.scenes.entry(source.to_owned()).or_default();
         steps.push(step);
+    }
+
+    /// The displays and layouts that the record keeps; what is wrong in them is left out and told.
+    pub(crate) fn overviews(&self) -> (Overviews, Findings) {
+        let mut findings = Findings::new();
+        let read = self.displays.as_ref().map(|Kept { file, text }| {
+            let source = Source::new(format!("{file} of the record"), text.clone());
+            Overviews::read(&source, &mut findings)
+        });
+        (read.unwrap_or_default(), findings)
     }
 
     /// The nets and the scene as a display shows them.
@@ -303,6 +361,35 @@ mod tests {
             view: view(),
             state: state(seq),
         }
+    }
+
+    #[test]
+    fn pictures_are_thinned_evenly_and_the_last_of_each_camera_stays() {
+        let picture = |camera: &str, number: u64| Shown {
+            camera: camera.to_owned(),
+            number,
+            at_ns: number,
+            taken: [1; 2],
+            size: [1; 2],
+            png: "x".repeat(100),
+            marks: Vec::new(),
+        };
+        let pictures: Vec<Shown> = (1..=16)
+            .flat_map(|number| [picture("west", number), picture("east", number)])
+            .collect();
+        let thinned = |most: usize| {
+            let mut recorded = Recorded {
+                pictures: pictures.clone(),
+                ..Recorded::default()
+            };
+            let left_out = recorded.thin(most);
+            let west = recorded.pictures.iter().filter(|one| one.camera == "west");
+            let west: Vec<u64> = west.map(|one| one.number).collect();
+            (left_out, west, recorded.pictures.len())
+        };
+        assert_eq!(thinned(3_200).0, 0);
+        assert_eq!(thinned(1_000), (24, vec![4, 8, 12, 16], 8));
+        assert_eq!(thinned(1), (30, vec![16], 2));
     }
 
     #[test]

@@ -38,6 +38,9 @@ use crate::{
 };
 use live::Nets;
 
+/// Pictures of a page that is written as one file take so many bytes at most.
+const MOST_PICTURES: usize = 8_000_000;
+
 /// Watch the nets of a running app in the terminal, or those of a recorded run in a browser
 ///
 /// Without a record: the nets of a running app, one at a time, with what runs, what is enabled, the last events, and the
@@ -73,7 +76,7 @@ pub struct DisplayArgs {
     /// This net only
     #[arg(long, value_name = "NET")]
     pub net: Option<String>,
-    /// A file of overview displays
+    /// A file of overview displays and layouts; without it, that which the record keeps
     #[arg(long, value_name = "FILE")]
     pub displays: Option<PathBuf>,
     /// Where the page is served; port 0 takes any that is free
@@ -117,16 +120,31 @@ pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
         }
         recorded.nets.retain(|name, _| name == net);
     }
-    if recorded.nets.is_empty() {
+    let prints = args.once || args.json;
+    if recorded.is_empty() || (prints && recorded.nets.is_empty()) {
         return exit::FAILED;
     }
-    if args.once || args.json {
+    if prints {
         return print(args, &recorded);
     }
     let overviews = match args.displays.as_deref().map(overviews).transpose() {
-        Ok(overviews) => overviews.unwrap_or_default(),
+        Ok(Some(named)) => named,
+        Ok(None) => {
+            let (kept, findings) = recorded.overviews();
+            show::findings(findings);
+            kept
+        }
         Err(code) => return code,
     };
+    if args.export.is_some() {
+        let left_out = recorded.thin(MOST_PICTURES);
+        if left_out > 0 {
+            show::say(&format!(
+                "warning: {left_out} pictures are left out, evenly: a page has {} MB of them at most",
+                MOST_PICTURES / 1_000_000
+            ));
+        }
+    }
     let displays = overviews.clone();
     let hub = recorded.hub(overviews);
     let drawings = recorded.nets.keys();

@@ -142,10 +142,12 @@ fn viewer_sets(args: &BootArgs, registry: &Registry) -> Vec<String> {
         return Vec::new();
     }
     let listen = args.foxglove.map(|listen| format!("listen = \"{listen}\""));
-    let listen = listen.unwrap_or_default();
+    let displays = cli_display::displays_of(&app).map(|file| format!("displays = {file:?}"));
+    let given: Vec<String> = listen.into_iter().chain(displays).collect();
+    let given = given.join(", ");
     vec![
         "chassis.viewers={ restart = \"on-failure\" }".to_owned(),
-        format!("task.viewers={{ handler = \"{own}\", on = \"viewers\", args = {{ {listen} }} }}"),
+        format!("task.viewers={{ handler = \"{own}\", on = \"viewers\", args = {{ {given} }} }}"),
     ]
 }
 

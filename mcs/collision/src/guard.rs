@@ -11,7 +11,7 @@ use std::sync::{Arc, Weak};
 
 use ctos::config::Node;
 use ctos::task::{Context, HandlerError};
-use mcs::guard::{Guard, GuardSettings, Line, Neighbour, Seen, Shown, Words, edges};
+use mcs::guard::{Guard, GuardSettings, Line, Neighbour, Seen, Shown, Sight, Words, edges};
 use mcs::latest::Latest;
 use mcs::model::file::{AtText, ShapeText};
 use mcs::model::{Placement, Solid};
@@ -20,6 +20,7 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 
 use crate::scene::{Looked, Near, Scene};
+use crate::sight;
 
 /// Its name in configurations.
 pub const KIND: &str = "collision";
@@ -237,6 +238,7 @@ pub struct Collision {
     found: Found,
     /// Of the room, as viewers draw it.
     outline: Vec<Line>,
+    sight: Arc<sight::Seen>,
 }
 
 /// How far from the arm's base the outline of something large, a floor or a wall, is drawn, along each axis, m.
@@ -306,7 +308,14 @@ pub fn build(settings: &GuardSettings<'_>) -> Result<Box<dyn Guard>, HandlerErro
     if let Some(cx) = settings.cx {
         Findings::share(&findings, cx, settings.servo);
     }
+    let sight = Arc::new(sight::Seen {
+        scene: scene.clone(),
+        others: others.iter().map(|(other, _)| other.arm.clone()).collect(),
+        findings: Arc::clone(&findings),
+        margin,
+    });
     Ok(Box::new(Collision {
+        sight,
         scene,
         others: others.into_iter().map(|(other, _)| other).collect(),
         findings,
@@ -333,6 +342,10 @@ impl Collision {
 impl Guard for Collision {
     fn outline(&self) -> Vec<Line> {
         self.outline.clone()
+    }
+
+    fn sight(&self) -> Option<Arc<dyn Sight>> {
+        Some(Arc::clone(&self.sight) as _)
     }
 
     fn begin(&mut self, _: &Seen<'_>) {

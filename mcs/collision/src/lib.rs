@@ -3,11 +3,12 @@
 //!
 //! [`guard`] is the function: a kind of guard called `collision`, which the servo asks in every tick. [`task`] is the
 //! event handler `mcs.collision`, which tells what was found. [`distance`] has the geometry, [`scene`] the arms and the
-//! room with what can touch what. Knows no simulator; of motion control it knows what any guard does.
+//! room with what can touch what, [`sight`] what viewers see of it. Knows no simulator; of motion control it knows what any guard does.
 
 pub mod distance;
 pub mod guard;
 pub mod scene;
+pub mod sight;
 pub mod task;
 
 use ctos::registry::Registry;

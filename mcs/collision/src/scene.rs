@@ -41,7 +41,7 @@ struct Part {
 }
 
 /// An arm that can be placed.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Arm {
     model: Arc<Model>,
     data: Data,
@@ -111,7 +111,7 @@ pub struct Looked {
 }
 
 /// Arms and the room. The first arm is the one whose base frame all is in.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Scene {
     arms: Vec<Arm>,
     room: Vec<(String, Solid)>,
@@ -474,6 +474,24 @@ impl Scene {
         pairs
             .map(|pair| [name(pair.one), name(pair.other)])
             .collect()
+    }
+
+    /// Both solids of a pair with the arms at these positions, rad or m, in the order of the arms.
+    #[must_use]
+    pub fn solids(&self, pair: usize, positions: &[&[f64]]) -> Option<[Solid; 2]> {
+        let Pair { one, other, .. } = self.pairs.get(pair)?;
+        let place = |(owner, index): Which| match owner {
+            Owner::Arm(number) => {
+                let (arm, q) = (self.arms.get(number)?, positions.get(number)?);
+                let part = arm.parts.get(index)?;
+                let mut data = arm.model.data();
+                arm.model.forward(&mut data, q);
+                let carrier = arm.base.then(&data.carrier(part.carrier));
+                Some(part.solid.seen_from(&carrier))
+            }
+            Owner::Room => Some(self.room.get(index)?.1.clone()),
+        };
+        Some([place(*one)?, place(*other)?])
     }
 
     /// Takes what an arm is to do: `late` (s) from now it begins to brake, `period` (s) is that of its servo.

@@ -11,7 +11,7 @@ use serde::de::IgnoredAny;
 
 use crate::guard::Reaction;
 use crate::joints::{Distances, TooManyJoints};
-use crate::model::file::Inertias;
+use crate::model::file::{AtText, Inertias};
 use crate::model::origin::Origin;
 use crate::model::{Limits, Model, Placement};
 use crate::servo::{ServoConfig, Settling};
@@ -103,6 +103,24 @@ pub struct ServoArgs {
     /// Orientation of the tool in the frame of the tip: roll, pitch and yaw about x, y and z, rad.
     #[serde(default)]
     pub tool_rpy: [f64; 3],
+    /// Where viewers see its base frame, when that is not the frame of the scene.
+    pub stands: Option<StandsArgs>,
+    /// The frames in whose axes its force-torque sensors read, by their names, for viewers; that of its last link where none is named.
+    #[serde(default)]
+    pub sensor_frames: BTreeMap<String, String>,
+}
+
+/// Where the base frame of an arm is seen.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StandsArgs {
+    /// The servo's task of the arm that carries it, on the same chassis; none: it stands in the room.
+    pub on: Option<String>,
+    /// The frame of that arm; its tip where none is named.
+    pub frame: Option<String>,
+    /// Where the base frame is in that frame, or in the room.
+    #[serde(default)]
+    pub at: AtText,
 }
 
 /// The recipe of a guard.

@@ -52,10 +52,36 @@ pub trait Guard: Send {
     fn outline(&self) -> Vec<Line> {
         Vec::new()
     }
+
+    /// What it sees that moves, for viewers; none where there is nothing. Asked once, before it watches.
+    fn sight(&self) -> Option<Arc<dyn Sight>> {
+        None
+    }
 }
 
 /// A straight line between two points, m.
 pub type Line = [[f64; 3]; 2];
+
+/// What a guard sees that moves. Viewers ask on threads of their own: the servo does nothing for them.
+pub trait Sight: std::fmt::Debug + Send + Sync {
+    /// The distance that it keeps, m.
+    fn margin(&self) -> f64;
+
+    /// The two solids that the latest tick found nearest, as they are with the arm at positions `q` (rad or m); none before the
+    /// first motion.
+    fn nearest(&self, q: &[f64]) -> Option<Nearest>;
+}
+
+/// Two solids that are near one another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Nearest {
+    /// Their names.
+    pub names: [String; 2],
+    /// Their distance, m; below zero where one is in the other.
+    pub distance: f64,
+    /// The points of both that are nearest, base frame, m. None of hulls, and of what is in the other.
+    pub ends: Option<Line>,
+}
 
 /// The twelve edges of a box along the axes, between two of its corners, m.
 #[must_use]

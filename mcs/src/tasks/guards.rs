@@ -12,6 +12,7 @@ use crate::args::{RecipeArgs, ServoArgs};
 use crate::client::{MotionError, Outcome, Recipe, SetGuard};
 use crate::guard::{
     Around, Guard, GuardRegistry, GuardSet, GuardSettings, Line, MAX_GUARDS, Mounted, Neighbour,
+    Sight,
 };
 use crate::model::Model;
 
@@ -19,8 +20,16 @@ use crate::model::Model;
 #[derive(Debug, Default)]
 pub(super) struct Recipes(Mutex<Vec<Slot>>);
 
-/// A place for a guard in the servo, with the recipe of the guard that is there, and its outline.
-type Slot = Option<(Recipe, Vec<Line>)>;
+/// A place for a guard in the servo, with what is there.
+type Slot = Option<Held>;
+
+/// The recipe of a guard, and what viewers see of the guard.
+#[derive(Debug)]
+struct Held {
+    recipe: Recipe,
+    outline: Vec<Line>,
+    sight: Option<Arc<dyn Sight>>,
+}
 
 impl Recipes {
     fn lock(&self) -> MutexGuard<'_, Vec<Slot>> {
@@ -31,7 +40,7 @@ impl Recipes {
     pub fn all(&self) -> Vec<Recipe> {
         let recipes = self.lock();
         let recipes = recipes.iter().flatten();
-        recipes.map(|(recipe, _)| recipe.clone()).collect()
+        recipes.map(|held| held.recipe.clone()).collect()
     }
 
     /// The names of the guards that have an outline, with that, in the base frame.
@@ -40,9 +49,18 @@ impl Recipes {
         let drawn = recipes
             .iter()
             .flatten()
-            .filter(|(_, outline)| !outline.is_empty());
+            .filter(|held| !held.outline.is_empty());
         drawn
-            .map(|(recipe, outline)| (recipe.name.clone(), outline.clone()))
+            .map(|held| (held.recipe.name.clone(), held.outline.clone()))
+            .collect()
+    }
+
+    /// The names of the guards that see something, with that.
+    pub fn sights(&self) -> Vec<(String, Arc<dyn Sight>)> {
+        let recipes = self.lock();
+        let seeing = recipes.iter().flatten();
+        seeing
+            .filter_map(|held| Some((held.recipe.name.clone(), held.sight.clone()?)))
             .collect()
     }
 
@@ -55,7 +73,7 @@ impl Recipes {
         names.iter().try_fold(GuardSet::default(), |set, name| {
             let found = recipes.iter().position(|recipe| is(recipe, name));
             found.map(|slot| set.with(slot)).ok_or_else(|| {
-                let known: Vec<&str> = recipes.iter().flatten().map(|(one, _)| one.name.as_str()).collect();
+                let known: Vec<&str> = recipes.iter().flatten().map(|held| held.recipe.name.as_str()).collect();
                 let known = match known.is_empty() {
                     true => "it has none".to_owned(),
                     false => format!("it has {}", known.join(", ")),
@@ -68,9 +86,7 @@ impl Recipes {
 }
 
 fn is(recipe: &Slot, name: &str) -> bool {
-    recipe
-        .as_ref()
-        .is_some_and(|(recipe, _)| recipe.name == name)
+    recipe.as_ref().is_some_and(|held| held.recipe.name == name)
 }
 
 /// A recipe's name is a word that stands after a dot.
@@ -177,7 +193,7 @@ impl Maker {
             .lock()
             .iter()
             .flatten()
-            .any(|(recipe, _)| recipe.name == request.name && recipe.configured);
+            .any(|Held { recipe, .. }| recipe.name == request.name && recipe.configured);
         let recipe = Recipe {
             name: request.name,
             kind: request.kind,
@@ -197,7 +213,7 @@ impl Maker {
     ) -> Result<(), HandlerError> {
         let built = self.build((&recipe.name, &recipe.kind), (&Running(cx), Some(cx)), args);
         let guard = built.map_err(|error| format!("guard `{}`: {error}", recipe.name))?;
-        let outline = guard.outline();
+        let (outline, sight) = (guard.outline(), guard.sight());
         let mounted = Mounted::new(&recipe.name, recipe.reaction, recipe.always, guard);
         let mut recipes = link.guards.lock();
         let free = || recipes.iter().position(Option::is_none);
@@ -210,7 +226,11 @@ impl Maker {
         if slot == recipes.len() {
             recipes.push(None);
         }
-        recipes[slot] = Some((recipe, outline));
+        recipes[slot] = Some(Held {
+            recipe,
+            outline,
+            sight,
+        });
         Ok(())
     }
 
@@ -222,7 +242,7 @@ impl Maker {
         };
         if recipes[slot]
             .as_ref()
-            .is_some_and(|(recipe, _)| recipe.configured)
+            .is_some_and(|held| held.recipe.configured)
         {
             let text = format!(
                 "guard `{name}` stands in the configuration of `{}`; take it out there",
@@ -279,10 +299,16 @@ impl Around for Configured<'_> {
         if found.chassis != self.task.chassis {
             return Err(apart(servo, &self.task.name));
         }
-        let read = ServoArgs::read(found, self.app, &mut Findings::new());
-        let (_, model) = read.ok_or_else(|| format!("the arm of `{servo}` is not known"))?;
+        let model = configured_arm(found, self.app);
+        let model = model.ok_or_else(|| format!("the arm of `{servo}` is not known"))?;
         Ok(Neighbour::new(Arc::new(model)))
     }
+}
+
+/// The arm of a servo's task as the configuration has it; none where something is wrong with it.
+pub(super) fn configured_arm(servo: &TaskConfig, app: &App) -> Option<Model> {
+    let read = ServoArgs::read(servo, app, &mut Findings::new());
+    read.map(|(_, model)| model)
 }
 
 /// The chassis as it runs.

@@ -18,7 +18,7 @@ use super::slots::{self, LastStop};
 use super::split_torque;
 use super::streams::Streams;
 use super::ways::Ways;
-use super::{Link, SERVO, rows};
+use super::{Link, SERVO, rows, stands};
 use crate::args::{self, RecipeArgs, ServoArgs};
 use crate::client::{
     ControlReport, GuardsReport, MotionError, Outcome, ReadControl, ReadGuards, ReadSensors,
@@ -144,6 +144,7 @@ fn check(
             servo: task.name.clone(),
         };
         maker.check(args, task, app, findings);
+        stands::check(args, model, (task, app), findings);
         let others = own_args(task, "laws");
         let others = others.entries().iter().map(|entry| &entry.key);
         for name in std::iter::once(&args.law).chain(others) {
@@ -316,6 +317,8 @@ impl ServoTask {
             config,
             guards: Recipes::default(),
             ways: Ways::default(),
+            stands: args.stands.clone(),
+            sensor_frames: args.sensor_frames.clone(),
             sensors,
         });
         cx.share(&Link::key(cx.name()), Arc::clone(&link));

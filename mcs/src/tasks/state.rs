@@ -282,7 +282,7 @@ impl EventHandler for StateTask {
                 let link = self.link()?;
                 let stage = self
                     .stage
-                    .get_or_insert_with(|| drawn::stage(&self.servo, &link));
+                    .get_or_insert_with(|| drawn::stage(cx, &self.servo, &link));
                 stage.follow(cx, message)
             }
             _ => cx.default_processing(message),

@@ -91,6 +91,16 @@ pub(crate) fn add(entity: &mut SceneEntity, solid: &Solid, fill: Color) {
             }
         }
         Solid::Frustum { corners, .. } => entity.lines.push(pyramid(corners, fill)),
+        // It moves with the numbers of its part, which are told more often: see `add_vector`.
+        Solid::Vector { .. } => {}
+    }
+}
+
+/// Adds an arrow along `vector`, m.
+pub(crate) fn add_vector(entity: &mut SceneEntity, vector: [f64; 3], fill: Color) {
+    let length = vector.iter().map(|part| part * part).sum::<f64>().sqrt();
+    if length > 1e-6 {
+        entity.arrows.push(arrow(vector, length, fill));
     }
 }
 

@@ -1,6 +1,10 @@
 //! The task: follows what all tasks of the app show, records what viewers are told, and tells those that are connected.
 
-use std::{cell::RefCell, net::SocketAddr, rc::Rc};
+use std::{
+    cell::{Cell, RefCell},
+    net::SocketAddr,
+    rc::Rc,
+};
 
 use ctos::{
     config::{App, TaskConfig},
@@ -30,10 +34,26 @@ const LOG_TARGET: &str = "ctos::page";
 pub(crate) struct Args {
     /// Where viewers connect; port 0 takes any that is free. Without it everything is only recorded.
     listen: Option<SocketAddr>,
+    /// The app's file of displays, relative to the configuration's folder: each record keeps it as it is.
+    displays: Option<String>,
+}
+
+/// The channel of a record that keeps the app's file of displays.
+pub const DISPLAYS: &str = "/displays";
+
+/// What is kept of it.
+#[derive(Debug, Clone, serde::Serialize)]
+struct Displays {
+    file: String,
+    text: String,
 }
 
 /// Checks the arguments: nobody else may look on, for this server knows no keys.
-pub(crate) fn check(args: &Args, task: &TaskConfig, _app: &App, findings: &mut Findings) {
+pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    if let Some(Err(finding)) = args.displays.as_ref().map(|file| app.read(file)) {
+        let place = task.args.locate("displays");
+        findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
+    }
     let Some(listen) = args.listen else { return };
     if listen.ip().to_canonical().is_loopback() {
         return;
@@ -54,25 +74,43 @@ pub(crate) fn check(args: &Args, task: &TaskConfig, _app: &App, findings: &mut F
 struct Told {
     translator: RefCell<Translator>,
     live: RefCell<Option<Live>>,
+    displays: Option<Displays>,
+    /// How many records there were when the displays were written.
+    kept: Cell<u64>,
 }
 
 impl Told {
     fn send(&self, cx: &Context, all: &[Sent]) {
-        let live = self.live.borrow();
         for sent in all {
             cx.record_encoded(&sent.channel, &sent.schema, &sent.bytes);
-            if let Some(live) = &*live {
-                live.send(sent);
-            }
+        }
+        self.show(all);
+    }
+
+    /// Tells those that are connected, and no record.
+    fn show(&self, all: &[Sent]) {
+        if let Some(live) = &*self.live.borrow() {
+            all.iter().for_each(|sent| live.send(sent));
         }
     }
 
-    /// Tells all that is known of `source`.
-    fn whole(&self, cx: &Context, source: &str) {
-        match self.translator.borrow().whole(source) {
-            Ok(all) => self.send(cx, &all),
-            Err(error) => tracing::warn!(source, %error, "viewers are told nothing of it"),
+    /// Each record has the displays once.
+    fn keep_displays(&self, cx: &Context) {
+        let records = cx.recorders();
+        if let Some(displays) = &self.displays
+            && self.kept.replace(records) != records
+        {
+            cx.record(DISPLAYS, displays);
         }
+    }
+
+    /// All that is known of `source`.
+    fn whole(&self, source: &str) -> Vec<Sent> {
+        let whole = self.translator.borrow().whole(source);
+        whole.unwrap_or_else(|error| {
+            tracing::warn!(source, %error, "viewers are told nothing of it");
+            Vec::new()
+        })
     }
 }
 
@@ -84,11 +122,19 @@ pub(crate) struct Viewers {
 
 impl Viewers {
     pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let args: Args = cx.args()?;
+        let displays = args.displays.clone();
+        let displays = displays.map(|file| {
+            let text = cx.app().read(&file)?.text().to_owned();
+            Ok::<_, Finding>(Displays { file, text })
+        });
         Ok(Self {
-            args: cx.args()?,
+            args,
             told: Rc::new(Told {
                 translator: RefCell::default(),
                 live: RefCell::default(),
+                displays: displays.transpose()?,
+                kept: Cell::default(),
             }),
         })
     }
@@ -142,10 +188,11 @@ impl EventHandler for Viewers {
     }
 }
 
+/// Who comes is told the whole. A record has it already, and does not grow because somebody looks on.
 async fn greet(cx: &Context, told: &Told, mut comes: Receiver<()>) {
     while comes.recv().await.is_some() {
         for source in sources(cx.app(), &cx.registry()) {
-            told.whole(cx, &source);
+            told.show(&told.whole(&source));
         }
     }
 }
@@ -165,16 +212,17 @@ async fn follow(cx: &Context, source: &str, told: &Told) {
         };
         // Each record begins with the whole.
         let begun = std::mem::replace(&mut recorders, cx.recorders()) != cx.recorders();
+        told.keep_displays(cx);
         note(cx, source, &mut track, &batch, begun);
         if begun {
-            told.whole(cx, source);
+            told.send(cx, &told.whole(source));
         }
         let all = told.translator.borrow_mut().take(source, batch);
         match all {
             Ok(all) => told.send(cx, &all),
             Err(error) => {
                 tracing::warn!(source, %error, "viewers miss this; they are told the rest anew");
-                told.whole(cx, source);
+                told.send(cx, &told.whole(source));
             }
         }
     }

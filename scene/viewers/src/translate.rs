@@ -13,7 +13,7 @@ use foxglove::{
 };
 use jpeg_encoder::{ColorType, Encoder};
 use scene::{
-    Batch, Layer, Moved, Part, Picture,
+    Batch, Layer, Moved, Part, Picture, Solid,
     known::{Joint, Known, Lens, camera_frame, frame},
 };
 use serde_json::{Map, Value};
@@ -306,6 +306,42 @@ fn solids(known: &Known, source: &str) -> Result<Sent, TranslateError> {
     sent(format!("/solids/{source}"), known.at_ns, &update)
 }
 
+/// The arrows of parts along their numbers, each in place of the one before; none where no part has one.
+fn vectors(known: &Known, source: &str) -> Result<Option<Sent>, TranslateError> {
+    let timestamp = Some(time(known.at_ns));
+    let entity = |(part, moved): (&Part, &Moved)| {
+        let arrows = part.solids.iter().filter_map(|solid| match solid {
+            Solid::Vector { first, scale, .. } => Some((*first, *scale)),
+            _ => None,
+        });
+        let mut arrows = arrows.peekable();
+        arrows.peek()?;
+        let mut entity = SceneEntity {
+            timestamp,
+            frame_id: frame(source, part),
+            id: part.name.clone(),
+            frame_locked: true,
+            ..SceneEntity::default()
+        };
+        for (first, scale) in arrows {
+            if let Some(vector) = moved.vector(first) {
+                let fill = shapes::colour(part.colour, 1.0);
+                shapes::add_vector(&mut entity, vector.map(|part| part * scale), fill);
+            }
+        }
+        Some(entity)
+    };
+    let entities: Vec<SceneEntity> = known.placed().filter_map(entity).collect();
+    if entities.is_empty() {
+        return Ok(None);
+    }
+    let update = SceneUpdate {
+        deletions: Vec::new(),
+        entities,
+    };
+    sent(format!("/vectors/{source}"), known.at_ns, &update).map(Some)
+}
+
 /// Where all parts are, and their numbers. All of them each time: a viewer that jumps to a moment reads the last
 /// message before it.
 fn places(known: &Known, source: &str) -> Result<Vec<Sent>, TranslateError> {
@@ -335,6 +371,7 @@ fn places(known: &Known, source: &str) -> Result<Vec<Sent>, TranslateError> {
     if !joints.joints.is_empty() {
         all.push(sent(format!("/joints/{source}"), known.at_ns, &joints)?);
     }
+    all.extend(vectors(known, source)?);
     if !numbers.is_empty() {
         all.push(Sent {
             channel: format!("/numbers/{source}"),

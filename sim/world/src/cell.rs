@@ -111,6 +111,14 @@ pub struct BodySpec {
     pub shapes: Vec<Shape>,
 }
 
+impl BodySpec {
+    /// Whether it is a link that feels what touches it.
+    #[must_use]
+    pub fn is_touchable(&self) -> bool {
+        matches!(self.origin, Origin::Link(_)) && !self.still && !self.shapes.is_empty()
+    }
+}
+
 /// A lamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LampSpec {
@@ -204,6 +212,11 @@ pub struct CameraSpec {
 }
 
 impl Cell {
+    /// The links that feel what touches them.
+    pub fn touchable(&self) -> impl Iterator<Item = &BodySpec> {
+        self.bodies.iter().filter(|body| body.is_touchable())
+    }
+
     /// Reads and checks a cell file. Files of models are taken relative to it.
     ///
     /// # Errors

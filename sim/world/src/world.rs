@@ -331,6 +331,25 @@ impl World {
         all
     }
 
+    /// Where the objects are, in the order of the cell's file.
+    pub fn objects(&self) -> impl Iterator<Item = Isometry3<f64>> {
+        let bodies = self
+            .objects
+            .iter()
+            .map(|handle| self.physics.bodies.get(*handle));
+        bodies.map(|body| body.map_or_else(Isometry3::identity, |body| isometry(body.position())))
+    }
+
+    /// What touches each link of [`Cell::touchable`]: the middle of the points, m, and the mean force on the link in the last
+    /// period, N; world. `None` where nothing does. Of an arm that its brakes hold the force is 0.
+    pub fn contacts(&self) -> impl Iterator<Item = Option<(Point3<f64>, Vector3<f64>)>> {
+        let seconds = self.lasted.as_secs_f64().max(f64::MIN_POSITIVE);
+        self.links.iter().map(move |link| {
+            let middle = link.touched_at(&self.physics)?;
+            Some((middle, link.pressed / seconds))
+        })
+    }
+
     fn step(&mut self, h: f64) -> Result<(), WorldError> {
         let expected = self.expect(h);
         for (index, arm) in self.arms.iter_mut().enumerate() {
@@ -571,7 +590,7 @@ impl World {
                         for Shape { solid, .. } in &body.shapes {
                             self.insert_still(solid, &pose, groups);
                         }
-                    } else if !body.shapes.is_empty() {
+                    } else if body.is_touchable() {
                         self.insert_link(mount, &pose, &body.shapes, groups);
                     }
                 }
@@ -668,6 +687,29 @@ impl Link {
             }
         }
         still
+    }
+
+    /// The middle of the points at which something touches it, m, world.
+    fn touched_at(&self, physics: &PhysicsWorld) -> Option<Point3<f64>> {
+        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
+        for own in &self.colliders {
+            let pairs = physics.narrow_phase.contact_pairs_with(*own);
+            for pair in pairs.filter(|pair| pair.has_any_active_contact()) {
+                let Some(first) = physics.colliders.get(pair.collider1) else {
+                    continue;
+                };
+                let at = isometry(first.position());
+                for point in pair
+                    .manifolds()
+                    .iter()
+                    .flat_map(|manifold| &manifold.points)
+                {
+                    sum += (at * Point3::from(ours(point.local_p1))).coords;
+                    count += 1.0;
+                }
+            }
+        }
+        (count > 0.0).then(|| Point3::from(sum / count))
     }
 
     /// Adds what the step gave the link, and how far it moved it beyond its speed; what contact gave it in all.

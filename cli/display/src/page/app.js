@@ -1,11 +1,11 @@
 // The page: what is shown of which net at which moment, and who is told of what a person does.
 
+import { Attention } from "./attention.js";
 import { Picture } from "./draw.js";
 import { Fork, fold, linksBetween, sideBySide, subnetsOf } from "./fold.js";
 import { listen } from "./keys.js";
 import { Minimap } from "./minimap.js";
 import { called, Net, seconds } from "./model.js";
-import { Moments } from "./moments.js";
 import { Overview, jobWords } from "./overview.js";
 import { make, showSide } from "./panels.js";
 import { Panes } from "./panes.js";
@@ -25,7 +25,7 @@ const RETRY = 1000;
 /** A task that is looked at is asked how it is so often, ms. */
 const ASK_EVERY = 1000;
 
-class App extends Moments {
+class App extends Attention {
   constructor() {
     super();
     this.nets = new Map();
@@ -41,6 +41,8 @@ class App extends Moments {
     this.control = false;
     this.detail = "written";
     this.hops = false;
+    /** Whether what is under way is kept in view. */
+    this.active = false;
     /** The subnets that are drawn as one node, by net. */
     this.folded = new Map();
     /** What a person plays through: copies of nets, by name. */
@@ -62,6 +64,7 @@ class App extends Moments {
       select: (key) => this.choose(key),
       open: (key) => this.openNode(key),
       looked: () => this.minimap?.update(),
+      took: () => this.followActive(false),
       movable: (key) => this.control && this.forks.size === 0 && !this.paned() && !("fold" in this.picture.nodes.get(key).node.kind),
       moved: (key) => this.keep(key),
     });
@@ -76,7 +79,7 @@ class App extends Moments {
     this.panes = new Panes(this);
     this.controls();
     listen(this);
-    new ResizeObserver(() => { if (this.shown !== null) { this.picture.look(this.picture.box); this.changed(); } }).observe($("stage"));
+    new ResizeObserver(() => this.resized()).observe($("stage"));
     requestAnimationFrame(() => this.frame());
   }
 
@@ -129,6 +132,8 @@ class App extends Moments {
     this.appTasks = message.tasks;
     this.picked = false;
     if (this.wanted.length === 0 && this.hasScene) this.openWhole();
+    // Nets come later: the scene does not wait for them.
+    else if (this.hasScene && this.shown === null && !this.wish?.has("net") && !this.wish?.has("layout")) this.panes.open("overview");
   }
 
   addNet(message) {
@@ -150,11 +155,10 @@ class App extends Moments {
     this.picked = true;
     const wish = this.wish;
     const wished = this.known(wish?.get("net"));
-    const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
     this.tabs();
     $("names").replaceChildren();
     if (!wished && this.touched && this.known(this.shown)) return this.stay();
-    this.open(wished ? wish.get("net") : busiest?.name ?? null, wish?.get("node") ?? null);
+    this.open(wished ? wish.get("net") : this.mainNet()?.name ?? null, wish?.get("node") ?? null);
     if (this.panes.openLayout(wish?.get("layout"))) { /* it is shown */ } else if (!wish?.has("net") && this.hasScene) this.openWhole();
     if (wished) [this.wish, this.touched] = [null, true];
     for (const key of wish?.getAll("plot") ?? []) if (!this.plots.has(key)) this.plots.toggle(key);
@@ -223,6 +227,7 @@ class App extends Moments {
       this.hasScene = true;
       this.tabs();
     }
+    if (!this.panes.cell && this.whole !== this.panes.wantsCell()) this.panes.arrange();
   }
 
   jump(net, { state, skipped, fresh }) {
@@ -265,17 +270,19 @@ class App extends Moments {
     return folded?.size > 0 ? fold(drawing, folded) : drawing;
   }
 
-  /** The overview: the scene, the pictures, and the net with most commands. */
+  /** The overview: the scene, the pictures, and the net of the task. */
   openWhole() {
-    const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
-    if (busiest !== undefined) this.open(busiest.name, null);
+    const main = this.mainNet();
+    if (main !== undefined) this.open(main.name, null);
     this.panes.open("overview");
+    if (main !== undefined) this.fitWhole();
     this.tabs();
     this.remember();
   }
 
   open(name, key) {
     if (name === null || !this.known(name)) return;
+    this.followActive(false);
     this.panes.open("net");
     this.shown = name;
     this.chosen = null;
@@ -326,6 +333,7 @@ class App extends Moments {
     this.chosen = key;
     this.task = null;
     this.picture.select(key);
+    if (key !== null) this.followActive(false);
     if (key !== null) this.picture.center(key);
     if (this.hops) this.picture.focus(key);
     this.asking = null;
@@ -473,7 +481,7 @@ class App extends Moments {
       }
       return this.tasks.get(task)?.now;
     };
-    const text = this.nets.size === 0 ? "waiting for the nets of the app"
+    const text = this.nets.size === 0 ? (this.wanted?.length === 0 ? "this app has no nets" : "waiting for the nets of the app")
       : first === null || this.forks.size > 0 ? "nothing is under way" : whyOf(first, this.nets, (net) => this.stateOf(net), nowOf, this.now());
     if ($("why").textContent !== text) $("why").textContent = text;
   }
@@ -493,6 +501,7 @@ class App extends Moments {
     const now = performance.now();
     if (this.playing) this.play(now);
     this.picture.tick(now);
+    if (this.active && this.shown !== null) this.picture.follow(this.activeNodes(), now);
     if (this.whole) this.overview.tick(now);
     if (this.shown !== null || this.whole) {
       if (this.dirty) {
@@ -508,7 +517,7 @@ class App extends Moments {
       const busy = this.cursor === null && this.mode === "live" && this.picture.running?.length > 0;
       // The present goes on also while nothing happens.
       const idle = this.cursor === null && this.mode === "live" && now - (this.panelled ?? 0) > PRESENT_EVERY;
-      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > MANY_NODES || this.visibleNets().some((net) => net.events.length > MANY_EVENTS) ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
+      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > MANY_NODES || (this.whole && this.overview.view.quality < 1) || this.visibleNets().some((net) => net.events.length > MANY_EVENTS) ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
         this.panelled = now;
         this.stale = false;
         this.panels();
@@ -548,7 +557,8 @@ class App extends Moments {
     $("next").onclick = () => this.step(1);
     $("play").onclick = () => this.togglePlay();
     $("live").onclick = () => this.live();
-    $("fit").onclick = () => this.picture.fit();
+    $("fit").onclick = () => this.fit();
+    $("active").onclick = () => this.followActive(!this.active);
     $("near").onclick = () => this.toggleNear();
     $("full").onclick = () => this.toggleDetail();
     $("help").onclick = () => $("keys").showModal();

@@ -4,7 +4,7 @@ import { Pictures, SceneTrack, jobOf, measure } from "./cell.js";
 import { seconds } from "./model.js";
 import { make } from "./panels.js";
 import { numberKey } from "./plots.js";
-import { SceneView, partsAt } from "./scene.js";
+import { SceneView, partsAt, vectorsOf } from "./scene.js";
 import { pyramidOf } from "./sight.js";
 
 const PICTURE_SVG = "http://www.w3.org/2000/svg";
@@ -13,6 +13,18 @@ const WINDOW = 24;
 /** The table of parts is filled at most so often, ms. */
 const TABLE_EVERY = 200;
 const KEY_TURN = 0.12;
+/** What may be left out of the scene: its name, what that is, and the kinds of parts. The first are shown unless somebody does not want them. */
+const LAYERS = [
+  ["forces", "What force-torque sensors read: 1 cm for a newton, 10 cm for a newton metre", ["force"], true],
+  ["guards", "What guards forbid", ["guard"], true],
+  ["paths", "Ways that are planned", ["path"], true],
+  ["margins", "How far guards keep everything from the arm, and what is nearest to it", ["margin", "nearest"], false],
+  ["contacts", "What touches the arms, as the simulator says", ["contact"], true],
+];
+/** After so long without a change, ms. */
+const SHARPEN_AFTER = 400;
+/** A distance is written beside what is nearer than this, m. */
+const WRITTEN = 0.5;
 
 const drawn = (name, attributes, ...children) => {
   const made = document.createElementNS(PICTURE_SVG, name);
@@ -42,7 +54,10 @@ export class Overview {
     this.missing = make("p", { class: "missing" });
     this.truthBox = make("input", { type: "checkbox", onchange: () => { this.truth = this.truthBox.checked; this.view.stale = true; this.changed(); } });
     this.truthLabel = make("label", { class: "truth", hidden: true, title: "What the simulator says, drawn as outlines. No robot knows it." }, this.truthBox, " simulator's truth");
-    this.stage = make("div", { class: "scene" }, this.canvas, this.label, this.missing, this.truthLabel);
+    this.hidden = new Set(LAYERS.filter(([, , , shown]) => !shown).map(([name]) => name));
+    this.layers = make("div", { class: "layers", role: "group", "aria-label": "What the scene shows" }, ...LAYERS.map(([name, title]) => this.layerBox(name, title)), this.truthLabel);
+    this.distance = make("div", { class: "distance", hidden: true });
+    this.stage = make("div", { class: "scene" }, this.canvas, this.label, this.distance, this.missing, this.layers);
     this.figures = make("div", { class: "pictures", "aria-label": "Pictures of the cameras" });
     host.replaceChildren(this.stage, this.figures);
     this.view = new SceneView(this.canvas, () => this.colours());
@@ -51,6 +66,28 @@ export class Overview {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.theme = null; this.view.stale = true; });
     new ResizeObserver(() => { this.view.stale = true; }).observe(this.stage);
     this.listen();
+  }
+
+  /** A box for one layer of the scene; it is there when there is something in it. */
+  layerBox(name, title) {
+    const box = make("input", { type: "checkbox", name, checked: this.hidden.has(name) ? null : "", onchange: () => {
+      if (box.checked) this.hidden.delete(name);
+      else this.hidden.add(name);
+      this.view.stale = true;
+      this.changed();
+    } });
+    return make("label", { title, hidden: true, "data-layer": name }, box, ` ${name}`);
+  }
+
+  /** The boxes of what there is. */
+  showLayers(all) {
+    for (const [name, , kinds] of LAYERS) this.layers.querySelector(`[data-layer=${name}]`).hidden = !all.some((one) => kinds.includes(one.part.kind));
+  }
+
+  /** Whether a part is wanted. What touches nothing is nowhere. */
+  wanted(one) {
+    if (one.part.kind === "contact" && vectorsOf(one).length === 0) return false;
+    return !LAYERS.some(([name, , kinds]) => kinds.includes(one.part.kind) && this.hidden.has(name));
   }
 
   colours() {
@@ -117,6 +154,11 @@ export class Overview {
     return this.pictures.cameras.size > 0 || [...this.tracks.values()].some((track) => track.steps.length > 0);
   }
 
+  /** Whether there is anything to draw. */
+  get drawable() {
+    return [...this.tracks.values()].some((track) => track.steps.some((step) => step.view?.parts.some((part) => part.solids.length > 0)));
+  }
+
   get span() {
     const spans = [...this.tracks.values()].map((track) => track.span);
     return [Math.min(...spans.map(([from]) => from)), Math.max(...spans.map(([, to]) => to))];
@@ -134,7 +176,9 @@ export class Overview {
   }
 
   parts() {
-    return partsAt(this.order(), this.moment(), this.truth, this.chosen);
+    const all = partsAt(this.order(), this.moment(), this.truth, this.chosen);
+    this.showLayers(all);
+    return all.filter((one) => this.wanted(one));
   }
 
   job() {
@@ -147,7 +191,15 @@ export class Overview {
   tick(now) {
     const moment = this.moment();
     if (moment !== this.at) [this.at, this.due] = [moment, true];
-    if (!this.due && !this.view.stale) return;
+    const [gap, painted] = [now - (this.ticked ?? now), this.painted];
+    [this.ticked, this.painted] = [now, false];
+    if (painted) this.view.pace(gap);
+    if (!this.due && !this.view.stale) {
+      // What stands still is drawn with all its pixels.
+      if (this.view.coarse && now - this.moving > SHARPEN_AFTER) this.paint(this.parts(), 1);
+      return;
+    }
+    [this.painted, this.moving] = [true, now];
     if (this.due) this.showPictures(moment);
     this.due = false;
     const parts = this.parts();
@@ -156,6 +208,7 @@ export class Overview {
     this.missing.hidden = this.view.works && parts.length > 0;
     this.paint(parts);
     this.name(parts);
+    this.far(parts);
     if (now - (this.told ?? 0) > TABLE_EVERY) {
       this.told = now;
       const words = this.words(parts);
@@ -163,11 +216,11 @@ export class Overview {
     }
   }
 
-  paint(parts = this.parts()) {
+  paint(parts = this.parts(), quality = this.view.quality) {
     const tools = parts.filter((one) => one.part.kind === "tool" && !one.truth);
     const trails = tools.map((one) => one.track.trail(one.row[0], one.track.at(this.moment())));
     const pictures = new Map([...this.pictures.cameras.keys()].map((camera) => [camera, this.pictures.at(camera, this.moment())]));
-    this.view.paint(parts, trails, pictures);
+    this.view.paint(parts, trails, pictures, quality);
   }
 
   /** The chosen part has its name beside it. */
@@ -180,6 +233,18 @@ export class Overview {
     this.label.textContent = number ? `${one.part.name} · ${number.name} ${measure(one.row[8], number.unit)}` : one.part.name;
     const [width, height] = [this.stage.clientWidth, this.stage.clientHeight];
     this.label.style.transform = `translate(${Math.round(Math.min(width - 150, Math.max(6, at[0] + 12)))}px, ${Math.round(Math.min(height - 30, Math.max(6, at[1] - 26)))}px)`;
+  }
+
+  /** The least distance stands beside its line. */
+  far(parts) {
+    const near = parts.filter((one) => one.part.kind === "nearest" && one.row[8] !== null && one.row[8] < WRITTEN);
+    const one = near.sort((a, b) => a.row[8] - b.row[8])[0];
+    const [arrow] = one ? vectorsOf(one) : [];
+    const at = arrow && this.view.works ? this.view.where([0, 1, 2].map((axis) => one.row[1 + axis] + arrow.way[0] * one.frame[axis] / 2 + arrow.way[1] * one.frame[4 + axis] / 2 + arrow.way[2] * one.frame[8 + axis] / 2)) : null;
+    this.distance.hidden = !at;
+    if (!at) return;
+    this.distance.textContent = measure(one.row[8], "m");
+    this.distance.style.transform = `translate(${Math.round(at[0] + 8)}px, ${Math.round(at[1] - 9)}px)`;
   }
 
   /** What the drawing shows, in a sentence. */
@@ -230,7 +295,7 @@ export class Overview {
       const said = state?.said?.words ?? "";
       const named = parts.filter((one) => one.track === track && one.part.name !== "");
       const ways = named.filter((one) => one.part.kind.startsWith("way"));
-      const own = named.filter((one) => !ways.includes(one));
+      const own = named.filter((one) => !ways.includes(one) && one.part.kind !== "margin");
       if (track.gone === null && named.length === 0 && said === "") continue;
       const title = [track.source, state?.view.layer === "truth" ? make("small", {}, "simulator's truth") : own.length > 0 ? make("small", {}, "measured") : null];
       sections.push(make("section", {}, make("h2", {}, ...title.filter((one) => one !== null)),
@@ -247,9 +312,9 @@ export class Overview {
   table(own) {
     const rows = own.map((one) => {
       const [number, error] = one.part.numbers;
-      const cells = number ? [measure(one.row[8], number.unit), error ? measure(one.row[9], error.unit) : ""] : [one.part.kind, ""];
+      const cells = number ? [measure(one.row[8], number.unit), error?.name === "error" ? measure(one.row[9], error.unit) : ""] : [one.part.kind, ""];
       return make("tr", { class: one.chosen ? "now" : null },
-        make("th", { scope: "row" }, make("button", { class: "link", "aria-pressed": String(one.chosen), onclick: () => this.choose(one.chosen ? null : one.key) }, one.part.name)),
+        make("th", { scope: "row" }, make("button", { class: "link", "aria-pressed": String(one.chosen), onclick: () => this.choose(one.chosen ? null : one.key) }, ...one.part.name.split(/(?<=[._])/).flatMap((word) => [word, document.createElement("wbr")]))),
         ...cells.map((text) => make("td", {}, text)),
         make("td", {}, one.row.slice(1, 4).map((value) => value.toFixed(2).replace("-", "−")).join(" ")));
     });

@@ -21,6 +21,33 @@ export class Panes {
     this.form.addEventListener("change", (event) => event.target.type === "checkbox" && this.choose());
     this.form.addEventListener("submit", (event) => { event.preventDefault(); this.save(); });
     addEventListener("pointerdown", (event) => { if (!this.menu.contains(event.target)) this.menu.open = false; });
+    this.listenShare();
+  }
+
+  /** The share of the scene in the height that it has together with the net, per cent: by mouse and by keys. */
+  listenShare() {
+    const bar = document.getElementById("share");
+    const main = bar.parentElement;
+    const set = (percent) => {
+      const share = Math.min(85, Math.max(15, percent));
+      bar.setAttribute("aria-valuenow", String(Math.round(share)));
+      main.style.setProperty("--share", `${share}fr`);
+      main.style.setProperty("--rest", `${100 - share}fr`);
+    };
+    bar.addEventListener("pointerdown", (event) => { bar.setPointerCapture(event.pointerId); event.preventDefault(); });
+    bar.addEventListener("pointermove", (event) => {
+      if (event.buttons === 0) return;
+      const box = main.getBoundingClientRect();
+      set((100 * (event.clientY - box.top)) / Math.max(1, box.height));
+    });
+    bar.addEventListener("keydown", (event) => {
+      const by = { ArrowUp: -5, ArrowDown: 5 }[event.key];
+      if (by === undefined) return;
+      set(Number(bar.getAttribute("aria-valuenow")) + by);
+      event.preventDefault();
+      event.stopPropagation();
+    });
+    set(54);
   }
 
   /** The panes that are shown. */
@@ -67,15 +94,24 @@ export class Panes {
     this.menu.open = false;
   }
 
+  /** Whether scene or pictures are to be shown. An overview of nothing leaves the room to the net. */
+  wantsCell() {
+    const { app, shown } = this;
+    const own = this.chosen !== null || this.layout !== null || app.nets.size === 0;
+    return (shown.has("scene") && (own || app.overview.drawable)) || (shown.has("pictures") && (own || app.overview.pictures.cameras.size > 0));
+  }
+
   arrange() {
     const { app, shown } = this;
     const place = (id, pane) => { document.getElementById(id).hidden = !pane; };
-    const cell = shown.has("scene") || shown.has("pictures");
+    const cell = this.wantsCell();
     app.whole = cell;
     document.body.classList.toggle("whole", cell);
     place("cell", cell);
+    const net = shown.has("net") && (app.nets.size > 0 || !cell);
+    place("share", cell && net);
     app.overview.panes(shown.has("scene"), shown.has("pictures"));
-    place("stage", shown.has("net"));
+    place("stage", net);
     place("side", shown.has("side"));
     place("lanes", shown.has("lanes"));
     place("events", shown.has("events"));

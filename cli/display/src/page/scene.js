@@ -1,7 +1,7 @@
 // The scene in three dimensions, by WebGL2. It draws what it is given, and says which part is where a person points.
 
 import { Sights, pyramidOf, seenFrom } from "./sight.js";
-import { ballOf, cross, hit, inner, looking, minus, norm, outline, perspective, placed, plus, point4, surface, times, unit3, unit4 } from "./solids.js";
+import { arrowFrames, arrowParts, ballOf, cross, hit, inner, joined, looking, minus, norm, outline, perspective, placed, plus, point4, surface, times, unit3, unit4 } from "./solids.js";
 
 const SOLID = [`#version 300 es
 in vec3 at; in vec3 normal;
@@ -61,6 +61,20 @@ const LIFT = 0.004;
 const ANGLE = 0.6;
 /** Where the sun is. */
 const SUN = [0.45, -0.5, 0.85];
+/** Radius of an arrow, m, and the longest that is drawn. */
+const ARROW = 0.008;
+const LONGEST_ARROW = 1.5;
+/** What does not say how large the scene is: it may reach far beyond, or is nowhere yet. */
+const BESIDE = new Set(["guard", "margin", "nearest", "contact", "path", "force"]);
+/** A frame that takes longer, ms, has too many pixels; one that takes less could have more. */
+const SLOW_FRAME = 45;
+const FAST_FRAME = 22;
+const LEAST_QUALITY = 0.5;
+/** The first picture is there soon. */
+const FIRST_QUALITY = 0.6;
+/** Below this round things have fewer facets, and below that nothing has a shadow. */
+const FINE_QUALITY = 0.8;
+const SHADED_QUALITY = 0.6;
 const VIEWS = { azimuth: -0.95, height: 0.34 };
 
 /** A drawing area. `colours` gives those of the page by name. */
@@ -74,12 +88,30 @@ export class SceneView {
     /** The keys of the part that is followed, and of the camera from which the scene is seen; null: none. */
     [this.followed, this.from] = [null, null];
     this.drawn = 0;
+    /** Pixels of the drawing for one of the page, along a side: fewer where drawing them takes too long. */
+    this.quality = FIRST_QUALITY;
+    [this.cost, this.paced] = [0, 0];
     /** What is drawn of each part; it goes with the part. */
     this.looks = new WeakMap();
     if (this.gl === null) return;
     this.prepare();
     canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.lost = true; });
     canvas.addEventListener("webglcontextrestored", () => { this.lost = false; this.looks = new WeakMap(); this.prepare(); this.stale = true; });
+  }
+
+  /** A frame took so long, ms, in which the scene was drawn: the next ones have fewer pixels, or more. */
+  pace(took) {
+    this.cost = this.cost === 0 ? took : 0.7 * this.cost + 0.3 * Math.min(took, 500);
+    this.paced += 1;
+    if (this.cost > SLOW_FRAME && this.paced >= 4) this.quality = Math.max(LEAST_QUALITY, this.quality * 0.75);
+    else if (this.cost < FAST_FRAME && this.paced >= 12 && this.quality < 1) this.quality = Math.min(1, this.quality * 1.2);
+    else return;
+    [this.cost, this.paced] = [0, 0];
+  }
+
+  /** Whether what was drawn last has fewer pixels than there are. */
+  get coarse() {
+    return this.works && this.shown < 1;
   }
 
   get works() {
@@ -98,6 +130,7 @@ export class SceneView {
     }
     this.ground = this.buffer(new Float32Array(ground), 4);
     this.way = this.buffer(new Float32Array(4), 4);
+    this.arrows = Object.fromEntries(Object.entries(arrowParts).map(([name, numbers]) => [name, this.mesh(numbers)]));
     gl.enable(gl.DEPTH_TEST);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
   }
@@ -132,6 +165,17 @@ export class SceneView {
     }
     gl.bindVertexArray(null);
     return made;
+  }
+
+  /** Corners, and the order in which triangles have them: each corner is computed once or twice, not six times. */
+  mesh({ corners, order }) {
+    const gl = this.gl;
+    const made = this.buffer(new Float32Array(corners), 6);
+    gl.bindVertexArray(made.array);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(order), gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+    return { ...made, count: order.length, ordered: true };
   }
 
   fill(made, numbers, each) {
@@ -175,8 +219,7 @@ export class SceneView {
 
   /** Shows all parts, as at first. */
   fit(parts) {
-    // What guards forbid may reach far beyond what there is to see.
-    parts = parts.filter(({ part }) => part.kind !== "guard");
+    parts = parts.filter(({ part }) => !BESIDE.has(part.kind));
     [this.from, this.followed] = [null, null];
     const balls = parts.flatMap(({ part, frame }) => part.solids.map(ballOf).filter((ball) => ball !== null).map(([at, radius]) => [point4(frame, at).slice(0, 3), radius]));
     if (balls.length === 0) return;
@@ -231,10 +274,11 @@ export class SceneView {
   lookOf(part) {
     if (!this.looks.has(part)) {
       const lines = part.solids.flatMap(outline);
-      const made = (numbers) => (numbers.length > 0 ? this.buffer(new Float32Array(numbers), 6) : null);
+      const made = (mesh) => (mesh.order.length > 0 ? this.mesh(mesh) : null);
       this.looks.set(part, {
-        surface: made(part.solids.flatMap((solid) => surface(solid))),
-        shade: made(part.solids.flatMap((solid) => surface(solid, true))),
+        surface: made(joined(part.solids.map((solid) => surface(solid)))),
+        coarse: made(joined(part.solids.map((solid) => surface(solid, 1)))),
+        shade: made(joined(part.solids.map((solid) => surface(solid, 2)))),
         outline: lines.length > 0 ? this.buffer(new Float32Array(lines.flatMap((at) => [...at, 1])), 4) : null,
         axes: part.solids.map((solid) => solid.axes).find((length) => length !== undefined) ?? null,
       });
@@ -243,10 +287,11 @@ export class SceneView {
   }
 
   /** Draws `parts`, each with `key`, `part`, `frame`, `truth` and `chosen`, the `trails` of tools, and `pictures` by camera. */
-  paint(parts, trails, pictures) {
+  paint(parts, trails, pictures, quality = this.quality) {
     if (!this.works || this.lost) return;
     const gl = this.gl;
-    const ratio = Math.min(2, globalThis.devicePixelRatio || 1);
+    this.shown = quality;
+    const ratio = Math.min(2, globalThis.devicePixelRatio || 1) * quality;
     const [width, height] = [Math.round(this.canvas.clientWidth * ratio), Math.round(this.canvas.clientHeight * ratio)];
     if (width === 0 || height === 0) return;
     if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
@@ -273,17 +318,18 @@ export class SceneView {
     gl.uniform3fv(at.paper, colours.paper);
     gl.uniform3fv(at.shadow, colours.shadow);
     gl.uniform1f(at.reach, GROUND_REACH);
+    const coarse = quality < FINE_QUALITY;
     const solids = (look, prepared) => {
       for (const one of own) {
-        const made = this.lookOf(one.part)[look];
-        if (made === null) continue;
+        const made = this.lookOf(one.part)[coarse && look === "surface" ? "coarse" : look];
+        if (made === null || one.part.kind === "margin") continue;
         prepared(one);
         gl.uniformMatrix4fv(at.frame, false, one.frame);
         this.draw(made, gl.TRIANGLES);
       }
     };
     gl.uniform1f(at.fallen, 1);
-    solids("shade", () => {});
+    if (quality >= SHADED_QUALITY) solids("shade", () => {});
     gl.uniform1f(at.fallen, 0);
     gl.enable(gl.CULL_FACE);
     solids("surface", (one) => {
@@ -291,6 +337,17 @@ export class SceneView {
       gl.uniform1f(at.glow, one.chosen ? 0.6 : colours.rim);
     });
     gl.disable(gl.CULL_FACE);
+    for (const one of parts) {
+      if (one.part.kind === "nearest") continue;
+      for (const { way, turns } of vectorsOf(one)) {
+        gl.uniform3fv(at.colour, one.chosen ? colours.mark : one.truth ? colours.truth : one.part.colour.map((value) => value / 255));
+        gl.uniform1f(at.glow, 0.6);
+        for (const [name, frame] of arrowFrames(way, ARROW, turns)) {
+          gl.uniformMatrix4fv(at.frame, false, times(one.frame, frame));
+          this.draw(this.arrows[name], gl.TRIANGLES);
+        }
+      }
+    }
     gl.enable(gl.BLEND);
     this.lines(this.ground, seen, unit4(), [...colours.faint, 0.42], GROUND_REACH);
     for (const points of trails) {
@@ -302,8 +359,13 @@ export class SceneView {
     for (const one of parts.filter((other) => other !== this.through)) {
       const { outline: edges, axes, surface: mesh } = this.lookOf(one.part);
       // What is only lines is drawn so in every layer.
-      if (edges !== null && (one.truth || mesh === null)) this.lines(edges, seen, one.frame, [...(one.chosen ? colours.mark : one.truth ? colours.truth : colours.soft), one.chosen ? 1 : 0.75], 0);
+      if (edges !== null && (one.truth || mesh === null || one.part.kind === "margin")) this.lines(edges, seen, one.frame, [...(one.chosen ? colours.mark : one.truth ? colours.truth : one.part.kind === "margin" ? one.part.colour.map((value) => value / 255) : colours.soft), one.chosen ? 1 : one.part.kind === "margin" ? 0.4 : 0.75], 0);
       if (axes !== null && !one.truth) this.axes(seen, one.frame, axes);
+      if (one.part.kind !== "nearest") continue;
+      for (const { way } of vectorsOf(one)) {
+        this.fill(this.way, new Float32Array([0, 0, 0, 1, ...way, 1]), 4);
+        this.lines(this.way, seen, one.frame, [...(one.chosen ? colours.mark : one.part.colour.map((value) => value / 255)), 1], 0);
+      }
     }
     gl.disable(gl.BLEND);
     this.drawn += 1;
@@ -313,7 +375,8 @@ export class SceneView {
   draw(made, kind) {
     const gl = this.gl;
     gl.bindVertexArray(made.array);
-    gl.drawArrays(kind, 0, made.count);
+    if (made.ordered) gl.drawElements(kind, made.count, gl.UNSIGNED_INT, 0);
+    else gl.drawArrays(kind, 0, made.count);
   }
 
   lines(made, seen, frame, colour, reach, kind = this.gl.LINES) {
@@ -337,6 +400,16 @@ export class SceneView {
       this.lines(this.way, seen, frame, [...colour, 1], 0);
     }
   }
+}
+
+/** The arrows of a part as they are now: along its numbers, m, in its frame, as long as there is anything of them. */
+export function vectorsOf({ part, row }) {
+  return part.solids.map((solid) => solid.vector).filter((one) => one !== undefined).map(({ first, scale, turns }) => {
+    const numbers = row.slice(8 + first, 11 + first);
+    const size = norm(numbers) * scale;
+    const known = numbers.length === 3 && !numbers.includes(null) && size > 1e-3;
+    return known ? { way: numbers.map((one) => (one * scale * Math.min(1, LONGEST_ARROW / size))), turns } : null;
+  }).filter((one) => one !== null);
 }
 
 /** The parts of tracks at a moment, with the frame of each. */

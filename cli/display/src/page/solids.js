@@ -54,6 +54,16 @@ function along(a, b) {
   return [...x, 0, ...y, 0, ...z, 0, ...a, 1];
 }
 
+/** The rods and cones of an arrow from the origin along `way`, m, each as the frame that makes it of `arrowParts`. */
+export function arrowFrames(way, radius, twoHeads) {
+  const length = norm(way);
+  const at = (from, size) => scaled(along(plus([0, 0, 0], way, from / length), plus([0, 0, 0], way, from / length + 1)), size);
+  const head = Math.min(5 * radius, length / (twoHeads ? 2 : 1));
+  const wide = Math.min(2.4 * radius, head);
+  const cones = twoHeads ? [length - head, Math.max(0, length - 1.8 * head)] : [length - head];
+  return [["rod", at(0, [radius, radius, Math.max(0, length - head)])], ...cones.map((from) => ["cone", at(from, [wide, wide, head])])];
+}
+
 /** What is seen from `eye` towards `to`, z up. */
 export function looking(eye, to) {
   const back = unit3(minus(eye, to));
@@ -67,15 +77,28 @@ export function perspective(angle, aspect, near, far) {
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, (2 * far * near) / (near - far), 0];
 }
 
-// -- triangles: positions and normals, six numbers a corner -------------------------------
+// -- meshes: corners of six numbers, position and normal, and the order in which triangles have them --------------
 
 function grid(rows, columns, corner) {
-  const made = [];
+  const made = { corners: [], order: [] };
+  for (let row = 0; row <= rows; row += 1) for (let column = 0; column <= columns; column += 1) made.corners.push(...corner(row / rows, column / columns));
+  const at = (row, column) => row * (columns + 1) + column;
   for (let row = 0; row < rows; row += 1) {
     for (let column = 0; column < columns; column += 1) {
-      const quad = [[row, column], [row, column + 1], [row + 1, column + 1], [row + 1, column]].map(([r, c]) => corner(r / rows, c / columns));
-      for (const at of [0, 1, 2, 0, 2, 3]) made.push(...quad[at]);
+      const quad = [at(row, column), at(row, column + 1), at(row + 1, column + 1), at(row + 1, column)];
+      for (const one of [0, 1, 2, 0, 2, 3]) made.order.push(quad[one]);
     }
+  }
+  return made;
+}
+
+/** Several meshes as one. */
+export function joined(meshes) {
+  const made = { corners: [], order: [] };
+  for (const { corners, order } of meshes) {
+    const first = made.corners.length / 6;
+    for (const number of corners) made.corners.push(number);
+    for (const one of order) made.order.push(first + one);
   }
   return made;
 }
@@ -84,7 +107,7 @@ const roundTo = (share) => [Math.cos(2 * Math.PI * share), Math.sin(2 * Math.PI 
 
 /** A capsule along z from 0 to `length`, m. */
 function capsule(length, radius, coarse) {
-  const [rows, columns] = radius < BEAD ? [3, 6] : coarse ? [5, 10] : [2 * CAP + 1, AROUND];
+  const [rows, columns] = radius < BEAD ? [3, 6] : [[2 * CAP + 1, AROUND], [5, 10], [3, 8]][coarse];
   // The rows of both caps, and one of the tube between them.
   return grid(rows, columns, (v, u) => {
     const row = Math.round(v * rows);
@@ -98,32 +121,37 @@ function capsule(length, radius, coarse) {
 
 const tube = grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x, y, 2 * v - 1, x, y, 0]; });
 const disc = (side) => grid(1, AROUND, (v, u) => { const [x, y] = roundTo(-side * u); return [x * v, y * v, side, 0, 0, side]; });
-const can = [...tube, ...disc(1), ...disc(-1)];
-const cube = [0, 1, 2].flatMap((axis) => [-1, 1].flatMap((side) => grid(1, 1, (v, u) => {
+const can = joined([tube, disc(1), disc(-1)]);
+/** A cone along z, its tip at 1. */
+const cone = joined([grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x * (1 - v), y * (1 - v), v, x * 0.7, y * 0.7, 0.7]; }), grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x * v, y * v, 0, 0, 0, -1]; })]);
+/** A rod along z, from 0 to 1. */
+const rod = grid(1, AROUND, (v, u) => { const [x, y] = roundTo(u); return [x, y, v, x, y, 0]; });
+export const arrowParts = { rod, cone };
+const cube = joined([0, 1, 2].flatMap((axis) => [-1, 1].map((side) => grid(1, 1, (v, u) => {
   const corner = [0, 0, 0];
   const normal = [0, 0, 0];
   [corner[axis], normal[axis]] = [side, side];
   corner[(axis + 1) % 3] = 2 * u - 1;
   corner[(axis + 2) % 3] = (2 * v - 1) * side;
   return [...corner, ...normal];
-})));
+}))));
 
-/** Triangles by a matrix, which scales along its axes at most: these normals stay at right angles. */
-function moved(triangles, m) {
+/** A mesh by a matrix, which scales along its axes at most: these normals stay at right angles. */
+function moved({ corners, order }, m) {
   const made = [];
-  for (let at = 0; at < triangles.length; at += 6) {
-    const [nx, ny, nz] = triangles.slice(at + 3, at + 6);
-    made.push(...point4(m, triangles.slice(at, at + 3)).slice(0, 3), ...unit3([0, 1, 2].map((row) => m[row] * nx + m[4 + row] * ny + m[8 + row] * nz)));
+  for (let at = 0; at < corners.length; at += 6) {
+    const [x, y, z, nx, ny, nz] = corners.slice(at, at + 6);
+    made.push(...point4(m, [x, y, z]).slice(0, 3), ...unit3([0, 1, 2].map((row) => m[row] * nx + m[4 + row] * ny + m[8 + row] * nz)));
   }
-  return made;
+  return { corners: made, order };
 }
 
-/** The surface of a solid, in the frame of its part, seen from outside; a coarse one is for shadows. */
-export function surface(solid, coarse = false) {
+/** The surface of a solid, in the frame of its part, seen from outside: fine (0), coarse (1), or as is enough for a shadow (2). */
+export function surface(solid, coarse = 0) {
   if (solid.capsule) {
     const { a, b, radius } = solid.capsule;
     const length = norm(minus(b, a));
-    if (coarse && radius < BEAD) return [];
+    if (coarse === 2 && radius < BEAD) return joined([]);
     return length < 1e-9 ? moved(capsule(0, radius, coarse), placed(a, [0, 0, 0, 1])) : moved(capsule(length, radius, coarse), along(a, b));
   }
   if (solid.block) return moved(cube, scaled(placed(solid.block.pose.at, solid.block.pose.turn), solid.block.half));
@@ -131,7 +159,7 @@ export function surface(solid, coarse = false) {
     const { pose, half, radius } = solid.cylinder;
     return moved(can, scaled(placed(pose.at, pose.turn), [radius, radius, half]));
   }
-  return [];
+  return joined([]);
 }
 
 // -- lines ----------------------------------------------------------------------------------

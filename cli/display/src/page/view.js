@@ -2,6 +2,11 @@
 
 /** Names are left out when they would be smaller than this, px. */
 const SMALLEST_NAME = 5;
+/** A name of 12 px is read easily at this scale, and what is under way is shown at least so large. */
+const READABLE = 0.62;
+const FOLLOWED = 0.8;
+/** How long the view takes to what is under way now, ms. */
+const GLIDE = 350;
 
 /** A drawing of `nodes` by key, in `svg` within `host`; `on` is told what a person does. */
 export class View {
@@ -26,6 +31,40 @@ export class View {
     this.look({ x: box.x - (box.width * (grow - 1)) / 2, y: box.y - (box.height * (grow - 1)) / 2, width: box.width * grow, height: box.height * grow });
   }
 
+  /** Whether names can be read when all of it is seen. */
+  get readable() {
+    const { clientWidth: width, clientHeight: height } = this.host;
+    return !this.whole || Math.min(width / this.whole.width, height / this.whole.height) >= READABLE;
+  }
+
+  /** Keeps what is under way in view, large enough to be read, until somebody looks elsewhere. */
+  follow(nodes, now) {
+    const glide = this.glide;
+    if (glide) {
+      const share = Math.min(1, (now - glide.begun) / GLIDE);
+      const eased = share * share * (3 - 2 * share);
+      const between = (side) => glide.from[side] + (glide.to[side] - glide.from[side]) * eased;
+      this.look({ x: between("x"), y: between("y"), width: between("width"), height: between("height") });
+      if (share === 1) this.glide = null;
+      return;
+    }
+    if (nodes.length === 0) return;
+    const { x, y, width, height } = this.bounds(nodes);
+    const { box } = this;
+    if (this.scale >= READABLE && x >= box.x && y >= box.y && x + width <= box.x + box.width && y + height <= box.y + box.height) return;
+    const { clientWidth, clientHeight } = this.host;
+    if (clientWidth === 0 || clientHeight === 0) return;
+    // What does not fit is seen from its first node on: the first is the one that began last.
+    const scale = Math.max(FOLLOWED, Math.min(1, clientWidth / (width * 1.1), clientHeight / (height * 1.1)));
+    const [w, h] = [clientWidth / scale, clientHeight / scale];
+    const at = (from, size, reach, first) => (size <= reach ? from + size / 2 : Math.min(from + size - reach / 2, Math.max(from + reach / 2, first)));
+    const [cx, cy] = [at(x, width, w, nodes[0].x), at(y, height, h, nodes[0].y)];
+    const to = { x: cx - w / 2, y: cy - h / 2, width: w, height: h };
+    if (Math.abs(to.x - box.x) + Math.abs(to.y - box.y) < 2 && Math.abs(to.width - box.width) < 2) return;
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) this.look(to);
+    else this.glide = { begun: now, from: { ...box }, to };
+  }
+
   look(box) {
     const { clientWidth: width, clientHeight: height } = this.host;
     if (width === 0 || height === 0) return;
@@ -48,6 +87,7 @@ export class View {
   }
 
   zoom(factor, [x, y] = [this.box.x + this.box.width / 2, this.box.y + this.box.height / 2]) {
+    this.on.took?.();
     const scale = Math.min(6, Math.max(0.02, this.scale * factor));
     const part = this.scale / scale;
     this.scale = scale;
@@ -56,6 +96,7 @@ export class View {
   }
 
   pan(dx, dy) {
+    this.on.took?.();
     this.box.x += dx / this.scale;
     this.box.y += dy / this.scale;
     this.looked();

@@ -18,6 +18,7 @@ const SILENCE: Duration = Duration::from_secs(30);
 
 struct Served {
     address: SocketAddr,
+    hub: Arc<Hub>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -27,12 +28,13 @@ fn served(viewers: usize) -> Served {
     let address = listener.local_addr().unwrap();
     let pages = Pages::new(listener, None, &[]).unwrap();
     let (orders, _) = mpsc::channel(1);
+    let hub = Arc::new(Hub::live(
+        "app",
+        Overviews::default(),
+        Clock::virtual_clock(),
+    ));
     let service = Service {
-        hub: Arc::new(Hub::live(
-            "app",
-            Overviews::default(),
-            Clock::virtual_clock(),
-        )),
+        hub: Arc::clone(&hub),
         door: Door {
             token: Some("secret".to_owned()),
             anybody_looks: true,
@@ -53,6 +55,7 @@ fn served(viewers: usize) -> Served {
     });
     Served {
         address,
+        hub,
         stop: Some(stop),
         thread: Some(thread),
     }
@@ -170,4 +173,60 @@ fn a_request_that_is_none_is_answered_or_let_go_and_the_page_is_served_all_the_s
         page.contains(" 200 ") && page.contains("frame-ancestors 'none'"),
         "{page}"
     );
+}
+
+#[test]
+fn ten_viewers_are_told_the_same_beside_those_that_stop_reading_or_go_away_without_a_word() {
+    let served = served(16);
+    let mut stuck: Vec<_> = (0..3).map(|_| served.viewer()).collect();
+    let gone = served.viewer();
+    let mut viewers: Vec<_> = (0..10).map(|_| served.viewer()).collect();
+    for viewer in viewers.iter_mut().chain(&mut stuck) {
+        assert!(next(viewer).contains("hello"));
+    }
+    // So much that no buffer of the system has room for it: who reads nothing is behind.
+    let rows = |at: u32| {
+        let row = move |part: u32| {
+            let mut row = vec![Some(f64::from(at) + 0.123_45); 12];
+            row[0] = Some(f64::from(part));
+            row
+        };
+        (0..200).map(row).collect::<Vec<_>>()
+    };
+    drop(gone);
+    let readers: Vec<_> = viewers
+        .into_iter()
+        .map(|mut viewer| {
+            std::thread::spawn(move || {
+                loop {
+                    let told = next(&mut viewer);
+                    if told.contains("the last word") {
+                        return;
+                    }
+                }
+            })
+        })
+        .collect();
+    for at in 0..700_u32 {
+        let words = match at {
+            699 => "the last word".to_owned(),
+            _ => format!("word {at}"),
+        };
+        let step = scene::track::SceneStep {
+            at_ns: at.into(),
+            view: None,
+            moved: rows(at),
+            said: Some(scene::Said {
+                words,
+                ..scene::Said::default()
+            }),
+        };
+        assert!(served.hub.showed("arm", step).is_some());
+    }
+    for reader in readers {
+        reader.join().unwrap();
+    }
+    // One who was stuck and reads again is told the whole as it is now.
+    let late = stuck.last_mut().unwrap();
+    while !next(late).contains("the last word") {}
 }

@@ -307,3 +307,45 @@ fn a_picture_without_its_pixels_is_an_error_that_names_it_and_nothing_else_is_lo
     let whole = translator.whole("motion").unwrap();
     assert!(channels(&whole).contains(&"/tf/motion"));
 }
+
+#[test]
+fn an_arrow_goes_along_the_force_that_is_measured_and_away_when_there_is_none() {
+    let wrist = Part {
+        name: "wrist".to_owned(),
+        solids: vec![Solid::Vector {
+            first: 1,
+            scale: 0.01,
+            turns: false,
+        }],
+        numbers: ["t", "x", "y", "z"].map(|name| number(name, "N")).into(),
+        ..Part::default()
+    };
+    let view = View {
+        parts: vec![wrist],
+        ..View::default()
+    };
+    let mut translator = Translator::default();
+    let mut arrows = |at_ns: u64, view: Option<View>, numbers: &[f64]| {
+        let told = batch(at_ns, view, vec![moved(0, 0.5, numbers)]);
+        let all = translator.take("arm", told).unwrap();
+        let found = all.iter().find(|sent| sent.channel == "/vectors/arm");
+        let update = SceneUpdate::decode(found.unwrap().bytes.as_slice()).unwrap();
+        let [entity] = &update.entities[..] else {
+            panic!("{update:?}");
+        };
+        assert_eq!(
+            (entity.id.as_str(), entity.frame_id.as_str()),
+            ("wrist", "arm/wrist")
+        );
+        entity.arrows.clone()
+    };
+    let [up] = &arrows(1, Some(view), &[9.0, 0.0, 0.0, 20.0])[..] else {
+        panic!("no arrow");
+    };
+    assert!((up.shaft_length + up.head_length - 0.2).abs() < 1e-9);
+    // Arrows point along x: a quarter turn about -y leads to z.
+    let turn = up.pose.as_ref().unwrap().orientation.unwrap();
+    assert!((turn.y + 0.5_f64.sqrt()).abs() < 1e-9 && (turn.w - 0.5_f64.sqrt()).abs() < 1e-9);
+    assert_eq!(arrows(2, None, &[9.0, 0.0, 0.0, 0.0]), []);
+    assert_eq!(arrows(3, None, &[9.0, NAN, 1.0, 1.0]), []);
+}
