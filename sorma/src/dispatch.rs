@@ -145,6 +145,14 @@ mod tests {
             io.floats = vec![0.5; io.text.trim().parse().unwrap()];
             Ok(())
         }
+
+        fn ctrl(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
+            Ok(())
+        }
+
+        fn dump(&self) -> String {
+            String::new()
+        }
     }
 
     #[test]
