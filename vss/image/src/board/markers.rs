@@ -169,7 +169,7 @@ impl Way {
             .count();
         let (centre, near) = (map.of([4.0, 4.0]), map.of([4.0, 0.0]));
         let side = towards(near, centre, white);
-        (contrast > 4.0).then(|| Self {
+        (contrast > 4.0).then_some(Self {
             contrast,
             all: contrasts.len(),
             seen,

@@ -6,7 +6,7 @@ use sorma::request::MOST_NUMBERS;
 /// A picture of `side` x `side` px in which every second pixel of every second row is bright.
 fn dots(side: usize) -> Vec<u8> {
     let mut pgm = format!("P5\n{side} {side}\n255\n").into_bytes();
-    let dot = |k: usize| (k % side) % 2 == 0 && (k / side) % 2 == 0;
+    let dot = |k: usize| (k % side).is_multiple_of(2) && (k / side).is_multiple_of(2);
     pgm.extend((0..side * side).map(|k| if dot(k) { 255 } else { 10 }));
     pgm
 }
