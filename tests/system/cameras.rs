@@ -207,7 +207,7 @@ fn two_of_the_cameras_triangulate_the_lamp_and_rays_that_are_parallel_are_refuse
     };
     let text = scratch.read("configs/cameras-cell.toml");
     let cell = sim::cell::Cell::parse(&ctos::diagnostic::Source::new("cell", text));
-    let truth = cell.unwrap().start().lamps[0].position;
+    let truth = cell.unwrap().start().lamps[0].centre;
     println!("found {met:.5?}, truth {truth:.5}");
     for (k, truth) in truth.iter().enumerate() {
         assert!((met[k] - truth).abs() < 4.0 * met[3 + k], "{met:?} {truth}");
