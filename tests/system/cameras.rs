@@ -241,19 +241,11 @@ fn two_of_the_cameras_triangulate_the_lamp_and_rays_that_are_parallel_are_refuse
 #[test]
 fn the_scanner_goes_dark_and_to_the_next_client_when_the_chassis_of_the_first_one_dies() {
     let scratch = Scratch::new();
+    let guest = "[task.guest]\nhandler = \"sorma.daemon\"\non = \"cage_tools\"\nargs.dictionary = [\"cameras.dict\"]\n";
+    let app = scratch.read("configs/cameras.toml") + guest;
+    scratch.write("configs/cameras.toml", app);
     let name = format!("steered_{}", std::process::id());
-    let more = [
-        "--set",
-        "vss.hold_limit_s=600.0",
-        "--set",
-        "task.guest.handler=\"sorma.daemon\"",
-        "--set",
-        "task.guest.on=\"cage_tools\"",
-        "--set",
-        "task.guest.args.dictionary=[\"cameras.dict\"]",
-        "--log",
-        "vss=debug",
-    ];
+    let more = ["--set", "vss.hold_limit_s=600.0", "--log", "vss=debug"];
     let mut run = up(&scratch, &name, &more);
     let point = |object: &str| format!("{object} EXEC point FMSG 3 0.2 -0.7 0");
     let first = scratch.scott(&[&name, "-c", &point("laser.scanner@guest")]);

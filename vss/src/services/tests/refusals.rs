@@ -261,9 +261,9 @@ fn commands_beams_and_tables_that_no_scanner_has_are_named_with_their_place() {
         !ok && said.contains("met.csv: ") && said.contains("millimetres"),
         "{said}"
     );
-    let (ok, said) = changed(&|k, row| row[0] *= if k == 2 { 1e6 } else { 1.0 });
+    let (ok, said) = changed(&|k, row| row[0] *= if k == 3 { 1e6 } else { 1.0 });
     assert!(
-        !ok && said.contains("met.csv:4:1: the command turns the beam"),
+        !ok && said.contains("met.csv:5:1: the command turns the beam"),
         "{said}"
     );
     let (ok, said) = changed(&|_, row| row.swap(0, 1));
