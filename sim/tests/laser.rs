@@ -193,7 +193,11 @@ fn a_line_is_triangulated_by_a_plane_of_light_that_was_found_on_two_planes() {
         }
     }
     let places: Vec<Point3<f64>> = seen.iter().map(|(_, place)| *place).collect();
-    let (light, rms) = laser::plane_through(&places).unwrap();
+    let laser::FittedPlane {
+        plane: light,
+        rms_m: rms,
+        ..
+    } = laser::plane_through(&places).unwrap();
     assert!(rms < 3e-3, "{rms}");
     for (pixel, place) in seen {
         let met = laser::on_plane(&bench.camera, *pixel, &light).unwrap();

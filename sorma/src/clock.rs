@@ -20,6 +20,7 @@
 
 use ctos::time::Instant;
 use std::collections::VecDeque;
+use std::sync::OnceLock;
 use std::time::Duration;
 use thiserror::Error;
 
@@ -142,7 +143,8 @@ pub struct ClockDifference {
     reference: Option<Reference>,
     samples: VecDeque<Sample>,
     past: Option<Past>,
-    drift: f64,
+    /// Found when it is asked for: a table of a million exchanges needs it once.
+    drift: OnceLock<f64>,
     restarts: u64,
 }
 
@@ -161,7 +163,7 @@ impl ClockDifference {
             reference: None,
             samples: VecDeque::with_capacity(WINDOW),
             past: None,
-            drift: 0.0,
+            drift: OnceLock::new(),
             restarts: 0,
         })
     }
@@ -191,7 +193,7 @@ impl ClockDifference {
             self.fold(&oldest);
         }
         self.samples.push_back(sample);
-        self.drift = self.slope();
+        self.drift = OnceLock::new();
         Ok(observed)
     }
 
@@ -292,7 +294,7 @@ impl ClockDifference {
             .samples
             .iter()
             .min_by(|a, b| doubt(a).total_cmp(&doubt(b)))?;
-        let guess = best.middle() + self.drift * (here - best.at());
+        let guess = best.middle() + self.drift() * (here - best.at());
         // Rounding may have turned the two round.
         let guess = guess.max(low.min(high)).min(high.max(low));
         let error = (high - guess).max(guess - low).max(0.0) + ROUNDING_NS;
@@ -343,7 +345,7 @@ impl ClockDifference {
     /// How fast the difference grows, s per s, as estimated.
     #[must_use]
     pub fn drift(&self) -> f64 {
-        self.drift
+        *self.drift.get_or_init(|| self.slope())
     }
 
     /// How often an exchange contradicted what was known.

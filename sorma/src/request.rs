@@ -19,6 +19,9 @@ use std::fmt::{self, Write as _};
 use std::str::FromStr;
 use thiserror::Error;
 
+/// The most floats, and the most ints, of a line of text.
+pub const MOST_NUMBERS: usize = words::MOST_WORDS / 4;
+
 /// Which part of a service object is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Method {
@@ -347,7 +350,7 @@ fn written(mut out: String, body: &Transport) -> Result<String, RequestError> {
     if !body.opaque.is_empty() {
         return Err(RequestError::Opaque(body.opaque.len()));
     }
-    if body.floats.len().max(body.ints.len()) > words::MOST_WORDS / 4 {
+    if body.floats.len().max(body.ints.len()) > MOST_NUMBERS {
         return Err(WordError::Many.into());
     }
     // Writing to a `String` cannot fail.

@@ -174,15 +174,88 @@ fn the_laser_scanner_points_and_draws_and_a_camera_sees_where() {
     let pieces = |answer: &Value| answer["ints"][0].as_i64().unwrap();
     assert!(pieces(&drawn) > pieces(&none), "{drawn} {none}");
     assert_eq!(pieces(&off), pieces(&none), "{off} {none}");
-    // One that the cell does not have is told.
+    // One that the app does not have is told.
     told("laser CTRL -name pointer");
     let ended = scratch.scott(&[&name, "-c", "laser EXEC off"]);
     ended.must_exit_leaving(1);
     assert!(
-        ended.stderr.contains("no laser `pointer`"),
+        ended
+            .stderr
+            .contains("no Vision Module is called `vmLaser.pointer`"),
         "{}",
         ended.stderr
     );
+    stopped(run);
+}
+
+/// The truth is where the lamp of the cell is as the world begins; what is answered is told beside it.
+#[test]
+#[allow(clippy::print_stdout, reason = "what was measured is told, too")]
+fn two_of_the_cameras_triangulate_the_lamp_and_rays_that_are_parallel_are_refused() {
+    let scratch = Scratch::new();
+    let name = format!("stereo_{}", std::process::id());
+    let run = up(&scratch, &name, &[]);
+    let ended = scratch.scott(&[&name, "--json", "-f", "configs/stereo.sor"]);
+    ended.must_exit_leaving(0);
+    let answers = ended.stdout.lines().map(|line| {
+        let answer: Value = serde_json::from_str(line).unwrap();
+        numbers(&answer["floats"])
+    });
+    let found: Vec<Vec<f64>> = answers.filter(|floats| floats.len() == 8).collect();
+    let [met] = found.as_slice() else {
+        panic!("{}", ended.stdout);
+    };
+    let text = scratch.read("configs/cameras-cell.toml");
+    let cell = sim::cell::Cell::parse(&ctos::diagnostic::Source::new("cell", text));
+    let truth = cell.unwrap().start().lamps[0].centre;
+    println!("found {met:.5?}, truth {truth:.5}");
+    for (k, truth) in truth.iter().enumerate() {
+        assert!((met[k] - truth).abs() < 4.0 * met[3 + k], "{met:?} {truth}");
+    }
+    assert!(met[6] < 4.0 * met[7], "{met:?}");
+    // A second camera a millimetre beside the first one sees everything by parallel rays.
+    let dictionary = scratch.read("configs/cameras.dict");
+    let west = dictionary.split("-left ").nth(1).unwrap();
+    let west: Vec<&str> = west.split_whitespace().take(15).collect();
+    let mut beside: Vec<String> = west.iter().map(ToString::to_string).collect();
+    let x: f64 = beside[12].parse().unwrap();
+    beside[12] = (x + 1e-3).to_string();
+    let set = format!(
+        "triangulate CTRL -left {} -right {}",
+        west.join(" "),
+        beside.join(" ")
+    );
+    scratch.scott(&[&name, "-c", &set]).must_exit_leaving(0);
+    let line = "triangulate EXEC cameras ceiling_west ceiling_west";
+    let ended = scratch.scott(&[&name, "-c", line]);
+    ended.must_exit_leaving(1);
+    assert!(
+        ended.stderr.contains("rays are parallel"),
+        "{}",
+        ended.stderr
+    );
+    stopped(run);
+}
+
+/// The client that steers it is an object of a daemon in a chassis of its own.
+#[test]
+fn the_scanner_goes_dark_and_to_the_next_client_when_the_chassis_of_the_first_one_dies() {
+    let scratch = Scratch::new();
+    let guest = "[task.guest]\nhandler = \"sorma.daemon\"\non = \"cage_tools\"\nargs.dictionary = [\"cameras.dict\"]\n";
+    let app = scratch.read("configs/cameras.toml") + guest;
+    scratch.write("configs/cameras.toml", app);
+    let name = format!("steered_{}", std::process::id());
+    let more = ["--set", "vss.hold_limit_s=600.0", "--log", "vss=debug"];
+    let mut run = up(&scratch, &name, &more);
+    let point = |object: &str| format!("{object} EXEC point FMSG 3 0.2 -0.7 0");
+    let first = scratch.scott(&[&name, "-c", &point("laser.scanner@guest")]);
+    first.must_exit_leaving(0);
+    // Had it not been taken back, this one would be told after ten seconds that it is not granted.
+    let line = point("laser.scanner");
+    let second = scratch.start(SCOTT, &[&name, "-c", &line], &[]);
+    run.kill("cage_tools");
+    run.wait_for("off: whoever had it lit is gone");
+    second.end().must_exit_leaving(0);
     stopped(run);
 }
 

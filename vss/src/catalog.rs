@@ -18,6 +18,14 @@ const CATALOG: &str = include_str!("catalog.toml");
 pub const VSM: &str = "vsm";
 /// Task of the Vision Module Manager.
 pub const VMM: &str = "vmm";
+/// The Vision Module of laser scanners.
+const SCANNER: &str = "vmLaser";
+
+/// Task of the Vision Module of a laser scanner.
+#[must_use]
+pub fn scanner_task(scanner: &str) -> String {
+    format!("{SCANNER}.{scanner}")
+}
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -50,6 +58,8 @@ struct VmEntry {
     hardware: String,
     #[serde(default)]
     per_camera: bool,
+    #[serde(default)]
+    per_scanner: bool,
 }
 
 /// The table `[vss]` of an app.
@@ -63,6 +73,9 @@ struct VssTable {
     /// The cameras.
     #[serde(default)]
     cameras: BTreeMap<String, CameraTable>,
+    /// The laser scanners.
+    #[serde(default)]
+    scanners: BTreeMap<String, ScannerTable>,
     /// Tasks that run somewhere else: task to `CHASSIS` or `CHASSIS/PROCESSOR`.
     #[serde(default)]
     place: BTreeMap<String, String>,
@@ -85,6 +98,14 @@ struct CameraTable {
     _watch: serde::de::IgnoredAny,
     #[serde(default, rename = "buffer")]
     _buffer: serde::de::IgnoredAny,
+}
+
+/// One laser scanner of the table. Its Vision Module reads it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ScannerTable {
+    #[serde(rename = "task")]
+    _task: String,
 }
 
 /// Turns `[vss]` into tasks.
@@ -133,7 +154,9 @@ impl<'a> Expansion<'a> {
         let vms = tools
             .iter()
             .filter_map(|tool| self.catalog.tool.get(*tool)?.vm.as_deref());
-        let vms: BTreeSet<&str> = vms.collect();
+        let own = self.catalog.vm.iter().filter(|(_, vm)| vm.per_scanner);
+        let own = own.filter(|_| !self.parsed.scanners.is_empty());
+        let vms: BTreeSet<&str> = vms.chain(own.map(|(vm, _)| vm.as_str())).collect();
         self.managers(&services, &vms);
         for (name, service) in &services {
             self.service(name, service);
@@ -177,18 +200,19 @@ impl<'a> Expansion<'a> {
         found
     }
 
-    /// The tasks of a Vision Module, with the hardware each drives and, if it has one, its camera.
+    /// The tasks of a Vision Module, with the hardware each drives and, if it has one, its camera or scanner.
     fn tasks_of(&self, vm: &str, entry: &VmEntry) -> Vec<(String, String, Option<&'a str>)> {
-        if !entry.per_camera {
-            return vec![(vm.to_owned(), entry.hardware.clone(), None)];
+        let one = |name: &'a String| {
+            let hardware = format!("{} {name}", entry.hardware);
+            (format!("{vm}.{name}"), hardware, Some(name.as_str()))
+        };
+        if entry.per_camera {
+            self.parsed.cameras.keys().map(one).collect()
+        } else if entry.per_scanner {
+            self.parsed.scanners.keys().map(one).collect()
+        } else {
+            vec![(vm.to_owned(), entry.hardware.clone(), None)]
         }
-        let cameras = self.parsed.cameras.keys();
-        cameras
-            .map(|camera| {
-                let hardware = format!("{} {camera}", entry.hardware);
-                (format!("{vm}.{camera}"), hardware, Some(camera.as_str()))
-            })
-            .collect()
     }
 
     fn managers(&mut self, services: &BTreeMap<&str, &ServiceEntry>, vms: &BTreeSet<&str>) {
@@ -265,14 +289,17 @@ impl<'a> Expansion<'a> {
         let Some(entry) = self.catalog.vm.get(vm) else {
             return;
         };
-        for (task, _, camera) in self.tasks_of(vm, entry) {
-            // The camera's own table stays, so that findings point into it.
-            let cameras = self.table.get("cameras");
-            let own = camera.and_then(|camera| cameras?.entry(camera));
+        let (tables, key) = match entry.per_scanner {
+            true => ("scanners", "laser"),
+            false => ("cameras", "camera"),
+        };
+        for (task, _, name) in self.tasks_of(vm, entry) {
+            // The table of camera or scanner stays, so that findings point into it.
+            let own = name.and_then(|name| self.table.get(tables)?.entry(name));
             let args = own.map_or_else(Node::table, |entry| entry.value.clone());
-            let args = camera
+            let args = name
                 .into_iter()
-                .fold(args, |args, name| args.with("camera", name));
+                .fold(args, |args, name| args.with(key, name));
             self.add(&task, &entry.handler, args);
         }
     }
@@ -385,6 +412,22 @@ max_sigma_px = 4.0
             let tool = &catalog.tool[tool];
             assert!(tool.vm.iter().all(|vm| catalog.vm.contains_key(vm)));
         }
+    }
+
+    #[test]
+    fn a_scanner_is_a_vision_module_with_hardware_of_its_own() {
+        let (tasks, findings) = expand(&format!("{APP}[scanners.roof]\ntask = 'mirrors'\n"));
+        assert!(findings.is_empty(), "{findings:?}");
+        let of = |name: &str| tasks.iter().find(|task| task.name == name).unwrap();
+        let vm = of("vmLaser.roof");
+        assert_eq!(vm.handler, "vss.vm_laser");
+        assert_eq!(vm.args.get("task").unwrap().as_str(), Some("mirrors"));
+        assert_eq!(vm.args.get("laser").unwrap().as_str(), Some("roof"));
+        let hardware = of("vmm").args.get("hardware").unwrap().clone();
+        let drives = hardware.entry("vmLaser.roof").unwrap().value.as_str();
+        assert_eq!(drives, Some("laser roof"));
+        let (_, findings) = expand(&format!("{APP}[scanners.roof]\ndriver = 'mirrors'\n"));
+        assert!(findings[0].contains("driver"), "{findings:?}");
     }
 
     #[test]

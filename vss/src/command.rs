@@ -91,6 +91,16 @@ ctos::command! {
         pub order: LaserOrder,
     } => (), 0x0490, "order_laser"
 
+    /// Vision Module: has its laser scanner do something, under a grant of the manager. A grant that is older than the last one
+    /// under which it was steered is refused.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SteerLaser {
+        /// What `acquire_vm` answered.
+        pub grant: u64,
+        /// What it does.
+        pub order: LaserOrder,
+    } => (), 0x0491, "steer_laser"
+
     /// Asks the manager for the hardware behind a Vision Module; answered when it is free.
     #[derive(Debug, Clone, PartialEq)]
     pub struct AcquireVm {

@@ -108,6 +108,10 @@ fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
         })
         .keys(&["camera", "source", "args", "watch", "buffer"])
         .check_in_app(move |task, _, findings| snap_arguments(task, &checking, findings));
+    registry
+        .handler("vss.vm_laser", vm::LASER_COMMANDS, vm::LaserModule::new)
+        .args::<vm::LaserArgs>()
+        .check_in_app(vm::driver_of);
     registry.handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| {
         Ok(vm::ImageDispModule::default())
     });

@@ -77,7 +77,7 @@ sorma::prototypes! {
         NO_LINE = 157, Warning, "there is no line or edge in a picture, or there are too many",
             "look at the picture, then at -kind, -sigma, -contrast and -length";
         NO_LASER = 158, Error, "a laser scanner does not what it is ordered to",
-            "the text says why: only an app has scanners, -name and -task say which one is ordered by whom";
+            "the text says why: only an app has scanners ([vss.scanners]), -name says which one, and another client may hold it";
     }
 }
 
@@ -133,9 +133,11 @@ pub fn register(sorm: &Sorm) {
         Class::new("getDisk", VERSION, |_, _| {
             Ok(Box::new(brd::GetDisk::default()))
         }),
+        // Pictures of two cameras are waited for.
         Class::new("triangulate", VERSION, |_, _| {
             Ok(Box::new(triangulate::Triangulate::default()))
-        }),
+        })
+        .waits(),
         Class::new("diskFind", VERSION, |_, _| {
             Ok(Box::new(diskfind::DiskFind::default()))
         }),

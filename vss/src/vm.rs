@@ -1,6 +1,7 @@
 //! Vision Modules: each drives one piece of hardware, for one caller at a time. Here: a camera (any frame source) and
 //! the stand-in for a monitor, which keeps what it shows and can write it as a PNG file.
 
+mod laser;
 mod shown;
 
 use std::{
@@ -25,6 +26,9 @@ use crate::{
     source::{FrameSource, FrameSources},
     tool::fetched,
 };
+
+pub use laser::{LASER_COMMANDS, LaserModule};
+pub(crate) use laser::{LaserArgs, driver_of};
 
 use vss_tools::watch::{Watch, WatchArgs};
 

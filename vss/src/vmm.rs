@@ -44,10 +44,12 @@ pub struct ModuleManager {
 impl ModuleManager {
     pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
         let args: VmmArgs = cx.args()?;
+        let now = u64::try_from(cx.now().since_start().as_nanos()).unwrap_or(u64::MAX >> 1);
         Ok(Self {
             hardware: args.hardware,
             limit: args.hold_limit_s,
-            arbiter: Rc::default(),
+            // Grants of a manager that began anew are larger than all before, for scanners refuse older ones.
+            arbiter: Rc::new(RefCell::new(Arbiter::after(now))),
         })
     }
 
@@ -104,6 +106,14 @@ fn grant(turn: Turn<Waiter>) {
     let _ = turn.waiter.ok(turn.grant);
 }
 
+/// The number of a chassis in task ids.
+pub(crate) fn number_of(cx: &Context, chassis: &str) -> Option<u8> {
+    // Chassis 0 is the boot itself; the app's own count from 1 in the order of the configuration.
+    let mut all = cx.app().chassis.iter();
+    let position = all.position(|config| config.name == chassis)?;
+    u8::try_from(position + 1).ok()
+}
+
 impl arbiter::Waits for Waiter {
     fn still_waits(&self) -> bool {
         !self.is_abandoned()
@@ -125,13 +135,7 @@ impl EventHandler for ModuleManager {
     }
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
-        // Chassis 0 is the boot itself; the app's own count from 1 in the order of the configuration.
-        let position = cx
-            .app()
-            .chassis
-            .iter()
-            .position(|config| config.name == chassis);
-        if let Some(index) = position.and_then(|position| u8::try_from(position + 1).ok()) {
+        if let Some(index) = number_of(cx, chassis) {
             tracing::debug!(chassis, "what it held is taken back");
             self.revoke(index);
         }

@@ -10,7 +10,7 @@ use std::{
     collections::BTreeMap,
     future::Future,
     sync::{
-        Arc,
+        Arc, Mutex,
         atomic::{AtomicUsize, Ordering},
     },
     time::Duration,
@@ -32,9 +32,11 @@ use vss::{
     camera::{Camera, Distortion, Intrinsics},
     catalog::VssExpander,
     command::{
-        AcquireVm, Calibrate, FindPair, Outcome, SpotFind, SpotReport, VisionError, WhatIsShown,
+        AcquireVm, Calibrate, FindPair, OrderLaser, Outcome, ReleaseVm, SpotFind, SpotReport,
+        SteerLaser, VisionError, WhatIsShown,
     },
     frame::{Frame, FrameError},
+    laser::LaserOrder,
     source::{FrameSource, FrameSources},
 };
 
@@ -131,6 +133,11 @@ source = "test.camera"
 [task.objects]
 handler = "sorma.daemon"
 on = "ws1"
+[vss.scanners.roof]
+task = "mirrors"
+[task.mirrors]
+handler = "test.mirrors"
+on = "ws1"
 "#;
 
 fn load(text: &str) -> App {
@@ -168,6 +175,26 @@ impl EventHandler for Client {
     }
 }
 
+/// What the driver of the scanner was ordered to do, known to its chassis.
+type Orders = Mutex<Vec<(String, LaserOrder)>>;
+
+fn orders(cx: &Context) -> Arc<Orders> {
+    cx.shared::<Orders>("orders").unwrap_or_else(|| {
+        cx.share("orders", Arc::<Orders>::default());
+        cx.shared("orders").unwrap()
+    })
+}
+
+struct Mirrors;
+
+impl EventHandler for Mirrors {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        let (OrderLaser { laser, order }, reply) = message.open::<OrderLaser>()?;
+        orders(cx).lock().unwrap().push((laser, order));
+        reply.ok(())
+    }
+}
+
 fn registry<F, Fut>(scenario: F) -> Registry
 where
     F: Fn(Context) -> Fut + Send + Sync + 'static,
@@ -179,6 +206,7 @@ where
     sorma::daemon::register(&mut registry, sorma::Dictionary::new(), |_, sorm| {
         vss::services::register(sorm);
     });
+    registry.handler("test.mirrors", &[OrderLaser::INFO], |_| Ok(Mirrors));
     registry.handler("test.client", &[], move |_| Ok(Client(scenario.clone())));
     registry
 }
@@ -428,6 +456,108 @@ fn hardware_that_is_never_given_back_goes_on_after_the_limit() {
     });
 }
 
+/// One client is an object that is told by text, the other one a task that asks the manager itself.
+#[test]
+fn two_clients_do_not_steer_a_scanner_at_once_and_who_lost_it_is_told() {
+    run(|cx| async move {
+        let vm = || "vmLaser.roof".to_owned();
+        let done = told(&cx, "laser CTRL -name roof -gain 0.1 0.1").await?;
+        assert!(done.is_ok(), "{:?}", done.reports);
+        let pointed = told(&cx, "laser EXEC point FMSG 3 0.1 0 1").await?;
+        assert!(pointed.is_ok(), "{:?}", pointed.reports);
+        let spot = LaserOrder::Spot([pointed.floats[0], pointed.floats[1]]);
+        let ordered = || orders(&cx).lock().unwrap().clone();
+        assert_eq!(ordered(), [("roof".to_owned(), spot)]);
+        // It is held meanwhile, and its holder may go on.
+        let vmm = cx.task("vmm").await?;
+        let call = cx.call(&vmm, AcquireVm { vm: vm() });
+        assert!(call.deadline(Duration::from_secs(1)).await.is_err());
+        assert!(told(&cx, "laser EXEC draw FMSG 4 0 0 1 0").await?.is_ok());
+        assert_eq!(ordered().len(), 2);
+        // After the limit of 3 s it goes to whoever waits, and the object learns that with its next order.
+        let grant = ask(&cx, "vmm", AcquireVm { vm: vm() }).await?;
+        let mine = LaserOrder::Spot([0.5, 0.25]);
+        ask(&cx, &vm(), SteerLaser { grant, order: mine }).await?;
+        let lost = told(&cx, "laser EXEC draw FMSG 4 0 0 2 0").await?;
+        let text = &lost.reports[0].text;
+        assert!(
+            text.contains("another client has the scanner `roof` now"),
+            "{text}"
+        );
+        assert_eq!(ordered().last(), Some(&("roof".to_owned(), mine)));
+        // Given back, it is free for the object at once.
+        ask(&cx, "vmm", ReleaseVm { grant }).await?;
+        let begin = cx.now();
+        assert!(told(&cx, "laser EXEC off").await?.is_ok());
+        assert!((cx.now() - begin).as_secs_f64() < 1.0);
+        assert_eq!(
+            ordered().last(),
+            Some(&("roof".to_owned(), LaserOrder::Off))
+        );
+        let grant = ask(&cx, "vmm", AcquireVm { vm: vm() }).await?;
+        ask(&cx, "vmm", ReleaseVm { grant }).await?;
+        // A scanner that the app does not have.
+        told(&cx, "laser CTRL -name cellar").await?;
+        let none = told(&cx, "laser EXEC off").await?;
+        let text = &none.reports[0].text;
+        assert!(
+            text.contains("no Vision Module is called `vmLaser.cellar`"),
+            "{text}"
+        );
+        Ok(String::new())
+    });
+}
+
+/// Left at (41.3, 30.8) and right at (12.25, 66.5): cameras whose rays there meet at a point, and such as stand side by side.
+#[test]
+fn a_spot_that_two_cameras_of_the_app_see_is_triangulated_or_refused() {
+    run(|cx| async move {
+        let lens = "100 100 50 40 0 0 0 0 0";
+        let alone = told(&cx, "triangulate EXEC cameras left right").await?;
+        assert!(
+            alone.reports[0].text.contains("-left"),
+            "{:?}",
+            alone.reports
+        );
+        // The point (0, 0, 2) of the left camera's frame turned into the world: both look along z.
+        let of = |u: f64, v: f64| ((u - 50.0) / 100.0 * 2.0, (v - 40.0) / 100.0 * 2.0);
+        let (one, other) = (of(41.3, 30.8), of(12.25, 66.5));
+        let line = format!(
+            "triangulate CTRL -sd 0.5 -left {lens} 0 0 0 {} {} 0 -right {lens} 0 0 0 {} {} 0",
+            one.0, one.1, other.0, other.1
+        );
+        assert!(told(&cx, &line).await?.is_ok());
+        let found = told(&cx, "triangulate EXEC cameras left right").await?;
+        assert!(found.is_ok(), "{:?}", found.reports);
+        let floats = &found.floats;
+        assert_eq!(floats.len(), 8);
+        for (k, truth) in [0.0, 0.0, 2.0].iter().enumerate() {
+            assert!(
+                (floats[k] - truth).abs() < 4.0 * floats[3 + k],
+                "{floats:?}"
+            );
+        }
+        assert!(floats[6] < 4.0 * floats[7], "{floats:?}");
+        // Principal points at which both pixels are seen in the same direction.
+        let line = "triangulate CTRL -left 100 100 50 40 0 0 0 0 0 0 0 0 0 0 0 -right 100 100 20.95 75.7 0 0 0 0 0 0 0 0 0.5 0 0";
+        assert!(told(&cx, line).await?.is_ok());
+        let parallel = told(&cx, "triangulate EXEC cameras left right").await?;
+        assert!(!parallel.is_ok() && parallel.floats.is_empty());
+        let text = &parallel.reports[0].text;
+        assert!(
+            text.contains("`left` and `right`: the rays are parallel"),
+            "{text}"
+        );
+        let gone = told(&cx, "triangulate EXEC cameras left dark").await?;
+        assert!(
+            gone.reports[0].text.contains("see no spot at once"),
+            "{:?}",
+            gone.reports
+        );
+        Ok(String::new())
+    });
+}
+
 fn light_table(camera: &Camera) -> Vec<LightPoint> {
     let at = |k: usize| {
         Point3::new(
@@ -525,6 +655,12 @@ fn arguments_that_no_handler_takes_are_found_before_anything_starts() {
         [
             "app.toml:18:10: error: camera `left` gives `args.uu`, and its frame source `test.camera` does not read it (did you mean `u`?)"
         ]
+    );
+    let scanner = found("task = \"mirrors\"", "task = \"mirors\"");
+    assert!(
+        scanner[0].contains("there is no task `mirors`, which drives the scanner `roof`")
+            && scanner[0].contains("did you mean `mirrors`?"),
+        "{scanner:?}"
     );
     let options = found(
         "[vss.cameras.left]",

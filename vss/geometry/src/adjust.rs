@@ -65,7 +65,10 @@ pub(crate) fn inverse(normal: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)> {
     if !scaled.iter().all(|entry| entry.is_finite()) {
         return None;
     }
-    let values = scaled.clone().try_symmetric_eigen(1e-15, 1000)?.eigenvalues;
+    // Each value takes some rounds.
+    let rounds = 1000 + 30 * free;
+    let values = scaled.clone().try_symmetric_eigen(1e-15, rounds)?;
+    let values = values.eigenvalues;
     let condition = (values.max() / values.min().max(0.0)).sqrt();
     let inverse = scaled.cholesky()?.inverse();
     let unscaled = DMatrix::from_fn(free, free, |i, j| inverse[(i, j)] * scale[i] * scale[j]);

@@ -49,6 +49,8 @@ const WORST_CONDITION: f64 = 1e7;
 const POSES_OF_THREE: f64 = 4.0;
 /// Poses that leave matches out may come about by chance this seldom.
 const BY_CHANCE: f64 = 0.01;
+/// Coordinates of a model are smaller, m.
+const LARGEST_M: f64 = 1e5;
 /// Objects are no further away, m: no laboratory is so large.
 const FARTHEST_M: f64 = 50.0;
 
@@ -105,6 +107,11 @@ pub enum NoModelPose {
         /// Row of the picture, px.
         v: f64,
     },
+    /// Coordinates with which nothing can be computed.
+    #[error(
+        "a point of the model is {0:.1e} m from its origin: no object is as large; are coordinates in m, and are all columns right?"
+    )]
+    TooLarge(f64),
     /// A turn about the line changes nothing.
     #[error(
         "the points of the model lie on one line (thickness/length {0:.1e}): its turn about that line is not seen"
@@ -247,6 +254,11 @@ fn checked(
     }
     if different.len() < FEWEST_MATCHES {
         return Err(NoModelPose::TooFew(different.len()));
+    }
+    let farthest = matches.iter().map(|one| one.point.coords.amax());
+    let farthest = farthest.fold(0.0, f64::max);
+    if farthest > LARGEST_M {
+        return Err(NoModelPose::TooLarge(farthest));
     }
     let count = matches.len() as f64;
     let middle: Vector3<f64> = matches.iter().map(|one| one.point.coords / count).sum();

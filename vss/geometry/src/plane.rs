@@ -128,11 +128,9 @@ pub fn calibrate_plane(
     let tilts = views.iter().zip(&maps);
     let mirrored = tilts.map(|(view, map)| turned_over(view, map));
     let mirrored: Vec<bool> = mirrored.collect();
-    // Either way of counting is right as long as all views have it.
-    if let Some(index) = mirrored
-        .iter()
-        .position(|one| Some(one) != mirrored.first())
-    {
+    // Either way of counting is right as long as all views have it; most have the right one.
+    let many = 2 * mirrored.iter().filter(|one| **one).count() > mirrored.len();
+    if let Some(index) = mirrored.iter().position(|one| *one != many) {
         return Err(PlaneError::Mirrored(index));
     }
     let widest = spread_of_lines(&maps, width, height);

@@ -137,18 +137,37 @@ impl Triangulated {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NoPoint {
     /// A pixel has no ray: the lens cannot be undone there.
-    #[error("the pixel ({0:.1}, {1:.1}) has no ray: the distortion cannot be undone there")]
+    #[error("the pixel ({0:?}, {1:?}) has no ray: the distortion cannot be undone there")]
     NoRay(f64, f64),
+    /// A pixel that no picture has.
+    #[error(
+        "the pixel ({0:?}, {1:?}) is seen more than {WIDEST_DEGREES} degrees beside the camera's axis, where no picture reaches: are \
+         these pixels, and is this the lens of that camera?"
+    )]
+    Beside(f64, f64),
+    /// Both cameras are at one place.
+    #[error(
+        "both cameras stand at one place ({0:.1e} m apart): no depth follows from such a pair; are these two cameras?"
+    )]
+    OnePlace(f64),
     /// The rays are nearly parallel.
     #[error("the rays are parallel within {0:.1e} rad: the depth cannot be told")]
     Parallel(f64),
     /// The rays meet behind a camera.
-    #[error("the rays meet behind a camera: the pixels are not of one point")]
+    #[error(
+        "the rays meet behind a camera: the pixels are not of one point, or left and right, or u and v, are exchanged"
+    )]
     Behind,
 }
 
 /// Rays whose angle is below this are parallel, rad.
 const PARALLEL: f64 = 1e-3;
+
+/// Cameras nearer to one another are at one place, m.
+const ONE_PLACE_M: f64 = 1e-6;
+
+/// No lens of this model sees farther from its axis, degrees.
+const WIDEST_DEGREES: f64 = 80.0;
 
 /// The point that two cameras see at two pixels.
 ///
@@ -162,15 +181,21 @@ pub fn triangulate(
 ) -> Result<Triangulated, NoPoint> {
     let ray = |camera: &Camera, at: Vector2<f64>| {
         let ray = camera.ray(at).ok_or(NoPoint::NoRay(at.x, at.y))?;
+        if ray.xy().norm() > ray.z * WIDEST_DEGREES.to_radians().tan() {
+            return Err(NoPoint::Beside(at.x, at.y));
+        }
         Ok(camera.camera_from_world().rotation.inverse() * ray.normalize())
     };
     let (d, e) = (ray(left, at_left)?, ray(right, at_right)?);
+    let base: Vector3<f64> = right.centre - left.centre;
+    if base.norm() < ONE_PLACE_M {
+        return Err(NoPoint::OnePlace(base.norm()));
+    }
     let angle = d.cross(&e).norm().atan2(d.dot(&e));
     if angle < PARALLEL {
         return Err(NoPoint::Parallel(angle));
     }
     // The feet of the common perpendicular: P + s d and Q + t e.
-    let base: Vector3<f64> = right.centre - left.centre;
     let (cosine, sine) = (d.dot(&e), angle.sin());
     let s = (base.dot(&d) - cosine * base.dot(&e)) / (sine * sine);
     let t = (cosine * base.dot(&d) - base.dot(&e)) / (sine * sine);

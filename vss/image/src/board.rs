@@ -49,9 +49,27 @@ impl Side {
     }
 }
 
+/// White sits on a side when the way there is that part of the way to White: within 78 degrees.
+const SIDEWAYS: f64 = 0.2;
+
+/// Which part of the way from the board's centre to White's edge leads to a side of the picture.
+fn towards(near: [f64; 2], centre: [f64; 2], white: Side) -> f64 {
+    let ([u, v], way) = (
+        white.direction(),
+        [near[0] - centre[0], near[1] - centre[1]],
+    );
+    (way[0] * u + way[1] * v) / way[0].hypot(way[1])
+}
+
 /// Why no board is seen.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BoardError {
+    /// The dark corner squares are where they cannot be with White on that side.
+    #[error(
+        "White does not sit on the side of the picture that -white says: the dark corner squares are at the left and right of White \
+         only when seen from another side; set -white, or is the picture mirrored?"
+    )]
+    Sideways,
     /// Too few corners form a lattice.
     #[error(
         "no chequer pattern is seen: {lattice} of its 49 inner corners form a lattice, at least {CORNERS_LEAST} are needed \
@@ -181,7 +199,7 @@ impl Board {
             let (seen, all) = (best.seen, best.all);
             return Err(BoardError::NoBoard { seen, all });
         }
-        let map = best.turned(white);
+        let map = best.turned(white).ok_or(BoardError::Sideways)?;
         Ok(Self {
             map,
             contrast: best.contrast,
@@ -306,7 +324,8 @@ impl Placed {
     }
 
     /// The map with a1 at 0, 0: of the four ways to lie, two have a dark square there, and one of these has White on its side.
-    fn turned(&self, white: Side) -> Homography {
+    /// None when White would sit beside that.
+    fn turned(&self, white: Side) -> Option<Homography> {
         let ways = (0..4_u8).map(|turn| {
             // From files and ranks to squares of the lattice, whose y runs down where its x runs right.
             let (a, b, c, d, e, f) = match turn {
@@ -322,13 +341,11 @@ impl Placed {
                 d * first[0] + e * first[1] + f,
             ];
             let even = (square[0].floor() as i32 + square[1].floor() as i32) % 2 == 0;
-            let [u, v] = white.direction();
-            let side = (near[0] - centre[0]) * u + (near[1] - centre[1]) * v;
-            (even == self.even_is_dark, side, map)
+            (even == self.even_is_dark, towards(near, centre, white), map)
         });
         let dark = ways.filter(|(dark, ..)| *dark);
         let best = dark.max_by(|one, other| one.1.total_cmp(&other.1));
-        best.map_or_else(|| self.map.clone(), |(.., map)| map)
+        best.and_then(|(_, side, map)| (side > SIDEWAYS).then_some(map))
     }
 }
 

@@ -19,6 +19,9 @@ const COLUMNS: Columns = Columns {
     help: "the first line is `t,z`: times in s, ascending, and positions in m; an empty z has no measurement",
 };
 
+/// Rows that are apart by so many periods, or by so small a part of one, are told.
+const OTHER_PERIOD: f64 = 100.0;
+
 const FORMS: &[Form] = &[
     Form {
         text: "gains",
@@ -211,9 +214,26 @@ impl Filter {
             answer.extend([track.x, track.v, track.a, predicted]);
             state = Some((t, track));
         }
+        if let Some(text) = other_unit(&table, self.0.period) {
+            let text = format!("{}: {text}", source.name());
+            io.report(Report::warning(code::TABLE, text));
+        }
         io.floats = answer;
         Ok(())
     }
+}
+
+/// Rows that are much farther apart than the period, or much nearer, are most often in another unit.
+fn other_unit(table: &Table, period: f64) -> Option<String> {
+    let first = table.rows().next()?.first()?;
+    let last = table.rows().last()?.first()?;
+    let between = (last - first) / (table.at.len() - 1) as f64;
+    let ratio = between / period;
+    (ratio.is_finite() && !(1.0 / OTHER_PERIOD..OTHER_PERIOD).contains(&ratio)).then(|| {
+        format!(
+            "rows are {between:.3e} s apart, and -period is {period:?} s: are times in s, and is this the period of -lambda or -sigma-w?"
+        )
+    })
 }
 
 fn wrong(source: &Source, table: &Table, row: usize, text: &str) -> Report {

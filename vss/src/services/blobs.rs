@@ -18,6 +18,9 @@ const DEEPEST_SHOWN: usize = 20;
 const PARTS_MOST: usize = 1 << 20;
 const PARTS_OF_TREE_MOST: usize = 1 << 18;
 
+/// So many components are answered if nothing else is said: with 12 numbers each they fit into a line of text.
+const MOST: i64 = 20_000;
+
 /// So many components that are not as expected are told one by one.
 const MOST_TOLD: usize = 20;
 
@@ -74,7 +77,7 @@ impl Default for Options {
             dark: false,
             connectivity: "8".to_owned(),
             min: 1,
-            most: 75_000,
+            most: MOST,
             area: vec![1, 1_000_000_000],
             eccentricity: 0.6,
             holes: "0".to_owned(),
@@ -219,7 +222,8 @@ impl Blobs {
         let (path, most) = (&seen.path, self.0.most);
         if i64::try_from(count).unwrap_or(i64::MAX) > most {
             let text = format!(
-                "`{path}` has {count} components, more than -most {most}; raise -min or change -threshold"
+                "`{path}` has {count} components, more than -most {most}: raise -min (fewest pixels, now {}) or change -threshold; noise has many",
+                self.0.min
             );
             return Err(Report::error(code::NO_SPOT, text));
         }

@@ -388,6 +388,12 @@ fn near(io: &mut Transport) -> Outcome {
         return Err(Report::error(sorma::report::code::VALUE, text));
     }
     let picture = picture::opened(&path, io)?;
+    let inside = |at: f64, size: usize| (-0.5..=size as f64 - 0.5).contains(&at);
+    if !inside(u, picture.width) || !inside(v, picture.height) {
+        let (width, height) = (picture.width, picture.height);
+        let text = format!("`{path}` is {width} x {height} px, and {u:?}, {v:?} is outside of it");
+        return Err(Report::error(sorma::report::code::VALUE, text));
+    }
     let disc = disc_near(&picture, [u, v], radius).map_err(|why| none(&path, &why))?;
     io.floats = vec![disc.u, disc.v, disc.radius, disc.sd_px[0], disc.sd_px[1]];
     io.ints = vec![disc.piece.code()];

@@ -97,7 +97,7 @@ fn lights(source: &Source, table: &Table) -> Result<(Vec<Point3<f64>>, Vec<Pixel
     if !right || count < 5 || count.is_multiple_of(2) {
         let given = table.names.join(",");
         let text = format!(
-            "{}: the header is `{given}`; {}",
+            "{}:1:1: the header is `{given}`; {}",
             source.name(),
             COLUMNS.help
         );
@@ -142,6 +142,7 @@ impl Cameras {
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
         let (positions, seen) = lights(&source, &table)?;
+        table.tell_repeated(&source, io);
         let rig = Rig {
             lights: &positions,
             seen: &seen,

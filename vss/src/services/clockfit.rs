@@ -27,6 +27,9 @@ const BEGIN_NS: f64 = 1e9;
 /// No table lasts longer, s: what fits into whole nanoseconds.
 const LONGEST_S: f64 = 1e9;
 
+/// A fastest exchange that took longer is told, s.
+const SLOW_S: f64 = 1.0;
+
 const FORMS: &[Form] = &[Form {
     text: "FILE",
     floats: 0,
@@ -87,6 +90,17 @@ impl ClockFit {
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
         let exchanges = Exchanges::of(&source, &table)?;
+        let ways = table
+            .rows()
+            .filter_map(|row| Some(row.get(3)? - row.first()?));
+        let fastest = ways.fold(f64::INFINITY, f64::min);
+        if fastest.is_finite() && fastest > SLOW_S {
+            let text = format!(
+                "{}: the fastest request and reply took {fastest:.3} s: times are in s; are these milliseconds or microseconds?",
+                source.name()
+            );
+            io.report(Report::warning(code::CLOCKS, text));
+        }
         let mut found = exchanges.observed(&source, &table, self.0.max_drift)?;
         if found.restarts() > 0 {
             let text = format!(

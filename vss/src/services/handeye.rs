@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use ctos::diagnostic::Source;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
@@ -17,6 +18,13 @@ const POSE: usize = 12;
 
 /// Entries of a matrix may be off those of a rotation by so much: tables are rounded.
 const ROUNDED: f64 = 1e-3;
+
+/// A place that is known no better is told to be poor, rad and m.
+const POOR_RAD: f64 = 0.02;
+const POOR_M: f64 = 0.01;
+
+/// Cameras on a tool sit nearer to it, m.
+const FAR_M: f64 = 0.5;
 
 const COLUMNS: Columns = Columns {
     names: &[],
@@ -64,6 +72,7 @@ fn calibrate(io: &mut Transport) -> Outcome {
     let source = opened(io.text.trim())?;
     let table = table::read(&source, &COLUMNS).map_err(told)?;
     let mut samples = Vec::with_capacity(table.at.len());
+    table.tell_repeated(&source, io);
     for (row, numbers) in table.rows().enumerate() {
         let (tool, target) = numbers.split_at(POSE);
         let sample = pose(tool).zip(pose(target));
@@ -74,11 +83,21 @@ fn calibrate(io: &mut Transport) -> Outcome {
                 "camera_T_target"
             };
             let text = format!(
-                "{}: the matrix of {name} is no rotation: its columns are not of length 1 and at right angles, or it is a mirror",
+                "{}: the matrix of {name} is no rotation: its columns are not of length 1 and at right angles (rounded to fewer than four digits, or written by columns?), \
+                 or it is a mirror",
                 table.place(&source, row)
             );
             return Err(Report::error(code::TABLE, text));
         };
+        let before = camera_t_target.translation.vector.z;
+        if before <= 0.0 {
+            let text = format!(
+                "{}: the target is {before:.3} m before the camera, behind it: camera_T_target is the target in the camera's frame, whose z \
+                 points forward; is it the inverse?",
+                table.place(&source, row)
+            );
+            return Err(Report::error(code::TABLE, text));
+        }
         samples.push(Sample {
             base_t_tool,
             camera_t_target,
@@ -102,6 +121,9 @@ fn calibrate(io: &mut Transport) -> Outcome {
         );
         io.report(Report::warning(code::REJECTED, text));
     }
+    for warning in doubts(&found, &source) {
+        io.report(Report::warning(code::NO_CAMERA, warning));
+    }
     io.floats.clear();
     let turn = found.tool_t_camera.rotation.scaled_axis();
     let shift = found.tool_t_camera.translation.vector;
@@ -109,6 +131,28 @@ fn calibrate(io: &mut Transport) -> Outcome {
     io.floats.extend(found.sd);
     io.floats.extend([found.rms_rad, found.rms_m]);
     Ok(())
+}
+
+/// What a person should know before leaning on it.
+fn doubts(found: &crate::handeye::HandEye, source: &Source) -> Vec<String> {
+    let mut all = Vec::new();
+    let largest = |sd: &[f64]| sd.iter().copied().fold(0.0, f64::max);
+    let (turn, shift) = (largest(&found.sd[..3]), largest(&found.sd[3..]));
+    if turn > POOR_RAD || shift > POOR_M {
+        all.push(format!(
+            "{}: the samples determine the camera's place poorly: to {turn:.4} rad and {shift:.4} m; take 10 or more, with turns of the tool \
+             of 0.3 rad and more about two axes",
+            source.name()
+        ));
+    }
+    let away = found.tool_t_camera.translation.vector.norm();
+    if away > FAR_M {
+        all.push(format!(
+            "{}: the camera would sit {away:.2} m from the tool: are lengths in m, and does a row begin with base_T_tool?",
+            source.name()
+        ));
+    }
+    all
 }
 
 /// A pose from the upper three rows of its matrix; `None` when they hold no rotation.

@@ -1,22 +1,25 @@
 //! The class `laser`: where a scanner's beam goes, where it must be sent, what a camera's ray meets of it, and its calibration.
 
-use std::{sync::LazyLock, time::Duration};
+mod steer;
 
+use std::sync::LazyLock;
+
+use ctos::diagnostic::Source;
 use futures_util::future::LocalBoxFuture;
 use nalgebra::{Point3, Unit, Vector2, Vector3};
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
 use super::{
-    code, ended, opened,
+    MOST_TOLD, code, ended, opened,
     resect::{self, pose},
-    table::{self, Columns},
+    table::{self, Columns, Table},
     told,
 };
 use crate::{
     camera::Camera,
-    command::OrderLaser,
     laser::{
-        LaserOrder, Met, NoLaser, Plane, Scanner, calibrate, on_beam, on_plane, plane_through,
+        Beam, Fitted, FittedPlane, LaserOrder, Met, NoLaser, Plane, Scanner, beside, calibrate,
+        on_beam, on_plane, plane_through,
     },
 };
 
@@ -33,6 +36,16 @@ const SAMPLES: Columns = Columns {
     may_be_empty: &[],
     help: "the first line is `a,b,X,Y,Z`: the command for both mirrors, and the point that the beam met, world, m",
 };
+
+/// Standard deviations beyond which ray and beam are not of one spot.
+const APART: f64 = 3.0;
+
+/// Rows that are off by so many root mean squares are told, and never those that are off by less, m.
+const FAR_RMS: f64 = 4.0;
+const LEAST_FAR_M: f64 = 1e-6;
+
+/// A scanner that is known no better is told to be poor, m.
+const POOR_M: f64 = 0.1;
 
 const FORMS: &[Form] = &[
     Form {
@@ -96,18 +109,19 @@ const FORMS: &[Form] = &[
         text: "plane FILE",
         floats: 0,
         takes: "",
-        gives: "5 floats: unit normal and distance from the origin (m) of the plane of light, and the root mean square of the \
-                distances of the points from it (m)",
-        results: "nx ny nz; d rms: m",
+        gives: "9 floats: unit normal and distance from the origin (m) of the plane of light, the root mean square of the \
+                distances of the points from it (m), and standard deviations of normal and distance (m)",
+        results: "nx ny nz; d rms: m; sd_nx sd_ny sd_nz; sd_d: m",
         help: "the plane of light from a table X,Y,Z of points that a line met",
     },
     Form {
         text: "calibrate FILE",
         floats: 0,
         takes: "",
-        gives: "22 floats: rotation vector (rad) and translation (m) of world_T_scanner, offset of the mirrors (m), both gains (rad), \
-                both zeros (rad), and the root mean square of the distances of the points from their beams (m); standard deviations \
-                of a turn about the world's axes (rad), of translation and offset (m), of both gains and of the first zero (rad)",
+        gives: "22 floats. The scanner: rotation vector (rad) and translation (m) of world_T_scanner, offset of the mirrors (m), both \
+                gains (rad), both zeros (rad). The root mean square of the distances of the points from their beams (m). Standard \
+                deviations: of a turn about the world's axes (rad), of translation and offset (m), of both gains and of the first \
+                zero (rad)",
         results: "rx ry rz: rad; x y z offset: m; gain_a gain_b zero_a zero_b: rad; rms: m; sd_turn: rad; sd_shift sd_offset: m; sd_gain_a sd_gain_b sd_zero_a: rad",
         help: "the scanner from a table a,b,X,Y,Z; the options say what is known of it before",
     },
@@ -122,7 +136,6 @@ pub(super) struct Options {
     camera: Vec<f64>,
     sd_px: f64,
     name: String,
-    task: String,
 }
 
 impl Default for Options {
@@ -135,7 +148,6 @@ impl Default for Options {
             camera: Vec::new(),
             sd_px: 0.1,
             name: "scanner".to_owned(),
-            task: "world".to_owned(),
         }
     }
 }
@@ -195,14 +207,15 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "the scanner of the app that is ordered",
             |options| &mut options.name,
         )
-        .word("task", "TASK", "the app's task that drives it", |options| {
-            &mut options.task
-        })
 });
 
 /// An object of class `laser`.
 #[derive(Default)]
-pub(super) struct Laser(Options);
+pub(super) struct Laser {
+    options: Options,
+    /// The scanner of the app that it holds.
+    held: Option<steer::Held>,
+}
 
 impl ServiceObject for Laser {
     fn exec_waiting<'a>(
@@ -213,7 +226,8 @@ impl ServiceObject for Laser {
         Some(Box::pin(async move {
             let outcome = match TABLE.form(io) {
                 Ok(form) => match self.order(form.text, io) {
-                    Some(order) => self.ordered(cx, order, io).await,
+                    Some(Ok(order)) => self.ordered(cx, order, io).await,
+                    Some(Err(report)) => Err(report),
                     None => self.answer(form.text, io),
                 },
                 Err(report) => Err(report),
@@ -223,12 +237,12 @@ impl ServiceObject for Laser {
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        TABLE.ctrl(&mut self.0, io);
+        TABLE.ctrl(&mut self.options, io);
         Ok(())
     }
 
     fn dump(&self) -> String {
-        TABLE.dump(&self.0)
+        TABLE.dump(&self.options)
     }
 }
 
@@ -240,6 +254,51 @@ fn nothing(why: NoLaser) -> Report {
     Report::error(code::NO_CAMERA, why.to_string())
 }
 
+/// Why a table gives nothing.
+fn none(source: &Source, why: NoLaser) -> Report {
+    Report::error(code::NO_CAMERA, format!("{}: {why}", source.name()))
+}
+
+/// Tells of rows that are off by much more than the others.
+fn tell_far(source: &Source, table: &Table, off: &[f64], io: &mut Transport) {
+    let squares: f64 = off.iter().map(|off| off * off).sum();
+    let rms = (squares / off.len().max(1) as f64).sqrt().max(LEAST_FAR_M);
+    let far = off
+        .iter()
+        .enumerate()
+        .filter(|(_, off)| **off > FAR_RMS * rms);
+    let told = far.map(|(row, off)| format!("{} by {off:.4} m", table.place(source, row)));
+    let told: Vec<String> = told.take(MOST_TOLD).collect();
+    if !told.is_empty() {
+        let text = format!(
+            "rows are off by more than {FAR_RMS} times the root mean square, and are used: {}; leave them out if they are wrong",
+            told.join("; ")
+        );
+        io.report(Report::warning(code::REJECTED, text));
+    }
+}
+
+/// What a person should know before leaning on a calibration.
+fn doubt(found: &Fitted, start: &Scanner) -> Option<String> {
+    let signs = found.scanner.gain.iter().zip(start.gain);
+    for (mirror, (now, before)) in ["first", "second"].iter().zip(signs) {
+        if now * before < 0.0 {
+            return Some(format!(
+                "the gain of the {mirror} mirror has another sign than -gain says: is the world mirrored, or the mirror connected the \
+                 other way round?"
+            ));
+        }
+    }
+    let place = found.sd[3..6].iter().copied().fold(0.0, f64::max);
+    (place.max(found.sd[6]) > POOR_M).then(|| {
+        format!(
+            "the points determine the scanner poorly: its place to {place:.3} m, the way between its mirrors to {:.3} m; take them on two \
+             planes or more, far apart",
+            found.sd[6]
+        )
+    })
+}
+
 impl Laser {
     fn scanner(&self) -> Result<Scanner, Report> {
         let Options {
@@ -248,7 +307,7 @@ impl Laser {
             gain,
             zero,
             ..
-        } = &self.0;
+        } = &self.options;
         let scanner = (|| {
             Some(Scanner {
                 world_t_scanner: pose(numbers)?,
@@ -268,39 +327,11 @@ impl Laser {
             ("draw", &[a, b, to_a, to_b]) => Some(Ok(LaserOrder::Line([a, b], [to_a, to_b]))),
             ("point", &[x, y, z]) => {
                 let command = self.scanner().map(|own| own.aim(&Point3::new(x, y, z)));
-                let command = command.and_then(|aim| aim.ok_or_else(|| nothing(NoLaser::Nowhere)));
+                let command = command.and_then(|aim| aim.ok_or_else(|| nothing(NoLaser::Beyond)));
                 Some(command.map(LaserOrder::Spot))
             }
             _ => None,
         }
-    }
-
-    async fn ordered(
-        &self,
-        cx: &Waiting<'_>,
-        order: Result<LaserOrder, Report>,
-        io: &mut Transport,
-    ) -> Outcome {
-        const DEADLINE: Duration = Duration::from_secs(10);
-        let order = order?;
-        let Options { name, task, .. } = &self.0;
-        let failed = |why: &str| Report::error(code::NO_LASER, format!("scanner `{name}`: {why}"));
-        if !cx.is_in_app() {
-            return Err(failed(
-                "there is none here, for no app runs here: attach to one",
-            ));
-        }
-        let request = OrderLaser {
-            laser: name.clone(),
-            order,
-        };
-        let done = cx.call_task(task, request, DEADLINE).await;
-        done.map_err(|report| failed(&report.text))?;
-        io.floats = match order {
-            LaserOrder::Spot(command) => command.to_vec(),
-            _ => Vec::new(),
-        };
-        Ok(())
     }
 
     /// Numbers that follow from a pixel, and then their standard deviations.
@@ -315,36 +346,52 @@ impl Laser {
         for step in [Vector2::new(STEP, 0.0), Vector2::new(0.0, STEP)] {
             let beside = of(pixel + step).map_err(nothing)?;
             for ((square, there), here) in squares.iter_mut().zip(beside).zip(numbers) {
-                *square += (self.0.sd_px * (there - here) / STEP).powi(2);
+                *square += (self.options.sd_px * (there - here) / STEP).powi(2);
             }
         }
         let sd = squares.iter().map(|square| square.sqrt());
         Ok(numbers.iter().copied().chain(sd).collect())
     }
 
+    fn beam(&self, command: [f64; 2]) -> Result<Beam, Report> {
+        let scanner = self.scanner()?;
+        scanner.angles(command).map_err(nothing)?;
+        Ok(scanner.beam(command))
+    }
+
     fn camera(&self) -> Result<Camera, Report> {
-        resect::camera(&self.0.camera, "-camera")
+        resect::camera(&self.options.camera, "-camera")
     }
 
     fn answer(&self, form: &str, io: &mut Transport) -> Outcome {
         io.floats = match (form, io.floats.as_slice()) {
             ("aim", &[x, y, z]) => {
                 let command = self.scanner()?.aim(&Point3::new(x, y, z));
-                let command = command.ok_or_else(|| nothing(NoLaser::Nowhere))?;
+                let command = command.ok_or_else(|| nothing(NoLaser::Beyond))?;
                 command.to_vec()
             }
             ("beam", &[a, b]) => {
-                let beam = self.scanner()?.beam([a, b]);
+                let beam = self.beam([a, b])?;
                 let numbers = beam.origin.iter().chain(beam.direction.iter());
                 numbers.copied().collect()
             }
             ("spot", &[a, b, u, v]) => {
-                let beam = self.scanner()?.beam([a, b]);
+                let beam = self.beam([a, b])?;
                 let camera = self.camera()?;
-                self.with_sd(Vector2::new(u, v), |pixel| {
+                let met = self.with_sd(Vector2::new(u, v), |pixel| {
                     let Met { place, gap } = on_beam(&camera, pixel, &beam)?;
                     Ok([place.x, place.y, place.z, gap])
-                })?
+                })?;
+                if let [_, _, _, gap, .., sd] = *met
+                    && gap > APART * sd
+                {
+                    let text = format!(
+                        "ray and beam miss each other by {gap:.2e} m, {:.0} standard deviations: the spot is not one of this beam",
+                        gap / sd
+                    );
+                    io.report(Report::warning(code::NO_POINT, text));
+                }
+                met
             }
             ("line", &[nx, ny, nz, distance, u, v]) => {
                 let normal = Unit::try_new(Vector3::new(nx, ny, nz), 1e-9);
@@ -358,10 +405,16 @@ impl Laser {
             ("plane FILE", _) => {
                 let source = opened(path(io, "plane"))?;
                 let table = table::read(&source, &POINTS).map_err(told)?;
+                table.tell_repeated(&source, io);
                 let points: Vec<Point3<f64>> = table.rows().filter_map(point).collect();
-                let (plane, rms) = plane_through(&points).map_err(nothing)?;
+                let FittedPlane { plane, rms_m, sd } =
+                    plane_through(&points).map_err(|why| none(&source, why))?;
+                let off = points
+                    .iter()
+                    .map(|point| (plane.normal.dot(&point.coords) - plane.distance).abs());
+                tell_far(&source, &table, &off.collect::<Vec<_>>(), io);
                 let normal = plane.normal.iter().copied();
-                normal.chain([plane.distance, rms]).collect()
+                normal.chain([plane.distance, rms_m]).chain(sd).collect()
             }
             _ => {
                 let source = opened(path(io, "calibrate"))?;
@@ -371,7 +424,20 @@ impl Laser {
                     _ => None,
                 });
                 let met: Vec<_> = rows.collect();
-                let found = calibrate(&met, &self.scanner()?).map_err(nothing)?;
+                let start = self.scanner()?;
+                table.tell_repeated(&source, io);
+                for (row, (command, _)) in met.iter().enumerate() {
+                    start.angles(*command).map_err(|why| {
+                        let place = table.place(&source, row);
+                        Report::error(code::TABLE, format!("{place}: {why}"))
+                    })?;
+                }
+                let found = calibrate(&met, &start).map_err(|why| none(&source, why))?;
+                tell_far(&source, &table, &beside(&found.scanner, &met), io);
+                if let Some(text) = doubt(&found, &start) {
+                    let text = format!("{}: {text}", source.name());
+                    io.report(Report::warning(code::NO_CAMERA, text));
+                }
                 let Scanner {
                     world_t_scanner,
                     offset,
@@ -403,111 +469,4 @@ fn point(row: &[f64]) -> Option<Point3<f64>> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::{fmt::Write as _, fs};
-
-    use futures_util::FutureExt as _;
-    use sorma::{Dictionary, Reply, Sorm};
-
-    use super::*;
-
-    fn ask(sorm: &Sorm, line: &str) -> Transport {
-        let told = sorm.tell(&sorma::Alone, line, "").now_or_never().unwrap();
-        told.parse::<Reply>().unwrap().body
-    }
-
-    fn floats(sorm: &Sorm, line: &str) -> Vec<f64> {
-        let reply = ask(sorm, line);
-        assert!(reply.is_ok(), "{line}: {:?}", reply.reports);
-        reply.floats
-    }
-
-    #[test]
-    fn a_scanner_is_pointed_triangulated_and_calibrated_by_lines_of_text() {
-        let sorm = Sorm::new(Dictionary::new());
-        super::super::register(&sorm);
-        // It stands 2 m above the origin and looks down, as the camera beside it does.
-        ask(
-            &sorm,
-            "laser CTRL -pose 3.141592653589793 0 0 0 0 2 -offset 0.02 -gain 0.1 0.1",
-        );
-        let command = floats(&sorm, "laser EXEC aim FMSG 3 0.3 -0.2 0");
-        let beam = floats(
-            &sorm,
-            &format!("laser EXEC beam FMSG 2 {} {}", command[0], command[1]),
-        );
-        let along = -beam[2] / beam[5];
-        assert!((beam[0] + along * beam[3] - 0.3).abs() < 1e-9, "{beam:?}");
-        assert!((beam[1] + along * beam[4] + 0.2).abs() < 1e-9, "{beam:?}");
-        let unset = ask(&sorm, "laser EXEC spot FMSG 4 0 0 250 250");
-        assert!(unset.reports[0].text.contains("-camera"), "{unset:?}");
-        ask(
-            &sorm,
-            "laser CTRL -camera 500 500 250 250 0 0 0 0 0 3.141592653589793 0 0 -0.5 0 2",
-        );
-        // It stands at (0.5, 0, 2): the point is 0.2 m to its left in x, and y is turned.
-        let (u, v) = (250.0 + 500.0 * -0.2 / 2.0, 250.0 + 500.0 * 0.2 / 2.0);
-        let line = format!(
-            "laser EXEC spot FMSG 4 {} {} {u} {v}",
-            command[0], command[1]
-        );
-        let met = floats(&sorm, &line);
-        for (met, truth) in met.iter().zip([0.3, -0.2, 0.0, 0.0]) {
-            assert!((met - truth).abs() < 1e-9, "{met}");
-        }
-        // Depth by a base of 0.5 m from 2 m: Z^2 / (f b) of a pixel's standard deviation.
-        assert_eq!(met.len(), 8);
-        assert!((met[6] / 1.6e-3 - 1.0).abs() < 0.05, "{met:?}");
-        assert!(met[7] > 1e-4, "{met:?}");
-        let alone = ask(&sorm, "laser EXEC point FMSG 3 0.3 -0.2 0");
-        assert!(alone.reports[0].text.contains("attach to one"), "{alone:?}");
-        let met = floats(&sorm, &format!("laser EXEC line FMSG 6 0 0 1 0 {u} {v}"));
-        assert!(
-            (met[0] - 0.3).abs() < 1e-9
-                && (met[1] + 0.2).abs() < 1e-9
-                && (met[3] - 4e-4).abs() < 1e-6,
-            "{met:?}"
-        );
-        let folder = tempfile::tempdir().unwrap();
-        let write = |name: &str, text: &str| {
-            let path = folder.path().join(name);
-            fs::write(&path, text).unwrap();
-            path.display().to_string()
-        };
-        let (mut samples, mut points) = (String::from("a,b,X,Y,Z\n"), String::from("X,Y,Z\n"));
-        for k in 0..24 {
-            let (x, y) = (0.2 * f64::from(k % 4) - 0.3, 0.15 * f64::from(k / 4) - 0.3);
-            let z = if k % 2 == 0 { 0.0 } else { 0.4 };
-            let at = floats(&sorm, &format!("laser EXEC aim FMSG 3 {x} {y} {z}"));
-            let _ = writeln!(samples, "{:?},{:?},{x:?},{y:?},{z:?}", at[0], at[1]);
-            let _ = writeln!(points, "{x:?},0.25,{z:?}");
-        }
-        let plane = floats(
-            &sorm,
-            &format!("laser EXEC plane {}", write("p.csv", &points)),
-        );
-        assert!(
-            (plane[1].abs() - 1.0).abs() < 1e-9 && (plane[1] * plane[3] - 0.25).abs() < 1e-9,
-            "{plane:?}"
-        );
-        // From a start that is off.
-        ask(
-            &sorm,
-            "laser CTRL -pose 3.1 0.02 0.01 0.02 0 1.95 -offset 0.01 -gain 0.095 0.105",
-        );
-        let found = floats(
-            &sorm,
-            &format!("laser EXEC calibrate {}", write("s.csv", &samples)),
-        );
-        assert_eq!(found.len(), 22);
-        assert!(found[11] < 1e-6, "{found:?}");
-        let few = ask(
-            &sorm,
-            &format!(
-                "laser EXEC calibrate {}",
-                write("f.csv", "a,b,X,Y,Z\n0,0,0,0,0\n")
-            ),
-        );
-        assert!(few.reports[0].text.contains("8 or more"), "{few:?}");
-    }
-}
+mod tests;

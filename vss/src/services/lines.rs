@@ -36,9 +36,9 @@ const FORMS: &[Form] = &[
         text: "FILE",
         floats: 0,
         takes: "",
-        gives: "8 k floats: u, v of both ends (px), standard deviation of the middle across the piece (px) and of its direction \
-                (rad), rms distance of its points from it (px) and contrast (grey values) of each straight piece, those with most \
-                points first; 1 + k ints: k, and how many points each has. An edge runs with its bright side on the right",
+        gives: "8 k floats, for each straight piece u, v of both ends (px), standard deviation of the middle across the piece (px) \
+                and of its direction (rad), rms distance of its points from it (px), contrast (grey values). 1 + k ints: k, and how \
+                many points each has. Pieces with most points come first. An edge runs with its bright side on the right",
         results: "* u1 v1 u2 v2 sd sd_direction rms contrast; ints k; ints * points",
         help: "finds the straight pieces of lines of light or of edges of a picture (PNG, JPEG, PNM, BMP)",
     },

@@ -37,7 +37,13 @@ const TOLD_SD: f64 = 5.0;
 const POOR_FOCAL: f64 = 0.02;
 
 /// Positions on a plane reach no farther, m: they are millimetres then.
-const LARGEST_M: f64 = 20.0;
+const LARGEST_M: f64 = 5.0;
+
+/// Corners are on no smaller board, m: they are kilometres then, or inches of something else.
+const SMALLEST_M: f64 = 1e-3;
+
+/// Numbers of views are no larger.
+const MOST_VIEW: f64 = 1e9;
 
 pub(super) static TABLE: LazyLock<OptionTable<resect::Options>> = LazyLock::new(|| {
     resect::lens_options(OptionTable::new("calibrates a camera from views of a plane").exec(FORMS))
@@ -79,6 +85,11 @@ impl PlaneCal {
                 let place = table.place(&source, row);
                 Err(Report::error(code::TABLE, format!("{place}: {why}")))
             };
+            if view.fract() != 0.0 || view.abs() > MOST_VIEW {
+                return wrong(format!(
+                    "the view is {view:?}; views are numbered by whole numbers"
+                ));
+            }
             if x.abs().max(y.abs()) > LARGEST_M {
                 return wrong(format!(
                     "a corner at ({x}, {y}) m: places on the plane are in m; are these millimetres?"
@@ -105,6 +116,23 @@ impl PlaneCal {
                 rows.push(row);
             }
         }
+        let extents = [1, 2].map(|column| {
+            let all = table.rows().filter_map(|row| row.get(column).copied());
+            let (least, most) = all
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), one| {
+                    (least.min(one), most.max(one))
+                });
+            most - least
+        });
+        let widest = extents[0].max(extents[1]);
+        if (0.0..SMALLEST_M).contains(&widest) && widest > 0.0 {
+            let text = format!(
+                "{}: all corners lie within {widest:.1e} m: places on the plane are in m; are these other units?",
+                source.name()
+            );
+            return Err(Report::error(code::NO_CAMERA, text));
+        }
+        table.tell_repeated(&source, io);
         let name = |view: usize| numbers.get(view).copied().unwrap_or(f64::NAN);
         let found = calibrate_plane(&views, width, height, self.0.model()).map_err(|error| {
             let why = match error {
@@ -122,7 +150,8 @@ impl PlaneCal {
                 if off.amax() > TOLD_SD * found.noise_px.max(1e-3) {
                     let place = table.place(&source, *row);
                     let text = format!(
-                        "{place} is off by {:.2} px, more than {TOLD_SD} standard deviations",
+                        "{place} is off by {:.2} px, more than {TOLD_SD} standard deviations, and is used: look at that corner, and leave \
+                         its row out if it is wrong",
                         off.amax()
                     );
                     io.report(Report::warning(code::REJECTED, text));

@@ -135,6 +135,7 @@ impl Pose {
         })?;
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
+        table.tell_repeated(&source, io);
         let matches: Vec<Match> = table.rows().filter_map(one).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed.unsigned_abs());
         let found = model_pose(&matches, &intrinsics, &distortion, &mut rng)

@@ -27,6 +27,9 @@ const NEARLY_FLAT: f64 = 0.02;
 /// So are those that say so much less of what is around them than of what is between them, and so little, px.
 const AROUND: (f64, f64) = (5.0, 1.0);
 
+/// No camera of a laboratory is farther from its world's origin, m.
+const FARTHEST_M: f64 = 100.0;
+
 const COLUMNS: Columns = Columns {
     names: &["X", "Y", "Z", "u", "v"],
     count: None,
@@ -172,6 +175,7 @@ impl Resect {
         let (width, height) = self.0.size()?;
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
+        table.tell_repeated(&source, io);
         let points: Vec<LightPoint> = table.rows().filter_map(light).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed());
         let (model, beforehand) = (self.0.model(), self.0.beforehand());
@@ -260,6 +264,12 @@ pub(super) fn camera(numbers: &[f64], option: &str) -> Result<Camera, Report> {
     if fx <= 0.0 || fy <= 0.0 {
         return Err(wrong(format!(
             "no camera has the focal lengths {fx} and {fy} px"
+        )));
+    }
+    let away = seen.translation.vector.norm();
+    if away > FARTHEST_M {
+        return Err(wrong(format!(
+            "{option} says that the world's origin is {away:.0} m from the camera: camera_T_world is in m; are these millimetres?"
         )));
     }
     Ok(Camera {

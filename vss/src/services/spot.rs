@@ -8,7 +8,7 @@ use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transpor
 use super::{code, ended, picture};
 use crate::{
     frame::Frame,
-    spot::{SpotsOptions, find_spots},
+    spot::{NoSpot, SpotsOptions, find_spots},
 };
 
 const FORMS: &[Form] = &[
@@ -79,6 +79,7 @@ impl Options {
             max_area: self.max_area.unsigned_abs(),
             max_ratio: self.max_ratio,
             border: self.border,
+            most: usize::try_from(self.most).unwrap_or(usize::MAX),
         }
     }
 }
@@ -193,16 +194,16 @@ impl Spot {
 
     /// Answers with the spots of a picture that is called `what`.
     fn find(&self, what: &str, frame: &Frame, io: &mut Transport) -> Outcome {
-        let found = find_spots(frame, &self.0.spots())
-            .map_err(|why| Report::error(code::FILE, format!("{what}: {why}")))?;
+        let found = find_spots(frame, &self.0.spots()).map_err(|why| match why {
+            NoSpot::TooMany(count, most) => {
+                let text = format!(
+                    "{what} has {count} spots, more than -most {most}; raise -min-area or -threshold"
+                );
+                Report::error(code::NO_SPOT, text)
+            }
+            why => Report::error(code::FILE, format!("{what}: {why}")),
+        })?;
         let count = found.spots.len();
-        let most = usize::try_from(self.0.most).unwrap_or(usize::MAX);
-        if count > most {
-            let text = format!(
-                "{what} has {count} spots, more than -most {most}; raise -min-area or -threshold"
-            );
-            return Err(Report::error(code::NO_SPOT, text));
-        }
         if let Some(why) = &found.nothing {
             let text = format!("{what} has no spot: {why}");
             io.report(Report::warning(code::NO_SPOT, text));

@@ -64,6 +64,7 @@ impl Stereo {
         let (width, height) = self.0.size()?;
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
+        table.tell_repeated(&source, io);
         let (mut found, mut middle) = (Vec::new(), Point3::origin());
         for (side, at) in [("left", 3), ("right", 5)] {
             let light = |row: &[f64]| match *row {

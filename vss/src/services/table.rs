@@ -1,6 +1,11 @@
 //! Reading tables of numbers: comma-separated, a header first, everything wrong told with its place.
 
+use std::cmp::Ordering;
+
 use ctos::diagnostic::{Finding, Findings, Source};
+use sorma::{Report, Transport};
+
+use super::code;
 
 /// What a table should have.
 pub(super) struct Columns {
@@ -28,6 +33,30 @@ impl Table {
     /// The rows.
     pub fn rows(&self) -> impl Iterator<Item = &[f64]> {
         self.numbers.chunks_exact(self.names.len().max(1))
+    }
+
+    /// Tells of rows that repeat an earlier one, number for number: a fit counts each as measured anew.
+    pub fn tell_repeated(&self, source: &Source, io: &mut Transport) {
+        let same = |a: &[f64], b: &[f64]| {
+            let differ = |(a, b): (&f64, &f64)| Some(a.total_cmp(b)).filter(|order| order.is_ne());
+            let first = a.iter().zip(b).find_map(differ);
+            first.unwrap_or(Ordering::Equal)
+        };
+        let mut rows: Vec<(usize, &[f64])> = self.rows().enumerate().collect();
+        rows.sort_by(|(_, a), (_, b)| same(a, b));
+        let pairs = rows.iter().zip(rows.iter().skip(1));
+        let again = pairs.filter(|((_, one), (_, next))| same(one, next).is_eq());
+        let again: Vec<usize> = again.map(|(_, (row, _))| *row).collect();
+        let Some(first) = again.iter().min() else {
+            return;
+        };
+        let first = self.place(source, *first);
+        let (count, all) = (again.len(), rows.len());
+        let text = format!(
+            "{count} of {all} rows repeat an earlier one number for number, first {first}: they are counted as measured again, and the \
+             standard deviations are too small if they were not; leave them out"
+        );
+        io.report(Report::warning(code::TABLE, text));
     }
 
     /// `file:line:column` of a row.

@@ -703,4 +703,5 @@ mod objects;
 mod pictures;
 mod planes;
 mod ratios;
+mod refusals;
 mod rigs;

@@ -1,16 +1,20 @@
 //! The class `triangulate`: points from pairs of pixels of two calibrated cameras.
 
-use std::sync::LazyLock;
+use std::{sync::LazyLock, time::Duration};
 
+use futures_util::future::LocalBoxFuture;
 use nalgebra::Vector2;
-use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
 use super::{
     MOST_TOLD, code, ended, opened, resect,
     table::{self, Columns},
     told,
 };
-use crate::{camera::Camera, stereo::triangulate};
+use crate::{camera::Camera, catalog::VSM, command::FindPair, stereo::triangulate};
+
+/// Pictures are taken when the cameras are free.
+const DEADLINE: Duration = Duration::from_secs(60);
 
 /// Standard deviations beyond which rays are not of one point.
 const APART: f64 = 3.0;
@@ -33,6 +37,16 @@ const FORMS: &[Form] = &[
         help: "where the point is that both cameras see",
     },
     Form {
+        text: "cameras LEFT RIGHT",
+        floats: 0,
+        takes: "",
+        gives: "8 floats as `pair` answers them, for the brightest spot that each sees; 1 int: the middle of the exposure, ns of the \
+                app's time",
+        results: "X Y Z: m; sd_X sd_Y sd_Z: m; gap sd_gap: m; ints stamp",
+        help: "has two cameras of the app, -left and -right, take a picture at once, and tells where the brightest spot is; the gap says \
+               whether they saw the same one",
+    },
+    Form {
         text: "FILE",
         floats: 0,
         takes: "",
@@ -47,6 +61,7 @@ pub(super) struct Options {
     left: Vec<f64>,
     right: Vec<f64>,
     sd_px: f64,
+    service: String,
 }
 
 impl Default for Options {
@@ -55,6 +70,7 @@ impl Default for Options {
             left: Vec::new(),
             right: Vec::new(),
             sd_px: 0.1,
+            service: VSM.to_owned(),
         }
     }
 }
@@ -85,6 +101,12 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "standard deviation of each coordinate of a pixel",
             |options| &mut options.sd_px,
         )
+        .word(
+            "service",
+            "TASK",
+            "the app's task that finds a spot with two cameras at once; the app must list the Service PairFind",
+            |options| &mut options.service,
+        )
 });
 
 /// An object of class `triangulate`.
@@ -92,12 +114,22 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
 pub(super) struct Triangulate(Options);
 
 impl ServiceObject for Triangulate {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = TABLE.form(io).and_then(|form| match form.text {
-            "pair" => self.pair(io),
-            _ => self.table(io),
-        });
-        ended(io, outcome)
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = match TABLE.form(io) {
+                Ok(form) => match form.text {
+                    "pair" => self.pair(io),
+                    "cameras LEFT RIGHT" => self.seen(cx, io).await,
+                    _ => self.table(io),
+                },
+                Err(report) => Err(report),
+            };
+            ended(io, outcome)
+        }))
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
@@ -145,6 +177,44 @@ impl Triangulate {
         })
     }
 
+    /// The spot that two cameras of the app see now.
+    async fn seen(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        let cameras = self.cameras()?;
+        let words: Vec<String> = io.text.split_whitespace().map(str::to_owned).collect();
+        let wrong = |text: String| Report::error(code::CAMERA, text);
+        let [_, left, right] = words.as_slice() else {
+            return Err(wrong(
+                "two cameras are named: EXEC cameras LEFT RIGHT".to_owned(),
+            ));
+        };
+        if !cx.is_in_app() {
+            return Err(wrong(format!(
+                "there are no cameras `{left}` and `{right}` here, for no app runs here: attach to one, or give the name of a file"
+            )));
+        }
+        let names = [left.clone(), right.clone()];
+        let nothing = |why: &str| {
+            wrong(format!(
+                "cameras `{left}` and `{right}` see no spot at once: {why}"
+            ))
+        };
+        let request = FindPair { cameras: names };
+        let found = cx.call_task(&self.0.service, request, DEADLINE).await;
+        let found = found.map_err(|report| nothing(&report.text))?;
+        let [one, other] = found.map_err(|error| nothing(&error.reason))?;
+        let pixels = [one.u, one.v, other.u, other.v];
+        let met = self.met(&cameras, &pixels).map_err(|why| {
+            let text = format!("the spots of `{left}` and `{right}`: {why}");
+            Report::error(code::NO_POINT, text)
+        })?;
+        if let Some(doubt) = met.doubt {
+            io.report(Report::warning(code::NO_POINT, doubt));
+        }
+        io.floats = met.numbers.to_vec();
+        io.ints = vec![i64::try_from(one.stamp.as_nanos()).unwrap_or(i64::MAX)];
+        Ok(())
+    }
+
     fn pair(&self, io: &mut Transport) -> Outcome {
         let met = self.met(&self.cameras()?, &io.floats);
         let met = met.map_err(|why| Report::error(code::NO_POINT, why))?;
@@ -159,6 +229,10 @@ impl Triangulate {
         let cameras = self.cameras()?;
         let source = opened(io.text.trim())?;
         let table = table::read(&source, &COLUMNS).map_err(told)?;
+        if table.at.is_empty() {
+            let text = format!("{}: the table has no rows", source.name());
+            return Err(Report::error(code::TABLE, text));
+        }
         let (mut floats, mut ints, mut wrong) = (Vec::new(), Vec::new(), Vec::new());
         for (row, pixels) in table.rows().enumerate() {
             let why = match self.met(&cameras, pixels) {

@@ -31,16 +31,15 @@ pub(super) struct Arbiter<W> {
     granted: u64,
 }
 
-impl<W> Default for Arbiter<W> {
-    fn default() -> Self {
+impl<W: Waits> Arbiter<W> {
+    /// Nobody holds anything; the first grant has the number after `granted`.
+    pub(super) fn after(granted: u64) -> Self {
         Self {
             lines: BTreeMap::new(),
-            granted: 0,
+            granted,
         }
     }
-}
 
-impl<W: Waits> Arbiter<W> {
     /// Joins the line for `hardware`; returns the waiter with its turn if the hardware is free.
     pub(super) fn acquire(&mut self, hardware: &str, by: Tid, waiter: W) -> Option<Turn<W>> {
         let empty = || Line {
@@ -116,7 +115,7 @@ mod tests {
 
     #[test]
     fn turns_come_in_the_order_of_asking_and_other_hardware_is_free() {
-        let mut arbiter = Arbiter::default();
+        let mut arbiter = Arbiter::after(0);
         let first = arbiter.acquire("camera", task(1), (1, true)).unwrap();
         assert!(arbiter.acquire("camera", task(1), (2, true)).is_none());
         assert!(arbiter.acquire("camera", task(1), (3, true)).is_none());
@@ -136,7 +135,7 @@ mod tests {
 
     #[test]
     fn waiters_that_gave_up_are_passed_over() {
-        let mut arbiter = Arbiter::default();
+        let mut arbiter = Arbiter::after(0);
         let first = arbiter.acquire("camera", task(1), (1, true)).unwrap();
         arbiter.acquire("camera", task(1), (2, false));
         arbiter.acquire("camera", task(1), (3, true));
@@ -145,7 +144,7 @@ mod tests {
 
     #[test]
     fn what_a_dead_chassis_held_or_waited_for_goes_to_the_next() {
-        let mut arbiter = Arbiter::default();
+        let mut arbiter = Arbiter::after(0);
         arbiter.acquire("camera", task(1), (1, true));
         arbiter.acquire("camera", task(1), (2, true));
         arbiter.acquire("camera", task(2), (3, true));
@@ -159,7 +158,7 @@ mod tests {
     proptest! {
         #[test]
         fn nothing_is_held_twice_and_everybody_gets_a_turn(steps in prop::collection::vec((0_u8..3, any::<bool>()), 1..60)) {
-            let mut arbiter = Arbiter::default();
+            let mut arbiter = Arbiter::after(0);
             let mut held: BTreeMap<String, u64> = BTreeMap::new();
             let (mut asked, mut served) = (0, 0);
             let begin = |held: &mut BTreeMap<String, u64>, hardware: &str, turn: Option<Turn<(u32, bool)>>| {

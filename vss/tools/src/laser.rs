@@ -49,7 +49,19 @@ impl Scanner {
         }
     }
 
-    /// The command at which the beam meets a point of the world; `None` behind the scanner.
+    /// The angles of the light at a command, rad.
+    ///
+    /// # Errors
+    /// [`NoLaser::Turned`] when no mirror turns as far.
+    pub fn angles(&self, command: [f64; 2]) -> Result<[f64; 2], NoLaser> {
+        let [a, b] = std::array::from_fn(|k| self.gain[k] * command[k] + self.zero[k]);
+        if a.abs().max(b.abs()) > WIDEST_DEGREES.to_radians() {
+            return Err(NoLaser::Turned(a, b));
+        }
+        Ok([a, b])
+    }
+
+    /// The command at which the beam meets a point of the world; `None` where no beam goes.
     #[must_use]
     pub fn aim(&self, point: &Point3<f64>) -> Option<[f64; 2]> {
         let p = self.world_t_scanner.inverse() * point;
@@ -62,7 +74,7 @@ impl Scanner {
             (a - self.zero[0]) / self.gain[0],
             (b - self.zero[1]) / self.gain[1],
         ];
-        command.iter().all(|x| x.is_finite()).then_some(command)
+        self.angles(command).is_ok().then_some(command)
     }
 }
 
@@ -116,7 +128,47 @@ pub enum NoLaser {
         "the points do not determine it: they lie on one line, or on one plane through the scanner"
     )]
     Undetermined,
+    /// Points farther apart than any laboratory.
+    #[error("the points are {0:.1e} m apart (rms): places are in m; are these millimetres?")]
+    TooLarge(f64),
+    /// No mirror sends the beam there.
+    #[error(
+        "the place is not before the scanner, or more than {WIDEST_DEGREES} degrees beside its axis: no beam goes there; is the scanner's \
+         pose right, z forward?"
+    )]
+    Beyond,
+    /// A command that no mirror follows.
+    #[error(
+        "the command turns the beam by {0:.3} and {1:.3} rad, more than {WIDEST_DEGREES} degrees: are gain and zero right?"
+    )]
+    Turned(f64, f64),
+    /// The fit explains nothing.
+    #[error(
+        "no scanner near the start explains the points: they are {rms:.3} m (rms) beside their beams, and the mirrors would be {offset:.2} m \
+         apart; are a and b in order, commands and points of the same rows, and is the start near?"
+    )]
+    Disagree {
+        /// Root of the mean square distance of the points from their beams, m.
+        rms: f64,
+        /// Between the mirrors, m.
+        offset: f64,
+    },
 }
+
+/// No mirror turns the light farther, degrees.
+pub const WIDEST_DEGREES: f64 = 80.0;
+
+/// Points of a calibration are no farther apart (rms), m.
+const LARGEST_M: f64 = 10.0;
+
+/// Points at one place are nearer than that, m.
+const ONE_PLACE_M: f64 = 1e-5;
+
+/// Points may be beside their beams (rms) by so much of their distance from the scanner.
+const MOST_BESIDE: f64 = 0.01;
+
+/// Mirrors are no farther apart, m.
+const MOST_OFFSET_M: f64 = 1.0;
 
 /// Rays that enclose less meet nowhere, degrees.
 pub const LEAST_DEGREES: f64 = 1.0;
@@ -172,40 +224,95 @@ pub fn on_plane(camera: &Camera, pixel: Vector2<f64>, light: &Plane) -> Result<M
     })
 }
 
-/// The plane through points that a line of light met, with the root mean square of their distances from it, m.
+/// A plane of light, fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FittedPlane {
+    /// The plane.
+    pub plane: Plane,
+    /// Root of the mean square distance of the points from it, m.
+    pub rms_m: f64,
+    /// Standard deviations of the components of its normal, and of its distance from the origin (m).
+    pub sd: [f64; 4],
+}
+
+/// How far points spread: their middle, the mean squares along three axes in ascending order (m^2), and these axes.
+fn spread(points: &[Point3<f64>]) -> (Vector3<f64>, [f64; 3], [Vector3<f64>; 3]) {
+    let n = points.len() as f64;
+    let middle: Vector3<f64> = points.iter().map(|point| point.coords / n).sum();
+    let squares = points.iter().map(|point| {
+        let off = point.coords - middle;
+        off * off.transpose() / n
+    });
+    let parts = squares.sum::<Matrix3<f64>>().symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| parts.eigenvalues[*a].total_cmp(&parts.eigenvalues[*b]));
+    let squares = order.map(|at| parts.eigenvalues[at].max(0.0));
+    (
+        middle,
+        squares,
+        order.map(|at| parts.eigenvectors.column(at).into_owned()),
+    )
+}
+
+/// Places that are in m, and numbers with which something can be computed.
+fn check_size(points: impl Iterator<Item = Point3<f64>>) -> Result<(), NoLaser> {
+    let points: Vec<Point3<f64>> = points.collect();
+    let farthest = points
+        .iter()
+        .fold(0.0_f64, |most, one| most.max(one.coords.amax()));
+    let middle = points.first().map_or(Vector3::zeros(), |one| one.coords);
+    let squares: f64 = points
+        .iter()
+        .map(|one| (one.coords - middle).norm_squared())
+        .sum();
+    let apart = (squares / points.len().max(1) as f64).sqrt();
+    // Squares of enormous numbers overflow.
+    if apart.is_nan() || apart > LARGEST_M {
+        return Err(NoLaser::TooLarge(apart.min(farthest)));
+    }
+    Ok(())
+}
+
+/// The plane through points that a line of light met. Each has the same noise in all directions: its size follows from how far
+/// they are beside the plane. A turn of the normal towards an axis in the plane is as uncertain as the points spread little
+/// along that (total least squares, first order in the noise).
 ///
 /// # Errors
-/// Fewer than three, or all on one line.
-pub fn plane_through(points: &[Point3<f64>]) -> Result<(Plane, f64), NoLaser> {
-    const FEWEST: usize = 3;
+/// Fewer than four, or all on one line.
+pub fn plane_through(points: &[Point3<f64>]) -> Result<FittedPlane, NoLaser> {
+    const FEWEST: usize = 4;
     if points.len() < FEWEST {
         return Err(NoLaser::TooFew(points.len(), FEWEST));
     }
-    let n = points.len() as f64;
-    let middle = points
-        .iter()
-        .map(|point| point.coords)
-        .sum::<Vector3<f64>>()
-        / n;
-    let spread = points.iter().map(|point| {
-        let off = point.coords - middle;
-        off * off.transpose()
-    });
-    let spread: Matrix3<f64> = spread.sum::<Matrix3<f64>>() / n;
-    let parts = spread.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|a, b| parts.eigenvalues[*a].total_cmp(&parts.eigenvalues[*b]));
-    let [least, second, most] = order.map(|at| parts.eigenvalues[at].max(0.0).sqrt());
+    check_size(points.iter().copied())?;
+    let (middle, squares, axes) = spread(points);
+    let [least, second, most] = squares.map(f64::sqrt);
     // Of points on a line both smaller extents are noise.
-    if !(most > 0.0 && second > 1e-3 * most && second > 2.0 * least) {
+    if !(most > ONE_PLACE_M && second > 1e-3 * most && second > 2.0 * least) {
         return Err(NoLaser::Undetermined);
     }
-    let normal = Unit::new_normalize(parts.eigenvectors.column(order[0]).into_owned());
-    let plane = Plane {
-        normal,
-        distance: normal.dot(&middle),
-    };
-    Ok((plane, least))
+    let n = points.len() as f64;
+    let normal = Unit::new_normalize(axes[0]);
+    let noise = squares[0] * n / (n - 3.0);
+    let mut variance = [0.0, 0.0, 0.0, noise / n];
+    for (square, axis) in squares.iter().zip(&axes).skip(1) {
+        // The spread holds the noise, too.
+        let turn = noise * square / (n * (square - squares[0]).powi(2));
+        for (variance, by) in variance
+            .iter_mut()
+            .zip([axis.x, axis.y, axis.z, axis.dot(&middle)])
+        {
+            *variance += turn * by * by;
+        }
+    }
+    Ok(FittedPlane {
+        plane: Plane {
+            normal,
+            distance: normal.dot(&middle),
+        },
+        rms_m: least,
+        sd: variance.map(f64::sqrt),
+    })
 }
 
 /// A calibrated scanner.
@@ -236,6 +343,10 @@ pub fn calibrate(met: &[([f64; 2], Point3<f64>)], start: &Scanner) -> Result<Fit
     if met.len() < FEWEST_POINTS {
         return Err(NoLaser::TooFew(met.len(), FEWEST_POINTS));
     }
+    for (command, _) in met {
+        start.angles(*command)?;
+    }
+    check_size(met.iter().map(|(_, point)| *point))?;
     // How far each point is beside its beam, in two directions across it.
     let residuals = |scanner: &Scanner| {
         let all = met.iter().flat_map(|(command, point)| {
@@ -300,7 +411,28 @@ pub fn calibrate(met: &[([f64; 2], Point3<f64>)], start: &Scanner) -> Result<Fit
     // Two distances of each point, less what was fitted.
     let noise = off.norm_squared() / (2 * met.len() - UNKNOWN) as f64;
     let sd = std::array::from_fn(|k| (noise * unit[(k, k)]).max(0.0).sqrt());
+    let from = scanner.world_t_scanner.translation.vector;
+    let away = met.iter().map(|(_, point)| (point.coords - from).norm());
+    let away = away.sum::<f64>() / met.len() as f64;
+    let sd: [f64; UNKNOWN] = sd;
+    let possible = -3.0 * sd[6]..=MOST_OFFSET_M + 3.0 * sd[6];
+    if rms_m > MOST_BESIDE * away || !possible.contains(&scanner.offset) {
+        return Err(NoLaser::Disagree {
+            rms: rms_m,
+            offset: scanner.offset,
+        });
+    }
     Ok(Fitted { scanner, rms_m, sd })
+}
+
+/// How far points are beside the beams of their commands, m.
+#[must_use]
+pub fn beside(scanner: &Scanner, met: &[([f64; 2], Point3<f64>)]) -> Vec<f64> {
+    let one = |(command, point): &([f64; 2], Point3<f64>)| {
+        let beam = scanner.beam(*command);
+        beam.direction.cross(&(point - beam.origin)).norm()
+    };
+    met.iter().map(one).collect()
 }
 
 /// The covariance of the unknowns for noise of 1 m; `None` when the points leave one of them open.
@@ -328,205 +460,4 @@ fn unit_covariance(jacobian: &DMatrix<f64>) -> Option<DMatrix<f64>> {
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-    use rand_distr::StandardNormal;
-
-    use super::*;
-    use crate::camera::{Distortion, Intrinsics};
-
-    fn scanner() -> Scanner {
-        Scanner {
-            world_t_scanner: Isometry3::new(
-                Vector3::new(0.3, -0.2, 1.5),
-                Vector3::new(2.9, 0.3, 0.2),
-            ),
-            offset: 0.018,
-            gain: [0.06, -0.055],
-            zero: [0.004, -0.006],
-        }
-    }
-
-    fn camera() -> Camera {
-        let world_t_camera =
-            Isometry3::new(Vector3::new(-0.4, 0.1, 1.6), Vector3::new(3.0, -0.2, 0.1));
-        Camera {
-            rotation: world_t_camera.rotation.inverse(),
-            centre: world_t_camera.translation.vector.into(),
-            intrinsics: Intrinsics {
-                fx: 600.0,
-                fy: 590.0,
-                cx: 250.0,
-                cy: 240.0,
-            },
-            distortion: Distortion {
-                k1: -0.1,
-                k2: 0.02,
-                p1: 3e-4,
-                p2: -2e-4,
-                k3: 0.0,
-            },
-        }
-    }
-
-    /// Where a beam meets the plane at that height.
-    fn at_height(beam: &Beam, z: f64) -> Point3<f64> {
-        beam.origin + beam.direction.into_inner() * ((z - beam.origin.z) / beam.direction.z)
-    }
-
-    proptest! {
-        #[test]
-        fn the_beam_sent_to_a_point_meets_it(a in -5.0..5.0_f64, b in -5.0..5.0_f64, z in -0.2..0.8_f64) {
-            let point = at_height(&scanner().beam([a, b]), z);
-            let [x, y] = scanner().aim(&point).unwrap();
-            prop_assert!((x - a).abs() < 1e-9 && (y - b).abs() < 1e-9);
-        }
-
-        #[test]
-        fn a_spot_and_a_point_of_a_line_are_where_they_were(a in -3.0..3.0_f64, b in -3.0..3.0_f64, z in 0.0..0.6_f64) {
-            let (beam, camera) = (scanner().beam([a, b]), camera());
-            let point = at_height(&beam, z);
-            if let Some(pixel) = camera.project(&point) {
-                let met = on_beam(&camera, pixel, &beam).unwrap();
-                prop_assert!((met.place - point).norm() < 1e-6 && met.gap < 1e-6, "{met:?}");
-                let light = Plane { normal: Vector3::y_axis(), distance: point.y };
-                let met = on_plane(&camera, pixel, &light);
-                if let Ok(met) = met {
-                    prop_assert!((met.place - point).norm() < 1e-6, "{met:?}");
-                }
-                // A spot beside the beam is told by the gap.
-                let beside = on_beam(&camera, pixel + Vector2::new(30.0, 30.0), &beam);
-                prop_assert!(beside.is_err() || beside.unwrap().gap > 1e-3);
-            }
-        }
-    }
-
-    #[test]
-    fn a_beam_along_the_cameras_ray_is_refused() {
-        let camera = camera();
-        let pixel = Vector2::new(260.0, 250.0);
-        let (_, sight) = ray(&camera, pixel).unwrap();
-        let direction = Unit::new_normalize(sight);
-        let beam = Beam {
-            origin: camera.centre + Vector3::new(1e-3, 0.0, 0.0),
-            direction,
-        };
-        assert!(matches!(
-            on_beam(&camera, pixel, &beam),
-            Err(NoLaser::Parallel(_))
-        ));
-        let along = Plane {
-            normal: Unit::new_normalize(direction.cross(&Vector3::x())),
-            distance: 0.0,
-        };
-        assert!(matches!(
-            on_plane(&camera, pixel, &along),
-            Err(NoLaser::Parallel(_))
-        ));
-    }
-
-    #[test]
-    fn the_plane_of_light_goes_through_what_the_line_met() {
-        // One mirror stands still, the other one turns: on two floors.
-        let points: Vec<Point3<f64>> = (-10..=10)
-            .flat_map(|k| {
-                [0.0, 0.3].map(|z| at_height(&scanner().beam([f64::from(k) * 0.4, 1.0]), z))
-            })
-            .collect();
-        let (plane, rms) = plane_through(&points).unwrap();
-        assert!(rms < 1e-9, "{rms}");
-        for point in &points {
-            assert!((plane.normal.dot(&point.coords) - plane.distance).abs() < 1e-9);
-        }
-        // One floor alone is a line.
-        let line: Vec<Point3<f64>> = points.iter().step_by(2).copied().collect();
-        assert_eq!(plane_through(&line), Err(NoLaser::Undetermined));
-        assert_eq!(plane_through(&line[..2]), Err(NoLaser::TooFew(2, 3)));
-    }
-
-    #[test]
-    fn a_scanner_is_calibrated_from_points_on_two_planes() {
-        let truth = scanner();
-        let mut met = Vec::new();
-        for z in [0.0, 0.4] {
-            for a in -3..=3 {
-                for b in -3..=3 {
-                    let command = [1.5 * f64::from(a), 1.5 * f64::from(b)];
-                    met.push((command, at_height(&truth.beam(command), z)));
-                }
-            }
-        }
-        let start = Scanner {
-            world_t_scanner: Isometry3::new(
-                Vector3::new(0.32, -0.18, 1.45),
-                Vector3::new(2.85, 0.32, 0.15),
-            ),
-            offset: 0.01,
-            gain: [0.055, -0.06],
-            zero: [0.0, 0.0],
-        };
-        let found = calibrate(&met, &start).unwrap();
-        assert!(found.rms_m < 1e-6, "{found:?}");
-        for command in [[0.7, -3.3], [-4.0, 2.0], [5.0, 5.0]] {
-            for z in [-0.1, 0.2, 0.7] {
-                let (one, other) = (found.scanner.beam(command), truth.beam(command));
-                let off = at_height(&one, z) - at_height(&other, z);
-                assert!(off.norm() < 1e-5, "{command:?} {z}: {off}");
-            }
-        }
-        assert_eq!(
-            calibrate(&met[..5], &start),
-            Err(NoLaser::TooFew(5, FEWEST_POINTS))
-        );
-        // The same point again and again leaves all but two unknowns open.
-        assert_eq!(calibrate(&[met[0]; 20], &start), Err(NoLaser::Undetermined));
-    }
-
-    /// Points with noise of 1 mm: the beams, the gains and the place are off by what is answered.
-    #[test]
-    fn a_calibrated_scanner_is_off_by_its_standard_deviations() {
-        let truth = scanner();
-        let (mut squares, sets) = ([0.0; UNKNOWN], 200);
-        for seed in 0..sets {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let mut noise = || {
-                let drawn: f64 = rng.sample(StandardNormal);
-                1e-3 * drawn
-            };
-            let mut met = Vec::new();
-            for at in 0..50 {
-                let command = [
-                    1.5 * f64::from(at % 5) - 3.0,
-                    1.5 * f64::from(at / 5 % 5) - 3.0,
-                ];
-                let point = at_height(&truth.beam(command), if at < 25 { 0.0 } else { 0.4 });
-                met.push((command, point + Vector3::new(noise(), noise(), noise())));
-            }
-            let Fitted { scanner, sd, .. } = calibrate(&met, &truth).unwrap();
-            let turn = scanner.world_t_scanner.rotation * truth.world_t_scanner.rotation.inverse();
-            let turn = turn.scaled_axis();
-            let shift = scanner.world_t_scanner.translation.vector
-                - truth.world_t_scanner.translation.vector;
-            let off = [
-                turn.x,
-                turn.y,
-                turn.z,
-                shift.x,
-                shift.y,
-                shift.z,
-                scanner.offset - truth.offset,
-                scanner.gain[0] - truth.gain[0],
-                scanner.gain[1] - truth.gain[1],
-                scanner.zero[0] - truth.zero[0],
-            ];
-            for ((square, off), sd) in squares.iter_mut().zip(off).zip(sd) {
-                *square += (off / sd).powi(2) / sets as f64;
-            }
-        }
-        for square in squares {
-            assert!((0.85..1.15).contains(&square.sqrt()), "{squares:?}");
-        }
-    }
-}
+mod tests;

@@ -144,6 +144,9 @@ pub enum NoSpot {
         /// The pixels it has.
         pixels: usize,
     },
+    /// So many that the options must be wrong.
+    #[error("{0} spots, more than the {1} that are fitted")]
+    TooMany(usize, usize),
     /// Nothing stands out.
     #[error(
         "nothing stands out: brightest {brightest:.0}, needed {threshold:.1} \

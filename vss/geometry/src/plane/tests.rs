@@ -143,3 +143,34 @@ fn views_from_which_no_camera_follows_are_refused_with_their_reason() {
         assert!(told.contains("tilt"), "{told}");
     }
 }
+
+/// 120 views are 729 unknowns.
+#[test]
+fn many_views_determine_a_camera_as_few_do() {
+    let (views, _) = views(120, 0.05, 0.6, &mut rng(5));
+    // Ten corners of each: what is slow is the number of unknowns.
+    let views: Vec<Vec<Corner>> = views
+        .into_iter()
+        .map(|view| view.into_iter().step_by(5).collect())
+        .collect();
+    let found = calibrate_plane(&views, 640, 480, LensModel::Brown5).unwrap();
+    for (error, sd) in errors(&found).iter().zip(found.sd) {
+        assert!(
+            error.abs() < 4.0 * sd,
+            "{:?} {:?}",
+            errors(&found),
+            found.sd
+        );
+    }
+}
+
+/// The one that differs from the others is told, also when it is the first.
+#[test]
+fn the_view_that_is_mirrored_is_told_not_the_others() {
+    let (mut views, _) = views(6, 0.05, 0.6, &mut rng(6));
+    for corner in &mut views[0] {
+        corner.on_plane.x = 0.2 - corner.on_plane.x;
+    }
+    let refused = calibrate_plane(&views, 640, 480, LensModel::Brown5);
+    assert_eq!(refused.unwrap_err(), PlaneError::Mirrored(0));
+}

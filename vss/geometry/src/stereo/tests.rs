@@ -46,6 +46,12 @@ fn rays_that_are_parallel_or_part_are_refused() {
     let pixel = left.project(&point).unwrap();
     assert!(matches!(
         triangulate(&left, &left, pixel, pixel),
+        Err(NoPoint::OnePlace(_))
+    ));
+    let mut beside = left;
+    beside.centre.x += 1e-4;
+    assert!(matches!(
+        triangulate(&left, &beside, pixel, pixel),
         Err(NoPoint::Parallel(_))
     ));
     // Behind both cameras, where the lines of two other pixels meet.

@@ -1,7 +1,9 @@
 //! A board by four markers at known places of it, which need not be its corners. The pattern between them says whether they
 //! are the markers of a board, and which of the four ways to lie it has.
 
-use super::{Board, BoardError, Homography, Light, SQUARES, Side, corners, vertex};
+use super::{
+    Board, BoardError, Homography, Light, SIDEWAYS, SQUARES, Side, corners, towards, vertex,
+};
 use crate::Picture;
 
 /// An inner corner belongs to the board when it is so near to where it should be, squares.
@@ -68,6 +70,8 @@ impl Board {
                 Err(why) => {
                     let seen = |why: &BoardError| match why {
                         BoardError::NoBoardAtMarkers { seen, .. } => *seen,
+                        // There is a board.
+                        BoardError::Sideways => usize::MAX,
                         _ => 0,
                     };
                     if seen(&why) > seen(&refused) {
@@ -104,6 +108,9 @@ impl Board {
         let Some(way) = ways.into_iter().next() else {
             return Err(refused);
         };
+        if way.side < SIDEWAYS {
+            return Err(BoardError::Sideways);
+        }
         let (count, rms) = way.inner(corners);
         Ok(Self {
             map: way.map,
@@ -161,12 +168,12 @@ impl Way {
             .filter(|one| **one > 0.3 * contrast)
             .count();
         let (centre, near) = (map.of([4.0, 4.0]), map.of([4.0, 0.0]));
-        let [u, v] = white.direction();
-        (contrast > 4.0).then(|| Self {
+        let side = towards(near, centre, white);
+        (contrast > 4.0).then_some(Self {
             contrast,
             all: contrasts.len(),
             seen,
-            side: (near[0] - centre[0]) * u + (near[1] - centre[1]) * v,
+            side,
             map,
         })
     }

@@ -72,10 +72,13 @@ fn rows(pose: &Isometry3<f64>) -> String {
     numbers.join(",")
 }
 
-#[test]
-fn a_camera_on_a_tool_is_found_and_a_matrix_that_is_no_rotation_is_told_by_line() {
+/// Poses of a tool that looks down, and what the camera on it sees of a target below, which is moved up by `up`, m.
+fn poses(up: f64) -> String {
     let tool_t_camera = Isometry3::new(Vector3::new(0.02, -0.04, 0.1), Vector3::new(0.1, 0.2, 1.4));
-    let base_t_target = Isometry3::new(Vector3::new(0.7, 0.0, 0.1), Vector3::new(3.0, 0.1, 0.2));
+    let base_t_target = Isometry3::new(
+        Vector3::new(0.7, 0.0, 0.1 + up),
+        Vector3::new(3.0, 0.1, 0.2),
+    );
     let mut text = String::new();
     for k in 0..8 {
         let angle = f64::from(k);
@@ -84,10 +87,20 @@ fn a_camera_on_a_tool_is_found_and_a_matrix_that_is_no_rotation_is_told_by_line(
             0.6 * (2.0 * angle).cos(),
             0.3 * angle.cos(),
         );
-        let base_t_tool = Isometry3::new(Vector3::new(0.5, 0.1 * angle.sin(), 0.6), turn);
+        let down = Isometry3::rotation(Vector3::new(std::f64::consts::PI, 0.0, 0.0));
+        let base_t_tool =
+            Isometry3::new(Vector3::new(0.5, 0.1 * angle.sin(), 0.6), Vector3::zeros())
+                * down
+                * Isometry3::rotation(turn);
         let camera_t_target = (base_t_tool * tool_t_camera).inverse() * base_t_target;
         writeln!(text, "{},{}", rows(&base_t_tool), rows(&camera_t_target)).unwrap();
     }
+    text
+}
+
+#[test]
+fn a_camera_on_a_tool_is_found_and_a_matrix_that_is_no_rotation_is_told_by_line() {
+    let text = poses(0.0);
     let sorm = manager();
     let header: Vec<String> = (0..24).map(|k| format!("m{k}")).collect();
     for text in [text.clone(), format!("{}\n{text}", header.join(","))] {
@@ -307,4 +320,49 @@ fn a_gripper_is_corrected_by_the_disc_in_a_picture() {
     let (_, said) = refused(&sorm, &format!("diskFind CTRL -train {few}"));
     assert!(said.contains("3 examples; the map has 4"), "{said}");
     assert!(ask(&sorm, &format!("diskFind EXEC seen FMSG 3 {u} {v} 58")).is_ok());
+}
+
+#[test]
+fn a_target_behind_the_camera_and_samples_that_say_little_are_told() {
+    let sorm = manager();
+    let (_folder, path) = file("poses.csv", poses(2.0).as_bytes());
+    let (_, said) = refused(&sorm, &format!("handeye EXEC {path}"));
+    assert!(
+        said.contains("poses.csv:1:1: the target is -") && said.contains("behind it"),
+        "{said}"
+    );
+    // In decimetres the camera sits a metre off.
+    let tenfold: Vec<String> = poses(0.0)
+        .lines()
+        .map(|row| {
+            let numbers = row.split(',').enumerate().map(|(k, one)| {
+                let one: f64 = one.parse().unwrap();
+                let shift = k % 4 == 3;
+                (if shift { 10.0 * one } else { one }).to_string()
+            });
+            numbers.collect::<Vec<_>>().join(",")
+        })
+        .collect();
+    let (_folder, path) = file("poses.csv", tenfold.join("\n").as_bytes());
+    let reply = ask(&sorm, &format!("handeye EXEC {path}"));
+    assert!(reply.is_ok(), "{:?}", reply.reports);
+    let said = reply.said();
+    assert!(said.contains("would sit 1.10 m from the tool"), "{said}");
+    // With noise and hardly any turns.
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut text = String::new();
+    for row in poses(0.0).lines().take(5) {
+        let numbers: Vec<f64> = row.split(',').map(|one| one.parse().unwrap()).collect();
+        let numbers = numbers.iter().enumerate().map(|(k, one)| {
+            let noise: f64 = rng.sample(StandardNormal);
+            (if k % 4 == 3 { one + 0.03 * noise } else { *one }).to_string()
+        });
+        writeln!(text, "{}", numbers.collect::<Vec<_>>().join(",")).unwrap();
+    }
+    let (_folder, path) = file("poses.csv", text.as_bytes());
+    let said = ask(&sorm, &format!("handeye EXEC {path}")).said();
+    assert!(
+        said.contains("determine the camera's place poorly"),
+        "{said}"
+    );
 }

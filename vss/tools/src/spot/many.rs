@@ -51,6 +51,8 @@ pub struct SpotsOptions {
     pub max_ratio: f64,
     /// Whether spots that the picture's border cuts count.
     pub border: bool,
+    /// Most spots: the time of their fits grows with the square of their number.
+    pub most: usize,
 }
 
 impl Default for SpotsOptions {
@@ -62,6 +64,7 @@ impl Default for SpotsOptions {
             max_area: 1_000_000,
             max_ratio: 5.0,
             border: true,
+            most: 10_000,
         }
     }
 }
@@ -116,10 +119,10 @@ pub fn find_spots(frame: &Frame, options: &SpotsOptions) -> Result<Spots, NoSpot
         options,
         noise: noise_sd(&frame.pixels, frame.width),
     };
-    Ok(match options.threshold {
+    match options.threshold {
         Some(given) => search.above(if options.dark { u8::MAX - given } else { given }),
         None => search.standing_out(),
-    })
+    }
 }
 
 struct Search<'a> {
@@ -130,7 +133,7 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// Spots by a threshold that was given.
-    fn above(&self, threshold: u8) -> Spots {
+    fn above(&self, threshold: u8) -> Result<Spots, NoSpot> {
         let raw = &self.frame.pixels;
         let mut map = Map::new(self.frame);
         let regions = map.regions(|at| raw.get(at).is_some_and(|grey| *grey >= threshold));
@@ -144,7 +147,7 @@ impl Search<'_> {
     }
 
     /// Spots by what stands out of the noise.
-    fn standing_out(&self) -> Spots {
+    fn standing_out(&self) -> Result<Spots, NoSpot> {
         let raw = &self.frame.pixels;
         let smooth = picture::smooth(raw, self.frame.width);
         let tilt = Tilt::of(raw, self.frame.width);
@@ -173,11 +176,11 @@ impl Search<'_> {
                 background,
                 noise: self.noise,
             };
-            return Spots {
+            return Ok(Spots {
                 spots: Vec::new(),
                 refused: 0,
                 nothing: Some(nothing),
-            };
+            });
         }
         let needed = least.max(FAINTEST * highest);
         let mut coarse = Map::new(self.frame);
@@ -312,9 +315,12 @@ impl Search<'_> {
     }
 
     /// Fits a Gaussian to each of the spots that were judged to be some, and orders them by first pixels.
-    fn fitted(&self, judged: Vec<Option<(usize, FoundSpot)>>) -> Spots {
+    fn fitted(&self, judged: Vec<Option<(usize, FoundSpot)>>) -> Result<Spots, NoSpot> {
         let all = judged.len();
         let mut found: Vec<(usize, FoundSpot)> = judged.into_iter().flatten().collect();
+        if found.len() > self.options.most {
+            return Err(NoSpot::TooMany(found.len(), self.options.most));
+        }
         found.sort_by_key(|(first, _)| *first);
         let rough: Vec<FoundSpot> = found.into_iter().map(|(_, spot)| spot).collect();
         let mut bells: Vec<Bell> = rough.iter().map(bell).collect();
@@ -379,11 +385,11 @@ impl Search<'_> {
             spot
         });
         let spots: Vec<FoundSpot> = spots.collect();
-        Spots {
+        Ok(Spots {
             refused: all - spots.len(),
             spots,
             nothing: None,
-        }
+        })
     }
 
     /// Whether what a fit left is small enough for a Gaussian.
