@@ -138,7 +138,7 @@ fn whatever_goes_wrong_at_any_one_request_of_a_look_from_another_pose_the_answer
     for room in [Room::Not, Room::InDoubt] {
         let asked = run_with(dim(room), &[POSES]).bench.asked.len();
         for number in 0..asked {
-            for fault in faults_at(number, 2) {
+            for fault in faults_at(number, 1) {
                 let mut world = dim(room);
                 world.bench.faults = vec![(number, fault)];
                 is_true(&run_with(world, &[POSES]), (number, fault));
