@@ -1,6 +1,7 @@
 //! The Dispatcher of `carry`: the functions of `nets/carry/dispatcher.net`, which turns a command in board coordinates into
 //! an errand, and tells what became of it.
 
+mod aside;
 mod judging;
 mod orders;
 mod state;
@@ -32,6 +33,9 @@ use crate::{
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.carry";
+
+/// No thing has more others stuck to it.
+const MOST_PUSHES: u32 = 12;
 
 /// Registers the handler.
 pub(super) fn register(registry: &mut Registry) {
@@ -71,6 +75,12 @@ fn check(args: &CarryArgs, task: &TaskConfig, app: &App, findings: &mut Findings
         let help = format!("give from 1 to {MOST_TRIES}");
         findings.push(finding.at(place("tries")).help(help));
     }
+    if args.pushes > MOST_PUSHES {
+        let text = format!("`pushes` is {}", args.pushes);
+        let finding = Finding::error("coordinators::carry::board", text);
+        let help = format!("give from 0 to {MOST_PUSHES}");
+        findings.push(finding.at(place("pushes")).help(help));
+    }
     if !(0.0..=2.0).contains(&args.clearance_m) {
         let text = format!("`clearance_m` is {}", args.clearance_m);
         let finding = Finding::error("coordinators::carry::board", text);
@@ -95,6 +105,7 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         ends: Ends::default(),
         tried: 0,
         again: false,
+        aside: aside::Aside::default(),
         fetches: false,
         asks: false,
         tag: String::new(),
@@ -106,10 +117,11 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
             |state| {
                 let tries = (state.tried, state.again, state.fetches, state.asks);
                 let why = (state.tag.clone(), state.hindrances.clone());
-                let wishes = state.wishes.clone();
-                (state.command, state.ends, tries, why, wishes)
+                let (wishes, aside) = (state.wishes.clone(), state.aside.clone());
+                (state.command, state.ends, tries, why, wishes, aside)
             },
-            |state, (command, ends, tries, why, wishes)| {
+            |state, (command, ends, tries, why, wishes, aside)| {
+                state.aside = aside;
                 (state.command, state.ends, state.wishes) = (command, ends, wishes);
                 (state.tried, state.again, state.fetches, state.asks) = tries;
                 (state.tag, state.hindrances) = why;
@@ -119,6 +131,9 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
             state.ends.from_is_empty
         })
         .enabling("to_is_taken", |state: &Dispatcher| state.ends.to_is_taken)
+        .enabling("is_crowded", |state: &Dispatcher| state.ends.is_crowded)
+        .enabling("to_the_left", |state: &Dispatcher| state.aside.is_left())
+        .enabling("another_look", |state: &Dispatcher| state.again)
         .enabling("stands_there", |state: &Dispatcher| {
             !state.ends.is_elsewhere
         })
@@ -130,6 +145,8 @@ fn library(args: CarryArgs, store: DomStore) -> Library<Dispatcher> {
         .action("begin", begin)
         .action("weigh_hand", weigh_hand)
         .action("aim", aim)
+        .action("choose_side", aside::choose_side)
+        .action("weigh_push", aside::weigh_push)
         .action("judge", judge)
         .action("weigh_trouble", weigh_trouble)
         .action("tell_unverified", tell_unverified)

@@ -2,7 +2,8 @@
 //! on it and beside it.
 //!
 //! It is a Service as those of VSS (CIRSSE report 108, section 5): a series of calls to Tools, of which it needs `toolSnap`. All
-//! cameras take their pictures at once. A camera that is not to be believed is left out, and said.
+//! cameras take their pictures at once. A camera that is not to be believed is left out, and said. Pictures of a camera on the hand
+//! are taken by who moves the hand, and come with the request.
 
 use std::{collections::BTreeMap, rc::Rc};
 
@@ -42,6 +43,8 @@ ctos::command! {
         pub floors: Vec<f64>,
         /// Places of the board's frame (m) that are looked at whether they are bare, as far around as a thing is.
         pub places: Vec<Point2<f64>>,
+        /// Pictures that the camera on the hand took, from several places. The other cameras are asked when there are none.
+        pub pictures: Vec<Frame>,
     } => Result<Overview, VisionError>, 0x0393, "look_over"
 }
 
@@ -56,6 +59,18 @@ struct EyesArgs {
     cameras: BTreeMap<String, String>,
     /// The file with their places in the arm's base frame, as a calibration writes it.
     poses: String,
+    /// The camera on the hand; there is none when it is left out.
+    hand: Option<HandArgs>,
+}
+
+/// A camera on the hand.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HandArgs {
+    /// The `camera_info` file of its lens.
+    lens: String,
+    /// The file with its place on the link that carries it, as a calibration of hand and eye finds it.
+    pose: String,
 }
 
 fn snap_task() -> String {
@@ -71,7 +86,8 @@ pub(super) fn register(registry: &mut Registry) {
 
 fn check(args: &EyesArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
     crate::need_task(task, app, "snap", &args.snap, findings);
-    if let Err((key, text)) = lenses(args, app) {
+    let read = lenses(args, app).and_then(|_| hand_lens(args, app));
+    if let Err((key, text)) = read {
         let place = task.args.locate(&key).unwrap_or_else(|| task.place.clone());
         let finding = Finding::error("coordinators::carry::eyes", text).at(place);
         findings.push(finding.help("calibrate the cameras, and name the files that it wrote"));
@@ -83,21 +99,13 @@ type Calibrated = (String, CameraInfo, CameraPose);
 
 /// The calibrated cameras.
 fn lenses(args: &EyesArgs, app: &App) -> Result<Vec<Calibrated>, (String, String)> {
-    let read = |key: &str, file: &str| {
-        let source = app.read(file);
-        source.map_err(|finding| (key.to_owned(), finding.to_string()))
-    };
     if args.cameras.is_empty() {
         return Err(("cameras".to_owned(), "no camera is named".to_owned()));
     }
-    let source = read("poses", &args.poses)?;
-    let wrong = |file: &str, error: &dyn std::fmt::Display| format!("`{file}`: {error}");
-    let poses = poses_from_yaml(source.text());
-    let poses = poses.map_err(|error| ("poses".to_owned(), wrong(&args.poses, &error)))?;
+    let poses = poses(app, ("poses", &args.poses))?;
     let cameras = args.cameras.iter().map(|(name, file)| {
         let key = format!("cameras.{name}");
-        let lens = CameraInfo::from_yaml(read(&key, file)?.text());
-        let lens = lens.map_err(|error| (key.clone(), wrong(file, &error)))?;
+        let lens = lens(app, (&key, file))?;
         let mut poses = poses.iter();
         let pose = poses.find(|pose| pose.name == *name).cloned();
         let text = format!("`{}` has no camera `{name}`", args.poses);
@@ -106,17 +114,49 @@ fn lenses(args: &EyesArgs, app: &App) -> Result<Vec<Calibrated>, (String, String
     cameras.collect()
 }
 
+/// The camera on the hand, on the link that carries it.
+fn hand_lens(args: &EyesArgs, app: &App) -> Result<Option<Calibrated>, (String, String)> {
+    let Some(hand) = &args.hand else {
+        return Ok(None);
+    };
+    let lens = lens(app, ("hand.lens", &hand.lens))?;
+    let pose = poses(app, ("hand.pose", &hand.pose))?.into_iter().next();
+    let text = format!("`{}` has no camera", hand.pose);
+    let pose = pose.ok_or(("hand.pose".to_owned(), text))?;
+    Ok(Some((pose.name.clone(), lens, pose)))
+}
+
+fn read(app: &App, (key, file): (&str, &str)) -> Result<String, (String, String)> {
+    let source = app.read(file);
+    let source = source.map_err(|finding| (key.to_owned(), finding.to_string()))?;
+    Ok(source.text().to_owned())
+}
+
+fn poses(app: &App, (key, file): (&str, &str)) -> Result<Vec<CameraPose>, (String, String)> {
+    let poses = poses_from_yaml(&read(app, (key, file))?);
+    poses.map_err(|error| (key.to_owned(), format!("`{file}`: {error}")))
+}
+
+fn lens(app: &App, (key, file): (&str, &str)) -> Result<CameraInfo, (String, String)> {
+    let lens = CameraInfo::from_yaml(&read(app, (key, file))?);
+    lens.map_err(|error| (key.to_owned(), format!("`{file}`: {error}")))
+}
+
 /// The Service.
 struct Eyes {
     snap: String,
     cameras: Rc<Vec<Calibrated>>,
+    hand: Rc<Option<Calibrated>>,
 }
 
 impl Eyes {
     fn new(cx: &Context) -> Result<Self, HandlerError> {
         let args: EyesArgs = cx.args()?;
-        let cameras = lenses(&args, cx.app()).map_err(|(_, text)| HandlerError::new(text))?;
+        let wrong = |(_, text): (String, String)| HandlerError::new(text);
+        let cameras = lenses(&args, cx.app()).map_err(wrong)?;
+        let hand = hand_lens(&args, cx.app()).map_err(wrong)?;
         Ok(Self {
+            hand: Rc::new(hand),
             snap: args.snap,
             cameras: Rc::new(cameras),
         })
@@ -129,6 +169,9 @@ impl EventHandler for Eyes {
             return cx.default_processing(message);
         }
         let (request, reply) = message.open::<LookOver>()?;
+        if !request.pictures.is_empty() {
+            return reply.ok(seen_by_hand(&self.hand, &request));
+        }
         let (child, snap, cameras) = (cx.clone(), self.snap.clone(), self.cameras.clone());
         cx.spawn(async move {
             // Answering never fails; its result exists to end a handler with.
@@ -146,13 +189,10 @@ async fn look_over(
 ) -> Result<Overview, VisionError> {
     let pictures = cameras.iter().map(|(camera, lens, pose)| async move {
         let frame = picture(cx, snap, camera).await?;
-        if (frame.width, frame.height) != (lens.width, lens.height) {
-            let text = format!("camera `{camera}`: its pictures have another size than its lens");
-            return Err(VisionError::new(Outcome::Fault, text));
-        }
+        fits(&frame, lens)?;
         Ok(View::new(frame, lens, pose))
     });
-    let (mut views, mut errors) = (Vec::new(), Vec::new());
+    let (mut views, mut errors) = (Vec::new(), Vec::<VisionError>::new());
     for picture in join_all(pictures).await {
         match picture {
             Ok(view) => views.push(view),
@@ -164,6 +204,36 @@ async fn look_over(
         return Err(VisionError::new(first.outcome, doubts.join("; ")));
     }
     seen(&views, request, doubts)
+}
+
+fn fits(frame: &Frame, lens: &CameraInfo) -> Result<(), VisionError> {
+    if (frame.width, frame.height) == (lens.width, lens.height) {
+        return Ok(());
+    }
+    let camera = &frame.camera;
+    let text = format!("camera `{camera}`: its pictures have another size than its lens");
+    Err(VisionError::new(Outcome::Fault, text))
+}
+
+/// What pictures of the camera on the hand show, each from where the hand was then.
+fn seen_by_hand(hand: &Option<Calibrated>, request: &LookOver) -> Result<Overview, VisionError> {
+    let refused = |text: String| VisionError::new(Outcome::Refused, text);
+    let (_, lens, pose) = hand
+        .as_ref()
+        .ok_or_else(|| refused("no camera on the hand is configured".to_owned()))?;
+    let views = request.pictures.iter().map(|frame| {
+        fits(frame, lens)?;
+        let text = || refused(format!("nobody knows where camera `{}` was", frame.camera));
+        let base_t_link = frame.carrier.as_ref().ok_or_else(text)?.world_t_link;
+        let pose = CameraPose {
+            rotation: pose.rotation * base_t_link.rotation.inverse(),
+            centre: base_t_link * pose.centre,
+            ..pose.clone()
+        };
+        Ok(View::new(frame.clone(), lens, &pose))
+    });
+    let views: Result<Vec<View>, VisionError> = views.collect();
+    seen(&views?, request, Vec::new())
 }
 
 async fn picture(cx: &Context, snap: &str, camera: &str) -> Result<Frame, VisionError> {

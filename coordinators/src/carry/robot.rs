@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use self::{ride::Ride, wrist::WristArgs};
 use super::{
     errand::{End, ROBOT_PROBLEMS, WAY, WAYS, Way, Ways},
-    ways::{Going, Turn, WaysArgs, costs, turns},
+    ways::{Doing, Going, Spot, Turn, WaysArgs, costs, turns},
 };
 use crate::{
     arm::{Arm, ArmKeys},
@@ -171,8 +171,8 @@ struct Coordinator {
     ended: Option<Failure>,
     /// The part was begun again since MCS had gone in the midst of it.
     begun_again: bool,
-    /// The way above an end that is in work.
-    step: Step<Going>,
+    /// The way above an end, or of looking at the thing, that is in work.
+    step: Step<Doing>,
     /// The grasp of the command in work.
     grasp: Step<Turn>,
     belief: Belief,
@@ -254,7 +254,8 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         let (belief, lines) = (state.belief.clone(), state.lines.clone());
         (motion, step, grasp, belief, state.choices, lines)
     };
-    let is_chosen = |way: Going| move |state: &Coordinator| state.step.chosen == Some(way);
+    let is_chosen =
+        |way: Going| move |state: &Coordinator| state.step.chosen == Some(Doing::Go(way));
     let mut library = Library::new(state)
         .kept(
             save,
@@ -276,6 +277,15 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         })
         .action("begin_approach", |action| begin(action, Leg::Approach))
         .action("begin_transfer", |action| begin(action, Leg::Transfer))
+        .action("begin_adjust", |action| begin(action, Leg::Adjust))
+        .enabling("by_looking", |state: &Coordinator| {
+            matches!(state.step.chosen, Some(Doing::Look(_)))
+        })
+        .enabling("is_adjusting", |state: &Coordinator| {
+            state.leg == Leg::Adjust
+        })
+        .action("look", go_way)
+        .action("go_without", go_without)
         .action("choose", choose)
         .action("go_arch", go_way)
         .action("go_line", go_way)
@@ -306,7 +316,6 @@ fn library(args: RobotArgs, store: DomStore) -> Library<Coordinator> {
         })
         .action("await_resume", await_resume);
     for leg in [
-        Leg::Adjust,
         Leg::Descend,
         Leg::Lift,
         Leg::SetDown,
@@ -387,16 +396,14 @@ async fn begin(action: Act, leg: Leg) -> Acted {
 
 async fn begun(action: &Act, leg: Leg) -> Result<(), Failure> {
     let ride = Ride::of(action).await?;
-    ride.arm().acquire().await?;
     let (command, args) = (ride.errand.command, ride.args.clone());
-    let ways = match leg {
-        Leg::Transfer => &args.ways.transfer,
-        _ => {
-            choose_turn(action, &ride).await?;
-            &args.ways.approach
-        }
-    };
-    let step = Step::new(command, leg.name().to_owned(), &costs(ways));
+    if leg != Leg::Adjust || args.wrist.is_some() {
+        ride.arm().acquire().await?;
+    }
+    if leg == Leg::Approach {
+        choose_turn(action, &ride).await?;
+    }
+    let step = Step::new(command, leg.name().to_owned(), &known(&args, leg.name()));
     action.with_state(|state| state.step = step);
     Ok(())
 }
@@ -445,24 +452,19 @@ async fn choose_turn(action: &Act, ride: &Ride<'_>) -> Result<(), Failure> {
     }
 }
 
-/// Tells the log, and whoever looks at the display, which way was chosen.
+/// Tells which way was chosen.
 async fn tell_choice(action: &Act, step: &str, way: impl step::Way, figures: Vec<Figures>) {
-    tracing::info!(
-        task = action.cx().name(),
-        step,
-        way = way.name(),
-        figures = step::in_words(&figures),
-        "a way was chosen"
-    );
     let store = action.with_state(|state| state.store.clone());
-    shown::show(action.cx(), &store, step, (Some(way.name()), figures)).await;
+    shown::tell_choice(action.cx(), &store, step, (way.name(), figures)).await;
 }
 
 /// The ways of a step with what each is assumed to cost.
-fn known(args: &RobotArgs, step: &Step<Going>) -> Vec<(Going, f64)> {
-    match step.context == Leg::Transfer.name() {
-        true => costs(&args.ways.transfer),
-        false => costs(&args.ways.approach),
+fn known(args: &RobotArgs, step: &str) -> Vec<(Doing, f64)> {
+    match &args.wrist {
+        _ if step == Leg::Transfer.name() => costs(&args.ways.transfer),
+        Some(_) if step == Leg::Adjust.name() => Spot::COSTS.to_vec(),
+        None if step == Leg::Adjust.name() => Vec::new(),
+        _ => costs(&args.ways.approach),
     }
 }
 
@@ -475,7 +477,7 @@ async fn choose(action: Act) -> Acted {
     });
     // The same app with the same seed chooses the same, also after a restart.
     let mut rng = action.cx().rng(&format!("choice {choices}"));
-    let chosen = step.choose(&belief, &known(&args, &step), &mut rng);
+    let chosen = step.choose(&belief, &known(&args, &step.context), &mut rng);
     let (way, figures) = chosen.ok_or_else(|| HandlerError::new("no way is left"))?;
     tell_choice(&action, &step.context, way, figures).await;
     let now = action.cx().now();
@@ -506,8 +508,23 @@ async fn gone(action: &Act) -> Result<String, Failure> {
         Leg::Transfer => End::To,
         _ => End::From,
     };
-    let chosen = chosen.ok_or_else(|| Failure::new(Outcome::Fault, "no way was chosen"))?;
-    ride.go_above(end, chosen).await
+    match chosen {
+        Some(Doing::Go(way)) => ride.go_above(end, way).await,
+        Some(Doing::Look(spot)) => ride.look_from(spot).await,
+        None => Err(Failure::new(Outcome::Fault, "no way was chosen")),
+    }
+}
+
+/// What the camera on the hand does not tell from anywhere, the errand goes on without.
+async fn go_without(action: Act) -> Acted {
+    let tried = action.with_state(|state| state.step.tried.len());
+    if tried > 0 {
+        tracing::warn!(
+            tried,
+            "the camera on the hand tells nothing, from wherever it looked"
+        );
+    }
+    Ok(())
 }
 
 /// Notes how the chosen way ended.
@@ -530,7 +547,7 @@ async fn tell(action: &Act) {
         let believed = |context: &str, figures: &[Figures]| {
             format!("believed of {context}: {}", step::in_words(figures))
         };
-        let going = known(&state.args, &state.step);
+        let going = known(&state.args, &state.step.context);
         let context = &state.step.context;
         let figures = step::figures(&state.belief, context, &going);
         lines.push(believed(context, &figures));

@@ -149,8 +149,8 @@ pub fn aimed(errand: &Errand, sight: &Sight) -> Result<Errand, Hindrance> {
             return Err(nothing(seen, &board, errand));
         };
         points[0] = board.pose() * disc.at;
-        is_alone(seen, &board, thing, disc)?;
         is_free(seen, &board, to, thing, disc)?;
+        is_alone(seen, &board, thing, disc)?;
         let ends = [disc.at, board.on_board(to, thing.height_m)];
         open_m = thing.opening(ends.iter().flat_map(|end| seen.beside(end, thing, disc)));
     }
@@ -194,14 +194,7 @@ fn is_alone(
     thing: &Thing,
     taken: &SeenDisc,
 ) -> Result<(), Hindrance> {
-    let mut others = seen.discs.iter().filter(|disc| *disc != taken);
-    let touching = others.find(|disc| {
-        let apart = (disc.at.xy() - taken.at.xy()).norm() - thing.width_m;
-        // What lies beneath is no neighbour.
-        let beside = (disc.at.z - taken.at.z).abs() < 0.5 * thing.height_m;
-        beside && apart < STUCK_M
-    });
-    match touching {
+    match touching(seen, thing, taken) {
         Some(other) => Err(Hindrance::Stuck(format!(
             "a {} {} is stuck to it: push them apart",
             colour_name(thing, other),
@@ -209,6 +202,46 @@ fn is_alone(
         ))),
         None => Ok(()),
     }
+}
+
+/// What lies so near beside a thing that no jaw goes between them.
+fn touching<'n>(seen: &'n Overview, thing: &Thing, taken: &SeenDisc) -> Option<&'n SeenDisc> {
+    let mut others = seen.discs.iter().filter(|disc| *disc != taken);
+    others.find(|disc| {
+        let apart = (disc.at.xy() - taken.at.xy()).norm() - thing.width_m;
+        // What lies beneath is no neighbour.
+        let beside = (disc.at.z - taken.at.z).abs() < 0.5 * thing.height_m;
+        beside && apart < STUCK_M
+    })
+}
+
+/// A thing that cannot be grasped for one beside it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Crowd {
+    /// The middle of the thing to be taken, in the board's frame, m.
+    pub thing: Point3<f64>,
+    /// That of the other one.
+    pub other: Point3<f64>,
+    /// Those of all others that are seen.
+    pub rest: Vec<Point3<f64>>,
+}
+
+/// The thing on FROM and what is stuck to it, if something is.
+#[must_use]
+pub fn crowd(errand: &Errand, sight: &Sight) -> Option<Crowd> {
+    let seen = sight.seen.as_ref()?;
+    let thing = &errand.thing;
+    let taken = seen.at(&sight.board, &errand.from, thing)?;
+    let other = touching(seen, thing, taken)?;
+    let rest = seen
+        .discs
+        .iter()
+        .filter(|disc| *disc != taken && *disc != other);
+    Some(Crowd {
+        thing: taken.at,
+        other: other.at,
+        rest: rest.map(|disc| disc.at).collect(),
+    })
 }
 
 /// The errand with the thing where it was found, when it was lost and may be only one thing.

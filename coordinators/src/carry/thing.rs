@@ -79,6 +79,12 @@ impl Thing {
         room.max(least).min(open_m)
     }
 
+    /// How far the middles of two things are apart, m, when a finger goes down between them.
+    #[must_use]
+    pub fn apart(&self) -> f64 {
+        self.width_m + self.grasp.finger_m + PAST_M + ROUND_M
+    }
+
     /// Reads the text of a thing's file.
     ///
     /// # Errors

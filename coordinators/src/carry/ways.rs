@@ -1,4 +1,4 @@
-//! The ways that the Robot Coordinator knows of going above an end of an errand, and of grasping.
+//! The ways that the Robot Coordinator knows of going above an end of an errand, of looking at the thing from there, and of grasping.
 
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +28,52 @@ impl Way for Going {
             Self::Planned => "planned",
         };
         name.to_owned()
+    }
+}
+
+/// From where the camera on the hand looks at the thing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Spot {
+    /// From right above it.
+    Above,
+    /// From beside that, over the corner of that number of the square in which it has learned.
+    Beside(u8),
+}
+
+impl Spot {
+    /// All of them with what each is assumed to cost, s.
+    pub(super) const COSTS: [(Doing, f64); 3] = [
+        (Doing::Look(Self::Above), 1.0),
+        (Doing::Look(Self::Beside(0)), 2.0),
+        (Doing::Look(Self::Beside(1)), 2.0),
+    ];
+
+    /// Where that is from above the thing, in halves of the square's side along the tool's x and y axes.
+    pub(super) fn offset(self) -> [f64; 2] {
+        match self {
+            Self::Above => [0.0; 2],
+            Self::Beside(0) => [1.0, 1.0],
+            Self::Beside(_) => [-1.0, -1.0],
+        }
+    }
+}
+
+/// What a Robot Coordinator does in one of several ways.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Doing {
+    /// Goes above an end.
+    Go(Going),
+    /// Looks at the thing.
+    Look(Spot),
+}
+
+impl Way for Doing {
+    fn name(self) -> String {
+        match self {
+            Self::Go(way) => way.name(),
+            Self::Look(Spot::Above) => "above".to_owned(),
+            Self::Look(Spot::Beside(corner)) => format!("beside {}", u32::from(corner) + 1),
+        }
     }
 }
 
@@ -90,8 +136,9 @@ impl WaysArgs {
 }
 
 /// Ways with what each is assumed to cost.
-pub(super) fn costs(ways: &[WayArgs]) -> Vec<(Going, f64)> {
-    ways.iter().map(|way| (way.way, way.cost_s)).collect()
+pub(super) fn costs(ways: &[WayArgs]) -> Vec<(Doing, f64)> {
+    let ways = ways.iter();
+    ways.map(|way| (Doing::Go(way.way), way.cost_s)).collect()
 }
 
 /// A grasp: the gripper turned about the vertical by so many tenths of a degree.

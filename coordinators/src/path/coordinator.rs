@@ -345,14 +345,7 @@ async fn choose(action: Act) -> Acted {
     let mut rng = cx.rng(&format!("choice {choices}"));
     let chosen = step.choose(&belief, &args.costs(), &mut rng);
     let (way, figures) = chosen.ok_or_else(|| HandlerError::new("no way is left"))?;
-    tracing::info!(
-        task = cx.name(),
-        step = step.context,
-        way = way.name(),
-        figures = step::in_words(&figures),
-        "a way was chosen"
-    );
-    shown::show(&cx, &store, &step.context, (Some(way.name()), figures)).await;
+    shown::tell_choice(&cx, &store, &step.context, (way.name(), figures)).await;
     action.with_state(|state| {
         state.choices = choices + 1;
         state.step.begin(way, cx.now());

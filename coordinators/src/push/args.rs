@@ -60,6 +60,9 @@ pub(super) struct ArmArgs {
     /// See above.
     #[serde(default = "stiff")]
     pub stiff: String,
+    /// What is pushed is too light to be felt: it is not felt for, a stiff arm pushes, and only the guard `blocked` ends that early.
+    #[serde(default)]
+    pub light: bool,
     /// A compliant arm lags behind: a push is done when it ends so near to its end, m.
     #[serde(default = "within_m")]
     pub within_m: f64,

@@ -310,6 +310,9 @@ impl<'a> Pushing<'a> {
 
     /// Ahead along the way until something is felt.
     async fn touch(&mut self) -> Result<(), Failure> {
+        if self.args.light {
+            return Ok(());
+        }
         self.law(&self.args.stiff).await?;
         let end = self.pose(self.job.length())?;
         match self.line(end, self.args.gentle, &[&self.args.touch]).await {
@@ -330,6 +333,11 @@ impl<'a> Pushing<'a> {
     /// Ahead to the end of the way with what is felt.
     async fn push(&mut self) -> Result<(), Failure> {
         let end = self.pose(self.job.length())?;
+        if self.args.light {
+            return self
+                .line(end, self.args.gentle, &[&self.args.blocked])
+                .await;
+        }
         let compliant = self.args.compliant.clone();
         self.law(&compliant).await?;
         let guards = [self.args.blocked.as_str(), self.args.contact.as_str()];

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ctos::task::Context;
 use serde::{Deserialize, Serialize};
 
-use super::Figures;
+use super::{Figures, step};
 use crate::dom::DomStore;
 
 /// The data object: written by Coordinators that choose.
@@ -21,6 +21,23 @@ pub struct Shown {
     pub chosen: Option<String>,
     /// What is believed of each.
     pub figures: Vec<Figures>,
+}
+
+/// Tells the log, and whoever looks at the display, which way of a step was chosen.
+pub(crate) async fn tell_choice(
+    cx: &Context,
+    store: &DomStore,
+    step: &str,
+    (way, figures): (String, Vec<Figures>),
+) {
+    tracing::info!(
+        task = cx.name(),
+        step,
+        way,
+        figures = step::in_words(&figures),
+        "a way was chosen"
+    );
+    show(cx, store, step, (Some(way), figures)).await;
 }
 
 /// Shows what is believed of the ways of a step, and which one was chosen, if another was. What could not be shown is logged.

@@ -183,5 +183,8 @@ fn candidate<W: Way>(way: W, cost: f64) -> Candidate {
 
 /// Whether another way may do where one ended so.
 fn another_may_do(failure: &Failure) -> bool {
-    matches!(failure.outcome, Outcome::Unreachable | Outcome::Guard)
+    matches!(
+        failure.outcome,
+        Outcome::Unreachable | Outcome::Guard | Outcome::Unseen
+    )
 }

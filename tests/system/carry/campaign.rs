@@ -13,8 +13,8 @@ use rand_chacha::ChaCha8Rng;
 use sim::scene::CameraFault;
 
 use super::{
-    Deed, Moment, Seen, Step, board, disc_on, error, laid, nothing_was_hit, other, prepared,
-    reached,
+    layout::{board, disc_on, error, laid, nothing_was_hit, other, reached},
+    person::{Deed, Moment, Seen, Step, prepared},
 };
 use crate::harness::Scratch;
 

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use pnt::library::Acted;
 
 use super::{
+    aside,
     state::{Act, Ends, parts},
     telling::{hinder, note_ways, problems, say, say_lost, tell_why},
     wishes::Lost,
@@ -34,6 +35,7 @@ pub(super) async fn aim(action: Act) -> Acted {
         action.note(note);
     }
     let mut ends = Ends::default();
+    let may_push = aside::may_push(&action, &errand, &sight).await;
     match sight::aimed(&errand, &sight) {
         Ok(aimed) => {
             if aimed.open_m < errand.open_m {
@@ -45,7 +47,7 @@ pub(super) async fn aim(action: Act) -> Acted {
             return store.store(&cx, ERRAND, &aimed).await;
         }
         Err(Hindrance::NothingAtFrom(text)) => {
-            if action.with_state(|state| state.tried > 0) {
+            if action.with_state(|state| state.tried > 0 || state.aside.has_pushed()) {
                 // It was there before it was touched.
                 hinder(&action, Outcome::Absent, &text);
                 return Err(HandlerError::new(text));
@@ -68,6 +70,10 @@ pub(super) async fn aim(action: Act) -> Acted {
                 &action,
                 &format!("no room at {}", speaker::field(&errand.to)),
             );
+        }
+        Err(Hindrance::Stuck(text)) if may_push => {
+            action.note(format!("{text}; it is pushed aside"));
+            ends.is_crowded = true;
         }
         Err(Hindrance::Stuck(text)) => {
             let field = speaker::field(&errand.from);

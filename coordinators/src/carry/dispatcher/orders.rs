@@ -45,6 +45,7 @@ fn begin_anew(action: &Act, command: u32, tag: String, began: &Acted) {
         state.ends = Ends::default();
         (state.tried, state.again, state.fetches, state.asks) = (0, false, false, false);
         (state.tag, state.hindrances) = (tag, hindrances);
+        state.aside.begin_anew();
     });
 }
 

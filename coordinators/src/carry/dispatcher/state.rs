@@ -6,7 +6,10 @@ use ctos::task::Context;
 use pnt::library::Action;
 use serde::{Deserialize, Serialize};
 
-use super::wishes::{Lost, Wishes};
+use super::{
+    aside::Aside,
+    wishes::{Lost, Wishes},
+};
 use crate::{
     carry::{board::Board, speaker::Speaker},
     dom::DomStore,
@@ -30,6 +33,9 @@ pub(in crate::carry) struct CarryArgs {
     /// How often the thing is tried to grasp, each time with another turn of the gripper.
     #[serde(default = "tries")]
     pub tries: u32,
+    /// How often things that are stuck to it are pushed aside before it is grasped.
+    #[serde(default)]
+    pub pushes: u32,
     /// The service object that tells people in the room what went wrong, such as `fork.sound@speaker`; nobody when it is left
     /// out.
     pub speaker: Option<String>,
@@ -60,6 +66,8 @@ pub(in crate::carry) struct Dispatcher {
     /// How often it was tried to grasp the thing, and whether it is tried once more.
     pub tried: u32,
     pub again: bool,
+    /// What is stuck to the thing, and is pushed aside.
+    pub aside: Aside,
     /// The thing was lost, and is being fetched from where it was seen.
     pub fetches: bool,
     /// A person is asked whether it is fetched.
@@ -92,6 +100,8 @@ pub(in crate::carry) struct Ends {
     pub said: bool,
     /// Where it lies is shown them by the pointer in the hand.
     pub is_shown: bool,
+    /// Another thing is stuck to that on FROM, and is pushed aside.
+    pub is_crowded: bool,
     /// Something was in the hand before the errand.
     pub hand_is_full: bool,
 }

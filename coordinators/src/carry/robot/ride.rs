@@ -52,15 +52,8 @@ impl<'a> Ride<'a> {
     }
 
     pub(super) async fn go(&self, leg: Leg) -> Result<(), Failure> {
-        if leg == Leg::Adjust && self.args.wrist.is_none() {
-            return Ok(());
-        }
         self.arm().acquire().await?;
         match leg {
-            Leg::Adjust => match &self.args.wrist {
-                Some(wrist) => self.adjust(wrist).await,
-                None => Ok(()),
-            },
             Leg::Descend => {
                 let down = self.grip(End::From).await?;
                 self.guarded(down)
@@ -86,7 +79,7 @@ impl<'a> Ride<'a> {
                 self.set_down(End::From).await
             }
             Leg::Park => self.park().await,
-            Leg::Approach | Leg::Transfer => Err(Failure::new(
+            Leg::Approach | Leg::Adjust | Leg::Transfer => Err(Failure::new(
                 Outcome::Fault,
                 "above an end the arm goes by a way that is chosen",
             )),

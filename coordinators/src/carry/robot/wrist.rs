@@ -7,9 +7,17 @@ use vss::command::{DiskOffset, DiskReport, VisionError};
 
 use super::ride::Ride;
 use crate::{
-    carry::errand::{End, WAY, Way},
-    outcome::Failure,
+    carry::{
+        errand::{End, WAY, Way},
+        ways::Spot,
+    },
+    outcome::{Failure, Outcome},
 };
+
+/// From another place it may be seen.
+fn unseen(reason: &str) -> Failure {
+    Failure::new(Outcome::Unseen, reason)
+}
 
 /// The camera on the hand.
 #[derive(Debug, Clone, Deserialize)]
@@ -53,36 +61,48 @@ impl WristArgs {
 }
 
 impl Ride<'_> {
-    /// Looks at the thing from above it, and keeps by how much the hand is beside it. Who has not learned that yet goes to four
-    /// places around it, which are the examples: then the thing is taken to be where it was seen before. What the camera cannot
-    /// tell, the errand goes on without.
-    pub(super) async fn adjust(&self, wrist: &WristArgs) -> Result<(), Failure> {
+    /// Looks at the thing from above it or beside that, and keeps by how much the hand is beside it; words about it. Who has not
+    /// learned that yet goes to four places around it, which are the examples: then the thing is taken to be where it was seen before.
+    pub(super) async fn look_from(&self, spot: Spot) -> Result<String, Failure> {
+        let none = || Failure::new(Outcome::Fault, "there is no camera on the hand");
+        let wrist = self.args.wrist.as_ref().ok_or_else(none)?;
         let way = self.way().await?;
         let above = self.errand.above(End::From, way.turn);
-        self.line(above, self.args.slow, &[]).await?;
+        let [x, y] = spot.offset().map(|halves| halves * wrist.half_m);
+        let from = above * Translation3::new(x, y, 0.0);
+        self.line(from, self.args.slow, &[]).await?;
         let shift = match self.look(wrist, None).await {
-            Ok(report) => report.disk.correction.map(|found| found.by),
+            Ok(report) => {
+                let told = report.disk.correction.filter(|found| found.good);
+                let told = told.ok_or_else(|| {
+                    unseen(
+                        "what the camera on the hand sees does not look like what it has learned",
+                    )
+                })?;
+                let shift = [x + told.by[0], y + told.by[1]];
+                let off_m = shift[0].hypot(shift[1]);
+                if off_m > wrist.most_m {
+                    let (off_mm, most_mm) = (1e3 * off_m, 1e3 * wrist.most_m);
+                    return Err(unseen(&format!(
+                        "the camera on the hand sees it {off_mm:.1} mm beside, and no more than {most_mm:.1} mm is believed"
+                    )));
+                }
+                tracing::info!(
+                    x = shift[0],
+                    y = shift[1],
+                    "the camera on the hand corrects the arm"
+                );
+                Some(shift)
+            }
             Err(error) if error.outcome == vss::command::Outcome::Refused => {
                 self.teach(wrist, &above).await?;
                 None
             }
-            Err(error) => {
-                tracing::warn!(%error, "the camera on the hand tells nothing");
-                None
-            }
+            Err(error) => return Err(unseen(&error.reason)),
         };
-        let shift = shift.filter(|[x, y]| {
-            let is_believed = x.hypot(*y) <= wrist.most_m;
-            match is_believed {
-                true => tracing::info!(x, y, "the camera on the hand corrects the arm"),
-                false => tracing::warn!(x, y, "the camera on the hand tells more than is believed"),
-            }
-            is_believed
-        });
-        self.store
-            .store(self.cx, WAY, &Way { shift, ..way })
-            .await?;
-        Ok(())
+        let way = Way { shift, ..way };
+        self.store.store(self.cx, WAY, &way).await?;
+        Ok(String::new())
     }
 
     /// Shows the camera the thing from four places.

@@ -5,6 +5,34 @@ use mcs::client::Outcome as Motion;
 use super::world::{CARRY, Place, World, motions, on, requests, run};
 use crate::bench::{Fault, faults_at};
 
+/// What must hold of an errand in which one request met a fault.
+pub(super) fn is_true(world: &World, (number, fault): (usize, Fault)) {
+    let (symbol, text) = &world.bench.answers[0];
+    let case = format!(
+        "{fault:?} at {number}, {}: {symbol}: {text}; {:?}, hand_full {}",
+        world.bench.asked[number],
+        world.thing,
+        world.hand_full()
+    );
+    assert!(!world.dropped, "dropped: {case}");
+    assert!(world.rests(), "no rest: {case}");
+    let arrived = matches!(world.thing, Place::At(at) if (at - on("4,5")).norm() < 6e-3);
+    match symbol.as_str() {
+        "carried" => assert!(arrived, "{case}"),
+        "not_carried" => {
+            assert!(!text.is_empty(), "no reason: {case}");
+            // It may be on its field when only what comes after that failed, which the text says.
+            let after = ["let_go", "withdraw", "park"];
+            let late = after.iter().any(|request| text.contains(request));
+            assert!(!arrived || late, "{case}");
+        }
+        _ => panic!("{case}"),
+    }
+    if world.thing == Place::InHand {
+        assert_eq!(world.hand_full(), 1, "{case}");
+    }
+}
+
 #[test]
 fn whatever_goes_wrong_at_any_one_request_the_answer_is_true_and_nothing_is_dropped() {
     let requests = requests().len();
@@ -12,30 +40,7 @@ fn whatever_goes_wrong_at_any_one_request_the_answer_is_true_and_nothing_is_drop
     for number in 0..requests {
         for fault in faults_at(number, 2).chain([Fault::Slips]) {
             let world = run(World::new(&[(number, fault)]), &[CARRY]);
-            let (symbol, text) = &world.bench.answers[0];
-            let case = format!(
-                "{fault:?} at {number}, {}: {symbol}: {text}; {:?}, hand_full {}",
-                world.bench.asked[number],
-                world.thing,
-                world.hand_full()
-            );
-            assert!(!world.dropped, "dropped: {case}");
-            assert!(world.rests(), "no rest: {case}");
-            let arrived = matches!(world.thing, Place::At(at) if (at - on("4,5")).norm() < 6e-3);
-            match symbol.as_str() {
-                "carried" => assert!(arrived, "{case}"),
-                "not_carried" => {
-                    assert!(!text.is_empty(), "no reason: {case}");
-                    // It may be on its field when only what comes after that failed, which the text says.
-                    let after = ["let_go", "withdraw", "park"];
-                    let late = after.iter().any(|request| text.contains(request));
-                    assert!(!arrived || late, "{case}");
-                }
-                _ => panic!("{case}"),
-            }
-            if world.thing == Place::InHand {
-                assert_eq!(world.hand_full(), 1, "{case}");
-            }
+            is_true(&world, (number, fault));
         }
     }
 }

@@ -1,5 +1,9 @@
 //! The stand-ins: an arm, a gripper and cameras that know where the thing is.
 
+mod app;
+mod pushing;
+mod seeing;
+
 use std::time::Duration;
 
 use ctos::{
@@ -10,8 +14,8 @@ use ctos::{
 use mcs::{
     Joints,
     client::{
-        GuardsReport, MotionError, Move, Outcome as Motion, PathKind, Plan, ReadGuards,
-        ReadSensors, SensorReport, SetOutput, Target,
+        ControlReport, GuardsReport, MotionError, Move, Outcome as Motion, PathKind, Plan,
+        ReadGuards, ReadSensors, SensorReport, SetLaw, SetOutput, Target,
     },
     guard::GuardReport,
 };
@@ -23,14 +27,18 @@ use mcs_path::{
 use nalgebra::{Isometry3, Point3, Vector3};
 use pnt::task::{PutOnce, RequestId, put_once};
 use vss::{
-    command::{DiskOffset, DiskReport, DiskSight, Outcome as Vss, VisionError},
-    visual_jacobian::{Correction, Seen},
+    command::{DiskOffset, Outcome as Vss, Snap, VisionError},
+    frame::Frame,
 };
-use vss_board::{discs::SeenDisc, pose::BoardPose};
 
 use crate::{
-    bench::{self, Bench, Fault, Shared, StandIn, configs, lock, pose},
-    carry::{board::Board, errand::Errand, eyes::LookOver, sight::Overview, thing::Thing},
+    bench::{self, Bench, Fault, Shared, StandIn, lock, pose},
+    carry::{board::Board, errand::Errand, eyes::LookOver, thing::Thing},
+};
+
+pub(crate) use self::app::{
+    CARRY, POSES, PUSHES, STAND_INS, motions, requests, run, run_all_with, run_seeded, run_with,
+    tasks,
 };
 
 pub(crate) const BOARD: Board = Board {
@@ -81,6 +89,15 @@ pub(crate) enum Place {
     InHand,
 }
 
+/// How well the cameras of the room see.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Room {
+    Well,
+    /// By one camera alone.
+    InDoubt,
+    Not,
+}
+
 /// What the stand-ins share.
 pub(crate) struct World {
     pub bench: Bench,
@@ -97,6 +114,16 @@ pub(crate) struct World {
     /// Looks at the table from this one on show nothing.
     pub dark_from: usize,
     pub looks: usize,
+    pub room: Room,
+    /// Poses of the hand from which its camera sees nothing.
+    pub blind_poses: Vec<usize>,
+    joints: Joints,
+    /// Another thing is stuck to the one to be carried, on the side away from where that is to go, before each errand.
+    pub sticks: bool,
+    /// Pushes to the left (1) or to the right (-1) of it are ended before they move anything.
+    pub vain_side: f64,
+    /// Pushes that moved something.
+    pub pushed: usize,
     /// Something that is no disc stands on TO.
     pub clutter: bool,
     /// Turns of the gripper that the arm does not reach, rad.
@@ -155,6 +182,12 @@ impl World {
             believes: "seen",
             dark_from: usize::MAX,
             looks: 0,
+            room: Room::Well,
+            blind_poses: Vec::new(),
+            joints: Joints::zeros(6),
+            sticks: false,
+            vain_side: 0.0,
+            pushed: 0,
             clutter: false,
             unreachable: Vec::new(),
             nothing_in_reach: false,
@@ -253,84 +286,6 @@ impl World {
         at - Vector3::z() * disc().grasp.above_m
     }
 
-    /// What the cameras see.
-    fn overview(&mut self) -> Result<Overview, VisionError> {
-        self.looks += 1;
-        if self.looks > self.is_cleared_after {
-            self.others.clear();
-        }
-        if self.looks > self.dark_from {
-            return Err(VisionError::new(Vss::Unseen, "no camera sees the board"));
-        }
-        let pose = self.board.pose();
-        let squint = match self.at_answers.is_empty() {
-            true => Vector3::zeros(),
-            false => self.squint,
-        };
-        let disc = |at: &Point3<f64>, colour: usize| SeenDisc {
-            at: pose.inverse() * (at + squint),
-            colour,
-            rms_px: 0.1,
-            sd_m: 1e-4,
-            cameras: 2,
-        };
-        let mut discs: Vec<SeenDisc> = self.others.iter().map(|at| disc(at, 1)).collect();
-        if let Place::At(at) = &self.thing {
-            discs.push(disc(at, 0));
-        }
-        Ok(Overview {
-            board: BoardPose {
-                base_t_board: pose,
-                sd: [1e-4; 6],
-                rms_px: 0.1,
-                corners: 98,
-                cameras: vec!["left".to_owned(), "right".to_owned()],
-            },
-            discs,
-            bare: vec![Some(if self.clutter { 0.1 } else { 1.0 })],
-            doubts: Vec::new(),
-        })
-    }
-
-    /// What the camera on the hand sees.
-    fn offset(&mut self, request: &DiskOffset) -> Result<DiskReport, VisionError> {
-        let Place::At(at) = self.thing else {
-            return Err(VisionError::new(Vss::Unseen, "no disc is there"));
-        };
-        let off = self.tool.inverse() * at;
-        let (by, true_by) = match request.taught {
-            Some([x, y]) => ([-x, -y], [off.x, off.y]),
-            None if self.taught < 4 => {
-                return Err(VisionError::new(Vss::Refused, "4 examples are needed"));
-            }
-            None => ([off.x, off.y], [off.x, off.y]),
-        };
-        // What is taught is true.
-        assert!((by[0] - true_by[0]).hypot(by[1] - true_by[1]) < 1e-6);
-        self.taught += usize::from(request.taught.is_some());
-        let correction = request.taught.is_none().then_some(Correction {
-            by,
-            sd: [1e-4; 2],
-            error: 0.0,
-            good: true,
-        });
-        Ok(DiskReport {
-            camera: request.camera.clone(),
-            disk: DiskSight {
-                seen: Seen {
-                    u: 250.0,
-                    v: 250.0,
-                    radius: 43.0,
-                },
-                sd_px: [0.1; 2],
-                examples: self.taught.min(4),
-                correction,
-            },
-            stamp: Duration::ZERO,
-            frame: 0,
-        })
-    }
-
     fn closes(&mut self) {
         self.is_open = false;
         if let Place::At(at) = self.thing
@@ -392,6 +347,8 @@ impl bench::World for World {
         DiskOffset::INFO,
         ReadGuards::INFO,
         ReadSensors::INFO,
+        Snap::INFO,
+        SetLaw::INFO,
     ];
 
     fn bench(&mut self) -> &mut Bench {
@@ -433,6 +390,9 @@ impl bench::World for World {
     fn goes(&mut self, order: &Move) -> Result<(), MotionError> {
         let mut to = self.target(order);
         let mut met = Ok(());
+        if let Target::Joints(joints) = order.target {
+            self.joints = joints;
+        }
         let kind = match order.path {
             PathKind::Arch { .. } => "arch",
             PathKind::StraightLine => "line",
@@ -444,6 +404,11 @@ impl bench::World for World {
             self.tool = self.tool.lerp_slerp(&to, 0.5);
             self.last = Some("collision");
             return Err(MotionError::new(Motion::Guard, "post is near"));
+        }
+        if order.guards == ["blocked"] {
+            self.pushes(&to)?;
+            self.tool = to;
+            return Ok(());
         }
         let turn = self.turn(&to);
         let is_near = |turned: &f64| (turn - turned).sin().abs() < 1e-6;
@@ -493,6 +458,9 @@ impl bench::World for World {
 
     fn is_answered(&mut self) {
         self.at_answers.push(self.thing);
+        if self.sticks {
+            self.stick();
+        }
     }
 
     /// The gripper and the cameras.
@@ -558,8 +526,22 @@ impl bench::World for World {
                     iterations: 1,
                 }))
             }
+            SetLaw::CODE => stand_in.plain::<SetLaw>(message, |_, SetLaw { law }| ControlReport {
+                law,
+                bandwidth_hz: 8.0,
+                damping: 1.0,
+                following_error_rad: 0.1,
+            }),
+            Snap::CODE => {
+                let (Snap { .. }, reply) = message.open::<Snap>()?;
+                match stand_in.meets("snap").0 {
+                    Some(Fault::Meets(Motion::Lost)) => reply.fail("it is broken"),
+                    Some(_) => reply.ok(Err(VisionError::new(Vss::Fault, "no picture on purpose"))),
+                    None => reply.ok(Ok(Frame::grey8(2, 2, vec![0; 4]))),
+                }
+            }
             LookOver::CODE => {
-                let (LookOver { .. }, reply) = message.open::<LookOver>()?;
+                let (LookOver { pictures, .. }, reply) = message.open::<LookOver>()?;
                 if let Some(words) = lock(&stand_in.0).says {
                     answer(cx, words, stand_in.0.clone());
                 }
@@ -570,7 +552,12 @@ impl bench::World for World {
                     Some(Fault::Meets(Motion::Refused)) => reply.ok(error(Vss::Refused)),
                     Some(Fault::Meets(_)) => reply.ok(error(Vss::Fault)),
                     Some(Fault::AnswerLost) => reply.ok(error(Vss::Lost)),
-                    Some(Fault::Slips) | None => reply.ok(lock(&stand_in.0).overview()),
+                    Some(Fault::Slips) | None if pictures.is_empty() => {
+                        reply.ok(lock(&stand_in.0).overview())
+                    }
+                    Some(Fault::Slips) | None => {
+                        reply.ok(lock(&stand_in.0).overview_by_hand(pictures.len()))
+                    }
                 }
             }
             _ => cx.default_processing(message),
@@ -596,95 +583,4 @@ fn answer(cx: &Context, words: &'static str, world: Shared<World>) {
         let reply = put_once(&child, "people", &put, within).await.unwrap();
         lock(&world).replies.push(reply.symbol);
     });
-}
-
-/// The tasks of the nets.
-pub(crate) fn tasks(believes: &str) -> String {
-    let configs = configs();
-    format!(
-        r#"
-[task.dispatcher]
-handler = "coordinators.carry"
-on = "ws1"
-[task.dispatcher.args]
-net = "{configs}/nets/carry/dispatcher.net"
-thing = "{configs}/carry/disc.toml"
-show = true
-board = {{ at = [0.5, 0.0, 0.42], yaw_deg = 20.0, field_m = 0.06, dot = [-0.255, -0.21] }}
-[task.robot]
-handler = "coordinators.carry_robot"
-on = "ws1"
-[task.robot.args]
-net = "{configs}/nets/carry/robot.net"
-touch = ["touch"]
-park_deg = [0, 75, -180, 0, -75, 0]
-service_within_s = 2.0
-[task.hand]
-handler = "coordinators.carry_hand"
-on = "ws1"
-[task.hand.args]
-net = "{configs}/nets/carry/hand.net"
-service_within_s = 2.0
-[task.laser]
-handler = "coordinators.carry_laser"
-on = "ws1"
-[task.laser.args]
-net = "{configs}/nets/carry/laser.net"
-light = [0.05, 0.0, -0.065]
-blinks = {BLINKS}
-park_deg = [0, 75, -180, 0, -75, 0]
-service_within_s = 2.0
-[task.people]
-handler = "coordinators.carry_people"
-on = "ws1"
-args.net = "{configs}/nets/carry/people.net"
-[task.vision]
-handler = "coordinators.carry_vision"
-on = "ws1"
-[task.vision.args]
-net = "{configs}/nets/carry/vision.net"
-board = "{believes}"
-service_within_s = 2.0
-"#,
-        configs = configs.display()
-    )
-}
-
-/// The stand-ins by the names of their tasks.
-pub(crate) const STAND_INS: [&str; 5] = ["mcs", "gripper", "eyes", "paths", "vsm"];
-
-pub(crate) fn run(world: World, commands: &[&str]) -> World {
-    run_seeded(world, commands, 1)
-}
-
-/// One command, with settings as `--set` takes them.
-pub(crate) fn run_with(world: World, sets: &[&str]) -> World {
-    run_all_with(world, &[CARRY], sets)
-}
-
-/// The same with other commands.
-pub(crate) fn run_all_with(world: World, commands: &[&str], sets: &[&str]) -> World {
-    let app = bench::app(&tasks(world.believes), &STAND_INS);
-    let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
-    bench::run_with(world, (&app, &sets), commands, &[])
-}
-
-pub(crate) fn run_seeded(world: World, commands: &[&str], seed: u64) -> World {
-    let app = bench::app(&tasks(world.believes), &STAND_INS);
-    let sets = [format!("app.seed={seed}")];
-    bench::run_with(world, (&app, &sets), commands, &[])
-}
-
-/// One command: from field 3,4 to 4,5.
-pub(crate) const CARRY: &str = "carry 3,4,0 4,5,0";
-
-/// What an errand without faults asks.
-pub(crate) fn requests() -> Vec<String> {
-    run(World::default(), &[CARRY]).bench.asked
-}
-
-/// The requests that are motions.
-pub(crate) fn motions(requests: &[String]) -> Vec<usize> {
-    let all = 0..requests.len();
-    all.filter(|at| requests[*at] == Move::NAME).collect()
 }
