@@ -151,6 +151,8 @@ pub struct Control {
     /// When a measurement was used last.
     seen: f64,
     offset: Vector3<f64>,
+    /// The hand is to stand, whatever is seen, felt or steered.
+    stands: bool,
 }
 
 impl Control {
@@ -168,15 +170,21 @@ impl Control {
             counts: Counts::default(),
             seen: f64::NEG_INFINITY,
             offset: Vector3::zeros(),
+            stands: false,
             args,
         }
     }
 
+    /// Whether the hand is to come to rest, and to stand, whatever is seen, felt or steered.
+    pub fn stand(&mut self, stands: bool) {
+        self.stands = stands;
+    }
+
     /// The hand rests elsewhere now: it was stopped. What was counted stays.
     pub fn rest_at(&mut self, place: Point3<f64>) {
-        let (counts, home) = (self.counts, self.home);
+        let (counts, home, stands) = (self.counts, self.home, self.stands);
         *self = Self::new(self.args, place);
-        (self.counts, self.home) = (counts, home);
+        (self.counts, self.home, self.stands) = (counts, home, stands);
     }
 
     /// Takes in that the hand should have been at `place` at the moment `at`; it is known `now`.
@@ -203,9 +211,16 @@ impl Control {
             true => self.target.at(ahead),
             false => self.target.last(ahead),
         };
+        if let Some(target) = &expected {
+            self.watch(now, target);
+        }
         let (goal, moving) = match expected {
+            _ if self.stands => {
+                // Wherever it is when it has braked.
+                self.hold = self.course.place;
+                (self.hold, Vector3::zeros())
+            }
             Some(target) => {
-                self.watch(now, &target);
                 self.hold = target.place + self.offset;
                 (self.hold, target.velocity)
             }

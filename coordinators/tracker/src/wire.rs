@@ -16,6 +16,7 @@ use vss::target_map::Seen;
 use crate::{
     blob::{Look, Sighting},
     control::{Counts, Phase},
+    learning::Learning,
     map::Example,
 };
 
@@ -83,6 +84,16 @@ ctos::command! {
     /// Has druide come to rest and give the arm back.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StopTracking => (), 0x0627, "stop_tracking"
+}
+ctos::command! {
+    /// Has druide follow again with an arm that was stopped.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ResumeTracking => (), 0x062a, "resume_tracking"
+}
+ctos::command! {
+    /// Has druide take the arm and learn the map. It answers when that has begun.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StartLearning => (), 0x062b, "start_learning"
 }
 ctos::command! {
     /// Asks druide how it is.
@@ -154,6 +165,8 @@ pub struct TrackerReport {
     pub clock_bound_s: f64,
     /// How often a clock was set.
     pub clock_restarts: u64,
+    /// How learning the map is.
+    pub learning: Learning,
 }
 
 /// Seconds of a moment.

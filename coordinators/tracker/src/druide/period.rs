@@ -55,6 +55,9 @@ pub(super) struct Period {
     force: Vector3<f64>,
     /// The arm does not follow.
     halted: bool,
+    /// Since when the ball is slow, s; and how slow, m/s, and how long that is until it rests, s.
+    slow_since: Option<f64>,
+    rests: [f64; 2],
     count: u64,
 }
 
@@ -98,6 +101,8 @@ impl Period {
             period: args.period_ms * 1e-3,
             force: Vector3::zeros(),
             halted: false,
+            slow_since: None,
+            rests: args.rests,
             count: 0,
         };
         period.send()?;
@@ -112,6 +117,22 @@ impl Period {
     /// The arm follows.
     pub(super) fn resume(&mut self) {
         self.halted = false;
+    }
+
+    /// Whether the hand is to come to rest, and to stand whatever is seen.
+    pub(super) fn stand(&mut self, stands: bool) {
+        self.control.stand(stands);
+    }
+
+    /// How the ball is.
+    pub(super) fn phase(&self) -> Phase {
+        self.control.phase()
+    }
+
+    /// Whether the ball has rested for a while.
+    pub(super) fn ball_rests(&self, now: f64) -> bool {
+        let [_, long] = self.rests;
+        self.slow_since.is_some_and(|since| now - since >= long)
     }
 
     /// Takes in that the hand should have been at `relative`, m along its own axes, at the moment `at`; it is known `now`. False
@@ -165,6 +186,10 @@ impl Period {
             |(at, pose)| (*at, pose.translation.vector.into()),
         );
         let target = self.control.target(now);
+        let [slow, _] = self.rests;
+        let slow = target.is_some_and(|target| target.velocity.norm() < slow);
+        let slow = slow && phase == Phase::Track;
+        self.slow_since = slow.then_some(self.slow_since.unwrap_or(now));
         let difference = difference.map_or((f64::NAN, f64::NAN), |difference| {
             let seconds = |ns: f64| ns * 1e-9;
             let offset = seconds(difference.offset_ns as f64);
