@@ -19,7 +19,7 @@ use crate::{
     coordination::{ask, net_task},
     judging::{Judge, lines},
     learning::Learning,
-    wire::{COURSE, CourseRecord, ReadTracker, TrueClock, seconds},
+    wire::{COURSE, CourseRecord, ReadSights, ReadTracker, TrueClock, seconds},
 };
 
 /// The handler's name.
@@ -44,6 +44,9 @@ struct ApplicationArgs {
     /// The task that looks.
     #[serde(default = "argus_task")]
     argus: String,
+    /// The task that tells places from blobs.
+    #[serde(default = "client_task")]
+    client: String,
     /// The task of the net in front.
     #[serde(default = "net_task")]
     net: String,
@@ -74,6 +77,10 @@ fn argus_task() -> String {
     "argus".to_owned()
 }
 
+fn client_task() -> String {
+    "client".to_owned()
+}
+
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
     let handler = registry.handler(HANDLER, &[], |cx| Ok(Application { args: cx.args()? }));
@@ -82,6 +89,7 @@ pub(crate) fn register(registry: &mut Registry) {
         let tasks = [
             ("druide", &args.druide),
             ("argus", &args.argus),
+            ("client", &args.client),
             ("net", &args.net),
         ];
         for (key, name) in tasks {
@@ -178,6 +186,11 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         }
     }
     let report = cx.call(&druide, ReadTracker {}).await?;
+    // A client that is gone has told all the same.
+    let sights = match cx.task(&args.client).await {
+        Ok(client) => cx.call(&client, ReadSights {}).await.ok(),
+        Err(_) => None,
+    };
     order(cx, args, "stop", "stopped").await?;
     let verdict = judge.verdict();
     let mut text = lines(&verdict, &report.counts);
@@ -195,6 +208,8 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "tracked": verdict.tracked,
         "rms_m": verdict.rms_m,
         "p95_m": verdict.p95_m,
+        "max_error_m": verdict.max_error_m,
+        "last_error_m": verdict.last_error_m,
         "estimate_rms_m": verdict.estimate_rms_m,
         "estimate_mean_m": verdict.estimate_mean_m,
         "servo_rms_m": verdict.servo_rms_m,
@@ -211,6 +226,7 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "late": report.counts.late,
         "far": report.counts.far,
         "unplaced": report.unplaced,
+        "sights": sights,
         "unread": lost,
         "phase": format!("{:?}", report.phase),
         "stops": report.stops,

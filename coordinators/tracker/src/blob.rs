@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 use vss::{
-    components::{Expectation, components},
+    components::{Doubt, Expectation, components},
     frame::Frame,
     target_map::Seen,
 };
@@ -48,6 +48,14 @@ pub struct Sighting {
 /// A second blob that is as good as the largest: nobody knows which is the ball.
 pub const AMBIGUOUS: i64 = 64;
 
+impl Sighting {
+    /// Whether there is a doubt of one of these kinds.
+    #[must_use]
+    pub fn has(&self, doubts: &[Doubt]) -> bool {
+        doubts.iter().any(|doubt| self.doubts & doubt.flag() != 0)
+    }
+}
+
 /// A blob this much smaller than the largest is none that could be taken for it.
 const RIVAL: f64 = 0.5;
 
@@ -62,7 +70,7 @@ pub fn largest(frame: &Frame, look: &Look) -> Option<Sighting> {
         eccentricity: look.eccentricity,
         holes: None,
     };
-    let is_ball = |doubts: &[vss::components::Doubt]| doubts.is_empty();
+    let is_ball = |doubts: &[Doubt]| doubts.is_empty();
     let doubts = expected.doubts(largest, frame.width, frame.height);
     let mut flags: i64 = doubts.iter().map(|doubt| doubt.flag()).sum();
     let rivals = found.iter().filter(|blob| {

@@ -93,6 +93,9 @@ struct DruideArgs {
     /// Guards after which the arm begins again by itself. After all others it waits for a person.
     #[serde(default)]
     again_after: Vec<String>,
+    /// The arm is taken again only while less force than this is felt, N.
+    #[serde(default = "resume_below_n")]
+    resume_below_n: f64,
     /// A ball that has been slower than this for so long rests: m/s and s.
     #[serde(default = "rests")]
     rests: [f64; 2],
@@ -126,6 +129,10 @@ fn client_task() -> String {
 
 fn rests() -> [f64; 2] {
     [0.01, 1.0]
+}
+
+fn resume_below_n() -> f64 {
+    15.0
 }
 
 fn overload() -> Vec<String> {
@@ -174,6 +181,7 @@ pub(crate) fn register(registry: &mut Registry) {
             ("period_ms", args.period_ms, 0.5, 50.0),
             ("mouse_age_s", args.mouse_age_s, 0.001, 10.0),
             ("drift", args.drift, 0.0, sorma::clock::MOST_DRIFT),
+            ("resume_below_n", args.resume_below_n, 0.1, 1e4),
             ("rests", args.rests[0], 0.0, 1.0),
             ("rests", args.rests[1], 0.0, 1e3),
         ];
@@ -297,6 +305,20 @@ impl Druide {
         Ok(())
     }
 
+    /// Has an arm follow that was stopped, unless something presses on it still.
+    async fn resume(&self, cx: &Context) -> Result<(), HandlerError> {
+        let felt = match &self.shared.borrow().period {
+            Some(period) => period.felt(),
+            None => 0.0,
+        };
+        if felt.is_nan() || felt >= self.args.resume_below_n {
+            let most = self.args.resume_below_n;
+            let text = format!("the wrist feels {felt:.1} N, and less than {most} N is needed");
+            return Err(HandlerError::new(text));
+        }
+        self.follow(cx).await
+    }
+
     /// Comes to rest and gives the arm back.
     async fn stop(&mut self, cx: &Context) -> Result<(), HandlerError> {
         self.serial.set(self.serial.get() + 1);
@@ -394,7 +416,7 @@ impl EventHandler for Druide {
             }
             ResumeTracking::CODE => {
                 let (ResumeTracking {}, reply) = message.open::<ResumeTracking>()?;
-                match self.follow(cx).await {
+                match self.resume(cx).await {
                     Ok(()) => reply.ok(()),
                     Err(error) => reply.fail(error.to_string()),
                 }

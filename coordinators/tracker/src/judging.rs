@@ -34,6 +34,10 @@ impl Errors {
         (self.sum / self.all.len().max(1) as f64).sqrt()
     }
 
+    fn last(&self) -> f64 {
+        self.all.last().copied().map_or(0.0, f64::from)
+    }
+
     fn part(&self, part: f64) -> f64 {
         let mut all = self.all.clone();
         let at = ((all.len() as f64 * part) as usize).min(all.len().saturating_sub(1));
@@ -55,6 +59,10 @@ pub struct Verdict {
     pub rms_m: f64,
     /// Its 95th percentile, m.
     pub p95_m: f64,
+    /// The largest of it, m.
+    pub max_error_m: f64,
+    /// How far the hand is from where it should be at the end, m.
+    pub last_error_m: f64,
     /// Error of the estimate of where the ball is now: root mean square, m.
     pub estimate_rms_m: f64,
     /// Its mean, m along the axes.
@@ -197,6 +205,8 @@ impl Judge {
             tracked: self.tracked as f64 / self.judged.max(1) as f64,
             rms_m: self.following.rms(),
             p95_m: self.following.part(0.95),
+            max_error_m: self.following.part(1.0),
+            last_error_m: self.following.last(),
             estimate_rms_m: self.estimate.rms(),
             estimate_mean_m: means.into(),
             servo_rms_m: self.servo.rms(),

@@ -76,6 +76,11 @@ ctos::command! {
     } => Option<([f64; 3], f64)>, 0x0625, "locate_blob"
 }
 ctos::command! {
+    /// Asks the client what became of the pictures.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadSights => Sights, 0x062c, "read_sights"
+}
+ctos::command! {
     /// Has druide take the arm and follow.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StartTracking => (), 0x0626, "start_tracking"
@@ -144,6 +149,23 @@ impl ClockTruth {
         let truly = (now - self.ahead_s) / (1.0 + self.rate);
         truly * (1.0 + other.rate) + other.ahead_s - now
     }
+}
+
+/// What became of pictures in which something shone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Sights {
+    /// Those whose ball has a place.
+    pub placed: u64,
+    /// The ball was cut by the border,
+    pub clipped: u64,
+    /// too small or too large,
+    pub size: u64,
+    /// not round: a reflection, or partly covered,
+    pub shape: u64,
+    /// or beside another one that is as good.
+    pub ambiguous: u64,
+    /// The map does not know the place: E is high.
+    pub unknown: u64,
 }
 
 /// How druide is.

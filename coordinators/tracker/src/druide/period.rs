@@ -124,6 +124,11 @@ impl Period {
         self.control.stand(stands);
     }
 
+    /// How large the force at the wrist is, N; what no sensor can read is no number.
+    pub(super) fn felt(&self) -> f64 {
+        self.force.norm()
+    }
+
     /// How the ball is.
     pub(super) fn phase(&self) -> Phase {
         self.control.phase()
