@@ -144,7 +144,7 @@ fn the_arm_learns_its_map_by_one_command() {
     let map = scratch.read("configs/tracker-map.csv");
     let learn = "task.tracker.args.mode=\"learn\"";
     let rest = "task.ball.args.motion=\"rest\"";
-    let few = "task.druide.args.learn.pictures=3";
+    let few = "task.druide.args.learn={ grid_m = [0.08, 0.08, 0.06], pictures = 3, speed = 1.0 }";
     // Most of a run is pictures that nobody needs.
     let slow = "task.argus.args.period_ms=200.0";
     let all = ["--set", learn, "--set", rest, "--set", few, "--set", slow];
@@ -311,28 +311,30 @@ fn a_mouse_moves_the_hand_and_a_daemon_that_is_killed_with_a_deflection_leaves_n
 #[test]
 fn a_force_sensor_that_is_broken_or_saturated_stops_the_arm_until_it_is_well_and_a_person_says_so()
 {
-    let ended = Rig::new("sensor", 14.0)
+    let ended = Rig::new("sensor", 13.0)
         .act(3.5, Act::Feel([f64::NAN, 0.0, 0.0]))
-        .act(4.5, Act::Order("resume"))
-        .act(5.0, Act::Feel([0.0; 3]))
-        .act(6.5, Act::Order("resume"))
+        .act(4.0, Act::Feel([0.0; 3]))
+        .act(4.5, Act::Reset)
+        .act(6.0, Act::Order("resume"))
         .act(8.5, Act::Feel([300.0, 300.0, 300.0]))
         .act(9.5, Act::Order("resume"))
         .act(10.0, Act::Feel([0.0; 3]))
         .act(11.5, Act::Order("resume"))
         .run();
     ended.must_be_smooth();
-    for (broken, again) in [(3.5, 6.5), (8.5, 11.5)] {
+    // What is no number is a fault of the arm, which takes its power; too much is felt by the guard.
+    let broken = [(3.5, 6.0, "estopped"), (8.5, 11.5, "overload")];
+    for (broken, again, state) in broken {
         assert_eq!(ended.state(broken - 0.1), "track", "{:?}", ended.states);
-        assert_eq!(ended.state(broken + 0.3), "overload", "{:?}", ended.states);
-        let (answer, why) = ended.answer(broken + 1.0);
-        assert_eq!(answer, "not_resumed");
-        assert!(why.contains("the wrist feels"), "{why}");
+        assert_eq!(ended.state(broken + 0.3), state, "{:?}", ended.states);
         // Well again, and nobody has said so.
-        assert_eq!(ended.state(again - 0.1), "overload", "{:?}", ended.states);
+        assert_eq!(ended.state(again - 0.1), state, "{:?}", ended.states);
         assert_eq!(ended.answer(again).0, "resumed");
-        assert_eq!(ended.state(again + 1.5), "track", "{:?}", ended.states);
+        assert_eq!(ended.state(again + 1.4), "track", "{:?}", ended.states);
     }
+    let (answer, why) = ended.answer(9.5);
+    assert_eq!(answer, "not_resumed");
+    assert!(why.contains("the wrist feels"), "{why}");
     assert_eq!(ended.result["stops"], 2, "{}", ended.result);
 }
 

@@ -96,7 +96,7 @@ struct DruideArgs {
     /// The arm is taken again only while less force than this is felt, N.
     #[serde(default = "resume_below_n")]
     resume_below_n: f64,
-    /// A ball that has been slower than this for so long rests: m/s and s.
+    /// A ball that has stayed within this for so long rests: m and s.
     #[serde(default = "rests")]
     rests: [f64; 2],
     /// How the map is learned.
@@ -128,7 +128,7 @@ fn client_task() -> String {
 }
 
 fn rests() -> [f64; 2] {
-    [0.01, 1.0]
+    [0.005, 1.0]
 }
 
 fn resume_below_n() -> f64 {

@@ -171,11 +171,14 @@ impl Rig {
             ),
         );
         append("tracker-cell.toml", &self.cell);
+        let file = configs.join("tracker.toml");
+        let text = std::fs::read_to_string(&file).unwrap();
+        assert!(text.contains("driver = \"sim.arm\""));
+        std::fs::write(file, text.replace("\"sim.arm\"", "\"test.felt\"")).unwrap();
         let mut sets = vec![
             format!("app.name=\"rig_{}_{}\"", self.name, std::process::id()),
             "time.mode=\"virtual\"".to_owned(),
             format!("task.tracker.args.seconds={:?}", self.seconds),
-            "mcs.manipulator.0.servo.driver=\"test.felt\"".to_owned(),
         ];
         sets.extend(self.sets);
         let selection = Selection {

@@ -55,8 +55,8 @@ pub(super) struct Period {
     force: Vector3<f64>,
     /// The arm does not follow.
     halted: bool,
-    /// Since when the ball is slow, s; and how slow, m/s, and how long that is until it rests, s.
-    slow_since: Option<f64>,
+    /// Where the ball stays, and since when, s; within how far, m, and how long until it rests, s.
+    stays: Option<(Point3<f64>, f64)>,
     rests: [f64; 2],
     count: u64,
 }
@@ -101,7 +101,7 @@ impl Period {
             period: args.period_ms * 1e-3,
             force: Vector3::zeros(),
             halted: false,
-            slow_since: None,
+            stays: None,
             rests: args.rests,
             count: 0,
         };
@@ -137,7 +137,7 @@ impl Period {
     /// Whether the ball has rested for a while.
     pub(super) fn ball_rests(&self, now: f64) -> bool {
         let [_, long] = self.rests;
-        self.slow_since.is_some_and(|since| now - since >= long)
+        self.stays.is_some_and(|(_, since)| now - since >= long)
     }
 
     /// Takes in that the hand should have been at `relative`, m along its own axes, at the moment `at`; it is known `now`. False
@@ -191,10 +191,12 @@ impl Period {
             |(at, pose)| (*at, pose.translation.vector.into()),
         );
         let target = self.control.target(now);
-        let [slow, _] = self.rests;
-        let slow = target.is_some_and(|target| target.velocity.norm() < slow);
-        let slow = slow && phase == Phase::Track;
-        self.slow_since = slow.then_some(self.slow_since.unwrap_or(now));
+        let ball = target.filter(|_| phase == Phase::Track);
+        let ball = ball.map(|target| target.place);
+        self.stays = ball.map(|ball| match self.stays {
+            Some((there, since)) if (ball - there).norm() < self.rests[0] => (there, since),
+            _ => (ball, now),
+        });
         let difference = difference.map_or((f64::NAN, f64::NAN), |difference| {
             let seconds = |ns: f64| ns * 1e-9;
             let offset = seconds(difference.offset_ns as f64);
