@@ -8,6 +8,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    contact::{Contact, ContactArgs},
     course::{Course, CourseArgs},
     target::{Predicted, Taken, Target, TargetArgs},
     vector::{VectorArgs, VectorFilter},
@@ -29,6 +30,8 @@ pub struct ControlArgs {
     pub course: CourseArgs,
     /// From the force at the wrist, N, to a displacement, m.
     pub wrist: VectorArgs,
+    /// What the hand does at something that pushes back.
+    pub contact: ContactArgs,
     /// From the mouse, whose axes go from -1 to 1, to a displacement, m.
     pub mouse: VectorArgs,
     /// Whether the ball's motion is predicted.
@@ -52,6 +55,7 @@ impl Default for ControlArgs {
                 scale: 0.004,
                 clip: 0.1,
             },
+            contact: ContactArgs::default(),
             mouse: VectorArgs {
                 low_pass_hz: 4.0,
                 null_radius: 0.05,
@@ -74,6 +78,7 @@ impl ControlArgs {
             ("target", self.target.wrong()),
             ("course", self.course.wrong()),
             ("wrist", self.wrist.wrong()),
+            ("contact", self.contact.wrong()),
             ("mouse", self.mouse.wrong()),
         ];
         let part = parts
@@ -143,6 +148,7 @@ pub struct Control {
     target: Target,
     course: Course,
     wrist: VectorFilter,
+    contact: Contact,
     mouse: VectorFilter,
     /// Where the hand should be without a target.
     hold: Point3<f64>,
@@ -163,6 +169,7 @@ impl Control {
             target: Target::new(args.target),
             course: Course::at_rest(args.course, home),
             wrist: VectorFilter::new(args.wrist),
+            contact: Contact::new(args.contact),
             mouse: VectorFilter::new(args.mouse),
             hold: home,
             home,
@@ -235,7 +242,9 @@ impl Control {
             self.hold = goal;
         }
         let before = self.course.velocity;
-        self.course.go(&goal, &moving, period);
+        let wanted = self.course.wanted(&goal, &moving, period);
+        let wanted = self.contact.allow(force, &self.course.place, wanted);
+        self.course.follow(&wanted, period);
         self.course.ratio(&before, period)
     }
 

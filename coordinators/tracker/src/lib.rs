@@ -2,7 +2,7 @@
 //! sees, gives way when somebody pushes it, and is steered by a 3-D mouse.
 //!
 //! The mathematics knows no tasks: [`target`] is the ball's state, from pictures that come late; [`course`] the setpoint's way to it;
-//! [`vector`] what forces and a mouse say; [`history`] where the hand was; [`control`] puts these together for one period; [`blob`] is
+//! [`vector`] what forces and a mouse say; [`contact`] what the hand does at a wall; [`history`] where the hand was; [`control`] puts these together for one period; [`blob`] is
 //! what a picture shows; [`map`] the examples by which a blob is a place; [`judging`] holds all that against the truth.
 //!
 //! Four tasks run it: [`argus`] looks, [`client`] tells places from blobs, [`druide`] moves the arm, and [`application`] has them work
@@ -13,6 +13,7 @@ pub mod application;
 pub mod argus;
 pub mod blob;
 pub mod client;
+pub mod contact;
 pub mod control;
 pub mod coordination;
 pub mod course;
