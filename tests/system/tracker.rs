@@ -435,3 +435,33 @@ fn a_ball_that_leads_to_where_the_arm_does_not_reach_ends_in_no_step_and_is_foll
     let tracked = ended.states.iter().filter(|(_, state)| state == "track");
     assert!(tracked.count() >= 2, "{:?}", ended.states);
 }
+
+/// A hand that feels, and a wall beside it that the ball leads it into.
+const WALL: &str = r#"
+[[arm.capsule]]
+from = [0.0, 0.0, -0.01]
+to = [0.0, 0.0, 0.03]
+radius = 0.04
+
+[[furniture]]
+centre = [0.70, -0.01, 0.75]
+size = [0.3, 0.1, 0.3]
+grey = 30.0
+"#;
+
+#[test]
+fn a_wall_in_the_way_of_the_hand_is_pressed_gently() {
+    let ended = Rig::new("wall", 11.0)
+        .cell(WALL)
+        .set("task.ball.args.motion=\"sweep\"")
+        .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
+        .set("task.ball.args.speed=0.03")
+        .run();
+    ended.must_be_smooth();
+    let most = ended.number("max_force_n");
+    assert!(most > 3.0 && most < 15.0, "{}", ended.result);
+    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+    // The ball is where the hand cannot go, and it is followed still.
+    assert!(ended.number("max_error_m") > 0.03, "{}", ended.result);
+    assert_eq!(ended.state(10.9), "track", "{:?}", ended.states);
+}

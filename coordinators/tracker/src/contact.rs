@@ -2,8 +2,8 @@
 //! report, section 2.2.1: a virtual spring at the target that the environment counterbalances). Knows no tasks.
 //!
 //! A force says where a surface is and which way it faces. Towards it the speed is what is left of the force that is held, by a
-//! resistance: `v = (F_held - F) / R`. So force follows from speed by one integration, which is steady for every stiffness up to
-//! about `R` over the delay of the loop. Along the surface and away from it the hand goes as it likes.
+//! resistance: `v = (F_held - F) / R`, and nothing beyond. So force follows from speed by one integration, which is steady for every
+//! stiffness up to about `R` over the delay of the loop. Along the surface and away from it the hand goes as the spring wants.
 
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
@@ -93,7 +93,8 @@ impl Contact {
             self.surface = None;
             return wanted;
         }
-        let most = (self.args.held_n - force.dot(&away)) / self.args.resistance;
+        let left = (self.args.held_n - force.dot(&away)).max(0.0);
+        let most = left / self.args.resistance;
         let inward = -wanted.dot(&away);
         wanted + away * (inward - most).max(0.0)
     }
@@ -175,7 +176,10 @@ mod tests {
         }
         let into = Vector3::new(0.3, 0.0, -0.5);
         let allowed = contact.allow(&force, &place, into);
-        assert!(allowed.z > 0.0 && (allowed.x - 0.3).abs() < 1e-12, "{allowed}");
+        assert!(
+            (allowed - Vector3::new(0.3, 0.0, 0.0)).norm() < 1e-12,
+            "{allowed}"
+        );
         // Nothing is felt any more, and the surface is left: it is forgotten.
         let none = Vector3::zeros();
         assert!(contact.allow(&none, &place, into).z > -0.01);

@@ -75,12 +75,7 @@ impl Course {
 
     /// How fast it would go towards that goal, m/s.
     #[must_use]
-    pub fn wanted(
-        &self,
-        goal: &Point3<f64>,
-        moving: &Vector3<f64>,
-        period: f64,
-    ) -> Vector3<f64> {
+    pub fn wanted(&self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) -> Vector3<f64> {
         let CourseArgs {
             speed,
             acceleration,
