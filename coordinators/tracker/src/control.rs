@@ -436,6 +436,22 @@ mod tests {
     }
 
     #[test]
+    fn a_hand_that_is_to_stand_comes_to_rest_without_a_step_whatever_is_seen() {
+        let mut rig = Rig::new(ControlArgs::default());
+        rig.run(3.0, |t| Some(sweep(t)), NONE);
+        rig.control.stand(true);
+        rig.run(1.0, |t| Some(sweep(t)), NONE);
+        let there = rig.control.course().place;
+        assert!(rig.control.course().velocity.norm() < 1e-6);
+        rig.run(1.0, |t| Some(sweep(t)), Vector3::new(0.0, 8.0, 0.0));
+        assert!((rig.control.course().place - there).norm() < 1e-6);
+        rig.control.stand(false);
+        rig.run(3.0, |t| Some(sweep(t)), NONE);
+        assert!((rig.control.course().place - sweep(rig.now() + 0.0135)).norm() < 0.02);
+        assert!(rig.worst <= 1.0 + 1e-9, "{}", rig.worst);
+    }
+
+    #[test]
     fn numbers_that_cannot_be_are_named() {
         let mut args = ControlArgs::default();
         assert_eq!(args.wrong(), None);

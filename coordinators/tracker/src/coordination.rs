@@ -74,3 +74,26 @@ pub async fn ask(cx: &Context, net: &str, symbol: &str) -> Result<TapeAnswer, Ha
     };
     Ok(cx.call(&net, put).deadline(CHANGE).await?)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{path::Path, sync::Arc};
+
+    use pnt::{
+        check::{self, Limits},
+        task,
+    };
+
+    const NET: &str = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../configs/nets/tracker/tracking.net"
+    );
+
+    #[test]
+    fn the_net_is_bounded_has_no_deadlock_and_answers_everything() {
+        let net = task::load(Path::new(NET)).unwrap_or_else(|found| panic!("{found}"));
+        let (report, findings) = check::check(&[Arc::new(net)], &Limits::default());
+        assert!(findings.is_empty(), "{findings}");
+        assert!(report.proved, "{report:?}");
+    }
+}

@@ -41,6 +41,21 @@ enum Event {
 }
 
 impl Event {
+    /// All.
+    #[cfg(test)]
+    const ALL: [Self; 10] = [
+        Self::Seen,
+        Self::Gone,
+        Self::Silent,
+        Self::AtRest,
+        Self::BallRests,
+        Self::TooMuchForce,
+        Self::GuardSpoke,
+        Self::StoppedByOthers,
+        Self::PowerOff,
+        Self::StreamEnded,
+    ];
+
     fn symbol(self) -> &'static str {
         match self {
             Self::Seen => "seen",
@@ -258,5 +273,28 @@ impl<F: Fn() -> bool> Watch<F> {
             ),
             Err(error) => Some(error.to_string()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_net_takes_everything_that_is_told_and_nothing_but_its_permission_moves_the_hand() {
+        let net = include_str!("../../../../configs/nets/tracker/tracking.net");
+        for event in Event::ALL {
+            let line = format!("command {} -> ", event.symbol());
+            let answers = net.lines().find_map(|net| net.strip_prefix(&line)).unwrap();
+            for answer in answers.split(", ") {
+                let order = match answer {
+                    "hold" | "release" => Order::Hold,
+                    "begin_again" => Order::BeginAgain,
+                    _ => Order::Follow,
+                };
+                assert_eq!(Order::of(answer), order, "{answer}");
+            }
+        }
+        assert_eq!(Order::of("anything else"), Order::Hold);
     }
 }
