@@ -141,20 +141,22 @@ fn after_too_much_force_the_hand_stays_where_it_is_until_a_person_says_so() {
 
 #[test]
 fn the_arm_learns_its_map_by_one_command() {
-    let scratch = Scratch::new();
-    let map = scratch.read("configs/tracker-map.csv");
-    let learn = "task.tracker.args.mode=\"learn\"";
-    let rest = "task.ball.args.motion=\"rest\"";
-    let few = "task.druide.args.learn={ grid_m = [0.08, 0.08, 0.06], pictures = 3, speed = 1.0 }";
-    // Most of a run is pictures that nobody needs.
-    let slow = "task.argus.args.period_ms=200.0";
-    let all = ["--set", learn, "--set", rest, "--set", few, "--set", slow];
-    let result = run(&scratch, "learn", 1.0, &all);
-    assert_eq!(result["examples"], 27, "{result}");
-    assert!(number(&result, "checked_rms_m") < 0.002, "{result}");
-    let learned = scratch.read("configs/tracker-map.csv");
-    assert_eq!(learned.lines().count(), 28);
-    assert_ne!(learned, map);
+    let ended = Rig::new("learn", 1.0)
+        .set("task.tracker.args.mode=\"learn\"")
+        .set("task.ball.args.motion=\"rest\"")
+        .set("task.druide.args.learn={ pictures = 3, speed = 1.0 }")
+        // Most of a run is pictures that nobody needs.
+        .set("task.argus.args.period_ms=200.0")
+        .run();
+    assert_eq!(ended.result["examples"], 27, "{}", ended.result);
+    assert!(ended.number("checked_rms_m") < 0.002, "{}", ended.result);
+    assert_eq!(ended.state(5.0), "learn", "{:?}", ended.states);
+    assert_eq!(ended.map.lines().count(), 28);
+    assert_ne!(
+        ended.map,
+        Scratch::new().read("configs/tracker-map.csv"),
+        "nothing was learned"
+    );
 }
 
 #[test]

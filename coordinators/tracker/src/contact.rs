@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_wall_in_the_way_is_pressed_with_less_than_15_n_and_without_oscillation() {
-        let walls = [(1e3, 0.2), (3e3, 0.08), (10e3, 0.03), (30e3, 0.015)];
+        let walls = [(1e3, 0.15), (3e3, 0.06), (10e3, 0.02), (30e3, 0.007)];
         for (stiffness, speed) in walls {
             for depth in [0.01, 0.1] {
                 let forces = pressed(stiffness, speed, depth);

@@ -62,6 +62,8 @@ pub struct Ended {
     pub answers: Vec<(f64, String, String)>,
     /// What the net was from when on, s.
     pub states: Vec<(f64, String)>,
+    /// The map's table afterwards.
+    pub map: String,
 }
 
 impl Ended {
@@ -211,6 +213,7 @@ impl Rig {
             result,
             answers: seen.answers,
             states: seen.states,
+            map: std::fs::read_to_string(configs.join("tracker-map.csv")).unwrap(),
         }
     }
 }
