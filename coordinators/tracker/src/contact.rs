@@ -2,7 +2,7 @@
 //! report, section 2.2.1: a virtual spring at the target that the environment counterbalances). Knows no tasks.
 //!
 //! A force says where a surface is and which way it faces. Towards it the speed is what is left of the force that is held, by a
-//! resistance: `v = (F_held - F) / R`, and nothing beyond. So force follows from speed by one integration, which is steady for every
+//! resistance: `v = (F_held - F) / R`. From there to the most that is pressed it stands, and beyond that it goes back likewise. So force follows from speed by one integration, which is steady for every
 //! stiffness up to about `R` over the delay of the loop. Along the surface and away from it the hand goes as the spring wants.
 
 use nalgebra::{Point3, Vector3};
@@ -20,6 +20,8 @@ pub struct ContactArgs {
     pub touch_n: f64,
     /// What the hand presses with when its goal is behind the surface, N.
     pub held_n: f64,
+    /// Beyond this the hand goes away from the surface, N: a servo that integrates would press more and more else.
+    pub most_n: f64,
     /// Force for each speed towards the surface, N s/m.
     pub resistance: f64,
     /// So far before a surface that was touched the hand is slow already, m.
@@ -31,6 +33,7 @@ impl Default for ContactArgs {
         Self {
             touch_n: 3.0,
             held_n: 4.0,
+            most_n: 10.0,
             resistance: 800.0,
             near_m: 0.03,
         }
@@ -44,6 +47,7 @@ impl ContactArgs {
         let all = [
             ("touch_n", self.touch_n),
             ("held_n", self.held_n),
+            ("most_n", self.most_n),
             ("resistance", self.resistance),
             ("near_m", self.near_m),
         ];
@@ -93,7 +97,8 @@ impl Contact {
             self.surface = None;
             return wanted;
         }
-        let left = (self.args.held_n - force.dot(&away)).max(0.0);
+        let pressed = force.dot(&away);
+        let left = (self.args.held_n - pressed).max(0.0) - (pressed - self.args.most_n).max(0.0);
         let most = left / self.args.resistance;
         let inward = -wanted.dot(&away);
         wanted + away * (inward - most).max(0.0)
@@ -170,7 +175,7 @@ mod tests {
     #[test]
     fn away_from_a_surface_and_along_it_a_hand_goes_as_it_likes() {
         let mut contact = Contact::new(ContactArgs::default());
-        let (force, place) = (Vector3::new(0.0, 0.0, 10.0), Point3::origin());
+        let (force, place) = (Vector3::new(0.0, 0.0, 8.0), Point3::origin());
         for wanted in [Vector3::new(0.3, -0.2, 0.0), Vector3::new(0.0, 0.1, 0.5)] {
             assert_eq!(contact.allow(&force, &place, wanted), wanted);
         }
