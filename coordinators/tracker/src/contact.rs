@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 /// Less than this part of what a contact needs is none, and a surface that gives way by this, m, is not there any more.
 const NOTHING: f64 = 0.3;
-const GONE: f64 = 0.003;
+const GONE: f64 = 0.01;
 
 /// How the hand meets something.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
