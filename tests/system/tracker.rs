@@ -1,8 +1,16 @@
 //! The visual and force tracker in virtual time: the arm follows the ball through real pictures, whatever goes wrong.
 
+#[allow(
+    clippy::print_stdout,
+    reason = "what became of a run is shown when one fails"
+)]
+mod rig;
+
 use serde_json::Value;
+use sim::scene::CameraFault;
 
 use crate::harness::Scratch;
+use rig::{Act, Rig};
 
 /// Runs `configs/tracker.toml` under a name that no other test has, for its snapshot buffers are of the whole host; what it tells.
 fn run(scratch: &Scratch, name: &str, seconds: f64, more: &[&str]) -> Value {
@@ -94,32 +102,15 @@ fn two_clocks_that_differ_and_drift_cost_no_accuracy() {
 }
 
 #[test]
-fn a_ball_that_is_covered_is_followed_again_when_it_is_seen() {
-    let scratch = Scratch::new();
-    let covered = "task.ball.args.hidden_s=[[5.0, 5.3], [6.5, 8.0]]";
-    let result = run(&scratch, "covered", 11.0, &["--set", covered]);
-    must_be_smooth(&result);
-    assert_eq!(
-        (&result["lost"], &result["expired"]),
-        (&2.into(), &1.into()),
-        "{result}"
-    );
-    assert_eq!(
-        (&result["phase"], &result["stops"]),
-        (&"Track".into(), &0.into()),
-        "{result}"
-    );
-}
-
-#[test]
 fn a_vision_chassis_that_is_killed_comes_back_and_so_does_the_hand() {
-    let scratch = Scratch::new();
-    let fault = "[[fault]]\nkind = \"kill\"\nchassis = \"argus\"\nat_s = 5.0\n";
-    scratch.write("kill.toml", fault);
-    let result = run(&scratch, "killed", 11.0, &["--faults", "kill.toml"]);
-    must_be_smooth(&result);
-    assert_eq!(result["phase"], "Track", "{result}");
-    assert!(number(&result, "lost") >= 1.0, "{result}");
+    let ended = Rig::new("killed", 9.0)
+        .set("task.ball.args.reach=[0.02, 0.05, 0.02]")
+        .set("task.ball.args.speed=0.1")
+        .kill("argus", 5.0)
+        .run();
+    ended.must_be_smooth();
+    assert_eq!(ended.state(8.9), "track", "{:?}", ended.states);
+    assert!(ended.number("lost") >= 1.0, "{}", ended.result);
 }
 
 #[test]
@@ -150,18 +141,331 @@ fn after_too_much_force_the_hand_stays_where_it_is_until_a_person_says_so() {
 
 #[test]
 fn the_arm_learns_its_map_by_one_command() {
-    let scratch = Scratch::new();
-    let map = scratch.read("configs/tracker-map.csv");
-    let learn = "task.tracker.args.mode=\"learn\"";
-    let rest = "task.ball.args.motion=\"rest\"";
-    let few = "task.tracker.args.pictures=3";
-    // Most of a run is pictures that nobody needs.
-    let slow = "task.argus.args.period_ms=200.0";
-    let all = ["--set", learn, "--set", rest, "--set", few, "--set", slow];
-    let result = run(&scratch, "learn", 1.0, &all);
-    assert_eq!(result["examples"], 27, "{result}");
-    assert!(number(&result, "checked_rms_m") < 0.002, "{result}");
-    let learned = scratch.read("configs/tracker-map.csv");
-    assert_eq!(learned.lines().count(), 28);
-    assert_ne!(learned, map);
+    let ended = Rig::new("learn", 1.0)
+        .set("task.tracker.args.mode=\"learn\"")
+        .set("task.ball.args.motion=\"rest\"")
+        .set("task.druide.args.learn={ pictures = 3, speed = 1.0 }")
+        // Most of a run is pictures that nobody needs.
+        .set("task.argus.args.period_ms=200.0")
+        .run();
+    assert_eq!(ended.result["examples"], 27, "{}", ended.result);
+    assert!(ended.number("checked_rms_m") < 0.002, "{}", ended.result);
+    assert_eq!(ended.state(5.0), "learn", "{:?}", ended.states);
+    assert_eq!(ended.map.lines().count(), 28);
+    assert_ne!(
+        ended.map,
+        Scratch::new().read("configs/tracker-map.csv"),
+        "nothing was learned"
+    );
+}
+
+#[test]
+fn a_ball_that_is_covered_for_a_tenth_or_for_five_seconds_is_followed_again_when_it_is_seen() {
+    let covered = "task.ball.args.hidden_s=[[3.5, 3.6], [4.5, 4.8], [6.0, 7.5], [9.0, 14.0]]";
+    let ended = Rig::new("covered", 16.0).set(covered).run();
+    ended.must_be_smooth();
+    let states: Vec<&str> = ended.states.iter().map(|(_, state)| &**state).collect();
+    let expected = [
+        "idle", "acquire", "track", "lost", "track", "lost", "expired", "acquire", "track", "lost",
+        "expired", "acquire", "track",
+    ];
+    assert!(states.starts_with(&expected), "{:?}", ended.states);
+    assert_eq!(
+        (
+            &ended.result["lost"],
+            &ended.result["expired"],
+            &ended.result["stops"]
+        ),
+        (&3.into(), &2.into(), &0.into()),
+        "{}",
+        ended.result
+    );
+}
+
+#[test]
+fn a_camera_that_lies_costs_the_ball_and_when_it_is_well_the_ball_is_followed_again() {
+    let faults = [
+        CameraFault::Freeze,
+        CameraFault::Repeat,
+        CameraFault::Jump,
+        CameraFault::Black,
+    ];
+    let mut rig = Rig::new("lies", 16.0)
+        .set("task.ball.args.reach=[0.02, 0.05, 0.02]")
+        .set("task.ball.args.speed=0.1");
+    let mut at = 3.5;
+    for fault in faults {
+        rig = rig
+            .act(at, Act::Camera(Some(fault)))
+            .act(at + 1.5, Act::Camera(None));
+        at += 3.0;
+    }
+    let ended = rig.run();
+    ended.must_be_smooth();
+    let mut at = 3.5;
+    for fault in faults {
+        assert_eq!(
+            ended.state(at - 0.05),
+            "track",
+            "{fault:?} {:?}",
+            ended.states
+        );
+        assert_ne!(
+            ended.state(at + 1.4),
+            "track",
+            "{fault:?} {:?}",
+            ended.states
+        );
+        at += 3.0;
+    }
+    assert_eq!(ended.state(15.9), "track", "{:?}", ended.states);
+    assert!(ended.number("last_error_m") < 0.005, "{}", ended.result);
+}
+
+#[test]
+fn pictures_out_of_order_and_twice_are_left_out_and_the_ball_is_followed() {
+    let late = "task.argus.args.latency_ms=[80.0, 60.0]";
+    let ended = Rig::new("order", 8.0).set(late).run();
+    ended.must_be_smooth();
+    assert!(ended.number("late") > 5.0, "{}", ended.result);
+    assert!(ended.number("tracked") > 0.99, "{}", ended.result);
+    assert!(ended.number("rms_m") < 0.015, "{}", ended.result);
+}
+
+/// A second ball as bright as the first, which comes and goes.
+const SECOND: &str = r#"
+[[object]]
+name = "second"
+shape = "sphere"
+radius = 0.019
+mass = 0.003
+grey = 250.0
+position = [0.56, -0.06, 0.270]
+"#;
+
+/// Bright spots on the floor, a small and a long one.
+const REFLECTIONS: &str = r#"
+[[furniture]]
+centre = [0.80, -0.25, 0.005]
+size = [0.02, 0.02, 0.01]
+grey = 250.0
+
+[[furniture]]
+centre = [0.50, -0.30, 0.005]
+size = [0.01, 0.25, 0.01]
+grey = 250.0
+"#;
+
+#[test]
+fn a_second_ball_is_told_and_not_followed_and_reflections_do_no_harm() {
+    let hand = r#"
+        [task.second]
+        handler = "sim.hand"
+        on = "druide/servo"
+        args = { body = "second", home = [0.56, -0.06, 0.27], motion = "rest", hidden_s = [[0.0, 5.0], [7.0, 99.0]] }
+    "#;
+    let ended = Rig::new("second", 10.0)
+        .cell(SECOND)
+        .cell(REFLECTIONS)
+        .app(hand)
+        .set("task.ball.args.reach=[0.02, 0.03, 0.01]")
+        .set("task.ball.args.speed=0.05")
+        .run();
+    ended.must_be_smooth();
+    let sights = &ended.result["sights"];
+    assert!(sights["ambiguous"].as_u64() > Some(20), "{sights}");
+    // Nobody knows which is the ball: neither is followed, and when there is one again it is.
+    assert_eq!(ended.state(4.9), "track", "{:?}", ended.states);
+    assert_ne!(ended.state(6.9), "track", "{:?}", ended.states);
+    assert_eq!(ended.state(9.9), "track", "{:?}", ended.states);
+    assert!(ended.number("rms_m") < 0.01, "{}", ended.result);
+}
+
+#[test]
+fn a_ball_at_the_border_or_outside_of_what_the_map_knows_is_told_and_followed_when_it_is_back() {
+    let ended = Rig::new("border", 12.0)
+        .set("task.druide.args.control.reach_m=0.03")
+        .set("task.ball.args.motion=\"sweep\"")
+        .set("task.ball.args.reach=[0.0, 0.35, 0.0]")
+        .set("task.ball.args.speed=0.6")
+        .run();
+    ended.must_be_smooth();
+    let sights = &ended.result["sights"];
+    assert!(sights["clipped"].as_u64() > Some(0), "{sights}");
+    assert!(sights["unknown"].as_u64() > Some(0), "{sights}");
+    let tracked = ended.states.iter().filter(|(_, state)| state == "track");
+    assert!(tracked.count() >= 3, "{:?}", ended.states);
+}
+
+#[test]
+fn a_mouse_moves_the_hand_and_a_daemon_that_is_killed_with_a_deflection_leaves_none() {
+    let push = Act::Deflect([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+    let mut rig = Rig::new("mouse", 10.0).set("task.ball.args.motion=\"rest\"");
+    for step in 0..4 {
+        rig = rig.act(4.0 + 0.2 * f64::from(step), push);
+    }
+    let ended = rig.kill("spacemouse", 4.7).run();
+    ended.must_be_smooth();
+    // 0.095 m for less than a second, and then nothing more.
+    assert!(ended.number("p95_m") < 0.1, "{}", ended.result);
+    assert!(ended.number("max_error_m") > 0.05, "{}", ended.result);
+    assert!(ended.number("last_error_m") < 0.003, "{}", ended.result);
+    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+}
+
+#[test]
+fn a_force_sensor_that_is_broken_or_saturated_stops_the_arm_until_it_is_well_and_a_person_says_so()
+{
+    let ended = Rig::new("sensor", 13.0)
+        .act(3.5, Act::Feel([f64::NAN, 0.0, 0.0]))
+        .act(4.0, Act::Feel([0.0; 3]))
+        .act(4.5, Act::Reset)
+        .act(6.0, Act::Order("resume"))
+        .act(8.5, Act::Feel([300.0, 300.0, 300.0]))
+        .act(9.5, Act::Order("resume"))
+        .act(10.0, Act::Feel([0.0; 3]))
+        .act(11.5, Act::Order("resume"))
+        .run();
+    ended.must_be_smooth();
+    // What is no number is a fault of the arm, which takes its power; too much is felt by the guard.
+    let broken = [(3.5, 6.0, "estopped"), (8.5, 11.5, "overload")];
+    for (broken, again, state) in broken {
+        assert_eq!(ended.state(broken - 0.1), "track", "{:?}", ended.states);
+        assert_eq!(ended.state(broken + 0.3), state, "{:?}", ended.states);
+        // Well again, and nobody has said so.
+        assert_eq!(ended.state(again - 0.1), state, "{:?}", ended.states);
+        assert_eq!(ended.answer(again).0, "resumed");
+        assert_eq!(ended.state(again + 1.4), "track", "{:?}", ended.states);
+    }
+    let (answer, why) = ended.answer(9.5);
+    assert_eq!(answer, "not_resumed");
+    assert!(why.contains("the wrist feels"), "{why}");
+    assert_eq!(ended.result["stops"], 2, "{}", ended.result);
+}
+
+#[test]
+fn an_emergency_stop_waits_for_a_reset_and_a_person_and_a_stop_for_whoever_resumes_the_arm() {
+    let ended = Rig::new("estop", 14.0)
+        .act(3.5, Act::EmergencyStop)
+        .act(4.5, Act::Order("resume"))
+        .act(5.0, Act::Reset)
+        .act(7.0, Act::Order("resume"))
+        .act(9.0, Act::Stop)
+        .act(10.5, Act::Order("track"))
+        .act(11.0, Act::Resume)
+        .run();
+    ended.must_be_smooth();
+    assert_eq!(ended.state(3.7), "estopped", "{:?}", ended.states);
+    assert_eq!(ended.answer(4.5).0, "not_resumed");
+    // A reset alone moves nothing.
+    assert_eq!(ended.state(6.9), "estopped", "{:?}", ended.states);
+    assert_eq!(ended.answer(7.0).0, "resumed");
+    assert_eq!(ended.state(8.9), "track", "{:?}", ended.states);
+    assert_eq!(ended.state(10.9), "halted", "{:?}", ended.states);
+    assert_eq!(ended.answer(10.5).0, "busy");
+    assert_eq!(ended.state(13.5), "track", "{:?}", ended.states);
+}
+
+/// A fence that the hand leaves on its way after the ball.
+const FENCE: &str = r#"
+[mcs.manipulator.servo.guards.fence]
+kind = "workspace"
+args.inside = [{ low = [0.0, -0.23, 0.0], high = [1.0, 1.0, 2.0] }]
+"#;
+
+#[test]
+fn a_guard_that_speaks_waits_for_a_person_unless_it_is_one_after_which_the_arm_may_begin_again() {
+    let sweep = "task.ball.args.motion=\"sweep\"";
+    let ended = Rig::new("fence", 8.0).app(FENCE).set(sweep).run();
+    ended.must_be_smooth();
+    assert_eq!(ended.state(7.9), "guarded", "{:?}", ended.states);
+    assert_eq!(ended.result["stops"], 1, "{}", ended.result);
+    let why = ended.result["stopped"].as_str().unwrap();
+    assert!(why.contains("fence"), "{why}");
+    let ended = Rig::new("again", 12.0)
+        .app(FENCE)
+        .set(sweep)
+        .set("task.druide.args.again_after=[\"fence\"]")
+        .run();
+    ended.must_be_smooth();
+    assert!(ended.number("stops") > 1.0, "{}", ended.result);
+}
+
+#[test]
+fn the_net_hands_over_when_the_ball_rests_and_answers_every_order() {
+    let ended = Rig::new("orders", 12.0)
+        .set("task.ball.args.motion=\"rest\"")
+        .act(1.0, Act::Order("resume"))
+        .act(1.1, Act::Order("learn"))
+        .act(1.2, Act::Order("track"))
+        .act(4.0, Act::Order("hand_over"))
+        .act(6.5, Act::Order("track"))
+        .act(8.0, Act::Order("stop"))
+        .act(9.0, Act::Order("learn"))
+        .act(10.0, Act::Order("track"))
+        .act(10.5, Act::Order("stop"))
+        .act(11.0, Act::Order("track"))
+        .run();
+    ended.must_be_smooth();
+    let answers = [
+        (1.0, "nothing_stands"),
+        (1.1, "busy"),
+        (1.2, "tracking"),
+        (4.0, "when_it_rests"),
+        (6.5, "tracking"),
+        (8.0, "stopped"),
+        (9.0, "learns"),
+        (10.0, "busy"),
+        (10.5, "stopped"),
+        (11.0, "tracking"),
+    ];
+    for (at, answer) in answers {
+        assert_eq!(ended.answer(at).0, answer, "{at}: {:?}", ended.answers);
+    }
+    assert_eq!(ended.state(6.4), "handed_over", "{:?}", ended.states);
+    assert_eq!(ended.state(9.9), "learn", "{:?}", ended.states);
+    assert_eq!(ended.state(10.9), "idle", "{:?}", ended.states);
+}
+
+#[test]
+fn a_ball_that_leads_to_where_the_arm_does_not_reach_ends_in_no_step_and_is_followed_when_it_is_back()
+ {
+    let ended = Rig::new("reach", 14.0)
+        .set("task.druide.args.control.reach_m=2.0")
+        .set("task.ball.args.motion=\"sweep\"")
+        .set("task.ball.args.reach=[0.6, 0.0, 0.2]")
+        .set("task.ball.args.speed=0.3")
+        .run();
+    ended.must_be_smooth();
+    let tracked = ended.states.iter().filter(|(_, state)| state == "track");
+    assert!(tracked.count() >= 2, "{:?}", ended.states);
+}
+
+/// A hand that feels, and a wall beside it that the ball leads it into.
+const WALL: &str = r#"
+[[arm.capsule]]
+link = "link6"
+from = [0.0, 0.0, -0.01]
+to = [0.0, 0.0, 0.03]
+radius = 0.04
+grey = 60.0
+
+[[furniture]]
+centre = [0.70, -0.04, 0.75]
+size = [0.3, 0.1, 0.3]
+grey = 30.0
+"#;
+
+#[test]
+fn a_rigid_wall_in_the_way_of_the_hand_ends_in_an_overload_that_is_smooth_and_waits_for_a_person() {
+    let ended = Rig::new("wall", 8.0)
+        .cell(WALL)
+        .set("task.ball.args.motion=\"sweep\"")
+        .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
+        .set("task.ball.args.speed=0.012")
+        .run();
+    ended.must_be_smooth();
+    assert!(ended.number("max_force_n") < 60.0, "{}", ended.result);
+    assert_eq!(ended.state(7.9), "overload", "{:?}", ended.states);
+    assert_eq!(ended.result["stops"], 1, "{}", ended.result);
 }

@@ -10,19 +10,16 @@ use ctos::{
     system::AppResult,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use mcs::client::{Manipulator, Move, PathKind, Target};
-use nalgebra::{Isometry3, Matrix4, Point3, Translation3};
+use nalgebra::Point3;
 use serde::Deserialize;
 use sorma::snapshot::{Place, Reader, Snapshot};
 
 use crate::{
     control,
+    coordination::{ask, net_task},
     judging::{Judge, lines},
-    map::{Example, grid},
-    wire::{
-        BLOB, BlobRecord, COURSE, CourseRecord, LearnMap, LocateBlob, ReadTracker, StartTracking,
-        StopTracking, TrueClock, seconds,
-    },
+    learning::Learning,
+    wire::{COURSE, CourseRecord, ReadSights, ReadTracker, TrueClock, seconds},
 };
 
 /// The handler's name.
@@ -30,18 +27,6 @@ pub const HANDLER: &str = "tracker.application";
 
 /// How often records are read.
 const LOOK: Duration = Duration::from_millis(200);
-
-/// How long a motion of the arm may take.
-const LONGEST_MOVE: Duration = Duration::from_secs(60);
-
-/// How long an arm that has arrived is left alone, so that pictures are of where it is.
-const STILL: Duration = Duration::from_millis(600);
-
-/// A place without a ball is given up after this.
-const PATIENCE: Duration = Duration::from_secs(20);
-
-/// How long taking the arm, and giving it back, may take.
-const CHANGE: Duration = Duration::from_secs(40);
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -62,20 +47,11 @@ struct ApplicationArgs {
     /// The task that tells places from blobs.
     #[serde(default = "client_task")]
     client: String,
-    /// The client interface of the arm, which a map is learned with.
-    #[serde(default = "mcs_task")]
-    mcs: String,
+    /// The task of the net in front.
+    #[serde(default = "net_task")]
+    net: String,
     /// The snapshot buffer with the ball's true places, in the world; only a simulation has one.
     truth: Option<String>,
-    /// How far a map reaches to both sides, m along the axes of the tool.
-    #[serde(default = "half")]
-    grid_m: [f64; 3],
-    /// So many pictures are taken at each place of a map.
-    #[serde(default = "pictures")]
-    pictures: usize,
-    /// Fraction of full speed between the places of a map.
-    #[serde(default = "speed")]
-    speed: f64,
 }
 
 /// What the application does.
@@ -105,22 +81,6 @@ fn client_task() -> String {
     "client".to_owned()
 }
 
-fn mcs_task() -> String {
-    "mcs".to_owned()
-}
-
-fn half() -> [f64; 3] {
-    [0.08, 0.08, 0.06]
-}
-
-fn pictures() -> usize {
-    12
-}
-
-fn speed() -> f64 {
-    0.3
-}
-
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
     let handler = registry.handler(HANDLER, &[], |cx| Ok(Application { args: cx.args()? }));
@@ -130,7 +90,7 @@ pub(crate) fn register(registry: &mut Registry) {
             ("druide", &args.druide),
             ("argus", &args.argus),
             ("client", &args.client),
-            ("mcs", &args.mcs),
+            ("net", &args.net),
         ];
         for (key, name) in tasks {
             if app.task(name).is_none() {
@@ -147,17 +107,6 @@ pub(crate) fn register(registry: &mut Registry) {
         if !(0.0..=1e6).contains(&args.seconds) {
             let text = format!("`seconds` is {}", args.seconds);
             refuse("seconds", text, "give a number of seconds, 0 for ever");
-        }
-        if !args.grid_m.iter().all(|half| (0.005..=0.5).contains(half)) {
-            let text = format!("`grid_m` is {:?}", args.grid_m);
-            refuse("grid_m", text, "give three numbers from 0.005 to 0.5");
-        }
-        if !(args.speed > 0.0 && args.speed <= 1.0) {
-            let text = format!("`speed` is {}", args.speed);
-            refuse("speed", text, "give a number above 0, up to 1");
-        }
-        if args.pictures == 0 {
-            refuse("pictures", "`pictures` is 0".to_owned(), "give 1 or more");
         }
     });
 }
@@ -207,7 +156,7 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         cx.call(&argus, TrueClock {}).await?,
     );
     judge.know_clocks(clocks.0, clocks.1);
-    cx.call(&druide, StartTracking {}).deadline(CHANGE).await?;
+    order(cx, args, "track", "tracking").await?;
     let mut course = Reader::open(&place, COURSE)?;
     let mut truth = match &args.truth {
         Some(buffer) => Some(Reader::open(&place, buffer)?),
@@ -237,7 +186,12 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         }
     }
     let report = cx.call(&druide, ReadTracker {}).await?;
-    cx.call(&druide, StopTracking {}).deadline(CHANGE).await?;
+    // A client that is gone has told all the same.
+    let sights = match cx.task(&args.client).await {
+        Ok(client) => cx.call(&client, ReadSights {}).await.ok(),
+        Err(_) => None,
+    };
+    order(cx, args, "stop", "stopped").await?;
     let verdict = judge.verdict();
     let mut text = lines(&verdict, &report.counts);
     if let Some(why) = &report.stopped {
@@ -254,6 +208,8 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "tracked": verdict.tracked,
         "rms_m": verdict.rms_m,
         "p95_m": verdict.p95_m,
+        "max_error_m": verdict.max_error_m,
+        "last_error_m": verdict.last_error_m,
         "estimate_rms_m": verdict.estimate_rms_m,
         "estimate_mean_m": verdict.estimate_mean_m,
         "servo_rms_m": verdict.servo_rms_m,
@@ -270,6 +226,7 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "late": report.counts.late,
         "far": report.counts.far,
         "unplaced": report.unplaced,
+        "sights": sights,
         "unread": lost,
         "phase": format!("{:?}", report.phase),
         "stops": report.stops,
@@ -282,62 +239,34 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
     })
 }
 
-/// Takes the hand through a grid around where it is, and learns the map of what it sees.
+/// Has the arm learn the map, and tells how well it knows places between those that it has seen.
 async fn learn(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, HandlerError> {
-    let arm = Manipulator::find(cx, &args.mcs).await?;
-    arm.acquire().await?;
-    let learned = learn_with(cx, args, &arm).await;
-    // Whatever was seen, the arm is given back.
-    arm.release().await?;
-    learned
-}
-
-async fn learn_with(
-    cx: &Context,
-    args: &ApplicationArgs,
-    arm: &Manipulator,
-) -> Result<AppResult, HandlerError> {
-    let home = pose(&arm.position().await?.base_t_tool);
-    let client = cx.task(&args.client).await?;
-    let mut examples = Vec::new();
-    let places = grid(args.grid_m);
-    let all = places.len() as u64;
-    for (done, [x, y, z]) in (0..).zip(places) {
-        cx.progress(done, all, "learn", "the ball from each place of the grid");
-        // The ball is to be at (x, y, z) from its nominal place, so the hand goes the other way.
-        let there = home * Translation3::new(-x, -y, -z);
-        examples.push(example(cx, args, arm, &home, &there).await?);
-    }
-    let request = LearnMap {
-        examples: examples.clone(),
+    let druide = cx.task(&args.druide).await?;
+    order(cx, args, "learn", "learns").await?;
+    let learned = loop {
+        cx.sleep(LOOK).await;
+        match cx.call(&druide, ReadTracker {}).await?.learning {
+            Learning::None | Learning::Underway => {}
+            learned => break learned,
+        }
     };
-    cx.call(&client, request).await?;
-    // Held against places between those of the grid.
-    let mut squares = Vec::new();
-    for [x, y, z] in grid(args.grid_m.map(|half| 0.5 * half))
-        .into_iter()
-        .step_by(5)
-    {
-        let there = home * Translation3::new(-x, -y, -z);
-        let between = example(cx, args, arm, &home, &there).await?;
-        let seen = between.seen;
-        let found = cx.call(&client, LocateBlob { seen }).await?;
-        let (found, _) = found.ok_or("the map does not know a place between its examples")?;
-        let off = Point3::from(found) - Point3::from(between.place);
-        squares.push(off.norm_squared());
-    }
-    move_to(arm, args, &home).await?;
-    let rms = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
+    let (examples, checked, rms) = match learned {
+        Learning::Learned {
+            examples,
+            checked,
+            rms_m,
+        } => (examples, checked, rms_m),
+        Learning::Failed(why) => return Err(HandlerError::new(why)),
+        Learning::None | Learning::Underway => return Err("nothing was learned".into()),
+    };
     let text = format!(
-        "learned {} places; {} others are known within {:.2} mm rms\n",
-        examples.len(),
-        squares.len(),
+        "learned {examples} places; {checked} others are known within {:.2} mm rms\n",
         rms * 1e3
     );
     let json = serde_json::json!({
         "ok": true,
-        "examples": examples.len(),
-        "checked": squares.len(),
+        "examples": examples,
+        "checked": checked,
         "checked_rms_m": rms,
     });
     Ok(AppResult {
@@ -347,71 +276,17 @@ async fn learn_with(
     })
 }
 
-/// What is seen from a place, and where the hand should be, seen from there.
-async fn example(
+/// Puts an order on the net's tape, which has to be answered so.
+async fn order(
     cx: &Context,
     args: &ApplicationArgs,
-    arm: &Manipulator,
-    home: &Isometry3<f64>,
-    there: &Isometry3<f64>,
-) -> Result<Example, HandlerError> {
-    move_to(arm, args, there).await?;
-    cx.sleep(STILL).await;
-    let mut reader = Reader::open(&Place::of_app(&cx.app().name)?, BLOB)?;
-    let head = reader.head();
-    reader.seek(head);
-    let (mut record, mut sums, mut taken) = (Snapshot::default(), [0.0; 4], 0_usize);
-    let until = cx.now() + PATIENCE;
-    while taken < args.pictures {
-        if cx.now() >= until {
-            let place = there.translation.vector;
-            let text = format!("no whole ball is seen from {place:.3?}");
-            return Err(HandlerError::new(text));
-        }
-        cx.sleep(LOOK / 10).await;
-        while taken < args.pictures && reader.next(&mut record)?.is_some() {
-            let blob = BlobRecord::from_floats(&record.floats);
-            if let Some(blob) = blob.filter(|blob| blob.sighting.doubts == 0) {
-                let seen = blob.sighting.seen;
-                let numbers = [seen.u, seen.v, seen.radius, seen.spread];
-                for (sum, number) in sums.iter_mut().zip(numbers) {
-                    *sum += number;
-                }
-                taken += 1;
-            }
-        }
-    }
-    // What counts is where the hand was.
-    let measured = pose(&arm.position().await?.base_t_tool);
-    let nominal = measured.inverse() * Point3::from(home.translation.vector);
-    Ok(Example {
-        place: nominal.coords.into(),
-        seen: sums.map(|sum| sum / taken as f64),
-    })
-}
-
-async fn move_to(
-    arm: &Manipulator,
-    args: &ApplicationArgs,
-    to: &Isometry3<f64>,
+    symbol: &str,
+    success: &str,
 ) -> Result<(), HandlerError> {
-    let mut rows = [0.0; 16];
-    rows.copy_from_slice(to.to_homogeneous().transpose().as_slice());
-    let request = Move {
-        target: Target::Pose(rows),
-        path: PathKind::Joint,
-        speed: args.speed,
-        acceleration: None,
-        elbow: None,
-        guards: Vec::new(),
-        blend: 0.0.into(),
-    };
-    arm.go(request, LONGEST_MOVE).await?;
-    Ok(())
-}
-
-/// A pose from 16 numbers, row by row.
-fn pose(rows: &[f64; 16]) -> Isometry3<f64> {
-    let matrix = Matrix4::from_row_slice(rows);
-    nalgebra::try_convert(matrix).unwrap_or_else(Isometry3::identity)
+    let answer = ask(cx, &args.net, symbol).await?;
+    if answer.symbol == success {
+        return Ok(());
+    }
+    let text = format!("`{symbol}`: {}: {}", answer.symbol, answer.text.trim_end());
+    Err(HandlerError::new(text))
 }

@@ -1,9 +1,9 @@
-//! What a picture shows of the ball: the largest bright blob, and whether it is what the ball looks like (SORMA technical report,
+//! What a picture shows of the ball: the largest bright blob that looks like it, or the largest and what it is not (SORMA technical report,
 //! section 2.2.3). Knows no tasks.
 
 use serde::{Deserialize, Serialize};
 use vss::{
-    components::{Expectation, components},
+    components::{Component, Doubt, Expectation, components},
     frame::Frame,
     target_map::Seen,
 };
@@ -30,7 +30,7 @@ impl Default for Look {
     }
 }
 
-/// The largest blob of a picture.
+/// A blob of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
     /// What is seen of it.
@@ -48,29 +48,37 @@ pub struct Sighting {
 /// A second blob that is as good as the largest: nobody knows which is the ball.
 pub const AMBIGUOUS: i64 = 64;
 
+impl Sighting {
+    /// Whether there is a doubt of one of these kinds.
+    #[must_use]
+    pub fn has(&self, doubts: &[Doubt]) -> bool {
+        doubts.iter().any(|doubt| self.doubts & doubt.flag() != 0)
+    }
+}
+
 /// A blob this much smaller than the largest is none that could be taken for it.
 const RIVAL: f64 = 0.5;
 
-/// The largest blob; `None` in a picture that is dark everywhere.
+/// The largest blob that is the ball, else the largest with what it is not; `None` in a picture that is dark everywhere. So a
+/// reflection that is larger does no harm.
 #[must_use]
 pub fn largest(frame: &Frame, look: &Look) -> Option<Sighting> {
     let found = components(&frame.grey(), frame.width, look.threshold);
     let [least, most] = look.area_px;
-    let largest = found.iter().max_by_key(|blob| blob.area)?;
     let expected = Expectation {
         area: (least, most),
         eccentricity: look.eccentricity,
         holes: None,
     };
-    let is_ball = |doubts: &[vss::components::Doubt]| doubts.is_empty();
-    let doubts = expected.doubts(largest, frame.width, frame.height);
-    let mut flags: i64 = doubts.iter().map(|doubt| doubt.flag()).sum();
-    let rivals = found.iter().filter(|blob| {
-        !std::ptr::eq(*blob, largest)
-            && blob.area as f64 > RIVAL * largest.area as f64
-            && is_ball(&expected.doubts(blob, frame.width, frame.height))
-    });
-    if rivals.count() > 0 {
+    let doubts = |blob| expected.doubts(blob, frame.width, frame.height);
+    let balls = || found.iter().filter(|blob| doubts(blob).is_empty());
+    let ball = balls().max_by_key(|blob| blob.area);
+    let largest = ball.or_else(|| found.iter().max_by_key(|blob| blob.area))?;
+    let mut flags: i64 = doubts(largest).iter().map(|doubt| doubt.flag()).sum();
+    let is_rival = |blob: &&Component| {
+        !std::ptr::eq(*blob, largest) && blob.area as f64 > RIVAL * largest.area as f64
+    };
+    if balls().any(|blob| is_rival(&blob)) {
         flags |= AMBIGUOUS;
     }
     Some(Sighting {
@@ -130,5 +138,15 @@ mod tests {
     fn a_small_reflection_beside_the_ball_does_no_harm() {
         let found = seen(|x, y| disc(x, y, (60.0, 100.0), 20.0) || disc(x, y, (150.0, 40.0), 8.0));
         assert_eq!(found.unwrap().doubts, 0);
+    }
+
+    #[test]
+    fn a_long_reflection_that_is_larger_than_the_ball_does_no_harm() {
+        let streak = |x: f64, y: f64| x < 190.0 && x > 10.0 && (y - 150.0).abs() < 6.0;
+        let found = seen(|x, y| disc(x, y, (60.0, 60.0), 20.0) || streak(x, y)).unwrap();
+        assert_eq!((found.doubts, found.blobs), (0, 2));
+        assert!((found.seen.u - 60.0).abs() < 0.1, "{found:?}");
+        // Without a ball it is told what the streak is not.
+        assert_ne!(seen(streak).unwrap().doubts, 0);
     }
 }

@@ -1,7 +1,11 @@
 //! The client: a process of its own that reads what argus sees, tells the place of the ball from it by a PSOM, and tells that druide
 //! (SORMA technical report, section 2.2.4).
 
-use std::{cell::RefCell, rc::Rc, time::Duration};
+use std::{
+    cell::{Cell, RefCell},
+    rc::Rc,
+    time::Duration,
+};
 
 use ctos::{
     diagnostic::Finding,
@@ -11,11 +15,15 @@ use ctos::{
 };
 use serde::Deserialize;
 use sorma::snapshot::{Place, Reader, Snapshot, WriterState};
-use vss::target_map::{Located, Seen, TargetMap};
+use vss::{
+    components::Doubt,
+    target_map::{Located, Seen, TargetMap},
+};
 
 use crate::{
+    blob::{AMBIGUOUS, Sighting},
     map::{self, Example},
-    wire::{BLOB, BlobRecord, LearnMap, LocateBlob, TargetSeen},
+    wire::{BLOB, BlobRecord, LearnMap, LocateBlob, ReadSights, Sights, TargetSeen},
 };
 
 /// The handler's name.
@@ -44,7 +52,7 @@ fn druide_task() -> String {
 
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
-    let commands = [LearnMap::INFO, LocateBlob::INFO];
+    let commands = [LearnMap::INFO, LocateBlob::INFO, ReadSights::INFO];
     let handler = registry.handler(HANDLER, &commands, |cx| Client::new(cx, cx.args()?));
     handler.checked_args::<ClientArgs>(|args, task, app, findings| {
         let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
@@ -71,6 +79,7 @@ pub(crate) fn register(registry: &mut Registry) {
 struct Client {
     args: ClientArgs,
     map: Rc<RefCell<Option<TargetMap>>>,
+    sights: Rc<Cell<Sights>>,
 }
 
 impl Client {
@@ -85,6 +94,7 @@ impl Client {
         };
         Ok(Self {
             map: Rc::new(RefCell::new(map)),
+            sights: Rc::default(),
             args,
         })
     }
@@ -132,63 +142,104 @@ impl EventHandler for Client {
                 let found = located(&self.map, &seen);
                 reply.ok(found.map(|found| (found.place.coords.into(), found.error)))
             }
+            ReadSights::CODE => {
+                let (ReadSights {}, reply) = message.open::<ReadSights>()?;
+                reply.ok(self.sights.get())
+            }
             _ => cx.default_processing(message),
         }
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
-            let (own, args, map) = (cx.clone(), self.args.clone(), Rc::clone(&self.map));
-            cx.spawn(async move { place_for_ever(&own, &args, &map).await });
+            let placing = Placing {
+                cx: cx.clone(),
+                args: self.args.clone(),
+                map: Rc::clone(&self.map),
+                sights: Rc::clone(&self.sights),
+            };
+            cx.spawn(async move { placing.place_for_ever().await });
         }
         Ok(())
     }
 }
 
-/// Tells druide the place of each ball that is seen.
-async fn place_for_ever(cx: &Context, args: &ClientArgs, map: &RefCell<Option<TargetMap>>) {
-    loop {
-        if let Err(error) = place_all(cx, args, map).await {
-            tracing::debug!("begins anew: {error}");
-        }
-        cx.sleep(LOOK_AGAIN).await;
-    }
+/// The client at work.
+struct Placing {
+    cx: Context,
+    args: ClientArgs,
+    map: Rc<RefCell<Option<TargetMap>>>,
+    sights: Rc<Cell<Sights>>,
 }
 
-async fn place_all(
-    cx: &Context,
-    args: &ClientArgs,
-    map: &RefCell<Option<TargetMap>>,
-) -> Result<(), HandlerError> {
-    let place = Place::of_app(&cx.app().name)?;
-    cx.reads_unrecorded("what argus sees");
-    let mut reader = Reader::open(&place, BLOB)?;
-    let head = reader.head();
-    reader.seek(head);
-    let druide: TaskRef = cx.task(&args.druide).await?;
-    let mut record = Snapshot::default();
-    let mut silent = 0_u32;
-    loop {
-        while reader.next(&mut record)?.is_some() {
-            silent = 0;
-            let blob = BlobRecord::from_floats(&record.floats);
-            let Some(blob) = blob.filter(|blob| blob.sighting.doubts == 0) else {
-                continue;
-            };
-            let Some(found) = located(map, &blob.sighting.seen) else {
-                continue;
-            };
-            let seen = TargetSeen {
-                stamp_ns: blob.stamp_ns,
-                relative: found.place.coords.into(),
-            };
-            cx.send(&druide, seen).await?;
+impl Placing {
+    /// Tells druide the place of each ball that is seen.
+    async fn place_for_ever(&self) {
+        loop {
+            if let Err(error) = self.place_all().await {
+                tracing::debug!("begins anew: {error}");
+            }
+            self.cx.sleep(LOOK_AGAIN).await;
         }
-        silent += 1;
-        // A writer that was killed says nothing.
-        if silent.is_multiple_of(200) && !matches!(reader.writer(), WriterState::Writing(_)) {
-            return Err("argus has ended".into());
+    }
+
+    async fn place_all(&self) -> Result<(), HandlerError> {
+        let cx = &self.cx;
+        let place = Place::of_app(&cx.app().name)?;
+        cx.reads_unrecorded("what argus sees");
+        let mut reader = Reader::open(&place, BLOB)?;
+        let head = reader.head();
+        reader.seek(head);
+        let druide: TaskRef = cx.task(&self.args.druide).await?;
+        let mut record = Snapshot::default();
+        let mut silent = 0_u32;
+        loop {
+            while reader.next(&mut record)?.is_some() {
+                silent = 0;
+                let Some(blob) = BlobRecord::from_floats(&record.floats) else {
+                    continue;
+                };
+                if let Some(found) = self.locate(&blob.sighting) {
+                    let seen = TargetSeen {
+                        stamp_ns: blob.stamp_ns,
+                        relative: found.place.coords.into(),
+                    };
+                    cx.send(&druide, seen).await?;
+                }
+            }
+            silent += 1;
+            // A writer that was killed says nothing.
+            if silent.is_multiple_of(200) && !matches!(reader.writer(), WriterState::Writing(_)) {
+                return Err("argus has ended".into());
+            }
+            cx.sleep(LOOK).await;
         }
-        cx.sleep(LOOK).await;
+    }
+
+    /// The place of what was seen, if it is the ball. What it is else is counted.
+    fn locate(&self, sighting: &Sighting) -> Option<Located> {
+        let mut sights = self.sights.get();
+        let mut found = None;
+        if sighting.doubts == 0 {
+            found = located(&self.map, &sighting.seen);
+            match found {
+                Some(_) => sights.placed += 1,
+                None => sights.unknown += 1,
+            }
+        }
+        let kinds = [
+            (&mut sights.clipped, &[Doubt::Clipped][..]),
+            (&mut sights.size, &[Doubt::Small, Doubt::Large]),
+            (
+                &mut sights.shape,
+                &[Doubt::Elongated, Doubt::Ragged, Doubt::Holes],
+            ),
+        ];
+        for (count, doubts) in kinds {
+            *count += u64::from(sighting.has(doubts));
+        }
+        sights.ambiguous += u64::from(sighting.doubts & AMBIGUOUS != 0);
+        self.sights.set(sights);
+        found
     }
 }

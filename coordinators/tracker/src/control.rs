@@ -8,6 +8,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    contact::{Contact, ContactArgs},
     course::{Course, CourseArgs},
     target::{Predicted, Taken, Target, TargetArgs},
     vector::{VectorArgs, VectorFilter},
@@ -29,6 +30,8 @@ pub struct ControlArgs {
     pub course: CourseArgs,
     /// From the force at the wrist, N, to a displacement, m.
     pub wrist: VectorArgs,
+    /// What the hand does at something that pushes back.
+    pub contact: ContactArgs,
     /// From the mouse, whose axes go from -1 to 1, to a displacement, m.
     pub mouse: VectorArgs,
     /// Whether the ball's motion is predicted.
@@ -52,6 +55,7 @@ impl Default for ControlArgs {
                 scale: 0.004,
                 clip: 0.1,
             },
+            contact: ContactArgs::default(),
             mouse: VectorArgs {
                 low_pass_hz: 4.0,
                 null_radius: 0.05,
@@ -74,6 +78,7 @@ impl ControlArgs {
             ("target", self.target.wrong()),
             ("course", self.course.wrong()),
             ("wrist", self.wrist.wrong()),
+            ("contact", self.contact.wrong()),
             ("mouse", self.mouse.wrong()),
         ];
         let part = parts
@@ -143,6 +148,7 @@ pub struct Control {
     target: Target,
     course: Course,
     wrist: VectorFilter,
+    contact: Contact,
     mouse: VectorFilter,
     /// Where the hand should be without a target.
     hold: Point3<f64>,
@@ -151,6 +157,8 @@ pub struct Control {
     /// When a measurement was used last.
     seen: f64,
     offset: Vector3<f64>,
+    /// The hand is to stand, whatever is seen, felt or steered.
+    stands: bool,
 }
 
 impl Control {
@@ -161,6 +169,7 @@ impl Control {
             target: Target::new(args.target),
             course: Course::at_rest(args.course, home),
             wrist: VectorFilter::new(args.wrist),
+            contact: Contact::new(args.contact),
             mouse: VectorFilter::new(args.mouse),
             hold: home,
             home,
@@ -168,15 +177,21 @@ impl Control {
             counts: Counts::default(),
             seen: f64::NEG_INFINITY,
             offset: Vector3::zeros(),
+            stands: false,
             args,
         }
     }
 
+    /// Whether the hand is to come to rest, and to stand, whatever is seen, felt or steered.
+    pub fn stand(&mut self, stands: bool) {
+        self.stands = stands;
+    }
+
     /// The hand rests elsewhere now: it was stopped. What was counted stays.
     pub fn rest_at(&mut self, place: Point3<f64>) {
-        let (counts, home) = (self.counts, self.home);
+        let (counts, home, stands) = (self.counts, self.home, self.stands);
         *self = Self::new(self.args, place);
-        (self.counts, self.home) = (counts, home);
+        (self.counts, self.home, self.stands) = (counts, home, stands);
     }
 
     /// Takes in that the hand should have been at `place` at the moment `at`; it is known `now`.
@@ -203,9 +218,16 @@ impl Control {
             true => self.target.at(ahead),
             false => self.target.last(ahead),
         };
+        if let Some(target) = &expected {
+            self.watch(now, target);
+        }
         let (goal, moving) = match expected {
+            _ if self.stands => {
+                // Wherever it is when it has braked.
+                self.hold = self.course.place;
+                (self.hold, Vector3::zeros())
+            }
             Some(target) => {
-                self.watch(now, &target);
                 self.hold = target.place + self.offset;
                 (self.hold, target.velocity)
             }
@@ -220,7 +242,9 @@ impl Control {
             self.hold = goal;
         }
         let before = self.course.velocity;
-        self.course.go(&goal, &moving, period);
+        let wanted = self.course.wanted(&goal, &moving, period);
+        let wanted = self.contact.allow(force, &self.course.place, wanted);
+        self.course.follow(&wanted, period);
         self.course.ratio(&before, period)
     }
 
@@ -409,6 +433,22 @@ mod tests {
         rig.run(3600.0, |_| Some(Point3::new(0.1, 0.05, 0.0)), NONE);
         assert!((rig.control.course().place - Point3::new(0.1, 0.05, 0.0)).norm() < 1e-6);
         assert_eq!(rig.control.counts().lost, 0);
+    }
+
+    #[test]
+    fn a_hand_that_is_to_stand_comes_to_rest_without_a_step_whatever_is_seen() {
+        let mut rig = Rig::new(ControlArgs::default());
+        rig.run(3.0, |t| Some(sweep(t)), NONE);
+        rig.control.stand(true);
+        rig.run(1.0, |t| Some(sweep(t)), NONE);
+        let there = rig.control.course().place;
+        assert!(rig.control.course().velocity.norm() < 1e-6);
+        rig.run(1.0, |t| Some(sweep(t)), Vector3::new(0.0, 8.0, 0.0));
+        assert!((rig.control.course().place - there).norm() < 1e-6);
+        rig.control.stand(false);
+        rig.run(3.0, |t| Some(sweep(t)), NONE);
+        assert!((rig.control.course().place - sweep(rig.now() + 0.0135)).norm() < 0.02);
+        assert!(rig.worst <= 1.0 + 1e-9, "{}", rig.worst);
     }
 
     #[test]

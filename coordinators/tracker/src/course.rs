@@ -67,9 +67,15 @@ impl Course {
         }
     }
 
-    /// Goes on by a period, s, towards a goal that moves with a velocity and is there at the end of the period. The change of the
-    /// velocity is never more than the acceleration allows.
+    /// Goes on by a period, s, towards a goal that moves with a velocity and is there at the end of the period.
     pub fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
+        let wanted = self.wanted(goal, moving, period);
+        self.follow(&wanted, period);
+    }
+
+    /// How fast it would go towards that goal, m/s.
+    #[must_use]
+    pub fn wanted(&self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) -> Vector3<f64> {
         let CourseArgs {
             speed,
             acceleration,
@@ -86,7 +92,12 @@ impl Course {
             (braking * (2.0 * left - near)).sqrt()
         };
         let direction = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
-        let wanted = clipped(moving + direction * towards, speed);
+        clipped(moving + direction * towards, speed)
+    }
+
+    /// Goes on by a period, s, as fast as is wanted. The change of the velocity is never more than the acceleration allows.
+    pub fn follow(&mut self, wanted: &Vector3<f64>, period: f64) {
+        let acceleration = self.args.acceleration;
         let change = clipped(wanted - self.velocity, acceleration * period);
         let before = self.velocity;
         self.velocity += change;

@@ -1,12 +1,18 @@
 //! Druide moves the arm: knows where the hand was when a picture was exposed, predicts the ball, and leaves a setpoint in every period
 //! (SORMA technical report, sections 2.2.5 to 2.2.8).
 //!
-//! The servo follows its snapshot buffer and stops by itself when that falls silent. What was stopped is begun anew after a while, but
-//! for what needs a person: an emergency stop, a stop that holds, and the guards that the configuration names.
+//! The servo follows its snapshot buffer and stops by itself when that falls silent. What happens is told to the net in front, which
+//! says what is done: whether the arm begins anew, waits for a person, or is handed over.
 
 mod period;
+mod watch;
 
-use std::{cell::RefCell, rc::Rc, sync::Arc, time::Duration};
+use std::{
+    cell::{Cell, RefCell},
+    rc::Rc,
+    sync::Arc,
+    time::Duration,
+};
 
 use ctos::{
     diagnostic::Finding,
@@ -17,11 +23,7 @@ use ctos::{
     time::Instant,
 };
 use mcs::{
-    client::{
-        Acquire, Manipulator, MotionError, ReadGuards, ReadStream, RecordStates, StreamKind,
-        StreamSetpoints,
-    },
-    guard::GuardReport,
+    client::{Manipulator, RecordStates},
     trajectory::Solver,
 };
 use serde::Deserialize;
@@ -29,27 +31,24 @@ use sorma::clock::{ClockDifference, Exchange, Observed, USUAL_DRIFT};
 
 use crate::{
     control::{self, ControlArgs},
+    coordination::{ask, net_task},
+    learning::{LearnArgs, Learner, Learning},
     wire::{
-        ClockTruth, CompareClocks, ReadTracker, SETPOINT, STATES, StartTracking, StopTracking,
-        TargetSeen, TrackerReport, TrueClock, seconds,
+        ClockTruth, CompareClocks, ReadTracker, ResumeTracking, STATES, StartLearning,
+        StartTracking, StopTracking, TargetSeen, TrackerReport, TrueClock, seconds,
     },
 };
 use period::Period;
+use watch::Watch;
 
 /// The handler's name.
 pub const HANDLER: &str = "tracker.druide";
 
-/// A setpoint older than this ends the stream, s.
-const OLDEST: f64 = 0.1;
-
 /// How often the clocks are compared.
 const COMPARE: Duration = Duration::from_millis(250);
 
-/// How often it is looked whether the arm still follows.
-const WATCH: Duration = Duration::from_millis(50);
-
-/// An arm that was stopped is tried again after this.
-const AGAIN: Duration = Duration::from_secs(1);
+/// How often it is looked whether learning has ended that was stopped.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// How long an exchange of times may take.
 const EXCHANGE: Duration = Duration::from_secs(1);
@@ -82,9 +81,27 @@ struct DruideArgs {
     /// Whether the ball's motion is predicted.
     #[serde(default = "yes")]
     prediction: bool,
-    /// Guards after which the arm does not begin again by itself: a person has to start the tracking anew.
-    #[serde(default = "waits_after")]
-    waits_after: Vec<String>,
+    /// The task of the net in front.
+    #[serde(default = "net_task")]
+    net: String,
+    /// The task that tells places from blobs, which a map is learned with.
+    #[serde(default = "client_task")]
+    client: String,
+    /// Guards that speak of too much force.
+    #[serde(default = "overload")]
+    overload: Vec<String>,
+    /// Guards after which the arm begins again by itself. After all others it waits for a person.
+    #[serde(default)]
+    again_after: Vec<String>,
+    /// The arm is taken again only while less force than this is felt, N.
+    #[serde(default = "resume_below_n")]
+    resume_below_n: f64,
+    /// A ball that has stayed within this for so long rests: m and s.
+    #[serde(default = "rests")]
+    rests: [f64; 2],
+    /// How the map is learned.
+    #[serde(default)]
+    learn: LearnArgs,
     /// How the hand follows.
     #[serde(default)]
     control: ControlArgs,
@@ -106,7 +123,19 @@ fn mouse_age_s() -> f64 {
     0.1
 }
 
-fn waits_after() -> Vec<String> {
+fn client_task() -> String {
+    "client".to_owned()
+}
+
+fn rests() -> [f64; 2] {
+    [0.005, 1.0]
+}
+
+fn resume_below_n() -> f64 {
+    15.0
+}
+
+fn overload() -> Vec<String> {
     vec!["overload".to_owned()]
 }
 
@@ -124,13 +153,21 @@ pub(crate) fn register(registry: &mut Registry) {
         TargetSeen::INFO,
         StartTracking::INFO,
         StopTracking::INFO,
+        ResumeTracking::INFO,
+        StartLearning::INFO,
         ReadTracker::INFO,
         TrueClock::INFO,
     ];
     let handler = registry.handler(HANDLER, &commands, |cx| Druide::new(cx, cx.args()?));
     handler.checked_args::<DruideArgs>(|args, task, app, findings| {
         let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
-        for (key, name) in [("mcs", &args.mcs), ("argus", &args.argus)] {
+        let tasks = [
+            ("mcs", &args.mcs),
+            ("argus", &args.argus),
+            ("client", &args.client),
+            ("net", &args.net),
+        ];
+        for (key, name) in tasks {
             if app.task(name).is_none() {
                 let names = app.tasks.iter().map(|task| task.name.as_str());
                 let text = format!("`{key}` names `{name}`, which is no task");
@@ -144,6 +181,9 @@ pub(crate) fn register(registry: &mut Registry) {
             ("period_ms", args.period_ms, 0.5, 50.0),
             ("mouse_age_s", args.mouse_age_s, 0.001, 10.0),
             ("drift", args.drift, 0.0, sorma::clock::MOST_DRIFT),
+            ("resume_below_n", args.resume_below_n, 0.1, 1e4),
+            ("rests", args.rests[0], 0.0, 1.0),
+            ("rests", args.rests[1], 0.0, 1e3),
         ];
         let own = own
             .into_iter()
@@ -154,6 +194,12 @@ pub(crate) fn register(registry: &mut Registry) {
             let at = place(&key);
             let finding = Finding::error("coordinators::tracker::druide", text).at(at);
             findings.push(finding.help("`docs/tracker.md` says what it may be"));
+        }
+        if let Some((key, value, help)) = args.learn.wrong() {
+            let key = format!("learn.{key}");
+            let text = format!("`{key}` is {value}");
+            let finding = Finding::error("coordinators::tracker::druide", text);
+            findings.push(finding.at(place(&key)).help(help));
         }
     });
 }
@@ -172,8 +218,10 @@ struct Druide {
     shared: Rc<RefCell<Shared>>,
     solver: Solver,
     cyclic: Option<CyclicHandle>,
-    /// Which tracking is under way; that of an earlier one ends by itself.
-    serial: Rc<RefCell<u64>>,
+    /// Which tracking or learning is under way; that of an earlier one ends by itself.
+    serial: Rc<Cell<u64>>,
+    /// Whether the map is being learned.
+    learns: Rc<Cell<bool>>,
 }
 
 impl Druide {
@@ -193,17 +241,30 @@ impl Druide {
             solver,
             cyclic: None,
             serial: Rc::default(),
+            learns: Rc::default(),
         })
+    }
+
+    /// The next tracking or learning: whether it is over.
+    fn next(&self, cx: &Context) -> impl Fn() -> bool + use<> {
+        let serial = self.serial.get() + 1;
+        self.serial.set(serial);
+        let (own, newest) = (cx.clone(), Rc::clone(&self.serial));
+        move || newest.get() != serial || own.is_stopping()
     }
 
     /// Takes the arm and follows from now on.
     async fn start(&mut self, cx: &Context) -> Result<(), HandlerError> {
         let arm = Manipulator::find(cx, &self.args.mcs).await?;
         let recipes = arm.guards().await?.recipes;
-        for name in &self.args.waits_after {
-            if !recipes.iter().any(|recipe| recipe.name == *name) {
+        for (key, names) in [
+            ("overload", &self.args.overload),
+            ("again_after", &self.args.again_after),
+        ] {
+            let known = |name: &&String| !recipes.iter().any(|recipe| recipe.name == **name);
+            if let Some(name) = names.iter().find(known) {
                 let text = format!(
-                    "`waits_after` names the guard `{name}`, which the arm has not: add it, or leave the name out"
+                    "`{key}` names the guard `{name}`, which the arm has not: add it, or leave the name out"
                 );
                 return Err(HandlerError::new(text));
             }
@@ -230,34 +291,85 @@ impl Druide {
             period.go(&own, seconds(tick.now), clocks.at(tick.now), report);
         };
         self.cyclic = Some(cx.cyclic(length, tick));
-        let serial = {
-            let mut serial = self.serial.borrow_mut();
-            *serial += 1;
-            *serial
-        };
-        let watch = Watch {
-            cx: cx.clone(),
-            mcs: self.args.mcs.clone(),
-            waits_after: self.args.waits_after.clone(),
-            found: RefCell::default(),
-            shared: Rc::clone(&self.shared),
-            serial: (Rc::clone(&self.serial), serial),
-        };
-        watch.begin().await?;
+        self.follow(cx).await
+    }
+
+    /// Has the arm that is held follow, and sees to it.
+    async fn follow(&self, cx: &Context) -> Result<(), HandlerError> {
+        if self.shared.borrow().period.is_none() {
+            return Err("nothing is tracked".into());
+        }
+        let watch = Watch::new(cx, &self.args, Rc::clone(&self.shared), self.next(cx));
+        watch.again().await?;
         cx.spawn(async move { watch.watch().await });
         Ok(())
     }
 
+    /// Has an arm follow that was stopped, unless something presses on it still.
+    async fn resume(&self, cx: &Context) -> Result<(), HandlerError> {
+        let felt = match &self.shared.borrow().period {
+            Some(period) => period.felt(),
+            None => 0.0,
+        };
+        if felt.is_nan() || felt >= self.args.resume_below_n {
+            let most = self.args.resume_below_n;
+            let text = format!("the wrist feels {felt:.1} N, and less than {most} N is needed");
+            return Err(HandlerError::new(text));
+        }
+        self.follow(cx).await
+    }
+
     /// Comes to rest and gives the arm back.
     async fn stop(&mut self, cx: &Context) -> Result<(), HandlerError> {
-        *self.serial.borrow_mut() += 1;
+        self.serial.set(self.serial.get() + 1);
         let arm = Manipulator::find(cx, &self.args.mcs).await?;
+        if self.learns.get() {
+            // Who learns gives the arm back.
+            arm.cancel().await?;
+            while self.learns.get() {
+                cx.sleep(LOOK).await;
+            }
+            return Ok(());
+        }
         let released = arm.release().await;
         self.cyclic = None;
         let mut shared = self.shared.borrow_mut();
         shared.period = None;
         shared.report.phase = control::Phase::Idle;
         released?;
+        Ok(())
+    }
+
+    /// Takes the arm, and learns the map from now on.
+    async fn learn(&self, cx: &Context) -> Result<(), HandlerError> {
+        let arm = Manipulator::find(cx, &self.args.mcs).await?;
+        arm.acquire().await?;
+        let (cx, args, is_over) = (cx.clone(), self.args.clone(), self.next(cx));
+        let (shared, learns) = (Rc::clone(&self.shared), Rc::clone(&self.learns));
+        learns.set(true);
+        shared.borrow_mut().report.learning = Learning::Underway;
+        cx.clone().spawn(async move {
+            let learner = Learner {
+                cx: &cx,
+                args: args.learn,
+                arm: &arm,
+                client: &args.client,
+                is_over: &is_over,
+            };
+            let learned = learner.learn().await;
+            // Whatever was seen, the arm is given back.
+            let released = arm.release().await.map_err(HandlerError::from);
+            let learned = learned.and_then(|learned| released.map(|_| learned));
+            if let Err(error) = &learned {
+                tracing::warn!("the map is not learned: {error}");
+            }
+            let learned = learned.unwrap_or_else(|error| Learning::Failed(error.to_string()));
+            shared.borrow_mut().report.learning = learned;
+            learns.set(false);
+            if let Err(error) = ask(&cx, &args.net, "learned").await {
+                tracing::warn!("the net is not told that learning has ended: {error}");
+            }
+        });
         Ok(())
     }
 
@@ -298,6 +410,20 @@ impl EventHandler for Druide {
             StopTracking::CODE => {
                 let (StopTracking {}, reply) = message.open::<StopTracking>()?;
                 match self.stop(cx).await {
+                    Ok(()) => reply.ok(()),
+                    Err(error) => reply.fail(error.to_string()),
+                }
+            }
+            ResumeTracking::CODE => {
+                let (ResumeTracking {}, reply) = message.open::<ResumeTracking>()?;
+                match self.resume(cx).await {
+                    Ok(()) => reply.ok(()),
+                    Err(error) => reply.fail(error.to_string()),
+                }
+            }
+            StartLearning::CODE => {
+                let (StartLearning {}, reply) = message.open::<StartLearning>()?;
+                match self.learn(cx).await {
                     Ok(()) => reply.ok(()),
                     Err(error) => reply.fail(error.to_string()),
                 }
@@ -358,132 +484,4 @@ async fn compare(cx: &Context, argus: &str, shared: &RefCell<Shared>) -> Result<
         report.clock_bound_s = difference.error_ns as f64 * 1e-9;
     }
     Ok(())
-}
-
-/// Sees that the arm follows.
-struct Watch {
-    cx: Context,
-    mcs: String,
-    waits_after: Vec<String>,
-    /// What a guard had found last when the arm began to follow.
-    found: RefCell<Option<GuardReport>>,
-    shared: Rc<RefCell<Shared>>,
-    serial: (Rc<RefCell<u64>>, u64),
-}
-
-impl Watch {
-    fn is_over(&self) -> bool {
-        *self.serial.0.borrow() != self.serial.1 || self.cx.is_stopping()
-    }
-
-    /// Has the servo follow the setpoints.
-    async fn begin(&self) -> Result<(), MotionError> {
-        let client = self.cx.task(&self.mcs).await?;
-        let guards = self.cx.call(&client, ReadGuards {}).await?;
-        self.found.replace(guards.last);
-        let stream = StreamSetpoints {
-            kind: StreamKind::Tool,
-            buffer: Some(SETPOINT.to_owned()),
-            max_age_s: OLDEST,
-            speed: 1.0,
-            acceleration: None,
-            guards: Vec::new(),
-        };
-        self.cx.call(&client, stream).await??;
-        if let Some(period) = &mut self.shared.borrow_mut().period {
-            period.resume();
-        }
-        Ok(())
-    }
-
-    /// Looks at the stream, and begins it anew when it has ended.
-    async fn watch(&self) {
-        let mut told: Option<String> = None;
-        while !self.is_over() {
-            self.cx.sleep(WATCH).await;
-            let Some(why) = self.ended().await else {
-                continue;
-            };
-            if self.is_over() {
-                return;
-            }
-            let person = self.needs_person().await;
-            {
-                let mut shared = self.shared.borrow_mut();
-                if let Some(period) = &mut shared.period
-                    && period.halt()
-                {
-                    tracing::warn!("the arm was stopped: {why}");
-                    shared.report.stops += 1;
-                    shared.report.stopped = Some(why);
-                }
-            }
-            match person {
-                Ok(None) => {}
-                Ok(Some(guard)) => {
-                    tracing::warn!(
-                        guard,
-                        "the arm waits for a person, who starts the tracking anew"
-                    );
-                    return;
-                }
-                // Not known is no permission: it is looked again.
-                Err(error) => {
-                    tracing::debug!("the guards do not answer: {error}");
-                    continue;
-                }
-            }
-            self.cx.sleep(AGAIN).await;
-            if self.is_over() {
-                return;
-            }
-            match self.again().await {
-                Ok(()) => {
-                    tracing::info!("the arm follows again");
-                    told = None;
-                }
-                Err(error) => {
-                    let error = error.to_string();
-                    if told.as_ref() != Some(&error) {
-                        tracing::warn!("the arm does not follow: {error}");
-                        self.shared.borrow_mut().report.stopped = Some(error.clone());
-                        told = Some(error);
-                    }
-                }
-            }
-        }
-    }
-
-    /// The guard that ended the stream, if it is one after which a person has to say that it goes on.
-    async fn needs_person(&self) -> Result<Option<String>, MotionError> {
-        let client = self.cx.task(&self.mcs).await?;
-        let last = self.cx.call(&client, ReadGuards {}).await?.last;
-        let new = last.filter(|last| self.found.borrow().as_ref() != Some(last));
-        let guard = new.map(|report| report.guard.to_string());
-        Ok(guard.filter(|guard| self.waits_after.contains(guard)))
-    }
-
-    /// Why the arm does not follow, if it does not.
-    async fn ended(&self) -> Option<String> {
-        let asked = async {
-            let client = self.cx.task(&self.mcs).await?;
-            Ok::<_, MotionError>(self.cx.call(&client, ReadStream {}).await?)
-        };
-        match asked.await {
-            Ok(report) if report.follows => None,
-            Ok(report) => Some(
-                report
-                    .end
-                    .unwrap_or_else(|| "no stream is under way".to_owned()),
-            ),
-            Err(error) => Some(error.to_string()),
-        }
-    }
-
-    /// Follows again, if that is safe: somebody who holds the arm, an emergency stop and a stop that holds are not overruled.
-    async fn again(&self) -> Result<(), MotionError> {
-        let client = self.cx.task(&self.mcs).await?;
-        self.cx.call(&client, Acquire {}).await??;
-        self.begin().await
-    }
 }

@@ -17,30 +17,57 @@ const REMEMBERED: f64 = 6.0;
 /// What is held against the truth begins so long after the ball is first followed, s.
 const SETTLED: f64 = 2.0;
 
-/// Root mean square and 95th percentile of distances, m.
-#[derive(Debug, Clone, Default)]
+/// Distances are counted in steps of this, m, up to so many of them.
+const STEP: f64 = 0.000_1;
+const STEPS: usize = 5000;
+
+/// Root mean square and 95th percentile of distances, m. What is kept does not grow.
+#[derive(Debug, Clone)]
 struct Errors {
-    all: Vec<f32>,
+    steps: Vec<u64>,
+    count: u64,
     sum: f64,
+    largest: f64,
+    last: f64,
+}
+
+impl Default for Errors {
+    fn default() -> Self {
+        Self {
+            steps: vec![0; STEPS],
+            count: 0,
+            sum: 0.0,
+            largest: 0.0,
+            last: 0.0,
+        }
+    }
 }
 
 impl Errors {
     fn add(&mut self, error: f64) {
-        self.all.push(error as f32);
+        let step = ((error / STEP) as usize).min(STEPS - 1);
+        if let Some(count) = self.steps.get_mut(step) {
+            *count += 1;
+        }
+        self.count += 1;
         self.sum += error * error;
+        self.largest = self.largest.max(error);
+        self.last = error;
     }
 
     fn rms(&self) -> f64 {
-        (self.sum / self.all.len().max(1) as f64).sqrt()
+        (self.sum / self.count.max(1) as f64).sqrt()
     }
 
+    /// What so large a part of them is not above, to a step.
     fn part(&self, part: f64) -> f64 {
-        let mut all = self.all.clone();
-        let at = ((all.len() as f64 * part) as usize).min(all.len().saturating_sub(1));
-        if all.is_empty() {
-            return 0.0;
-        }
-        f64::from(*all.select_nth_unstable_by(at, f32::total_cmp).1)
+        let wanted = (self.count as f64 * part).ceil();
+        let mut below = 0;
+        let found = self.steps.iter().position(|count| {
+            below += count;
+            below as f64 >= wanted
+        });
+        found.map_or(0.0, |step| ((step + 1) as f64 * STEP).min(self.largest))
     }
 }
 
@@ -55,6 +82,10 @@ pub struct Verdict {
     pub rms_m: f64,
     /// Its 95th percentile, m.
     pub p95_m: f64,
+    /// The largest of it, m.
+    pub max_error_m: f64,
+    /// How far the hand is from where it should be at the end, m.
+    pub last_error_m: f64,
     /// Error of the estimate of where the ball is now: root mean square, m.
     pub estimate_rms_m: f64,
     /// Its mean, m along the axes.
@@ -191,12 +222,14 @@ impl Judge {
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         let span = self.last.as_ref().zip(self.first);
-        let means = self.means / self.estimate.all.len().max(1) as f64;
+        let means = self.means / self.estimate.count.max(1) as f64;
         Verdict {
             seconds: span.map_or(0.0, |(last, first)| last.now - first),
             tracked: self.tracked as f64 / self.judged.max(1) as f64,
             rms_m: self.following.rms(),
             p95_m: self.following.part(0.95),
+            max_error_m: self.following.largest,
+            last_error_m: self.following.last,
             estimate_rms_m: self.estimate.rms(),
             estimate_mean_m: means.into(),
             servo_rms_m: self.servo.rms(),
@@ -322,7 +355,7 @@ mod tests {
             judge.course(&record(now, ball - behind));
         }
         let found = judge.verdict();
-        assert!((found.rms_m - 0.002).abs() < 1e-6 && (found.p95_m - 0.002).abs() < 1e-6);
+        assert!((found.rms_m - 0.002).abs() < 1e-6 && (found.p95_m - 0.002).abs() < 1.01e-4);
         assert!((found.estimate_rms_m - 0.002_f64.hypot(0.001)).abs() < 1e-6);
         assert!((found.clock_error_s - 0.000_5).abs() < 1e-9 && found.clock_within);
         assert!((found.tracked - 1.0).abs() < 1e-9 && found.seconds > 6.9);

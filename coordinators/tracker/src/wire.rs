@@ -16,6 +16,7 @@ use vss::target_map::Seen;
 use crate::{
     blob::{Look, Sighting},
     control::{Counts, Phase},
+    learning::Learning,
     map::Example,
 };
 
@@ -75,6 +76,11 @@ ctos::command! {
     } => Option<([f64; 3], f64)>, 0x0625, "locate_blob"
 }
 ctos::command! {
+    /// Asks the client what became of the pictures.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadSights => Sights, 0x062c, "read_sights"
+}
+ctos::command! {
     /// Has druide take the arm and follow.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StartTracking => (), 0x0626, "start_tracking"
@@ -83,6 +89,16 @@ ctos::command! {
     /// Has druide come to rest and give the arm back.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StopTracking => (), 0x0627, "stop_tracking"
+}
+ctos::command! {
+    /// Has druide follow again with an arm that was stopped.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ResumeTracking => (), 0x062a, "resume_tracking"
+}
+ctos::command! {
+    /// Has druide take the arm and learn the map. It answers when that has begun.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StartLearning => (), 0x062b, "start_learning"
 }
 ctos::command! {
     /// Asks druide how it is.
@@ -135,6 +151,23 @@ impl ClockTruth {
     }
 }
 
+/// What became of pictures in which something shone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Sights {
+    /// Those whose ball has a place.
+    pub placed: u64,
+    /// The ball was cut by the border,
+    pub clipped: u64,
+    /// too small or too large,
+    pub size: u64,
+    /// not round: a reflection, or partly covered,
+    pub shape: u64,
+    /// or beside another one that is as good.
+    pub ambiguous: u64,
+    /// The map does not know the place: E is high.
+    pub unknown: u64,
+}
+
 /// How druide is.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct TrackerReport {
@@ -154,6 +187,8 @@ pub struct TrackerReport {
     pub clock_bound_s: f64,
     /// How often a clock was set.
     pub clock_restarts: u64,
+    /// How learning the map is.
+    pub learning: Learning,
 }
 
 /// Seconds of a moment.

@@ -55,6 +55,9 @@ pub(super) struct Period {
     force: Vector3<f64>,
     /// The arm does not follow.
     halted: bool,
+    /// Where the ball stays, and since when, s; within how far, m, and how long until it rests, s.
+    stays: Option<(Point3<f64>, f64)>,
+    rests: [f64; 2],
     count: u64,
 }
 
@@ -98,6 +101,8 @@ impl Period {
             period: args.period_ms * 1e-3,
             force: Vector3::zeros(),
             halted: false,
+            stays: None,
+            rests: args.rests,
             count: 0,
         };
         period.send()?;
@@ -112,6 +117,27 @@ impl Period {
     /// The arm follows.
     pub(super) fn resume(&mut self) {
         self.halted = false;
+    }
+
+    /// Whether the hand is to come to rest, and to stand whatever is seen.
+    pub(super) fn stand(&mut self, stands: bool) {
+        self.control.stand(stands);
+    }
+
+    /// How large the force at the wrist is, N; what no sensor can read is no number.
+    pub(super) fn felt(&self) -> f64 {
+        self.force.norm()
+    }
+
+    /// How the ball is.
+    pub(super) fn phase(&self) -> Phase {
+        self.control.phase()
+    }
+
+    /// Whether the ball has rested for a while.
+    pub(super) fn ball_rests(&self, now: f64) -> bool {
+        let [_, long] = self.rests;
+        self.stays.is_some_and(|(_, since)| now - since >= long)
     }
 
     /// Takes in that the hand should have been at `relative`, m along its own axes, at the moment `at`; it is known `now`. False
@@ -165,6 +191,12 @@ impl Period {
             |(at, pose)| (*at, pose.translation.vector.into()),
         );
         let target = self.control.target(now);
+        let ball = target.filter(|_| phase == Phase::Track);
+        let ball = ball.map(|target| target.place);
+        self.stays = ball.map(|ball| match self.stays {
+            Some((there, since)) if (ball - there).norm() < self.rests[0] => (there, since),
+            _ => (ball, now),
+        });
         let difference = difference.map_or((f64::NAN, f64::NAN), |difference| {
             let seconds = |ns: f64| ns * 1e-9;
             let offset = seconds(difference.offset_ns as f64);

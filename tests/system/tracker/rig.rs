@@ -1,0 +1,397 @@
+//! The app of `configs/tracker.toml` in virtual time, with people, faults and things in its way, and what is left of a run of it.
+
+use std::{
+    path::Path,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use ctos::{
+    boot::{End, Observer},
+    config::Selection,
+    registry::Registry,
+    simulation::{self, Fault, FaultKind, Faults, Setup},
+    task::{Context, EventHandler, Handled, HandlerError, Phase},
+    time::Instant,
+};
+use mcs::{
+    client::{EmergencyStop, Reset, Resume, Stop},
+    control::LawRegistry,
+    driver::{ChannelDriver, DriverError, DriverRegistry, Mode, Power, Sensor, SlotReading},
+    guard::GuardRegistry,
+    partition::McsExpander,
+};
+use pnt::task::Marking;
+use serde_json::Value;
+use sim::{scene::CameraFault, world_task::FailCamera};
+use tracker::{coordination::ask, wire::DeflectMouse};
+use vss::{catalog::VssExpander, source::FrameSources};
+
+/// What somebody does.
+#[derive(Debug, Clone, Copy)]
+pub enum Act {
+    /// Puts an order on the net's tape.
+    Order(&'static str),
+    Stop,
+    Resume,
+    EmergencyStop,
+    Reset,
+    /// Has the camera lie, or be well again.
+    Camera(Option<CameraFault>),
+    /// Has the force sensor read besides, N; NaN is what a broken one reads.
+    Feel([f64; 3]),
+    Deflect([f64; 6]),
+}
+
+/// A run to be.
+pub struct Rig {
+    name: String,
+    seconds: f64,
+    sets: Vec<String>,
+    more: String,
+    cell: String,
+    acts: Vec<(f64, Act)>,
+    faults: Vec<Fault>,
+}
+
+/// What is left of a run.
+pub struct Ended {
+    /// What the app told.
+    pub result: Value,
+    /// Answers to orders: the moment, s, the symbol, and the text.
+    pub answers: Vec<(f64, String, String)>,
+    /// What the net was from when on, s.
+    pub states: Vec<(f64, String)>,
+    /// The map's table afterwards.
+    pub map: String,
+}
+
+impl Ended {
+    pub fn number(&self, key: &str) -> f64 {
+        let number = self.result[key].as_f64();
+        number.unwrap_or_else(|| panic!("`{key}` in {}", self.result))
+    }
+
+    /// In what state the net was at a moment, s.
+    pub fn state(&self, at: f64) -> &str {
+        let before = self.states.iter().rev().find(|(since, _)| *since <= at);
+        before.map_or("", |(_, state)| state)
+    }
+
+    /// What an order was answered, which was given about then, s.
+    pub fn answer(&self, at: f64) -> (&str, &str) {
+        let found = self
+            .answers
+            .iter()
+            .find(|(given, ..)| (*given - at).abs() < 0.01);
+        let (_, symbol, text) = found.unwrap_or_else(|| panic!("{at}: {:?}", self.answers));
+        (symbol, text)
+    }
+
+    /// What holds whatever happens: no step of the commanded speed, no record lost, clocks known within their bound.
+    pub fn must_be_smooth(&self) {
+        let told = format!("{:?} {}", self.states, self.result);
+        assert!(
+            self.number("max_acceleration_ratio") <= 1.0 + 1e-6,
+            "{told}"
+        );
+        // 4 m/s^2 in 4.5 ms.
+        assert!(self.number("max_step_m_s") <= 4.0 * 0.0045 + 1e-6, "{told}");
+        assert_eq!(self.result["unread"], 0, "{told}");
+        assert_eq!(self.result["clock_within"], true, "{told}");
+    }
+}
+
+impl Rig {
+    pub fn new(name: &str, seconds: f64) -> Self {
+        Self {
+            name: name.to_owned(),
+            seconds,
+            sets: Vec::new(),
+            more: String::new(),
+            cell: String::new(),
+            acts: Vec::new(),
+            faults: Vec::new(),
+        }
+    }
+
+    /// With a key of the configuration.
+    pub fn set(mut self, set: &str) -> Self {
+        self.sets.push(set.to_owned());
+        self
+    }
+
+    /// With lines more in the configuration.
+    pub fn app(mut self, lines: &str) -> Self {
+        self.more += lines;
+        self
+    }
+
+    /// With more in the cell.
+    pub fn cell(mut self, lines: &str) -> Self {
+        self.cell += lines;
+        self
+    }
+
+    /// Somebody does something at a moment, s.
+    pub fn act(mut self, at: f64, act: Act) -> Self {
+        self.acts.push((at, act));
+        self
+    }
+
+    /// A chassis is killed at a moment, s.
+    pub fn kill(mut self, chassis: &str, at: f64) -> Self {
+        let at = Instant::START + Duration::from_secs_f64(at);
+        self.faults
+            .push(Fault::on(chassis.to_owned(), FaultKind::Kill, at));
+        self
+    }
+
+    pub fn run(self) -> Ended {
+        let folder = tempfile::tempdir().unwrap();
+        let configs = folder.path().join("configs");
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
+        std::fs::create_dir_all(configs.join("nets/tracker")).unwrap();
+        for file in [
+            "tracker-cell.toml",
+            "tracker-map.csv",
+            "tracker.toml",
+            "nets/tracker/tracking.net",
+        ] {
+            std::fs::copy(from.join(file), configs.join(file)).unwrap();
+        }
+        let append = |file: &str, lines: &str| {
+            let file = configs.join(file);
+            let text = std::fs::read_to_string(&file).unwrap();
+            std::fs::write(file, format!("{text}\n{lines}")).unwrap();
+        };
+        append(
+            "tracker.toml",
+            &format!(
+                "[task.script]\nhandler = \"test.script\"\non = \"desk\"\n{}",
+                self.more
+            ),
+        );
+        append("tracker-cell.toml", &self.cell);
+        let file = configs.join("tracker.toml");
+        let text = std::fs::read_to_string(&file).unwrap();
+        assert!(text.contains("driver = \"sim.arm\""));
+        std::fs::write(file, text.replace("\"sim.arm\"", "\"test.felt\"")).unwrap();
+        let mut sets = vec![
+            format!("app.name=\"rig_{}_{}\"", self.name, std::process::id()),
+            "time.mode=\"virtual\"".to_owned(),
+            format!("task.tracker.args.seconds={:?}", self.seconds),
+        ];
+        sets.extend(self.sets);
+        let selection = Selection {
+            sets,
+            ..Selection::new(configs.join("tracker.toml"))
+        };
+        let app = selection
+            .load(&[("mcs", &McsExpander), ("vss", &VssExpander)])
+            .unwrap_or_else(|found| panic!("{found}"));
+        let seen = Arc::new(Mutex::new(Seen::default()));
+        let registry = registry(self.acts, &seen);
+        let findings = registry.check(&app);
+        assert!(!findings.has_errors(), "{findings}");
+        let setup = Setup {
+            faults: Faults::of_script("script", self.faults),
+            ..Setup::default()
+        };
+        let observer: Observer = Arc::new(|_| {});
+        let ran = simulation::run(app, registry, setup, &observer).unwrap();
+        let End::Finished(result) = ran.outcome.end else {
+            panic!("{:?}", ran.outcome.end);
+        };
+        let seen = std::mem::take(&mut *seen.lock().unwrap());
+        let result = serde_json::from_str(&result.json).unwrap();
+        println!(
+            "{}: {:?} {:?} {result}",
+            self.name, seen.states, seen.answers
+        );
+        Ended {
+            result,
+            answers: seen.answers,
+            states: seen.states,
+            map: std::fs::read_to_string(configs.join("tracker-map.csv")).unwrap(),
+        }
+    }
+}
+
+#[derive(Default)]
+struct Seen {
+    answers: Vec<(f64, String, String)>,
+    states: Vec<(f64, String)>,
+    feels: [f64; 3],
+}
+
+fn registry(acts: Vec<(f64, Act)>, seen: &Arc<Mutex<Seen>>) -> Registry {
+    let mut registry = Registry::new();
+    let mut drivers = DriverRegistry::new();
+    let mut sources = FrameSources::new();
+    sim::register(&mut registry, &mut drivers, &mut sources);
+    let felt = Arc::clone(seen);
+    let driver = drivers.driver("test.felt", move |cx, args| {
+        Ok(Box::new(Felt {
+            arm: sim::handlers::open_arm(cx, args)?,
+            seen: Arc::clone(&felt),
+        }))
+    });
+    driver.keys(&["world", "arm", "sensors"]);
+    mcs::register(
+        &mut registry,
+        drivers,
+        LawRegistry::new(),
+        GuardRegistry::new(),
+    );
+    vss::register(&mut registry, sources);
+    coordinators::register(&mut registry);
+    tracker::register(&mut registry);
+    let seen = Arc::clone(seen);
+    registry.handler("test.script", &[], move |_| {
+        Ok(Script {
+            acts: acts.clone(),
+            seen: Arc::clone(&seen),
+        })
+    });
+    registry
+}
+
+/// The simulated arm, whose force sensor reads what a test wants.
+struct Felt {
+    arm: Box<dyn ChannelDriver>,
+    seen: Arc<Mutex<Seen>>,
+}
+
+impl ChannelDriver for Felt {
+    fn slots(&self) -> usize {
+        self.arm.slots()
+    }
+
+    fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
+        self.arm.read(readings)
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        self.arm.sensors()
+    }
+
+    fn ages(&mut self, ages: &mut [f64]) {
+        self.arm.ages(ages);
+    }
+
+    fn sense(&mut self, numbers: &mut [f64]) -> Result<(), DriverError> {
+        self.arm.sense(numbers)?;
+        let feels = self.seen.lock().unwrap().feels;
+        for (number, felt) in numbers.iter_mut().zip(feels) {
+            *number += felt;
+        }
+        Ok(())
+    }
+
+    fn modes(&self) -> &[Mode] {
+        self.arm.modes()
+    }
+
+    fn write(
+        &mut self,
+        torques: &[f64],
+        power: Power,
+        period: Duration,
+    ) -> Result<(), DriverError> {
+        self.arm.write(torques, power, period)
+    }
+}
+
+/// Somebody beside the robot, and somebody who watches the net.
+struct Script {
+    acts: Vec<(f64, Act)>,
+    seen: Arc<Mutex<Seen>>,
+}
+
+impl EventHandler for Script {
+    async fn handle(&mut self, cx: &Context, message: ctos::message::Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase != Phase::Run {
+            return Ok(());
+        }
+        let (own, seen) = (cx.clone(), Arc::clone(&self.seen));
+        cx.spawn(async move {
+            while !own.is_stopping() {
+                if let Ok(net) = own.task("tracking").await
+                    && let Ok(snapshot) = own.call(&net, Marking {}).await
+                {
+                    note(&seen, own.now(), &snapshot.places);
+                }
+                own.sleep(Duration::from_millis(20)).await;
+            }
+        });
+        for (at, act) in self.acts.clone() {
+            let (own, seen) = (cx.clone(), Arc::clone(&self.seen));
+            cx.spawn(async move {
+                let moment = Instant::START + Duration::from_secs_f64(at);
+                own.sleep(moment.since(own.now())).await;
+                if let Err(error) = done(&own, &seen, at, act).await {
+                    own.fail(&format!("{act:?}: {error}"));
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Notes the net's state, which is marked between two commands.
+fn note(seen: &Mutex<Seen>, now: Instant, places: &[(String, u32)]) {
+    const STATES: [&str; 11] = [
+        "idle",
+        "learn",
+        "acquire",
+        "track",
+        "lost",
+        "expired",
+        "handed_over",
+        "overload",
+        "guarded",
+        "halted",
+        "estopped",
+    ];
+    let marked = places
+        .iter()
+        .find(|(place, tokens)| *tokens > 0 && STATES.contains(&place.as_str()));
+    let mut seen = seen.lock().unwrap();
+    if let Some((state, _)) = marked
+        && seen.states.last().is_none_or(|(_, last)| last != state)
+    {
+        let now = now.since_start().as_secs_f64();
+        seen.states.push((now, state.clone()));
+    }
+}
+
+async fn done(cx: &Context, seen: &Mutex<Seen>, at: f64, act: Act) -> Result<(), HandlerError> {
+    let arm = cx.task("arm").await?;
+    match act {
+        Act::Order(symbol) => {
+            let answer = ask(cx, "tracking", symbol).await?;
+            let mut seen = seen.lock().unwrap();
+            seen.answers.push((at, answer.symbol, answer.text));
+        }
+        Act::Stop => cx.call(&arm, Stop {}).await?,
+        Act::Resume => cx.call(&arm, Resume {}).await?,
+        Act::EmergencyStop => cx.call(&arm, EmergencyStop {}).await?,
+        Act::Reset => drop(cx.call(&arm, Reset {}).await??),
+        Act::Camera(fault) => {
+            let world = cx.task("world").await?;
+            let camera = "wrist".to_owned();
+            cx.call(&world, FailCamera { camera, fault }).await?;
+        }
+        Act::Feel(force) => seen.lock().unwrap().feels = force,
+        Act::Deflect(numbers) => {
+            let mouse = cx.task("mouse").await?;
+            cx.call(&mouse, DeflectMouse { numbers }).await?;
+        }
+    }
+    Ok(())
+}
