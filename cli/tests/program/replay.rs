@@ -77,6 +77,8 @@ fn app(file: &Path, seed: u64) -> App {
     let mut selection = Selection::new(file);
     selection.sets = vec![
         format!("seed={seed}"),
+        // Apps of one name share their snapshot buffers, and other tests boot these files, too.
+        format!("app.name=\"replayed_{}\"", std::process::id()),
         "time.mode=\"virtual\"".to_owned(),
         "record.file=\"run.mcap\"".to_owned(),
     ];

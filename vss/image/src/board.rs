@@ -199,7 +199,7 @@ impl Board {
             let (seen, all) = (best.seen, best.all);
             return Err(BoardError::NoBoard { seen, all });
         }
-        let map = best.turned(white).ok_or(BoardError::Sideways)?;
+        let map = best.turned(white);
         Ok(Self {
             map,
             contrast: best.contrast,
@@ -207,6 +207,18 @@ impl Board {
             rms: best.rms * light.scale(),
             light,
         })
+    }
+
+    /// The board, if White sits on that side of the picture.
+    ///
+    /// # Errors
+    /// [`BoardError::Sideways`].
+    pub fn facing(self, white: Side) -> Result<Self, BoardError> {
+        let (near, centre) = (self.pixel(4.0, 0.0), self.pixel(4.0, 4.0));
+        match towards(near, centre, white) > SIDEWAYS {
+            true => Ok(self),
+            false => Err(BoardError::Sideways),
+        }
     }
 
     /// Where a place of the board is in the picture, px.
@@ -324,8 +336,7 @@ impl Placed {
     }
 
     /// The map with a1 at 0, 0: of the four ways to lie, two have a dark square there, and one of these has White on its side.
-    /// None when White would sit beside that.
-    fn turned(&self, white: Side) -> Option<Homography> {
+    fn turned(&self, white: Side) -> Homography {
         let ways = (0..4_u8).map(|turn| {
             // From files and ranks to squares of the lattice, whose y runs down where its x runs right.
             let (a, b, c, d, e, f) = match turn {
@@ -345,7 +356,7 @@ impl Placed {
         });
         let dark = ways.filter(|(dark, ..)| *dark);
         let best = dark.max_by(|one, other| one.1.total_cmp(&other.1));
-        best.and_then(|(_, side, map)| (side > SIDEWAYS).then_some(map))
+        best.map_or_else(|| self.map.clone(), |(.., map)| map)
     }
 }
 

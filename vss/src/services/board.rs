@@ -139,7 +139,8 @@ impl Board {
             "right" => Side::Right,
             _ => Side::Bottom,
         };
-        let found = Found::find(&picture, white).map_err(|why| none(path, &why))?;
+        let found = Found::find(&picture, white).and_then(|board| board.facing(white));
+        let found = found.map_err(|why| none(path, &why))?;
         Ok((picture, found))
     }
 

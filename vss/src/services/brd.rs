@@ -269,8 +269,10 @@ impl FindBrdMarker {
             return Err(no_markers(&path, &all));
         }
         let seen: Vec<[f64; 2]> = all.found.iter().map(|one| one.place.into()).collect();
-        let (board, four) = Board::at_some_markers(&picture, &seen, &places, self.options.white())
-            .map_err(|why| none(&path, &why))?;
+        let white = self.options.white();
+        let board = Board::at_some_markers(&picture, &seen, &places, white);
+        let board = board.and_then(|(board, four)| Ok((board.facing(white)?, four)));
+        let (board, four) = board.map_err(|why| none(&path, &why))?;
         let four = four.map(|nth| &all.found[nth]);
         let four = ordered(&board, &places, four);
         io.floats = board.homography().to_vec();
@@ -407,7 +409,9 @@ impl GetDisk {
             return Ok(());
         };
         let picture = picture::opened(&path, io)?;
-        let board = Board::find(&picture, self.0.white()).map_err(|why| none(&path, &why))?;
+        let white = self.0.white();
+        let board = Board::find(&picture, white).and_then(|board| board.facing(white));
+        let board = board.map_err(|why| none(&path, &why))?;
         let disc: Disc = board.disc(file, rank).map_err(|why| none(&path, &why))?;
         io.floats = vec![disc.u, disc.v, disc.radius, disc.file, disc.rank];
         io.floats.extend(disc.sd_px);

@@ -1,9 +1,7 @@
 //! A board by four markers at known places of it, which need not be its corners. The pattern between them says whether they
 //! are the markers of a board, and which of the four ways to lie it has.
 
-use super::{
-    Board, BoardError, Homography, Light, SIDEWAYS, SQUARES, Side, corners, towards, vertex,
-};
+use super::{Board, BoardError, Homography, Light, SQUARES, Side, corners, towards, vertex};
 use crate::Picture;
 
 /// An inner corner belongs to the board when it is so near to where it should be, squares.
@@ -70,8 +68,6 @@ impl Board {
                 Err(why) => {
                     let seen = |why: &BoardError| match why {
                         BoardError::NoBoardAtMarkers { seen, .. } => *seen,
-                        // There is a board.
-                        BoardError::Sideways => usize::MAX,
                         _ => 0,
                     };
                     if seen(&why) > seen(&refused) {
@@ -108,9 +104,6 @@ impl Board {
         let Some(way) = ways.into_iter().next() else {
             return Err(refused);
         };
-        if way.side < SIDEWAYS {
-            return Err(BoardError::Sideways);
-        }
         let (count, rms) = way.inner(corners);
         Ok(Self {
             map: way.map,
