@@ -186,6 +186,7 @@ fn durable() -> String {
         "dom",
         "dispatcher",
         "robot",
+        "pusher",
         "hand",
         "vision",
         "laser",
