@@ -114,10 +114,12 @@ fn a_wide_net_beside_the_scene_is_read_at_what_is_under_way_until_somebody_looks
     let (_run, page) = boot_app(&scratch, "configs/carry.toml", &[]);
     let mut browser = Browser::open(&page, SIZE);
     browser.wait("nets.whole && nets.shown === 'dispatcher' && nets.active");
+    // A stream that begins anew while the app boots tells its nets again.
+    browser.wait("nets.nets.has('dispatcher')");
     for _ in 0..2 {
-        let before = browser.ask("nets.nets.get('dispatcher').head.seq");
+        let before = browser.ask("nets.nets.get('dispatcher')?.head.seq ?? 0");
         browser.wait(&format!(
-            "nets.nets.get('dispatcher').head.seq > {before} && {SEEN} && !nets.picture.glide"
+            "nets.nets.get('dispatcher')?.head.seq > {before} && {SEEN} && !nets.picture.glide"
         ));
         let letters = browser.ask(LEGIBLE).as_f64().unwrap();
         assert!(letters >= 7.0, "letters of {letters} px");
@@ -135,9 +137,9 @@ fn a_wide_net_beside_the_scene_is_read_at_what_is_under_way_until_somebody_looks
     browser.ask(wheel);
     browser.wait("!nets.active");
     let kept = browser.ask("JSON.stringify(nets.picture.box)");
-    let before = browser.ask("nets.nets.get('dispatcher').head.seq");
+    let before = browser.ask("nets.nets.get('dispatcher')?.head.seq ?? 0");
     browser.wait(&format!(
-        "nets.nets.get('dispatcher').head.seq > {before} || nets.mode === 'ended'"
+        "nets.nets.get('dispatcher')?.head.seq > {before} || nets.mode === 'ended'"
     ));
     assert_eq!(browser.ask("JSON.stringify(nets.picture.box)"), kept);
     // More room for the net, by keys.
