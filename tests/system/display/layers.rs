@@ -119,10 +119,8 @@ fn a_wide_net_beside_the_scene_is_read_at_what_is_under_way_until_somebody_looks
     for _ in 0..2 {
         let before = browser.ask("nets.nets.get('dispatcher')?.head.seq ?? 0");
         browser.wait(&format!(
-            "nets.nets.get('dispatcher')?.head.seq > {before} && {SEEN} && !nets.picture.glide"
+            "nets.nets.get('dispatcher')?.head.seq > {before} && {SEEN} && !nets.picture.glide && {LEGIBLE} >= 7"
         ));
-        let letters = browser.ask(LEGIBLE).as_f64().unwrap();
-        assert!(letters >= 7.0, "letters of {letters} px");
     }
     pictures(&mut browser, "wide-net");
     // As a whole its names could not be read: that is why.
