@@ -2,8 +2,9 @@
 //! report, section 2.2.1: a virtual spring at the target that the environment counterbalances). Knows no tasks.
 //!
 //! A force says where a surface is and which way it faces. Towards it the speed is what is left of the force that is held, by a
-//! resistance: `v = (F_held - F) / R`. From there to the most that is pressed it stands, and beyond that it goes back likewise. So force follows from speed by one integration, which is steady for every
-//! stiffness up to about `R` over the delay of the loop. Along the surface and away from it the hand goes as the spring wants.
+//! resistance: `v = (F_held - F) / R`. From there to the most that is pressed it stands, and beyond that it goes back likewise.
+//! So force follows from speed by one integration, which is steady for every stiffness up to about `R` over the delay of the loop.
+//! Along the surface and away from it the hand goes as the spring wants.
 
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
@@ -114,8 +115,8 @@ mod tests {
 
     const PERIOD: f64 = 0.0045;
 
-    /// An arm of 8 kg at its hand, that a servo of 8 Hz sends where it shall be three periods late, before a wall at x = 0 of a
-    /// stiffness, N/m. The ball goes into it with a speed, m/s, by a depth, m. Forces that the sensor reads, N.
+    /// The forces that the sensor reads, N. The arm has 8 kg at its hand; its servo of 8 Hz follows three periods late. A wall stands
+    /// at x = 0, with a stiffness in N/m. The ball goes into it with a speed, m/s, by a depth, m.
     fn pressed(stiffness: f64, speed: f64, depth: f64) -> Vec<f64> {
         let (mass, natural, sensor) = (8.0, TAU * 8.0, TAU * 30.0);
         let mut control = Control::new(ControlArgs::default(), Point3::new(-0.05, 0.0, 0.0));
