@@ -3,10 +3,9 @@
 //! A pass finds the nearest solid of each pixel's centre, a second one shades it, and a third one gives pixels on edges what
 //! each side covers of them: without that no edge would lie between pixels, and no centroid between them either.
 
-use nalgebra::Vector3;
-
 use crate::{
-    raster::{Floor, Seen, Window},
+    raster::{Floor, Seen},
+    rays::Rays,
     truth::CameraTruth,
 };
 
@@ -56,10 +55,12 @@ pub struct Picture {
 pub struct View<'a> {
     /// The camera.
     pub camera: &'a CameraTruth,
-    /// Unit direction of each pixel, camera frame.
-    pub rays: &'a [Vector3<f64>],
+    /// The directions of its pixels.
+    pub rays: &'a Rays,
     /// The floor below all.
     pub floor: &'a Floor,
+    /// What the floor reflects in each channel.
+    pub floor_tone: [f32; 3],
     /// What stands on it, by index.
     pub solids: &'a [Seen],
     /// Channels of the picture: 1 or 3.
@@ -76,23 +77,22 @@ fn solid(number: u16) -> Option<usize> {
 }
 
 impl Picture {
-    /// Floor and sky.
-    pub fn empty(&mut self, view: &View<'_>, tone: [f32; 3]) {
-        let pixels = view.rays.len();
-        self.depth.clear();
+    /// Floor and sky, and what stands there.
+    pub fn draw_all(&mut self, view: &View<'_>) {
+        let rays = view.rays.all();
+        let hits = rays.iter().map(|ray| view.floor.hit(ray));
         self.shown.clear();
-        self.light.clear();
-        self.light.reserve(pixels * view.channels);
-        for ray in view.rays {
-            let (shown, depth, shade) = match view.floor.hit(ray) {
-                Some(distance) => (FLOOR, distance, view.floor.shade(ray, distance)),
-                None => (SKY, f64::INFINITY, 0.5),
-            };
-            self.shown.push(shown);
-            self.depth.push(depth as f32);
-            let levels = tone.iter().take(view.channels);
-            self.light.extend(levels.map(|level| level * shade as f32));
+        self.depth.clear();
+        for hit in hits {
+            self.shown.push(if hit.is_some() { FLOOR } else { SKY });
+            self.depth
+                .push(hit.map_or(f32::INFINITY, |distance| distance as f32));
         }
+        self.light.clear();
+        self.light.resize(rays.len() * view.channels, 0.0);
+        self.cover(view, 0);
+        self.shade(view, SKY);
+        self.soften(view, SOLID);
     }
 
     /// Becomes what another one is.
@@ -104,58 +104,50 @@ impl Picture {
 
     /// Draws the solids from index `first` on.
     pub fn draw(&mut self, view: &View<'_>, first: usize) {
-        let windows = || {
-            let solids = view.solids.iter().enumerate().skip(first);
-            solids.filter_map(|(index, solid)| {
-                Some((number(index), solid, solid.window(view.camera)?))
-            })
-        };
-        for (number, solid, window) in windows() {
-            self.cover(view, (number, solid), &window);
-        }
-        for (number, solid, window) in windows() {
-            self.shade(view, (number, solid), &window);
-        }
+        self.cover(view, first);
+        self.shade(view, number(first));
         self.soften(view, number(first));
     }
 
-    fn cover(&mut self, view: &View<'_>, (number, solid): (u16, &Seen), window: &Window) {
-        for run in window.runs(view.camera.width) {
-            let (Some(rays), Some(depth), Some(shown)) = (
-                view.rays.get(run.clone()),
-                self.depth.get_mut(run.clone()),
-                self.shown.get_mut(run),
-            ) else {
-                return;
-            };
-            solid.hits(rays, |index, distance| {
-                if (distance as f32) < depth[index] {
-                    (depth[index], shown[index]) = (distance as f32, number);
-                }
-            });
+    fn cover(&mut self, view: &View<'_>, first: usize) {
+        let rays = view.rays.all();
+        let solids = view.solids.iter().enumerate().skip(first);
+        for (index, solid) in solids.filter(|(_, solid)| !solid.is_around_the_eye()) {
+            let number = number(index);
+            let tiles = view.rays.tiles().iter();
+            for run in tiles
+                .filter(|tile| solid.may_meet(tile))
+                .flat_map(|tile| &tile.runs)
+            {
+                let depth = &mut self.depth[run.clone()];
+                let shown = &mut self.shown[run.clone()];
+                solid.hits(&rays[run.clone()], |index, distance| {
+                    if (distance as f32) < depth[index] {
+                        (depth[index], shown[index]) = (distance as f32, number);
+                    }
+                });
+            }
         }
     }
 
-    fn shade(&mut self, view: &View<'_>, (number, solid): (u16, &Seen), window: &Window) {
-        let channels = view.channels;
-        for run in window.runs(view.camera.width) {
-            let light = channels * run.start..channels * run.end;
-            let (Some(rays), Some(depth), Some(shown), Some(light)) = (
-                view.rays.get(run.clone()),
-                self.depth.get(run.clone()),
-                self.shown.get(run),
-                self.light.get_mut(light),
-            ) else {
-                return;
-            };
-            let pixels = rays.iter().zip(depth).zip(shown);
-            for (((ray, depth), shown), light) in pixels.zip(light.chunks_exact_mut(channels)) {
-                if *shown == number {
-                    let shade = solid.shade(ray, f64::from(*depth)) as f32;
-                    for (light, level) in light.iter_mut().zip(solid.tone) {
-                        *light = level * shade;
-                    }
+    /// Gives each pixel that shows `first` or what has a larger number its light.
+    fn shade(&mut self, view: &View<'_>, first: u16) {
+        let pixels = view.rays.all().iter().zip(&self.depth).zip(&self.shown);
+        let light = self.light.chunks_exact_mut(view.channels);
+        for (((ray, depth), shown), light) in pixels.zip(light) {
+            if *shown < first {
+                continue;
+            }
+            let (tone, shade) = match solid(*shown).and_then(|solid| view.solids.get(solid)) {
+                Some(solid) => (solid.tone, solid.shade(ray, f64::from(*depth))),
+                None => {
+                    let hit = view.floor.hit(ray);
+                    let shade = hit.map_or(0.5, |distance| view.floor.shade(ray, distance));
+                    (view.floor_tone, shade)
                 }
+            };
+            for (light, level) in light.iter_mut().zip(tone) {
+                *light = level * shade as f32;
             }
         }
     }
@@ -165,11 +157,28 @@ impl Picture {
         let (width, height) = (view.camera.width, view.camera.height);
         let mut edges = std::mem::take(&mut self.edges);
         edges.clear();
+        let mut differ = Vec::with_capacity(width);
         for row in 0..height {
             let above = row.saturating_sub(1) * width;
             let below = (row + 1).min(height - 1) * width;
+            // Most of a picture has no edge: columns in which the three rows differ, or the next column does.
+            let three = self.shown[row * width..].iter();
+            let three = three.zip(&self.shown[above..]).zip(&self.shown[below..]);
+            differ.clear();
+            differ.extend(
+                three
+                    .take(width)
+                    .map(|((own, above), below)| own ^ above | own ^ below),
+            );
+            let own = &self.shown[row * width..][..width];
+            for (differ, pair) in differ.iter_mut().zip(own.windows(2)) {
+                *differ |= pair[0] ^ pair[1];
+            }
             for column in 0..width {
                 let (left, right) = (column.saturating_sub(1), (column + 1).min(width - 1));
+                if differ[left] | differ[column] | differ[right] == 0 {
+                    continue;
+                }
                 let own = row * width + column;
                 let around = [
                     own,
@@ -221,13 +230,13 @@ impl Picture {
             }
         }
         let sides = &mut sides[..count];
-        let own = around[0];
-        let across = (view.rays[around[2]] - view.rays[around[1]]) / (right - left) as f64;
+        let (own, rays) = (around[0], view.rays.all());
+        let across = (rays[around[2]] - rays[around[1]]) / (right - left) as f64;
         let rows = (around[7] - around[4]) / view.camera.width;
-        let down = (view.rays[around[7]] - view.rays[around[4]]) / rows as f64;
+        let down = (rays[around[7]] - rays[around[4]]) / rows as f64;
         for (turn, [u, v]) in POINTS.iter().enumerate() {
             let [u, v] = [u, v].map(|sixteenth| (sixteenth + 0.5) / 16.0 - 0.5);
-            let ray = (view.rays[own] + across * u + down * v).normalize();
+            let ray = (rays[own] + across * u + down * v).normalize();
             let mut nearest = (f64::INFINITY, None);
             for (index, (shown, ..)) in sides.iter().enumerate() {
                 let hit = match solid(*shown) {

@@ -1,14 +1,12 @@
-//! Solids seen along the rays of a camera: exact hits, and the part of the picture a solid can be in.
+//! Solids seen along the rays of a camera: exact hits, and which tiles of the picture a solid can be in.
 //!
 //! Everything here is in the camera frame (origin at the camera's centre), so a ray is a direction.
 //! The tests are analytic; no ray goes through the physics engine.
 
-use std::ops::Range;
-
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
+use crate::rays::Tile;
 use crate::shapes::{Paint, Shape, Solid};
-use crate::truth::CameraTruth;
 
 /// Light from the lamps of the room, world frame: mostly from above.
 const LIGHT: [f64; 3] = [0.25, 0.35, 0.9];
@@ -20,6 +18,8 @@ const AMBIENT: f64 = 0.75;
 #[derive(Debug, Clone)]
 pub struct Seen {
     form: Form,
+    /// Centre and radius of a ball that it is in.
+    ball: (Vector3<f64>, f64),
     /// What it reflects in each channel of the picture.
     pub tone: [f32; 3],
     light: Vector3<f64>,
@@ -58,6 +58,95 @@ enum Form {
     },
 }
 
+impl Form {
+    fn ball(&self) -> (Vector3<f64>, f64) {
+        match self {
+            Self::Ball { centre, radius } | Self::Disc { centre, radius, .. } => (*centre, *radius),
+            Self::Capsule { a, b, radius } => ((a + b) / 2.0, (b - a).norm() / 2.0 + radius),
+            Self::Block { turn, eye, half } => (-turn.tr_mul(eye), half.norm()),
+            Self::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => (-turn.tr_mul(eye), half.hypot(*radius)),
+        }
+    }
+
+    fn is_around_the_eye(&self) -> bool {
+        match self {
+            Self::Ball { centre, radius } => centre.norm() < *radius,
+            Self::Capsule { a, b, radius } => {
+                let axis = b - a;
+                let along = (-axis.dot(a) / axis.norm_squared()).clamp(0.0, 1.0);
+                (a + axis * along).norm() < *radius
+            }
+            Self::Block { eye, half, .. } => eye.iter().zip(half).all(|(x, half)| x.abs() < *half),
+            Self::Cylinder {
+                eye, half, radius, ..
+            } => eye.z.abs() < *half && eye.xy().norm() < *radius,
+            Self::Disc { .. } => false,
+        }
+    }
+
+    /// False when the ray nowhere comes within `slack` of it. A ball and a disc are as good as the ball that they are in.
+    fn comes_within(&self, ray: &Vector3<f64>, slack: f64) -> bool {
+        match self {
+            Self::Ball { .. } | Self::Disc { .. } => true,
+            Self::Capsule { a, b, radius } => {
+                // The place of the segment that is nearest to the ray's line; behind the camera, that nearest to the camera.
+                let axis = b - a;
+                let nearest = |from: &Vector3<f64>, along: &Vector3<f64>| {
+                    let place = -from.dot(along) / along.norm_squared().max(1e-30);
+                    a + axis * place.clamp(0.0, 1.0)
+                };
+                let across = |v: &Vector3<f64>| v - ray * ray.dot(v);
+                let (line, eye) = (nearest(&across(a), &across(&axis)), nearest(a, &axis));
+                let distance = if line.dot(ray) >= 0.0 || eye.dot(ray) > 0.0 {
+                    across(&line).norm()
+                } else {
+                    eye.norm()
+                };
+                distance <= radius + slack
+            }
+            Self::Block { turn, eye, half } => {
+                let ray = turn * ray;
+                let [x, y, z] = [0, 1, 2].map(|k| slab(eye[k], ray[k], half[k] + slack));
+                meet([x, y, z])
+            }
+            Self::Cylinder {
+                turn,
+                eye,
+                half,
+                radius,
+            } => {
+                let ray = turn * ray;
+                let side = circle(eye, &ray, radius + slack);
+                meet([slab(eye.z, ray.z, half + slack), side])
+            }
+        }
+    }
+}
+
+/// Whether a ray comes as near to a point.
+fn comes_within(ray: &Vector3<f64>, centre: &Vector3<f64>, distance: f64) -> bool {
+    let along = ray.dot(centre).max(0.0);
+    centre.norm_squared() - along * along <= distance * distance
+}
+
+/// Whether spans of a ray before the camera have a point in common.
+fn meet<const N: usize>(spans: [Option<[f64; 2]>; N]) -> bool {
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for span in spans {
+        let Some([first, last]) = span else {
+            return false;
+        };
+        enter = enter.max(first);
+        leave = leave.min(last);
+    }
+    enter <= leave
+}
+
 /// What a colour is in each channel of a picture, which has one (grey) or three.
 pub fn tone(paint: Paint, colour: bool) -> [f32; 3] {
     let tone = if colour {
@@ -66,23 +155,6 @@ pub fn tone(paint: Paint, colour: bool) -> [f32; 3] {
         [paint.grey(), 0.0, 0.0]
     };
     tone.map(|level| level as f32)
-}
-
-/// Columns and rows `[first, end)` of a picture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Window {
-    /// The first column, and that behind the last.
-    pub columns: [usize; 2],
-    /// The first row, and that behind the last.
-    pub rows: [usize; 2],
-}
-
-impl Window {
-    /// Its pixels, a run for each row, in a picture of that width.
-    pub fn runs(&self, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
-        let [first, end] = self.columns;
-        (self.rows[0]..self.rows[1]).map(move |row| row * width + first..row * width + end)
-    }
 }
 
 impl Seen {
@@ -132,6 +204,7 @@ impl Seen {
             },
         };
         Self {
+            ball: form.ball(),
             form,
             tone: tone(shape.paint, colour),
             light: camera_t_world * Vector3::from(LIGHT).normalize(),
@@ -140,17 +213,23 @@ impl Seen {
 
     /// Centre and radius of a ball that it is in.
     pub(crate) fn ball(&self) -> (Vector3<f64>, f64) {
-        match &self.form {
-            Form::Ball { centre, radius } | Form::Disc { centre, radius, .. } => (*centre, *radius),
-            Form::Capsule { a, b, radius } => ((a + b) / 2.0, (b - a).norm() / 2.0 + radius),
-            Form::Block { turn, eye, half } => (-turn.tr_mul(eye), half.norm()),
-            Form::Cylinder {
-                turn,
-                eye,
-                half,
-                radius,
-            } => (-turn.tr_mul(eye), half.hypot(*radius)),
-        }
+        self.ball
+    }
+
+    /// Whether the camera is inside it, and so does not see it.
+    pub(crate) fn is_around_the_eye(&self) -> bool {
+        self.form.is_around_the_eye()
+    }
+
+    /// False when no ray of the tile meets the solid.
+    pub(crate) fn may_meet(&self, tile: &Tile) -> bool {
+        let (centre, radius) = self.ball;
+        // So far along the axis is the last of it; no ray is further from the axis there than `slack`.
+        let last = tile.axis.dot(&centre) + radius;
+        let slack = tile.spread * last / (1.0 - tile.spread * tile.spread / 2.0);
+        last > 0.0
+            && comes_within(&tile.axis, &centre, radius + slack)
+            && self.form.comes_within(&tile.axis, slack)
     }
 
     /// Distance along the unit direction `ray` to the first point of the solid.
@@ -295,53 +374,6 @@ impl Seen {
         };
         lambert(1.0, normal.dot(&self.light))
     }
-
-    /// The part of the picture outside which the solid cannot be seen; `None` when it cannot be
-    /// seen at all.
-    pub fn window(&self, camera: &CameraTruth) -> Option<Window> {
-        let whole = Window {
-            columns: [0, camera.width],
-            rows: [0, camera.height],
-        };
-        let mut extent = Extent::default();
-        match &self.form {
-            Form::Ball { centre, radius } => extent.ball(centre, *radius),
-            Form::Capsule { a, b, radius } => {
-                extent.ball(a, *radius);
-                extent.ball(b, *radius);
-            }
-            Form::Block { turn, eye, half } => {
-                let centre = -turn.tr_mul(eye);
-                for corner in 0..8_u32 {
-                    let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
-                    let signs = Vector3::new(sign(0), sign(1), sign(2));
-                    let point = centre + turn.tr_mul(&half.component_mul(&signs));
-                    extent.ball(&point, 0.0);
-                }
-            }
-            Form::Cylinder {
-                turn,
-                eye,
-                half,
-                radius,
-            } => {
-                let (centre, axis) = (-turn.tr_mul(eye), turn.row(2).transpose());
-                for end in [centre - axis * *half, centre + axis * *half] {
-                    extent.disc(&end, &axis, *radius);
-                }
-            }
-            Form::Disc {
-                centre,
-                normal,
-                radius,
-            } => extent.disc(centre, normal, *radius),
-        }
-        match extent.of {
-            [_, 0] => distorted(camera, extent.low, extent.high, whole),
-            [0, _] => None,
-            _ => Some(whole),
-        }
-    }
 }
 
 /// The turn and the place of the origin of a solid, by those that a camera has of it, for another frame.
@@ -368,91 +400,6 @@ fn each(
     }
 }
 
-/// The ideal rectangle (focal length 1) that the hull of balls and discs lies in.
-#[derive(Debug)]
-struct Extent {
-    low: [f64; 2],
-    high: [f64; 2],
-    /// How many of them are wholly before the camera, and how many are not.
-    of: [u32; 2],
-}
-
-impl Default for Extent {
-    fn default() -> Self {
-        Self {
-            low: [f64::INFINITY; 2],
-            high: [f64::NEG_INFINITY; 2],
-            of: [0; 2],
-        }
-    }
-}
-
-impl Extent {
-    fn ball(&mut self, centre: &Vector3<f64>, radius: f64) {
-        self.rim(centre, radius, &Matrix3::identity());
-    }
-
-    fn disc(&mut self, centre: &Vector3<f64>, normal: &Vector3<f64>, radius: f64) {
-        // What is across the normal.
-        let across = Matrix3::identity() - normal * normal.transpose();
-        self.rim(centre, radius, &across);
-    }
-
-    /// A ball, or what of it `across` (a projection) leaves. The plane x = m z touches it where the distance of its centre is the
-    /// radius seen across that plane: a quadratic in m.
-    fn rim(&mut self, centre: &Vector3<f64>, radius: f64, across: &Matrix3<f64>) {
-        let square = radius * radius;
-        let deep = radius * across.m33.max(0.0).sqrt();
-        if centre.z - deep < 1e-3 {
-            self.of[1] += 1;
-            // The part before the camera counts, wherever it is seen.
-            self.of[0] += u32::from(centre.z + deep >= 1e-3);
-            return;
-        }
-        self.of[0] += 1;
-        for axis in 0..2 {
-            let a = centre.z * centre.z - square * across.m33;
-            let b = centre[axis] * centre.z - square * across[(axis, 2)];
-            let c = centre[axis] * centre[axis] - square * across[(axis, axis)];
-            let root = (b * b - a * c).max(0.0).sqrt();
-            self.low[axis] = self.low[axis].min((b - root) / a);
-            self.high[axis] = self.high[axis].max((b + root) / a);
-        }
-    }
-}
-
-/// The window of an ideal rectangle after distortion: the lens model is continuous, so the border of
-/// the rectangle becomes the border of its image.
-fn distorted(camera: &CameraTruth, low: [f64; 2], high: [f64; 2], whole: Window) -> Option<Window> {
-    const STEPS: u32 = 16;
-    let reach = low[0]
-        .abs()
-        .max(high[0].abs())
-        .hypot(low[1].abs().max(high[1].abs()));
-    if reach >= camera.valid_radius {
-        return Some(whole);
-    }
-    let mut from = [f64::INFINITY; 2];
-    let mut to = [f64::NEG_INFINITY; 2];
-    for step in 0..=STEPS {
-        let t = f64::from(step) / f64::from(STEPS);
-        let x = low[0] + t * (high[0] - low[0]);
-        let y = low[1] + t * (high[1] - low[1]);
-        for (x, y) in [(x, low[1]), (x, high[1]), (low[0], y), (high[0], y)] {
-            let (u, v) = camera.pixel(x, y);
-            from = [from[0].min(u), from[1].min(v)];
-            to = [to[0].max(u), to[1].max(v)];
-        }
-    }
-    // Between two of the border's points the curve bulges by far less than these two pixels. A
-    // float becomes an index with saturation at 0.
-    let first = |value: f64| (value - 2.0).floor() as usize;
-    let end = |value: f64, size: usize| ((value + 3.0).ceil() as usize).min(size);
-    let columns = [first(from[0]), end(to[0], camera.width)];
-    let rows = [first(from[1]), end(to[1], camera.height)];
-    (columns[0] < columns[1] && rows[0] < rows[1]).then_some(Window { columns, rows })
-}
-
 /// Grey of a surface whose unit normal has `cosine` with the light.
 fn lambert(grey: f64, cosine: f64) -> f64 {
     grey * (AMBIENT + (1.0 - AMBIENT) * cosine.max(0.0))
@@ -464,6 +411,8 @@ pub struct Floor {
     world_t_camera: Isometry3<f64>,
     /// Upwards, camera frame.
     up: Vector3<f64>,
+    /// Grey of what has the tone 1 in the light, and of a joint.
+    grey: [f64; 2],
 }
 
 impl Floor {
@@ -473,6 +422,7 @@ impl Floor {
         Self {
             world_t_camera: camera_t_world.inverse(),
             up: camera_t_world * Vector3::z(),
+            grey: [1.0, JOINT].map(|tone| lambert(tone, Vector3::from(LIGHT).normalize().z)),
         }
     }
 
@@ -487,13 +437,8 @@ impl Floor {
     pub fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
         let point = self.world_t_camera * Point3::from(ray * distance);
         let joint =
-            |x: f64| ((x / TILE).rem_euclid(1.0) - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
-        let tone = if joint(point.x) || joint(point.y) {
-            JOINT
-        } else {
-            1.0
-        };
-        lambert(tone, Vector3::from(LIGHT).normalize().z)
+            |x: f64| (x / TILE - (x / TILE).floor() - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
+        self.grey[usize::from(joint(point.x) || joint(point.y))]
     }
 }
 
@@ -603,6 +548,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::{rays::Rays, truth::CameraTruth};
 
     /// Distance of a point to a segment, the definition of a capsule.
     fn to_segment(p: &Vector3<f64>, a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
@@ -679,8 +625,8 @@ mod tests {
         }
 
         #[test]
-        fn nothing_of_a_capsule_is_seen_outside_its_window(
-            a in near(), b in near(), radius in 0.02..0.2_f64,
+        fn no_ray_of_what_is_left_out_meets_the_solid(
+            a in near(), b in near(), radius in 0.02..0.2_f64, turn in near(), closer in 0.0..2.0_f64,
         ) {
             let distortion = crate::truth::Distortion {
                 k1: -0.15, k2: 0.04, p1: 5e-4, p2: -5e-4, k3: 0.0,
@@ -695,20 +641,24 @@ mod tests {
                 camera_t_world: Isometry3::identity(),
                 valid_radius: distortion.monotonic_radius(),
             };
-            let shape = Shape {
-                solid: Solid::Capsule { a: a.into(), b: b.into(), radius },
-                paint: Paint::Grey(100.0),
-            };
-            let seen = Seen::new(&shape, &Isometry3::identity(), &Isometry3::identity(), false);
-            let window = seen.window(&camera);
-            for row in 0..camera.height {
-                for column in 0..camera.width {
-                    let ray = camera.direction(column as f64, row as f64).unwrap().normalize();
-                    let inside = window.is_some_and(|w| {
-                        (w.columns[0]..w.columns[1]).contains(&column)
-                            && (w.rows[0]..w.rows[1]).contains(&row)
-                    });
-                    prop_assert!(inside || seen.hit(&ray).is_none());
+            let rays = Rays::new(&camera);
+            let (half, normal) = (Vector3::new(radius, 0.3, radius / 2.0), Vector3::z());
+            let solids = [
+                Solid::Capsule { a: a.into(), b: b.into(), radius },
+                Solid::Capsule { a: a.into(), b: a.into(), radius },
+                Solid::Block { centre: Point3::origin(), half },
+                Solid::Cylinder { half: 0.3, radius },
+                Solid::Disc { centre: a.into(), normal, radius },
+            ];
+            // Before, beside, around and behind the camera.
+            let frame = Isometry3::new(a - Vector3::z() * closer, turn);
+            for solid in solids {
+                let shape = Shape { solid, paint: Paint::Grey(100.0) };
+                let seen = Seen::new(&shape, &frame, &Isometry3::identity(), false);
+                let all = rays.tiles().iter();
+                for tile in all.filter(|tile| seen.is_around_the_eye() || !seen.may_meet(tile)) {
+                    let mut own = tile.runs.iter().flat_map(|run| &rays.all()[run.clone()]);
+                    prop_assert!(own.all(|ray| seen.hit(ray).is_none()), "{solid:?}");
                 }
             }
         }

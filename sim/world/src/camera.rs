@@ -22,6 +22,7 @@ use sim_drawing::{
     lamp::Spot,
     picture::{Picture, View},
     raster::{self, Floor, Seen},
+    rays::Rays,
     truth::CameraTruth,
 };
 
@@ -51,7 +52,7 @@ pub struct Renderer {
     spec: CameraSpec,
     camera: CameraTruth,
     floor_grey: f64,
-    rays: Vec<Vector3<f64>>,
+    rays: Rays,
     /// What never moves, each with the pose of its frame in the world.
     still_shapes: Vec<(Shape, Isometry3<f64>)>,
     still: Picture,
@@ -80,7 +81,7 @@ impl Renderer {
         let room = cell.room.iter().chain(&cell.marks);
         still_shapes.extend(room.map(|shape| (*shape, Isometry3::identity())));
         let mut renderer = Self {
-            rays: rays(&truth),
+            rays: Rays::new(&truth),
             floor_grey: cell.floor_grey,
             still_shapes,
             still: Picture::default(),
@@ -131,7 +132,7 @@ impl Renderer {
     /// Frame `number` of `scene`: `width * height` grey values, or three times as many of red, green and blue, first row
     /// first.
     pub fn render(&mut self, scene: &SceneState, number: u64) -> Vec<u8> {
-        let mut pixels = vec![0; self.rays.len() * self.format().bytes()];
+        let mut pixels = vec![0; self.rays.all().len() * self.format().bytes()];
         self.render_into(scene, number, &mut pixels);
         pixels
     }
@@ -145,7 +146,7 @@ impl Renderer {
     /// Frame `number` of a camera whose lens is covered: noise on an even grey.
     #[must_use]
     pub fn covered(&self, number: u64) -> Vec<u8> {
-        let light = vec![COVERED; self.rays.len() * self.format().bytes()];
+        let light = vec![COVERED; self.rays.all().len() * self.format().bytes()];
         let mut pixels = vec![0; light.len()];
         self.noise.clone().expose(number, &light, &mut pixels);
         pixels
@@ -240,6 +241,7 @@ impl Renderer {
             camera: &self.camera,
             rays: &self.rays,
             floor,
+            floor_tone: raster::tone(Paint::Grey(self.floor_grey), self.spec.colour),
             solids: &self.solids,
             channels: self.format().bytes(),
         }
@@ -271,25 +273,9 @@ impl Renderer {
             .extend(shapes.map(|(shape, at)| Seen::new(shape, &(pose * at), &pose, colour)));
         let mut still = std::mem::take(&mut self.still);
         let floor = Floor::new(&pose);
-        let view = self.view(&floor);
-        still.empty(&view, raster::tone(Paint::Grey(self.floor_grey), colour));
-        still.draw(&view, 0);
+        still.draw_all(&self.view(&floor));
         self.still = still;
     }
-}
-
-/// Unit direction of every pixel, camera frame.
-fn rays(camera: &CameraTruth) -> Vec<Vector3<f64>> {
-    (0..camera.height)
-        .flat_map(|row| (0..camera.width).map(move |column| (column, row)))
-        .map(|(column, row)| {
-            // A cell with a pixel that no direction reaches is refused before it comes here; the
-            // axis stands in so that the pixel still has a ray.
-            camera
-                .direction(column as f64, row as f64)
-                .map_or_else(Vector3::z, |ray| ray.normalize())
-        })
-        .collect()
 }
 
 #[cfg(test)]
