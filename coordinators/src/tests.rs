@@ -1,6 +1,9 @@
 //! The nets that the app is delivered with: their names, that they prove sound, and that whatever fails
 //! the command is answered and everything is given back.
 
+pub(crate) mod bench;
+pub(crate) mod rig;
+
 use std::sync::Arc;
 
 use ctos::diagnostic::Findings;
