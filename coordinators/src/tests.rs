@@ -15,7 +15,7 @@ use proptest::prelude::*;
 
 use crate::{
     outcome::Outcome,
-    rig::{self, Answer, NETS, Rig, Run, Shared, lock, run},
+    rig::{Answer, NETS, Rig, Run, Shared, lock, run},
 };
 
 fn nets() -> Vec<Arc<pnt::net::Net>> {

@@ -7,6 +7,10 @@ use std::{
     time::Duration,
 };
 
+use crate::{
+    dom::DomStore,
+    strategy::shown::{CHOICES, Choices},
+};
 use ctos::{
     boot::{self, End, Fault as Event},
     config,
@@ -75,6 +79,8 @@ pub(crate) struct Bench {
     /// The answers to the commands, and the Dispatcher's marking after them.
     pub answers: Vec<(String, String)>,
     pub marking: Vec<(String, u32)>,
+    /// What people see of choices at the end.
+    pub choices: Choices,
     /// The latest firings of all nets by their tasks.
     pub firings: Vec<(String, FiringEvent)>,
 }
@@ -393,6 +399,8 @@ async fn operate<W: World>(cx: &Context, world: &Shared<W>, commands: Vec<Vec<St
     }
     // The last tokens may still be on their way, and a process that was killed comes back.
     cx.sleep(Duration::from_secs(5)).await;
+    let choices = DomStore::new("dom").fetch(cx, CHOICES).await;
+    lock(world).bench().choices = choices.unwrap_or_default();
     let nets = cx.app().tasks.iter();
     let nets = nets.filter(|task| task.args.get("net").is_some());
     let nets: Vec<String> = nets.map(|task| task.name.clone()).collect();
