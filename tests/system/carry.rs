@@ -4,6 +4,8 @@
 mod anywhere;
 mod campaign;
 mod layout;
+mod meddling;
+mod object;
 mod person;
 mod room;
 mod seen;
