@@ -5,7 +5,6 @@ mod anywhere;
 mod campaign;
 mod layout;
 mod meddling;
-mod object;
 mod person;
 mod room;
 mod seen;
