@@ -18,6 +18,7 @@ pub mod net;
 pub mod new;
 pub mod replay;
 pub mod sim;
+pub mod ways;
 
 mod detach;
 mod ports;
@@ -120,6 +121,11 @@ pub enum Command {
     /// from its setpoint and its torque, and what the sensors read. Keys: arrows scroll, `Esc` or Ctrl-C leaves. Without a
     /// terminal on standard output it prints the same again and again.
     Motion(motion::MotionArgs),
+    /// Show what Coordinators believe of the ways of each step
+    ///
+    /// For each way its chance of success and its cost, as they are believed, and how often it was tried. The way that was
+    /// chosen last is marked.
+    Ways(ways::WaysArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -164,6 +170,7 @@ pub fn main(mut registry: Registry) -> ExitCode {
         Command::Move(args) => move_task::run(&args),
         Command::Top(args) => top::run(&args),
         Command::Motion(args) => motion::run(&args),
+        Command::Ways(args) => ways::run(&args),
         Command::Completions(args) => completions::run(&args, &mut Cli::command()),
         Command::Chassis(args) => chassis::run(&args, registry),
     };

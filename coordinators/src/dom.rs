@@ -308,7 +308,11 @@ impl DomStore {
     }
 }
 
-fn typed<T: DeserializeOwned>(name: &str, bytes: &[u8]) -> Result<T, HandlerError> {
+/// A data object's value.
+///
+/// # Errors
+/// It is of another type.
+pub fn typed<T: DeserializeOwned>(name: &str, bytes: &[u8]) -> Result<T, HandlerError> {
     let another =
         |why: &str| HandlerError::new(format!("data object `{name}` is of another type: {why}"));
     match postcard::take_from_bytes(bytes) {

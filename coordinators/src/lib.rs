@@ -30,10 +30,6 @@ pub mod strategy;
 pub mod vision;
 
 #[cfg(test)]
-mod bench;
-#[cfg(test)]
-mod rig;
-#[cfg(test)]
 mod tests;
 
 use std::{future::Future, time::Duration};
@@ -45,6 +41,8 @@ use ctos::{
     task::Context,
 };
 use pnt::library::Acted;
+#[cfg(test)]
+use tests::{bench, rig};
 
 /// Registers every event handler of the Coordination Level, and the check of all nets of an app
 /// together.

@@ -1,6 +1,9 @@
 //! The nets that the app is delivered with: their names, that they prove sound, and that whatever fails
 //! the command is answered and everything is given back.
 
+pub(crate) mod bench;
+pub(crate) mod rig;
+
 use std::sync::Arc;
 
 use ctos::diagnostic::Findings;
@@ -12,7 +15,7 @@ use proptest::prelude::*;
 
 use crate::{
     outcome::Outcome,
-    rig::{self, Answer, NETS, Rig, Run, Shared, lock, run},
+    rig::{Answer, NETS, Rig, Run, Shared, lock, run},
 };
 
 fn nets() -> Vec<Arc<pnt::net::Net>> {

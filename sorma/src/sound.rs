@@ -26,7 +26,9 @@ use std::time::Duration;
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The recipes that are shipped with the class. One message after the other is said, and nobody waits for it.
-pub const DICTIONARY: &str = "fork.sound -object sound -width 1\n";
+/// A `sound.beep` signals by a tone, and a `sound.text` by the text alone, which its subscribers get as an event.
+pub const DICTIONARY: &str =
+    "fork.sound -object sound -width 1\nsound.beep -beep on\nsound.text -mute on\n";
 
 /// Whether this process makes no sound.
 static SILENT: AtomicBool = AtomicBool::new(false);
@@ -48,6 +50,7 @@ struct Options {
     folder: String,
     voice: String,
     player: String,
+    beep: bool,
     mute: bool,
     longest_s: f64,
 }
@@ -58,6 +61,7 @@ impl Default for Options {
             folder: String::new(),
             voice: "espeak-ng".to_owned(),
             player: "aplay".to_owned(),
+            beep: false,
             mute: false,
             longest_s: 30.0,
         }
@@ -94,6 +98,11 @@ static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
         "PROGRAM",
         "plays the file that is its last argument, or with `-` its standard input; empty: nothing is played",
         |options| &mut options.player,
+    )
+    .flag(
+        "beep",
+        "a tone in place of all that is played and spoken",
+        |options| &mut options.beep,
     )
     .flag("mute", "only writes", |options| &mut options.mute)
     .float(
@@ -276,7 +285,10 @@ impl ServiceObject for Sound {
                 "EXEC takes words, and there are none"
             ));
         }
-        let pieces = pieces(&words, &self.options.folder)?;
+        let pieces = match self.options.beep {
+            true => vec![Piece::Beep],
+            false => pieces(&words, &self.options.folder)?,
+        };
         let text = words.join(" ");
         tracing::info!(target: "sorma::sound", object = %cx.name(), "{text}");
         let is_silent = SILENT.load(Ordering::Relaxed);
@@ -308,8 +320,9 @@ impl ServiceObject for Sound {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Dictionary, Reply, asynchronous};
+    use crate::{Alone, Dictionary, Keep, Reply, asynchronous};
     use ctos::{diagnostic::Source, time::Clock};
+    use futures_util::FutureExt as _;
     use std::fs;
     use std::os::unix::fs::PermissionsExt as _;
 
@@ -431,6 +444,23 @@ mod tests {
                 ("disc lost", &[0][..])
             );
             assert!(room.heard().is_empty());
+        }
+    }
+
+    #[test]
+    fn a_signal_by_beep_or_by_text_alone_is_the_same_event_for_its_subscribers() {
+        for (flavor, heard) in [("beep", &["played - RIFF"][..]), ("text", &[])] {
+            let room = Room::new(Clock::real());
+            let (name, folder) = (format!("sound.{flavor}"), room.folder.path().display());
+            let set = format!("{name} CTRL -voice {folder}/voice -player {folder}/player");
+            assert!(room.ask(&set).is_ok());
+            let subscribed = room.sorm.subscribe(&Alone, &name, Keep::Latest);
+            let mut event = subscribed.now_or_never().unwrap().unwrap();
+            let answer = room.ask(&format!("{name} EXEC disc lost at D 4"));
+            assert_eq!(answer.ints, [i64::from(!heard.is_empty())], "{name}");
+            assert_eq!(room.heard(), heard, "{name}");
+            let sample = event.try_next().unwrap();
+            assert_eq!(sample.body.text, "disc lost at D 4", "{name}");
         }
     }
 

@@ -4,6 +4,7 @@
 mod anywhere;
 mod campaign;
 mod layout;
+mod meddling;
 mod person;
 mod room;
 mod seen;

@@ -5,6 +5,7 @@
 //! the page about displays.
 
 mod browser;
+mod command;
 mod layers;
 mod looking;
 mod numbers;
@@ -13,7 +14,7 @@ mod scene;
 
 use browser::Browser;
 
-use crate::harness::{Run, Scratch};
+use crate::harness::{CTOS, Run, Scratch};
 
 const SIZE: (u32, u32) = (1440, 900);
 
@@ -52,6 +53,15 @@ fn opened(line: &str) -> String {
 fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
     let display = [&["--display=127.0.0.1:0", "--allow-control"], &SLOW[..]].concat();
     let mut run = scratch.start_boot(&[&display[..], sets].concat());
+    let line = run.line_with("nets are shown");
+    let page = opened(&line);
+    (run, page)
+}
+
+/// Boots another app of the configurations with a display; the address of its page.
+fn boot_app<'s>(scratch: &'s Scratch, config: &str, more: &[&str]) -> (Run<'s>, String) {
+    let display = ["boot", config, "--display=127.0.0.1:0", "--allow-control"];
+    let mut run = scratch.start(CTOS, &[&display[..], &SLOW, more].concat(), &[]);
     let line = run.line_with("nets are shown");
     let page = opened(&line);
     (run, page)

@@ -1,6 +1,12 @@
 //! What a page asks of the app: how a task is, and orders for nets.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
 
 use ctos::{
     Command as _,
@@ -10,7 +16,7 @@ use ctos::{
 };
 use pnt::{
     stream::{Describe, Follow},
-    task::{Control, Marking, Order},
+    task::{Control, Marking, Order, PutOnce, RequestId, put_once},
 };
 use scene::FollowScene;
 use tokio::sync::mpsc;
@@ -26,6 +32,9 @@ use super::{
 /// How long an asked task may take.
 const LIMIT: Duration = Duration::from_secs(2);
 
+/// How long a net may take to answer a command: a person may have put it behind many others.
+const COMMAND_LIMIT: Duration = Duration::from_secs(86_400);
+
 /// Carries orders out, all at the same time, until the server ends.
 /// `displays` is the file of overview displays and layouts.
 pub(super) async fn carry(
@@ -34,9 +43,13 @@ pub(super) async fn carry(
     displays: String,
     mut orders: mpsc::Receiver<Asking>,
 ) {
+    // Numbers begin anew with each life of this task, and durable nets remember those of earlier boots.
+    let (boot, life) = (cx.started_ns(), cx.now().as_nanos());
+    let from = format!("{} {boot:016x} {life:016x}", cx.name());
+    let commands = Arc::new(AtomicU64::new(0));
     while let Some((asked, answer)) = orders.recv().await {
         let (child, hub) = (cx.new_trace(), hub.clone());
-        let displays = displays.clone();
+        let (displays, from, commands) = (displays.clone(), from.clone(), commands.clone());
         cx.spawn(async move {
             let told = if asked.kind == "task" {
                 Told::Task {
@@ -46,6 +59,10 @@ pub(super) async fn carry(
                 let done = match &*asked.kind {
                     "move" => arrange::keep(&child, &hub, &displays, &asked),
                     "layout" => arrange::keep_layout(&child, &hub, &displays, &asked),
+                    "command" => {
+                        let number = 1 + commands.fetch_add(1, Ordering::Relaxed);
+                        command(&child, &asked, RequestId { from, number }).await
+                    }
                     _ => order(&child, &hub, &asked).await,
                 };
                 let (ok, text) = done.map_or_else(|e| (false, e.to_string()), |text| (true, text));
@@ -152,6 +169,29 @@ fn message(last: LastMessage) -> TaskMessage {
         }),
         failed,
     }
+}
+
+/// Puts a command on the tape of a net; its answer.
+async fn command(cx: &Context, asked: &Asked, request: RequestId) -> Result<String, HandlerError> {
+    let mut words = asked.words.iter().cloned();
+    let put = PutOnce {
+        request,
+        symbol: words.next().ok_or("which command?")?,
+        arguments: words.collect(),
+    };
+    let by = cx.name();
+    tracing::info!(
+        task = by,
+        net = asked.net,
+        command = asked.words.join(" "),
+        "put on the tape by hand"
+    );
+    let answer = put_once(cx, &asked.net, &put, COMMAND_LIMIT).await?;
+    let text = answer.text.trim_end();
+    Ok(match text {
+        "" => answer.symbol,
+        text => format!("{}: {text}", answer.symbol),
+    })
 }
 
 /// Has an order carried out by its net.

@@ -14,7 +14,10 @@ use axum::{
 };
 use ctos::doors::Pages;
 use serde::Deserialize;
-use tokio::sync::{Semaphore, broadcast::error::RecvError, mpsc, oneshot};
+use tokio::{
+    sync::{Semaphore, broadcast::error::RecvError, mpsc, oneshot},
+    task::JoinSet,
+};
 
 use super::{
     assets,
@@ -25,6 +28,9 @@ use cli_common::page::{self, Door, Right};
 
 /// The longest message of a browser, bytes.
 const LONGEST: usize = 16 * 1024;
+
+/// What a browser may wait for at a time: a command may take hours, and is not all that it asks for.
+const MOST_ASKED: usize = 64;
 
 /// How long a browser may take to read what it is sent.
 const WRITE_DEADLINE: Duration = Duration::from_secs(60);
@@ -102,7 +108,7 @@ async fn socket(
         .max_frame_size(LONGEST)
         .on_upgrade(move |socket| async move {
             // The end of a connection is nobody's failure.
-            let _ = attend(socket, &service, control).await;
+            let _ = attend(socket, service, control).await;
         })
 }
 
@@ -115,7 +121,7 @@ async fn say(socket: &mut WebSocket, text: &str) -> Result<(), axum::Error> {
 
 async fn attend(
     mut socket: WebSocket,
-    service: &Service,
+    service: Arc<Service>,
     control: bool,
 ) -> Result<(), axum::Error> {
     let [looking, controlling] = &service.permits;
@@ -132,8 +138,14 @@ async fn attend(
     // Its first is at once otherwise.
     beat.reset();
     let mut unanswered = 0;
+    let mut answers: JoinSet<String> = JoinSet::new();
     loop {
         tokio::select! {
+            Some(answer) = answers.join_next() => {
+                if let Ok(answer) = answer {
+                    say(&mut socket, &answer).await?;
+                }
+            }
             _ = beat.tick() => {
                 if unanswered == BEATS {
                     return Ok(());
@@ -166,8 +178,13 @@ async fn attend(
                             return close(socket, close_code::POLICY, &reason).await;
                         }
                     };
-                    let answer = ask(service, asked, control).await;
-                    say(&mut socket, &answer).await?;
+                    if answers.len() >= MOST_ASKED {
+                        let text = format!("{MOST_ASKED} answers are waited for already");
+                        say(&mut socket, &refused(asked.id, &text)).await?;
+                        continue;
+                    }
+                    let service = Arc::clone(&service);
+                    answers.spawn(async move { ask(&service, asked, control).await });
                 }
                 Some(Ok(Message::Binary(_))) => {
                     return close(socket, close_code::UNSUPPORTED, "messages are text").await;
@@ -200,17 +217,15 @@ async fn close(mut socket: WebSocket, code: u16, reason: &str) -> Result<(), axu
     socket.send(Message::Close(Some(frame))).await
 }
 
+fn refused(id: u64, text: &str) -> String {
+    let (ok, text) = (false, text.to_owned());
+    Told::Answer { id, ok, text }.text()
+}
+
 /// What becomes of what a browser asks.
 async fn ask(service: &Service, asked: Asked, control: bool) -> String {
     let id = asked.id;
-    let refused = |text: &str| {
-        Told::Answer {
-            id,
-            ok: false,
-            text: text.to_owned(),
-        }
-        .text()
-    };
+    let refused = |text: &str| refused(id, text);
     if asked.kind != "task" && !control {
         return refused(service.door.why_only_look());
     }

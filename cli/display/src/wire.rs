@@ -235,6 +235,9 @@ pub(crate) struct Asked {
     pub(crate) display: Option<String>,
     #[serde(default)]
     pub(crate) at: Option<[f64; 2]>,
+    /// A command for the net's tape, word by word.
+    #[serde(default)]
+    pub(crate) words: Vec<String>,
     /// A layout to be saved, and its name.
     #[serde(default)]
     pub(crate) layout: Option<Layout>,

@@ -56,6 +56,8 @@ const CALIBRATION: &[(&str, Then)] = &[
     ("ctos motion mcs", GoesOn),
     ("ctos motion --once", Ends),
     ("ctos motion --json", GoesOn),
+    ("ctos ways", Ends),
+    ("ctos ways --json", Ends),
     ("ctos display", Ends),
     ("ctos display --app calibrate --once", Ends),
     ("ctos display --json --net dispatcher", Ends),

@@ -379,7 +379,23 @@ async fn note_grasp(action: &Act, leg: Leg, gone: &Result<(), Failure>) {
     });
     if noted {
         tell(action).await;
+        show_grasps(action).await;
     }
+}
+
+/// Shows what is believed of the turns of the gripper by now.
+async fn show_grasps(action: &Act) {
+    // Without a data object manager nobody is shown anything.
+    let Ok(ride) = Ride::of(action).await else {
+        return;
+    };
+    let costs = turns(&ride.errand.thing);
+    let (context, figures) = action.with_state(|state| {
+        let context = state.grasp.context.clone();
+        let figures = step::figures(&state.belief, &context, &costs);
+        (context, figures)
+    });
+    shown::show(ride.cx, &ride.store, &context, (None, figures)).await;
 }
 
 /// Learns nothing of the grasp in work.

@@ -198,7 +198,7 @@ fn is_alone(
         Some(other) => Err(Hindrance::Stuck(format!(
             "a {} {} is stuck to it: push them apart",
             colour_name(thing, other),
-            place_in_words(board, &other.at, thing)
+            place_in_words(board, other, thing)
         ))),
         None => Ok(()),
     }
@@ -280,7 +280,7 @@ fn is_free(
         near && disc.at.z > middle.z - 0.5 * thing.height_m
     });
     if let Some(other) = beside {
-        let place = place_in_words(board, &other.at, thing);
+        let place = place_in_words(board, other, thing);
         return Err(Hindrance::Occupied(format!(
             "a {} stands {place}, where {to} is",
             colour_name(thing, other)
@@ -393,7 +393,7 @@ fn in_words(errand: &Errand, board: &Board, strays: &[&SeenDisc]) -> String {
             let all: Vec<String> = all
                 .iter()
                 .map(|disc| {
-                    let place = place_in_words(board, &disc.at, thing);
+                    let place = place_in_words(board, disc, thing);
                     format!("a {} lies {place}", colour_name(thing, disc))
                 })
                 .collect();
@@ -410,8 +410,14 @@ fn colour_name(thing: &Thing, disc: &SeenDisc) -> String {
     }
 }
 
-/// Where a point of the board's frame is, in board coordinates, or on the table in the arm's base frame.
-fn place_in_words(board: &Board, at: &Point3<f64>, thing: &Thing) -> String {
+/// Where a thing is, in board coordinates, or on the table in the arm's base frame. One picture does not tell how high it lies, and so not
+/// for sure where.
+fn place_in_words(board: &Board, disc: &SeenDisc, thing: &Thing) -> String {
+    let at = &disc.at;
+    let doubt = match disc.cameras {
+        0 | 1 => " (in one picture alone)",
+        _ => "",
+    };
     let field = board.field(at, thing.height_m);
     if board.has(&Field {
         height: 0.0,
@@ -419,14 +425,17 @@ fn place_in_words(board: &Board, at: &Point3<f64>, thing: &Thing) -> String {
     }) && at.z > -1e-3
     {
         return format!(
-            "on {:.2},{:.2},{:.0}",
+            "on {:.2},{:.2},{:.0}{doubt}",
             field.column,
             field.row,
             field.height.max(0.0).round() + 0.0
         );
     }
     let base = board.pose() * at;
-    format!("beside the board at x {:.3} m, y {:.3} m", base.x, base.y)
+    format!(
+        "beside the board at x {:.3} m, y {:.3} m{doubt}",
+        base.x, base.y
+    )
 }
 
 /// All things that are seen.
@@ -438,7 +447,7 @@ fn all_in_words(seen: &Overview, board: &Board, thing: &Thing) -> String {
         .discs
         .iter()
         .map(|disc| {
-            let place = place_in_words(board, &disc.at, thing);
+            let place = place_in_words(board, disc, thing);
             format!("a {} {place}", colour_name(thing, disc))
         })
         .collect();

@@ -11,7 +11,7 @@ use super::{
 use crate::harness::{CTOS, Scratch};
 
 /// The blue disc stands right beside the red one on 3,4, along the columns or the rows, 1 mm from rim to rim.
-fn stuck(surface: &Isometry3<f64>, [x, y]: [f64; 2]) -> Vec<Step> {
+pub(super) fn stuck(surface: &Isometry3<f64>, [x, y]: [f64; 2]) -> Vec<Step> {
     let mut steps = laid(surface, [3.0, 4.0], [0.0; 2]);
     let beside = disc_on(surface, [3.0, 4.0], [x * 0.037, y * 0.037]);
     steps.push(Step::Put("other_disc", beside));
@@ -52,7 +52,7 @@ fn a_disc_that_another_one_is_stuck_to_is_carried_after_that_was_pushed_aside_an
 }
 
 /// The camera on the hand belongs to the app, as in the profile `wrist`.
-fn by_hand(steps: Vec<Step>) -> super::person::Seen {
+pub(super) fn by_hand(steps: Vec<Step>) -> super::person::Seen {
     let scratch = Scratch::new();
     let app = scratch.read("configs/carry.toml");
     let (_, rest) = app.split_once("[profile.wrist.vss]").unwrap();
@@ -70,7 +70,7 @@ fn by_hand(steps: Vec<Step>) -> super::person::Seen {
     seen_by("carry.toml", &scratch, "", steps)
 }
 
-fn covered(camera: &'static str) -> Step {
+pub(super) fn covered(camera: &'static str) -> Step {
     Step::Camera(camera, Some(CameraFault::Cover))
 }
 

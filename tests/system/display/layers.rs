@@ -1,16 +1,7 @@
 //! What of the scene may be left out: forces, guards, margins, contacts; and the net that stays in view.
 
-use super::{SIZE, SLOW, boot, browser::Browser, opened, pictures, scratch};
-use crate::harness::{CTOS, Run, Scratch};
-
-/// Boots another app of the configurations with a display; the address of its page.
-fn boot_app<'s>(scratch: &'s Scratch, config: &str, more: &[&str]) -> (Run<'s>, String) {
-    let display = ["boot", config, "--display=127.0.0.1:0", "--allow-control"];
-    let mut run = scratch.start(CTOS, &[&display[..], &SLOW, more].concat(), &[]);
-    let line = run.line_with("nets are shown");
-    let page = opened(&line);
-    (run, page)
-}
+use super::{SIZE, boot, boot_app, browser::Browser, pictures, scratch};
+use crate::harness::Scratch;
 
 /// The kinds of parts that are drawn.
 const KINDS: &str = "[...new Set(nets.overview.parts().map((one) => one.part.kind))].sort().join()";

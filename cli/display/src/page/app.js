@@ -53,6 +53,9 @@ class App extends Attention {
     this.askedWhy = new Map();
     /** What a person fills in for the next breakpoint of a place. */
     this.predicate = { sign: ">=", tokens: "1" };
+    /** What is typed for the tape of each net, and what became of what was put there: `{ net, line, told }`. */
+    this.typed = new Map();
+    this.commands = new Map();
     /** What the address asks for, until it is there or a person does something: nets come one by one. */
     this.wish = new URLSearchParams(location.hash.slice(1));
     this.touched = false;
@@ -103,7 +106,7 @@ class App extends Attention {
       case "dark": this.overview.dark(message); this.stale = true; break;
       case "picture": this.overview.picture(message.picture); this.seen(null); break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
-      case "answer": if (!message.ok) this.say(message.text); break;
+      case "answer": this.answered(message); break;
       case "end": this.mode = "ended"; this.changed(); break;
       default: break;
     }
@@ -446,6 +449,21 @@ class App extends Attention {
     else this.open(best.net, best.key);
   }
 
+  /** Puts a command on the tape of a net. */
+  command(net, line) {
+    const words = line.trim().split(/\s+/);
+    if (words[0] === "" || !this.order("command", net, { words })) return;
+    this.commands.set(this.asked, { net: net.name, line: words.join(" "), told: null });
+    this.changed();
+  }
+
+  answered({ id, ok, text }) {
+    const command = this.commands.get(id);
+    if (command) [command.told, command.ok] = [text, ok];
+    else if (!ok) this.say(text);
+    this.changed();
+  }
+
   say(text) {
     const banner = $("banner");
     banner.textContent = text;
@@ -630,14 +648,16 @@ class App extends Attention {
 
   order(what, net, more) {
     // A button that was shown for the net itself, and clicked when its copy had taken its place.
-    if (this.forks.size > 0) return;
-    this.ask(what, { net: net.name, ...more });
+    if (this.forks.size > 0) return false;
+    return this.ask(what, { net: net.name, ...more });
   }
 
+  /** Whether there is somebody to ask. */
   ask(what, more) {
-    if (this.socket?.readyState !== WebSocket.OPEN) return;
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
     this.asked += 1;
     this.socket.send(JSON.stringify({ kind: what, id: this.asked, ...more }));
+    return true;
   }
 
   connect() {
@@ -651,6 +671,7 @@ class App extends Attention {
     socket.onmessage = (event) => this.take(JSON.parse(event.data));
     socket.onclose = (event) => {
       if (this.mode !== "ended") this.lost = true;
+      for (const command of this.commands.values()) command.told ??= "nobody knows here: the connection was lost";
       if (event.reason) this.say(event.reason);
       setTimeout(() => this.connect(), RETRY);
     };

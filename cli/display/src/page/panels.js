@@ -4,6 +4,9 @@ import { called, nodeStanding, seconds } from "./model.js";
 import { placeKey } from "./plots.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
+/** Commands by hand whose answers are shown. */
+const COMMANDS_SHOWN = 3;
+
 /** Nodes of a kind that are listed. */
 const MOST_LISTED = 24;
 
@@ -26,7 +29,7 @@ export function showSide(host, app) {
   // What a person fills in stays until that is done.
   if (host.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
   const shown = app.chosen === null ? null : app.picture.nodes.get(app.chosen);
-  if (app.whole && app.chosen === null && app.task === null) return host.replaceChildren(...app.overview.side());
+  if (app.whole && app.chosen === null && app.task === null) return host.replaceChildren(...app.overview.side(), ...app.visibleNets().map((net) => overviewPart(net, app)).filter((part) => part !== null));
   const parts = [app.task !== null ? make("section", {}, make("h2", {}, app.task, make("small", {}, "task")), taskPart(app.task, app)) : null,
     shown && app.task === null ? nodePart(shown, app) : null, ...app.visibleNets().map((net) => netPart(net, app))];
   host.replaceChildren(...parts.filter((part) => part !== null));
@@ -212,6 +215,31 @@ function tokenHistory(net, place, app) {
   return svg;
 }
 
+/** What a person can put on the tape of a net beside the scene. */
+function overviewPart(net, app) {
+  const part = commandPart(net, app);
+  return part === null ? null : make("section", {}, make("h2", {}, net.name, make("small", {}, "net")), part);
+}
+
+/** A form for a command on the net's tape, and what became of the last ones. */
+function commandPart(net, app) {
+  if (!app.control || net.real || net.view.commands.length === 0) return null;
+  const known = `commands of ${net.name}`;
+  const put = [...app.commands.values()].filter((one) => one.net === net.name).slice(-COMMANDS_SHOWN).reverse();
+  const line = make("input", { name: "line", list: known, value: app.typed.get(net.name) ?? "", placeholder: `${net.view.commands[0].symbol} …`, title: "A command and its arguments, with spaces between them",
+    "aria-label": `Command for the tape of ${net.name}`, autocomplete: "off", spellcheck: "false", oninput: (event) => app.typed.set(net.name, event.target.value) });
+  return make("div", {},
+    make("form", { class: "command", onsubmit: (event) => {
+      event.preventDefault();
+      app.command(net, line.value);
+      document.activeElement.blur();
+    } },
+    line, make("datalist", { id: known }, ...net.view.commands.map(({ symbol }) => make("option", { value: symbol }))),
+    make("button", { title: "Put the command on the tape" }, "Put")),
+    put.length === 0 ? null : make("ul", { class: "answers", "aria-label": "answered" }, ...put.map((one) => make("li", { class: one.ok === false ? "failed" : null },
+      make("span", { class: "symbol" }, one.line), make("span", {}, one.told ?? "not answered yet")))));
+}
+
 function netPart(net, app) {
   const state = app.stateOf(net);
   const drawing = app.drawingOf(net);
@@ -245,6 +273,7 @@ function netPart(net, app) {
     lists.enabled.length > 0 ? make("ul", { "aria-label": "enabled" }, ...rows(lists.enabled)) : null,
     net.view.commands.length > 0 ? make("p", {}, make("span", { class: "soft" }, "tape "), ...(state.in_progress ? [...symbols([state.in_progress]), " in progress "] : []),
       ...symbols(state.tape), state.tape.length === 0 && !state.in_progress ? "empty" : "", ...(answers.length > 0 ? [make("span", { class: "soft" }, " answered "), ...symbols(answers)] : [])) : null,
+    commandPart(net, app),
     make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, MOST_LISTED).map((node) => jump(net, node.name, app)))),
       ...(lists.running.length > 0 ? ["; taken by ", ...between(lists.running.slice(0, MOST_LISTED).map(([node]) => jump(net, node.name, app)))] : [])),
     net.skipped > 0 ? make("p", { class: "soft" }, `${net.skipped} events came too fast to be shown`) : null);

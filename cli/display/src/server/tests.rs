@@ -23,11 +23,15 @@ struct Served {
     thread: Option<JoinHandle<()>>,
 }
 
+/// A server whose app has ended.
 fn served(viewers: usize) -> Served {
+    served_to(viewers, mpsc::channel(1).0)
+}
+
+fn served_to(viewers: usize, orders: mpsc::Sender<Asking>) -> Served {
     let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let address = listener.local_addr().unwrap();
     let pages = Pages::new(listener, None, &[]).unwrap();
-    let (orders, _) = mpsc::channel(1);
     let hub = Arc::new(Hub::live(
         "app",
         Overviews::default(),
@@ -149,6 +153,35 @@ fn what_is_no_message_ends_the_connection_that_it_came_by_with_the_reason_and_no
     good.send(Message::text(r#"{"kind":"fire","id":9}"#))
         .unwrap();
     assert!(next(&mut good).contains("\"id\":9"));
+}
+
+#[test]
+fn a_command_that_takes_long_keeps_its_browser_from_nothing_and_is_answered_when_it_is_done() {
+    let (orders, mut asked) = mpsc::channel(1);
+    let served = served_to(1, orders);
+    let mut viewer = served.viewer();
+    next(&mut viewer);
+    let mut ask = |text: &str| viewer.send(Message::text(text)).unwrap();
+    ask(r#"{"kind":"command","net":"n","words":["carry","3,4","4,5"],"id":1}"#);
+    ask(r#"{"kind":"pause","net":"n","id":2}"#);
+    let (command, done) = asked.blocking_recv().unwrap();
+    assert_eq!(command.words, ["carry", "3,4", "4,5"]);
+    let (pause, paused) = asked.blocking_recv().unwrap();
+    assert_eq!(pause.kind, "pause");
+    paused.send("second".to_owned()).unwrap();
+    assert_eq!(next(&mut viewer), "second");
+    done.send("first".to_owned()).unwrap();
+    assert_eq!(next(&mut viewer), "first");
+    // Who asks for too much is told so.
+    for id in 0..=MOST_ASKED {
+        let text = format!(r#"{{"kind":"command","net":"n","words":["carry"],"id":{id}}}"#);
+        viewer.send(Message::text(text)).unwrap();
+    }
+    let told = next(&mut viewer);
+    assert!(
+        told.contains(&format!("\"id\":{MOST_ASKED}")) && told.contains("already"),
+        "{told}"
+    );
 }
 
 #[test]

@@ -1,7 +1,12 @@
 //! Every process around an errand is killed at every phase of every transition, one after the other. All nets are durable, and each
 //! process comes back.
 
-use std::{collections::BTreeSet, io::Write as _, time::Duration};
+use std::{
+    collections::BTreeSet,
+    io::Write as _,
+    panic::{AssertUnwindSafe, catch_unwind},
+    time::Duration,
+};
 
 use ctos::{
     boot::{Fault, FaultKind},
@@ -72,7 +77,7 @@ const POINT: &str = "point 5,5,0";
 
 /// Moments at which something changes in a run that nobody disturbs, ns: every phase of every transition, a little later, when what
 /// it changed is being stored, and in the midst of what takes longer.
-fn moments() -> Vec<u64> {
+fn moments() -> BTreeSet<u64> {
     let plain = run(&[]);
     assert_eq!(
         plain.bench.answers[0].0, "carried",
@@ -92,13 +97,13 @@ fn moments() -> Vec<u64> {
         "the beginning is not known"
     );
     assert!(phases.len() > 50, "{}", phases.len());
+    let mut all = and_after(&phases);
     let phases: Vec<u64> = phases.into_iter().collect();
-    let mut all: BTreeSet<u64> = phases.iter().flat_map(|at| [*at, at + 1_000_000]).collect();
     let pauses = phases
         .windows(2)
         .filter(|pair| pair[1] - pair[0] > 20_000_000);
     all.extend(pauses.map(|pair| (pair[0] + pair[1]) / 2));
-    all.into_iter().collect()
+    all
 }
 
 fn is_near(place: &Place, field: &str) -> bool {
@@ -167,41 +172,71 @@ fn must_hold(world: &World, case: &str) {
 /// How many kills are tried in the short run; every one with `CTOS_CARRY_SEEDS`.
 const SHORT: usize = 24;
 
-#[test]
-fn whoever_is_killed_at_any_phase_of_any_transition_the_answer_is_true_and_the_thing_is_in_one_place()
- {
-    let moments = moments();
-    let all: Vec<(&str, u64)> = TASKS
-        .iter()
-        .flat_map(|task| moments.iter().map(move |at| (*task, *at)))
-        .collect();
-    let every = std::env::var("CTOS_CARRY_SEEDS").is_ok();
-    let step = if every { 1 } else { (all.len() / SHORT).max(1) };
-    let (mut carried, mut tried) = (0, 0);
-    let mut failed = Vec::new();
-    for (task, at) in all.iter().step_by(step) {
-        let kill = kill(task, *at);
-        let case = format!("{task} was killed at {} ms", *at as f64 / 1e6);
-        tried += 1;
-        let ran = std::panic::catch_unwind(|| {
-            let world = run(&[kill]);
-            must_hold(&world, &case);
-            world.bench.answers[0].0 == "carried"
-        });
+/// Tries cases one after the other: every one from `CTOS_CARRY_FIRST` on in a long run, else one of each `step`. How many there were,
+/// and of how many `tries` was true.
+fn tried<T>(
+    cases: &[T],
+    step: usize,
+    name: impl Fn(&T) -> String,
+    tries: impl Fn(&T, &str) -> bool,
+) -> (usize, usize) {
+    let (first, step) = if is_long() {
+        (first(), 1)
+    } else {
+        (0, step.max(1))
+    };
+    let (mut count, mut well, mut failed) = (0, 0, Vec::new());
+    for (number, case) in (first..).zip(cases.iter().skip(first)).step_by(step) {
+        let name = name(case);
+        count += 1;
+        let ran = catch_unwind(AssertUnwindSafe(|| tries(case, &name)));
+        if is_long() {
+            let word = if ran.is_ok() { "well" } else { "FAILED" };
+            let line = format!("{word}: {number} of {}: {name}\n", cases.len());
+            std::io::stdout().write_all(line.as_bytes()).unwrap();
+        }
         match ran {
-            Ok(was_carried) => carried += usize::from(was_carried),
-            Err(_) => failed.push(case),
+            Ok(is_well) => well += usize::from(is_well),
+            Err(_) => failed.push(name),
         }
     }
     assert!(
         failed.is_empty(),
-        "{} of {tried}: {failed:#?}",
+        "{} of {count}: {failed:#?}",
         failed.len()
     );
+    (count, well)
+}
+
+/// The moments at which something happens, and a little later, when what it changed is being stored.
+fn and_after(moments: &BTreeSet<u64>) -> BTreeSet<u64> {
+    moments
+        .iter()
+        .flat_map(|at| [*at, at + 1_000_000])
+        .collect()
+}
+
+/// Each task, killed at each moment.
+fn kills_of(tasks: &[&'static str], moments: &BTreeSet<u64>) -> Vec<(&'static str, u64)> {
+    let all = tasks.iter();
+    all.flat_map(|task| moments.iter().map(move |at| (*task, *at)))
+        .collect()
+}
+
+#[test]
+fn whoever_is_killed_at_any_phase_of_any_transition_the_answer_is_true_and_the_thing_is_in_one_place()
+ {
+    let all = kills_of(&TASKS, &moments());
+    let name = |(task, at): &_| format!("{task} was killed at {} ms", *at as f64 / 1e6);
+    let (count, carried) = tried(&all, all.len() / SHORT, name, |(task, at), case| {
+        let world = run(&[kill(task, *at)]);
+        must_hold(&world, case);
+        world.bench.answers[0].0 == "carried"
+    });
     // What died does not keep the thing from being carried, as a rule.
     assert!(
-        10 * carried > 9 * tried,
-        "{carried} of {tried} were carried"
+        10 * carried > 9 * count,
+        "{carried} of {count} were carried"
     );
 }
 
@@ -258,8 +293,6 @@ fn asked(says: Option<&'static str>, kills: &[Fault]) -> World {
 
 #[test]
 fn whoever_is_killed_while_people_are_asked_what_they_said_is_done_and_the_answer_is_true() {
-    let every = std::env::var("CTOS_CARRY_SEEDS").is_ok();
-    let (mut tried, mut failed) = (0, Vec::new());
     for (says, symbol) in [(Some("fetch"), "carried"), (None, "not_carried")] {
         let plain = asked(says, &[]);
         let answers = &plain.bench.answers;
@@ -270,41 +303,26 @@ fn whoever_is_killed_while_people_are_asked_what_they_said_is_done_and_the_answe
         });
         let phases: BTreeSet<u64> = asking.map(|(_, event)| event.at_ns).collect();
         let (first, last) = (phases.first().unwrap(), phases.last().unwrap());
-        let mut moments: Vec<u64> = phases.iter().flat_map(|at| [*at, at + 1_000_000]).collect();
+        let mut moments = and_after(&phases);
         // While nobody has said anything yet.
-        moments.push(first + 15_000_000_000.min((last - first) / 2));
+        moments.insert(first + 15_000_000_000.min((last - first) / 2));
         // The person of these tests lives with the eyes.
-        let tasks = ["people", "dispatcher", "dom", "vision", "robot"];
-        let all = moments
-            .iter()
-            .flat_map(|at| tasks.iter().map(move |task| (task, at)));
-        for (task, at) in all.step_by(if every { 1 } else { 3 }) {
-            let case = format!("{says:?}: {task} was killed at {} ms", *at as f64 / 1e6);
-            tried += 1;
-            let ran = std::panic::catch_unwind(|| {
-                let world = asked(says, &[kill(task, *at)]);
-                is_true(&world, &case);
-                let answers = &world.bench.answers;
-                assert_eq!(answers[0].0, symbol, "{case}: {answers:?}");
-                assert_eq!(world.hand_full(), 0, "{case}");
-            });
-            if ran.is_err() {
-                failed.push(case);
-            }
-        }
-    }
-    assert!(
-        failed.is_empty(),
-        "{} of {tried}: {failed:#?}",
-        failed.len()
-    );
-}
-
-/// Tells of a long campaign how far it is.
-fn tell(is_long: bool, case: &str, is_well: bool) {
-    if is_long {
-        let line = format!("{}: {case}\n", if is_well { "well" } else { "FAILED" });
-        std::io::stdout().write_all(line.as_bytes()).unwrap();
+        let all = kills_of(
+            &["people", "dispatcher", "dom", "vision", "robot"],
+            &moments,
+        );
+        let name = |(task, at): &_| {
+            let ms = *at as f64 / 1e6;
+            format!("{says:?}: {task} was killed at {ms} ms")
+        };
+        tried(&all, 3, name, |(task, at), case| {
+            let world = asked(says, &[kill(task, *at)]);
+            is_true(&world, case);
+            let answers = &world.bench.answers;
+            assert_eq!(answers[0].0, symbol, "{case}: {answers:?}");
+            assert_eq!(world.hand_full(), 0, "{case}");
+            true
+        });
     }
 }
 
@@ -331,53 +349,33 @@ fn run_harder(what: &str, kills: &[Fault], seed: u64) -> World {
 #[test]
 fn whoever_is_killed_at_any_phase_of_a_look_from_another_pose_or_of_a_push_aside_the_answer_is_true()
  {
-    let every = std::env::var("CTOS_CARRY_SEEDS").is_ok();
-    let (mut carried, mut tried, mut failed) = (0, 0, Vec::new());
     for (what, nets) in [
         ("look", ["vision", "vision"]),
         ("push", ["pusher", "dispatcher"]),
     ] {
         let plain = run_harder(what, &[], 1);
-        assert_eq!(
-            plain.bench.answers[0].0, "carried",
-            "{:?}",
-            plain.bench.answers
-        );
+        let answers = &plain.bench.answers;
+        assert_eq!(answers[0].0, "carried", "{answers:?}");
         let firings = plain.bench.firings.iter();
         let own = firings.filter(|(net, _)| nets.contains(&net.as_str()));
         let phases: BTreeSet<u64> = own.map(|(_, event)| event.at_ns).collect();
-        let moments: BTreeSet<u64> = phases.iter().flat_map(|at| [*at, at + 1_000_000]).collect();
         let tasks = [nets[0], "dispatcher", "mcs", "dom", "hand", "robot"];
-        let all = tasks
-            .iter()
-            .flat_map(|task| moments.iter().map(move |at| (*task, *at)));
-        let all: Vec<(&str, u64)> = all.collect();
+        let all = kills_of(&tasks, &and_after(&phases));
         assert!(all.len() > 100, "{}", all.len());
-        let step = if every { 1 } else { all.len() / 12 };
-        for (task, at) in all.iter().step_by(step) {
-            let case = format!("{what}: {task} was killed at {} ms", *at as f64 / 1e6);
-            tried += 1;
-            let ran = std::panic::catch_unwind(|| {
-                let world = run_harder(what, &[kill(task, *at)], 1);
-                must_hold(&world, &case);
-                world.bench.answers[0].0 == "carried"
-            });
-            tell(every, &case, ran.is_ok());
-            match ran {
-                Ok(was_carried) => carried += usize::from(was_carried),
-                Err(_) => failed.push(case),
-            }
-        }
+        let name = |(task, at): &_| {
+            let ms = *at as f64 / 1e6;
+            format!("{what}: {task} was killed at {ms} ms")
+        };
+        let (count, carried) = tried(&all, all.len() / 12, name, |(task, at), case| {
+            let world = run_harder(what, &[kill(task, *at)], 1);
+            must_hold(&world, case);
+            world.bench.answers[0].0 == "carried"
+        });
+        assert!(
+            10 * carried > 9 * count,
+            "{what}: {carried} of {count} were carried"
+        );
     }
-    assert!(
-        failed.is_empty(),
-        "{} of {tried}: {failed:#?}",
-        failed.len()
-    );
-    assert!(
-        10 * carried > 9 * tried,
-        "{carried} of {tried} were carried"
-    );
 }
 
 /// How often ways were tried that an answer's last line tells about.
@@ -405,56 +403,59 @@ fn what_is_believed_of_ways_outlasts_the_process_that_believes_it() {
     );
 }
 
+/// Whether every case is tried.
+fn is_long() -> bool {
+    std::env::var("CTOS_CARRY_SEEDS").is_ok()
+}
+
 /// Seeds of the campaign; few unless `CTOS_CARRY_SEEDS` says how many.
-fn seeds() -> u64 {
+fn seeds() -> usize {
     let given = std::env::var("CTOS_CARRY_SEEDS").ok();
     given.map_or(12, |text| text.parse().unwrap())
 }
 
-/// The first of them: `CTOS_CARRY_FIRST`, so that a long campaign can be parted.
-fn first() -> u64 {
+/// The first of them, and of all kills: `CTOS_CARRY_FIRST`, so that a long campaign can be parted.
+fn first() -> usize {
     let given = std::env::var("CTOS_CARRY_FIRST").ok();
     given.map_or(0, |text| text.parse().unwrap())
+}
+
+/// What is drawn for a seed: the kills, and the errand with its faults.
+fn drawn(seed: usize, end: u64) -> (Vec<Fault>, &'static str, Vec<(usize, Wrong)>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed as u64);
+    let kills = (0..rng.random_range(1..4)).map(|_| {
+        let task = TASKS[rng.random_range(0..TASKS.len())];
+        kill(task, rng.random_range(0..end))
+    });
+    let kills = kills.collect();
+    // Of four, one errand needs a look from another pose, and one a push aside.
+    let what = ["", "", "look", "push"][rng.random_range(0..4)];
+    let mut faults = Vec::new();
+    for _ in 0..rng.random_range(0..3) {
+        let wrong = match rng.random_range(0..=FAULTS.len()) {
+            number if number < FAULTS.len() => FAULTS[number],
+            _ => Wrong::Slips,
+        };
+        faults.push((rng.random_range(0..80), wrong));
+    }
+    (kills, what, faults)
 }
 
 #[test]
 fn with_kills_and_faults_drawn_together_every_answer_is_true_and_the_markings_say_what_is_in_the_hand()
  {
     let end = moments().last().copied().unwrap();
-    let mut failed = Vec::new();
-    let is_long = std::env::var("CTOS_CARRY_SEEDS").is_ok();
-    for seed in first()..seeds() {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let kills: Vec<Fault> = (0..rng.random_range(1..4))
-            .map(|_| {
-                let task = TASKS[rng.random_range(0..TASKS.len())];
-                kill(task, rng.random_range(0..end))
-            })
-            .collect();
-        // Of four, one errand needs a look from another pose, and one a push aside.
-        let what = ["", "", "look", "push"][rng.random_range(0..4)];
+    let all: Vec<usize> = (0..seeds()).collect();
+    let name = |seed: &usize| format!("seed {seed}: {:?}", drawn(*seed, end));
+    tried(&all, 1, name, |seed, case| {
+        let (kills, what, faults) = drawn(*seed, end);
         let (mut world, way) = harder(what);
-        for _ in 0..rng.random_range(0..3) {
-            let wrong = match rng.random_range(0..=FAULTS.len()) {
-                number if number < FAULTS.len() => FAULTS[number],
-                _ => Wrong::Slips,
-            };
-            world.bench.faults.push((rng.random_range(0..80), wrong));
-        }
-        let case = format!("seed {seed}: {what} {kills:?} {:?}", world.bench.faults);
+        world.bench.faults.extend(faults);
         let (text, mut sets) = app();
         sets.extend([way.to_owned(), format!("app.seed={seed}")]);
-        let ran = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-            let commands = [CARRY, "put_back", POINT];
-            is_true(
-                &bench::run_with(world, (&text, &sets), &commands, &kills),
-                &case,
-            );
-        }));
-        tell(is_long, &case, ran.is_ok());
-        if ran.is_err() {
-            failed.push(case);
-        }
-    }
-    assert!(failed.is_empty(), "{}: {failed:#?}", failed.len());
+        let commands = [CARRY, "put_back", POINT];
+        let world = bench::run_with(world, (&text, &sets), &commands, &kills);
+        is_true(&world, case);
+        true
+    });
 }

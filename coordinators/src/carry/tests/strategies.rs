@@ -1,6 +1,6 @@
 //! Which ways the Robot Coordinator takes, and what it learns of them.
 
-use super::world::{CARRY, World, on, run, run_seeded, run_with};
+use super::world::{CARRY, POSES, PUSHES, Room, World, on, run, run_seeded, run_with};
 
 /// To and fro between two fields, so often.
 fn tour(count: usize) -> Vec<&'static str> {
@@ -150,4 +150,35 @@ fn a_way_without_a_choice_that_a_guard_ends_is_gone_around_everything_where_the_
     let world = run_with(blocked, &[]);
     assert_eq!(world.bench.answers[0].0, "not_carried");
     assert!(world.bench.answers[0].1.contains("park: post is near"));
+}
+
+#[test]
+fn what_every_coordinator_believes_of_its_ways_is_shown_to_people() {
+    let mut world = World::crowded();
+    world.room = Room::InDoubt;
+    let world = run_with(world, &[POSES, PUSHES]);
+    let (symbol, text) = &world.bench.answers[0];
+    assert_eq!(symbol, "carried", "{text}");
+    let choices = &world.bench.choices;
+    // Of the Vision Coordinator, the Dispatcher, and the Robot Coordinator.
+    let steps = [
+        "look",
+        "push aside",
+        "approach",
+        "transfer",
+        "grasp of disc",
+    ];
+    let shown: Vec<&str> = choices.keys().map(String::as_str).collect();
+    for step in steps {
+        let shown = choices
+            .get(step)
+            .unwrap_or_else(|| panic!("{step}: {shown:?}"));
+        let chosen = shown.chosen.as_ref().unwrap();
+        let figures = shown
+            .figures
+            .iter()
+            .find(|one| one.name == *chosen)
+            .unwrap();
+        assert!(figures.trials > 0, "{step}: {shown:?}");
+    }
 }
