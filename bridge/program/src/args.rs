@@ -235,23 +235,16 @@ fn place(task: &TaskConfig, app: &App, key: &str) -> Place {
     place.unwrap_or_else(|| task.place.clone())
 }
 
-/// The Python that `python3` is: that of the variable `CTOS_PYTHON`, if it is set.
-pub(crate) fn program(word: &str) -> String {
-    let python = (word == "python3").then(|| std::env::var("CTOS_PYTHON").ok());
-    python.flatten().unwrap_or_else(|| word.to_owned())
-}
-
 /// Whether the program can be started on this host.
 fn located(word: &str, app: &App) -> Result<(), String> {
-    let program = program(word);
-    if program.contains('/') {
-        return executable(&app.folder.join(&program));
+    if word.contains('/') {
+        return executable(&app.folder.join(word));
     }
     let path = std::env::var_os("PATH").unwrap_or_default();
     let mut folders = std::env::split_paths(&path);
-    match folders.any(|folder| executable(&folder.join(&program)).is_ok()) {
+    match folders.any(|folder| executable(&folder.join(word)).is_ok()) {
         true => Ok(()),
-        false => Err(format!("no folder of PATH has a program `{program}`")),
+        false => Err(format!("no folder of PATH has a program `{word}`")),
     }
 }
 

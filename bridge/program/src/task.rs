@@ -239,11 +239,12 @@ impl Shared {
         }
         let (args, real) = (&self.args, !is_virtual(cx));
         let mut command = args.command.clone();
-        if let Some(program) = command.first_mut() {
-            *program = args::program(program);
-            if program.contains('/') {
-                *program = cx.path(program).to_string_lossy().into_owned();
-            }
+        if let Some(program) = command.first_mut()
+            && program.contains('/')
+        {
+            // A relative one would be looked for where the program is to run.
+            let path = std::path::absolute(cx.path(program))?;
+            *program = path.to_string_lossy().into_owned();
         }
         let own = [
             ("CTOS_TASK".to_owned(), cx.name().to_owned()),
