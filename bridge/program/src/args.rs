@@ -151,7 +151,18 @@ pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Fi
     let name = &task.name;
     let at = |key: &str| place(task, app, key);
     let mut push = |finding: Finding, key: &str| findings.push(finding.at(at(key)));
-    match args.command.first().map(|program| located(program, app)) {
+    let mut chassis = app.chassis.iter();
+    let home = chassis.find(|one| one.name == task.chassis);
+    // What another host has is not seen from here.
+    let is_here = home.is_none_or(|chassis| chassis.host.is_none());
+    let program = args.command.first();
+    match program.map(|program| {
+        if is_here {
+            located(program, app)
+        } else {
+            Ok(())
+        }
+    }) {
         None => {
             let finding = Finding::error(
                 "ctos::program::no_command",

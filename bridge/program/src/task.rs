@@ -3,7 +3,9 @@
 use std::{
     cell::{Cell, RefCell},
     collections::{BTreeMap, VecDeque},
+    future::poll_fn,
     rc::Rc,
+    task::Poll,
     time::Duration,
 };
 
@@ -52,6 +54,8 @@ pub struct ObjectAnswer {
 const STEP: Duration = Duration::from_secs(60);
 /// The longest data of a message or a reply, bytes of JSON.
 const LONGEST: usize = 256 << 20;
+/// So many lines are taken before others of the processor have their turn.
+const AT_ONCE: u64 = 16;
 /// Of a wrong line, so much is shown.
 const SHOWN: usize = 120;
 
@@ -207,9 +211,25 @@ fn shown(line: &str) -> String {
     text
 }
 
+/// Lets the other tasks of the processor go on, who would wait for one that writes without end.
+async fn others_first() {
+    let mut waited = false;
+    poll_fn(|poll| {
+        if std::mem::replace(&mut waited, true) {
+            return Poll::Ready(());
+        }
+        poll.waker().wake_by_ref();
+        Poll::Pending
+    })
+    .await;
+}
+
 /// Takes what the program says, one line after the other.
 async fn hear(cx: &Context, shared: &Rc<Shared>, mut source: Source) {
-    loop {
+    for number in 1_u64.. {
+        if number.is_multiple_of(AT_ONCE) {
+            others_first().await;
+        }
         let event = cx
             .outside_wait("what its program says", source.next())
             .await;
