@@ -304,6 +304,13 @@ impl<'a> Expansion<'a> {
             let args = name
                 .into_iter()
                 .fold(args, |args, name| args.with(key, name));
+            // A Tool of somebody else's may be a program that fetches no pixels from a buffer.
+            let whole = entry.per_camera && !self.parsed.handlers.is_empty();
+            let args = if whole {
+                args.with("whole", true)
+            } else {
+                args
+            };
             self.add(&task, &entry.handler, args);
         }
     }

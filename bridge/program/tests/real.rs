@@ -49,6 +49,11 @@ impl Sum {
     }
 }
 
+#[derive(serde::Deserialize)]
+struct Case {
+    case: String,
+}
+
 /// Carries out a case, and ends the app with what came of it.
 struct Person;
 
@@ -61,7 +66,7 @@ impl EventHandler for Person {
         if phase == Phase::Run {
             let here = cx.clone();
             cx.spawn(async move {
-                let done = match &*here.args::<String>().unwrap_or_default() {
+                let done = match here.args::<Case>().unwrap().case.as_str() {
                     "ratio" => ratio(&here).await,
                     "beside" => beside(&here).await,
                     "moved" => moved(&here).await,
@@ -88,7 +93,9 @@ fn registry() -> Registry {
     let mut registry = Registry::new();
     bridge_program::register(&mut registry);
     registry.handler("sum", &Sum::COMMANDS, |_| Ok(Sum::default()));
-    registry.handler("person", &[], |_| Ok(Person));
+    registry
+        .handler("person", &[], |_| Ok(Person))
+        .args::<Case>();
     registry
 }
 
@@ -271,7 +278,7 @@ fn run(case: &str, command: &str) -> Result<String, Failed> {
     let client = client.join("clients/python/src").display().to_string();
     let text = format!(
         "app.until = \"person\"\n[chassis.a]\n[chassis.b]\n\
-         [task.person]\nhandler = \"person\"\non = \"a\"\nargs = \"{case}\"\n\
+         [task.person]\nhandler = \"person\"\non = \"a\"\nargs.case = \"{case}\"\n\
          [task.sum]\nhandler = \"sum\"\non = \"a\"\n\
          [task.other]\nhandler = \"sum\"\non = \"b\"\n\
          [task.detector]\nhandler = \"ctos.program\"\non = \"a\"\n\
