@@ -19,7 +19,7 @@ use crate::program;
   ctos new my-app
   cd my-app && cargo run -- boot app.toml
   ctos new --task my-task
-  ctos new --python my-app && ctos boot my-app/app.toml")]
+  ctos new --python my-script")]
 pub struct NewArgs {
     /// Folder to make
     pub folder: PathBuf,

@@ -336,3 +336,33 @@ fn one_that_says_nothing_keeps_nobody_longer_than_its_start() {
         "{error}"
     );
 }
+
+#[test]
+fn who_asks_a_program_that_is_busy_waits_in_line_and_is_told_when_the_line_is_full() {
+    let does = person(|cx| async move {
+        let asked = (0..12).map(|_| find(&cx));
+        let answers = futures_util::future::join_all(asked).await;
+        let full = |answer: &&Result<String, String>| {
+            answer
+                .as_ref()
+                .is_err_and(|why| why.contains("the queue of `detector` is full"))
+        };
+        let (full, taken) = (
+            answers.iter().filter(full).count(),
+            answers.iter().flatten().count(),
+        );
+        Ok(format!("{full} {taken}"))
+    });
+    // It answers when it is asked, but the first time after the others have come.
+    let find = "echo '{\"reply\":{\"id\":'$n',\"data\":1}}'";
+    let app = app_text(&answering(find), "queue = 2\n");
+    let said = run(&[TOML], &app, does).unwrap();
+    let (full, taken) = said.split_once(' ').unwrap();
+    assert_eq!(
+        full.parse::<u32>().unwrap() + taken.parse::<u32>().unwrap(),
+        12,
+        "{said}"
+    );
+    assert_ne!(full, "0");
+    assert_ne!(taken, "0");
+}
