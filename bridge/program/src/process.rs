@@ -192,6 +192,11 @@ impl Program {
             .map_or(Ok(()), |input| input.write(line))
     }
 
+    /// The number of its process.
+    pub(crate) fn id(&self) -> i32 {
+        self.group.id.as_raw_nonzero().get()
+    }
+
     /// Nothing more is written; it sees the end of its input.
     pub(crate) fn close(&self) {
         lock(&self.input).take();

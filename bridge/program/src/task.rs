@@ -286,6 +286,10 @@ impl Shared {
             logs: real,
         };
         let (program, events) = Program::start(&plan, real).map_err(HandlerError::new)?;
+        if real {
+            let text = format!("its program is process {}", program.id());
+            cx.is_at(Some(AtReport { text, until: None }));
+        }
         self.program.replace(Some(program));
         Ok(match events {
             Events::Task(events) => Source::Task(events),
