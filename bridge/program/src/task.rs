@@ -56,6 +56,8 @@ const STEP: Duration = Duration::from_secs(60);
 const LONGEST: usize = 256 << 20;
 /// So many lines are taken before others of the processor have their turn.
 const AT_ONCE: u64 = 16;
+/// So many of its own questions may be under way.
+const MOST_ASKING: usize = 256;
 /// Of a wrong line, so much is shown.
 const SHOWN: usize = 120;
 
@@ -414,8 +416,8 @@ impl Shared {
             Said::Hello(_) => return Err("its program said hello twice".to_owned()),
             Said::Reply { id, data } => self.answer(cx, id, Ok(&data))?,
             Said::Error { id, text } => self.answer(cx, id, Err(text))?,
-            Said::Call(asked) => self.ask(cx, asked, true),
-            Said::Send(asked) => self.ask(cx, asked, false),
+            Said::Call(asked) => self.ask(cx, asked, true)?,
+            Said::Send(asked) => self.ask(cx, asked, false)?,
             Said::Log { level, text } => log(cx, level, &text),
             Said::Keep { state } => drop(self.kept.replace(Some(state))),
             Said::At { text } => cx.is_at(Some(AtReport { text, until: None })),
@@ -465,7 +467,17 @@ impl Shared {
     }
 
     /// Asks another task what the program asks.
-    fn ask(self: &Rc<Self>, cx: &Context, asked: Asked, replies: bool) {
+    ///
+    /// # Errors
+    /// The program does not read that it asks too much.
+    fn ask(self: &Rc<Self>, cx: &Context, asked: Asked, replies: bool) -> Result<(), String> {
+        if self.asking.get() >= MOST_ASKING {
+            let (id, text) = (
+                asked.id,
+                format!("too many questions are under way: {MOST_ASKING}"),
+            );
+            return self.tell(Told::Error { id, text: &text }.line());
+        }
         let (shared, child) = (Rc::clone(self), cx.within(self.trace.get()));
         self.asking.update(|asking| asking + 1);
         cx.spawn(async move {
@@ -481,6 +493,7 @@ impl Shared {
                 shared.end(&child, &why);
             }
         });
+        Ok(())
     }
 
     /// The line of the answer.

@@ -365,3 +365,11 @@ fn who_asks_a_program_that_is_busy_waits_in_line_and_is_told_when_the_line_is_fu
     assert_ne!(full, "0");
     assert_ne!(taken, "0");
 }
+
+#[test]
+fn a_program_that_asks_without_end_is_told_that_it_is_too_much() {
+    let flood = "for i in $(seq 1 600); do echo '{\"send\":{\"id\":'$i',\"task\":\"sum\",\"command\":\"add\",\"data\":{\"number\":1}}}'; done; \
+        while read x; do case \"$x\" in *'\"step\"'*) echo \"$x\";; *'too many questions'*) echo '{\"reply\":{\"id\":1,\"data\":7}}'; break;; esac; done";
+    let args = format!("{}\nasks = [\"sum\"]", answering(flood));
+    assert_eq!(told(&args), "7");
+}
