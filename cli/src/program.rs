@@ -33,6 +33,7 @@ pub fn registry() -> Registry {
     checkers_player::register(&mut registry);
     cli_display::register(&mut registry);
     scene_viewers::register(&mut registry);
+    bridge_program::register(&mut registry);
     bridge_ros2::register(&mut registry);
     panel::register(&mut registry);
     pnt::store::keep_states(&mut registry);

@@ -79,6 +79,9 @@ struct VssTable {
     /// Tasks that run somewhere else: task to `CHASSIS` or `CHASSIS/PROCESSOR`.
     #[serde(default)]
     place: BTreeMap<String, String>,
+    /// Event handlers in place of the catalog's own, which take the same commands: task to handler.
+    #[serde(default)]
+    handlers: BTreeMap<String, String>,
     /// Arguments for tasks that take some: task to table.
     #[serde(default, rename = "args")]
     _args: BTreeMap<String, serde::de::IgnoredAny>,
@@ -168,6 +171,7 @@ impl<'a> Expansion<'a> {
             self.modules(vm);
         }
         self.check_task_names("place");
+        self.check_task_names("handlers");
         self.check_task_names("args");
         self.tasks
     }
@@ -300,6 +304,13 @@ impl<'a> Expansion<'a> {
             let args = name
                 .into_iter()
                 .fold(args, |args, name| args.with(key, name));
+            // A Tool of somebody else's may be a program that fetches no pixels from a buffer.
+            let whole = entry.per_camera && !self.parsed.handlers.is_empty();
+            let args = if whole {
+                args.with("whole", true)
+            } else {
+                args
+            };
             self.add(&task, &entry.handler, args);
         }
     }
@@ -345,7 +356,12 @@ impl<'a> Expansion<'a> {
         let place = place.or_else(|| self.table.place().cloned());
         self.tasks.push(GeneratedTask {
             name: name.to_owned(),
-            handler: handler.to_owned(),
+            handler: self
+                .parsed
+                .handlers
+                .get(name)
+                .map_or(handler, String::as_str)
+                .to_owned(),
             on: on.clone(),
             args,
             // Nodes from a file always have a place.

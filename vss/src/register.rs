@@ -106,7 +106,7 @@ fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
         .handler("vss.vm_snap", vm::SNAP_COMMANDS, move |cx| {
             vm::SnapModule::new(cx, &building)
         })
-        .keys(&["camera", "source", "args", "watch", "buffer"])
+        .keys(&["camera", "source", "args", "watch", "buffer", "whole"])
         .check_in_app(move |task, _, findings| snap_arguments(task, &checking, findings));
     registry
         .handler("vss.vm_laser", vm::LASER_COMMANDS, vm::LaserModule::new)

@@ -60,6 +60,8 @@ pub(crate) struct SnapArgs {
     watch: WatchArgs,
     /// The snapshot buffer in which it leaves its frames for other programs, too.
     buffer: Option<String>,
+    /// Whether messages bring the pixels, because a Tool in place of the catalog's own cannot fetch them.
+    whole: bool,
 }
 
 /// Reads the arguments of a camera's Vision Module: `camera`, `source`, the source's own `args`, `watch` and `buffer`.
@@ -78,6 +80,7 @@ pub(crate) fn snap_args(args: &Node) -> Result<SnapArgs, HandlerError> {
         own: args.get("args").cloned().unwrap_or_else(Node::table),
         watch: watch.transpose()?.unwrap_or_default(),
         buffer: args.get("buffer").map(|_| word("buffer")).transpose()?,
+        whole: args.get("whole").is_some(),
     })
 }
 
@@ -91,6 +94,8 @@ pub struct SnapModule {
     frames: Option<FrameWriter>,
     /// Whether frames are left there only for the app's own chassis.
     inner: bool,
+    /// Whether messages bring the pixels all the same.
+    whole: bool,
 }
 
 impl SnapModule {
@@ -111,8 +116,9 @@ impl SnapModule {
         Ok(Self {
             watch: Watch::new(args.watch, source.is_live()),
             doubt: None,
-            frames: (!inner || walls_share_memory(cx)).then(frames),
+            frames: (!inner || (walls_share_memory(cx) && !args.whole)).then(frames),
             inner,
+            whole: args.whole,
             camera: args.camera,
             source,
         })
@@ -149,7 +155,8 @@ impl SnapModule {
 
     /// The frame, left in the buffer. Where messages are recorded they bring the pixels, for no record holds the buffer.
     fn left(&mut self, cx: &Context, mut frame: Frame) -> Frame {
-        let crosses = walls_share_memory(cx) && !cx.is_recording() && !cx.is_replay();
+        let crosses =
+            walls_share_memory(cx) && !self.whole && !cx.is_recording() && !cx.is_replay();
         let Some(frames) = self.frames.as_mut().filter(|_| crosses || !self.inner) else {
             return frame;
         };

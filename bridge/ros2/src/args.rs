@@ -368,13 +368,14 @@ impl Found<'_> {
             return self.push(finding.suggest(task, known), table);
         };
         // An unknown handler has a finding of its own.
-        let Some(kind) = registry.kind(&found.handler) else {
+        if registry.kind(&found.handler).is_none() {
             return;
-        };
-        match kind.command(command) {
+        }
+        let commands = registry.commands_of(found, app);
+        match commands.iter().find(|info| info.name == command) {
             None => {
                 let text = format!("`{name}`: task `{task}` takes no command `{command}`");
-                let known = kind.commands().iter().map(|command| command.name);
+                let known = commands.iter().map(|command| command.name);
                 let finding = Finding::error("bridge::ros2::no_command", text);
                 self.push(finding.suggest(command, known), table);
             }

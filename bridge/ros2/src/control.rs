@@ -184,11 +184,8 @@ pub(crate) async fn serve(cx: &Context, served: &Served) -> TriggerResponse {
 
 async fn ask(cx: &Context, task: &str, command: &str) -> Result<(bool, String), String> {
     let registry = cx.registry();
-    let mut tasks = cx.app().tasks.iter();
-    let handler = tasks.find(|one| one.name == task).map(|one| &one.handler);
-    let kind = handler.and_then(|handler| registry.kind(handler));
-    let info = kind.and_then(|kind| kind.command(command));
-    let info = info.ok_or_else(|| format!("task `{task}` takes no command `{command}`"))?;
+    let info = registry.command_of(cx.app(), task, command);
+    let info = info.map_err(|_| format!("task `{task}` takes no command `{command}`"))?;
     let found = cx.task(task).await.map_err(|error| error.to_string())?;
     let answer = cx.call_raw(&found, info, Vec::new(), ANSWER).await;
     let answer = answer.map_err(|error| error.to_string())?;

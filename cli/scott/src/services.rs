@@ -21,6 +21,7 @@ pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     classes.extend(mcs_path::services::classes());
     classes.extend(vss::services::classes());
     classes.extend(coordinators::services::classes());
+    classes.extend(bridge_program::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
     classes
 });
@@ -76,6 +77,7 @@ pub fn register(sorm: &Sorm, host: &Host) {
     mcs_path::services::register(sorm);
     vss::services::register(sorm);
     coordinators::services::register(sorm);
+    bridge_program::register_class(sorm);
 }
 
 fn of_one(finding: Finding) -> Findings {

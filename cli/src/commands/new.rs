@@ -18,13 +18,17 @@ use crate::program;
 #[command(after_help = "Example:
   ctos new my-app
   cd my-app && cargo run -- boot app.toml
-  ctos new --task my-task")]
+  ctos new --task my-task
+  ctos new --python my-script")]
 pub struct NewArgs {
     /// Folder to make
     pub folder: PathBuf,
     /// A task for a robot instead: a net that has an arm pick up a box with the service objects of `configs/grasp.toml`
     #[arg(long)]
     pub task: bool,
+    /// An app whose event handlers are programs in Python: nothing is compiled
+    #[arg(long, conflicts_with_all = ["task", "path"])]
+    pub python: bool,
     /// Folder of the CTOS workspace that the app is built with [default: the one this program was built in]
     #[arg(long, value_name = "FOLDER")]
     pub path: Option<PathBuf>,
@@ -102,6 +106,36 @@ const TASK: &[File] = &[
     ),
 ];
 
+/// The files of an app in Python, which are those of `configs/program.toml`, and a copy of the client.
+const PYTHON: &[File] = &[
+    (
+        "README.md",
+        include_str!("../../examples/template_python/README.md"),
+    ),
+    (".gitignore", "__pycache__/\n*.mcap\n"),
+    ("app.toml", include_str!("../../../configs/program.toml")),
+    (
+        "programs/meter.py",
+        include_str!("../../../configs/programs/meter.py"),
+    ),
+    (
+        "programs/meter.toml",
+        include_str!("../../../configs/programs/meter.toml"),
+    ),
+    (
+        "programs/desk.py",
+        include_str!("../../../configs/programs/desk.py"),
+    ),
+    (
+        "ctos/__init__.py",
+        include_str!("../../../clients/python/src/ctos/__init__.py"),
+    ),
+    (
+        "ctos/py.typed",
+        include_str!("../../../clients/python/src/ctos/py.typed"),
+    ),
+];
+
 const IGNORED: &str = "/target\n";
 
 /// Cargo's settings for an app.
@@ -126,6 +160,13 @@ pub fn run(args: &NewArgs) -> u8 {
             return exit::USAGE;
         }
     };
+    if args.python {
+        let files = PYTHON.iter();
+        let files = files.map(|(path, text)| (*path, in_python(text, name)));
+        let schema = ("ctos.schema.json", format!("{:#}\n", program::schema()));
+        let written = write_all(&args.folder, files.chain([schema]));
+        return told(written, args, "ctos boot app.toml");
+    }
     let built_in = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
     let workspace = args.path.as_deref().or(built_in).unwrap_or(Path::new("."));
     let Some(workspace) = workspace
@@ -140,7 +181,16 @@ pub fn run(args: &NewArgs) -> u8 {
         return exit::FAILED;
     };
     let files = if args.task { TASK } else { APP };
-    match write(&args.folder, name, &workspace, files) {
+    told(
+        write(&args.folder, name, &workspace, files),
+        args,
+        "cargo test        # the first build takes some minutes\n  cargo run -- boot app.toml",
+    )
+}
+
+/// What came of it, in words.
+fn told(written: Result<(), (PathBuf, io::Error)>, args: &NewArgs, next: &str) -> u8 {
+    match written {
         Ok(()) => {}
         Err((path, error)) if error.kind() == io::ErrorKind::AlreadyExists => {
             show::say(&format!(
@@ -159,9 +209,7 @@ pub fn run(args: &NewArgs) -> u8 {
     }
     if !args.quiet {
         let folder = args.folder.display();
-        show::say(&format!(
-            "wrote {folder}; next (the first build takes some minutes):\n  cd {folder}\n  cargo test\n  cargo run -- boot app.toml"
-        ));
+        show::say(&format!("wrote {folder}; next:\n  cd {folder}\n  {next}"));
     }
     exit::OK
 }
@@ -198,6 +246,18 @@ fn filled(text: &str, name: &str, workspace: &Path) -> String {
         .replace("/examples/template_task/", "/")
 }
 
+/// The text of a file for the app in Python called `name`.
+fn in_python(text: &str, name: &str) -> String {
+    text.replace("my-app", name)
+        .replace("name = \"program\"", &format!("name = \"{name}\""))
+        .replace("scott program", &format!("scott {name}"))
+        .replace(
+            "cargo run --release -- boot configs/program.toml",
+            "ctos boot app.toml",
+        )
+        .replace("../clients/python/src", ".")
+}
+
 /// How the workspace builds: its profiles, which stand last in its manifest.
 fn profiles(manifest: &str) -> &str {
     let start = manifest.find("\n[profile.").map(|at| at + 1);
@@ -224,18 +284,27 @@ fn write(
         std::fs::read_to_string(&path).map_err(at(&path))
     };
     let (lock, manifest) = (read("Cargo.lock")?, read("Cargo.toml")?);
-    std::fs::create_dir(folder).map_err(at(folder))?;
-    for inner in ["src", ".cargo"] {
-        let inner = folder.join(inner);
-        std::fs::create_dir(&inner).map_err(at(&inner))?;
-    }
     let more = [("ctos.schema.json", schema), ("Cargo.lock", lock)];
-    for (path, mut text) in files.chain(more) {
+    let all = files.chain(more).map(|(path, mut text)| {
         if path == "Cargo.toml" {
             text.push_str(profiles(&manifest));
         }
+        (path, text)
+    });
+    write_all(folder, all)
+}
+
+/// Writes these files into `folder`, which must not be there.
+fn write_all(
+    folder: &Path,
+    files: impl Iterator<Item = (&'static str, String)>,
+) -> Result<(), (PathBuf, io::Error)> {
+    std::fs::create_dir(folder).map_err(|error| (folder.to_owned(), error))?;
+    for (path, text) in files {
         let path = folder.join(path);
-        std::fs::write(&path, text).map_err(at(&path))?;
+        let inner = path.parent().unwrap_or(folder);
+        let written = std::fs::create_dir_all(inner).and_then(|()| std::fs::write(&path, text));
+        written.map_err(|error| (path, error))?;
     }
     Ok(())
 }
@@ -249,6 +318,16 @@ mod tests {
         assert_eq!(name(Path::new("a/b/my-app_2")), Ok("my-app_2"));
         for bad in ["", "..", "a b", "1a", "é", "-a", "cli", "ctos", "a.b", "/"] {
             assert!(name(Path::new(bad)).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn nothing_of_the_workspace_is_left_in_an_app_in_python() {
+        for (path, text) in PYTHON {
+            let text = in_python(text, "thing");
+            for word in ["my-app", "../", "configs/", "cargo"] {
+                assert!(!text.contains(word), "{path} holds {word}");
+            }
         }
     }
 

@@ -26,6 +26,7 @@ mod motion;
 mod nets;
 mod offline;
 mod panel;
+mod programs;
 mod proving;
 mod readme;
 mod reference;

@@ -18,6 +18,13 @@ use ctos::{
     simulation::{self, Faults, Setup},
 };
 
+/// Whether there is a Python for the app that needs one.
+fn has_python() -> bool {
+    let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let told = std::process::Command::new(python).arg("--version").output();
+    told.is_ok_and(|told| told.status.success())
+}
+
 fn registry() -> Registry {
     let mut registry = program::registry();
     hello_example::register(&mut registry);
@@ -62,7 +69,8 @@ fn apps(folder: &Path) -> Vec<PathBuf> {
         let is_text = path.extension().is_some_and(|end| end == "toml");
         // Only a program with the feature `ros2` boots it.
         let is_ros = path.ends_with("calibrate-ros2.toml");
-        is_text && !is_ros && {
+        let left_out = is_ros || (path.ends_with("program.toml") && !has_python());
+        is_text && !left_out && {
             let text = fs::read_to_string(path).unwrap();
             text.contains("[chassis.") || text.contains("\ninclude = [")
         }
@@ -82,6 +90,13 @@ fn app(file: &Path, seed: u64) -> App {
         "time.mode=\"virtual\"".to_owned(),
         "record.file=\"run.mcap\"".to_owned(),
     ];
+    if file.ends_with("program.toml") {
+        // Its client for Python lies beside the folder of configurations.
+        let client = root().join("clients/python/src").display().to_string();
+        let sets = ["meter", "desk"]
+            .map(|task| format!("task.{task}.args.environment.PYTHONPATH={client:?}"));
+        selection.sets.extend(sets);
+    }
     program::app(&selection).unwrap_or_else(|findings| panic!("{findings}"))
 }
 

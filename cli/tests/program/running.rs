@@ -360,6 +360,7 @@ const FILES: &[(&str, Then)] = &[
     ("ctos net perf queue.net", Ends),
     ("ctos new my-app", Ends),
     ("ctos new --task my-task", Ends),
+    ("ctos new --python my-script", Ends),
     (
         "scott --local -c resect CTRL -size 640 480 -model k1k2 -c resect EXEC lights.csv",
         Ends,

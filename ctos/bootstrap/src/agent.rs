@@ -313,7 +313,8 @@ async fn create_one(
     let slot = chassis.directory.free_slot(number);
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
-    let (name, recipe) = (&config.name, kind.recipe());
+    let recipe = kind.recipe_of(config, &chassis.app, &registry);
+    let name = &config.name;
     let spec = TaskSpec::new(name, tid, Some(config.clone()), recipe, processor);
     let (built, building) = oneshot::channel();
     let home = chassis.clone();

@@ -82,7 +82,7 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
         busy_s: (counters.busy + cyclic).as_secs_f64() + in_handler_s.unwrap_or(0.0),
         longest_s: counters.longest.as_secs_f64(),
         in_handler_s,
-        command: any.then(|| command_name(chassis, &handler, counters.command)),
+        command: any.then(|| command_name(task, counters.command)),
         handler,
         urgent: urgent as u64,
         queued: normal as u64,
@@ -96,10 +96,8 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
 }
 
 /// The name of a command, as far as it is known.
-pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
-    let registry = chassis.registry();
-    let kind = registry.kind(handler);
-    let own = kind.into_iter().flat_map(|kind| kind.commands());
+pub(crate) fn command_name(task: &TaskRecord, code: u16) -> String {
+    let own = task.statistics.commands().iter();
     let mut all = own.chain(ctos_core::system::ALL);
     all.find(|command| command.code == code)
         .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
@@ -111,7 +109,7 @@ pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<TaskL
     let mut last = record.statistics.activity().recent.look(without);
     let task = of_task(chassis, &record);
     for message in &mut last {
-        message.command = command_name(chassis, &task.handler, message.code);
+        message.command = command_name(&record, message.code);
     }
     let until = record.statistics.at().and_then(|at| at.until);
     Some(TaskLook { task, until, last })

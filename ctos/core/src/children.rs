@@ -113,13 +113,8 @@ impl Context {
         config.restart = Policy::default();
         config.args = args;
         let handle = &self.inner.processor.handle;
-        Ok(TaskSpec::new(
-            task,
-            tid,
-            Some(config),
-            kind.recipe(),
-            handle,
-        ))
+        let recipe = kind.recipe_of(&config, self.app(), &registry);
+        Ok(TaskSpec::new(task, tid, Some(config), recipe, handle))
     }
 
     async fn bring_up(&self, child: &TaskRef) -> Result<(), CallError> {

@@ -92,6 +92,21 @@ impl Message {
         }
     }
 
+    /// Takes the postcard bytes of the request and the right to answer it, whatever it is: for what passes requests on.
+    ///
+    /// # Errors
+    /// [`PayloadError`] when the data cannot be encoded; the caller is answered with it.
+    pub fn open_raw(self) -> Result<(Vec<u8>, RawReplier), PayloadError> {
+        let mut envelope = self.envelope;
+        match std::mem::replace(&mut envelope.data, Data::NOTHING).into_bytes() {
+            Ok(bytes) => Ok((bytes, RawReplier(envelope))),
+            Err(error) => {
+                Self { envelope }.refuse(error.clone().into());
+                Err(error)
+            }
+        }
+    }
+
     /// What the sender asks for.
     #[must_use]
     pub fn command(&self) -> u16 {
@@ -203,5 +218,34 @@ impl<C: Command> Replier<C> {
     pub fn is_abandoned(&self) -> bool {
         let slot = self.envelope.reply.as_ref();
         slot.is_some_and(ReplySlot::is_abandoned)
+    }
+}
+
+/// The right to answer one request with the postcard bytes of its reply. Dropped without an answer, it tells the caller so.
+#[derive(Debug)]
+pub struct RawReplier(Box<Envelope>);
+
+impl RawReplier {
+    /// Answers with the bytes of the reply.
+    pub fn ok(mut self, reply: Vec<u8>) {
+        if self.0.reply.is_some() {
+            self.0.data = Data::Bytes(reply);
+            ReplySlot::send_back(self.0);
+        }
+    }
+
+    /// Refuses: the caller gets [`Fault::Refused`] with `text`.
+    pub fn fail(self, text: impl fmt::Display) {
+        if let Some(slot) = self.0.reply {
+            let text = text.to_string();
+            slot.answer(Err(Fault::Refused { text }));
+        }
+    }
+
+    /// Whether anybody waits for an answer, or ever did.
+    #[must_use]
+    pub fn is_wanted(&self) -> bool {
+        let slot = self.0.reply.as_ref();
+        slot.is_some_and(|slot| !slot.is_abandoned())
     }
 }

@@ -29,7 +29,8 @@ use ctos_message::{Command, CommandInfo};
 use ctos_time::Clock;
 use serde::de::DeserializeOwned;
 
-type Build = Box<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
+type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
+type Declares = Box<dyn Fn(&TaskConfig, &App, &Registry) -> Vec<CommandInfo> + Send + Sync>;
 type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
 type CheckArgs = Box<dyn Fn(&Node, &TaskConfig, &App, &mut Findings) + Send + Sync>;
 type WaitsFor = Box<dyn Fn(&TaskConfig) -> Vec<String> + Send + Sync>;
@@ -51,7 +52,7 @@ impl Default for Recipe {
     fn default() -> Self {
         Self {
             commands: Arc::default(),
-            build: Box::new(|_| Err("it is not built".into())),
+            build: Arc::new(|_| Err("it is not built".into())),
         }
     }
 }
@@ -67,6 +68,8 @@ pub struct HandlerKind {
     checks: Vec<CheckTask>,
     waits_for: Option<WaitsFor>,
     vocabulary: Option<Speaks>,
+    /// What a task of this kind takes besides, as its arguments say.
+    declares: Option<Declares>,
     /// Whether the state of such a handler can survive its process.
     durable: bool,
 }
@@ -122,6 +125,31 @@ impl HandlerKind {
     pub fn command(&self, name: &str) -> Option<CommandInfo> {
         let mut commands = self.commands().iter().copied();
         commands.find(|command| command.name == name)
+    }
+
+    /// Declares that each task of this kind takes commands of its own, which its arguments tell: those that `commands`
+    /// returns, besides those of the kind. What is wrong with them is for a check to find; here they are left out.
+    pub fn declares(
+        &mut self,
+        commands: impl Fn(&TaskConfig, &App, &Registry) -> Vec<CommandInfo> + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.declares = Some(Box::new(commands));
+        self
+    }
+
+    /// The commands that `task`, which is of this kind, takes.
+    #[must_use]
+    pub fn commands_of(
+        &self,
+        task: &TaskConfig,
+        app: &App,
+        registry: &Registry,
+    ) -> Arc<[CommandInfo]> {
+        let Some(declares) = &self.declares else {
+            return self.recipe.commands.clone();
+        };
+        let own = self.commands().iter().copied();
+        own.chain(declares(task, app, registry)).collect()
     }
 
     /// Declares what the arguments of a task of this kind are read as, by [`Context::args`]. What does not
@@ -226,6 +254,17 @@ impl HandlerKind {
     pub fn recipe(&self) -> Arc<Recipe> {
         self.recipe.clone()
     }
+
+    /// That of one task, with the commands that it takes.
+    pub fn recipe_of(&self, task: &TaskConfig, app: &App, registry: &Registry) -> Arc<Recipe> {
+        if self.declares.is_none() {
+            return self.recipe();
+        }
+        Arc::new(Recipe {
+            commands: self.commands_of(task, app, registry),
+            build: self.recipe.build.clone(),
+        })
+    }
 }
 
 impl std::fmt::Debug for HandlerKind {
@@ -251,7 +290,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        self.add(name, commands, Box::new(move |cx| Ok(plain(build(cx)?))))
+        self.add(name, commands, Arc::new(move |cx| Ok(plain(build(cx)?))))
     }
 
     /// Registers a kind of event handler that passes its state on. Its tasks can be moved while they run,
@@ -262,7 +301,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        self.add(name, commands, Box::new(move |cx| Ok(passing(build(cx)?))))
+        self.add(name, commands, Arc::new(move |cx| Ok(passing(build(cx)?))))
     }
 
     /// Registers a kind of event handler whose state can survive its process: it does in tasks whose configuration
@@ -273,7 +312,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Box::new(move |cx| Ok(durable(build(cx)?)));
+        let build: Build = Arc::new(move |cx| Ok(durable(build(cx)?)));
         let kind = self.add(name, commands, build);
         kind.durable = true;
         kind
@@ -305,6 +344,7 @@ impl Registry {
             checks: Vec::new(),
             waits_for: None,
             vocabulary: None,
+            declares: None,
             durable: false,
         };
         match self.kinds.entry(name.to_owned()) {
@@ -366,9 +406,7 @@ impl Registry {
             )
             .suggest(task, names));
         };
-        let commands = self
-            .kind(&config.handler)
-            .map_or(&[][..], HandlerKind::commands);
+        let commands = self.commands_of(config, app);
         commands
             .iter()
             .copied()
@@ -380,6 +418,13 @@ impl Registry {
                 )
                 .suggest(command, commands.iter().map(|info| info.name))
             })
+    }
+
+    /// The commands that `task` takes; none where nobody has its handler.
+    #[must_use]
+    pub fn commands_of(&self, task: &TaskConfig, app: &App) -> Arc<[CommandInfo]> {
+        let kind = self.kind(&task.handler);
+        kind.map_or_else(Arc::default, |kind| kind.commands_of(task, app, self))
     }
 
     /// No kinds.
@@ -435,7 +480,7 @@ impl Registry {
         for task in &app.tasks {
             match self.kind(&task.handler) {
                 Some(kind) => {
-                    codes::check(kind, task, findings);
+                    codes::check(kind, &kind.commands_of(task, app, self), task, findings);
                     self.check_state(kind, task, app, findings);
                     kind.check_task(task, app, findings);
                 }

@@ -5,7 +5,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use crate::{
     PayloadError,
     fields::{fields_of, split},
-    shape::Shape,
+    shape::{Shape, kept},
 };
 
 pub use ctos_derive::Command;
@@ -66,39 +66,69 @@ pub struct CommandInfo {
     pub reply: DataType,
 }
 
+impl CommandInfo {
+    /// A command that a program in another language declares. What is declared stays for as long as this process lives.
+    /// Its help tells the types, too: two that differ in them are different commands.
+    #[must_use]
+    pub fn declared(code: u16, name: &str, doc: &str, request: Shape, reply: Shape) -> Self {
+        let doc = format!("{doc} ({request} -> {reply})");
+        Self {
+            code,
+            name: kept::text(name),
+            doc: kept::text(doc.trim_start()),
+            request: DataType(Of::Declared(kept::shape(request))),
+            reply: DataType(Of::Declared(kept::shape(reply))),
+        }
+    }
+}
+
 type Split = fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>;
 
 /// A type of data, for programs that do not know it and have the postcard bytes of its values.
 #[derive(Clone, Copy, derive_more::Debug)]
 #[debug("DataType")]
-pub struct DataType {
-    shape: fn() -> Option<Shape>,
-    fields: fn() -> usize,
-    split: Split,
+pub struct DataType(Of);
+
+#[derive(Clone, Copy)]
+enum Of {
+    /// One of this program.
+    Compiled {
+        shape: fn() -> Option<Shape>,
+        fields: fn() -> usize,
+        split: Split,
+    },
+    /// One that a program in another language declares.
+    Declared(&'static Shape),
 }
 
 impl DataType {
     /// For values of type `T`.
     #[must_use]
     pub const fn of<T: DeserializeOwned>() -> Self {
-        Self {
+        Self(Of::Compiled {
             shape: Shape::of::<T>,
             fields: fields_of::<T>,
             split: split::<T>,
-        }
+        })
     }
 
     /// What its values look like, where that can be found: by it they become JSON.
     #[must_use]
     pub fn shape(self) -> Option<Shape> {
-        (self.shape)()
+        match self.0 {
+            Of::Compiled { shape, .. } => shape(),
+            Of::Declared(shape) => Some(shape.clone()),
+        }
     }
 
     /// How many fields the type has: a structure or a tuple those that it declares, a unit none, and any other
     /// type is one.
     #[must_use]
     pub fn fields(self) -> usize {
-        (self.fields)()
+        match self.0 {
+            Of::Compiled { fields, .. } => fields(),
+            Of::Declared(shape) => shape.fields(),
+        }
     }
 
     /// The postcard bytes of each field of a value, in order.
@@ -106,7 +136,13 @@ impl DataType {
     /// # Errors
     /// What is wrong with the bytes.
     pub fn split(self, bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
-        (self.split)(bytes)
+        match self.0 {
+            Of::Compiled { split, .. } => split(bytes),
+            Of::Declared(shape) => shape.split(bytes).ok_or_else(|| PayloadError {
+                expected: "value of the declared type",
+                reason: format!("{} bytes are no {shape}", bytes.len()),
+            }),
+        }
     }
 }
 

@@ -1,11 +1,18 @@
 //! What the data of a command looks like, as it stands in a file. With it, a program that does not know
 //! the type reads postcard bytes as JSON. How it is found, `trace.rs` says.
 
+mod declared;
+mod encode;
+
 use std::panic::AssertUnwindSafe;
 
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::trace::shape_of;
+
+pub use declared::Declared;
+pub(super) use declared::kept;
 
 /// How deep values may lie in one another.
 const DEPTH: usize = 64;
@@ -66,6 +73,18 @@ pub struct Shape {
     /// What is in it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     inner: Vec<Self>,
+    /// What a number counts, if that was declared: `px`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    unit: String,
+}
+
+/// How bytes stand in JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Opaque {
+    /// Each as a number, as a vector of them does.
+    Numbers,
+    /// As base64.
+    Base64,
 }
 
 impl Shape {
@@ -111,11 +130,61 @@ impl Shape {
 
     /// Appends `bytes` as JSON to `json`, which is left as it was when they are no such value.
     pub fn convert(&self, bytes: &[u8], json: &mut Vec<u8>) -> Option<()> {
+        self.write(bytes, json, LIMIT, Opaque::Numbers)
+    }
+
+    /// The same for a program of another language: bytes stand as base64, and the JSON may be `limit` bytes long.
+    pub fn tell(&self, bytes: &[u8], json: &mut Vec<u8>, limit: usize) -> Option<()> {
+        self.write(bytes, json, limit, Opaque::Base64)
+    }
+
+    /// How many bytes of `bytes` are such a value.
+    fn measure(&self, bytes: &[u8]) -> Option<usize> {
+        let json = &mut Vec::new();
+        let mut reader = Reader {
+            bytes,
+            json,
+            limit: usize::MAX,
+            opaque: Opaque::Base64,
+            depth: 0,
+        };
+        reader.value(self, None)?;
+        Some(bytes.len() - reader.bytes.len())
+    }
+
+    /// How many fields it has, as [`DataType::fields`](super::DataType::fields) counts them.
+    pub(super) fn fields(&self) -> usize {
+        match self.kind {
+            Kind::Unit | Kind::Nothing => 0,
+            Kind::Struct | Kind::Tuple => self.inner.len(),
+            _ => 1,
+        }
+    }
+
+    /// The bytes of each field. `None` when they are no such value.
+    pub(super) fn split(&self, bytes: &[u8]) -> Option<Vec<Vec<u8>>> {
+        let own = std::slice::from_ref(self);
+        let fields = match self.kind {
+            Kind::Unit | Kind::Nothing => &[],
+            Kind::Struct | Kind::Tuple => &self.inner[..],
+            _ => own,
+        };
+        let (mut left, mut parts) = (bytes, Vec::new());
+        for field in fields {
+            let (part, rest) = left.split_at_checked(field.measure(left)?)?;
+            parts.push(part.to_vec());
+            left = rest;
+        }
+        left.is_empty().then_some(parts)
+    }
+
+    fn write(&self, bytes: &[u8], json: &mut Vec<u8>, limit: usize, opaque: Opaque) -> Option<()> {
         let start = json.len();
         let mut reader = Reader {
             bytes,
             json,
-            limit: start + LIMIT,
+            limit: start.saturating_add(limit),
+            opaque,
             depth: 0,
         };
         let read = reader.value(self, None);
@@ -131,6 +200,7 @@ struct Reader<'a> {
     bytes: &'a [u8],
     json: &'a mut Vec<u8>,
     limit: usize,
+    opaque: Opaque,
     depth: usize,
 }
 
@@ -154,6 +224,16 @@ impl<'a> Reader<'a> {
     fn copy<T: Deserialize<'a> + Serialize>(&mut self) -> Option<()> {
         let value: T = self.take()?;
         self.put(&value)
+    }
+
+    fn bytes(&mut self) -> Option<()> {
+        match self.opaque {
+            Opaque::Numbers => self.copy::<&[u8]>(),
+            Opaque::Base64 => {
+                let bytes: &[u8] = self.take()?;
+                self.put(&STANDARD.encode(bytes))
+            }
+        }
     }
 
     fn byte(&mut self, byte: u8) {
@@ -188,14 +268,19 @@ impl<'a> Reader<'a> {
             Kind::F64 => self.copy::<f64>(),
             Kind::Char => self.copy::<char>(),
             Kind::Text => self.copy::<&str>(),
-            Kind::Bytes => self.copy::<&[u8]>(),
+            Kind::Bytes => self.bytes(),
             Kind::Option => match self.take::<u8>()? {
                 0 => self.put(&()),
                 1 => self.value(shape.inner.first()?, around),
                 _ => None,
             },
             Kind::Sequence => {
-                let (each, count) = (shape.inner.first()?, self.take::<usize>()?);
+                let each = shape.inner.first()?;
+                if each.kind == Kind::U8 && self.opaque == Opaque::Base64 {
+                    // A vector of bytes is as long as bytes are.
+                    return self.bytes().map(|()| self.depth -= 1);
+                }
+                let count = self.take::<usize>()?;
                 self.many(std::iter::repeat_n((None, each), count), b"[]", around)
             }
             Kind::Map => self.map(shape, around),
@@ -373,6 +458,71 @@ mod tests {
                 None => prop_assert_eq!(json, b"before"),
             }
         }
+    }
+
+    proptest! {
+        #[test]
+        fn json_becomes_the_bytes_that_it_was_made_of(whole in whole()) {
+            // JSON has no whole numbers beyond 64 bits.
+            let whole = Whole { large: u128::from(whole.large as u64), next: None, ..whole };
+            let shape = Shape::of::<Whole>().unwrap();
+            let (bytes, mut json, mut again) = (postcard::to_stdvec(&whole).unwrap(), Vec::new(), Vec::new());
+            shape.tell(&bytes, &mut json, 1 << 20).unwrap();
+            let value: serde_json::Value = serde_json::from_slice(&json).unwrap();
+            shape.encode(&value, &mut again).unwrap();
+            prop_assert_eq!(bytes, again);
+        }
+    }
+
+    #[test]
+    fn a_declared_type_is_that_of_the_same_fields_and_tells_what_does_not_fit() {
+        let text = r#"{"u": "px", "name": "text?", "way": "left | right", "at": ["m", "m"], "all": ["u8"]}"#;
+        let Declared(shape) = serde_json::from_str(text).unwrap();
+        assert_eq!(
+            shape.to_string(),
+            "{u: px, name: text?, way: left | right, at: [m, m], all: [u8]}"
+        );
+        let value = serde_json::json!({"u": 1.5, "way": "right", "at": [1, 2], "all": "/wA="});
+        let (mut bytes, mut json) = (Vec::new(), Vec::new());
+        shape.encode(&value, &mut bytes).unwrap();
+        let same = (1.5, None::<String>, 1_u32, [1.0, 2.0], vec![255_u8, 0]);
+        assert_eq!(bytes, postcard::to_stdvec(&same).unwrap());
+        assert_eq!(
+            (shape.fields(), shape.split(&bytes).unwrap().concat()),
+            (5, bytes.clone())
+        );
+        assert_eq!(shape.split(&bytes[1..]), None);
+        shape.tell(&bytes, &mut json, 1000).unwrap();
+        assert_eq!(
+            String::from_utf8(json).unwrap(),
+            r#"{"u":1.5,"name":null,"way":"right","at":[1.0,2.0],"all":"/wA="}"#
+        );
+        for (wrong, why) in [
+            (r#"{"u": "1"}"#, "`u`: \"1\" is no px"),
+            (
+                r#"{"u": 1, "way": "up"}"#,
+                "`way`: \"up\" is none of left, right",
+            ),
+            (
+                r#"{"u": 1, "way": "left", "at": [1]}"#,
+                "`at`: it has 1 values, not 2",
+            ),
+            (
+                r#"{"u": 1, "way": "left", "at": [1, true]}"#,
+                "`at.1`: true is no m",
+            ),
+            (r#"{"v": 1}"#, "there is no field `v`"),
+            ("[]", "[] is no {u"),
+        ] {
+            let value = serde_json::from_str(wrong).unwrap();
+            let error = shape.encode(&value, &mut bytes).unwrap_err();
+            assert!(error.contains(why), "{error}");
+        }
+        let error = serde_json::from_str::<Declared>(r#"{"u": "pixel"}"#).unwrap_err();
+        assert!(
+            error.to_string().contains("there is no type `pixel`"),
+            "{error}"
+        );
     }
 
     #[derive(Debug, Serialize, Deserialize)]

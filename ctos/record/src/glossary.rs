@@ -74,8 +74,8 @@ impl Glossary {
             }
         }
         for task in &app.tasks {
-            if let Some(kind) = registry.kind(&task.handler) {
-                all.takes(&task.name, kind.commands());
+            if registry.kind(&task.handler).is_some() {
+                all.takes(&task.name, &registry.commands_of(task, app));
             }
         }
         all

@@ -14,7 +14,7 @@ use ctos_core::{
     chassis::Chassis,
     envelope::Message,
     processor::Processor,
-    registry::{HandlerKind, Registry},
+    registry::Registry,
     reply::{Promise, ReplySlot, Waiting},
     report::Ending,
     runner::{TaskSpec, start_task},
@@ -295,7 +295,8 @@ impl Stage {
     fn build(&self) -> Result<(), ReplayError> {
         let TaskConfig { name, handler, .. } = &self.config;
         let registry = self.chassis.registry();
-        let recipe = registry.kind(handler).map(HandlerKind::recipe);
+        let kind = registry.kind(handler);
+        let recipe = kind.map(|kind| kind.recipe_of(&self.config, &self.chassis.app, &registry));
         let recipe =
             recipe.ok_or_else(|| format!("nobody registered the event handler `{handler}`"));
         let built = recipe.and_then(|recipe| {

@@ -36,16 +36,12 @@ impl Offered {
             profiles: Vec::new(),
             sets: Vec::new(),
         })?;
-        let commands = |handler: &str| {
-            let kind = registry.kind(handler)?;
-            let shown = |command: &ctos::message::CommandInfo| {
-                (command.name.to_owned(), command.doc.to_owned())
-            };
-            Some(kind.commands().iter().map(shown).collect())
+        let shown = |command: &ctos::message::CommandInfo| {
+            (command.name.to_owned(), command.doc.to_owned())
         };
         let tasks = app.tasks.iter().map(|task| {
-            let commands = commands(&task.handler).unwrap_or_default();
-            (task.name.clone(), commands)
+            let commands = registry.commands_of(task, &app);
+            (task.name.clone(), commands.iter().map(shown).collect())
         });
         let functions = app.tasks.iter().filter_map(|task| {
             let words = registry.kind(&task.handler)?.vocabulary(task);

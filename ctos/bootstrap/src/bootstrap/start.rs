@@ -59,7 +59,7 @@ fn start<H: EventHandler>(
     };
     let recipe = Recipe {
         commands: commands.into(),
-        build: Box::new(move |cx| Ok(plain(build(cx)))),
+        build: Arc::new(move |cx| Ok(plain(build(cx)))),
     };
     let spec = TaskSpec::new(name, tid, None, Arc::new(recipe), processor);
     let record = spec.record.clone();

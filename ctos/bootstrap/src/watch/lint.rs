@@ -212,7 +212,7 @@ impl Look<'_> {
         };
         let at_it_s = now.since(began).as_secs_f64();
         let name = &task.name;
-        let command = command_name(self.chassis, &config.handler, counters.command);
+        let command = command_name(task, counters.command);
         if let Some((_, since)) = seen.poll
             && now.since(since) >= config.handler_limit.unwrap_or(POLL_TIMEOUT)
         {

@@ -194,6 +194,12 @@ impl Context {
         }
     }
 
+    /// Says that something that the present handler needs has broken, as a panic of a child would: the task's restart policy
+    /// decides what follows.
+    pub fn broke(&self, reason: &str) {
+        self.when_broken()(reason);
+    }
+
     /// Counts the handlers that the task had.
     pub(crate) fn incarnation(&self) -> u64 {
         u64::from(self.inner.incarnation.get())

@@ -64,6 +64,14 @@ impl Context {
         Call::new(ask, read).deadline(deadline)
     }
 
+    /// [`Self::send`] with bytes instead of types, as [`Self::call_raw`].
+    pub fn send_raw(&self, to: &TaskRef, command: CommandInfo, data: Vec<u8>) -> Call<()> {
+        let message = self.message(to, command.code, Data::Bytes(data));
+        let inner = self.inner.clone();
+        let ask = Ask::new(inner, to, command.name, message, WaitFor::Acceptance);
+        Call::new(ask, |_, _| Ok(()))
+    }
+
     /// What every task does with a message that its handler does not know. It answers [`Ping`],
     /// [`Introspect`] and [`Statistics`], and refuses the rest by saying what the task takes. (A
     /// [`Shutdown`] does not come this far: the loop of the task carries it out.)

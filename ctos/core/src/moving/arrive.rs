@@ -134,7 +134,8 @@ fn make_place(
     let new = Tid::new(chassis.index(), request.processor, slot);
     chassis.name().clone_into(&mut config.chassis);
     name.clone_into(&mut config.processor);
-    let spec = TaskSpec::new(&request.name, new, Some(config), kind.recipe(), processor);
+    let recipe = kind.recipe_of(&config, &chassis.app, &registry);
+    let spec = TaskSpec::new(&request.name, new, Some(config), recipe, processor);
     spec.record.mailbox.close_gates();
     let (ready, readied) = oneshot::channel();
     let (built, building) = oneshot::channel();

@@ -7,13 +7,18 @@ use ctos_config::{
     TaskConfig,
     diagnostic::{Finding, Findings},
 };
-use ctos_message::SYSTEM_COMMANDS;
+use ctos_message::{CommandInfo, SYSTEM_COMMANDS};
 
 /// Checks the codes of `kind`, which `task` runs. A handler that several tasks run is reported where
 /// the first of them names it.
-pub(super) fn check(kind: &HandlerKind, task: &TaskConfig, findings: &mut Findings) {
+pub(super) fn check(
+    kind: &HandlerKind,
+    commands: &[CommandInfo],
+    task: &TaskConfig,
+    findings: &mut Findings,
+) {
     let mut seen: BTreeMap<u16, &str> = BTreeMap::new();
-    for command in kind.commands() {
+    for command in commands {
         let code = command.code;
         if let Some(other) = seen.insert(code, command.name) {
             let message = format!(
