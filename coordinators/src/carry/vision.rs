@@ -1,7 +1,7 @@
 //! The Vision Coordinator of `carry`: the functions of `nets/carry/vision.net`, which find the board and what lies on it before
 //! anything moves, and the thing after it.
 //!
-//! [`look`] is one look over the table; [`ways`] has the ways of looking, of which it takes the one most likely to see. The board's
+//! The module `look` is one look over the table; `ways` has the ways of looking, of which it takes the one most likely to see. The board's
 //! place may also be that of the configuration, always or when no camera sees it. Nothing is verified then.
 
 mod look;
