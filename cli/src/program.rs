@@ -35,6 +35,7 @@ pub fn registry() -> Registry {
     scene_viewers::register(&mut registry);
     bridge_ros2::register(&mut registry);
     panel::register(&mut registry);
+    pnt_net::register(&mut registry);
     pnt::store::keep_states(&mut registry);
     // It cannot be wrong: a test reads it.
     let shipped = services::shipped().unwrap_or_default();

@@ -50,7 +50,10 @@ impl Engine {
         };
         let (acted, by_hand) = match Abortable::new(acting, cancel).await {
             Ok(acted) => (acted, false),
-            Err(Aborted) => self.ended_from_outside(firing),
+            Err(Aborted) => {
+                let (acted, by_hand) = self.ended_from_outside(firing);
+                (acted.map(|()| String::new()), by_hand)
+            }
         };
         let net = self.net();
         let transition = &net[id];
@@ -104,23 +107,23 @@ impl Engine {
         }
     }
 
-    /// The third phase of a firing.
+    /// The third phase of a firing. An action that was done tells what data it has changed.
     pub(super) fn end(
         self: &Rc<Self>,
         cx: &Context,
         id: TransitionId,
         firing: FiringId,
-        acted: Acted,
+        acted: Result<String, HandlerError>,
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
         let failed = acted.is_err();
         let (phase, text) = match &acted {
-            Ok(()) => (EventPhase::Completed, String::new()),
+            Ok(changed) => (EventPhase::Completed, changed.clone()),
             Err(error) => (EventPhase::Failed, error.to_string()),
         };
         let on_tape = core.at_hand(id);
         let effects = match acted {
-            Ok(()) => core.execution.complete(firing)?,
+            Ok(_) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
         };
         let written = effects.written;
@@ -137,12 +140,20 @@ impl Engine {
         Ok(())
     }
 
-    /// Runs a transition's action within its deadline.
-    async fn action(&self, id: TransitionId, firing: FiringId, action: Action<()>) -> Acted {
+    /// Runs a transition's action within its deadline; what data it has changed.
+    async fn action(
+        &self,
+        id: TransitionId,
+        firing: FiringId,
+        action: Action<()>,
+    ) -> Result<String, HandlerError> {
         let net = self.net();
         let transition = &net[id];
         let acting = async {
-            match &transition.action {
+            if let Some(stand_in) = &self.settings.stand_in {
+                return self.stand_in(&action, transition, stand_in).await;
+            }
+            let acted = match &transition.action {
                 Some(net::Action::Local {
                     function,
                     inputs,
@@ -162,8 +173,13 @@ impl Engine {
                     let to = (task.as_str(), command.as_str(), request);
                     self.message(&action, to, objects, limit).await
                 }
+                Some(net::Action::Written { does, sets, .. }) => {
+                    let limit = transition.within.unwrap_or(DEFAULT_DEADLINE);
+                    return self.written(&action, (does.as_ref(), sets), limit).await;
+                }
                 None => Ok(()),
-            }
+            };
+            acted.map(|()| String::new())
         };
         match transition.within {
             Some(limit) => self.cx.timeout(limit, acting).await?,
