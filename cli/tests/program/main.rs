@@ -34,3 +34,4 @@ mod requests;
 mod running;
 mod scott;
 mod sim;
+mod written;

@@ -3,7 +3,9 @@
 
 #![allow(
     clippy::unwrap_used,
-    reason = "a benchmark may end when its input is wrong"
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a benchmark may end when its input is wrong, and tells what it measured"
 )]
 
 use std::{hint::black_box, sync::Arc, time::Duration};
@@ -83,7 +85,11 @@ struct Left {
 
 fn compiled() -> Library<Left> {
     let sorm = Sorm::new(Dictionary::new());
-    let left = Left { left: 0, x: 0.25, sorm };
+    let left = Left {
+        left: 0,
+        x: 0.25,
+        sorm,
+    };
     Library::new(left)
         .enabling("more", |left| left.left > 0)
         .action("begin", |action: Action<Left>| async move {
@@ -93,7 +99,10 @@ fn compiled() -> Library<Left> {
         .action("ask", |action: Action<Left>| async move {
             let (line, sorm) = action.with_state(|left| {
                 left.left -= 1;
-                (format!("bar@objects CTRL -tea {}", left.x), left.sorm.clone())
+                (
+                    format!("bar@objects CTRL -tea {}", left.x),
+                    left.sorm.clone(),
+                )
             });
             let request: Request = line.parse()?;
             let reply = sorm.ask(&Tasks::of(action.cx()), request).await;
@@ -125,7 +134,11 @@ impl Person {
                     Err(error) => error.to_string(),
                 };
                 let json = String::new();
-                cx.finish(AppResult { ok: true, text, json });
+                cx.finish(AppResult {
+                    ok: true,
+                    text,
+                    json,
+                });
             });
         }
         Ok(())
@@ -170,7 +183,11 @@ fn guard() -> f64 {
         values: &values,
         arguments: &[],
     };
-    let guard = net.transitions().iter().find_map(|one| one.when.as_ref()?.expression.as_ref()).unwrap();
+    let guard = net
+        .transitions()
+        .iter()
+        .find_map(|one| one.when.as_ref()?.expression.as_ref())
+        .unwrap();
     let clock = Clock::real();
     let begun = clock.now();
     let times = 100_000;
@@ -188,5 +205,9 @@ fn main() {
     println!("guard            {:8.3} us", least(&guard));
     println!("request, text    {written:8.3} us");
     println!("request, code    {compiled:8.3} us");
-    println!("text over code   {:8.3} us, ratio {:.2}", written - compiled, written / compiled);
+    println!(
+        "text over code   {:8.3} us, ratio {:.2}",
+        written - compiled,
+        written / compiled
+    );
 }

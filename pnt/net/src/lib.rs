@@ -153,6 +153,19 @@ fn requests(net: &Net) -> impl Iterator<Item = &Line> {
         })
 }
 
+/// What is wrong with the lines of a net's requests, whatever app it runs in.
+#[must_use]
+pub fn check_lines(net: &Net) -> Findings {
+    let mut findings = Findings::new();
+    for line in requests(net) {
+        // Which daemon serves an object is the app's to say.
+        if let Err(finding) = Template::of(line, Some("objects")) {
+            findings.push(finding);
+        }
+    }
+    findings
+}
+
 /// Checks what can be known of requests before anything starts: that each is a request, that its values fit where
 /// they stand, and that its daemon is a task of the app.
 fn check_requests(args: &NetArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {

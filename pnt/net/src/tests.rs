@@ -475,3 +475,88 @@ fn a_guard_without_a_value_stops_the_net_and_says_where() {
         "{said}"
     );
 }
+
+ctos::command! {
+    /// Greets so many times.
+    struct Greet { name: String, times: u8, loud: bool } => (String, f64, u32), 0x0001, "greet"
+}
+
+const GREETS: &str = "net n
+place idle = 1, failed
+data line : text
+data sure : float
+data count : int
+data loud : bool = true
+command greet(name : text, times : int) -> greeted, not_greeted
+transition greet
+  in idle
+  tape greet
+  send greeter.greet(name, times, loud -> line, sure, count)
+  out idle
+  write greeted
+  fail failed
+transition give_up
+  in failed
+  out idle
+  write not_greeted
+";
+
+#[test]
+fn messages_take_declared_data_along_and_replies_become_it() {
+    let net = GREETS.to_owned();
+    let registry = |orders: &[&str]| {
+        let mut registry = registry(orders);
+        registry.function::<Greet, _, _>("greeter", |_, greet| async move {
+            let mark = if greet.loud { "!" } else { "." };
+            Ok((format!("{}{mark}", greet.name), 0.5, u32::from(greet.times)))
+        });
+        registry
+    };
+    let with_greeter = |net: &str| {
+        let (folder, _) = app(net, "");
+        let file = folder.path().join("app.toml");
+        let config = std::fs::read_to_string(&file).unwrap();
+        std::fs::write(
+            &file,
+            config + "[task.greeter]\nhandler = \"greeter\"\non = \"a\"\n",
+        )
+        .unwrap();
+        let app = load(&file, &[], &[]).unwrap();
+        (folder, app)
+    };
+    let (_folder, app) = with_greeter(&net);
+    let orders = ["greet a;b 7", "greet b 300"];
+    let found = registry(&orders).check(&app).to_string();
+    assert_eq!(found, "");
+    let unseen: Observer = Arc::new(|_| ());
+    let ran = simulation::run(app, registry(&orders), Setup::default(), &unseen).unwrap();
+    let End::Finished(result) = ran.outcome.end else {
+        panic!("{:?}", ran.outcome.end);
+    };
+    let lines: Vec<&str> = result.text.lines().collect();
+    assert_eq!(lines[0], "greeted ");
+    assert_eq!(
+        lines[1],
+        "[(\"line\", \"a;b!\"), (\"sure\", \"0.5\"), (\"count\", \"7\"), (\"loud\", \"true\")]"
+    );
+    assert!(
+        lines[2].starts_with("not_greeted greet: out of range"),
+        "{lines:?}"
+    );
+    for (old, new, wanted) in [
+        (
+            "(name, times, loud",
+            "(name, times, count",
+            "`count` is (int), and command `greet` of task `greeter` has (bool) there",
+        ),
+        (
+            "-> line, sure",
+            "-> sure, line",
+            "`sure` is (float), and command `greet` of task `greeter` has (text) there",
+        ),
+    ] {
+        let (_folder, app) = with_greeter(&net.replace(old, new));
+        let found = registry(&[]).check(&app).to_string();
+        assert!(found.contains(wanted), "{found}");
+    }
+}

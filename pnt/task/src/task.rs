@@ -14,6 +14,7 @@ mod carrying;
 mod control;
 mod durable;
 mod engine;
+mod fields;
 mod firing;
 mod held;
 mod journal;

@@ -316,7 +316,7 @@ fn begin_with(declared: &mut Declared, name: &Word, initial: &Word, findings: &m
     }
 }
 
-/// Data of the net goes neither into functions of a library nor into messages, and is not set beside them.
+/// Data of the net does not go into functions of a library, and is not set beside functions and messages.
 pub(super) fn refuse_data(
     draft: &DraftTransition,
     action: &Action,
@@ -338,7 +338,8 @@ pub(super) fn refuse_data(
     else {
         return;
     };
-    let objects = inputs.iter().chain(outputs);
+    let functions = matches!(action, Action::Local { .. });
+    let objects = inputs.iter().chain(outputs).filter(|_| functions);
     if let Some(own) = objects
         .into_iter()
         .find(|name| declared.named(name).is_some())
@@ -347,7 +348,7 @@ pub(super) fn refuse_data(
             "`{own}` is data of the net, and here stand objects of the data object manager"
         );
         findings.push(Finding::error("pnt::net::data", text).at(at.clone()).help(
-            "data of the net goes with `request`, `log` and `set` lines and `when` expressions",
+            "data of the net goes with `request`, `send`, `log` and `set` lines and `when` expressions",
         ));
     }
     if let Some(set) = draft.sets.first() {

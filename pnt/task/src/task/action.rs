@@ -171,7 +171,7 @@ impl Engine {
                     let objects = (inputs.as_slice(), outputs.as_slice());
                     let request = self.request(firing);
                     let to = (task.as_str(), command.as_str(), request);
-                    self.message(&action, to, objects, limit).await
+                    return self.message(&action, to, objects, limit).await;
                 }
                 Some(net::Action::Written { does, sets, .. }) => {
                     let limit = transition.within.unwrap_or(DEFAULT_DEADLINE);
@@ -212,20 +212,21 @@ impl Engine {
         (task, command, request): (&str, &str, RequestId),
         (inputs, outputs): Objects<'_>,
         limit: Duration,
-    ) -> Acted {
+    ) -> Result<String, HandlerError> {
         let cx = &action.cx;
         let info = match cx.registry().command_of(cx.app(), task, command) {
             Ok(info) => info,
             // Of a net that is asked for one of its own commands.
             Err(_) if is_net(cx, task) => {
-                return self.dispatch(action, task, (command, request), limit).await;
+                let dispatched = self.dispatch(action, task, (command, request), limit);
+                return dispatched.await.map(|()| String::new());
             }
             Err(finding) => return Err(finding.into()),
         };
-        let request = gathered(action, inputs).await?;
+        let request = self.sent(action, inputs, info.request).await?;
         let to = cx.task(task).await?;
         let reply = cx.call_raw(&to, info, request, limit).await?;
-        store(action, outputs, reply, info.reply).await
+        self.received(action, outputs, reply, info.reply).await
     }
 
     /// The number of the request that an action of this firing makes. It is the same when the next life

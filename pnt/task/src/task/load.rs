@@ -9,7 +9,7 @@ use ctos::{
 };
 
 use super::{
-    breaks,
+    breaks, fields,
     messages::COMMANDS,
     settings::{self, settings},
 };
@@ -243,7 +243,12 @@ fn check_messages_of(
                 Ok(info) => {
                     let types = (info.request, info.reply);
                     let what = format!("command `{command}` of task `{task}`");
-                    objects::check(&what, objects, types)
+                    let mut found = objects::check(&what, objects, types);
+                    if found.is_empty() {
+                        found = fields::check(&what, net, inputs, types.0);
+                        found.extend(fields::check(&what, net, outputs, types.1));
+                    }
+                    found
                 }
                 Err(finding) => vec![finding],
             }

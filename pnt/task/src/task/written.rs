@@ -1,9 +1,9 @@
 //! What stands in the net's text: declared data, guards that are expressions, and actions that are lines of text. Also
 //! how the actions of a net are stood in for.
 
-use std::{sync::Arc, time::Duration};
+use std::{ops::Range, sync::Arc, time::Duration};
 
-use ctos::{mix, task::HandlerError};
+use ctos::{message::DataType, mix, task::HandlerError};
 use pnt_language::{
     data::{Kind, Value},
     expression::Values,
@@ -11,7 +11,11 @@ use pnt_language::{
     timing::Timing,
 };
 
-use super::{engine::Engine, settings::StandIn};
+use super::{
+    engine::Engine,
+    fields::{self, Form},
+    settings::StandIn,
+};
 use crate::library::{Action, Answer};
 
 /// The longest account of changed data that an event has, characters.
@@ -107,8 +111,36 @@ impl Data {
                 .zip(new)
                 .for_each(|(there, new)| *there = new);
         }
+        Ok(self.become_all(next.values))
+    }
+
+    /// Gives data these values, if all are of the declared types; what has changed.
+    fn put(&mut self, new: Vec<(Range<usize>, Vec<Value>)>) -> Result<String, HandlerError> {
+        let mut values = self.values.clone();
+        for (slots, new) in new {
+            let there = self
+                .net
+                .declared()
+                .slots
+                .get(slots.clone())
+                .unwrap_or_default();
+            let same = there.len() == new.len()
+                && there.iter().zip(&new).all(|(slot, new)| new.is(slot.kind));
+            if !same {
+                return Err(HandlerError::new(
+                    "a reply has other values than the data that it is stored as",
+                ));
+            }
+            let there = values.get_mut(slots).into_iter().flatten();
+            there.zip(new).for_each(|(there, new)| *there = new);
+        }
+        Ok(self.become_all(values))
+    }
+
+    /// Takes new values; what has changed.
+    fn become_all(&mut self, next: Vec<Value>) -> String {
         let mut said = String::new();
-        for ((name, before), now) in self.net.declared().shown(&self.values).zip(&next.values) {
+        for ((name, before), now) in self.net.declared().shown(&self.values).zip(&next) {
             if before != now {
                 let apart = if said.is_empty() { "" } else { ", " };
                 said.push_str(&format!("{apart}{name} = {now}"));
@@ -118,8 +150,8 @@ impl Data {
             said.truncate(cut);
             said.push('…');
         }
-        self.values = next.values;
-        Ok(said)
+        self.values = next;
+        said
     }
 
     /// The values of an answer, which has as many of each kind as are declared.
@@ -159,6 +191,10 @@ impl Data {
             HandlerError::new(format!("{}: `{}` cannot be kept: {why}", set.at, set.name))
         })
     }
+}
+
+fn unknown_form(name: &str) -> HandlerError {
+    HandlerError::new(format!("the form of the field for `{name}` is not known"))
 }
 
 impl Engine {
@@ -242,6 +278,99 @@ impl Engine {
             }
         }
         Ok(found)
+    }
+
+    /// The data of a message: data objects, declared data and arguments of the command in progress.
+    pub(super) async fn sent(
+        &self,
+        action: &Action<()>,
+        inputs: &[String],
+        kind: DataType,
+    ) -> Result<Vec<u8>, HandlerError> {
+        let (arguments, form) = (self.arguments_of(action), Form::of(kind));
+        let mut bytes = Vec::new();
+        for (index, input) in inputs.iter().enumerate() {
+            match self.own(input, &arguments)? {
+                None => bytes.extend(action.get_data(input).await?),
+                Some(values) => {
+                    let form = form
+                        .as_ref()
+                        .and_then(|form| form.part(index, inputs.len()));
+                    let form = form.ok_or_else(|| unknown_form(input))?;
+                    bytes.extend(fields::written(&values, form)?);
+                }
+            }
+        }
+        Ok(bytes)
+    }
+
+    /// The values of declared data, or of an argument of the command in progress; nothing for a data object.
+    fn own(
+        &self,
+        name: &str,
+        arguments: &[(String, Value)],
+    ) -> Result<Option<Vec<Value>>, HandlerError> {
+        let core = self.core.borrow();
+        let net = core.execution.net();
+        if fields::kinds(net, name).is_none() {
+            return Ok(None);
+        }
+        let known = core.declared.with(arguments);
+        if let Some(data) = net.declared().named(name) {
+            return Ok(core
+                .declared
+                .values
+                .get(data.slots.clone())
+                .map(<[Value]>::to_vec));
+        }
+        let missing = || HandlerError::new(format!("no command with `{name}` is in progress"));
+        Ok(Some(vec![known.get(name).ok_or_else(missing)?.clone()]))
+    }
+
+    /// Stores a reply, as one object or each of its fields as one: data objects, then declared data; all of them or,
+    /// where one does not fit, none. What data has changed.
+    pub(super) async fn received(
+        &self,
+        action: &Action<()>,
+        outputs: &[String],
+        reply: Vec<u8>,
+        kind: DataType,
+    ) -> Result<String, HandlerError> {
+        let parts = match outputs {
+            [] => return Ok(String::new()),
+            [_] => vec![reply],
+            _ => kind.split(&reply)?,
+        };
+        if parts.len() != outputs.len() {
+            return Err(HandlerError::new(format!(
+                "{} results came for {} data objects",
+                parts.len(),
+                outputs.len()
+            )));
+        }
+        let (mut objects, mut own, mut form) = (Vec::new(), Vec::new(), None);
+        for (index, (name, bytes)) in outputs.iter().zip(parts).enumerate() {
+            let declared = self
+                .core
+                .borrow()
+                .execution
+                .net()
+                .declared()
+                .named(name)
+                .cloned();
+            let Some(data) = declared else {
+                objects.push((name.clone(), bytes));
+                continue;
+            };
+            let form = form.get_or_insert_with(|| Form::of(kind)).as_ref();
+            let form = form.and_then(|form| form.part(index, outputs.len()));
+            let values = fields::read(&bytes, form.ok_or_else(|| unknown_form(name))?)?;
+            own.push((data.slots, values));
+        }
+        if !objects.is_empty() {
+            action.put_all_data(objects).await?;
+        }
+        self.core.borrow_mut().declared.put(own)
     }
 
     /// What came with the command in progress, as far as the net declares it.
