@@ -111,8 +111,10 @@ fn compiled() -> Library<Left> {
         })
 }
 
-/// Puts one command, and ends the app with its answer.
-struct Person;
+/// Puts one command, if it asks, and ends the app with its answer.
+struct Person {
+    asks: bool,
+}
 
 #[ctos::handler]
 impl Person {
@@ -120,6 +122,15 @@ impl Person {
     async fn enters(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
             let cx = cx.clone();
+            if !self.asks {
+                let (text, json) = ("gone".to_owned(), String::new());
+                cx.finish(AppResult {
+                    ok: true,
+                    text,
+                    json,
+                });
+                return Ok(());
+            }
             cx.clone().spawn(async move {
                 let put = PutTape {
                     symbol: "go".to_owned(),
@@ -145,14 +156,18 @@ impl Person {
     }
 }
 
-/// How long a run of a net takes, us for each request.
-fn run(handler: &str, text: &str) -> f64 {
+/// How long an app takes from its start to its end, s. The file of each of these nets is there, and the first has the
+/// handler of that name.
+fn app(nets: &[(String, String)], handler: &str, person: bool) -> f64 {
     let folder = tempfile::tempdir().unwrap();
-    let config = format!(
-        "[app]\nuntil = \"person\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[task.person]\nhandler = \"person\"\non = \"a\"\n[task.objects]\nhandler = \"sorma.daemon\"\non = \"a\"\n[task.n]\nhandler = \"{handler}\"\non = \"a\"\nargs.net = \"n.net\"\n"
-    );
+    let mut config = "[app]\nuntil = \"person\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[task.person]\nhandler = \"person\"\non = \"a\"\n[task.objects]\nhandler = \"sorma.daemon\"\non = \"a\"\n".to_owned();
+    for (name, text) in nets {
+        let file = format!("{name}.net");
+        std::fs::write(folder.path().join(&file), text).unwrap();
+        config +=
+            &format!("[task.{name}]\nhandler = \"{handler}\"\non = \"a\"\nargs.net = \"{file}\"\n");
+    }
     std::fs::write(folder.path().join("app.toml"), config).unwrap();
-    std::fs::write(folder.path().join("n.net"), text).unwrap();
     let app = load(&folder.path().join("app.toml"), &[], &[]).unwrap();
     let mut registry = Registry::new();
     pnt_net::register(&mut registry);
@@ -160,7 +175,7 @@ fn run(handler: &str, text: &str) -> f64 {
     daemon::register(&mut registry, Dictionary::new(), |_, sorm| {
         sorma::demo::register(sorm);
     });
-    registry.handler("person", &[], |_| Ok(Person));
+    registry.handler("person", &[], move |_| Ok(Person { asks: person }));
     let unseen: Observer = Arc::new(|_| ());
     let clock = Clock::real();
     let begun = clock.now();
@@ -170,7 +185,23 @@ fn run(handler: &str, text: &str) -> f64 {
         End::Finished(result) => assert_eq!(result.text, "gone"),
         other => panic!("{other:?}"),
     }
-    took.as_secs_f64() * 1e6 / f64::from(REQUESTS)
+    took.as_secs_f64()
+}
+
+/// What one request takes, us.
+fn request(handler: &str, text: &str) -> f64 {
+    app(&[("n".to_owned(), text.to_owned())], handler, true) * 1e6 / f64::from(REQUESTS)
+}
+
+/// What it takes to start an app of so many nets, s.
+fn start(count: usize) -> f64 {
+    let net = |index: usize| {
+        let name = format!("n{index}");
+        let text = WRITTEN.replace("net n", &format!("net {name}"));
+        (name, text)
+    };
+    let nets: Vec<(String, String)> = (0..count).map(net).collect();
+    app(&nets, "pnt.net", false)
 }
 
 /// What a guard takes, us.
@@ -200,8 +231,8 @@ fn guard() -> f64 {
 fn main() {
     // Of several runs the quickest: whatever else the machine does only adds to it.
     let least = |of: &dyn Fn() -> f64| (0..5).map(|_| of()).fold(f64::INFINITY, f64::min);
-    let written = least(&|| run("pnt.net", WRITTEN));
-    let compiled = least(&|| run("compiled.net", COMPILED));
+    let written = least(&|| request("pnt.net", WRITTEN));
+    let compiled = least(&|| request("compiled.net", COMPILED));
     println!("guard            {:8.3} us", least(&guard));
     println!("request, text    {written:8.3} us");
     println!("request, code    {compiled:8.3} us");
@@ -209,5 +240,9 @@ fn main() {
         "text over code   {:8.3} us, ratio {:.2}",
         written - compiled,
         written / compiled
+    );
+    println!(
+        "start, 1000 nets {:8.3} s",
+        (0..3).map(|_| start(1000)).fold(f64::INFINITY, f64::min)
     );
 }

@@ -40,7 +40,7 @@ pub struct RunArgs {
     /// Ask nobody: every action succeeds after its stated time, and functions of a library say yes or no by chance
     #[arg(long)]
     pub stand_in: bool,
-    /// With `--stand-in`: the chance that an action fails, from 0 to 1
+    /// With `--stand-in`: the chance that an action that would ask somebody fails, from 0 to 1
     #[arg(
         long,
         value_name = "CHANCE",
