@@ -13,7 +13,7 @@ use std::{
 };
 
 use cel::{
-    Context, Env, ExecutionError, Program,
+    Context, Env, ExecutionError, ParseErrors, Program,
     common::{
         types::{CelBool, CelDouble, CelInt, CelString},
         value::CowVal,
@@ -32,6 +32,12 @@ const LONGEST: usize = 1000;
 
 /// How deep parentheses may stand in each other.
 const DEEPEST: usize = 32;
+
+/// The most characters of operators: each may be a level of the tree that is evaluated.
+const MOST_OPERATORS: usize = 64;
+
+/// The stack for the parser, bytes: it takes some 100 kB for each level of parentheses.
+const STACK: usize = 32 << 20;
 
 /// The functions and operators of the language, without its macros.
 static ENV: LazyLock<Arc<Env>> =
@@ -109,7 +115,7 @@ impl Expression {
     ) -> Result<Self, Finding> {
         let text = word.text.as_str();
         bounded(word)?;
-        let program = Program::compile(text).map_err(|errors| {
+        let program = parsed(word)?.map_err(|errors| {
             let first = errors.errors.first();
             let (line, column) = first.map_or((1, 1), |error| error.pos);
             let said = first.map(|error| error.msg.replace('\n', " "));
@@ -222,6 +228,24 @@ fn why(error: &ExecutionError) -> String {
     }
 }
 
+/// What the parser makes of a text, on a stack that is deep enough.
+fn parsed(word: &Word) -> Result<Result<Program, ParseErrors>, Finding> {
+    let text = word.text.as_str();
+    let parsed = std::thread::scope(|scope| {
+        let parser = std::thread::Builder::new().stack_size(STACK);
+        let parser = parser.spawn_scoped(scope, || Program::compile(text));
+        parser.ok()?.join().ok()
+    });
+    parsed.ok_or_else(|| {
+        Finding::error(
+            "pnt::text::expression",
+            format!("`{text}` could not be parsed"),
+        )
+        .at(word.at.clone())
+        .help("write it in another way")
+    })
+}
+
 /// Refuses what would take the parser long or deep.
 fn bounded(word: &Word) -> Result<(), Finding> {
     let mut depth = 0_usize;
@@ -240,10 +264,22 @@ fn bounded(word: &Word) -> Result<(), Finding> {
         };
         deepest = deepest.max(depth).max(signs);
     }
-    let (what, most) = match (word.text.len() > LONGEST, deepest > DEEPEST) {
-        (true, _) => ("is too long", format!("at most {LONGEST} bytes")),
-        (_, true) => ("is nested too deeply", format!("at most {DEEPEST} deep")),
-        _ => return Ok(()),
+    let operators = word
+        .text
+        .chars()
+        .filter(|c| "+-*/%<>=!&|?:.,([{".contains(*c))
+        .count();
+    let (what, most) = if word.text.len() > LONGEST {
+        ("is too long", format!("at most {LONGEST} bytes"))
+    } else if deepest > DEEPEST {
+        ("is nested too deeply", format!("at most {DEEPEST} deep"))
+    } else if operators > MOST_OPERATORS {
+        (
+            "has too many operators",
+            format!("at most {MOST_OPERATORS} characters of them"),
+        )
+    } else {
+        return Ok(());
     };
     Err(Finding::error(
         "pnt::text::expression",

@@ -119,10 +119,33 @@ fn what_is_wrong_with_an_expression_is_found_at_its_place() {
         assert!(found.contains(wanted), "{text}: {found}");
         assert!(found.starts_with("n.net:10:"), "{text}: {found}");
     }
-    let long = format!("count < {}3", "1 + ".repeat(400));
+    let long = format!("name == \"{}\"", "a".repeat(1000));
     assert!(guard(&long).unwrap_err().contains("is too long"));
+    let many = format!("count < {}3", "1+".repeat(400));
+    assert!(guard(&many).unwrap_err().contains("has too many operators"));
     let deep = format!("{}done{}", "(".repeat(40), ")".repeat(40));
     assert!(guard(&deep).unwrap_err().contains("nested too deeply"));
+}
+
+#[test]
+fn the_largest_expressions_need_a_small_stack() {
+    let look = || {
+        for text in [
+            format!("count{}>0", "+1".repeat(63)),
+            format!("{}done", "done||".repeat(32)),
+            format!("{}done{}", "(".repeat(32), ")".repeat(32)),
+            format!("{}done", "done?done:".repeat(32)),
+            format!("{}done", "!".repeat(32)),
+        ] {
+            says(&text, (1, 0.0, 0.0)).unwrap_or_else(|found| panic!("{text}: {found}"));
+        }
+        let _ = guard(&format!("spot{}", ".u".repeat(64)));
+        let _ = guard(&format!("count{}", "[0]".repeat(32)));
+        let _ = guard(&format!("count{}", ".f()".repeat(32)));
+    };
+    // Half of what the runtime's threads have.
+    let thread = std::thread::Builder::new().stack_size(1 << 20).spawn(look);
+    thread.unwrap().join().unwrap();
 }
 
 #[test]
