@@ -365,19 +365,19 @@ const FILES: &[(&str, Then)] = &[
         GoesOn,
     ),
     (
-        "ctos net run configs/nets/greet.net --tape 'greet world 3' -v",
+        "ctos net run configs/nets/greet.net --tape greet world 3 -v",
         Ends,
     ),
     (
-        "ctos net run configs/nets/greet.net --tape 'greet world 3' --stand-in --seed 7",
+        "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --seed 7",
         Ends,
     ),
     (
-        "ctos net run configs/nets/greet.net --tape 'greet world 3'",
+        "ctos net run configs/nets/greet.net --tape greet world 3",
         Ends,
     ),
     (
-        "ctos net run configs/nets/greet.net --tape 'greet world 3' --stand-in --fail 0.01 --seed 7 -v",
+        "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --fail 0.01 --seed 7 -v",
         Ends,
     ),
     ("ctos net run configs/nets/greet.net --display", ComesUp),
