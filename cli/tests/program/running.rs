@@ -378,7 +378,7 @@ const FILES: &[(&str, Then)] = &[
     ),
     (
         "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --fail 0.01 --seed 7 -v",
-        Ends,
+        Refused(1, "the stand-in fails by chance"),
     ),
     ("ctos net run configs/nets/greet.net --display", ComesUp),
     (
