@@ -157,7 +157,7 @@ pub fn main(mut registry: Registry) -> ExitCode {
         Command::Display(args) => display::run(&args, &registry),
         Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
-        Command::Net(args) => net::run(&args, &registry),
+        Command::Net(args) => net::run(&args, registry),
         Command::New(args) => new::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Log(args) => log::run(&args),

@@ -36,6 +36,7 @@ pub fn registry() -> Registry {
     bridge_program::register(&mut registry);
     bridge_ros2::register(&mut registry);
     panel::register(&mut registry);
+    pnt_net::register(&mut registry);
     pnt::store::keep_states(&mut registry);
     // It cannot be wrong: a test reads it.
     let shipped = services::shipped().unwrap_or_default();

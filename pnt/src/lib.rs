@@ -4,7 +4,7 @@
 //! (architecture report, sections 6 and 7). Here is nothing but the names of three crates, from bottom to top:
 //!
 //! - `pnt-language`: [`draft`], [`text`], [`builder`], [`timing`], [`pnml`], [`tina`], [`mod@format`], [`net`],
-//!   [`compile`], [`exec`], [`language`];
+//!   [`compile`], [`data`], [`expression`], [`exec`], [`language`];
 //! - `pnt-analysis`: [`compose`], [`analysis`], [`check`], [`invariants`], [`stochastic`];
 //! - `pnt-task`: [`library`], [`store`], [`stream`], [`layout`], [`task`].
 //!
@@ -12,7 +12,8 @@
 
 pub use pnt_analysis::{analysis, check, compose, invariants, stochastic};
 pub use pnt_language::{
-    builder, compile, draft, exec, format, language, net, pnml, text, timing, tina,
+    builder, compile, data, draft, exec, expression, format, language, net, pnml, text, timing,
+    tina,
 };
 pub use pnt_task::{layout, library, store, stream, task};
 

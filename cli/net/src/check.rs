@@ -215,6 +215,7 @@ fn nets(
                 if found.has_errors() {
                     broken.insert(net.name().to_owned());
                 }
+                findings.extend(pnt_net::check_lines(&net));
                 let net = Arc::new(net);
                 given.push((Arc::clone(&net), file.as_path()));
                 nets.push(net);

@@ -297,6 +297,12 @@ fn words(snapshot: &Snapshot) -> String {
     lines.extend(marked.map(|(place, tokens)| format!("place    {place} {tokens}")));
     lines.extend(
         snapshot
+            .data
+            .iter()
+            .map(|(name, value)| format!("data     {name} = {value}")),
+    );
+    lines.extend(
+        snapshot
             .in_action
             .iter()
             .map(|name| format!("action   {name}")),

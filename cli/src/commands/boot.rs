@@ -86,7 +86,7 @@ pub struct BootArgs {
 }
 
 /// What goes wrong on purpose with the links between chassis, to see what becomes of the app.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Injured links, drawn from the seed")]
 pub struct InjureArgs {
     /// Probability that a packet is lost, 0 to 0.9
@@ -113,7 +113,7 @@ impl InjureArgs {
 }
 
 /// Where `--display` serves its page: the text of [`cli_display::DEFAULT_LISTEN`].
-const DISPLAY: &str = "127.0.0.1:8108";
+pub(super) const DISPLAY: &str = "127.0.0.1:8108";
 
 /// Where `--foxglove` serves viewers: the text of [`scene_viewers::DEFAULT_LISTEN`].
 const FOXGLOVE: &str = "127.0.0.1:8765";

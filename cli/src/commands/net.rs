@@ -1,5 +1,8 @@
 //! `ctos net`: tools for authors of nets, gathered from their crates.
 
+pub mod run;
+pub mod watch;
+
 use clap::{Args, Subcommand};
 use cli_display::draw;
 use cli_net::{check, control, convert, fmt, lsp, perf, play};
@@ -74,15 +77,20 @@ pub enum NetCommand {
     /// The sequence begins at the initial marking of the nets. Each step is shown with the marking after it, and at the
     /// end what may fire then. A step that is not possible ends it with exit code 1 and the reason.
     Play(play::PlayArgs),
+    /// Run one net by itself, without a configuration
+    Run(run::RunArgs),
+    /// Check a net at every save, until Ctrl-C
+    Watch(watch::WatchArgs),
     /// Say how fast nets go whose transitions say what they take
     Perf(perf::PerfArgs),
 }
 
 /// Runs the command.
 #[must_use]
-pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
+pub fn run(args: &NetArgs, registry: Registry) -> u8 {
+    let own = &registry;
     match &args.command {
-        NetCommand::Check(args) => check::run(args, registry, program::app),
+        NetCommand::Check(args) => check::run(args, own, program::app),
         NetCommand::Convert(args) => convert::run(args, draw::drawing),
         NetCommand::Fire(args) => control::fire(args),
         NetCommand::Put(args) => control::put(args),
@@ -102,8 +110,10 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
             convert::run(&args, draw::drawing)
         }),
         NetCommand::Fmt(args) => fmt::run(args),
-        NetCommand::Lsp(args) => lsp::run(args, registry, program::app),
+        NetCommand::Lsp(args) => lsp::run(args, own, program::app),
         NetCommand::Perf(args) => perf::run(args),
-        NetCommand::Play(args) => play::run(args, registry, program::app),
+        NetCommand::Play(args) => play::run(args, own, program::app),
+        NetCommand::Run(args) => run::run(args, registry),
+        NetCommand::Watch(args) => watch::run(args),
     }
 }

@@ -1,6 +1,7 @@
 //! `ctos new`: a small app that runs, as files to start from.
 //!
-//! The files are those of `cli/examples/template` and `template_task`, which are compiled and tested with the workspace.
+//! The files are those of `cli/examples/template`, `template_task` and `template_net`. The first two are compiled and
+//! tested with the workspace, the third is run.
 
 use std::{
     io,
@@ -19,7 +20,9 @@ use crate::program;
   ctos new my-app
   cd my-app && cargo run -- boot app.toml
   ctos new --task my-task
-  ctos new --python my-script")]
+  ctos new --python my-script
+  ctos new --net my-net
+  cd my-net && sh test.sh")]
 pub struct NewArgs {
     /// Folder to make
     pub folder: PathBuf,
@@ -29,6 +32,9 @@ pub struct NewArgs {
     /// An app whose event handlers are programs in Python: nothing is compiled
     #[arg(long, conflicts_with_all = ["task", "path"])]
     pub python: bool,
+    /// A net without a program instead: configuration, net, layout, and a test that tries the net with a stand-in
+    #[arg(long, conflicts_with_all = ["task", "python", "path"])]
+    pub net: bool,
     /// Folder of the CTOS workspace that the app is built with [default: the one this program was built in]
     #[arg(long, value_name = "FOLDER")]
     pub path: Option<PathBuf>,
@@ -136,6 +142,30 @@ const PYTHON: &[File] = &[
     ),
 ];
 
+/// The files of a net, as above. They need no workspace.
+const NET: &[File] = &[
+    (
+        "README.md",
+        include_str!("../../examples/template_net/README.md"),
+    ),
+    (
+        "app.toml",
+        include_str!("../../examples/template_net/app.toml"),
+    ),
+    (
+        "work.net",
+        include_str!("../../examples/template_net/work.net"),
+    ),
+    (
+        "work.layout.toml",
+        include_str!("../../examples/template_net/work.layout.toml"),
+    ),
+    (
+        "test.sh",
+        include_str!("../../examples/template_net/test.sh"),
+    ),
+];
+
 const IGNORED: &str = "/target\n";
 
 /// Cargo's settings for an app.
@@ -165,7 +195,12 @@ pub fn run(args: &NewArgs) -> u8 {
         let files = files.map(|(path, text)| (*path, in_python(text, name)));
         let schema = ("ctos.schema.json", format!("{:#}\n", program::schema()));
         let written = write_all(&args.folder, files.chain([schema]));
-        return told(written, args, "ctos boot app.toml");
+        return told(args, written, "", "ctos boot app.toml");
+    }
+    if args.net {
+        let written = write_net(&args.folder, name);
+        let next = "sh test.sh\n  ctos boot app.toml -v";
+        return told(args, written, "", next);
     }
     let built_in = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
     let workspace = args.path.as_deref().or(built_in).unwrap_or(Path::new("."));
@@ -181,15 +216,13 @@ pub fn run(args: &NewArgs) -> u8 {
         return exit::FAILED;
     };
     let files = if args.task { TASK } else { APP };
-    told(
-        write(&args.folder, name, &workspace, files),
-        args,
-        "cargo test        # the first build takes some minutes\n  cargo run -- boot app.toml",
-    )
+    let written = write(&args.folder, name, &workspace, files);
+    let next = "cargo test\n  cargo run -- boot app.toml";
+    told(args, written, " (the first build takes some minutes)", next)
 }
 
-/// What came of it, in words.
-fn told(written: Result<(), (PathBuf, io::Error)>, args: &NewArgs, next: &str) -> u8 {
+/// Says what was written and what comes next, or why nothing was.
+fn told(args: &NewArgs, written: Result<(), (PathBuf, io::Error)>, note: &str, next: &str) -> u8 {
     match written {
         Ok(()) => {}
         Err((path, error)) if error.kind() == io::ErrorKind::AlreadyExists => {
@@ -209,7 +242,9 @@ fn told(written: Result<(), (PathBuf, io::Error)>, args: &NewArgs, next: &str) -
     }
     if !args.quiet {
         let folder = args.folder.display();
-        show::say(&format!("wrote {folder}; next:\n  cd {folder}\n  {next}"));
+        show::say(&format!(
+            "wrote {folder}; next{note}:\n  cd {folder}\n  {next}"
+        ));
     }
     exit::OK
 }
@@ -309,6 +344,19 @@ fn write_all(
     Ok(())
 }
 
+/// Writes the files of a net into `folder`, which must not be there.
+fn write_net(folder: &Path, name: &str) -> Result<(), (PathBuf, io::Error)> {
+    std::fs::create_dir(folder).map_err(|error| (folder.to_owned(), error))?;
+    let schema = format!("{:#}\n", program::schema());
+    let files = NET.iter();
+    let files = files.map(|(path, text)| (*path, text.replace("my-app", name)));
+    for (path, text) in files.chain([("ctos.schema.json", schema)]) {
+        let path = folder.join(path);
+        std::fs::write(&path, text).map_err(|error| (path, error))?;
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -333,7 +381,7 @@ mod tests {
 
     #[test]
     fn nothing_of_the_template_is_left_unfilled() {
-        for (path, text) in APP.iter().chain(TASK) {
+        for (path, text) in APP.iter().chain(TASK).chain(NET) {
             let text = filled(text, "thing", Path::new("/w \"s\""));
             for word in ["my-app", "my_app", "CTOS/", "../", "{{", "template"] {
                 assert!(!text.contains(word), "{path} holds {word}");

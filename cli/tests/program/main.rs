@@ -35,3 +35,4 @@ mod requests;
 mod running;
 mod scott;
 mod sim;
+mod written;

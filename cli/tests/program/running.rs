@@ -361,6 +361,29 @@ const FILES: &[(&str, Then)] = &[
     ("ctos new my-app", Ends),
     ("ctos new --task my-task", Ends),
     ("ctos new --python my-script", Ends),
+    ("ctos new --net my-net", Ends),
+    ("ctos net watch queue.net", GoesOn),
+    (
+        "ctos net watch queue.net --app app.toml --replace queue",
+        GoesOn,
+    ),
+    (
+        "ctos net run configs/nets/greet.net --tape greet world 3 -v",
+        Ends,
+    ),
+    (
+        "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --seed 7",
+        Ends,
+    ),
+    (
+        "ctos net run configs/nets/greet.net --tape greet world 3",
+        Ends,
+    ),
+    (
+        "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --fail 0.01 --seed 7 -v",
+        Refused(1, "the stand-in fails by chance"),
+    ),
+    ("ctos net run configs/nets/greet.net --display", ComesUp),
     (
         "scott --local -c resect CTRL -size 640 480 -model k1k2 -c resect EXEC lights.csv",
         Ends,

@@ -157,7 +157,11 @@ impl NetBuilder {
         let symbol = word(symbol);
         let answers = answers.iter().map(|answer| symbol.derived(*answer));
         let answers = answers.collect();
-        self.draft.commands.push(DraftCommand { symbol, answers });
+        self.draft.commands.push(DraftCommand {
+            symbol,
+            parameters: Vec::new(),
+            answers,
+        });
         self
     }
 
@@ -405,6 +409,7 @@ impl TransitionBuilder {
         self.draft.when = Some(DraftWhen {
             function: word(function),
             negated: false,
+            expression: false,
         });
         self
     }
@@ -416,6 +421,7 @@ impl TransitionBuilder {
         self.draft.when = Some(DraftWhen {
             function: word(function),
             negated: true,
+            expression: false,
         });
         self
     }

@@ -2,6 +2,7 @@
 //! Names of other nets are left to the analyses, which compose all nets of an app.
 
 mod structures;
+mod written;
 
 #[cfg(test)]
 mod tests;
@@ -11,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 
 use crate::{
-    draft::{Draft, DraftAction, DraftArc, DraftCoordinator, Word},
+    draft::{Draft, DraftAction, DraftArc, DraftCoordinator, DraftTransition, Word},
     enough::enough,
     net::{
         Action, Arc, Command, CommandId, Net, Outputs, Part, Partner, Place, PlaceId, RemoteArc,
@@ -182,11 +183,13 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
 fn compiled(draft: &Draft) -> (Net, Findings) {
     let mut findings = Findings::new();
     check_declarations(draft, &mut findings);
+    let data = written::Data::of(draft, &mut findings);
     let expanded = structures::expand(draft, &mut findings);
     let names = Names::new(&expanded, draft, &mut findings);
     let mut compiler = Compiler {
         draft,
         names,
+        data,
         findings,
     };
     let transitions = expanded
@@ -195,8 +198,10 @@ fn compiled(draft: &Draft) -> (Net, Findings) {
         .map_while(|part| (!enough(&compiler.findings)).then(|| compiler.transition(part)))
         .collect();
     let safe = draft.safe.iter().map(|arcs| compiler.arcs(arcs)).collect();
-    let findings = compiler.findings;
+    let (findings, data) = (compiler.findings, compiler.data);
+    let mut parameters = data.parameters.into_iter();
     let net = Net {
+        declared: data.declared,
         name: draft.name.text.clone(),
         at: draft.name.at.clone(),
         title: draft.title.clone(),
@@ -218,6 +223,7 @@ fn compiled(draft: &Draft) -> (Net, Findings) {
             .iter()
             .map(|command| Command {
                 symbol: command.symbol.text.clone(),
+                parameters: parameters.next().unwrap_or_default(),
                 answers: texts(&command.answers),
                 at: command.symbol.at.clone(),
             })
@@ -297,6 +303,7 @@ fn check_declarations(draft: &Draft, findings: &mut Findings) {
             );
         }
     }
+    duplicates("data", draft.data.iter().map(|data| &data.name), findings);
     for command in &draft.commands {
         duplicates("output symbol", &command.answers, findings);
     }
@@ -370,13 +377,14 @@ impl<'a> Names<'a> {
 struct Compiler<'a> {
     draft: &'a Draft,
     names: Names<'a>,
+    data: written::Data,
     findings: Findings,
 }
 
 impl Compiler<'_> {
     fn transition(&mut self, part: &structures::PartOf) -> Transition {
         let draft = &part.draft;
-        if part.part == Part::Whole && draft.action.is_none() {
+        if part.part == Part::Whole && draft.action.is_none() && draft.sets.is_empty() {
             self.without_action(draft);
         }
         let mut outputs = self.outputs(&draft.outputs);
@@ -394,13 +402,11 @@ impl Compiler<'_> {
             tape: draft.tape.as_ref().and_then(|symbol| self.command(symbol)),
             when: draft.when.as_ref().map(|when| When {
                 function: when.function.text.clone(),
+                expression: self.data.guard(when, &mut self.findings),
                 negated: when.negated,
                 at: when.function.at.clone(),
             }),
-            action: draft
-                .action
-                .as_ref()
-                .and_then(|it| action(it, draft.idempotent)),
+            action: self.action(draft),
             outputs,
             fail: (!draft.fail.is_empty()).then(|| self.outputs(&draft.fail)),
             write: draft.write.as_ref().and_then(|symbol| self.answer(symbol)),
@@ -414,8 +420,19 @@ impl Compiler<'_> {
         }
     }
 
+    fn action(&mut self, draft: &DraftTransition) -> Option<Action> {
+        let idempotent = draft.idempotent;
+        match draft.action.as_ref().and_then(|it| called(it, idempotent)) {
+            Some(action) => {
+                written::refuse_data(draft, &action, &self.data.declared, &mut self.findings);
+                Some(action)
+            }
+            None => self.data.action(draft, &mut self.findings),
+        }
+    }
+
     /// What only an action can have.
-    fn without_action(&mut self, draft: &crate::draft::DraftTransition) {
+    fn without_action(&mut self, draft: &DraftTransition) {
         let needless = draft
             .fail
             .first()
@@ -436,7 +453,7 @@ impl Compiler<'_> {
                     ),
                 )
                 .at(at.clone())
-                .help("add a `do`, `ask` or `send` line, or remove this"),
+                .help("add a `do`, `ask`, `send`, `request`, `wait`, `log` or `set` line, or remove this"),
             );
         }
     }
@@ -555,8 +572,8 @@ fn remote(arc: &DraftArc, role: Role) -> Option<RemoteArc> {
     })
 }
 
-/// The action of an expanded transition; `ask` has become arcs by then.
-fn action(draft: &DraftAction, idempotent: bool) -> Option<Action> {
+/// The action of an expanded transition that is called by its name; `ask` has become arcs by then.
+fn called(draft: &DraftAction, idempotent: bool) -> Option<Action> {
     match draft {
         DraftAction::Do {
             function,
@@ -582,7 +599,10 @@ fn action(draft: &DraftAction, idempotent: bool) -> Option<Action> {
             idempotent,
             at: task.at.clone(),
         }),
-        DraftAction::Ask { .. } => None,
+        DraftAction::Ask { .. }
+        | DraftAction::Request { .. }
+        | DraftAction::Wait { .. }
+        | DraftAction::Log { .. } => None,
     }
 }
 

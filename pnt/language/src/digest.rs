@@ -1,7 +1,7 @@
 //! A number that tells whether two nets have states of the same form. Then what a stored marking,
 //! tape and running action refer to by number is the same in both.
 
-use crate::net::{Action, Arc, Net, Outputs};
+use crate::net::{Action, Arc, Does, Net, Outputs, SetTo};
 
 /// Words mixed into one number (FNV-1a), the same on every machine and in every version.
 struct Digest(u64);
@@ -44,6 +44,11 @@ impl Net {
             digest.word("place");
             digest.word(&place.name);
         }
+        for slot in &self.declared().slots {
+            digest.word("data");
+            digest.word(&slot.name);
+            digest.word(&slot.kind.to_string());
+        }
         for command in self.commands() {
             digest.word("command");
             digest.word(&command.symbol);
@@ -72,6 +77,20 @@ impl Net {
                 Some(Action::Message { task, command, .. }) => {
                     digest.word(task);
                     digest.word(command);
+                }
+                Some(Action::Written { does, sets, .. }) => {
+                    match does {
+                        // How long it waits is a limit of its own.
+                        None | Some(Does::Wait(_)) => digest.word("wait"),
+                        Some(Does::Request(line) | Does::Log(line)) => digest.word(&line.text),
+                    }
+                    for set in sets {
+                        digest.word(&set.name);
+                        digest.word(match &set.to {
+                            SetTo::Reply => "reply",
+                            SetTo::Value(value) => value.text(),
+                        });
+                    }
                 }
             }
         }

@@ -85,11 +85,45 @@ impl DraftPlace {
     }
 }
 
+/// A name and the type of its value: `int`, `float`, `bool`, `text` or a unit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DraftField {
+    /// The name.
+    pub name: Word,
+    /// The type as written.
+    pub kind: Word,
+}
+
+/// Data that the net declares and keeps itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DraftData {
+    /// Its name.
+    pub name: Word,
+    /// What it consists of.
+    pub shape: DraftShape,
+}
+
+/// What declared data consists of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DraftShape {
+    /// One value.
+    One {
+        /// Its type.
+        kind: Word,
+        /// What it is at first: an expression without names.
+        initial: Option<Word>,
+    },
+    /// Fields, each of which is one value.
+    Fields(Vec<DraftField>),
+}
+
 /// A symbol of the input tape and the output symbols that answer it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DraftCommand {
     /// The input symbol.
     pub symbol: Word,
+    /// What comes with it, if the net says so.
+    pub parameters: Vec<DraftField>,
     /// The output symbols; exactly one of them is written per command.
     pub answers: Vec<Word>,
 }
@@ -152,10 +186,12 @@ impl DraftArc {
 /// An enabling function or its negation.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DraftWhen {
-    /// The function's name.
+    /// The function's name, or the text of the expression.
     pub function: Word,
     /// Whether the transition is enabled when it says no.
     pub negated: bool,
+    /// Whether it is an expression. A single name may be one, too: that of declared data.
+    pub expression: bool,
 }
 
 /// What a transition does between taking its tokens and putting them.
@@ -188,6 +224,49 @@ pub enum DraftAction {
         /// The data objects that the reply is stored as: all of it, or its fields in order.
         outputs: Vec<Word>,
     },
+    /// Asks a service object by a line of text, in which `$name` stands for a value.
+    Request {
+        /// The line.
+        line: Word,
+    },
+    /// Waits.
+    Wait {
+        /// How long, in whole microseconds.
+        time: Duration,
+        /// Where it stands.
+        at: Spot,
+    },
+    /// Writes a line of the log, in which `$name` stands for a value.
+    Log {
+        /// The line.
+        line: Word,
+    },
+}
+
+/// A place of the text. Any two are equal, as words are that read the same.
+#[derive(Debug, Clone)]
+pub struct Spot(pub At);
+
+impl PartialEq for Spot {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Spot {}
+
+/// Declared data gets a value when the action is complete.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DraftSet {
+    /// The data, or a field of it with a point between.
+    pub target: Word,
+    /// An expression, or `reply`: what the request was answered with.
+    pub value: Word,
+}
+
+impl DraftSet {
+    /// What stands for the answer to a request.
+    pub const REPLY: &'static str = "reply";
 }
 
 /// A transition as written.
@@ -209,6 +288,8 @@ pub struct DraftTransition {
     pub when: Option<DraftWhen>,
     /// Action.
     pub action: Option<DraftAction>,
+    /// What data becomes when the action is complete, in order.
+    pub sets: Vec<DraftSet>,
     /// Output arcs.
     pub outputs: Vec<DraftArc>,
     /// Failure branch; empty means that the tokens go back.
@@ -242,6 +323,7 @@ impl DraftTransition {
             tape: None,
             when: None,
             action: None,
+            sets: Vec::new(),
             outputs: Vec::new(),
             fail: Vec::new(),
             write: None,
@@ -264,6 +346,8 @@ pub struct Draft {
     pub title: Option<String>,
     /// Places in declared order.
     pub places: Vec<DraftPlace>,
+    /// Data that the net keeps itself.
+    pub data: Vec<DraftData>,
     /// Commands of the input tape.
     pub commands: Vec<DraftCommand>,
     /// Coordinators that this net asks.
@@ -284,6 +368,7 @@ impl Draft {
             name,
             title: None,
             places: Vec::new(),
+            data: Vec::new(),
             commands: Vec::new(),
             coordinators: Vec::new(),
             serves: Vec::new(),

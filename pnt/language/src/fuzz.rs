@@ -12,7 +12,7 @@ use crate::{
 };
 
 /// What inputs are put together from beside each other.
-const WORDS: [&str; 24] = [
+const WORDS: [&str; 30] = [
     "net n\n",
     "place p = 2 capacity 3\n",
     "transition t\n",
@@ -20,6 +20,12 @@ const WORDS: [&str; 24] = [
     "  out p@m\n",
     "subnet s(a)\n",
     "end\n",
+    "data d : int = 0\n",
+    "data s { u : px, v : px }\n",
+    "command c(a : int) -> b\n",
+    "  set d = d + 1\n",
+    "  when not d < 3 && s.u > 0.5\n",
+    "  request \"o EXEC FMSG 1 $d\"\n",
     "use s(p) as i\n",
     "\"",
     "\\u{",

@@ -5,6 +5,7 @@
 //! - [`timing`]: when a transition fires;
 //! - [`pnml`] and [`tina`]: nets of other tools; [`mod@format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
+//! - [`data`] that a net declares, and each [`expression`] over it;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`language`]: what may come on an input tape.
 //!
@@ -12,10 +13,12 @@
 
 pub mod builder;
 pub mod compile;
+pub mod data;
 mod digest;
 pub mod draft;
 mod enough;
 pub mod exec;
+pub mod expression;
 pub mod format;
 #[cfg(test)]
 mod fuzz;

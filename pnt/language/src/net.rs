@@ -1,12 +1,19 @@
 //! The compiled net: everything resolved to numbers, coordination structures expanded. Made by
 //! [`crate::compile`], so a net in hand is well formed. Knows no marking but the initial one.
 
-use std::{ops::Index, time::Duration};
+use std::{
+    ops::{Index, Range},
+    time::Duration,
+};
 
 use ctos::diagnostic::Place as At;
 use serde::{Deserialize, Serialize};
 
 pub use crate::timing::{Servers, Timing};
+use crate::{
+    data::{Declared, Kind, Parameter},
+    expression::Expression,
+};
 
 macro_rules! number {
     ($(#[$doc:meta])* $name:ident) => {
@@ -111,11 +118,13 @@ pub struct Outputs {
     pub remote: Vec<RemoteArc>,
 }
 
-/// An enabling function, asserted or negated.
+/// An enabling function or an expression, asserted or negated.
 #[derive(Debug, Clone)]
 pub struct When {
-    /// The function's name.
+    /// The function's name, or the text of the expression.
     pub function: String,
+    /// What it is, if it is an expression over declared data.
+    pub expression: Option<Expression>,
     /// Whether the transition is enabled when it says no.
     pub negated: bool,
     /// Where it stands.
@@ -155,6 +164,94 @@ pub enum Action {
         /// Where the task's name stands.
         at: At,
     },
+    /// What stands in the net's text itself.
+    Written {
+        /// What is done.
+        does: Option<Does>,
+        /// What data becomes when that is complete, in order: all of it, or nothing when one fails.
+        sets: Vec<Set>,
+        /// Whether it may be done again when a crash left open how it ended.
+        idempotent: bool,
+        /// Where it stands.
+        at: At,
+    },
+}
+
+/// What an action in the net's text does.
+#[derive(Debug, Clone)]
+pub enum Does {
+    /// Asks a service object.
+    Request(Line),
+    /// Waits.
+    Wait(Duration),
+    /// Writes a line of the log.
+    Log(Line),
+}
+
+/// A line of text with values in it.
+#[derive(Debug, Clone)]
+pub struct Line {
+    /// As it is written.
+    pub text: String,
+    /// What it consists of.
+    pub parts: Vec<LinePart>,
+    /// Where it stands.
+    pub at: At,
+}
+
+/// A part of a line.
+#[derive(Debug, Clone)]
+pub enum LinePart {
+    /// Text as it is.
+    Text(String),
+    /// `$name`: one value, or the fields of one name.
+    Values {
+        /// The name.
+        name: String,
+        /// The names of the values, and their types.
+        values: Vec<(String, Kind)>,
+        /// Where it stands.
+        at: At,
+    },
+}
+
+impl Line {
+    /// The line with a text in the place of each of its values, blanks between the fields of one name.
+    pub fn filled(&self, mut value: impl FnMut(&str) -> String) -> String {
+        let mut out = String::new();
+        for part in &self.parts {
+            match part {
+                LinePart::Text(text) => out.push_str(text),
+                LinePart::Values { values, .. } => {
+                    let values = values.iter().map(|(name, _)| value(name));
+                    out.push_str(&values.collect::<Vec<String>>().join(" "));
+                }
+            }
+        }
+        out
+    }
+}
+
+/// Declared data gets a value.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// The data, or a field of it with a point between.
+    pub name: String,
+    /// The numbers of its values.
+    pub slots: Range<usize>,
+    /// What it becomes.
+    pub to: SetTo,
+    /// Where it stands.
+    pub at: At,
+}
+
+/// What data becomes.
+#[derive(Debug, Clone)]
+pub enum SetTo {
+    /// What the request was answered with.
+    Reply,
+    /// What an expression says.
+    Value(Expression),
 }
 
 /// Which part of a coordination structure a transition is.
@@ -236,6 +333,8 @@ pub struct Transition {
 pub struct Command {
     /// The input symbol.
     pub symbol: String,
+    /// What comes with it, if the net says so.
+    pub parameters: Vec<Parameter>,
     /// The output symbols, one of which answers it.
     pub answers: Vec<String>,
     /// Where it stands.
@@ -260,6 +359,7 @@ pub struct Net {
     pub(crate) at: At,
     pub(crate) title: Option<String>,
     pub(crate) places: Vec<Place>,
+    pub(crate) declared: Declared,
     pub(crate) transitions: Vec<Transition>,
     pub(crate) commands: Vec<Command>,
     pub(crate) coordinators: Vec<Partner>,
@@ -290,6 +390,12 @@ impl Net {
     #[must_use]
     pub fn places(&self) -> &[Place] {
         &self.places
+    }
+
+    /// Data that it keeps itself.
+    #[must_use]
+    pub fn declared(&self) -> &Declared {
+        &self.declared
     }
 
     /// Transitions in order of their numbers, which is the declared order.
@@ -461,7 +567,27 @@ impl Action {
     #[must_use]
     pub fn is_idempotent(&self) -> bool {
         match self {
-            Self::Local { idempotent, .. } | Self::Message { idempotent, .. } => *idempotent,
+            Self::Local { idempotent, .. }
+            | Self::Message { idempotent, .. }
+            | Self::Written { idempotent, .. } => *idempotent,
+        }
+    }
+
+    /// What it does, in a few words.
+    #[must_use]
+    pub fn called(&self) -> String {
+        match self {
+            Self::Local { function, .. } => function.clone(),
+            Self::Message { task, command, .. } => format!("{task}.{command}"),
+            Self::Written { does, sets, .. } => match does {
+                Some(Does::Request(line)) => line.text.clone(),
+                Some(Does::Wait(time)) => format!("wait {} s", time.as_secs_f64()),
+                Some(Does::Log(line)) => format!("log {}", line.text),
+                None => {
+                    let names: Vec<&str> = sets.iter().map(|set| set.name.as_str()).collect();
+                    format!("set {}", names.join(", "))
+                }
+            },
         }
     }
 }

@@ -16,8 +16,9 @@ use ctos::diagnostic::{Finding, Findings, Source};
 
 use crate::{
     draft::{
-        Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
-        DraftTransition, DraftWhen, InText, Word,
+        Draft, DraftAction, DraftArc, DraftCommand, DraftCoordinator, DraftData, DraftField,
+        DraftPlace, DraftServes, DraftSet, DraftShape, DraftTransition, DraftWhen, InText, Spot,
+        Word,
     },
     enough::enough,
 };
@@ -277,11 +278,24 @@ impl<'s> Parser<'s> {
         match keyword.text.as_str() {
             "net" => self.net(keyword, words),
             "place" => self.places(words),
+            "data" => {
+                let data = data(words)?;
+                self.draft.data.push(data);
+                Ok(())
+            }
             "command" => {
                 let symbol = words.name("the command's symbol")?;
+                let mut parameters = Vec::new();
+                if words.take("(") {
+                    parameters = fields(words, ")")?;
+                }
                 words.mark("->")?;
                 let answers = words.names("an output symbol")?;
-                self.draft.commands.push(DraftCommand { symbol, answers });
+                self.draft.commands.push(DraftCommand {
+                    symbol,
+                    parameters,
+                    answers,
+                });
                 Ok(())
             }
             "coordinator" => {
@@ -379,6 +393,64 @@ fn rest_of_place(words: &mut Words<'_>, place: &mut DraftPlace) -> Result<(), Fi
     Ok(())
 }
 
+/// What follows `data`: `D : TYPE`, `D : TYPE = EXPRESSION` or `D { a : TYPE, b : TYPE }`.
+fn data(words: &mut Words<'_>) -> Result<DraftData, Finding> {
+    let name = words.name("the data's name")?;
+    if words.take("{") {
+        let fields = fields(words, "}")?;
+        let shape = DraftShape::Fields(fields);
+        return Ok(DraftData { name, shape });
+    }
+    words.mark(":")?;
+    let kind = words.name("a type")?;
+    let initial = match words.take("=") {
+        true => Some(words.expression("what it is at first")?),
+        false => None,
+    };
+    let shape = DraftShape::One { kind, initial };
+    Ok(DraftData { name, shape })
+}
+
+/// Names with their types, up to a mark.
+fn fields(words: &mut Words<'_>, end: &str) -> Result<Vec<DraftField>, Finding> {
+    let mut fields = Vec::new();
+    loop {
+        let name = words.name("a name")?;
+        words.mark(":")?;
+        let kind = words.name("a type")?;
+        fields.push(DraftField { name, kind });
+        if !words.take(",") {
+            break;
+        }
+    }
+    words.mark(end)?;
+    Ok(fields)
+}
+
+/// The places of an `out` line; `P data D = reply` also stores what a request was answered.
+fn outputs(transition: &mut DraftTransition, words: &mut Words<'_>) -> Result<(), Finding> {
+    loop {
+        let arc: DraftArc = words.arc()?;
+        transition.outputs.push(arc);
+        if words.keyword("data") {
+            let target = words.place("the data")?;
+            words.mark("=")?;
+            let value = words.name("`reply`")?;
+            if value.text != DraftSet::REPLY {
+                let text =
+                    format!("a place stores what a request was answered: `reply`, not `{value}`");
+                return Err(Finding::error("pnt::text::expected", text)
+                    .at(value.at)
+                    .help("write `= reply`, or another value in a `set` line"));
+            }
+            transition.sets.push(DraftSet { target, value });
+        }
+        if !words.take(",") {
+            return Ok(());
+        }
+    }
+}
+
 fn clause(
     transition: &mut DraftTransition,
     keyword: &Word,
@@ -388,7 +460,7 @@ fn clause(
         "in" => transition.inputs.extend(words.arcs()?),
         "read" => transition.reads.extend(words.arcs()?),
         "inhibit" => transition.inhibitors.extend(words.arcs()?),
-        "out" => transition.outputs.extend(words.arcs()?),
+        "out" => outputs(transition, words)?,
         "fail" => transition.fail.extend(words.arcs()?),
         "tape" => once(&mut transition.tape, keyword, words.name("a symbol")?)?,
         "write" => once(&mut transition.write, keyword, words.name("a symbol")?)?,
@@ -410,15 +482,24 @@ fn clause(
         "when" => {
             // A function called `not` stands in quotes.
             let negated = words.keyword("not");
-            let function = words.name(match negated {
-                true => "an enabling function after `not`",
-                false => "an enabling function",
-            })?;
-            once(
-                &mut transition.when,
-                keyword,
-                DraftWhen { function, negated },
-            )?;
+            let expression = words.is_expression();
+            let function = match (expression, negated) {
+                (true, _) => words.expression("an expression")?,
+                (_, true) => words.name("an enabling function after `not`")?,
+                (_, false) => words.name("an enabling function")?,
+            };
+            let when = DraftWhen {
+                function,
+                negated,
+                expression,
+            };
+            once(&mut transition.when, keyword, when)?;
+        }
+        "set" => {
+            let target = words.place("data")?;
+            words.mark("=")?;
+            let value = words.expression("an expression")?;
+            transition.sets.push(DraftSet { target, value });
         }
         _ => {
             let action = action(keyword, words)?;
@@ -439,6 +520,16 @@ fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding>
                 outputs,
             })
         }
+        "request" => Ok(DraftAction::Request {
+            line: words.line("the line of a request in quotes")?,
+        }),
+        "log" => Ok(DraftAction::Log {
+            line: words.line("the line of the log in quotes")?,
+        }),
+        "wait" => Ok(DraftAction::Wait {
+            time: words.wait()?,
+            at: Spot(keyword.at.clone()),
+        }),
         "ask" => Ok(DraftAction::Ask {
             coordinator: words.name("a coordinator")?,
             request: words.name("a request")?,
@@ -479,7 +570,7 @@ fn objects(words: &mut Words<'_>) -> Result<(Vec<Word>, Vec<Word>), Finding> {
 fn once<T>(slot: &mut Option<T>, keyword: &Word, value: T) -> Result<(), Finding> {
     if slot.is_some() {
         let (what, help) = match keyword.text.as_str() {
-            "do" | "ask" | "send" => (
+            "do" | "ask" | "send" | "request" | "wait" | "log" => (
                 "this transition already has an action",
                 "split it into two transitions with a place between them",
             ),

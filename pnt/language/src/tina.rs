@@ -571,6 +571,9 @@ fn refuse(draft: &Draft, findings: &mut Findings) {
     for word in draft.commands.iter().map(|c| &c.symbol) {
         lacks("tape symbols", word);
     }
+    for word in draft.data.iter().map(|data| &data.name) {
+        lacks("declared data", word);
+    }
     for word in draft.coordinators.iter().map(|c| &c.net) {
         lacks("coordination structures", word);
     }
@@ -601,6 +604,7 @@ fn refuse(draft: &Draft, findings: &mut Findings) {
             || transition.tape.is_some()
             || transition.when.is_some()
             || transition.action.is_some()
+            || !transition.sets.is_empty()
             || transition.write.is_some()
             || transition.priority > 0
             || !transition.resets.is_empty()

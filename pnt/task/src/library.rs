@@ -7,6 +7,7 @@ use std::{
     future::Future,
     pin::Pin,
     rc::Rc,
+    time::Duration,
 };
 
 use ctos::{
@@ -16,6 +17,7 @@ use ctos::{
 use serde::{Serialize, de::DeserializeOwned};
 
 use pnt_analysis::check::FunctionNames;
+use pnt_language::{data::Value, net::Line};
 
 /// Something that ends later, on the task's processor.
 pub type Later<T> = Pin<Box<dyn Future<Output = T>>>;
@@ -29,6 +31,30 @@ type Ask = Box<dyn Fn() -> bool>;
 type Change = Box<dyn Fn()>;
 type Save = Box<dyn Fn() -> postcard::Result<Vec<u8>>>;
 type Load = Box<dyn Fn(&[u8]) -> postcard::Result<()>>;
+
+/// What a service object has answered.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Answer {
+    /// Its text.
+    pub text: String,
+    /// Its floats.
+    pub floats: Vec<f64>,
+    /// Its whole numbers.
+    pub ints: Vec<i64>,
+}
+
+/// Makes the requests of a net's `request` lines.
+pub trait Requests {
+    /// Asks what a line says. `values` are those that stand in it, in order; they are data, and never text to be
+    /// read again.
+    fn ask(
+        &self,
+        cx: &Context,
+        line: &Line,
+        values: Vec<Value>,
+        limit: Duration,
+    ) -> Later<Result<Answer, HandlerError>>;
+}
 
 /// Where data objects are kept. An app's data object manager task stands behind it.
 pub trait DataStore {
@@ -188,6 +214,7 @@ pub(crate) struct Functions {
     kept: Option<(Save, Load)>,
     stopping: Option<Change>,
     stateless: bool,
+    pub(crate) requests: Option<Rc<dyn Requests>>,
 }
 
 impl<S: 'static> Library<S> {
@@ -202,6 +229,7 @@ impl<S: 'static> Library<S> {
                 kept: None,
                 stopping: None,
                 stateless: size_of::<S>() == 0,
+                requests: None,
             },
         }
     }
@@ -286,6 +314,13 @@ impl<S: 'static> Library<S> {
         self
     }
 
+    /// Has `request` lines asked.
+    #[must_use]
+    pub fn requests(mut self, requests: impl Requests + 'static) -> Self {
+        self.functions.requests = Some(Rc::new(requests));
+        self
+    }
+
     /// The names of all functions, for checking nets before anything starts.
     #[must_use]
     pub fn names(&self) -> FunctionNames {
@@ -328,6 +363,7 @@ impl Functions {
         FunctionNames {
             actions: names(&mut self.actions.keys()),
             enabling: names(&mut self.enabling.keys()),
+            requests: self.requests.is_some(),
             typed: self
                 .actions
                 .iter()

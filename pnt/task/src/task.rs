@@ -14,6 +14,7 @@ mod carrying;
 mod control;
 mod durable;
 mod engine;
+mod fields;
 mod firing;
 mod held;
 mod journal;
@@ -30,6 +31,7 @@ mod requests;
 mod routes;
 mod settings;
 mod transfers;
+mod written;
 
 #[cfg(test)]
 mod tests;
@@ -60,7 +62,7 @@ pub use messages::{
     Snapshot, TapeAnswer, Tokens, Transfer,
 };
 use pnt_language::{exec::Conflicts, net::Net};
-pub use settings::{KEYS, Settings, args, args_of, settings};
+pub use settings::{KEYS, Settings, StandIn, args, args_of, settings};
 
 /// Registers a handler that runs a net with the functions of `library`. It has all checks: of the
 /// task, and of all nets of the app together. Its only arguments are those of [`settings`].

@@ -7,7 +7,7 @@ use ctos::{
     message::DataType,
     registry::Vocabulary,
 };
-use pnt_language::net::{Action, Net};
+use pnt_language::net::{Action, Does, Net};
 
 use super::objects;
 
@@ -20,6 +20,8 @@ pub struct FunctionNames {
     pub enabling: BTreeSet<String>,
     /// The local functions that take and give data objects, each with its argument and its result.
     pub typed: BTreeMap<String, (DataType, DataType)>,
+    /// Whether it makes requests of service objects, for `request` lines.
+    pub requests: bool,
 }
 
 impl FunctionNames {
@@ -37,6 +39,24 @@ impl FunctionNames {
 
 /// Reports functions that a net names and a library does not offer.
 pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
+    let requests = net
+        .transitions()
+        .iter()
+        .filter_map(|one| match &one.action {
+            Some(Action::Written {
+                does: Some(Does::Request(line)),
+                ..
+            }) => Some(line),
+            _ => None,
+        });
+    for line in requests.filter(|_| !names.requests) {
+        let text = format!("the handler of net `{}` makes no requests", net.name());
+        findings.push(
+            Finding::error("pnt::net::unknown_function", text)
+                .at(line.at.clone())
+                .help("run the net with the handler `pnt.net`"),
+        );
+    }
     let mut unknown = |what: &str, name: &str, at: &At, known: &BTreeSet<String>| {
         if !known.contains(name) {
             let finding = Finding::error(
@@ -52,7 +72,8 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
         }
     };
     for transition in net.transitions() {
-        if let Some(when) = &transition.when {
+        let named = transition.when.as_ref();
+        if let Some(when) = named.filter(|when| when.expression.is_none()) {
             unknown(
                 FunctionNames::ENABLING,
                 &when.function,

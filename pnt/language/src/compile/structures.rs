@@ -103,6 +103,7 @@ impl Expanded {
         start.action = None;
         start.within = None;
         start.idempotent = false;
+        start.sets.clear();
         start.inputs.push(here("SI"));
         start.inhibitors.extend([here("O"), here("OF")]);
         let outputs = mem::replace(&mut start.outputs, vec![active.clone()]);
@@ -216,6 +217,17 @@ fn check_ask(
             )
             .at(transition.name.at.clone())
             .help("put the `idempotent` line on the action in the coordinator's net"),
+        );
+    }
+    if let Some(set) = transition.sets.first() {
+        let text = format!(
+            "transition `{}` sets data and asks a coordinator",
+            transition.name
+        );
+        findings.push(
+            Finding::error("pnt::net::data", text)
+                .at(set.target.at.clone())
+                .help("put the `set` line into a transition of its own"),
         );
     }
     if transition.within.is_some() {

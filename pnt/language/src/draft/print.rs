@@ -6,7 +6,8 @@ use std::{
 };
 
 use super::{
-    Draft, DraftAction, DraftArc, DraftPlace, DraftServes, DraftTransition, DraftWhen, Word,
+    Draft, DraftAction, DraftArc, DraftData, DraftField, DraftPlace, DraftServes, DraftSet,
+    DraftShape, DraftTransition, DraftWhen, Word,
 };
 use crate::timing::{Servers, Timing};
 
@@ -93,6 +94,12 @@ impl Print for Word {
     }
 }
 
+impl Print for DraftField {
+    fn print(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} : {}", self.name.in_text(), self.kind.in_text())
+    }
+}
+
 impl Print for DraftArc {
     fn print(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.place.print(f)?;
@@ -137,6 +144,9 @@ impl fmt::Display for DraftArc {
 impl fmt::Display for DraftWhen {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let not = if self.negated { "not " } else { "" };
+        if self.expression {
+            return write!(f, "when {not}{}", self.function);
+        }
         match self.function.text.as_str() {
             "not" => write!(f, "when {not}\"not\""),
             _ => write!(f, "when {not}{}", self.function.in_text()),
@@ -168,6 +178,42 @@ impl fmt::Display for DraftAction {
                 write!(f, "send {}.{}", task.in_text(), command.in_text())?;
                 objects(f, inputs, outputs)
             }
+            Self::Request { line } => write!(f, "request {}", Quoted(&line.text)),
+            Self::Wait { time, .. } => write!(f, "wait {}", shown_time(*time)),
+            Self::Log { line } => write!(f, "log {}", Quoted(&line.text)),
+        }
+    }
+}
+
+impl fmt::Display for DraftSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("set ")?;
+        let mut parts = self.target.text.split('.');
+        if parts.clone().any(str::is_empty) {
+            // Points and nothing between them: one name in quotes.
+            InText(&self.target.text).fmt(f)?;
+        } else {
+            InText(parts.next().unwrap_or_default()).fmt(f)?;
+            for part in parts {
+                write!(f, ".{}", InText(part))?;
+            }
+        }
+        write!(f, " = {}", self.value)
+    }
+}
+
+impl fmt::Display for DraftData {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "data {}", self.name.in_text())?;
+        match &self.shape {
+            DraftShape::One { kind, initial } => {
+                write!(f, " : {}", kind.in_text())?;
+                match initial {
+                    Some(initial) => write!(f, " = {initial}"),
+                    None => Ok(()),
+                }
+            }
+            DraftShape::Fields(fields) => write!(f, " {{ {} }}", List(fields)),
         }
     }
 }
@@ -226,6 +272,9 @@ impl fmt::Display for DraftTransition {
         if let Some(action) = &self.action {
             line(f, action)?;
         }
+        for set in &self.sets {
+            line(f, set)?;
+        }
         if self.idempotent {
             line(f, "idempotent")?;
         }
@@ -282,9 +331,15 @@ impl fmt::Display for Draft {
         for place in &self.places {
             writeln!(f, "place {place}")?;
         }
+        for data in &self.data {
+            writeln!(f, "{data}")?;
+        }
         for command in &self.commands {
             let (symbol, answers) = (command.symbol.in_text(), List(&command.answers));
-            writeln!(f, "command {symbol} -> {answers}")?;
+            match command.parameters.as_slice() {
+                [] => writeln!(f, "command {symbol} -> {answers}")?,
+                with => writeln!(f, "command {symbol}({}) -> {answers}", List(with))?,
+            }
         }
         for coordinator in &self.coordinators {
             let (net, requests) = (coordinator.net.in_text(), List(&coordinator.requests));

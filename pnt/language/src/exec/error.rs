@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::net::Net;
+use crate::net::{Command, Net};
 
 /// Why nothing was fired or put. The execution is as it was before.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -61,6 +61,18 @@ pub enum FireError {
         /// What could be put, with commas.
         accepted: String,
     },
+    /// What came with the symbol does not fit.
+    #[error("command `{symbol}` of net `{net}` takes ({wanted}), {what}")]
+    Arguments {
+        /// The net.
+        net: String,
+        /// What was put.
+        symbol: String,
+        /// Its arguments with their types.
+        wanted: String,
+        /// What came instead.
+        what: String,
+    },
     /// The place is not in the net.
     #[error("net `{net}` has no place `{place}`")]
     UnknownPlace {
@@ -69,6 +81,39 @@ pub enum FireError {
         /// What was asked for.
         place: String,
     },
+}
+
+/// What came with a command, if it is what the net declares.
+pub(super) fn fitting(net: &Net, command: &Command, arguments: &[String]) -> Result<(), FireError> {
+    let parameters = &command.parameters;
+    if parameters.is_empty() {
+        return Ok(());
+    }
+    let what = if parameters.len() == arguments.len() {
+        let mut pairs = parameters.iter().zip(arguments);
+        match pairs.find(|(parameter, word)| parameter.kind.read(word).is_none()) {
+            None => return Ok(()),
+            Some((parameter, word)) => {
+                let word: String = word.chars().take(40).collect();
+                format!(
+                    "and `{word}` is no {} for `{}`",
+                    parameter.kind, parameter.name
+                )
+            }
+        }
+    } else {
+        format!("and {} came with it", arguments.len())
+    };
+    let wanted: Vec<String> = parameters
+        .iter()
+        .map(|one| format!("{} : {}", one.name, one.kind))
+        .collect();
+    Err(FireError::Arguments {
+        net: net.name().to_owned(),
+        symbol: command.symbol.clone(),
+        wanted: wanted.join(", "),
+        what,
+    })
 }
 
 pub(super) fn unknown_symbol(net: &Net, symbol: &str) -> FireError {

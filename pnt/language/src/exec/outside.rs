@@ -104,6 +104,7 @@ impl Execution {
             .net
             .command(symbol)
             .ok_or_else(|| error::unknown_symbol(&self.net, symbol))?;
+        error::fitting(&self.net, &self.net[command], &arguments)?;
         if self.tape.len() >= self.tape_room {
             return Err(FireError::TapeFull {
                 net: self.net.name().to_owned(),

@@ -99,12 +99,21 @@ pub fn only_here(draft: &Draft) -> Findings {
         "other tools read transitions that fire whenever their tokens are there",
     );
     let acts = |t: &&DraftTransition| {
-        t.action.is_some() || t.when.is_some() || t.tape.is_some() || t.write.is_some()
+        t.action.is_some()
+            || !t.sets.is_empty()
+            || t.when.is_some()
+            || t.tape.is_some()
+            || t.write.is_some()
     };
     warn(
         &mut transitions().filter(acts).map(|t| &t.name),
         "actions, failures, functions and tapes",
         "other tools read transitions that fire in one step, always as if they had succeeded",
+    );
+    warn(
+        &mut draft.data.iter().map(|data| &data.name),
+        "declared data",
+        "other tools do not see it",
     );
     let remote = transitions().flat_map(|t| t.outputs.iter().chain(&t.fail));
     warn(

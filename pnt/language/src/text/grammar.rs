@@ -23,7 +23,7 @@ const fn keyword(word: &'static str, form: &'static str, meaning: &'static str) 
 }
 
 /// All keywords, declarations first.
-pub const KEYWORDS: [Keyword; 29] = [
+pub const KEYWORDS: [Keyword; 34] = [
     keyword(
         "net",
         "net NAME \"title\"",
@@ -35,9 +35,14 @@ pub const KEYWORDS: [Keyword; 29] = [
         "A place: its initial tokens, the most it may hold, the data object whose validity it says.",
     ),
     keyword(
+        "data",
+        "data D : int = 0",
+        "A value that the net keeps: an `int`, `float`, `bool`, `text` or a float in a unit.",
+    ),
+    keyword(
         "command",
-        "command C -> A, B",
-        "`C` may be put on the input tape; one of `A`, `B` answers it.",
+        "command C(a : int) -> A, B",
+        "`C` may be put on the input tape, with these arguments; one of `A`, `B` answers it.",
     ),
     keyword(
         "coordinator",
@@ -87,7 +92,7 @@ pub const KEYWORDS: [Keyword; 29] = [
     keyword(
         "when",
         "when not F",
-        "Only while the enabling function says yes (with `not`, no).",
+        "Only while the enabling function, or the expression, says yes (with `not`, no).",
     ),
     keyword(
         "do",
@@ -99,6 +104,22 @@ pub const KEYWORDS: [Keyword; 29] = [
         "send",
         "send TASK.COMMAND(IN -> OUT)",
         "Action: sends the command to the task, with data objects and for data objects.",
+    ),
+    keyword(
+        "request",
+        "request \"OBJECT EXEC go FMSG 1 $d\"",
+        "Action: a line to a service object; `$d` stands for a value.",
+    ),
+    keyword("wait", "wait 2 s", "Action: waits that long."),
+    keyword(
+        "log",
+        "log \"at $d\"",
+        "Action: a line of the log; `$d` stands for a value.",
+    ),
+    keyword(
+        "set",
+        "set d = d + 1",
+        "Gives data a value when the action is complete; `reply` is what a request was answered.",
     ),
     keyword(
         "idempotent",

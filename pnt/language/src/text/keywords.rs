@@ -1,9 +1,10 @@
 //! The keywords of net text.
 
 /// Keywords that begin a line of the net itself.
-pub(super) const DECLARATIONS: [&str; 11] = [
+pub(super) const DECLARATIONS: [&str; 12] = [
     "net",
     "place",
+    "data",
     "command",
     "coordinator",
     "serves",
@@ -16,7 +17,7 @@ pub(super) const DECLARATIONS: [&str; 11] = [
 ];
 
 /// Keywords that begin a line of a transition.
-pub(super) const CLAUSES: [&str; 18] = [
+pub(super) const CLAUSES: [&str; 22] = [
     "in",
     "read",
     "inhibit",
@@ -26,6 +27,10 @@ pub(super) const CLAUSES: [&str; 18] = [
     "do",
     "ask",
     "send",
+    "request",
+    "wait",
+    "log",
+    "set",
     "idempotent",
     "out",
     "fail",

@@ -13,15 +13,17 @@ pub(super) enum Symbol {
     Number(String),
     /// Text between double quotes.
     Quoted(String),
-    /// One of `, = * @ : ; . ( ) ->`.
+    /// One of `, = * @ : ; . ( ) { } ->`.
     Mark(&'static str),
+    /// An expression, up to the end of the line or its comment.
+    Expression(String),
 }
 
 impl Symbol {
     /// How a finding names it.
     pub(super) fn shown(&self) -> String {
         match self {
-            Self::Name(text) | Self::Number(text) => format!("`{text}`"),
+            Self::Name(text) | Self::Number(text) | Self::Expression(text) => format!("`{text}`"),
             Self::Quoted(text) => format!("`\"{text}\"`"),
             Self::Mark(mark) => format!("`{mark}`"),
         }
@@ -50,7 +52,7 @@ pub(super) struct BadSymbol {
     pub(super) range: Range<usize>,
 }
 
-const MARKS: [&str; 10] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")"];
+const MARKS: [&str; 12] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")", "{", "}"];
 
 /// The byte at which a line's comment begins; `None` if it has none.
 pub(super) fn comment(line: &str) -> Option<usize> {
@@ -69,10 +71,28 @@ pub(super) fn comment(line: &str) -> Option<usize> {
 
 /// Cuts a line (without its end) that starts at byte `start` of the source into tokens.
 pub(super) fn cut(source: &Source, line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
-    let mut tokens = Vec::new();
+    let mut tokens: Vec<Token> = Vec::new();
     let mut rest = line;
     loop {
         rest = rest.trim_start();
+        if begins_expression(&tokens) && !is_one_word(rest, &tokens) {
+            let text = rest.get(..comment(rest).unwrap_or(rest.len()));
+            let text = text.unwrap_or_default().trim_end();
+            let at = start + (line.len() - rest.len());
+            let range = at..at + text.len();
+            if text.contains(|c: char| c.is_control() || ['\u{fffe}', '\u{ffff}'].contains(&c)) {
+                let message = "an expression has no control characters".to_owned();
+                return Err(BadSymbol { message, range });
+            }
+            if !text.is_empty() {
+                tokens.push(Token {
+                    symbol: Symbol::Expression(text.to_owned()),
+                    range,
+                    source: source.clone(),
+                });
+            }
+            return Ok(tokens);
+        }
         let at = start + (line.len() - rest.len());
         let Some(first) = rest.chars().next() else {
             return Ok(tokens);
@@ -90,6 +110,50 @@ pub(super) fn cut(source: &Source, line: &str, start: usize) -> Result<Vec<Token
             source: source.clone(),
         });
         rest = rest.get(length..).unwrap_or_default();
+    }
+}
+
+/// Whether what comes after these symbols is an expression: behind `when`, `when not`, and the `=` of `set` and `data`.
+fn begins_expression(tokens: &[Token]) -> bool {
+    let is =
+        |token: &Token, word: &str| matches!(&token.symbol, Symbol::Name(name) if name == word);
+    match tokens {
+        [first] => is(first, "when"),
+        [first, not] if is(first, "when") => is(not, "not"),
+        [first, .., last] => {
+            (is(first, "set") || is(first, "data")) && matches!(last.symbol, Symbol::Mark("="))
+        }
+        [] => false,
+    }
+}
+
+/// Whether a `when` line goes on with `not` or with nothing but a name, which may be that of a function.
+fn is_one_word(rest: &str, tokens: &[Token]) -> bool {
+    if matches!(
+        tokens.last(),
+        Some(Token {
+            symbol: Symbol::Mark(_),
+            ..
+        })
+    ) {
+        return false;
+    }
+    let code = rest.get(..comment(rest).unwrap_or(rest.len()));
+    let code = code.unwrap_or_default().trim_end();
+    let Some(first) = code.chars().next() else {
+        return true;
+    };
+    match symbol(code, first) {
+        Ok((Symbol::Name(name), length)) => {
+            length == code.len()
+                || (name == "not"
+                    && tokens.len() == 1
+                    && code.get(length..).is_some_and(|after| {
+                        after.starts_with(|c: char| c.is_whitespace() || c == '(')
+                    }))
+        }
+        Ok((Symbol::Quoted(_), length)) => length == code.len(),
+        _ => false,
     }
 }
 

@@ -315,9 +315,12 @@ impl Walk {
         match keyword {
             "net" => drop(self.next(rest, Kind::Net, true)),
             "place" => self.places(rest),
+            "data" => {
+                self.next(rest, Kind::Data, true);
+            }
             "command" => {
                 self.next(rest, Kind::Symbol, true);
-                rest.mark("->");
+                while !rest.mark("->") && rest.skip() {}
                 self.list(rest, Kind::Answer, true);
             }
             "coordinator" => {
@@ -464,6 +467,9 @@ impl Walk {
             if rest.mark("*") {
                 rest.skip();
             }
+            if rest.word("data") && self.next(rest, Kind::Data, false) && rest.mark("=") {
+                rest.word(crate::draft::DraftSet::REPLY);
+            }
             if !rest.mark(",") {
                 return;
             }
@@ -473,6 +479,7 @@ impl Walk {
     fn clause(&mut self, keyword: &str, rest: &mut Rest<'_>) {
         match keyword {
             "in" | "read" | "inhibit" | "reset" | "out" | "fail" => self.arcs(rest),
+            "set" => drop(self.next(rest, Kind::Data, false)),
             "tape" => drop(self.next(rest, Kind::Symbol, false)),
             "write" => drop(self.next(rest, Kind::Answer, false)),
             "when" => {

@@ -41,16 +41,6 @@ pub(super) struct Subnet {
     lines: Vec<Line>,
 }
 
-impl Token {
-    /// Its text, if it is a name.
-    fn name(&self) -> Option<&String> {
-        match &self.symbol {
-            Symbol::Name(name) => Some(name),
-            _ => None,
-        }
-    }
-}
-
 /// All subnets that a net can use.
 #[derive(Debug, Default)]
 pub(super) struct Subnets {
@@ -349,10 +339,15 @@ impl<'s> Expansion<'s> {
         unused
             .map(|subnet| {
                 let open = |line: &Line| {
-                    let names = line.tokens.iter().skip(1).filter_map(Token::name);
-                    let mut names =
-                        names.filter(|name| subnet.parameters.iter().any(|p| p.text == **name));
-                    names.next().is_some()
+                    let has = |token: &Token, parameter: &Word| match &token.symbol {
+                        Symbol::Name(name) => *name == parameter.text,
+                        Symbol::Expression(text) | Symbol::Quoted(text) => {
+                            text.contains(&parameter.text)
+                        }
+                        _ => false,
+                    };
+                    let mut tokens = line.tokens.iter().skip(1);
+                    tokens.any(|token| subnet.parameters.iter().any(|word| has(token, word)))
                 };
                 let lines = subnet.lines.iter();
                 lines.map(|line| (line.clone(), open(line))).collect()
@@ -443,12 +438,71 @@ fn substituted(line: &Line, parameters: &[Word], arguments: &[Vec<Token>]) -> Li
         };
         match position.and_then(|position| arguments.get(position)) {
             Some(argument) => tokens.extend(argument.iter().cloned()),
-            None => tokens.push(token.clone()),
+            None => tokens.push(with_arguments(token, line, parameters, arguments)),
         }
     }
     Line {
         tokens,
         ..line.clone()
+    }
+}
+
+/// An expression, or the line of a `request` or `log`, with arguments in the place of the parameters in it. In such a
+/// line a parameter stands behind `$`.
+fn with_arguments(
+    token: &Token,
+    line: &Line,
+    parameters: &[Word],
+    arguments: &[Vec<Token>],
+) -> Token {
+    let (text, mark) = match &token.symbol {
+        Symbol::Expression(text) => (text, None),
+        Symbol::Quoted(text) if line.begins("request") || line.begins("log") => (text, Some('$')),
+        _ => return token.clone(),
+    };
+    let put = |name: &str| {
+        let position = parameters.iter().position(|word| word.text == name)?;
+        match arguments.get(position)?.as_slice() {
+            [
+                Token {
+                    symbol: Symbol::Name(text) | Symbol::Number(text),
+                    ..
+                },
+            ] => Some(text.as_str()),
+            _ => None,
+        }
+    };
+    let (mut out, mut rest, mut before, mut quote) = (String::new(), text.as_str(), ' ', None);
+    while let Some(first) = rest.chars().next() {
+        let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        let length = match rest.find(|c| !is_word(c)) {
+            Some(0) => first.len_utf8(),
+            Some(length) => length,
+            None => rest.len(),
+        };
+        let (word, after) = rest.split_at(length);
+        let fits = mark.map_or(before != '.' && quote.is_none(), |mark| before == mark);
+        match put(word).filter(|_| fits) {
+            Some(argument) => out.push_str(argument),
+            None => out.push_str(word),
+        }
+        if mark.is_none() && ['"', '\''].contains(&first) {
+            quote = match quote {
+                None => Some(first),
+                Some(open) if open == first && before != '\\' => None,
+                open => open,
+            };
+        }
+        before = word.chars().next_back().unwrap_or(' ');
+        rest = after;
+    }
+    let symbol = match mark {
+        None => Symbol::Expression(out),
+        Some(_) => Symbol::Quoted(out),
+    };
+    Token {
+        symbol,
+        ..token.clone()
     }
 }
 

@@ -391,7 +391,52 @@ fn an_action() -> impl Strategy<Value = DraftAction> {
                 outputs
             }
         ),
+        name().prop_map(|line| DraftAction::Request { line }),
+        name().prop_map(|line| DraftAction::Log { line }),
+        (1_u64..86_400_000_000).prop_map(|micros| DraftAction::Wait {
+            time: Duration::from_micros(micros),
+            at: Spot(Word::from("wait").at),
+        }),
     ]
+}
+
+/// Expressions are kept as they are; what is in them is not read here.
+fn an_expression() -> impl Strategy<Value = Word> {
+    "[a-z]{1,3}(\\.[a-z]{1,3})? [<>=!&|+*/%-]{1,2} ([0-9]{1,3}|\"[a-z# ]{0,3}\"|[a-z] \\? [(]x[)] : -1)"
+        .prop_map(|text| Word::from(text.as_str()))
+}
+
+fn a_field() -> impl Strategy<Value = DraftField> {
+    (name(), name()).prop_map(|(name, kind)| DraftField { name, kind })
+}
+
+fn some_data() -> impl Strategy<Value = DraftData> {
+    let one = (name(), option::of(an_expression()));
+    let shape = prop_oneof![
+        one.prop_map(|(kind, initial)| DraftShape::One { kind, initial }),
+        vec(a_field(), 1..3).prop_map(DraftShape::Fields),
+    ];
+    (name(), shape).prop_map(|(name, shape)| DraftData { name, shape })
+}
+
+fn a_set() -> impl Strategy<Value = DraftSet> {
+    (name(), option::of(name()), an_expression()).prop_map(|(data, field, value)| {
+        let target = field.map_or_else(|| data.text.clone(), |field| format!("{data}.{field}"));
+        let target = Word::from(target.as_str());
+        DraftSet { target, value }
+    })
+}
+
+fn a_when() -> impl Strategy<Value = DraftWhen> {
+    let function = prop_oneof![
+        name().prop_map(|name| (name, false)),
+        an_expression().prop_map(|text| (text, true)),
+    ];
+    (function, any::<bool>()).prop_map(|((function, expression), negated)| DraftWhen {
+        function,
+        negated,
+        expression,
+    })
 }
 
 fn a_time() -> impl Strategy<Value = Duration> {
@@ -419,8 +464,8 @@ prop_compose! {
         (name, tape, write) in (name(), option::of(name()), option::of(name())),
         (inputs, reads, inhibitors) in (vec(arc(), 0..4), vec(arc(), 0..2), vec(arc(), 0..2)),
         (outputs, fail) in (vec(arc(), 0..4), vec(arc(), 0..2)),
-        when in option::of((name(), any::<bool>())),
-        action in option::of(an_action()),
+        when in option::of(a_when()),
+        (action, sets) in (option::of(an_action()), vec(a_set(), 0..3)),
         priority in 0_u32..4,
         within in option::of(1_u64..86_400_000_000),
         (resets, idempotent) in (vec(name(), 0..3), any::<bool>()),
@@ -434,8 +479,9 @@ prop_compose! {
             inhibitors,
             resets,
             tape,
-            when: when.map(|(function, negated)| DraftWhen { function, negated }),
+            when,
             action,
+            sets,
             outputs,
             fail,
             write,
@@ -455,7 +501,8 @@ prop_compose! {
         title in option::of("(?s).{0,20}"),
         places in vec((name(), 0_u32..4, option::of(1_u32..9), option::of(name())), 0..5),
         safe in vec(vec(arc(), 1..3), 0..3),
-        commands in vec((name(), vec(name(), 1..3)), 0..3),
+        data in vec(some_data(), 0..3),
+        commands in vec((name(), vec(a_field(), 0..3), vec(name(), 1..3)), 0..3),
         coordinators in vec((name(), vec(name(), 1..3)), 0..3),
         serves in vec((name(), vec(name(), 1..3), name(), option::of(name())), 0..2),
         transitions in vec(a_transition(), 0..5),
@@ -474,7 +521,11 @@ prop_compose! {
                 .collect(),
             commands: commands
                 .into_iter()
-                .map(|(symbol, answers)| DraftCommand { symbol, answers })
+                .map(|(symbol, parameters, answers)| DraftCommand {
+                    symbol,
+                    parameters,
+                    answers,
+                })
                 .collect(),
             coordinators: coordinators
                 .into_iter()
@@ -490,6 +541,7 @@ prop_compose! {
                 })
                 .collect(),
             safe,
+            data,
             transitions,
         }
     }
@@ -513,7 +565,8 @@ proptest! {
             "net ", "place ", "command ", "coordinator ", "serves ", "transition ", "in ", "read ",
             "inhibit ", "tape ", "when ", "not ", "do ", "ask ", "send ", "out ", "fail ", "write ",
             "priority ", "within ", "a", "b", ", ", "*2", "@", ": ", "; ", "done ", "failed ", "-> ",
-            "(", ")", ".", "= 1", "subnet ", "end ", "use ", "as ", "include ", "3 s", "\n", "\n", "\n", "\"", "#", "ä",
+            "(", ")", ".", "= 1", "subnet ", "end ", "use ", "as ", "include ", "3 s",
+            "data ", "set ", "request ", "log ", "wait ", "{", "}", " : int", "\"$a\"", "a + 1", "a < 2", "\n", "\n", "\n", "\"", "#", "ä",
         ]), 0..60),
     ) {
         let text = format!("net n\n{}", words.concat());

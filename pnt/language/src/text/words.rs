@@ -215,24 +215,75 @@ impl<'a> Words<'a> {
 
     /// One or more arcs: `p`, `p*2`, `p@net`, `p@net*2`.
     pub(super) fn arcs(&mut self) -> Result<Vec<DraftArc>, Finding> {
-        let mut arcs = Vec::new();
-        loop {
-            let place = self.place("a place")?;
-            let net = if self.take("@") {
-                Some(self.name("the net of the remote place")?)
-            } else {
-                None
-            };
-            let weight = if self.take("*") {
-                self.whole("the arc's weight", 1)?
-            } else {
-                1
-            };
-            arcs.push(DraftArc { place, net, weight });
-            if !self.take(",") {
-                return Ok(arcs);
-            }
+        let mut arcs = vec![self.arc()?];
+        while self.take(",") {
+            arcs.push(self.arc()?);
         }
+        Ok(arcs)
+    }
+
+    /// One arc.
+    pub(super) fn arc(&mut self) -> Result<DraftArc, Finding> {
+        let place = self.place("a place")?;
+        let net = if self.take("@") {
+            Some(self.name("the net of the remote place")?)
+        } else {
+            None
+        };
+        let weight = if self.take("*") {
+            self.whole("the arc's weight", 1)?
+        } else {
+            1
+        };
+        Ok(DraftArc { place, net, weight })
+    }
+
+    /// Whether an expression is next.
+    pub(super) fn is_expression(&self) -> bool {
+        matches!(
+            self.rest.first(),
+            Some(Token {
+                symbol: Symbol::Expression(_),
+                ..
+            })
+        )
+    }
+
+    /// An expression, as it stands.
+    pub(super) fn expression(&mut self, what: &str) -> Result<Word, Finding> {
+        match self.rest.first() {
+            Some(
+                token @ Token {
+                    symbol: Symbol::Expression(text),
+                    ..
+                },
+            ) => {
+                self.next();
+                Ok(Word::new(text.clone(), token.at()))
+            }
+            _ => Err(self.expected(what)),
+        }
+    }
+
+    /// A line in quotes.
+    pub(super) fn line(&mut self, what: &str) -> Result<Word, Finding> {
+        match self.rest.first() {
+            Some(
+                token @ Token {
+                    symbol: Symbol::Quoted(text),
+                    ..
+                },
+            ) => {
+                self.next();
+                Ok(Word::new(text.clone(), token.at()))
+            }
+            _ => Err(self.expected(what)),
+        }
+    }
+
+    /// How long a transition waits, up to a day.
+    pub(super) fn wait(&mut self) -> Result<Duration, Finding> {
+        self.time("a wait", DAY_US)
     }
 
     /// The deadline of an action, up to a day.

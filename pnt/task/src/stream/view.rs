@@ -325,11 +325,7 @@ pub(crate) fn part(part: Part) -> &'static str {
 
 /// What an action calls, as events name it.
 pub(super) fn target(action: Option<&Action>) -> String {
-    match action {
-        None => String::new(),
-        Some(Action::Local { function, .. }) => function.clone(),
-        Some(Action::Message { task, command, .. }) => format!("{task}.{command}"),
-    }
+    action.map(Action::called).unwrap_or_default()
 }
 
 fn arcs(arcs: &[Arc]) -> Vec<ArcView> {

@@ -50,7 +50,10 @@ impl Engine {
         };
         let (acted, by_hand) = match Abortable::new(acting, cancel).await {
             Ok(acted) => (acted, false),
-            Err(Aborted) => self.ended_from_outside(firing),
+            Err(Aborted) => {
+                let (acted, by_hand) = self.ended_from_outside(firing);
+                (acted.map(|()| String::new()), by_hand)
+            }
         };
         let net = self.net();
         let transition = &net[id];
@@ -104,23 +107,23 @@ impl Engine {
         }
     }
 
-    /// The third phase of a firing.
+    /// The third phase of a firing. An action that was done tells what data it has changed.
     pub(super) fn end(
         self: &Rc<Self>,
         cx: &Context,
         id: TransitionId,
         firing: FiringId,
-        acted: Acted,
+        acted: Result<String, HandlerError>,
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
         let failed = acted.is_err();
         let (phase, text) = match &acted {
-            Ok(()) => (EventPhase::Completed, String::new()),
+            Ok(changed) => (EventPhase::Completed, changed.clone()),
             Err(error) => (EventPhase::Failed, error.to_string()),
         };
         let on_tape = core.at_hand(id);
         let effects = match acted {
-            Ok(()) => core.execution.complete(firing)?,
+            Ok(_) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
         };
         let written = effects.written;
@@ -137,12 +140,20 @@ impl Engine {
         Ok(())
     }
 
-    /// Runs a transition's action within its deadline.
-    async fn action(&self, id: TransitionId, firing: FiringId, action: Action<()>) -> Acted {
+    /// Runs a transition's action within its deadline; what data it has changed.
+    async fn action(
+        &self,
+        id: TransitionId,
+        firing: FiringId,
+        action: Action<()>,
+    ) -> Result<String, HandlerError> {
         let net = self.net();
         let transition = &net[id];
         let acting = async {
-            match &transition.action {
+            if let Some(stand_in) = &self.settings.stand_in {
+                return self.stand_in(&action, transition, stand_in).await;
+            }
+            let acted = match &transition.action {
                 Some(net::Action::Local {
                     function,
                     inputs,
@@ -160,10 +171,15 @@ impl Engine {
                     let objects = (inputs.as_slice(), outputs.as_slice());
                     let request = self.request(firing);
                     let to = (task.as_str(), command.as_str(), request);
-                    self.message(&action, to, objects, limit).await
+                    return self.message(&action, to, objects, limit).await;
+                }
+                Some(net::Action::Written { does, sets, .. }) => {
+                    let limit = transition.within.unwrap_or(DEFAULT_DEADLINE);
+                    return self.written(&action, (does.as_ref(), sets), limit).await;
                 }
                 None => Ok(()),
-            }
+            };
+            acted.map(|()| String::new())
         };
         match transition.within {
             Some(limit) => self.cx.timeout(limit, acting).await?,
@@ -196,20 +212,21 @@ impl Engine {
         (task, command, request): (&str, &str, RequestId),
         (inputs, outputs): Objects<'_>,
         limit: Duration,
-    ) -> Acted {
+    ) -> Result<String, HandlerError> {
         let cx = &action.cx;
         let info = match cx.registry().command_of(cx.app(), task, command) {
             Ok(info) => info,
             // Of a net that is asked for one of its own commands.
             Err(_) if is_net(cx, task) => {
-                return self.dispatch(action, task, (command, request), limit).await;
+                let dispatched = self.dispatch(action, task, (command, request), limit);
+                return dispatched.await.map(|()| String::new());
             }
             Err(finding) => return Err(finding.into()),
         };
-        let request = gathered(action, inputs).await?;
+        let request = self.sent(action, inputs, info.request).await?;
         let to = cx.task(task).await?;
         let reply = cx.call_raw(&to, info, request, limit).await?;
-        store(action, outputs, reply, info.reply).await
+        self.received(action, outputs, reply, info.reply).await
     }
 
     /// The number of the request that an action of this firing makes. It is the same when the next life

@@ -208,11 +208,12 @@ impl Engine {
                 return Err(unknown.into());
             };
             if let Some(when) = &net[id].when {
-                let said = self.library.ask(&when.function).unwrap_or(false);
+                let said = self.says(when, &core.declared, core.journal.ended());
+                let said = said.map_err(HandlerError::new)?;
                 if said == when.negated {
                     let function = &when.function;
                     return Err(HandlerError::new(format!(
-                        "transition `{name}` is not enabled: its enabling function `{function}` says {}",
+                        "transition `{name}` is not enabled: its condition `{function}` says {}",
                         if said { "yes, and is negated" } else { "no" }
                     )));
                 }

@@ -27,6 +27,7 @@ use super::{
 use crate::store::Contents;
 use pnt_language::{
     compile,
+    data::Value,
     exec::{Execution, FiringId, State},
     net::{Action, Net, TransitionId},
 };
@@ -34,6 +35,9 @@ use pnt_language::{
 /// Under which names a store has the state of a net, and the text of a net that was put in its place.
 const STATE: &str = "state";
 pub(super) const NET: &str = "net";
+
+/// The same for the data that a net declares, by name.
+const DATA: &str = "data";
 
 /// The state of a net as it is stored.
 #[derive(Deserialize)]
@@ -143,6 +147,7 @@ impl Engine {
             let written = match self.saved() {
                 Ok(state) => {
                     let mut changes = vec![(STATE.to_owned(), Some(state))];
+                    changes.extend(self.saved_data().map(|data| (DATA.to_owned(), Some(data))));
                     if let Some(net) = durable.new_net.take() {
                         changes.push((NET.to_owned(), Some(net)));
                     }
@@ -204,6 +209,14 @@ impl Engine {
         Ok(postcard::to_stdvec(&saving)?)
     }
 
+    /// The data that the net declares, if it does.
+    fn saved_data(&self) -> Option<Vec<u8>> {
+        let core = self.core.borrow();
+        let named = core.declared.named();
+        // Values of these types can always be written.
+        (!named.is_empty()).then(|| postcard::to_stdvec(&named).ok())?
+    }
+
     /// The text of the net that is put in place: it is stored with the next commit.
     pub(super) fn store_net(&self, file: &str, text: &str) -> Result<(), HandlerError> {
         if self.durable.store.is_some() {
@@ -249,6 +262,10 @@ impl Engine {
         }
         let restored = Execution::restore(Arc::clone(&net), saved.execution);
         let execution = restored.map_err(|error| wrong(error.to_string()))?;
+        if let Some(data) = contents.get(DATA) {
+            let named: Vec<(String, Value)> = postcard::from_bytes(data)?;
+            core.declared.take_up(named);
+        }
         if let Some(library) = saved.library {
             let restored = self.library.restore(&library);
             restored.map_err(|error| wrong(error.to_string()))?;

@@ -30,6 +30,7 @@ use super::{
     routes::Routes,
     settings::Settings,
     transfers::Transfers,
+    written::Data,
 };
 use crate::{
     library::{DataStore, Functions},
@@ -55,6 +56,8 @@ pub(super) struct Engine {
     pub(super) durable: Durable<Self>,
     /// Whether the app is about to be stopped.
     pub(super) stopping: Cell<bool>,
+    /// What functions that are stood in for say depends on it.
+    pub(super) chance: u64,
 }
 
 /// Who waits for the answer to a command.
@@ -90,6 +93,8 @@ impl Asker {
 
 pub(super) struct Core {
     pub(super) execution: Execution,
+    /// Data that the net declares.
+    pub(super) declared: Data,
     /// The clocks of timed transitions.
     pub(super) race: Race,
     /// When a child wakes up for the next of them, ns.
@@ -145,8 +150,10 @@ impl Engine {
         let view = RefCell::new(NetView::new(&net));
         let execution = Execution::new(Arc::clone(&net));
         let race = Race::new(&execution, cx.rng("race"));
+        let chance = mix(cx.app().seed, &[cx.name(), "stand-in"]);
         Self {
             view,
+            chance,
             stopping: Cell::new(false),
             core: RefCell::new(Core {
                 conflicts,
@@ -173,6 +180,7 @@ impl Engine {
                 changes: 0,
                 race,
                 alarm: None,
+                declared: Data::new(&net),
                 execution,
             }),
             cx,
@@ -348,6 +356,7 @@ impl Engine {
                 })
                 .collect(),
             breakpoints: core.manual.breakpoints(),
+            data: core.declared.shown(),
         }
     }
 
@@ -401,7 +410,8 @@ pub(super) fn objects_of(
 ) -> BTreeMap<String, (Vec<PlaceId>, Option<bool>)> {
     let mut objects: BTreeMap<String, (Vec<PlaceId>, Option<bool>)> = BTreeMap::new();
     for (place, id) in net.places().iter().zip((0..).map(PlaceId)) {
-        if let Some(object) = &place.data {
+        let own = |object: &&String| net.declared().named(object).is_some();
+        if let Some(object) = place.data.as_ref().filter(|object| !own(object)) {
             let entry = objects.entry(object.clone());
             entry.or_insert_with(|| (Vec::new(), told)).0.push(id);
         }

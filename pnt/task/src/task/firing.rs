@@ -58,7 +58,7 @@ impl Engine {
     }
 
     fn choose(self: &Rc<Self>) -> Option<TransitionId> {
-        let mut unknown = None;
+        let mut unvalued = None;
         let chosen = {
             let mut core = self.core.borrow_mut();
             self.tell_met(&mut core);
@@ -72,12 +72,16 @@ impl Engine {
                 execution,
                 conflicts,
                 race,
+                declared,
+                journal,
                 ..
             } = &mut *core;
+            let ended = journal.ended();
             let mut asks = |when: &When| {
-                self.library.ask(&when.function).unwrap_or_else(|| {
-                    unknown = Some(when.function.clone());
-                    false
+                self.says(when, declared, ended).unwrap_or_else(|why| {
+                    unvalued = Some(why);
+                    // So that the transition does not fire.
+                    when.negated
                 })
             };
             let chosen = execution.choose(conflicts, &mut asks).or_else(|| {
@@ -101,10 +105,8 @@ impl Engine {
                 }
             }
         };
-        if let Some(function) = unknown {
-            self.halt(&format!(
-                "its library has no enabling function `{function}`"
-            ));
+        if let Some(why) = unvalued {
+            self.halt(&why);
             return None;
         }
         chosen

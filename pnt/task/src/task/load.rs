@@ -9,7 +9,7 @@ use ctos::{
 };
 
 use super::{
-    breaks,
+    breaks, fields,
     messages::COMMANDS,
     settings::{self, settings},
 };
@@ -58,7 +58,9 @@ pub fn check_args(
 ) {
     match net_of(task, app) {
         Ok(net) => {
-            check::functions(&net, functions, findings);
+            if settings(task).is_ok_and(|read| read.stand_in.is_none()) {
+                check::functions(&net, functions, findings);
+            }
             check_layout(&net, task, app, findings);
             if let Ok(settings) = settings(task) {
                 breaks::check(&net, &app.file_at(settings.net), findings);
@@ -198,7 +200,11 @@ pub(super) fn check_app_with(
 
 /// Checks the message actions of all nets of an app: that somebody takes them, with such data objects.
 pub fn check_messages(nets: &[Arc<Net>], app: &App, registry: &Registry, findings: &mut Findings) {
-    for net in nets {
+    let stood_in = |net: &&Arc<Net>| {
+        let settings = app.task(net.name()).and_then(|task| settings(task).ok());
+        settings.is_some_and(|settings| settings.stand_in.is_some())
+    };
+    for net in nets.iter().filter(|net| !stood_in(net)) {
         check_messages_of(net, nets, (app, registry), findings);
     }
 }
@@ -237,7 +243,12 @@ fn check_messages_of(
                 Ok(info) => {
                     let types = (info.request, info.reply);
                     let what = format!("command `{command}` of task `{task}`");
-                    objects::check(&what, objects, types)
+                    let mut found = objects::check(&what, objects, types);
+                    if found.is_empty() {
+                        found = fields::check(&what, net, inputs, types.0);
+                        found.extend(fields::check(&what, net, outputs, types.1));
+                    }
+                    found
                 }
                 Err(finding) => vec![finding],
             }

@@ -72,6 +72,8 @@ pub struct Snapshot {
     pub sending: Vec<(String, u32)>,
     /// The breakpoints that are set, as they were written.
     pub breakpoints: Vec<String>,
+    /// The data that the net declares, each value by its name.
+    pub data: Vec<(String, String)>,
 }
 
 /// What one firing sends to another net.

@@ -201,6 +201,7 @@ impl Core {
         let old = Arc::clone(self.execution.net());
         let state = carried(self.execution.state(), &old, net);
         let state = state.map_err(|why| format!("the net was not replaced: {why}"))?;
+        self.declared = self.declared.carried(net);
         let execution = Execution::restore(Arc::clone(net), state);
         self.execution = execution.map_err(|error| error.to_string())?;
         self.race = self.race.begin_again(&self.execution);

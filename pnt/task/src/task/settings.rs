@@ -13,7 +13,7 @@ use super::manual::check_breakpoint;
 use pnt_language::net::Net;
 
 /// The keys of [`Settings`] in a task's arguments.
-pub const KEYS: [&str; 9] = [
+pub const KEYS: [&str; 10] = [
     "net",
     "conflicts",
     "durable",
@@ -23,7 +23,17 @@ pub const KEYS: [&str; 9] = [
     "break_ends",
     "tape",
     "forward",
+    "stand_in",
 ];
+
+/// How the actions of a net are stood in for: each takes its stated time, and succeeds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StandIn {
+    /// The chance that an action fails instead, from 0 to 1.
+    pub fail: f64,
+}
+
+impl Eq for StandIn {}
 
 /// Commands that wait on an input tape, and answers on an output tape, unless `tape` says otherwise.
 const TAPE: usize = 1024;
@@ -49,6 +59,8 @@ pub struct Settings {
     pub tape: usize,
     /// `forward`: output symbols that go on to the input tapes of other nets, by symbol.
     pub forward: BTreeMap<String, String>,
+    /// `stand_in`: whether nothing is asked of anybody, and every action is stood in for.
+    pub stand_in: Option<StandIn>,
 }
 
 impl Default for Settings {
@@ -63,6 +75,7 @@ impl Default for Settings {
             break_ends: false,
             tape: TAPE,
             forward: BTreeMap::new(),
+            stand_in: None,
         }
     }
 }
@@ -141,6 +154,13 @@ pub fn settings(task: &TaskConfig) -> Result<Settings, Finding> {
         forward: reader
             .word("forward", "a table: output symbol = \"net\"", table)?
             .unwrap_or_default(),
+        stand_in: reader
+            .word(
+                "stand_in",
+                "true, false or { fail = CHANCE } with a chance from 0 to 1",
+                stood_in,
+            )?
+            .flatten(),
     })
 }
 
@@ -176,6 +196,15 @@ impl Reader<'_> {
         };
         read(node).map(Some).ok_or_else(wrong)
     }
+}
+
+fn stood_in(node: &Node) -> Option<Option<StandIn>> {
+    if let Some(whether) = node.as_bool() {
+        return Some(whether.then_some(StandIn { fail: 0.0 }));
+    }
+    let fail = node.get("fail")?.as_f64()?;
+    let only = node.entries().len() == 1 && (0.0..=1.0).contains(&fail);
+    only.then_some(Some(StandIn { fail }))
 }
 
 fn texts(node: &Node) -> Option<Vec<String>> {
