@@ -88,6 +88,9 @@ pub struct SimArgs {
     /// How much to say
     #[command(flatten)]
     pub log: LogArgs,
+    /// The command that repeats the run, where that is not this one.
+    #[arg(skip)]
+    pub repeated_by: Option<String>,
 }
 
 fn seeds(text: &str) -> Result<Range<u64>, String> {
@@ -428,6 +431,9 @@ impl Lab<'_> {
 
     /// The command that runs `seed` with `faults` again.
     fn command(&self, seed: u64, faults: &str) -> String {
+        if let Some(command) = &self.args.repeated_by {
+            return command.clone();
+        }
         let program = std::env::args().next().unwrap_or_else(|| "ctos".to_owned());
         let mut words = vec![
             program,
@@ -510,7 +516,7 @@ fn kind_of(end: &End) -> (&'static str, String) {
 }
 
 /// A word as a shell takes it.
-fn quoted(word: &str) -> String {
+pub(super) fn quoted(word: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-./:=,+@%".contains(letter);
     if !word.is_empty() && word.chars().all(plain) {
         word.to_owned()

@@ -107,6 +107,13 @@ fn in_virtual_time(file: PathBuf, log: LogArgs) -> SimArgs {
         json: false,
         profiles: false,
         log,
+        // The seed is in the arguments, or it is the first one of all.
+        repeated_by: Some(
+            std::env::args()
+                .map(|word| sim::quoted(&word))
+                .collect::<Vec<_>>()
+                .join(" "),
+        ),
     }
 }
 
