@@ -285,12 +285,16 @@ fn a_picture_shows_at_every_pixel_the_nearest_solid_of_the_scene() {
     let (mut of_the_arm, mut edges) = (0, 0);
     for row in 1..499 {
         for column in (1 + row % 7..499).step_by(7) {
-            let (here, expected) =
-                nearest(solids, &floor, grey, &renderer.rays[row * 500 + column]);
+            let (here, expected) = nearest(
+                solids,
+                &floor,
+                grey,
+                &renderer.rays.all()[row * 500 + column],
+            );
             let mut inside = true;
             for at in [-501_isize, -500, -499, -1, 1, 499, 500, 501] {
                 let at = (row * 500 + column).checked_add_signed(at).unwrap();
-                inside &= nearest(solids, &floor, grey, &renderer.rays[at]).0 == here;
+                inside &= nearest(solids, &floor, grey, &renderer.rays.all()[at]).0 == here;
             }
             of_the_arm += usize::from(here.is_some());
             if inside {
@@ -426,8 +430,9 @@ fn edges_lie_between_pixels_so_that_centroids_do() {
                 "{area} {true_area} of {shape}"
             );
             // The same without a look at edges would be off by more.
-            let hard = (0..64 * 64)
-                .map(|k| f64::from(nearest(&renderer.solids, &floor, 0.0, &renderer.rays[k]).1));
+            let hard = (0..64 * 64).map(|k| {
+                f64::from(nearest(&renderer.solids, &floor, 0.0, &renderer.rays.all()[k]).1)
+            });
             let hard: Vec<f64> = hard.collect();
             let off = |light: &[f64]| {
                 let pairs = light.iter().zip(&exact);
