@@ -216,6 +216,13 @@ mod tests {
         real("run.desk.part3.mcap", "9000400000");
         // A file of another host has a clock of its own.
         record(&path("run.far.mcap"), &[("origin_ns", "5"), ("host", "f")]);
+        // The clock of a file system is coarse.
+        for name in ["run.desk.part2.mcap", "run.desk.part3.mcap", "run.far.mcap"] {
+            let file = std::fs::File::options().write(true).open(path(name));
+            let (file, later) = (file.unwrap(), std::time::Duration::from_secs(1));
+            let now = file.metadata().unwrap().modified().unwrap();
+            file.set_modified(now + later).unwrap();
+        }
         let second = names(&["run.desk.part2.mcap", "run.desk.part3.mcap", "run.far.mcap"]);
         assert_eq!(of_a_run(&[path("run.mcap")]), Ok(second));
         let parts = names(&["run.desk.part2.mcap", "run.desk.part3.mcap"]);

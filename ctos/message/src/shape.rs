@@ -470,7 +470,9 @@ mod tests {
             shape.tell(&bytes, &mut json, 1 << 20).unwrap();
             let value: serde_json::Value = serde_json::from_slice(&json).unwrap();
             shape.encode(&value, &mut again).unwrap();
-            prop_assert_eq!(bytes, again);
+            // JSON has the keys of a map in another order, so what is read is compared; by its bytes, as zero has a sign.
+            let read: Whole = postcard::from_bytes(&again).unwrap();
+            prop_assert_eq!(bytes, postcard::to_stdvec(&read).unwrap());
         }
     }
 
@@ -491,7 +493,7 @@ mod tests {
             (shape.fields(), shape.split(&bytes).unwrap().concat()),
             (5, bytes.clone())
         );
-        assert_eq!(shape.split(&bytes[1..]), None);
+        assert_eq!(shape.split(&bytes[..bytes.len() - 1]), None);
         shape.tell(&bytes, &mut json, 1000).unwrap();
         assert_eq!(
             String::from_utf8(json).unwrap(),
