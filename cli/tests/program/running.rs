@@ -723,9 +723,10 @@ fn the_lines_about_a_running_calibration_are_run_and_go_well() {
 
 #[test]
 fn the_lines_about_service_objects_are_run_against_their_app_and_go_well() {
-    let app = App::boot("configs/objects.toml", &[]);
+    let mut app = App::boot("configs/objects.toml", &[]);
     run_all(OBJECTS, CTOS.as_ref(), app.folder.path());
-    // Nobody is left after the last line.
+    // Nobody is left after the last line, by which the app is told to end.
+    app.child.wait().unwrap();
     let sockets = fs::read_dir(app.folder.path().join("ctos"));
     assert!(sockets.is_err() || sockets.unwrap().count() == 0);
 }
