@@ -11,6 +11,7 @@ mod looking;
 mod numbers;
 mod panel;
 mod scene;
+mod standing;
 
 use browser::Browser;
 

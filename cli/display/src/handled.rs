@@ -12,7 +12,10 @@ use scene::FollowScene;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::wire::{TaskLine, TaskMessage, TaskState};
+use super::{
+    standing,
+    wire::{TaskLine, TaskMessage, TaskState, Warning},
+};
 
 /// So many messages of a task are shown, the last ones.
 const MOST: usize = 2_000;
@@ -62,7 +65,10 @@ impl Said {
 
 /// What tasks handled, by their names, each in the order in which it ended, and what the log says of them.
 #[derive(Debug, Default)]
-pub(super) struct Handled(BTreeMap<String, OfTask>);
+pub(super) struct Handled {
+    tasks: BTreeMap<String, OfTask>,
+    warnings: VecDeque<Warning>,
+}
 
 #[derive(Debug, Default)]
 struct OfTask {
@@ -91,7 +97,7 @@ impl Handled {
             "refused" => Some(ended.text),
             other => Some(format!("{other} {}", ended.text).trim_end().to_owned()),
         };
-        let of_task = self.0.entry(ended.task).or_default();
+        let of_task = self.tasks.entry(ended.task).or_default();
         if of_task.last.len() == MOST {
             of_task.last.pop_front();
             of_task.left_out += 1;
@@ -107,11 +113,24 @@ impl Handled {
 
     /// The log said something of a task at `at`.
     pub(super) fn note(&mut self, at: Instant, said: Said) {
-        let of_task = self.0.entry(said.name.clone()).or_default();
+        let of_task = self.tasks.entry(said.name.clone()).or_default();
         if of_task.lines.len() == MOST_LINES {
             of_task.lines.pop_front();
         }
-        of_task.lines.push_back(said.line(at));
+        let name = said.name.clone();
+        let line = said.line(at);
+        if let Some(warning) = line.warning(name) {
+            if self.warnings.len() == standing::MOST {
+                self.warnings.pop_front();
+            }
+            self.warnings.push_back(warning);
+        }
+        of_task.lines.push_back(line);
+    }
+
+    /// The last lines that warn.
+    pub(super) fn warnings(&self) -> Vec<Warning> {
+        self.warnings.iter().cloned().collect()
     }
 
     /// What is known of the tasks that `nets` call, and of those that run them.
@@ -122,7 +141,7 @@ impl Handled {
             names.extend(net.transitions.iter().filter_map(|one| one.task.as_deref()));
         }
         let known = names.into_iter().filter_map(|name| {
-            let of_task = self.0.get(name)?;
+            let of_task = self.tasks.get(name)?;
             Some(TaskState {
                 name: name.to_owned(),
                 messages: of_task.last.iter().cloned().collect(),

@@ -19,7 +19,7 @@ use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
-    wire::{Breakpoint, Entry, Note, Overview, TaskState, Told},
+    wire::{Breakpoint, Entry, Note, Overview, Standing, TaskState, Told},
 };
 
 /// Events of each net that are kept for browsers that come later.
@@ -33,15 +33,6 @@ const KEPT_PICTURES: usize = 12;
 
 /// Messages that a browser may be behind before it is told everything anew.
 const BEHIND: usize = 512;
-
-/// What all browsers are told.
-#[derive(Debug, Clone)]
-pub(crate) enum News {
-    /// A message, shared by all.
-    Told(Arc<str>),
-    /// Nothing of what was told counts any more.
-    Anew,
-}
 
 /// What happened, in order.
 #[derive(Debug, Clone)]
@@ -130,6 +121,7 @@ struct Known {
     names: Vec<String>,
     /// What a record says of them.
     tasks: Vec<TaskState>,
+    standing: Standing,
     now_ns: u64,
     ended: bool,
     overviews: Overviews,
@@ -151,7 +143,7 @@ pub(crate) struct Hub {
     /// The app's, while it runs.
     clock: Option<Clock>,
     known: Mutex<Known>,
-    news: broadcast::Sender<News>,
+    news: broadcast::Sender<Arc<str>>,
 }
 
 impl Hub {
@@ -194,11 +186,11 @@ impl Hub {
     }
 
     fn tell(&self, told: &Told) {
-        if self.news.receiver_count() == 0 {
+        if !self.is_watched() {
             return;
         }
         // The last one may just have gone.
-        let _ = self.news.send(News::Told(told.text().into()));
+        let _ = self.news.send(told.text().into());
     }
 
     /// A net is there, for the first time or again. What is known of the same net's past stays.
@@ -214,10 +206,18 @@ impl Hub {
             track.gone = None;
             return self.jump(track, state, 0);
         }
-        let name = view.name.clone();
-        known.tracks.insert(name, Track::new(view, state)?);
-        // Viewers get the whole state again. There may be none.
-        let _ = self.news.send(News::Anew);
+        let track = Track::new(view, state)?;
+        if self.is_watched() {
+            // There is no viewer, where the last one has just gone.
+            let _ = self
+                .news
+                .send(track.told(&known.notes, known.now_ns).into());
+        }
+        known.tracks.insert(track.view.name.clone(), track);
+        let displays = known.displays();
+        if !displays.is_empty() {
+            self.tell(&Told::Displays { displays });
+        }
         Ok(())
     }
 
@@ -413,6 +413,22 @@ impl Hub {
         known.tasks = tasks;
     }
 
+    /// Whether somebody looks.
+    pub(crate) fn is_watched(&self) -> bool {
+        self.news.receiver_count() > 0
+    }
+
+    /// How the app stands as a whole.
+    pub(crate) fn stands(&self, standing: Standing) {
+        let mut known = self.known();
+        if known.standing != standing {
+            known.standing = standing;
+            self.tell(&Told::Standing {
+                standing: &known.standing,
+            });
+        }
+    }
+
     /// The app has ended.
     pub(crate) fn end(&self) {
         self.known().ended = true;
@@ -420,7 +436,7 @@ impl Hub {
     }
 
     /// Everything that is known, and what will be new.
-    pub(crate) fn join(&self, control: bool) -> (Vec<String>, broadcast::Receiver<News>) {
+    pub(crate) fn join(&self, control: bool) -> (Vec<String>, broadcast::Receiver<Arc<str>>) {
         let known = self.known();
         // Under the lock: nothing is missed and nothing comes twice.
         let news = self.news.subscribe();
@@ -446,6 +462,10 @@ impl Hub {
         told.extend(nets);
         let tasks = known.tasks.iter().cloned();
         told.extend(tasks.map(|task| Told::Task { task }.text()));
+        let standing = &known.standing;
+        if *standing != Standing::default() {
+            told.push(Told::Standing { standing }.text());
+        }
         if known.ended {
             told.push(Told::End {}.text());
         }

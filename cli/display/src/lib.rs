@@ -21,6 +21,7 @@ mod overview;
 mod panes;
 mod record;
 mod server;
+mod standing;
 mod task;
 mod text;
 pub mod watch;

@@ -1,5 +1,4 @@
-//! The last lines of the log about a task of a running app: those of `ctos logs TASK`, from the process that
-//! booted the app.
+//! What the process that booted a running app answers, and the last lines of its log about a task: those of `ctos logs TASK`.
 
 use std::{os::unix::process::parent_id, process, thread, time::Duration};
 
@@ -20,28 +19,43 @@ const LIMIT: Duration = Duration::from_secs(1);
 
 /// The lines about `task`, oldest first; none where the app was booted from another host.
 pub(super) async fn about(task: &str) -> Vec<TaskLine> {
-    let (tell, told) = oneshot::channel();
     let task = task.to_owned();
+    let read = move |client: &mut Client| {
+        let lines = logs(
+            client,
+            LogRequest {
+                name: Some(task),
+                last: Some(MOST),
+                ..LogRequest::default()
+            },
+        )?;
+        Ok(lines.iter().map(told).collect())
+    };
+    asked(read).await.unwrap_or_default()
+}
+
+/// What the process that booted the app answers; nothing where it does not, or booted it from another host.
+pub(super) async fn asked<T: Send + 'static>(
+    ask: impl FnOnce(&mut Client) -> Result<T, ClientError> + Send + 'static,
+) -> Option<T> {
+    let (tell, told) = oneshot::channel();
     // Its socket is read by a thread of its own, for that has to be waited for.
     let asking = thread::Builder::new()
         .name("display-log".to_owned())
-        .spawn(move || tell.send(read(task).unwrap_or_default()));
-    match asking {
-        Ok(_) => told.await.unwrap_or_default(),
-        Err(_) => Vec::new(),
-    }
+        .spawn(move || {
+            let client = booted().and_then(|app| Client::connect(app, LIMIT));
+            tell.send(client.and_then(|mut client| ask(&mut client)).ok())
+        });
+    asking.ok()?;
+    told.await.ok().flatten()
 }
 
-fn read(task: String) -> Result<Vec<TaskLine>, ClientError> {
-    let mut client = Client::connect(booted()?, LIMIT)?;
-    client.ask(Request::Logs(LogRequest {
-        name: Some(task),
-        last: Some(MOST),
-        ..LogRequest::default()
-    }))?;
+/// Lines of the log.
+pub(super) fn logs(client: &mut Client, wanted: LogRequest) -> Result<Vec<LogLine>, ClientError> {
+    client.ask(Request::Logs(wanted))?;
     let mut lines = Vec::new();
     while let Some(Answer::Log(line)) = client.read()? {
-        lines.push(told(&line));
+        lines.push(line);
     }
     Ok(lines)
 }
@@ -52,7 +66,7 @@ fn booted() -> Result<Socket, ClientError> {
     of(parent_id()).or_else(|_| of(process::id()))
 }
 
-fn told(line: &LogLine) -> TaskLine {
+pub(super) fn told(line: &LogLine) -> TaskLine {
     // Since the start of the app; `as` ends at the largest number.
     let at_ns = (line.at_s.max(0.0) * 1e9) as u64;
     TaskLine::new(at_ns, line.level, said(&line.text))

@@ -20,6 +20,7 @@ use super::{
     handled::{Ended, Handled, Said},
     hub::Hub,
     overview::Overviews,
+    wire::Standing,
 };
 
 /// The nets of a run.
@@ -240,6 +241,10 @@ impl Recorded {
         for picture in &self.pictures {
             hub.pictured(picture.clone());
         }
+        hub.stands(Standing {
+            chassis: Vec::new(),
+            warnings: self.handled.warnings(),
+        });
         hub.tasks(self.handled.by(self.nets.values().map(|net| &net.view)));
         hub
     }

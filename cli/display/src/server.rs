@@ -21,7 +21,7 @@ use tokio::{
 
 use super::{
     assets,
-    hub::{Hub, News},
+    hub::Hub,
     wire::{Asked, Told},
 };
 use cli_common::page::{self, Door, Right};
@@ -156,9 +156,9 @@ async fn attend(
                 asked.unwrap_or_else(|late| Err(axum::Error::new(late)))?;
             }
             new = news.recv() => match new {
-                Ok(News::Told(text)) => say(&mut socket, &text).await?,
-                // It was too slow, or there are other nets now.
-                Ok(News::Anew) | Err(RecvError::Lagged(_)) => {
+                Ok(text) => say(&mut socket, &text).await?,
+                // It was too slow: what it was told does not count any more.
+                Err(RecvError::Lagged(_)) => {
                     let (told, anew) = service.hub.join(control);
                     news = anew;
                     for text in told {

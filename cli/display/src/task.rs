@@ -17,6 +17,7 @@ use super::{
     looking, orders,
     overview::Overviews,
     server::{self, Asking, Service},
+    standing,
 };
 use cli_common::page::{self, Front, Served, Setting};
 
@@ -138,6 +139,8 @@ impl EventHandler for NetDisplay {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     cx.spawn(async move { follow(&child, &net, &hub).await });
                 }
+                let (child, hub) = (cx.clone(), self.hub.clone());
+                cx.spawn(async move { standing::follow(&child, &hub).await });
                 let sources = scene::follow::sources(cx.app(), &cx.registry());
                 self.hub.expects(&sources);
                 for source in sources {

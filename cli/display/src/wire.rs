@@ -73,6 +73,8 @@ pub(crate) enum Told<'t> {
     Notes { notes: &'t [Note] },
     /// How a task is.
     Task { task: TaskState },
+    /// How the app stands as a whole.
+    Standing { standing: &'t Standing },
     /// What became of an order.
     Answer { id: u64, ok: bool, text: String },
     /// What a task shows of the scene, with all that is known of its past: the first step has all parts.
@@ -198,11 +200,58 @@ pub(crate) struct TaskLine {
     text: String,
 }
 
+/// How an app stands as a whole.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub(crate) struct Standing {
+    /// Its chassis, in declared order; none of a record.
+    pub(crate) chassis: Vec<ChassisStanding>,
+    /// The last lines of the log that warn, oldest first.
+    pub(crate) warnings: Vec<Warning>,
+}
+
+/// How a chassis is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct ChassisStanding {
+    pub(crate) name: String,
+    /// In words.
+    pub(crate) state: String,
+    /// Whether its tasks run and it answers.
+    pub(crate) fine: bool,
+    /// How often its process was started again.
+    pub(crate) restarts: u32,
+    /// Why the process before this one ended.
+    pub(crate) last_end: Option<String>,
+    /// How many tasks it has.
+    pub(crate) tasks: usize,
+}
+
+/// A line of the log that warns.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct Warning {
+    /// Since the start of the app.
+    pub(crate) at_ns: u64,
+    pub(crate) level: Level,
+    /// The chassis; of a record the task or the module.
+    pub(crate) from: String,
+    pub(crate) text: String,
+}
+
 impl TaskLine {
     /// What a line of `at_ns` says after its time and its level.
     pub(crate) fn new(at_ns: u64, level: Level, text: &str) -> Self {
         let text = text.to_owned();
         Self { at_ns, level, text }
+    }
+
+    /// The same as a warning `from` somebody, if it is one.
+    pub(crate) fn warning(&self, from: String) -> Option<Warning> {
+        let Self { at_ns, level, text } = self;
+        (*level >= Level::Warn).then(|| Warning {
+            at_ns: *at_ns,
+            level: *level,
+            from,
+            text: text.clone(),
+        })
     }
 }
 

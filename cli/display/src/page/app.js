@@ -33,6 +33,8 @@ class App extends Attention {
     /** What is known of tasks, and the names of those of which more can be told. */
     this.tasks = new Map();
     this.appTasks = [];
+    /** How the app stands as a whole. */
+    this.standing = { chassis: [], warnings: [] };
     this.shown = null;
     this.chosen = null;
     /** The moment shown: null is the present; else `{ at_ns, net, position }`. */
@@ -105,6 +107,7 @@ class App extends Attention {
       case "moved": this.overview.moved(message); this.seen(message.step); break;
       case "dark": this.overview.dark(message); this.stale = true; break;
       case "picture": this.overview.picture(message.picture); this.seen(null); break;
+      case "standing": this.standing = message.standing; this.stale = true; break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
       case "answer": this.answered(message); break;
       case "end": this.mode = "ended"; this.changed(); break;
@@ -148,10 +151,14 @@ class App extends Attention {
       if (entry.state) net.jump(entry.state, entry.skipped);
       else net.follow([entry]);
     }
+    // A net may come later than the page, or come back as another one.
+    const late = this.nets.has(net.name) || !this.wanted.includes(net.name);
     this.nets.set(net.name, net);
+    this.forks.delete(net.name);
+    if (this.cursor?.net === net.name) this.cursor.net = null;
     // Events carry the time of the app; this page only knows when they came.
     this.arrived(message.now_ns);
-    if (this.wanted.every((name) => this.nets.has(name)) && !this.picked) this.ready();
+    if (this.wanted.every((name) => this.nets.has(name)) && (late || !this.picked)) this.ready();
   }
 
   ready() {

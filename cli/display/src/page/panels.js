@@ -2,6 +2,7 @@
 
 import { called, nodeStanding, seconds } from "./model.js";
 import { placeKey } from "./plots.js";
+import { standingSection } from "./standing.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
 /** Commands by hand whose answers are shown. */
@@ -29,7 +30,7 @@ export function showSide(host, app) {
   // What a person fills in stays until that is done.
   if (host.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
   const shown = app.chosen === null ? null : app.picture.nodes.get(app.chosen);
-  if (app.whole && app.chosen === null && app.task === null) return host.replaceChildren(...app.overview.side(), ...app.visibleNets().map((net) => overviewPart(net, app)).filter((part) => part !== null));
+  if (app.whole && app.chosen === null && app.task === null) return host.replaceChildren(...[standingSection(app.standing, app)].filter((part) => part !== null), ...app.overview.side(), ...app.visibleNets().map((net) => overviewPart(net, app)).filter((part) => part !== null));
   const parts = [app.task !== null ? make("section", {}, make("h2", {}, app.task, make("small", {}, "task")), taskPart(app.task, app)) : null,
     shown && app.task === null ? nodePart(shown, app) : null, ...app.visibleNets().map((net) => netPart(net, app))];
   host.replaceChildren(...parts.filter((part) => part !== null));
