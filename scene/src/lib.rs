@@ -159,6 +159,15 @@ pub enum Solid {
         /// Radius, m.
         radius: f64,
     },
+    /// A convex body by the triangles of its surface.
+    Hull {
+        /// Where the frame of its corners is.
+        pose: Pose,
+        /// The corners, m.
+        corners: Vec<[f64; 3]>,
+        /// The triangles by the numbers of their corners, counterclockwise as seen from outside.
+        triangles: Vec<[u32; 3]>,
+    },
     /// The axes of the frame, drawn so long, m.
     Axes(f64),
     /// An arrow from the origin, along three of the part's numbers: a force, or a way. Zeros and what is not known draw nothing.

@@ -50,13 +50,33 @@ fn the_record_of_a_boot_has_scene_joints_and_pictures_for_viewers_and_an_app_may
     assert_eq!(line["line"]["encoding"], "protobuf");
 }
 
-/// `python3 read.py RECORD`, with what it prints as JSON.
-fn read(scratch: &Scratch) -> Value {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("system/viewers/read.py");
+#[test]
+fn of_chosen_channels_nothing_else_is_recorded_and_the_record_is_small() {
+    let scratch = Scratch::short();
+    let chosen = "record.channels=[\"/tf/*\", \"/camera/*\", \"/firing/dispatcher\"]";
+    let channels = recorded(&scratch, &["--set", chosen]);
+    let size = || std::fs::metadata(scratch.path("run.mcap")).unwrap().len();
+    let small = size();
+    for (topic, lines) in &channels {
+        let wanted = ["/tf/", "/camera/"]
+            .iter()
+            .any(|root| topic.starts_with(root));
+        let wanted = wanted || topic == "/firing/dispatcher";
+        assert!(wanted || *lines == 0, "{channels:?}");
+    }
+    assert!(channels["/tf/state"] > 100 && channels["/firing/dispatcher"] > 10);
+    std::fs::remove_file(scratch.path("run.mcap")).unwrap();
+    recorded(&scratch, &[]);
+    assert!(5 * small < size(), "{small} of {}", size());
+}
+
+/// A script of Python beside this file, with what it prints as JSON.
+fn python(script: &str, argument: impl AsRef<std::ffi::OsStr>) -> Value {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("system/viewers");
     let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let ended = Command::new(python)
-        .arg(script)
-        .arg(scratch.path("run.mcap"))
+        .arg(folder.join(script))
+        .arg(argument)
         .output()
         .unwrap();
     let told = String::from_utf8_lossy(&ended.stderr);
@@ -69,7 +89,7 @@ fn read(scratch: &Scratch) -> Value {
 fn readers_of_others_read_every_channel_and_find_the_arm_where_its_joints_say() {
     let scratch = Scratch::short();
     let channels = recorded(&scratch, &[]);
-    let found = read(&scratch);
+    let found = python("read.py", scratch.path("run.mcap"));
     let foreign = |topic: &str| {
         let roots = [
             "/tf/",
@@ -191,6 +211,21 @@ fn a_viewer_that_comes_late_is_told_the_whole_beside_one_that_stops_reading() {
     }
     assert!(Viewer::connect(&address, "foxglove.websocket.v1").is_err());
     drop(stuck);
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+}
+
+#[test]
+#[ignore = "needs the Python packages websocket-client, mcap-protobuf-support and opencv: CTOS_PYTHON names a Python that has them"]
+fn a_client_of_others_subscribes_and_reads_poses_and_pictures_by_their_schemas() {
+    let scratch = Scratch::new();
+    let (run, address) = served(&scratch);
+    let found = python("live.py", &address);
+    assert_eq!(found["protocol"], "foxglove.sdk.v1");
+    assert!(found["transforms"].as_u64().unwrap() >= 20, "{found}");
+    assert!(found["joints"].as_u64().unwrap() == 6, "{found}");
+    assert!(found["pictures"].as_u64().unwrap() >= 2, "{found}");
+    assert_eq!(found["undecoded"], 0, "{found}");
     run.signal(Signal::INT);
     run.end().must_exit(130);
 }

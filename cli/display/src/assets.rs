@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 23] = [
+const SCRIPTS: [Asset; 24] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
     ("field.js", SCRIPT, include_str!("page/field.js")),
     ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
@@ -20,6 +20,7 @@ const SCRIPTS: [Asset; 23] = [
     ("why.js", SCRIPT, include_str!("page/why.js")),
     ("task.js", SCRIPT, include_str!("page/task.js")),
     ("panels.js", SCRIPT, include_str!("page/panels.js")),
+    ("loads.js", SCRIPT, include_str!("page/loads.js")),
     ("standing.js", SCRIPT, include_str!("page/standing.js")),
     ("tables.js", SCRIPT, include_str!("page/tables.js")),
     ("cell.js", SCRIPT, include_str!("page/cell.js")),

@@ -19,7 +19,7 @@ use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
-    wire::{Breakpoint, Entry, Note, Overview, Standing, TaskState, Told},
+    wire::{Breakpoint, Entry, Load, Note, Overview, Standing, TaskState, Told},
 };
 
 /// Events of each net that are kept for browsers that come later.
@@ -427,6 +427,11 @@ impl Hub {
                 standing: &known.standing,
             });
         }
+    }
+
+    /// How loaded the tasks are. Browsers that come later are not told.
+    pub(crate) fn loaded(&self, at_ns: u64, tasks: &[Load]) {
+        self.tell(&Told::Load { at_ns, tasks });
     }
 
     /// The app has ended.

@@ -7,7 +7,7 @@ use ctos::{
     boot::ChassisState,
     control::{
         Level, LogLine,
-        protocol::{Answer, ChassisView, LogRequest, Request},
+        protocol::{Answer, ChassisView, LogRequest, Request, TaskView},
     },
     task::Context,
 };
@@ -15,7 +15,7 @@ use ctos::{
 use super::{
     hub::Hub,
     lines,
-    wire::{ChassisStanding, Standing},
+    wire::{ChassisStanding, Load, Standing},
 };
 use cli_common::client::{Client, ClientError};
 
@@ -28,18 +28,22 @@ pub(super) const MOST: usize = 100;
 pub(super) async fn follow(cx: &Context, hub: &Arc<Hub>) {
     loop {
         if hub.is_watched()
-            && let Some(standing) = lines::asked(ask).await
+            && let Some((loads, standing)) = lines::asked(ask).await
         {
+            hub.loaded(cx.now().as_nanos(), &loads);
             hub.stands(standing);
         }
         cx.sleep(EVERY).await;
     }
 }
 
-fn ask(client: &mut Client) -> Result<Standing, ClientError> {
-    let chassis = match client.get(Request::Ps {})? {
-        Answer::App(app) => app.chassis.iter().map(ChassisStanding::of).collect(),
-        _ => Vec::new(),
+fn ask(client: &mut Client) -> Result<(Vec<Load>, Standing), ClientError> {
+    let (loads, chassis) = match client.get(Request::Ps {})? {
+        Answer::App(app) => (
+            app.tasks.iter().map(load).collect(),
+            app.chassis.iter().map(ChassisStanding::of).collect(),
+        ),
+        _ => (Vec::new(), Vec::new()),
     };
     let wanted = LogRequest {
         level: Some(Level::Warn),
@@ -49,7 +53,12 @@ fn ask(client: &mut Client) -> Result<Standing, ClientError> {
     let warnings = lines::logs(client, wanted)?;
     let warning = |line: &LogLine| lines::told(line).warning(line.chassis.clone());
     let warnings = warnings.iter().filter_map(warning).collect();
-    Ok(Standing { chassis, warnings })
+    Ok((loads, Standing { chassis, warnings }))
+}
+
+fn load(task: &TaskView) -> Load {
+    let waiting = task.urgent + task.queued + task.senders_waiting;
+    (task.name.clone(), waiting, task.handled, task.busy_s)
 }
 
 impl ChassisStanding {

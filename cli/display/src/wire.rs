@@ -75,6 +75,8 @@ pub(crate) enum Told<'t> {
     Task { task: TaskState },
     /// How the app stands as a whole.
     Standing { standing: &'t Standing },
+    /// How loaded its tasks are at a moment.
+    Load { at_ns: u64, tasks: &'t [Load] },
     /// What became of an order.
     Answer { id: u64, ok: bool, text: String },
     /// What a task shows of the scene, with all that is known of its past: the first step has all parts.
@@ -208,6 +210,9 @@ pub(crate) struct Standing {
     /// The last lines of the log that warn, oldest first.
     pub(crate) warnings: Vec<Warning>,
 }
+
+/// A task: its name, the messages that wait for it, those that it has handled, and how long that took, s.
+pub(crate) type Load = (String, u64, u64, f64);
 
 /// How a chassis is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

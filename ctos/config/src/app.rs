@@ -89,6 +89,8 @@ pub struct RecordConfig {
     pub flush: Duration,
     /// What a processor may have waiting for the disk, bytes; what comes then is dropped and counted.
     pub buffer_bytes: usize,
+    /// Which channels are written, in whose names `*` stands for any characters; none: all.
+    pub channels: Vec<String>,
 }
 
 /// Another host, on which an agent waits for boots.

@@ -118,6 +118,7 @@ pub(super) const TABLES: &[Table] = &[
         "keep": Integer(1, 100_000) = "8", "So many files of a process are kept, older ones are removed.";
         "flush_s": Seconds(3600.0) = "1.0", "At most this much is lost when a process is killed, s.";
         "buffer_mb": Integer(1, 10_000) = "16", "What a processor may have waiting for the disk, MB; what comes then is dropped and counted.";
+        "channels": Texts("[\"/tf/*\"]") = "[]", "The channels that are written, in whose names `*` stands for any characters; none: all.";
     },
     table! { "metrics";
         "listen": Address("127.0.0.1:9464"), "Address on the loopback at which the boot serves /metrics for Prometheus. Default: nowhere.";

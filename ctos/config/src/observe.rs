@@ -23,6 +23,7 @@ impl RecordConfig {
             keep: root.read("record.keep").unwrap_or_default(),
             flush: root.seconds("record.flush_s").unwrap_or_default(),
             buffer_bytes: buffer_mb * 1_000_000,
+            channels: root.read("record.channels").unwrap_or_default(),
         }
     }
 }
@@ -77,6 +78,7 @@ mod tests {
         assert_eq!(record.max_bytes, 256_000_000);
         assert_eq!((record.keep, record.buffer_bytes), (8, 16_000_000));
         assert_eq!(record.flush, std::time::Duration::from_secs(1));
+        assert_eq!(record.channels, Vec::<String>::new());
     }
 
     #[test]

@@ -104,7 +104,8 @@ impl Guest {
         let app = &chassis.app;
         let file = Path::new(&request.folder).join(file_name(&app.name));
         let config = app.record.clone();
-        let config = config.unwrap_or_else(|| RecordConfig::new(file.clone()));
+        let mut config = config.unwrap_or_else(|| RecordConfig::new(file.clone()));
+        config.channels.clone_from(&request.channels);
         let path = suffixed(&file, chassis.name());
         let mut run = run_of(chassis);
         let now = chassis.clock.now().as_nanos();
@@ -112,8 +113,7 @@ impl Guest {
         // Each process has its own disk, where a tool on another host cannot make anything.
         std::fs::create_dir_all(&request.folder)
             .map_err(|error| format!("{}: {error}", request.folder))?;
-        let channels = request.channels.clone();
-        let recorder = begin(chassis, &config, path, run, runtime, channels);
+        let recorder = begin(chassis, &config, path, run, runtime);
         let recorder = recorder.map_err(|error| error.to_string())?;
         for task in &request.names {
             recorder.name(task.tid(), task.name());

@@ -97,7 +97,7 @@ pub fn start(
         let drift = format!("{offset_ns} {rate_ppb}");
         run.insert(format!("{DRIFT}{}", one.index()), drift);
     }
-    let recorder = begin(first, config, path, run, runtime, Vec::new())?;
+    let recorder = begin(first, config, path, run, runtime)?;
     for one in chassis {
         Recorders::record(one, recorder.clone());
     }
@@ -105,19 +105,18 @@ pub fn start(
     Ok(Some(Recording(recorder)))
 }
 
-/// Begins a file at `path` for what happens at `chassis`, of which `channels` are wanted; none: all.
+/// Begins a file at `path` for what happens at `chassis`.
 fn begin(
     chassis: &Chassis,
     config: &RecordConfig,
     path: PathBuf,
     run: BTreeMap<String, String>,
     runtime: &[CommandInfo],
-    channels: Vec<String>,
 ) -> std::io::Result<Arc<Recorder>> {
     let names = Glossary::of(&chassis.app, &chassis.registry(), runtime);
     let place = Place::new(path, config.max_bytes, config.keep);
     let parts = Parts::open(place, run).map_err(std::io::Error::other)?;
-    let writer = Writer::new(names, parts, channels);
+    let writer = Writer::new(names, parts, config.channels.clone());
     // The true time, in which all chassis of a simulated app are noted.
     let clock = chassis.clock.drifting(Drift::default());
     let limit = config.buffer_bytes;

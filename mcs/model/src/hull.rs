@@ -75,6 +75,34 @@ impl Hull {
     pub fn half(&self) -> &Point {
         &self.half
     }
+
+    /// The triangles of its surface by the numbers of their corners, counterclockwise as seen from outside. Where more than
+    /// three corners lie in a plane, triangles overlap there. A form without a volume has none.
+    #[must_use]
+    pub fn triangles(&self) -> Vec<[usize; 3]> {
+        let corners = &self.corners;
+        let flat = 1e-6 * self.radius;
+        let mut all = Vec::new();
+        for (i, a) in corners.iter().enumerate() {
+            for (j, b) in corners.iter().enumerate().skip(i + 1) {
+                for (k, c) in corners.iter().enumerate().skip(j + 1) {
+                    let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else {
+                        continue;
+                    };
+                    let out = corners.iter().map(|corner| normal.dot(&(corner - a)));
+                    let (low, high) = out.fold((0.0, 0.0), |(low, high): (f64, f64), out| {
+                        (low.min(out), high.max(out))
+                    });
+                    match (low < -flat, high > flat) {
+                        (true, false) => all.push([i, j, k]),
+                        (false, true) => all.push([i, k, j]),
+                        _ => {}
+                    }
+                }
+            }
+        }
+        all
+    }
 }
 
 /// The point that is farthest in a direction.
@@ -282,6 +310,38 @@ mod tests {
         assert!(hull.rounding() < FINE);
         assert!((middle - Point::repeat(0.5)).norm() < 1e-12);
         assert!((hull.half() - Point::repeat(0.5)).norm() < 2.0 * FINE);
+    }
+
+    /// By the theorem of divergence, from its surface; triangles that overlap would count twice.
+    fn volume(hull: &Hull) -> f64 {
+        let corner = |at: usize| hull.corners()[at];
+        let all = hull.triangles().into_iter();
+        all.map(|[a, b, c]| corner(a).dot(&corner(b).cross(&corner(c))) / 6.0)
+            .sum()
+    }
+
+    #[test]
+    fn the_triangles_of_a_hull_enclose_its_volume_and_a_flat_one_has_none() {
+        let tetrahedron = [Point::zeros(), Point::x(), Point::y(), Point::z() * 3.0];
+        let (_, hull) = Hull::around(&tetrahedron).unwrap();
+        assert_eq!(hull.triangles().len(), 4);
+        assert!((volume(&hull) - 0.5).abs() < 1e-12);
+        // An octahedron of unit half axes.
+        let axes = [Point::x(), Point::y(), Point::z()];
+        let corners = axes.map(|axis| [axis, -axis]).concat();
+        let (_, hull) = Hull::around(&corners).unwrap();
+        assert_eq!(hull.triangles().len(), 8);
+        assert!((volume(&hull) - 4.0 / 3.0).abs() < 1e-12);
+        let square = [
+            Point::zeros(),
+            Point::x(),
+            Point::y(),
+            Point::x() + Point::y(),
+        ];
+        assert_eq!(
+            Hull::around(&square).unwrap().1.triangles(),
+            Vec::<[usize; 3]>::new()
+        );
     }
 
     #[test]

@@ -291,10 +291,20 @@ fn grown(solid: &model::Solid, margin: f64) -> Solid {
             pose: pose(&at.isometry()),
             half: half.add_scalar(margin).into(),
         },
-        // Viewers know no meshes: the box around it.
-        model::Solid::Hull { at, hull } => Solid::Block {
+        model::Solid::Hull { at, hull } => Solid::Hull {
             pose: pose(&at.isometry()),
-            half: hull.half().add_scalar(margin).into(),
+            corners: {
+                let out = hull.rounding() + margin;
+                let corners = hull.corners().iter();
+                corners
+                    .map(|corner| (corner + corner.cap_magnitude(out)).into())
+                    .collect()
+            },
+            triangles: {
+                let all = hull.triangles().into_iter();
+                // There are few corners.
+                all.map(|one| one.map(|corner| corner as u32)).collect()
+            },
         },
     }
 }

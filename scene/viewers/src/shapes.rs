@@ -2,12 +2,16 @@
 
 use foxglove::messages::{
     ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, LinePrimitive, Point3, Pose,
-    Quaternion, SceneEntity, SpherePrimitive, Vector3, line_primitive,
+    Quaternion, SceneEntity, SpherePrimitive, TriangleListPrimitive, Vector3, line_primitive,
 };
 use scene::Solid;
 
 pub(crate) fn vector([x, y, z]: [f64; 3]) -> Vector3 {
     Vector3 { x, y, z }
+}
+
+fn point(&[x, y, z]: &[f64; 3]) -> Point3 {
+    Point3 { x, y, z }
 }
 
 pub(crate) fn quaternion([x, y, z, w]: [f64; 4]) -> Quaternion {
@@ -83,6 +87,17 @@ pub(crate) fn add(entity: &mut SceneEntity, solid: &Solid, fill: Color) {
         } => entity
             .cylinders
             .push(cylinder(at, *radius, 2.0 * half, fill)),
+        Solid::Hull {
+            pose: at,
+            corners,
+            triangles,
+        } => entity.triangles.push(TriangleListPrimitive {
+            pose: Some(pose(at)),
+            points: corners.iter().map(point).collect(),
+            color: Some(fill),
+            colors: Vec::new(),
+            indices: triangles.concat(),
+        }),
         Solid::Axes(length) => {
             let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
             let colours = [[214, 69, 65], [76, 154, 42], [52, 101, 204]];
@@ -136,7 +151,7 @@ fn pyramid(corners: &[[f64; 3]; 4], fill: Color) -> LinePrimitive {
         pose: Some(pose(&scene::Pose::default())),
         thickness: 1.5,
         scale_invariant: true,
-        points: points.map(|[x, y, z]| Point3 { x, y, z }).collect(),
+        points: points.map(|at| point(&at)).collect(),
         color: Some(fill),
         colors: Vec::new(),
         indices: Vec::new(),
@@ -168,6 +183,24 @@ mod tests {
             }
         }
         assert_eq!(turn_to([0.0, 0.0, 1.0], [0.0; 3]), None);
+    }
+
+    #[test]
+    fn a_convex_body_is_the_list_of_its_triangles() {
+        let corners = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]];
+        let mut entity = SceneEntity::default();
+        let solid = Solid::Hull {
+            pose: scene::Pose::default(),
+            corners,
+            triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        };
+        add(&mut entity, &solid, Color::default());
+        let list = &entity.triangles[0];
+        assert_eq!((list.points.len(), list.indices.len()), (4, 12));
+        let [x, y, z] = [0, 1, 2].map(|at| list.indices[9 + at] as usize);
+        assert_eq!(list.points[x].x, 1.0);
+        assert_eq!(list.points[y].y, 2.0);
+        assert_eq!(list.points[z].z, 3.0);
     }
 
     #[test]

@@ -58,3 +58,24 @@ fn the_overview_shows_how_each_chassis_is_and_the_last_warnings_also_from_the_re
     browser.wait(warned);
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
+
+#[test]
+#[ignore = "needs Chromium"]
+fn what_waits_for_a_task_and_how_long_actions_take_can_be_plotted() {
+    let scratch = scratch();
+    let (_run, page) = boot(&scratch, &[]);
+    let mut browser = Browser::open(&page, SIZE);
+    browser.wait("nets.loads.moments.length > 3");
+    browser.ask("nets.lookAt('mcs')");
+    let link = "[...document.querySelectorAll('#side button.link')].find((one) => one.textContent === 'messages handled a second')";
+    browser.wait(link);
+    browser.ask(&format!("{link}.click()"));
+    browser.ask("nets.plots.toggle('task/mcs/queue')");
+    browser.ask("nets.plots.toggle('duration/dispatcher/move_robot')");
+    // Motions take between a tenth of a second and ten.
+    browser.wait("nets.plots.dataOf(nets.plots.rows.get('duration/dispatcher/move_robot')).points.filter(([, time]) => time > 0.05 && time < 60).length > 2");
+    browser.wait("nets.plots.dataOf(nets.plots.rows.get('task/mcs/rate')).points.some(([, rate]) => rate > 0)");
+    browser.wait("[...document.querySelectorAll('.plot output')].every((one) => one.textContent !== 'not known')");
+    pictures(&mut browser, "plots");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}

@@ -4,6 +4,7 @@ import { Attention } from "./attention.js";
 import { Picture } from "./draw.js";
 import { Fork, fold, linksBetween, sideBySide, subnetsOf } from "./fold.js";
 import { listen } from "./keys.js";
+import { Loads } from "./loads.js";
 import { Minimap } from "./minimap.js";
 import { called, Net, seconds } from "./model.js";
 import { Overview, jobWords } from "./overview.js";
@@ -33,6 +34,7 @@ class App extends Attention {
     /** What is known of tasks, and the names of those of which more can be told. */
     this.tasks = new Map();
     this.appTasks = [];
+    this.loads = new Loads();
     /** How the app stands as a whole. */
     this.standing = { chassis: [], warnings: [] };
     this.shown = null;
@@ -107,6 +109,7 @@ class App extends Attention {
       case "moved": this.overview.moved(message); this.seen(message.step); break;
       case "dark": this.overview.dark(message); this.stale = true; break;
       case "picture": this.overview.picture(message.picture); this.seen(null); break;
+      case "load": this.loads.take(message); this.stale = true; break;
       case "standing": this.standing = message.standing; this.stale = true; break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
       case "answer": this.answered(message); break;

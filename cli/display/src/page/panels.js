@@ -1,7 +1,8 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
 import { called, nodeStanding, seconds } from "./model.js";
-import { placeKey } from "./plots.js";
+import { OF_TASK } from "./loads.js";
+import { durationKey, placeKey, taskKey } from "./plots.js";
 import { standingSection } from "./standing.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
@@ -54,10 +55,7 @@ function placePart(net, node, app) {
   const place = net.view.places[node.kind.place];
   const state = app.stateOf(net);
   const count = state.places[node.kind.place];
-  const key = placeKey(net.name, place.name);
-  const plot = link("plot", () => app.plots.toggle(key));
-  plot.setAttribute("aria-pressed", String(app.plots.has(key)));
-  const facts = [["tokens", net.real ? String(count) : make("span", {}, `${count} `, plot)], ["at the start", String(place.tokens)]];
+  const facts = [["tokens", withPlot(String(count), "plot", placeKey(net.name, place.name), app, net.real)], ["at the start", String(place.tokens)]];
   if (place.capacity !== null) facts.push(["at most", String(place.capacity)]);
   if (place.data !== null) facts.push(["says whether valid", place.data]);
   facts.push(inText(place.at));
@@ -93,7 +91,7 @@ function transitionPart(net, node, app) {
   if (transition.when !== null) facts.push(["when", transition.when]);
   facts.push(["completed", String(ended)]);
   if (failed > 0) facts.push(["failed", String(failed)]);
-  if (sum(state.busy_ns) > 0) facts.push(["on average", seconds(sum(state.busy_ns) / Math.max(1, sum(state.ended) + sum(state.failed)))]);
+  if (sum(state.busy_ns) > 0) facts.push(["on average", withPlot(seconds(sum(state.busy_ns) / Math.max(1, sum(state.ended) + sum(state.failed))), "plot", durationKey(net.name, node.name), app, net.real)]);
   if (transition.within_ms > 0) facts.push(["limit", seconds(transition.within_ms * 1e6)]);
   if (transition.priority > 0) facts.push(["priority", String(transition.priority)]);
   facts.push(inText(transition.at));
@@ -160,6 +158,7 @@ function taskPart(name, app) {
   if (task?.error) facts.push(["state", task.error]);
   else if (task?.now) {
     facts.push(["state", task.now.doing ?? "is idle"], ["messages", `${task.now.handled} handled, ${task.now.failed} failed, ${task.now.queued} waiting`]);
+    if (app.mode === "live") facts.push(["over time", make("span", {}, ...between(Object.entries(OF_TASK).map(([what, [words]]) => plotLink(words, taskKey(name, what), app))))]);
     if (task.now.restarts > 0) facts.push(["restarted", `${task.now.restarts} times`]);
   }
   const row = ({ at_ns, words, more, failed, go }) => make("li", { class: failed ? "failed" : null },
@@ -179,6 +178,16 @@ function taskPart(name, app) {
     by.length > 0 ? make("p", { class: "soft" }, "sent by ", ...between(by.map(({ net, name: node }) => link(app.visibleNets().includes(net) ? node : `${net.name}/${node}`, () => app.goToNode(net, node))))) : null,
     app.nets.has(name) ? link(`Show net ${name}`, () => app.open(name, null)) : null);
 }
+
+/** A button that shows a plot, or takes it away. */
+function plotLink(text, key, app) {
+  const button = link(text, () => app.plots.toggle(key));
+  button.setAttribute("aria-pressed", String(app.plots.has(key)));
+  return button;
+}
+
+/** A fact with its plot; what a person plays through has none. */
+const withPlot = (text, word, key, app, played) => (played ? text : make("span", {}, `${text} `, plotLink(word, key, app)));
 
 /** A place in a file: its folder is told on request. */
 const inText = (at) => ["in the text", at.split("/").at(-1), at];

@@ -2,6 +2,7 @@
 
 import { measure } from "./cell.js";
 import { colours } from "./field.js";
+import { OF_TASK, durations } from "./loads.js";
 import { make } from "./panels.js";
 
 const PLOT_HEIGHT = 54;
@@ -15,6 +16,20 @@ export const numberKey = (source, part, number) => `number/${encoded(source, par
 
 /** What names the tokens of a place. */
 export const placeKey = (net, place) => `tokens/${encoded(net, place)}`;
+
+/** What names a number of a task: `queue`, `rate` or `time`. */
+export const taskKey = (task, what) => `task/${encoded(task, what)}`;
+
+/** What names how long the actions of a node of a net take. */
+export const durationKey = (net, node) => `duration/${encoded(net, node)}`;
+
+/** What a plot is called: `kind` and the names of its key. */
+function titleOf(kind, names) {
+  if (kind === "number") return `${names[1]} · ${names[2]}`;
+  if (kind === "task") return `${names[0]} · ${OF_TASK[names[1]]?.[0] ?? names[1]}`;
+  if (kind === "duration") return `${names[1]} of ${names[0]} · time of an action`;
+  return `${names[1]} of ${names[0]}`;
+}
 
 /** Where a number of a part stands in the parts of a view: the part, and the place in its rows; null when it does not. */
 function cellOf(view, part, number) {
@@ -39,7 +54,7 @@ function pointsOfNumber(track, part, number) {
 }
 
 export class Plots {
-  /** In `host`, for `app`, which has `now`, `window`, `nets`, `overview`, `lanes` and `changed`. */
+  /** In `host`, for `app`, which has `now`, `window`, `nets`, `loads`, `overview`, `lanes` and `changed`. */
   constructor(host, app) {
     [this.host, this.app] = [host, app];
     this.rows = new Map();
@@ -75,7 +90,7 @@ export class Plots {
 
   row(key) {
     const [kind, ...names] = key.split("/").map(decodeURIComponent);
-    const title = kind === "number" ? `${names[1]} · ${names[2]}` : `${names[1]} of ${names[0]}`;
+    const title = titleOf(kind, names);
     const value = make("output", {});
     const canvas = make("canvas", { role: "img" });
     const element = make("div", { class: "plot" },
@@ -99,7 +114,9 @@ export class Plots {
       const unit = track ? cellOf(track.head.view, name, number)?.unit ?? "" : "";
       return { points: track ? pointsOfNumber(track, name, number) : [], written: (value) => measure(value, unit), steps: false };
     }
+    if (kind === "task") return { points: this.app.loads.points(owner, name), written: OF_TASK[name]?.[1] ?? String, steps: true };
     const net = this.app.nets.get(owner);
+    if (kind === "duration") return { points: net ? durations(net, name) : [], written: (value) => measure(value, "s"), steps: true };
     const points = net?.index.places.has(name) ? net.history(name) : [];
     return { points, written: String, steps: true };
   }

@@ -159,7 +159,17 @@ export function surface(solid, coarse = 0) {
     const { pose, half, radius } = solid.cylinder;
     return moved(can, scaled(placed(pose.at, pose.turn), [radius, radius, half]));
   }
+  if (solid.hull) {
+    const { pose, corners, triangles } = solid.hull;
+    return moved(joined(triangles.map((one) => facet(one.map((corner) => corners[corner])))), placed(pose.at, pose.turn));
+  }
   return joined([]);
+}
+
+/** A triangle, each of whose corners has its normal. */
+function facet([a, b, c]) {
+  const normal = unit3(cross(minus(b, a), minus(c, a)));
+  return { corners: [a, b, c].flatMap((corner) => [...corner, ...normal]), order: [0, 1, 2] };
 }
 
 // -- lines ----------------------------------------------------------------------------------
@@ -202,11 +212,32 @@ export function outline(solid) {
     const frame = placed(pose.at, pose.turn);
     return [...circle(frame, radius, -half), ...circle(frame, radius, half), ...sides(frame, radius, -half, half)];
   }
+  if (solid.hull) {
+    const { pose, corners, triangles } = solid.hull;
+    const frame = placed(pose.at, pose.turn);
+    const ends = corners.map((corner) => point4(frame, corner).slice(0, 3));
+    return edgesOf(corners, triangles).flatMap((edge) => edge.map((corner) => ends[corner]));
+  }
   if (solid.frustum) {
     const { corners } = solid.frustum;
     return corners.flatMap((corner, at) => [[0, 0, 0], corner, corner, corners[(at + 1) % 4]]);
   }
   return [];
+}
+
+/** The edges of a convex surface at which it bends: between triangles whose normals differ. */
+function edgesOf(corners, triangles) {
+  const bends = new Map();
+  for (const one of triangles) {
+    const [a, b, c] = one.map((corner) => corners[corner]);
+    const normal = unit3(cross(minus(b, a), minus(c, a)));
+    for (const at of [0, 1, 2]) {
+      const edge = [one[at], one[(at + 1) % 3]].sort((from, to) => from - to);
+      const known = bends.get(edge.join(" ")) ?? { edge, normal, bent: false };
+      bends.set(edge.join(" "), { ...known, bent: known.bent || inner(known.normal, normal) < 1 - 1e-6 });
+    }
+  }
+  return [...bends.values()].filter((one) => one.bent).map((one) => one.edge);
 }
 
 /** A ball around a solid, in the frame of its part: centre and radius, m. */
@@ -217,6 +248,7 @@ export function ballOf(solid) {
   }
   if (solid.block) return [solid.block.pose.at, norm(solid.block.half)];
   if (solid.cylinder) return [solid.cylinder.pose.at, Math.hypot(solid.cylinder.half, solid.cylinder.radius)];
+  if (solid.hull) return [solid.hull.pose.at, Math.max(...solid.hull.corners.map(norm))];
   if (solid.frustum) return [[0, 0, 0], 0.1];
   return null;
 }

@@ -1,0 +1,397 @@
+//! Whole apps: booted in virtual time in this process, or as processes.
+
+use std::{
+    ffi::OsString,
+    fmt::Write as _,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use ctos::{
+    boot::{BootEvent, End, Launcher, Observer, boot, run_chassis, simulate},
+    config::{App, load_texts},
+    message::{Command as _, Message, Replier},
+    record::{Filter, scan_only},
+    registry::Registry,
+    system::AppResult,
+    task::{Context, EventHandler, Handled, Phase},
+    time::{Clock, Instant},
+};
+use futures_util::future::join_all;
+use serde::Deserialize;
+
+use crate::{
+    areas::{Failed, cost},
+    curve::Cost,
+};
+
+/// The first argument of a process that is a chassis.
+pub const CHASSIS: &str = "growth-chassis";
+
+/// So many names are looked up.
+const LOOKED_UP: u64 = 5_000;
+
+/// The tasks of one processor, whose ids have 16 bits.
+const ON_ONE: u64 = 50_000;
+
+/// Long enough for everything.
+const HOUR: Duration = Duration::from_secs(3600);
+
+ctos::command! {
+    /// Is answered at once.
+    pub struct Ask { pub number: u64 } => u64, 1, "ask"
+}
+ctos::command! {
+    /// Is answered when so many have come.
+    pub struct Wait { pub all: u64 } => (), 2, "wait"
+}
+
+/// Answers.
+#[derive(Default)]
+struct Idle {
+    waiting: Vec<Replier<Wait>>,
+}
+
+impl EventHandler for Idle {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Ask::CODE => {
+                let (Ask { number }, reply) = message.open::<Ask>()?;
+                reply.ok(number)
+            }
+            Wait::CODE => {
+                let (Wait { all }, reply) = message.open::<Wait>()?;
+                self.waiting.push(reply);
+                if self.waiting.len() as u64 == all {
+                    for reply in self.waiting.drain(..) {
+                        reply.ok(())?;
+                    }
+                }
+                Ok(())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// What the last task does before the app ends.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Work {
+    /// Nothing.
+    End,
+    /// Looks tasks up by their names.
+    LookUp,
+    /// Calls a task that answers when all have called.
+    CallAtOnce,
+    /// Calls a task, one call after the other.
+    Call,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LastArgs {
+    work: Work,
+    size: u64,
+}
+
+/// Works, and ends the app.
+struct Last(LastArgs);
+
+impl EventHandler for Last {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let (size, clock) = (self.0.size, Clock::real());
+            let begun = clock.now();
+            match self.0.work {
+                Work::End => {}
+                Work::LookUp => {
+                    for at in 0..size.min(LOOKED_UP) {
+                        cx.task(&format!("t{}", at * 7919 % size)).await?;
+                    }
+                }
+                Work::CallAtOnce => {
+                    let to = cx.task("t0").await?;
+                    let calls = (0..size).map(|_| cx.call(&to, Wait { all: size }).deadline(HOUR));
+                    for answer in join_all(calls).await {
+                        answer?;
+                    }
+                }
+                Work::Call => {
+                    let to = cx.task("t0").await?;
+                    for number in 0..size {
+                        cx.call(&to, Ask { number }).await?;
+                    }
+                }
+            }
+            let took_s = clock.now().since(begun).as_secs_f64();
+            let shared = shares();
+            cx.finish(AppResult {
+                ok: true,
+                text: String::new(),
+                json: format!("[{took_s}, {shared}]"),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The memory of all processes of this one's group of brothers and sisters, bytes; what several share counts once.
+fn shares() -> f64 {
+    let status =
+        |pid: &str| std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+    let parent = |pid: &str| {
+        let text = status(pid);
+        let line = text.lines().find_map(|line| line.strip_prefix("PPid:"));
+        line.map(|line| line.trim().to_owned())
+    };
+    let own = parent("self");
+    let all = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = all.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let family =
+        pids.filter(|pid| pid.parse::<u32>().is_ok() && own.is_some() && parent(pid) == own);
+    let share = |pid: String| {
+        let text = std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")).ok()?;
+        let line = text.lines().find_map(|line| line.strip_prefix("Pss:"))?;
+        line.split_whitespace().next()?.parse::<f64>().ok()
+    };
+    family.filter_map(share).sum::<f64>() * 1024.0
+}
+
+fn registry() -> Registry {
+    let mut registry = Registry::new();
+    registry.handler("idle", &[Ask::INFO, Wait::INFO], |_| Ok(Idle::default()));
+    registry.handler("last", &[], |cx| Ok(Last(cx.args()?)));
+    pnt_net::register(&mut registry);
+    registry
+}
+
+/// The tasks of an app, spread over its processors, and the one that ends it.
+fn tasks_text(size: u64, work: &str) -> Result<String, Failed> {
+    let mut text = format!(
+        "[app]\nuntil = \"last\"\n[chassis.a]\nprocessors = {{ p0 = {{}}, p1 = {{}}, last = {{}} }}\n\
+         [task.last]\nhandler = \"last\"\non = \"a/last\"\nargs = {{ work = \"{work}\", size = {size} }}\n"
+    );
+    for at in 0..size {
+        let on = at / ON_ONE;
+        writeln!(text, "[task.t{at}]\nhandler = \"idle\"\non = \"a/p{on}\"")?;
+    }
+    Ok(text)
+}
+
+fn loaded(text: &str, sets: &[String]) -> Result<App, Failed> {
+    let app = load_texts(&[("growth.toml", text)], sets, &[]);
+    Ok(app.map_err(|findings| format!("{:?}", findings.into_sorted()))?)
+}
+
+/// Runs an app in virtual time; what its last task took, s.
+fn simulated(app: App) -> Result<f64, Failed> {
+    let observer: Observer = Arc::new(|_| ());
+    let outcome = simulate(app, registry(), &[], &observer)?;
+    took(&outcome.end).map(|[seconds, _]| seconds)
+}
+
+/// What the last task told: how long it took, s, and the memory of the app, bytes.
+fn took(end: &End) -> Result<[f64; 2], Failed> {
+    match end {
+        End::Finished(result) => Ok(serde_json::from_str(&result.json)?),
+        other => Err(format!("the app ended otherwise: {other:?}").into()),
+    }
+}
+
+/// Reading and checking the file.
+pub fn configuration(size: u64) -> Result<Cost, Failed> {
+    let text = tasks_text(size, "end")?;
+    Ok(cost(|| loaded(&text, &[]))?.0)
+}
+
+/// From what was read to the end of an app that does nothing.
+pub fn tasks(size: u64) -> Result<Cost, Failed> {
+    let app = loaded(&tasks_text(size, "end")?, &[])?;
+    Ok(cost(|| simulated(app))?.0)
+}
+
+/// An app of chassis with one task each.
+fn chassis_text(size: u64) -> Result<String, Failed> {
+    let mut text = String::from(
+        "[app]\nuntil = \"last\"\nphase_timeout_s = 600\n[chassis.c0]\n[task.last]\nhandler = \"last\"\non = \"c0\"\nargs = { work = \"end\", size = 0 }\n",
+    );
+    for at in 1..size {
+        writeln!(
+            text,
+            "[chassis.c{at}]\n[task.t{at}]\nhandler = \"idle\"\non = \"c{at}\""
+        )?;
+    }
+    Ok(text)
+}
+
+/// Chassis in virtual time.
+pub fn chassis(size: u64) -> Result<Cost, Failed> {
+    let app = loaded(&chassis_text(size)?, &[])?;
+    Ok(cost(|| simulated(app))?.0)
+}
+
+/// Chassis as processes, until all of them run; the memory is theirs.
+pub fn processes(size: u64) -> Result<Cost, Failed> {
+    let app = loaded(&chassis_text(size)?, &[])?;
+    let launcher = Launcher {
+        program: std::env::current_exe()?,
+        arguments: [CHASSIS, &size.to_string()].map(OsString::from).to_vec(),
+    };
+    let up = Arc::new(Mutex::new(None));
+    let noted = up.clone();
+    let clock = Clock::real();
+    let begun = clock.now();
+    let observer: Observer = Arc::new(move |event| {
+        // Every task of the app runs.
+        if let BootEvent::PhaseDone {
+            phase: Phase::Run, ..
+        } = event
+        {
+            let seconds = clock.now().since(begun).as_secs_f64();
+            *noted.lock().unwrap_or_else(PoisonError::into_inner) = Some(seconds);
+        }
+    });
+    let outcome = boot(app, registry(), &launcher, &observer)?;
+    let [_, bytes] = took(&outcome.end)?;
+    let seconds = *up.lock().unwrap_or_else(PoisonError::into_inner);
+    Ok(Cost {
+        seconds: seconds.ok_or("it never ran")?,
+        bytes: Some(bytes),
+    })
+}
+
+/// This process is a chassis of [`processes`].
+///
+/// # Errors
+/// It cannot be one.
+pub fn be_chassis(arguments: &[String]) -> Result<(), Failed> {
+    let [size, name, address, origin] = arguments else {
+        return Err("a chassis is started by a boot".into());
+    };
+    let app = loaded(&chassis_text(size.parse()?)?, &[])?;
+    Ok(run_chassis(
+        app,
+        registry(),
+        name,
+        &address.parse()?,
+        origin.parse()?,
+    )?)
+}
+
+/// One look-up of a task by its name.
+pub fn names(size: u64) -> Result<Cost, Failed> {
+    let seconds = simulated(loaded(&tasks_text(size, "look-up")?, &[])?)?;
+    Ok(Cost {
+        seconds: seconds / size.min(LOOKED_UP) as f64,
+        bytes: None,
+    })
+}
+
+/// An app of two tasks, one of which calls the other.
+fn pair(size: u64, work: &str, sets: &[String]) -> Result<App, Failed> {
+    let text = format!(
+        "[app]\nuntil = \"last\"\nphase_timeout_s = 3600\n[chassis.a]\n[task.t0]\nhandler = \"idle\"\non = \"a\"\n\
+         [task.last]\nhandler = \"last\"\non = \"a\"\nargs = {{ work = \"{work}\", size = {size} }}\n"
+    );
+    loaded(&text, sets)
+}
+
+/// Calls that wait for their answers all at once.
+pub fn calls(size: u64) -> Result<Cost, Failed> {
+    let app = pair(size, "call-at-once", &[])?;
+    let (Cost { bytes, .. }, seconds) = cost(|| simulated(app))?;
+    Ok(Cost { seconds, bytes })
+}
+
+/// Tasks that run a net each, of one file.
+pub fn net_tasks(size: u64) -> Result<Cost, Failed> {
+    let folder = tempfile::tempdir()?;
+    let net = "net turn\nplace rest = 1\ncommand go -> gone\ntransition turn\n  in rest\n  tape go\n  out rest\n  write gone\n";
+    std::fs::write(folder.path().join("turn.net"), net)?;
+    let mut text = String::from(
+        "[app]\nuntil = \"last\"\n[chassis.a]\n[task.last]\nhandler = \"last\"\non = \"a\"\nargs = { work = \"end\", size = 0 }\n",
+    );
+    for at in 0..size {
+        writeln!(
+            text,
+            "[task.n{at}]\nhandler = \"pnt.net\"\non = \"a\"\nargs.net = \"turn.net\""
+        )?;
+    }
+    let file = folder.path().join("growth.toml");
+    let app = load_texts(&[(&file.display().to_string(), &text)], &[], &[]);
+    let app = app.map_err(|findings| format!("{:?}", findings.into_sorted()))?;
+    Ok(cost(|| simulated(app))?.0)
+}
+
+/// A record of an app with so many calls, in a folder that ends with it.
+struct Recorded {
+    folder: tempfile::TempDir,
+    cost: Cost,
+}
+
+impl Recorded {
+    fn new(size: u64) -> Result<Self, Failed> {
+        let folder = tempfile::tempdir()?;
+        let sets = [
+            format!("record.file={:?}", folder.path().join("run.mcap")),
+            "record.max_mb=1000000".to_owned(),
+        ];
+        let app = pair(size, "call", &sets)?;
+        let (Cost { seconds, .. }, _) = cost(|| simulated(app))?;
+        let bytes = std::fs::metadata(folder.path().join("run.mcap"))?.len();
+        let cost = Cost {
+            seconds,
+            bytes: Some(bytes as f64),
+        };
+        Ok(Self { folder, cost })
+    }
+
+    fn file(&self) -> PathBuf {
+        self.folder.path().join("run.mcap")
+    }
+}
+
+/// Writing it; the memory is that of the disk.
+pub fn record(size: u64) -> Result<Cost, Failed> {
+    Ok(Recorded::new(size)?.cost)
+}
+
+/// Counting its lines.
+pub fn record_info(size: u64) -> Result<Cost, Failed> {
+    let recorded = Recorded::new(size)?;
+    Ok(cost(|| read(&recorded.file(), &nothing()))?.0)
+}
+
+/// Finding its end, without what is before.
+pub fn record_seek(size: u64) -> Result<Cost, Failed> {
+    let recorded = Recorded::new(size)?;
+    let end = Filter {
+        from: Some(Instant::from_nanos(u64::MAX)),
+        ..Filter::default()
+    };
+    let (Cost { seconds, .. }, _) = cost(|| read(&recorded.file(), &end))?;
+    Ok(Cost {
+        seconds,
+        bytes: None,
+    })
+}
+
+/// What takes no line.
+fn nothing() -> Filter {
+    Filter {
+        to: Some(Instant::from_nanos(0)),
+        ..Filter::default()
+    }
+}
+
+fn read(path: &Path, filter: &Filter) -> Result<u64, Failed> {
+    let mut lines = 0;
+    scan_only(path, filter, |_| lines += 1)?;
+    Ok(lines)
+}

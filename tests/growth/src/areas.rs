@@ -1,0 +1,231 @@
+//! What is measured: one area, at one size, in a process of its own.
+
+use std::error::Error;
+
+use ctos::time::Clock;
+
+use crate::{apps, curve::Cost, parts};
+
+/// Why something could not be measured.
+pub type Failed = Box<dyn Error>;
+
+/// Something whose cost may grow.
+pub struct Area {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// What is measured, in words.
+    pub what: &'static str,
+    /// As [`Curve::whole`](crate::curve::Curve::whole).
+    pub whole: bool,
+    /// The least and the largest size.
+    pub sizes: (u64, u64),
+    /// Measures it.
+    pub measure: fn(u64) -> Result<Cost, Failed>,
+}
+
+/// All areas, in the order of the table.
+pub const AREAS: &[Area] = &[
+    Area {
+        name: "configuration",
+        what: "reading a configuration of tasks",
+        whole: true,
+        sizes: (10, 100_000),
+        measure: apps::configuration,
+    },
+    Area {
+        name: "tasks",
+        what: "booting tasks, virtual time",
+        whole: true,
+        sizes: (10, 100_000),
+        measure: apps::tasks,
+    },
+    Area {
+        name: "chassis",
+        what: "booting chassis, virtual time",
+        whole: true,
+        sizes: (2, 250),
+        measure: apps::chassis,
+    },
+    Area {
+        name: "processes",
+        what: "booting chassis as processes",
+        whole: true,
+        sizes: (2, 64),
+        measure: apps::processes,
+    },
+    Area {
+        name: "names",
+        what: "finding a name among tasks",
+        whole: false,
+        sizes: (10, 60_000),
+        measure: apps::names,
+    },
+    Area {
+        name: "calls",
+        what: "calls in flight",
+        whole: true,
+        sizes: (10, 100_000),
+        measure: apps::calls,
+    },
+    Area {
+        name: "net-check",
+        what: "checking a net of nodes",
+        whole: true,
+        sizes: (10, 10_000),
+        measure: parts::net_check,
+    },
+    Area {
+        name: "net-firing",
+        what: "a firing in a net of nodes",
+        whole: false,
+        sizes: (10, 10_000),
+        measure: parts::net_firing,
+    },
+    Area {
+        name: "net-drawing",
+        what: "drawing a net of nodes",
+        whole: true,
+        sizes: (10, 10_000),
+        measure: parts::net_drawing,
+    },
+    Area {
+        name: "net-tasks",
+        what: "booting tasks that run nets",
+        whole: true,
+        sizes: (10, 3_000),
+        measure: apps::net_tasks,
+    },
+    Area {
+        name: "record",
+        what: "recording messages",
+        whole: true,
+        sizes: (1_000, 3_000_000),
+        measure: apps::record,
+    },
+    Area {
+        name: "record-info",
+        what: "reading a record of messages",
+        whole: true,
+        sizes: (1_000, 3_000_000),
+        measure: apps::record_info,
+    },
+    Area {
+        name: "record-seek",
+        what: "seeking in a record of messages",
+        whole: false,
+        sizes: (1_000, 3_000_000),
+        measure: apps::record_seek,
+    },
+    Area {
+        name: "objects",
+        what: "building service objects",
+        whole: true,
+        sizes: (10, 100_000),
+        measure: parts::objects,
+    },
+    Area {
+        name: "objects-find",
+        what: "finding one of service objects",
+        whole: false,
+        sizes: (10, 100_000),
+        measure: parts::objects_find,
+    },
+    Area {
+        name: "readers",
+        what: "a snapshot read by readers",
+        whole: true,
+        sizes: (1, 1_000),
+        measure: parts::readers,
+    },
+];
+
+/// The area of that name.
+pub fn find(name: &str) -> Option<&'static Area> {
+    AREAS.iter().find(|area| area.name == name)
+}
+
+/// The sizes of an area up to `most`: three in a decade.
+pub fn sizes(area: &Area, most: u64) -> impl Iterator<Item = u64> {
+    let (first, last) = area.sizes;
+    let last = last.min(most);
+    let steps = [1, 2, 5].into_iter();
+    let decades = (0..12).map(|power| 10_u64.pow(power));
+    let between = decades.flat_map(move |decade| steps.clone().map(move |step| step * decade));
+    let inner = between.filter(move |size| first < *size && *size < last);
+    [first]
+        .into_iter()
+        .chain(inner)
+        .chain((last > first).then_some(last))
+}
+
+/// The time that `work` takes, and the memory that it leaves taken.
+///
+/// # Errors
+/// Those of the work.
+pub fn cost<T>(work: impl FnOnce() -> Result<T, Failed>) -> Result<(Cost, T), Failed> {
+    let clock = Clock::real();
+    let (before, begun) = (resident()?, clock.now());
+    let made = work()?;
+    let seconds = clock.now().since(begun).as_secs_f64();
+    let bytes = Some((resident()? - before).max(0.0));
+    Ok((Cost { seconds, bytes }, made))
+}
+
+/// The least time of one of `count` steps, of some rounds, s.
+///
+/// # Errors
+/// Those of the step.
+pub fn step(count: u32, mut one: impl FnMut() -> Result<(), Failed>) -> Result<Cost, Failed> {
+    let clock = Clock::real();
+    let mut least = f64::INFINITY;
+    for _ in 0..5 {
+        let begun = clock.now();
+        for _ in 0..count {
+            one()?;
+        }
+        least = least.min(clock.now().since(begun).as_secs_f64() / f64::from(count));
+    }
+    Ok(Cost {
+        seconds: least,
+        bytes: None,
+    })
+}
+
+/// Bytes that this process has in memory.
+fn resident() -> Result<f64, Failed> {
+    let text = std::fs::read_to_string("/proc/self/status")?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kilobytes = line.and_then(|line| line.split_whitespace().next());
+    Ok(kilobytes
+        .ok_or("no VmRSS in /proc/self/status")?
+        .parse::<f64>()?
+        * 1024.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_rise_from_the_least_to_the_largest_that_is_wanted() {
+        let names = find("names").unwrap();
+        let all: Vec<u64> = sizes(names, 1_000).collect();
+        assert_eq!(all, [10, 20, 50, 100, 200, 500, 1_000]);
+        assert_eq!(sizes(names, u64::MAX).last(), Some(60_000));
+        for area in AREAS {
+            let all: Vec<u64> = sizes(area, u64::MAX).collect();
+            assert!(all.is_sorted_by(|a, b| a < b), "{}", area.name);
+        }
+    }
+
+    #[test]
+    fn every_area_is_measured_at_its_least_sizes() {
+        // Processes are started by the program alone.
+        for area in AREAS.iter().filter(|area| area.name != "processes") {
+            let size = sizes(area, u64::MAX).nth(1).unwrap();
+            let cost = (area.measure)(size);
+            let cost = cost.unwrap_or_else(|error| panic!("{} of {size}: {error}", area.name));
+            assert!(cost.seconds > 0.0, "{}", area.name);
+        }
+    }
+}
