@@ -46,6 +46,9 @@ pub const CARRY_TASK: &str = "mcs.carry";
 
 /// No wrist of an arm of this size stands more, N.
 const MOST: f64 = 500.0;
+/// Where 1 N along the line gives the tips less acceleration, no joint moves them apart, m/s^2.
+const IMMOBILE: f64 = 1e-9;
+
 /// How long it takes until nothing of the position loops presses on the thing, and back, s.
 const EASING: f64 = 0.3;
 
@@ -266,7 +269,10 @@ impl CarryLaw {
             return 0.0;
         };
         let mobility = across(rates, &self.apart) - before;
-        (before + parts) / mobility
+        match mobility > IMMOBILE {
+            true => (before + parts) / mobility,
+            false => 0.0,
+        }
     }
 
     /// What it shares with a task.

@@ -19,6 +19,7 @@ use mcs::{
     joints::Distances,
     model::{Data, DynamicsOptions, Model, built_in, file::Inertias},
     servo::{Servo, ServoCommand, ServoConfig, ServoPort},
+    trajectory::Setpoint,
 };
 
 /// So much heavier the arms are: each law holds them with torques of its own.
@@ -143,6 +144,16 @@ fn law(
     model: &Arc<Model>,
     exchange: &Arc<Exchange>,
 ) -> Box<dyn ControlLaw> {
+    law_that_presses(laws, name, (model, exchange), "")
+}
+
+/// The same; `carry` presses on what is between the tips where that is asked for.
+fn law_that_presses(
+    laws: &LawRegistry,
+    name: &str,
+    (model, exchange): (&Arc<Model>, &Arc<Exchange>),
+    press: &str,
+) -> Box<dyn ControlLaw> {
     let config = ServoConfig::default();
     let (bandwidth_hz, damping) = (8.0, 1.0);
     if name == SPLIT_TORQUE {
@@ -160,7 +171,7 @@ fn law(
     let base = tip.replace('6', "2");
     let args = match name {
         "grip" => "gravity = [0.0, 0.0, -9.81]".to_owned(),
-        "carry" => tips.replace("TIP", tip).replace("BASE", &base),
+        "carry" => tips.replace("TIP", tip).replace("BASE", &base) + press,
         _ => String::new(),
     };
     let args = Node::from_toml(&Source::new("args", args), &mut Findings::new());
@@ -242,5 +253,38 @@ fn between_any_two_registered_laws_no_torque_makes_a_step() {
             from = to;
         }
         assert!(worst.0 < STEP, "{name}: {worst:?} of what the drive can");
+    }
+}
+
+#[test]
+fn no_law_allocates_in_a_tick_also_where_two_tips_press_on_a_thing() {
+    let on_cart = [&CART[..], &ARM].concat();
+    let mut rig = Rig::new("testbed18", &[&on_cart[..], &on_cart].concat());
+    let names: Vec<String> = rig.laws.names().map(str::to_owned).collect();
+    for name in &names {
+        let shared = (&rig.model, &rig.exchange);
+        let mut next = law_that_presses(&rig.laws, name, shared, "\nforce_n = 5.0");
+        let status = rig.port.status();
+        let readings: Vec<SlotReading> = (0..rig.model.dof())
+            .map(|joint| SlotReading {
+                position: status.position[joint],
+                velocity: 0.1,
+            })
+            .collect();
+        let (setpoint, mut out) = (Setpoint::at_rest(status.position), [0.0; 18]);
+        next.reset(&readings);
+        let count = allocation_counter::measure(|| {
+            for _ in 0..3 {
+                next.sense(&[1.0; 12]);
+                next.torques(
+                    &setpoint,
+                    &readings,
+                    ServoConfig::default().period,
+                    &mut out,
+                );
+            }
+        });
+        assert_eq!(count.count_total, 0, "{name}");
+        rig.tick();
     }
 }
