@@ -273,6 +273,10 @@ pub struct Position {
     pub joints: Joints,
     /// `base_t_tool` by forward kinematics of these joints: 4 by 4, row by row, lengths in m.
     pub base_t_tool: [f64; 16],
+    /// Joint positions as commanded, rad or m. Those read back, unless the arm is held or moved: a motion begins here.
+    pub commanded: Joints,
+    /// `base_t_tool` of the joints as commanded.
+    pub base_t_commanded: [f64; 16],
     /// Whether nothing moves and nothing is going to.
     pub at_rest: bool,
 }

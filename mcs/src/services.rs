@@ -16,8 +16,9 @@ mod streaming;
 mod traj;
 mod wspc;
 
-use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
+use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport, Waiting};
 
+use crate::CLIENT;
 use crate::client::MotionError;
 use local::SharedArm;
 use mvpos::MvPos;
@@ -48,7 +49,7 @@ sorma::prototypes! {
             "mend it at file:line:column, which the text begins with";
         NO_INERTIA = 128, Error, "no accelerations follow from the torques",
             "give every link that is moved its mass and inertia, or set -rotor";
-        MEET = 129, Warning, "the pose is singular: postures coincide",
+        MEET = 129, Warning, "the pose is singular: postures coincide, or the tip cannot move some way",
             "go there by joints; a straight line through it needs unlimited joint speeds";
     }
 }
@@ -132,6 +133,31 @@ fn six(floats: &[f64]) -> [f64; 6] {
 /// What keeps the app's arm from doing what was asked, as a report.
 fn in_the_way(error: MotionError) -> Report {
     Report::error(code::MOTION, error.reason)
+}
+
+/// Names the manipulators that there are where an object asked for one that is not.
+async fn known(cx: &Waiting<'_>, client: &str, outcome: Outcome) -> Outcome {
+    let Err(report) = outcome else {
+        return Ok(());
+    };
+    if report.code != sorma::report::code::DAEMON || !cx.is_in_app() {
+        return Err(report);
+    }
+    let there = cx.tasks_of(CLIENT).await?;
+    if there.iter().any(|name| name == client) {
+        return Err(report);
+    }
+    let object = cx.name();
+    let flavor = object.split_once('.').map_or(client, |(_, flavor)| flavor);
+    let meant = |given| sorma::name::suggestion(given, there.iter().map(String::as_str));
+    let hint = Some(meant(flavor)).filter(|hint| !hint.is_empty());
+    let hint = hint.unwrap_or_else(|| meant(client));
+    let text = format!(
+        "`{object}` asks the manipulator `{client}`, and this app has none of that name: it has {}{hint}; a recipe of the \
+         dictionary names one for `{object}`, and so does `{object} CTRL -client NAME`",
+        there.join(", ")
+    );
+    Err(Report::error(report.code, text))
 }
 
 /// Ends a request: what came in must not stay there as if it were an answer.

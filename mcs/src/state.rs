@@ -263,6 +263,98 @@ mod tests {
         }
     }
 
+    /// Each row of figure 7 as the report has it: an event, the only states that it leads out of, and where to.
+    #[test]
+    fn each_event_leads_where_figure_7_says_and_is_refused_with_a_hint_in_every_other_state() {
+        use State::{Active, Cold, Estopped, Motion, Reserved};
+        type Row = (&'static str, Event, &'static [(State, State)]);
+        let rows: [Row; 8] = [
+            ("reserve", Event::Reserve, &[(Cold, Reserved)]),
+            ("unreserve", Event::Unreserve, &[(Reserved, Cold)]),
+            ("power on", Event::PowerOn, &[(Reserved, Active)]),
+            ("power off", Event::PowerOff, &[(Active, Reserved)]),
+            ("release brakes", Event::ReleaseBrakes, &[(Active, Motion)]),
+            ("engage brakes", Event::EngageBrakes, &[(Motion, Active)]),
+            (
+                "emergency stop",
+                Event::EmergencyStop,
+                &[
+                    (Cold, Estopped),
+                    (Reserved, Estopped),
+                    (Active, Estopped),
+                    (Motion, Estopped),
+                    (Estopped, Estopped),
+                ],
+            ),
+            ("reset", Event::Reset, &[(Estopped, Cold)]),
+        ];
+        // How each state is come to, who holds it then, and what its power is.
+        let ways: [(State, &str, &[Event], bool, Power); 5] = [
+            (Cold, "cold", &[], false, Power::Off),
+            (Reserved, "reserved", &[Event::Reserve], true, Power::Off),
+            (
+                Active,
+                "active",
+                &[Event::Reserve, Event::PowerOn],
+                true,
+                Power::Braked,
+            ),
+            (
+                Motion,
+                "motion",
+                &[Event::Reserve, Event::PowerOn, Event::ReleaseBrakes],
+                true,
+                Power::Released,
+            ),
+            (
+                Estopped,
+                "estopped",
+                &[Event::Reserve, Event::EmergencyStop],
+                false,
+                Power::Off,
+            ),
+        ];
+        for (state, called, way, is_held, power) in ways {
+            let mut there = StateManager::new();
+            for event in way {
+                there.apply(*event, "a").unwrap();
+            }
+            assert_eq!((there.state(), state.to_string().as_str()), (state, called));
+            assert_eq!(there.holder(), is_held.then_some("a"), "{called}");
+            assert_eq!(state.power(), power, "{called}");
+            for (word, event, leads) in rows {
+                let at = format!("{word} in {called}");
+                let mut after = there.clone();
+                let found = after.apply(event, "a");
+                match leads.iter().find(|(from, _)| *from == state) {
+                    Some((_, to)) => {
+                        assert_eq!(found, Ok(*to), "{at}");
+                        let holds = !matches!(to, Cold | Estopped);
+                        assert_eq!(after.holder(), holds.then_some("a"), "{at}");
+                    }
+                    None => {
+                        let text = found.unwrap_err().to_string();
+                        let begins = format!("`{word}` is not possible in the {called} state; ");
+                        assert!(
+                            text.starts_with(&begins) && text.len() > begins.len(),
+                            "{text}"
+                        );
+                        assert_eq!(after, there, "{at}");
+                    }
+                }
+                // Of a manipulator that is held, nobody else asks for anything but a stop and a reset.
+                let mut after = there.clone();
+                let by_another = after.apply(event, "b");
+                let anybody = matches!(event, Event::EmergencyStop | Event::Reset);
+                if is_held && !anybody {
+                    let held = "the manipulator is reserved by task `a`";
+                    assert!(by_another.unwrap_err().to_string().ends_with(held), "{at}");
+                    assert_eq!(after, there, "{at}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn power_steps_one_physical_state_at_a_time_but_for_the_emergency_stop() {
         let height = |state: State| state.power() as i32;

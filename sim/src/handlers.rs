@@ -20,7 +20,7 @@ use vss::source::{FrameSource, FrameSources};
 use crate::{
     cell::Cell,
     driver::SimArm,
-    hand,
+    guide, hand,
     port::Port,
     scene_truth,
     source::{CameraArgs, SimCamera, world_task},
@@ -64,6 +64,7 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
     register_world(registry);
     scene_truth::register(registry);
     hand::register(registry);
+    guide::register(registry);
     let arm = drivers.driver(ARM, open_arm);
     arm.slots(count_slots).check(check_arm);
     let camera = sources.source(CAMERA, |cx, name, args| {

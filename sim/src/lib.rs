@@ -5,6 +5,7 @@
 //! source. [`served`] is an arm for a control layer in another process.
 
 pub mod driver;
+pub mod guide;
 pub mod hand;
 pub mod handlers;
 pub mod port;
@@ -17,4 +18,4 @@ mod watched;
 pub mod world_task;
 
 pub use handlers::register;
-pub use sim_world::{camera, cell, scene, shapes, world, wrist};
+pub use sim_world::{camera, cell, hold, scene, shapes, world, wrist};

@@ -5,10 +5,11 @@
 
 use std::{sync::Arc, time::Duration};
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::{
-    cell::{Cell, LaserSpec},
+    cell::{Cell, LaserSpec, Mount},
+    hold::Hold,
     port::{Claim, Port},
     scene::{self, CameraFault, LaserOrder, SceneBeam, SceneState},
     world::{World, WorldError},
@@ -139,6 +140,21 @@ impl Simulation {
     /// Puts an object elsewhere, at rest. False when there is no such object.
     pub fn place(&mut self, name: &str, at: &Isometry3<f64>) -> bool {
         self.world.place(name, at)
+    }
+
+    /// From now on a hand holds a link of an arm.
+    pub fn hold(&mut self, arm: usize, hold: Hold) {
+        self.world.hold(arm, Some(hold));
+    }
+
+    /// From now on no hand holds the arm.
+    pub fn let_go(&mut self, arm: usize) {
+        self.world.hold(arm, None);
+    }
+
+    /// Where a frame of an arm is, m in the world.
+    pub fn place_of(&mut self, mount: Mount) -> Point3<f64> {
+        self.world.link(mount).translation.vector.into()
     }
 
     /// From now on a laser does that. False when there is no such laser in the room.

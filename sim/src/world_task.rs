@@ -10,13 +10,14 @@ use ctos::{
     task::{EventHandler, Handled, HandlerError, Phase},
 };
 use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
-use nalgebra::Isometry3;
-use serde::Deserialize;
+use nalgebra::{Isometry3, Point3};
+use serde::{Deserialize, Serialize};
 use vss::command::{NamedCamera, OrderLaser, TrueCameras};
 
 use crate::{
     camera::truth::CameraTruth,
-    cell::Cell,
+    cell::{Cell, Mount},
+    hold::Hold,
     port::Port,
     scene::{CameraFault, SceneState},
     scenes::SceneWriter,
@@ -72,6 +73,31 @@ ctos::command! {
     } => (), 0x0394, "place_body"
 }
 
+/// A hand that holds a link of an arm by a spring.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct HandThere {
+    /// Where it is, m in the world.
+    pub at: [f64; 3],
+    /// N/m.
+    pub stiffness: f64,
+    /// N s/m.
+    pub damping: f64,
+    /// It pulls no harder, N.
+    pub most_n: f64,
+}
+ctos::command! {
+    /// A person takes hold of a link of an arm, moves the hand that holds it, or lets go. Answers where the link is, m in the world.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct HoldLink {
+        /// The arm; the only one, when none is named.
+        pub arm: Option<String>,
+        /// Name of a frame of its model.
+        pub link: String,
+        /// Where the hand is now; without one it lets go.
+        pub hand: Option<HandThere>,
+    } => [f64; 3], 0x0505, "hold_link"
+}
+
 /// Arguments of the world's task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -104,6 +130,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         TrueCameras::INFO,
         ReadTouch::INFO,
         ReadBodies::INFO,
+        HoldLink::INFO,
     ];
     registry.handler(WORLD, &commands, WorldTask::new)
 }
@@ -173,6 +200,47 @@ impl WorldTask {
             force_n: force.into(),
         });
         touches.collect()
+    }
+
+    /// Has a hand hold a link, or let go of it; where the link is, m.
+    fn hold(&self, request: HoldLink) -> Result<[f64; 3], String> {
+        let arm = self.cell.arm(request.arm.as_deref());
+        let arm = arm.map_err(|finding| finding.message)?;
+        let spec = self.cell.arms.get(arm).ok_or("the cell has no arm")?;
+        let frame = spec
+            .model
+            .frame(&request.link)
+            .ok_or_else(|| format!("arm `{}` has no frame `{}`", spec.name, request.link))?;
+        let mut simulation = self.simulation.borrow_mut();
+        let at = simulation.place_of(Mount { arm, frame });
+        match request.hand {
+            Some(hand) => {
+                let numbers = [hand.stiffness, hand.damping, hand.most_n];
+                if !hand
+                    .at
+                    .iter()
+                    .chain(&numbers)
+                    .all(|number| number.is_finite())
+                {
+                    return Err(format!(
+                        "a number of the hand on `{}` is none",
+                        request.link
+                    ));
+                }
+                simulation.hold(
+                    arm,
+                    Hold {
+                        frame,
+                        hand: Point3::from(hand.at),
+                        stiffness: hand.stiffness,
+                        damping: hand.damping,
+                        most: hand.most_n,
+                    },
+                );
+            }
+            None => simulation.let_go(arm),
+        }
+        Ok(at.coords.into())
     }
 
     /// Where everything is.
@@ -282,6 +350,13 @@ impl EventHandler for WorldTask {
                 match self.cell.arm(arm.as_deref()) {
                     Ok(arm) => reply.ok(self.touches(arm)),
                     Err(finding) => reply.fail(finding.message),
+                }
+            }
+            HoldLink::CODE => {
+                let (request, reply) = message.open::<HoldLink>()?;
+                match self.hold(request) {
+                    Ok(at) => reply.ok(at),
+                    Err(text) => reply.fail(text),
                 }
             }
             ReadBodies::CODE => {

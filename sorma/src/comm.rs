@@ -141,6 +141,12 @@ pub trait Comm {
         false
     }
 
+    /// The names of the app's tasks that have this handler, in order; none without an app.
+    fn tasks_of<'a>(&'a self, handler: &'a str) -> Answer<'a, Vec<String>> {
+        let _ = handler;
+        Box::pin(async { Ok(Vec::new()) })
+    }
+
     /// Asks a task of the app, in the encoding of messages between processes.
     fn call_task<'a>(
         &'a self,

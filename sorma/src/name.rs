@@ -187,7 +187,7 @@ impl fmt::Display for ObjectName {
 }
 
 /// "did you mean" in one sentence, for reports.
-pub(crate) fn suggestion<'a>(given: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+pub fn suggestion<'a>(given: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     // Nothing known is as long as this, and a text of any length must not cost any time.
     const LONGEST: usize = 200;
     if given.len() > LONGEST {

@@ -200,6 +200,11 @@ impl Comm for Relay {
         self.is_in_app
     }
 
+    fn tasks_of<'a>(&'a self, handler: &'a str) -> Answer<'a, Vec<String>> {
+        let handler = handler.to_owned();
+        Box::pin(self.tried(move |comm| Box::pin(async move { comm.tasks_of(&handler).await })))
+    }
+
     fn call_task<'a>(
         &'a self,
         task: &'a str,

@@ -100,6 +100,15 @@ impl<'a> Waiting<'a> {
         Data::Bytes(answer).take::<C::Reply>().map_err(wrong)
     }
 
+    /// The names of the app's tasks that have this handler, in order: who could have been meant where [`Self::call_task`] found
+    /// nobody.
+    ///
+    /// # Errors
+    /// The task that this object is carried by is gone.
+    pub async fn tasks_of(&self, handler: &str) -> Result<Vec<String>, Report> {
+        self.comm.tasks_of(handler).await
+    }
+
     /// Whether there is an app, whose tasks [`Self::call_task`] reaches.
     #[must_use]
     pub fn is_in_app(&self) -> bool {

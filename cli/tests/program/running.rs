@@ -235,6 +235,7 @@ const WAYS: &[(&str, Then)] = &[
         "ctos sim configs/tracker.toml --set task.tracker.args.seconds=5",
         Ends,
     ),
+    ("ctos sim configs/guide.toml", Ends),
 ];
 
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.

@@ -323,6 +323,8 @@ impl<W: World> EventHandler for StandIn<W> {
                 Position {
                     joints: world.joints(),
                     base_t_tool,
+                    commanded: world.joints(),
+                    base_t_commanded: base_t_tool,
                     at_rest: true,
                 }
             }),

@@ -17,7 +17,7 @@ use mcs::driver::{ChannelDriver, DriverError, Power, SlotReading};
 use mcs::guard::{Around, GuardRegistry, GuardSettings, Mounted, Neighbour, Reaction};
 use mcs::model::{JointKind, Model, Placement, Solid, built_in, file::Inertias};
 use mcs::servo::{MotionPhase, Servo, ServoCommand, ServoConfig, ServoPort};
-use mcs::trajectory::{CartesianLimits, Planner, Segment, Setpoint};
+use mcs::trajectory::{CartesianLimits, Path, Planner, Segment, Setpoint};
 use nalgebra::{Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -348,6 +348,7 @@ fn segment(rng: &mut ChaCha8Rng, planner: &mut Planner, start: &Joints) -> Segme
 #[test]
 fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
     let (mut judge, mut stopped, mut arrived) = (Judge::new(), 0, 0);
+    let mut lines = 0;
     let counts = judge.counts(MARGIN);
     for seed in 0..motions() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -358,6 +359,10 @@ fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
             begins.reverse();
         }
         let segments = [0, 1].map(|side| segment(&mut rng, &mut arms[side].planner, &starts[side]));
+        lines += segments
+            .iter()
+            .filter(|segment| is_of_tool(segment))
+            .count();
         // What both can move in all before they are nearer than they may be.
         let (mut room, mut before) = (0.0, starts);
         for tick in 0..20_000 {
@@ -405,6 +410,14 @@ fn two_arms_that_move_at_random_come_to_rest_before_anything_touches() {
     let share = f64::from(stopped) / f64::from(stopped + arrived);
     // Both happen. Of a thousand motions of both arms a guard ends some 6 %.
     assert!((0.02..0.95).contains(&share), "{stopped} of {arrived}");
+    // Of the motions a quarter is to be straight and a quarter an arc. What the arm can do of them is a share of all.
+    let share = lines as f64 / f64::from(stopped + arrived);
+    assert!(share > 0.15, "{lines} lines and arcs");
+}
+
+/// Whether the tool goes straight or on an arc.
+fn is_of_tool(segment: &Segment) -> bool {
+    matches!(segment.path(), Path::Tool(_))
 }
 
 /// Motions of both arms, or of the left one alone, that pass near something, and no wide way off, all by themselves.
@@ -420,11 +433,9 @@ fn pass(seed: &mut u64, both: bool, near: Range<f64>, judge: &mut Judge, counts:
         *seed += 1;
         let mut rng = ChaCha8Rng::seed_from_u64(*seed);
         let starts = starts(&mut rng, judge, counts);
-        let planner = Planner::new(model(), CartesianLimits::default(), 0.018).unwrap();
-        let segments = [(0, true), (1, both)].map(|(side, moves)| {
-            let (goal, speed) = (position(&mut rng), rng.random_range(0.3..1.0));
-            moves.then(|| planner.joint(&starts[side], &goal, speed).unwrap())
-        });
+        let mut planner = Planner::new(model(), CartesianLimits::default(), 0.018).unwrap();
+        let segments = [(0, true), (1, both)]
+            .map(|(side, moves)| moves.then(|| segment(&mut rng, &mut planner, &starts[side])));
         let (mut least, mut solver) = (f64::INFINITY, planner.solver().clone());
         let longest = segments
             .iter()
@@ -474,13 +485,20 @@ fn two_arms_that_pass_one_another_and_all_else_at_80_mm_or_more_are_never_stoppe
     let mut judge = Judge::new();
     // Of what is always about as far away, none passes.
     let counts = judge.counts(0.1);
-    let mut seed = 30_000;
+    let (mut seed, mut lines) = (30_000, 0);
     for _ in 0..motions() / 3 {
         let pass = pass(&mut seed, true, 0.08..0.12, &mut judge, &counts);
+        lines += pass
+            .segments
+            .iter()
+            .flatten()
+            .filter(|segment| is_of_tool(segment))
+            .count();
         let ended = made(pass.segments, arms(&pass.starts));
         let Pass { least, .. } = pass;
         assert_eq!(ended, None, "seed {seed}, {least} m");
     }
+    assert!(lines > 0, "no line and no arc among them");
 }
 
 /// Makes these motions at once, to their ends; what a guard said that ended one.

@@ -2,7 +2,8 @@
 //! them as hard as they shall, and no harder.
 //!
 //! Two arms that hold one thing are a closed chain: what their setpoints are apart too much or too little becomes a force
-//! along the thing, as stiff as the position loops are. Computed torque moves all joints. To it comes the internal force p,
+//! along the thing, as stiff as the position loops are. Computed torque moves all joints. Of its torques those are taken back
+//! that would move the tips apart or together: along the thing only its damping is left. To it comes the internal force p,
 //! with which both tips press towards each other (J_left^T u p - J_right^T u p), and whose rate is w (f - s): s is what the
 //! wrists feel of it, f what it shall be, w the loop's natural frequency. Both wrists together feel no motion of the thing: its
 //! weight and its inertia pull at both alike (T. Yoshikawa and X. Zheng, Int. J. Robotics Research 12(3), 1993; integral force
@@ -45,6 +46,12 @@ pub const CARRY_TASK: &str = "mcs.carry";
 
 /// No wrist of an arm of this size stands more, N.
 const MOST: f64 = 500.0;
+/// Where 1 N along the line gives the tips less acceleration, no joint moves them apart, m/s^2.
+const IMMOBILE: f64 = 1e-9;
+
+/// How long it takes until nothing of the position loops presses on the thing, and back, s.
+const EASING: f64 = 0.3;
+
 /// Tips that are nearer to each other have no line between them, m.
 const NEAR: f64 = 1e-3;
 
@@ -74,7 +81,7 @@ fn most_n() -> f64 {
 }
 
 fn loop_hz() -> f64 {
-    2.0
+    10.0
 }
 
 /// What law and task share. Reading and writing take no lock.
@@ -155,7 +162,15 @@ pub struct CarryLaw {
     most: f64,
     /// Natural frequency of the force loop, rad/s.
     rate: f64,
+    /// How much of what the position loops press is taken back, 0 to 1.
+    eased: f64,
+    /// How the position loops damp, 1/s.
+    damper: f64,
     measured: Vec<f64>,
+    speeds: Vec<f64>,
+    /// How the distance of the tips changes with each joint.
+    apart: Vec<f64>,
+    trial: Vec<f64>,
 }
 
 impl CarryLaw {
@@ -202,9 +217,62 @@ impl CarryLaw {
             added: 0.0,
             most: args.most_n,
             rate: TAU * args.loop_hz,
+            eased: 0.0,
+            damper: 2.0 * settings.damping * TAU * settings.bandwidth_hz,
             measured: vec![0.0; model.dof()],
+            speeds: vec![0.0; model.dof()],
+            apart: vec![0.0; model.dof()],
+            trial: vec![0.0; model.dof()],
             model: Arc::clone(model),
         })
+    }
+
+    /// The force along the thing that takes back what `torques` would do to the distance of the tips, but for its damping, N;
+    /// `apart` is up to date. `tips` are where the tips are, m, `along` is from one to the other.
+    fn pressed_by(
+        &mut self,
+        torques: &[f64],
+        tips: &[Vector3<f64>; 2],
+        along: &Vector3<f64>,
+    ) -> f64 {
+        let (model, data, options) = (&self.model, &mut self.data, DynamicsOptions::WITH_ROTORS);
+        let across = |rates: &[f64], apart: &[f64]| -> f64 {
+            apart
+                .iter()
+                .zip(rates)
+                .map(|(part, rate)| part * rate)
+                .sum()
+        };
+        // What the tips do with no torque more, in turning about one another too, and with that of 1 N along the thing.
+        let mut parts = 0.0;
+        let mut moves = Vector3::zeros();
+        for (tip, sign) in [(0, -1.0), (1, 1.0)] {
+            let bias = model.bias_acceleration(data, &self.measured, &self.speeds, self.tips[tip]);
+            parts += sign * bias.fixed_rows::<3>(0).dot(along);
+            let jacobian = model.jacobian_there(data, self.tips[tip], &tips[tip]);
+            for (column, speed) in jacobian.column_iter().zip(&self.speeds) {
+                moves += column.fixed_rows::<3>(0) * (sign * speed);
+            }
+        }
+        let turning = (moves - along * moves.dot(along)).norm_squared();
+        parts += turning / (tips[1] - tips[0]).norm();
+        parts += self.damper * across(&self.speeds, &self.apart);
+        for ((trial, torque), part) in self.trial.iter_mut().zip(torques).zip(&self.apart) {
+            *trial = torque + part;
+        }
+        let (q, qd) = (&self.measured, &self.speeds);
+        let Ok(rates) = model.forward_dynamics(data, q, qd, torques, options) else {
+            return 0.0;
+        };
+        let before = across(rates, &self.apart);
+        let Ok(rates) = model.forward_dynamics(data, q, qd, &self.trial, options) else {
+            return 0.0;
+        };
+        let mobility = across(rates, &self.apart) - before;
+        match mobility > IMMOBILE {
+            true => (before + parts) / mobility,
+            false => 0.0,
+        }
     }
 
     /// What it shares with a task.
@@ -217,11 +285,12 @@ impl CarryLaw {
 impl ControlLaw for CarryLaw {
     fn reset(&mut self, readings: &[SlotReading]) {
         self.joints.reset(readings);
-        self.added = 0.0;
+        (self.added, self.eased) = (0.0, 0.0);
     }
 
     fn tune(&mut self, bandwidth: f64, damping: f64) {
         self.joints.tune(bandwidth, damping);
+        self.damper = 2.0 * damping * TAU * bandwidth;
     }
 
     fn sense(&mut self, numbers: &[f64]) {
@@ -238,8 +307,9 @@ impl ControlLaw for CarryLaw {
         out: &mut [f64],
     ) {
         self.joints.torques(setpoint, readings, period, out);
-        for (measured, reading) in self.measured.iter_mut().zip(readings) {
-            *measured = reading.position;
+        for (index, reading) in readings.iter().enumerate().take(self.measured.len()) {
+            self.measured[index] = reading.position;
+            self.speeds[index] = reading.velocity;
         }
         let (model, data) = (&self.model, &mut self.data);
         model.forward(data, &self.measured);
@@ -254,19 +324,29 @@ impl ControlLaw for CarryLaw {
         // What is pressed pushes the tips apart.
         let felt = 0.5 * (felt[1] - felt[0]);
         self.carried.felt.store(felt.to_bits(), Ordering::Relaxed);
-        let error = match self.carried.squeeze().wanted_n {
-            Some(wanted) => wanted - felt,
+        let (error, eases) = match self.carried.squeeze().wanted_n {
+            Some(wanted) => (wanted - felt, 1.0),
             // Whoever carries nothing comes back to where the joints shall be.
-            None => -self.added,
+            None => (-self.added, -1.0),
         };
-        let added = self.added + self.rate * error * period.as_secs_f64();
+        let seconds = period.as_secs_f64();
+        let added = self.added + self.rate * error * seconds;
         self.added = added.clamp(-self.most, self.most);
-        for (side, sign) in [(0, 1.0), (1, -1.0)] {
-            let force = along * (sign * self.added);
-            let jacobian = model.jacobian_there(data, self.tips[side], &ends[side]);
-            for (out, column) in out.iter_mut().zip(jacobian.column_iter()) {
-                *out += column.fixed_rows::<3>(0).dot(&force);
+        self.eased = (self.eased + eases * seconds / EASING).clamp(0.0, 1.0);
+        self.apart.fill(0.0);
+        for (tip, sign) in [(0, -1.0), (1, 1.0)] {
+            let jacobian = model.jacobian_there(data, self.tips[tip], &ends[tip]);
+            for (apart, column) in self.apart.iter_mut().zip(jacobian.column_iter()) {
+                *apart += sign * column.fixed_rows::<3>(0).dot(&along);
             }
+        }
+        let taken = match self.eased > 0.0 {
+            true => self.eased * self.pressed_by(out, &ends, &along),
+            false => 0.0,
+        };
+        let force = (self.added + taken).clamp(-self.most, self.most);
+        for (out, apart) in out.iter_mut().zip(&self.apart) {
+            *out -= apart * force;
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::TAU, sync::LazyLock};
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
 
 use super::arm::{NamesArm, Which, described, pedestal};
@@ -23,6 +23,9 @@ const SAME: f64 = 1e-9;
 const SAME_AT_SINGULARITY: f64 = 1e-5;
 /// Sine of joint 5 below which the wrist is singular.
 const WRIST_SINGULAR: f64 = 1e-9;
+/// Smallest singular value of the tip's Jacobian, m and rad together per rad or m, below which the tip cannot move some way. A
+/// search comes to a singular pose within the root of what it takes for reached.
+const TIP_SINGULAR: f64 = 1e-4;
 /// Departure of a rotation from an orthonormal matrix that is taken for a slip and not for rounding.
 const NO_ROTATION: f64 = 1e-3;
 /// Departure above which the rounding is worth a warning.
@@ -289,11 +292,18 @@ impl Kinematics {
                 let solution = found
                     .nearest_within(limits, &near, None)
                     .map_err(|why| outside(&why))?;
+                meeting(found.singular, io);
+                if let Some(what) = wrist(closed, &solution) {
+                    let text = format!("{what}; joint 4 stays where it starts");
+                    io.report(Report::warning(code::SINGULAR, text));
+                }
                 solution.joints.to_vec()
             }
             None => {
                 let found = self.search.solve(&self.model, &goal, &start);
-                found.map_err(|error| unreachable(&error))?.to_vec()
+                let found = found.map_err(|error| unreachable(&error))?.to_vec();
+                self.stuck(&found, io);
+                found
             }
         };
         io.floats = solution;
@@ -323,13 +333,12 @@ impl Kinematics {
             };
             return Err(outside(&why));
         }
-        let singular =
-            |posture: &&&IkSolution| closed.wrist(&posture.joints).0.abs() < WRIST_SINGULAR;
-        if let Some(posture) = postures.iter().find(singular) {
-            self.singular(closed, posture, io)?;
-        }
         let coincide = found.singular.elbow || found.singular.shoulder;
         meeting(found.singular, io);
+        let mut wrists = postures.iter().filter_map(|posture| wrist(closed, posture));
+        if let Some(what) = wrists.next() {
+            self.singular(&what, io)?;
+        }
         let same = if coincide { SAME_AT_SINGULARITY } else { SAME };
         let mut solutions: Vec<Joints> = Vec::new();
         for turned in postures
@@ -352,19 +361,39 @@ impl Kinematics {
         Ok(())
     }
 
-    /// At a singular wrist: refused, or with a warning answered.
-    fn singular(&self, closed: &ClosedForm, posture: &IkSolution, io: &mut Transport) -> Outcome {
-        let [.., q4, q5, q6] = posture.joints;
-        let straight = closed.wrist(&posture.joints).1 > 0.0;
-        let (sign, only) = if straight == closed.wrist_turns_alike() {
-            ("+", q4 + q6)
-        } else {
-            ("-", q4 - q6)
+    /// Warns where the tip cannot move some way, of an arm whose postures no closed form knows.
+    fn stuck(&mut self, q: &[f64], io: &mut Transport) {
+        let chain = self.model.chain(self.tip);
+        let jacobian = self.model.jacobian(&mut self.data, q, self.tip);
+        let mut square = Matrix6::zeros();
+        for &index in &chain {
+            let column = jacobian.fixed_view::<6, 1>(0, index).into_owned();
+            square += column * column.transpose();
+        }
+        let found = square.symmetric_eigen();
+        let least = found.eigenvalues.imin();
+        let value = found.eigenvalues[least].max(0.0).sqrt();
+        // Fewer than six joints never move a tip every way.
+        if chain.len() < 6 || value > TIP_SINGULAR {
+            return;
+        }
+        let way = found.eigenvectors.column(least);
+        let (along, about) = (way.fixed_rows::<3>(0), way.fixed_rows::<3>(3));
+        let (what, [x, y, z]) = match along.norm() > about.norm() {
+            true => ("move along", [along[0], along[1], along[2]]),
+            false => ("turn about", [about[0], about[1], about[2]]),
         };
-        let what = format!(
-            "singular: with joint 5 at {q5:?} rad the axes of joints 4 and 6 are one, and only \
-             q4 {sign} q6 = {only:?} rad is determined"
-        );
+        io.report(Report::warning(
+            code::MEET,
+            format!(
+                "singular: with these joint positions the tip cannot {what} {x:.3} {y:.3} {z:.3} of the base frame; the smallest \
+                 singular value of its Jacobian is {value:.1e}"
+            ),
+        ));
+    }
+
+    /// At a singular wrist: refused, or with a warning answered.
+    fn singular(&self, what: &str, io: &mut Transport) -> Outcome {
         if self.options.singular == "near" {
             io.report(Report::warning(
                 code::SINGULAR,
@@ -401,6 +430,24 @@ impl Kinematics {
         }
         all
     }
+}
+
+/// What a singular wrist leaves undetermined; nothing where the wrist is not singular.
+fn wrist(closed: &ClosedForm, posture: &IkSolution) -> Option<String> {
+    let [.., q4, q5, q6] = posture.joints;
+    let (sine, cosine) = closed.wrist(&posture.joints);
+    if sine.abs() >= WRIST_SINGULAR {
+        return None;
+    }
+    let (sign, only) = if (cosine > 0.0) == closed.wrist_turns_alike() {
+        ("+", q4 + q6)
+    } else {
+        ("-", q4 - q6)
+    };
+    Some(format!(
+        "singular: the wrist, where with joint 5 at {q5:?} rad the axes of joints 4 and 6 are one, and only q4 {sign} q6 = {only:?} rad is \
+         determined"
+    ))
 }
 
 /// Warns of a pose in which the arm cannot move one way although each of its postures there is determined.

@@ -12,7 +12,7 @@ use sorma::{
 use super::kinematics;
 use super::local::{SharedArm, rows, target};
 use super::wspc::guard_name;
-use super::{code, ended, in_the_way, six, streaming};
+use super::{code, ended, in_the_way, known, six, streaming};
 use crate::client::{
     Acquire, Move, MoveReport, PathKind, Plan, PlanReport, Position, ReadPosition, Release, Status,
     StreamKind, StreamSetpoints,
@@ -44,7 +44,7 @@ const FORMS: &[Form] = &[
         takes: "how far each joint turns or slides, rad or m",
         gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
-        help: "moves the joints on from where they are",
+        help: "moves the joints on: while the arm is held, from where they shall be, and after its power was off, from where they are",
     },
     Form {
         text: "along",
@@ -76,7 +76,7 @@ const FORMS: &[Form] = &[
         takes: "dx dy dz, m, and roll pitch yaw about the base's axes, rad",
         gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
-        help: "moves the tool on from where it is, and turns it about itself, both along the base's axes",
+        help: "moves the tool on, from where by does, and turns it about itself, both along the base's axes",
     },
     Form {
         text: "relative",
@@ -84,7 +84,7 @@ const FORMS: &[Form] = &[
         takes: "tool_T_goal, row by row, m",
         gives: "n + 1 floats, as joints",
         results: "q1 q2 q3 q4 q5 q6: rad; took: s",
-        help: "moves the tool on from where it is, along its own axes, by a transformation matrix",
+        help: "moves the tool on, from where by does, along its own axes, by a transformation matrix",
     },
     Form {
         text: "arc",
@@ -519,17 +519,17 @@ impl MvPos {
             }
             "relative" => {
                 let by = kinematics::pose(io)?;
-                let (_, now) = self.position(cx).await?;
+                let (_, now) = self.commanded(cx).await?;
                 Goal::Pose(now * by)
             }
             "by" => {
-                let (now, _) = self.position(cx).await?;
+                let (now, _) = self.commanded(cx).await?;
                 let by = positions(&io.floats)?;
                 let pairs = |index: usize| now[index] + by.get(index).copied().unwrap_or_default();
                 Goal::Joints(Joints::from_fn(now.len(), pairs))
             }
             "shift" => {
-                let (_, now) = self.position(cx).await?;
+                let (_, now) = self.commanded(cx).await?;
                 let by = place(&given);
                 Goal::Pose(Isometry3::from_parts(
                     Translation3::from(now.translation.vector + by.translation.vector),
@@ -565,6 +565,21 @@ impl MvPos {
         } = cx.call_task(client, ReadPosition {}, DEADLINE).await?;
         let mut pose = Transport::floats(base_t_tool);
         Ok((joints, kinematics::pose(&mut pose)?))
+    }
+
+    /// Where the arm shall be, from which a motion goes on: what it is off by is in no sum of such motions.
+    async fn commanded(&self, cx: &Waiting<'_>) -> Result<(Joints, Isometry3<f64>), Report> {
+        if !cx.is_in_app() {
+            return self.position(cx).await;
+        }
+        let client = &self.options.client;
+        let Position {
+            commanded,
+            base_t_commanded,
+            ..
+        } = cx.call_task(client, ReadPosition {}, DEADLINE).await?;
+        let mut pose = Transport::floats(base_t_commanded);
+        Ok((commanded, kinematics::pose(&mut pose)?))
     }
 
     /// Moves the arm of this process.
@@ -741,7 +756,8 @@ impl ServiceObject for MvPos {
             let text = answer
                 .as_ref()
                 .map_or_else(|_| String::new(), String::clone);
-            let outcome = ended(io, answer.map(drop));
+            let outcome = known(cx, &self.options.client, answer.map(drop)).await;
+            let outcome = ended(io, outcome);
             io.text = text;
             outcome
         }))

@@ -6,9 +6,9 @@ use std::{sync::LazyLock, time::Duration};
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, ServiceObject, Transport, Waiting};
 
-use super::ended;
 use super::local::SharedArm;
 use super::mvpos::answer;
+use super::{ended, known};
 use crate::client::{
     ControlledStop, EmergencyStop, ReadControl, ReadPosition, ReadSensors, RecordStates, Reset,
     Resume, SetControl, SetLaw, SetOutput, Status, Stop,
@@ -322,7 +322,10 @@ impl ServiceObject for Pino {
                 io.floats.clear();
             }
             let outcome = match cx.is_in_app() {
-                true => self.in_app((form, named), cx, io).await,
+                true => {
+                    let outcome = self.in_app((form, named), cx, io).await;
+                    known(cx, &self.options.client, outcome).await
+                }
                 false => self.here(form, io),
             };
             if outcome.is_err() {

@@ -6,8 +6,8 @@ use std::{sync::LazyLock, time::Duration};
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, ServiceObject, Transport, Waiting};
 
-use super::ended;
 use super::local::SharedArm;
+use super::{ended, known};
 use crate::client::ReadSlots;
 
 /// It is answered at once.
@@ -110,7 +110,8 @@ impl ServiceObject for Slots {
         io: &'a mut Transport,
     ) -> Option<LocalBoxFuture<'a, Outcome>> {
         Some(Box::pin(async move {
-            match self.job(cx, io).await {
+            let outcome = self.job(cx, io).await;
+            match known(cx, &self.options.client, outcome).await {
                 Ok(()) => Ok(()),
                 wrong => ended(io, wrong),
             }

@@ -6,7 +6,7 @@ use std::{sync::LazyLock, time::Duration};
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
-use super::{code, ended, in_the_way};
+use super::{code, ended, in_the_way, known};
 use crate::client::{
     Acquire, Cancel, ReadStream, Release, Status, StreamKind, StreamReport, StreamSetpoints,
     StreamValue,
@@ -317,6 +317,7 @@ impl ServiceObject for Streaming {
             };
             io.text.clear();
             let outcome = self.job(form, cx, io).await;
+            let outcome = known(cx, &self.options.client, outcome).await;
             if outcome.is_err() {
                 return ended(io, outcome);
             }

@@ -180,7 +180,10 @@ fn a_pose_that_the_arm_cannot_take_is_refused_by_name() {
     // Straight above the zero position the wrist is singular.
     let (code, text) = refused(&sorm, &pose(0.4521, -0.15005, 1.10363));
     assert_eq!(code, code::SINGULAR);
-    assert!(text.starts_with("singular: with joint 5 at"), "{text}");
+    assert!(
+        text.starts_with("singular: the wrist, where with joint 5 at"),
+        "{text}"
+    );
     assert!(
         ask(
             &sorm,
@@ -206,58 +209,114 @@ fn a_pose_that_the_arm_cannot_take_is_refused_by_name() {
     assert_eq!(ask(&sorm, &pose(0.7, 0.0, 0.2)).ints, [8]);
 }
 
+/// The answer to `ikine` for the pose of these joints, from `start` where there is one.
+fn inverse_of(sorm: &Sorm, kin: &str, q: &[f64], start: &[f64]) -> Transport {
+    let mut pose = floats(sorm, &format!("{kin} EXEC fkine"), q);
+    pose.extend(start);
+    compute(sorm, &format!("{kin} EXEC ikine"), &pose)
+}
+
+/// What an answer says besides.
+fn said(reply: &Transport) -> Vec<(i32, &str)> {
+    let reports = reply.reports.iter();
+    let reports = reports.map(|report| (report.code, report.text.as_str()));
+    reports.collect()
+}
+
 #[test]
 fn a_stretched_elbow_and_a_shoulder_over_its_axis_are_named_beside_their_solutions() {
     let sorm = manager();
-    let inverse = |q: [f64; 6]| {
-        let [a, b, c, d, e, f] = q;
-        let there = ask(
-            &sorm,
-            &format!("kin.puma560 EXEC fkine FMSG 6 {a:?} {b:?} {c:?} {d:?} {e:?} {f:?}"),
-        );
-        let pose: Vec<String> = there
-            .floats
-            .iter()
-            .map(|number| format!("{number:?}"))
-            .collect();
-        ask(
-            &sorm,
-            &format!("kin.puma560 EXEC ikine FMSG 16 {}", pose.join(" ")),
-        )
-    };
     // The elbow is straight where the forearm, a3 and d4, is in line with the upper arm.
     let straight = -(0.4318_f64).atan2(0.0203);
     // The wrist is over the shoulder where a2 cos q2 + a3 cos (q2 + q3) - d4 sin (q2 + q3) = 0.
     let (q2, a2, a3, d4) = (1.0_f64, 0.4318_f64, 0.0203_f64, 0.4318_f64);
     let over = (a2 * q2.cos() / a3.hypot(d4)).asin() + a3.atan2(d4) - q2;
-    let sound = inverse([0.3, 0.4, -2.5, 0.2, 0.6, 1.0]);
-    assert!(
-        sound.is_ok() && sound.reports.is_empty(),
-        "{:?}",
-        sound.reports
-    );
+    let sound = [0.3, 0.4, -2.5, 0.2, 0.6, 1.0];
+    for start in [&[][..], &sound] {
+        let found = inverse_of(&sorm, "kin.puma560", &sound, start);
+        assert!(
+            found.is_ok() && found.reports.is_empty(),
+            "{:?}",
+            found.reports
+        );
+    }
     for (q, name) in [
         ([0.2, 0.5, straight, 0.0, 0.3, 0.0], "singular elbow: "),
         ([0.2, q2, over, 0.4, 0.6, 0.1], "singular shoulder: "),
     ] {
-        let found = inverse(q);
-        let said = found
-            .reports
-            .iter()
-            .map(|report| (report.code, report.text.as_str()));
-        let said: Vec<_> = said.collect();
-        assert!(found.is_ok(), "{said:?}");
-        let [(code::MEET, text)] = said[..] else {
-            panic!("{name}: {said:?}")
-        };
-        assert!(text.starts_with(name), "{text}");
-        let near = |joints: &[f64]| joints.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-6);
-        assert!(
-            found.floats.chunks(6).any(near),
-            "{name}: {:?}",
-            found.floats
-        );
+        for start in [&[][..], &q] {
+            let found = inverse_of(&sorm, "kin.puma560", &q, start);
+            let said = said(&found);
+            assert!(found.is_ok(), "{said:?}");
+            let [(code::MEET, text)] = said[..] else {
+                panic!("{name}: {said:?}")
+            };
+            assert!(text.starts_with(name), "{text}");
+            let near = |joints: &[f64]| joints.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-6);
+            assert!(
+                found.floats.chunks(6).any(near),
+                "{name}: {:?}",
+                found.floats
+            );
+        }
     }
+}
+
+#[test]
+fn all_singularities_of_a_pose_are_named_and_a_start_says_where_joint_four_stays() {
+    let sorm = manager();
+    let straight = -(0.4318_f64).atan2(0.0203);
+    let wrist = [0.2, 0.5, -2.5, 0.4, 0.0, 0.1];
+    let found = inverse_of(&sorm, "kin.puma560", &wrist, &wrist);
+    near(&found.floats, &wrist, 1e-7);
+    let [(code::SINGULAR, text)] = said(&found)[..] else {
+        panic!("{:?}", found.reports)
+    };
+    assert!(
+        text.starts_with("singular: the wrist, where with joint 5 at"),
+        "{text}"
+    );
+    assert!(text.ends_with("joint 4 stays where it starts"), "{text}");
+    // An elbow as straight as the wrist: both are told, where the wrist's is an error, too.
+    let both = [0.2, 0.5, straight, 0.4, 0.0, 0.1];
+    for start in [&[][..], &both] {
+        let found = inverse_of(&sorm, "kin.puma560", &both, start);
+        assert_eq!(found.is_ok(), !start.is_empty());
+        let codes: Vec<i32> = said(&found).iter().map(|(code, _)| *code).collect();
+        assert_eq!(codes, [code::MEET, code::SINGULAR]);
+    }
+}
+
+#[test]
+fn an_arm_that_is_searched_for_says_which_way_its_tip_cannot_move() {
+    let sorm = manager();
+    let sound = [0.2, 0.1, -0.1, 0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
+    let found = inverse_of(&sorm, "kin.testbed9", &sound, &sound);
+    assert!(
+        found.is_ok() && found.reports.is_empty(),
+        "{:?}",
+        found.reports
+    );
+    // The cart and the first three joints alone: upright and straight on, no axis of them is along the cart's heading.
+    assert!(ask(&sorm, "kin CTRL -arm testbed9 -tip arm.link3").is_ok());
+    let q = [0.2, 0.3, 0.0, 0.0, 0.8, -2.6, 0.2, 0.7, 0.1];
+    let found = inverse_of(&sorm, "kin", &q, &q);
+    near(&found.floats, &q, 1e-7);
+    let [(code::MEET, text)] = said(&found)[..] else {
+        panic!("{:?}", found.reports)
+    };
+    assert!(
+        text.starts_with("singular: with these joint positions the tip cannot turn about "),
+        "{text}"
+    );
+    let words = text.split("about ").nth(1).unwrap().split(' ');
+    let way: Vec<f64> = words.take(3).map(|word| word.parse().unwrap()).collect();
+    let aside = way[0] * 0.3_f64.sin() - way[1] * 0.3_f64.cos();
+    assert!(aside.abs() < 1e-2 && way[2].abs() < 1e-2, "{text}");
+    assert!(
+        text.contains("the smallest singular value of its Jacobian is "),
+        "{text}"
+    );
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::time::Duration;
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
-use super::{code, ended};
+use super::{code, ended, known};
 use crate::client::{GuardsReport, ReadGuards, RemoveGuard, SetGuard};
 use crate::guard::Reaction;
 
@@ -299,6 +299,17 @@ impl Wspc {
         };
         let client = &client.to_owned();
         io.text.clear();
+        let outcome = self.asked(form, client, cx, io).await;
+        known(cx, client, outcome).await
+    }
+
+    async fn asked(
+        &self,
+        form: &str,
+        client: &str,
+        cx: &Waiting<'_>,
+        io: &mut Transport,
+    ) -> Outcome {
         let name = guard_name(cx.name()).to_owned();
         match form {
             "list" => {

@@ -230,6 +230,8 @@ impl EventHandler for ClientTask {
                 reply.ok(Position {
                     joints: servo.status.position,
                     base_t_tool: servo.base_t_tool,
+                    commanded: servo.status.setpoint,
+                    base_t_commanded: servo.base_t_commanded,
                     at_rest: servo.status.at_rest,
                 })
             }

@@ -42,6 +42,8 @@ pub struct ServoReport {
     pub fault: Option<String>,
     /// `base_t_tool` at the joint positions read back: 4 by 4, row by row, lengths in m.
     pub base_t_tool: [f64; 16],
+    /// The same at the setpoint.
+    pub base_t_commanded: [f64; 16],
 }
 
 /// Orders that anybody may give.
@@ -352,6 +354,7 @@ impl ServoTask {
             status,
             fault: self.link.fault(),
             base_t_tool: rows(&self.planner.tool_pose(&status.position)),
+            base_t_commanded: rows(&self.planner.tool_pose(&status.setpoint)),
         }
     }
 

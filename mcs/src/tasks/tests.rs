@@ -1,5 +1,6 @@
 //! MCS as an app, in virtual time, with an arm that obeys the equations of motion.
 
+mod asking;
 mod drawn;
 mod guards;
 mod laws;
@@ -157,6 +158,7 @@ fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
     registry.handler("test.user", &[], move |_| {
         Ok(User(script, Arc::clone(&knobs)))
     });
+    stops::register_unplug(&mut registry);
     registry.function::<Try, _, _>("test.bystander", |cx, Try {}| async move {
         let client = cx.task("mcs").await?;
         refusal(&cx, &client, Acquire {}).await

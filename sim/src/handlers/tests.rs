@@ -1,5 +1,6 @@
 mod bar;
 mod grasp;
+mod guide;
 mod hand;
 mod two_arms;
 

@@ -62,6 +62,8 @@ pub struct Arm {
     data: Data,
     friction: bool,
     torques: Vec<f64>,
+    /// What pulls at its links, N m or N.
+    pulled: Vec<f64>,
     braked: Vec<bool>,
     /// At the beginning of the step.
     now: Motion,
@@ -86,6 +88,7 @@ impl Arm {
             data: model.data(),
             friction,
             torques: zero.clone(),
+            pulled: zero.clone(),
             braked: vec![true; model.dof()],
             smooth: now.clone(),
             next: now.clone(),
@@ -118,6 +121,11 @@ impl Arm {
             *braked = torque.is_none();
             *own = torque.unwrap_or(0.0);
         }
+    }
+
+    /// What pulls at its links until it is told otherwise, as a torque or a force of each joint (N m or N).
+    pub fn pull(&mut self, pulled: Vec<f64>) {
+        self.pulled = pulled;
     }
 
     /// Whether all brakes hold: nothing moves the arm then.
@@ -278,13 +286,17 @@ impl Arm {
     fn accelerate(&mut self, stage: usize) -> Result<(), Lost> {
         let joints = self.model.joints().iter().zip(&self.torques);
         let state = joints.zip(self.braked.iter().zip(&self.trial.v));
-        for (drive, ((joint, torque), (braked, speed))) in self.drive.iter_mut().zip(state) {
+        let state = state.zip(&self.pulled);
+        for (drive, (((joint, torque), (braked, speed)), pulled)) in
+            self.drive.iter_mut().zip(state)
+        {
             let most = joint.limits.torque;
             *drive = if *braked {
                 0.0
             } else {
                 torque.clamp(-most, most)
             };
+            *drive += pulled;
             if self.friction {
                 let gear = joint.motor.gear_ratio;
                 *drive -= gear * gear * joint.motor.friction.viscous * speed;

@@ -7,6 +7,7 @@ mod arm;
 pub mod camera;
 pub mod cell;
 mod engine;
+pub mod hold;
 pub mod scene;
 pub mod world;
 pub mod wrist;

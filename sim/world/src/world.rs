@@ -29,6 +29,7 @@ use crate::{
     arm::{Arm, Lost, Touch},
     cell::{Cell, Mount, Origin},
     engine::{self, isometry, ours, pose, vector},
+    hold::Hold,
     scene::SceneState,
     shapes::Shape,
     wrist::{Load, Wrench},
@@ -142,6 +143,8 @@ pub struct World {
     links: Vec<Link>,
     objects: Vec<RigidBodyHandle>,
     sensing: Vec<Sensing>,
+    /// The hand that holds each arm.
+    holds: Vec<Option<Hold>>,
     elapsed: Duration,
     /// How much of it the last period was.
     lasted: Duration,
@@ -180,6 +183,7 @@ impl World {
             physics,
             links: Vec::new(),
             objects: Vec::new(),
+            holds: vec![None; cell.arms.len()],
             sensing: vec![
                 Sensing {
                     momentum: NOTHING,
@@ -242,6 +246,14 @@ impl World {
         Ok(())
     }
 
+    /// From now on a hand holds a link of an arm, or none does.
+    pub fn hold(&mut self, arm: usize, hold: Option<Hold>) {
+        if let (Some(own), Some(arm)) = (self.holds.get_mut(arm), self.arms.get_mut(arm)) {
+            *own = hold;
+            arm.pull(vec![0.0; arm.model().dof()]);
+        }
+    }
+
     /// Goes on by `period`.
     ///
     /// # Errors
@@ -253,7 +265,8 @@ impl World {
             link.pressed = Vector3::zeros();
         }
         // Held arms among still things are a world that stands still.
-        let still = self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
+        let holds = self.holds.iter().any(Option::is_some);
+        let still = !holds && self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
         let seconds = period.as_secs_f64();
         for sensing in &mut self.sensing {
             (sensing.sum, sensing.steps) = ([0.0; 6], 0);
@@ -352,6 +365,7 @@ impl World {
 
     fn step(&mut self, h: f64) -> Result<(), WorldError> {
         let expected = self.expect(h);
+        let mut blows = self.pull(h);
         for (index, arm) in self.arms.iter_mut().enumerate() {
             let expected = expected.get(index).and_then(Option::as_ref);
             if arm.predict(h, expected).is_err() {
@@ -366,7 +380,6 @@ impl World {
         parameters.num_internal_stabilization_iterations = sweeps;
         parameters.dt = h;
         self.physics.step();
-        let mut blows = Vec::new();
         for (index, expected) in expected.iter().enumerate() {
             if self.feel(index, h, expected.is_some(), &mut blows).is_err() {
                 return Err(self.lost(index));
@@ -464,6 +477,34 @@ impl World {
         WorldError::Arm {
             arm: arm.map_or_else(String::new, |arm| arm.name.clone()),
         }
+    }
+
+    /// What the hands that hold links do to them in a step.
+    fn pull(&mut self, h: f64) -> Vec<Blow> {
+        let mut blows = Vec::new();
+        for (index, hold) in self.holds.iter().enumerate() {
+            let Some(hold) = hold else { continue };
+            let mount = Mount {
+                arm: index,
+                frame: hold.frame,
+            };
+            let at = Point3::from(
+                link_pose(&self.cell, &mut self.arms, mount)
+                    .translation
+                    .vector,
+            );
+            let Some(arm) = self.arms.get_mut(index) else {
+                continue;
+            };
+            let [speed, _] = arm.velocity(hold.frame, &at);
+            let force = hold.force(&at, &speed);
+            let mut pulled = vec![0.0; arm.model().dof()];
+            arm.at_joints(hold.frame, &at, [force, Vector3::zeros()], &mut pulled);
+            arm.pull(pulled);
+            let impulse = [force * h, Vector3::zeros()];
+            blows.push(Blow { mount, at, impulse });
+        }
+        blows
     }
 
     /// What each arm is expected to feel in a step: what its links are.

@@ -313,6 +313,14 @@ impl Comm for Tasks {
         true
     }
 
+    fn tasks_of<'a>(&'a self, handler: &'a str) -> Answer<'a, Vec<String>> {
+        let tasks = self.cx.app().tasks.iter();
+        let named = tasks.filter(|task| task.handler == handler);
+        let mut names: Vec<String> = named.map(|task| task.name.clone()).collect();
+        names.sort();
+        Box::pin(std::future::ready(Ok(names)))
+    }
+
     fn call_task<'a>(
         &'a self,
         task: &'a str,

@@ -220,6 +220,8 @@ impl EventHandler for Mcs {
                         Ok(Position {
                             joints: Joints::zeros(6),
                             base_t_tool: world.pose,
+                            commanded: Joints::zeros(6),
+                            base_t_commanded: world.pose,
                             at_rest: true,
                         })
                     })

@@ -20,6 +20,9 @@ use crate::trajectory::Setpoint;
 /// What no damper of the tool reaches, as joints beyond six, comes to rest as if its natural frequency were this, Hz.
 const LOOSE_HZ: f64 = 0.3;
 
+/// Joints that do not carry the tool, as those of another arm, hold their setpoint with this natural frequency, Hz.
+const ASIDE_HZ: f64 = 2.0;
+
 /// A softer axis is damped as one of this stiffness, N/m, and N m/rad: it may touch something stiff.
 const DAMPED_AS: [f64; 2] = [500.0, 10.0];
 
@@ -95,6 +98,8 @@ pub struct CartesianImpedance {
     args: CartesianImpedanceArgs,
     damping: f64,
     measured: Vec<f64>,
+    /// Whether each joint carries the tool.
+    carries: Vec<bool>,
     /// What each joint needs for the setpoint's acceleration, N m, and its inertia, kg m^2.
     feed: Vec<f64>,
     inertia: Vec<f64>,
@@ -114,7 +119,10 @@ impl CartesianImpedance {
     ) -> Result<Self, String> {
         args.check()?;
         let zero = vec![0.0; model.dof()];
+        let chain = model.chain(model.tip());
+        let carries = (0..model.dof()).map(|joint| chain.contains(&joint));
         Ok(Self {
+            carries: carries.collect(),
             data: model.data(),
             model,
             args,
@@ -201,13 +209,18 @@ impl ControlLaw for CartesianImpedance {
             let damper = 2.0 * self.damping * (damped_as * mass).sqrt();
             stiffness[row] * error + damper * speed + force[row] + gain * (force[row] + sensed)
         });
-        let loose = 2.0 * self.damping * std::f64::consts::TAU * LOOSE_HZ;
+        let [loose, aside] = [LOOSE_HZ, ASIDE_HZ].map(|hz| std::f64::consts::TAU * hz);
         for (index, column) in jacobian.column_iter().enumerate() {
             let pairs = column.iter().zip(wrench);
             let push: f64 = pairs.map(|(part, force)| part * force).sum();
             let speed_error = setpoint.velocity[index] - readings[index].velocity;
-            let damper = loose * self.inertia[index];
-            out[index] += self.feed[index] + push + damper * speed_error;
+            let (natural, spring) = match self.carries[index] {
+                true => (loose, 0.0),
+                false => (aside, aside * aside * self.inertia[index]),
+            };
+            let damper = 2.0 * self.damping * natural * self.inertia[index];
+            let error = setpoint.position[index] - readings[index].position;
+            out[index] += self.feed[index] + push + spring * error + damper * speed_error;
         }
     }
 }
@@ -217,6 +230,7 @@ mod tests {
     use super::*;
     use crate::control::impedance_tests::{PERIOD, Pushed, puma};
     use crate::joints::Joints;
+    use crate::model::{built_in, file::Inertias};
 
     const START: [f64; 6] = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
 
@@ -274,6 +288,44 @@ mod tests {
                     "about {axis}: {by} {expected}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn joints_that_do_not_carry_the_tool_hold_their_setpoint_and_those_that_do_give_way() {
+        let model = built_in::model("testbed18", Inertias::Engine);
+        let model = Arc::new(model.unwrap().unwrap());
+        let q: Vec<f64> = [0.0; 3].into_iter().chain(START).cycle().take(18).collect();
+        let setpoint = Setpoint::at_rest(Joints::try_from(&q[..]).unwrap());
+        let args = CartesianImpedanceArgs {
+            stiffness: [0.0; 6],
+            ..CartesianImpedanceArgs::default()
+        };
+        let mut law = CartesianImpedance::new(Arc::clone(&model), args, 1.0).unwrap();
+        let mut off = |joint: usize| {
+            let mut data = model.data();
+            let readings: Vec<SlotReading> = (0..18)
+                .map(|index| SlotReading {
+                    position: q[index] - if index == joint { 0.01 } else { 0.0 },
+                    velocity: 0.0,
+                })
+                .collect();
+            let there: Vec<f64> = readings.iter().map(|reading| reading.position).collect();
+            let weight = model.gravity_torques(&mut data, &there)[joint];
+            let mut out = [0.0; 18];
+            law.torques(&setpoint, &readings, PERIOD, &mut out);
+            let inertia = model.mass_matrix(&mut data, &there, DynamicsOptions::WITH_ROTORS);
+            (out[joint] - weight) / inertia[(joint, joint)]
+        };
+        // The tip of the testbed is the left one.
+        for joint in 0..9 {
+            let [left, right] = [joint, joint + 9].map(&mut off);
+            assert!(left.abs() < 1e-9, "{joint}: {left}");
+            let natural = std::f64::consts::TAU * 2.0;
+            assert!(
+                (right - 0.01 * natural * natural).abs() < 1e-9,
+                "{joint}: {right}"
+            );
         }
     }
 

@@ -5,7 +5,8 @@ use ctos::simulation::{self, Fault, FaultKind, Faults, Setup};
 use ctos::time::Instant;
 
 use super::*;
-use crate::servo::MotionPhase;
+use crate::client::Outcome as MotionOutcome;
+use crate::servo::{MotionPhase, ServoCommand};
 
 /// Moves to the goal and asks for something else in the midst of it; what the mover was told.
 async fn disturbed<T, C: Command<Reply = T>>(
@@ -148,6 +149,145 @@ fn an_emergency_stop_in_any_state_of_rest_is_left_by_a_reset_and_a_new_reservati
             done(&cx, &mcs, to(Target::Joints(START.into()))).await?;
             Ok(String::new())
         })
+    });
+}
+
+/// What a request came to: a state, or how it was refused.
+async fn came_to<T, C: Command<Reply = Result<T, MotionError>>>(
+    cx: &Context,
+    mcs: &TaskRef,
+    request: C,
+) -> Result<Result<(), MotionOutcome>, HandlerError> {
+    let answer = asked(cx, mcs, request).await?;
+    Ok(answer.map(drop).map_err(|error| error.outcome))
+}
+
+/// Brings the arm from wherever it is into a state.
+async fn bring(cx: &Context, mcs: &TaskRef, state: State) -> Result<(), HandlerError> {
+    asked(cx, mcs, EmergencyStop {}).await?;
+    if state == State::Estopped {
+        return Ok(());
+    }
+    done(cx, mcs, Reset {}).await?;
+    if state != State::Cold {
+        done(cx, mcs, Acquire {}).await?;
+    }
+    if state == State::Motion {
+        done(cx, mcs, to(Target::Joints(START.into()))).await?;
+    }
+    if state == State::Reserved {
+        let unplug = cx.task("unplug").await?;
+        asked(cx, &unplug, Unplug {}).await?;
+        cx.sleep(Duration::from_millis(20)).await;
+    }
+    Ok(())
+}
+
+ctos::command! {
+    /// Has the power of the servo go off by itself, as a drive's own switch does.
+    struct Unplug => (), 0x0002, "unplug"
+}
+
+#[test]
+fn each_request_in_each_state_leads_where_the_table_says() {
+    let script: Script = |cx, mcs, knobs| {
+        Box::pin(async move {
+            use MotionOutcome::{Estopped, Refused};
+            use State::{Active, Cold, Estopped as Down, Motion, Reserved};
+            let go = || to(Target::Joints(START.into()));
+            // From a state: what a reservation, a motion, a release and a reset come to, and the state after each.
+            let rows = [
+                (
+                    Cold,
+                    (Ok(()), Active),
+                    (Err(Refused), Cold),
+                    (Ok(()), Cold),
+                    (Err(Refused), Cold),
+                ),
+                (
+                    Reserved,
+                    (Ok(()), Active),
+                    (Err(Refused), Reserved),
+                    (Ok(()), Cold),
+                    (Err(Refused), Reserved),
+                ),
+                (
+                    Active,
+                    (Ok(()), Active),
+                    (Ok(()), Motion),
+                    (Ok(()), Cold),
+                    (Err(Refused), Active),
+                ),
+                (
+                    Motion,
+                    (Ok(()), Motion),
+                    (Ok(()), Motion),
+                    (Ok(()), Cold),
+                    (Err(Refused), Motion),
+                ),
+                (
+                    Down,
+                    (Err(Estopped), Down),
+                    (Err(Estopped), Down),
+                    (Ok(()), Down),
+                    (Ok(()), Cold),
+                ),
+            ];
+            for (state, reserve, moves, release, reset) in rows {
+                for (what, (wanted, after)) in ["reserve", "move", "release", "reset"]
+                    .into_iter()
+                    .zip([reserve, moves, release, reset])
+                {
+                    bring(&cx, &mcs, state).await?;
+                    let at = format!("{what} in {state}");
+                    let before = asked(&cx, &mcs, Status {}).await?;
+                    assert_eq!(before.state, state, "{at}");
+                    assert_eq!(
+                        before.holder.is_some(),
+                        !matches!(state, Cold | Down),
+                        "{at}"
+                    );
+                    let found = match what {
+                        "reserve" => came_to(&cx, &mcs, Acquire {}).await?,
+                        "move" => came_to(&cx, &mcs, go()).await?,
+                        "release" => came_to(&cx, &mcs, Release {}).await?,
+                        _ => came_to(&cx, &mcs, Reset {}).await?,
+                    };
+                    assert_eq!(found, wanted, "{at}");
+                    let status = asked(&cx, &mcs, Status {}).await?;
+                    assert_eq!(status.state, after, "{at}");
+                    assert_eq!(
+                        status.holder.is_some(),
+                        !matches!(after, Cold | Down),
+                        "{at}"
+                    );
+                    // The drives have what the state means.
+                    cx.sleep(Duration::from_millis(20)).await;
+                    let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+                    assert_eq!(power, after.power(), "{at}");
+                }
+                bring(&cx, &mcs, state).await?;
+                must_stop_in(&cx, &mcs, state).await?;
+            }
+            Ok(String::new())
+        })
+    };
+    let app = format!("{APP}\n[task.unplug]\nhandler = \"test.unplug\"\non = \"cage/main\"\n");
+    let outcome = run_in(&app, script, &Arc::default(), &[]);
+    assert!(
+        matches!(&outcome.end, End::Finished(result) if result.ok),
+        "{:?}",
+        outcome.end
+    );
+}
+
+/// For the registry of the tests.
+pub(super) fn register_unplug(registry: &mut Registry) {
+    registry.function::<Unplug, _, _>("test.unplug", |cx, Unplug {}| async move {
+        Link::find(&cx, "servo")?
+            .port
+            .order(ServoCommand::PowerOff)?;
+        Ok(())
     });
 }
 

@@ -10,7 +10,7 @@ use super::{PlanError, Planner};
 use crate::along::{Along, SECTIONS, Sections, section_of};
 use crate::curve::Curve;
 use crate::interpolate::{Interpolator, Knot};
-use crate::segment::ToolPath;
+use crate::segment::{SegmentError, ToolPath};
 use crate::timing::{JointBounds, JointState};
 use crate::{Pace, Path, Segment};
 
@@ -265,10 +265,17 @@ impl Planner {
     }
 
     fn knot(&mut self, path: &ToolPath, progress: f64, near: &[f64]) -> Result<Knot, PlanError> {
-        let knot = path.knot(&mut self.solver, progress, near);
-        knot.map_err(|reason| PlanError::Path {
-            percent: 100.0 * progress,
-            reason,
+        let (knot, percent) = (
+            path.knot(&mut self.solver, progress, near),
+            100.0 * progress,
+        );
+        knot.map_err(|reason| match reason {
+            // No time is long enough. The value is that of the last pose before it.
+            SegmentError::Singular => PlanError::Singular {
+                smallest: self.solver.smallest_singular_value(near),
+                percent,
+            },
+            reason => PlanError::Path { percent, reason },
         })
     }
 

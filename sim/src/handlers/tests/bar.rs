@@ -193,7 +193,10 @@ async fn carry(cx: Context, log: Arc<Mutex<Vec<Sample>>>) {
     for step in (0..5).rev() {
         go(reach.above(UP * f64::from(step) / 5.0), 0.2).await;
     }
+    // The force is there when the motion is answered, and stays until both let go.
+    begin("set down");
     wait(0.5).await;
+    begin("freed");
     press(None).await;
     wait(0.5).await;
     begin("let go");
@@ -214,25 +217,34 @@ fn two_arms_as_one_manipulator_lift_a_bar_and_move_it_and_press_on_it_as_hard_as
         let count = of(stage).count() as f64;
         of(stage).map(what).sum::<f64>() / count
     };
-    for stage in ["held", "held there"] {
-        // Three ways to tell, and each of them says the force that was asked for.
+    // Three ways to tell, and each of them says the force that was asked for: at every moment within 3 %, noise and all, also
+    // while the carts move, and when the bar stands again, until both let go. On the mean it is within 1 %.
+    for stage in ["held", "moved", "held there", "set down"] {
         for way in 0..3 {
             let found = mean(stage, &|sample| sample.squeezes[way]);
-            assert!((found - FORCE).abs() < 0.03 * FORCE, "{stage}: {found} N");
+            assert!((found - FORCE).abs() < 0.01 * FORCE, "{stage}: {found} N");
         }
+        for sample in of(stage) {
+            let off = |squeeze: &f64| (squeeze - FORCE).abs() < 0.03 * FORCE;
+            assert!(sample.squeezes.iter().all(off), "{sample:?}");
+        }
+    }
+    for stage in ["held", "held there"] {
         let weight = mean(stage, &|sample| sample.weight);
         assert!(
             (weight - 2.0 * 9.81).abs() < 0.02 * 2.0 * 9.81,
             "{weight} N"
         );
     }
-    // On the way, too, nothing presses much harder.
-    for sample in samples
-        .iter()
-        .filter(|sample| ["lift", "held", "moved", "held there", "back"].contains(&sample.stage))
-    {
-        let worst = sample.squeezes.iter().copied().fold(0.0, f64::max);
-        assert!(worst < 1.5 * FORCE, "{sample:?}");
+    // Where it goes up and down its weight comes and goes by a quarter from one moment to the next. Where it leaves the stand and
+    // meets it, the stand pushes it.
+    for sample in of("lift").chain(of("back")) {
+        let most = match sample.at.z > BAR[2] + 1e-3 {
+            true => 0.08,
+            false => 0.4,
+        };
+        let off = |squeeze: &f64| (squeeze - FORCE).abs() < most * FORCE;
+        assert!(sample.squeezes.iter().all(off), "{sample:?}");
         assert!(sample.turned < 0.01, "{sample:?}");
     }
     let lies = Vector3::from(BAR);
