@@ -339,6 +339,7 @@ mod tests {
             wrote: None,
             target: String::new(),
             trace: String::new(),
+            data: Vec::new(),
         }
     }
 

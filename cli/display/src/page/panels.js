@@ -1,6 +1,6 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
-import { called, nodeStanding, seconds } from "./model.js";
+import { called, nodeStanding, seconds, valueOf } from "./model.js";
 import { placeKey } from "./plots.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
@@ -58,7 +58,8 @@ function placePart(net, node, app) {
   plot.setAttribute("aria-pressed", String(app.plots.has(key)));
   const facts = [["tokens", net.real ? String(count) : make("span", {}, `${count} `, plot)], ["at the start", String(place.tokens)]];
   if (place.capacity !== null) facts.push(["at most", String(place.capacity)]);
-  if (place.data !== null) facts.push(["says whether valid", place.data]);
+  if (place.data !== null && !net.view.data.some((data) => data.place === node.kind.place)) facts.push(["says whether valid", place.data]);
+  net.view.data.forEach((data, number) => data.place === node.kind.place && facts.push([data.name, valueOf(data, state.data[number])]));
   facts.push(inText(place.at));
   const takers = net.view.transitions.filter((one) => one.inputs.some((arc) => arc.place === node.kind.place));
   const senders = sendersTo(net.name, place.name, [...app.nets.values()]);
@@ -274,6 +275,7 @@ function netPart(net, app) {
     net.view.commands.length > 0 ? make("p", {}, make("span", { class: "soft" }, "tape "), ...(state.in_progress ? [...symbols([state.in_progress]), " in progress "] : []),
       ...symbols(state.tape), state.tape.length === 0 && !state.in_progress ? "empty" : "", ...(answers.length > 0 ? [make("span", { class: "soft" }, " answered "), ...symbols(answers)] : [])) : null,
     commandPart(net, app),
+    net.view.data.length > 0 ? make("div", { "aria-label": "data" }, factList(net.view.data.slice(0, MOST_LISTED).map((data, number) => [data.name, valueOf(data, state.data[number])]))) : null,
     make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, MOST_LISTED).map((node) => jump(net, node.name, app)))),
       ...(lists.running.length > 0 ? ["; taken by ", ...between(lists.running.slice(0, MOST_LISTED).map(([node]) => jump(net, node.name, app)))] : [])),
     net.skipped > 0 ? make("p", { class: "soft" }, `${net.skipped} events came too fast to be shown`) : null);
