@@ -433,7 +433,7 @@ fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
     );
     let (code, _, errors) = play(&["broken.net"]);
     assert_eq!(code, Some(3));
-    assert!(errors.contains("broken.net:22:9"), "{errors}");
+    assert!(errors.contains("broken.net:23:9"), "{errors}");
 }
 
 #[test]

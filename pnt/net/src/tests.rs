@@ -567,16 +567,22 @@ fn each_net_of_an_app_is_compiled_once_until_its_text_changes() {
     let file = |index: usize| folder.path().join(format!("n{index}.net"));
     let mut config = "[app]\nuntil = \"person\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[task.person]\nhandler = \"person\"\non = \"a\"\n[task.objects]\nhandler = \"sorma.daemon\"\non = \"a\"\n".to_owned();
     for index in 0..30 {
-        let net = DRINKS.replace("net n\n", &format!("net n{index}\ninclude \"more.net\"\n"));
+        let net = DRINKS.replace(
+            "net n\n",
+            &format!("net n{index}\ninclude \"more.net\"\nuse rounds() as rounds\n"),
+        );
         std::fs::write(file(index), net).unwrap();
         config += &format!(
             "[task.n{index}]\nhandler = \"pnt.net\"\non = \"a\"\nargs.net = \"n{index}.net\"\n"
         );
     }
-    let more = |text: &str| std::fs::write(folder.path().join("more.net"), text).unwrap();
-    more(
-        "place more = 1, less\ntransition lessen\n  in more\n  out less\ntransition more_again\n  in less\n  time 1 s\n  out more\n",
-    );
+    let more = |seconds: u8| {
+        let subnet = format!(
+            "subnet rounds()\n  place more = 1, less\n  transition lessen\n    in more\n    out less\n  transition more_again\n    in less\n    time {seconds} s\n    out more\nend\n"
+        );
+        std::fs::write(folder.path().join("more.net"), subnet).unwrap();
+    };
+    more(1);
     std::fs::write(folder.path().join("app.toml"), config).unwrap();
     let run = || {
         let app = load(&folder.path().join("app.toml"), &[], &[]);
@@ -593,9 +599,7 @@ fn each_net_of_an_app_is_compiled_once_until_its_text_changes() {
     assert_eq!(run(), [1; 30]);
     assert_eq!(run(), [1; 30]);
     // What is included counts, too.
-    more(
-        "place more = 1, less\ntransition lessen\n  in more\n  out less\ntransition more_again\n  in less\n  time 2 s\n  out more\n",
-    );
+    more(2);
     assert_eq!(run(), [2; 30]);
 }
 

@@ -274,6 +274,11 @@ fn the_program_in_c_speaks_the_protocol() {
 }
 
 ctos::command! {
+    /// Says that it is there.
+    pub struct Ready {} => (), 2, "ready"
+}
+
+ctos::command! {
     /// Ends the app.
     pub struct Now {} => (), 1, "now"
 }
@@ -282,6 +287,9 @@ struct Ender;
 
 #[ctos::handler]
 impl Ender {
+    #[command]
+    fn ready(&mut self, _: Ready) {}
+
     #[command]
     async fn now(
         &mut self,
@@ -311,7 +319,10 @@ for text in sys.stdin:
     if "hello" in line:
         say(hello={"protocol": 1})
     elif "run" in line:
-        say(send={"id": 1, "task": "ender", "command": "now", "data": {}})
+        # From then on it knows where the other task is, and no time need pass to find it.
+        say(call={"id": 1, "task": "ender", "command": "ready", "data": {}})
+    elif "reply" in line:
+        say(send={"id": 2, "task": "ender", "command": "now", "data": {}})
         for number in range(1000):
             say(keep={"state": number})
         say(finish={"ok": True, "text": "the program"})
