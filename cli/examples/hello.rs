@@ -1,4 +1,4 @@
-//! The smallest app of one's own: two event handlers and a net that asks them in turn.
+//! The smallest app of one's own: two event handlers. A net asks them in turn, which needs no code.
 //!
 //! ```text
 //! cargo run --example hello -- boot configs/hello.toml -v
@@ -11,7 +11,6 @@ use ctos::{
     registry::Registry,
     task::{Context, HandlerError},
 };
-use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
 /// Greets somebody.
@@ -43,26 +42,10 @@ impl Counter {
     }
 }
 
-/// What `do greet_all` in the net means: greets everybody whom the command names.
-async fn greet_all(action: Action<()>) -> Acted {
-    let greeter = action.cx().task("greeter").await?;
-    for name in action.arguments() {
-        let name = name.clone();
-        let greeting = action.cx().call(&greeter, Greet { name }).await?;
-        action.note(greeting);
-    }
-    Ok(())
-}
-
-fn library() -> Library<()> {
-    Library::new(()).action("greet_all", greet_all)
-}
-
 /// What a configuration can name.
 pub fn register(registry: &mut Registry) {
     registry.function("hello.greeter", greet);
     registry.handler("hello.counter", &Counter::COMMANDS, |_| Ok(Counter(0)));
-    pnt::task::register(registry, "hello.net", library);
 }
 
 fn main() -> ExitCode {

@@ -26,7 +26,7 @@ pub use ctos_core::{
 };
 pub use ctos_derive::handler;
 pub use ctos_host::{control, doors, remote, text};
-pub use ctos_link::shared_memory;
+pub use ctos_link::{reactor, shared_memory};
 pub use ctos_message::{Command, blob::Blob, command};
 pub use ctos_simulation as simulation;
 pub use ctos_time::seed::mix;

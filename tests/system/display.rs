@@ -6,6 +6,7 @@
 
 mod browser;
 mod command;
+mod data;
 mod layers;
 mod looking;
 mod numbers;

@@ -1,5 +1,5 @@
 //! The documents hold together. Every page of the book stands in its summary, and every link and every anchor
-//! leads somewhere. The tutorial shows the files and the output of a program that is built with the tests.
+//! leads somewhere. The tutorial shows the files of an app and the output of all of its commands.
 //!
 //! `cli/tests/program/readme.rs` compares the README with its example; other pages have tests beside what they tell of.
 
@@ -9,7 +9,7 @@ use std::{
     path::{Component, Path, PathBuf},
 };
 
-use crate::harness::{Scratch, TUTORIAL};
+use crate::harness::{CTOS, Scratch, TUTORIAL};
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -277,8 +277,28 @@ fn every_call_of_the_app_that_ctos_new_writes_stands_in_the_documents() {
     }
 }
 
-/// The files that the tutorial shows whole, by the last one of each name.
-const FILES: [&str; 4] = ["src/handlers.rs", "src/main.rs", "app.toml", "tea.net"];
+/// The files that the tutorial shows whole, and whether they are the reader's app before anything is compiled.
+const FILES: [(&str, bool); 6] = [
+    ("tea.net", true),
+    ("kettle.py", true),
+    ("kettle.toml", true),
+    ("app.toml", true),
+    ("src/handlers.rs", false),
+    ("src/main.rs", false),
+];
+
+/// The commands of a block, each with what it prints.
+fn session(block: &str) -> Vec<(&str, String)> {
+    let mut commands: Vec<(&str, String)> = Vec::new();
+    for line in block.lines() {
+        match (line.strip_prefix("$ "), commands.last_mut()) {
+            (Some(command), _) => commands.push((command, String::new())),
+            (None, Some((_, printed))) => printed.push_str(&format!("{line}\n")),
+            (None, None) => {}
+        }
+    }
+    commands
+}
 
 #[test]
 fn every_piece_of_configuration_in_the_documents_can_be_read() {
@@ -300,9 +320,9 @@ fn every_piece_of_configuration_in_the_documents_can_be_read() {
 }
 
 #[test]
-fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
+fn the_tutorial_shows_the_files_of_its_app_and_what_every_command_prints() {
     let page = read("docs/tutorial.md");
-    for file in FILES {
+    for (file, _) in FILES {
         let text = read(&format!("tests/tutorial/{file}"));
         let shown = blocks(&page)
             .iter()
@@ -313,39 +333,60 @@ fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
         );
     }
     let scratch = Scratch::empty();
-    for file in ["app.toml", "tea.net"] {
-        scratch.write(file, read(&format!("tests/tutorial/{file}")));
-    }
-    let wrong = blocks(&page)
-        .into_iter()
-        .find(|(_, text)| text.contains("Forgets to fill"));
-    scratch.write(
-        "wrong.net",
-        format!("{}\n", wrong.expect("the net with the mistake").1),
-    );
-    let mut runs = 0;
+    // What the reader calls `ctos`, and what cargo runs of the reader's package.
+    let path = |folder: &str, program: &str| {
+        let folder = scratch.path(folder);
+        fs::create_dir(&folder).unwrap();
+        std::os::unix::fs::symlink(program, folder.join("ctos")).unwrap();
+        format!("{}:{}", folder.display(), std::env::var("PATH").unwrap())
+    };
+    let (plain, rust) = (path("bin", CTOS), path("rust", TUTORIAL));
+    let (mut folder, mut runs) = (".".to_owned(), 0);
     for (language, block) in blocks(&page) {
-        let (command, output) = block.split_once('\n').unwrap_or((block, ""));
-        let Some(arguments) = command.strip_prefix("$ cargo run -q -- ") else {
-            continue;
-        };
+        // The net with the mistake, and the file with the kettle in Rust.
+        if block.contains("Forgets to fill") {
+            scratch.write("tea/wrong.net", format!("{block}\n"));
+        }
+        if language == "toml" && block.contains("handler = \"tea.kettle\"") {
+            let old = "[task.kettle]\nhandler = \"ctos.program\"\non = \"kitchen\"\nargs.command = [\"python3\", \"kettle.py\"]";
+            scratch.edit("tea/app.toml", old, block);
+        }
         if language != "console" {
             continue;
         }
-        let arguments: Vec<&str> = arguments.split(' ').collect();
-        let ended = scratch
-            .start(TUTORIAL, &arguments, &[("NO_COLOR", "1")])
-            .end();
-        // Lines of several processes, and of two streams, come in another order.
-        let sorted = |text: &str| {
-            let lines = text.lines().map(masked).filter(|line| !line.is_empty());
-            let mut lines: Vec<String> = lines.collect();
-            lines.sort();
-            lines
-        };
-        let said = format!("{}{}", ended.stderr, ended.stdout);
-        assert_eq!(sorted(output), sorted(&said), "{command}\n{}", ended.told);
-        runs += 1;
+        for (command, output) in session(block) {
+            if let Some(to) = command.strip_prefix("cd ") {
+                folder = to.to_owned();
+                // What the reader writes there later changes nothing before.
+                for (file, _) in FILES.into_iter().filter(|(_, first)| *first) {
+                    let text = read(&format!("tests/tutorial/{file}"));
+                    if file != "app.toml" {
+                        scratch.write(&format!("{to}/{file}"), text);
+                    }
+                }
+                continue;
+            }
+            if command == "ctos check app.toml" {
+                scratch.write("tea/app.toml", read("tests/tutorial/app.toml"));
+            }
+            let (command, path) = match command.strip_prefix("cargo run -q -- ") {
+                Some(arguments) => (format!("ctos {arguments}"), &rust),
+                None => (command.to_owned(), &plain),
+            };
+            let line = format!("cd {folder} && {command}");
+            let environment = [("NO_COLOR", "1"), ("PATH", path)];
+            let ended = scratch.start("sh", &["-c", &line], &environment).end();
+            // Lines of several processes, and of two streams, come in another order.
+            let sorted = |text: &str| {
+                let lines = text.lines().map(masked).filter(|line| !line.is_empty());
+                let mut lines: Vec<String> = lines.collect();
+                lines.sort();
+                lines
+            };
+            let said = format!("{}{}", ended.stderr, ended.stdout);
+            assert_eq!(sorted(&output), sorted(&said), "{command}\n{}", ended.told);
+            runs += 1;
+        }
     }
-    assert!(runs >= 5, "only {runs} commands were run");
+    assert!(runs >= 11, "only {runs} commands were run");
 }

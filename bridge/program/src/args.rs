@@ -5,10 +5,15 @@ use std::{collections::BTreeMap, path::Path, sync::Arc};
 use ctos::{
     config::{App, Node, TaskConfig, TimeMode},
     diagnostic::{Finding, Findings, Place},
-    message::{CommandInfo, Declared},
+    message::CommandInfo,
     registry::Registry,
 };
 use serde::Deserialize;
+
+use crate::{
+    hello::{self, BY_HELLO},
+    types::{Declared, Shown},
+};
 
 /// The name of the event handler.
 pub const HANDLER: &str = "ctos.program";
@@ -19,7 +24,8 @@ pub const HANDLER: &str = "ctos.program";
 pub(crate) struct Args {
     /// The program and its arguments. It runs in the folder of the configuration.
     pub(crate) command: Vec<String>,
-    /// The file that declares its commands. Without it, the one beside the program: `detector.toml` beside `detector.py`.
+    /// The file that declares its commands, or `hello`: its hello does. Without it, the file beside the program:
+    /// `detector.toml` beside `detector.py`.
     pub(crate) declares: Option<String>,
     /// Event handlers whose commands it takes, with their types.
     #[serde(default)]
@@ -107,7 +113,61 @@ fn file_of(args: &Args, app: &App) -> Option<String> {
     beside.next_back()
 }
 
-fn read(args: &Args, app: &App, findings: &mut Findings) -> Read {
+/// A command as it is known everywhere.
+fn known(code: u16, name: &str, help: &str, request: &Declared, reply: &Declared) -> CommandInfo {
+    let (request, reply) = (request.0.clone(), reply.0.clone());
+    let types = format!("({} -> {})", Shown(&request), Shown(&reply));
+    let help = format!("{help} {types}");
+    CommandInfo::declared(code, name, help.trim_start(), request, reply)
+}
+
+/// What the program says of itself, if that can be heard here.
+fn by_hello(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) -> Read {
+    let heard = match is_here(task, app) {
+        true => hello::heard(args, task, app),
+        false => Err("it is on another host".to_owned()),
+    };
+    let hello = match heard {
+        Ok(hello) => hello,
+        Err(why) => {
+            let text = format!(
+                "the program of task `{}` does not tell what it takes: {why}",
+                task.name
+            );
+            let finding =
+                Finding::error("ctos::program::hello", text).at(place(task, app, "declares"));
+            findings.push(finding.help(
+                "declare its commands in a TOML file: `python3 PROGRAM.py --declare` writes one",
+            ));
+            return Read::default();
+        }
+    };
+    let mut next = 1;
+    let commands = hello.commands.iter().map(|offered| {
+        let code = offered.code.unwrap_or(next);
+        next = code.saturating_add(1);
+        let type_of =
+            |declared: &Option<Declared>| declared.clone().unwrap_or_else(Declared::empty);
+        let (request, reply) = (type_of(&offered.request), type_of(&offered.reply));
+        known(code, &offered.name, &offered.help, &request, &reply)
+    });
+    Read {
+        commands: commands.collect(),
+        deterministic: Some(hello.deterministic),
+    }
+}
+
+/// Whether the task's program is one of this host. What another host has is not seen from here.
+fn is_here(task: &TaskConfig, app: &App) -> bool {
+    let mut chassis = app.chassis.iter();
+    let home = chassis.find(|one| one.name == task.chassis);
+    home.is_none_or(|chassis| chassis.host.is_none())
+}
+
+fn read(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) -> Read {
+    if args.declares.as_deref() == Some(BY_HELLO) {
+        return by_hello(args, task, app, findings);
+    }
     let Some(file) = file_of(args, app) else {
         return Read::default();
     };
@@ -124,9 +184,8 @@ fn read(args: &Args, app: &App, findings: &mut Findings) -> Read {
         let table = all.command.get(&entry.key)?;
         let code = table.code.unwrap_or(next);
         next = code.saturating_add(1);
-        let (request, reply) = (table.request.0.clone(), table.reply.0.clone());
-        let (name, help) = (entry.key.as_str(), table.help.as_str());
-        Some(CommandInfo::declared(code, name, help, request, reply))
+        let (request, reply) = (&table.request, &table.reply);
+        Some(known(code, &entry.key, &table.help, request, reply))
     });
     Read {
         commands: commands.collect(),
@@ -142,7 +201,7 @@ pub(crate) fn declared(task: &TaskConfig, app: &App, registry: &Registry) -> Vec
     let others = args.stands_in_for.iter();
     let others = others.filter_map(|other| registry.kind(other));
     let mut all: Vec<CommandInfo> = others.flat_map(|kind| kind.commands().to_vec()).collect();
-    all.extend(read(&args, app, &mut Findings::new()).commands);
+    all.extend(read(&args, task, app, &mut Findings::new()).commands);
     all
 }
 
@@ -151,18 +210,14 @@ pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Fi
     let name = &task.name;
     let at = |key: &str| place(task, app, key);
     let mut push = |finding: Finding, key: &str| findings.push(finding.at(at(key)));
-    let mut chassis = app.chassis.iter();
-    let home = chassis.find(|one| one.name == task.chassis);
-    // What another host has is not seen from here.
-    let is_here = home.is_none_or(|chassis| chassis.host.is_none());
+    let is_here = is_here(task, app);
     let program = args.command.first();
-    match program.map(|program| {
-        if is_here {
-            located(program, app)
-        } else {
-            Ok(())
-        }
-    }) {
+    let program = program.map(|program| match is_here {
+        true => located(program, app),
+        false => Ok(()),
+    });
+    let starts = matches!(program, Some(Ok(())));
+    match program {
         None => {
             let finding = Finding::error(
                 "ctos::program::no_command",
@@ -197,7 +252,11 @@ pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Fi
         let text = format!("`line_mib` of task `{name}` is not between 1 and 1024");
         push(Finding::error("ctos::program::line", text), "line_mib");
     }
-    let read = read(args, app, findings);
+    // One that cannot be started says nothing.
+    let read = match starts || args.declares.as_deref() != Some(BY_HELLO) {
+        true => read(args, task, app, findings),
+        false => Read::default(),
+    };
     if app.time == TimeMode::Virtual && read.deterministic == Some(false) {
         let text = format!(
             "the program of task `{name}` says that it is not deterministic, so no run in virtual time could be repeated"

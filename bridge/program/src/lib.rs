@@ -5,12 +5,17 @@
 //! tasks that its configuration names are asked. A record holds every line that it wrote, so a replay starts no program.
 
 mod args;
+mod encode;
+mod frames;
+mod hello;
 mod lines;
 mod object;
 mod process;
 mod task;
+mod types;
 
 pub use args::HANDLER;
+pub use encode::{encoded, told};
 pub use object::{CLASS, classes, register_class};
 pub use task::{AskObject, ObjectAnswer};
 

@@ -1,8 +1,11 @@
 //! The lines of the protocol: each one JSON object with one key, which says what it is.
 
-use ctos::message::Declared;
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+use crate::types::Declared;
 
 /// The version of the protocol.
 pub(crate) const VERSION: u32 = 1;
@@ -19,6 +22,12 @@ pub(crate) enum Told<'a> {
         seed: u64,
         virtual_time: bool,
         state: Option<Value>,
+        /// The folder of [frames](crate::frames), if there are any.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        frames: Option<&'a Path>,
+        /// Whether it is only to say what it takes, with types.
+        #[serde(skip_serializing_if = "std::ops::Not::not")]
+        declare: bool,
     },
     Run {},
     Error {
@@ -80,11 +89,14 @@ pub(crate) enum Said {
 }
 
 /// What it says of itself.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 pub(crate) struct Hello {
     pub(crate) protocol: u32,
     #[serde(default = "yes")]
     pub(crate) deterministic: bool,
+    /// Whether it takes frames.
+    #[serde(default)]
+    pub(crate) frames: bool,
     #[serde(default)]
     pub(crate) commands: Vec<Offered>,
 }
@@ -94,9 +106,12 @@ fn yes() -> bool {
 }
 
 /// A command that it says it takes.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 pub(crate) struct Offered {
     pub(crate) name: String,
+    #[serde(default)]
+    pub(crate) help: String,
+    pub(crate) code: Option<u16>,
     pub(crate) request: Option<Declared>,
     pub(crate) reply: Option<Declared>,
 }

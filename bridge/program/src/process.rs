@@ -1,11 +1,13 @@
-//! A program under way: its process and those that it starts, and the threads that read and write its pipes.
+//! A program under way: its process and those that it starts, and its pipes.
 //!
-//! The pipe to it is written where the task is, without waiting; what the program does not read yet, a thread writes.
+//! The pipe to it is written where the task is, without waiting; what the program does not read yet, a thread writes. The
+//! pipe from it is read where the task is, when the reactor of the chassis says that there is something; in virtual time
+//! by a thread.
 
 use std::{
     collections::VecDeque,
     io::{BufRead, BufReader, Read},
-    os::fd::{AsFd, OwnedFd},
+    os::fd::{AsFd, BorrowedFd, OwnedFd},
     os::unix::process::{CommandExt, ExitStatusExt},
     path::Path,
     process::{Child, ChildStderr, ChildStdout, Command, ExitStatus, Stdio},
@@ -17,11 +19,15 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, Sender};
+use ctos::reactor::{Happened, Reactor, Seen, Source, Watched};
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     process::{Pid, PidfdFlags, Signal},
 };
 use serde::{Deserialize, Serialize};
+use tokio::sync::{Notify, oneshot};
+
+use crate::frames::Frames;
 
 /// So many lines are read ahead; after that the program waits.
 const AHEAD: usize = 256;
@@ -56,25 +62,158 @@ pub(crate) struct Plan<'a> {
     pub(crate) line: usize,
     /// Whether its standard error is logged as it comes.
     pub(crate) logs: bool,
+    /// Where its lines may have large bytes.
+    pub(crate) frames: Option<Arc<Frames>>,
 }
 
 /// The events of one, where they are awaited by a task, or by the thread itself.
 pub(crate) enum Events {
-    Task(tokio::sync::mpsc::Receiver<Event>),
+    Pipe(Listening),
     Thread(Receiver<Event>),
 }
 
-enum Take {
-    Task(tokio::sync::mpsc::Sender<Event>),
-    Thread(Sender<Event>),
+/// What a program writes, read by its task.
+pub(crate) struct Listening {
+    pipe: Arc<Pipe>,
+    _watched: Watched,
+    longest: usize,
+    frames: Option<Arc<Frames>>,
+    ending: Option<Ending>,
+    ended: Option<oneshot::Receiver<Event>>,
 }
 
-impl Take {
-    /// Whether anybody still takes it.
-    fn put(&self, event: Event) -> bool {
-        match self {
-            Self::Task(to) => to.blocking_send(event).is_ok(),
-            Self::Thread(to) => to.send(event).is_ok(),
+/// The pipe from a program.
+struct Pipe {
+    output: OwnedFd,
+    /// There may be something to be read.
+    readable: Notify,
+    lines: Mutex<Lines>,
+}
+
+impl Source for Pipe {
+    fn serve(&self, _: Happened) -> Seen {
+        self.readable.notify_one();
+        Seen::Frames
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.output.as_fd()
+    }
+}
+
+/// What was read and is no whole line yet.
+#[derive(Default)]
+struct Lines {
+    bytes: Vec<u8>,
+    /// So many of them have no end of a line.
+    looked: usize,
+    over: bool,
+}
+
+/// What a look at a pipe comes to.
+enum Look {
+    Line(String),
+    Nothing,
+    /// There are no more lines, because of what is wrong, if it is.
+    Over(Option<String>),
+}
+
+impl Pipe {
+    /// The next line, without waiting.
+    fn look(&self, longest: usize) -> Look {
+        let mut lines = lock(&self.lines);
+        loop {
+            let Lines {
+                bytes,
+                looked,
+                over,
+            } = &mut *lines;
+            let fresh = bytes.get(*looked..).unwrap_or_default();
+            let end = fresh.iter().position(|byte| *byte == b'\n');
+            let end = end.map(|end| *looked + end + 1);
+            *looked = bytes.len();
+            let end = end.or((*over && !bytes.is_empty()).then_some(bytes.len()));
+            if end.unwrap_or(bytes.len()) > longest {
+                return Look::Over(Some(too_long(longest)));
+            }
+            if let Some(end) = end {
+                let rest = bytes.split_off(end);
+                let line = std::mem::replace(bytes, rest);
+                *looked = 0;
+                match line_of(line) {
+                    Ok(None) => continue,
+                    Ok(Some(line)) => return Look::Line(line),
+                    Err(wrong) => return Look::Over(Some(wrong)),
+                }
+            }
+            if *over {
+                return Look::Over(None);
+            }
+            let mut chunk = [0; 1 << 14];
+            match rustix::io::read(&self.output, &mut chunk) {
+                Ok(read @ 1..) => bytes.extend_from_slice(chunk.get(..read).unwrap_or_default()),
+                Err(rustix::io::Errno::AGAIN) => return Look::Nothing,
+                Err(rustix::io::Errno::INTR) => {}
+                Ok(_) | Err(_) => *over = true,
+            }
+        }
+    }
+}
+
+impl Listening {
+    pub(crate) async fn next(&mut self) -> Event {
+        loop {
+            if let Some(ended) = &mut self.ended {
+                let event = ended.await;
+                self.ended = None;
+                return event.unwrap_or_else(|_| Event::Ended("its program is gone".to_owned()));
+            }
+            match self.pipe.look(self.longest) {
+                Look::Nothing => self.pipe.readable.notified().await,
+                Look::Over(wrong) => self.finish(wrong),
+                Look::Line(line) => match resolved(self.frames.as_ref(), line) {
+                    Ok(line) => return Event::Line(line),
+                    Err(wrong) => self.finish(Some(wrong)),
+                },
+            }
+        }
+    }
+
+    /// It writes no more: a thread waits for its end.
+    fn finish(&mut self, wrong: Option<String>) {
+        let (tell, told) = oneshot::channel();
+        self.ended = Some(told);
+        if let Some(ending) = self.ending.take() {
+            // Without a thread nobody tells, and it counts as gone.
+            let _ = thread("ending", move || {
+                let _ = tell.send(ending.finish(wrong));
+            });
+        }
+    }
+}
+
+fn resolved(frames: Option<&Arc<Frames>>, line: String) -> Result<String, String> {
+    match frames {
+        Some(frames) => frames.resolved(line),
+        None => Ok(line),
+    }
+}
+
+/// How a program ends.
+struct Ending {
+    child: Child,
+    group: Arc<Group>,
+    last: Last,
+}
+
+impl Ending {
+    /// Waits for it, at once if something is wrong.
+    fn finish(self, wrong: Option<String>) -> Event {
+        let how = end(self.child, &self.group, wrong.is_some());
+        let said = self.last.said();
+        match wrong {
+            Some(wrong) => Event::Wrong(format!("{wrong}{said}")),
+            None => Event::Ended(format!("{how}{said}")),
         }
     }
 }
@@ -115,11 +254,14 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Program {
-    /// Starts it. `real`: a task awaits its events, and does not wait for them itself.
+    /// Starts it. With a reactor, a task awaits its events; otherwise a thread waits for them.
     ///
     /// # Errors
     /// Why it cannot be started.
-    pub(crate) fn start(plan: &Plan<'_>, real: bool) -> Result<(Self, Events), String> {
+    pub(crate) fn start(
+        plan: &Plan<'_>,
+        reactor: Option<Arc<Reactor>>,
+    ) -> Result<(Self, Events), String> {
         let [program, arguments @ ..] = plan.command else {
             return Err("no program is named".to_owned());
         };
@@ -151,16 +293,6 @@ impl Program {
         };
         let input = Input::new(input.into(), plan.task)?;
         *lock(&own.input) = Some(input);
-        let (take, events) = match real {
-            true => {
-                let (take, events) = tokio::sync::mpsc::channel(AHEAD);
-                (Take::Task(take), Events::Task(events))
-            }
-            false => {
-                let (take, events) = crossbeam_channel::bounded(AHEAD);
-                (Take::Thread(take), Events::Thread(events))
-            }
-        };
         let last = Last::follow(errors, plan)?;
         let whole = Arc::clone(&group);
         // What it has started may hold its pipes, and ends with it.
@@ -169,16 +301,11 @@ impl Program {
                 whole.kill();
             }
         })?;
-        let line = plan.line;
-        thread(plan.task, move || {
-            let wrong = read(output, line, &take);
-            let how = end(child, &group, wrong.is_some());
-            let said = last.said();
-            take.put(match wrong {
-                Some(wrong) => Event::Wrong(format!("{wrong}{said}")),
-                None => Event::Ended(format!("{how}{said}")),
-            });
-        })?;
+        let ending = Ending { child, group, last };
+        let events = match reactor {
+            Some(reactor) => Events::Pipe(listen(output, ending, plan, &reactor)?),
+            None => Events::Thread(follow(output, ending, plan)?),
+        };
         Ok((own, events))
     }
 
@@ -277,38 +404,86 @@ fn thread(task: &str, work: impl FnOnce() + Send + 'static) -> Result<(), String
         .map_err(|error| format!("there is no thread: {error}"))
 }
 
+/// Has a task read what comes.
+fn listen(
+    output: ChildStdout,
+    ending: Ending,
+    plan: &Plan<'_>,
+    reactor: &Arc<Reactor>,
+) -> Result<Listening, String> {
+    let output: OwnedFd = output.into();
+    rustix::io::ioctl_fionbio(&output, true).map_err(|error| error.to_string())?;
+    let pipe = Arc::new(Pipe {
+        output,
+        readable: Notify::new(),
+        lines: Mutex::default(),
+    });
+    let watched = reactor.add(Arc::clone(&pipe) as Arc<dyn Source>);
+    Ok(Listening {
+        pipe,
+        _watched: watched.map_err(|error| error.to_string())?,
+        longest: plan.line,
+        frames: plan.frames.clone(),
+        ending: Some(ending),
+        ended: None,
+    })
+}
+
+/// Has a thread read what comes.
+fn follow(output: ChildStdout, ending: Ending, plan: &Plan<'_>) -> Result<Receiver<Event>, String> {
+    let (take, events) = crossbeam_channel::bounded(AHEAD);
+    let (line, frames) = (plan.line, plan.frames.clone());
+    thread(plan.task, move || {
+        let wrong = read(output, line, frames.as_ref(), &take);
+        // Nobody takes it who has gone.
+        let _ = take.send(ending.finish(wrong));
+    })?;
+    Ok(events)
+}
+
 /// Reads lines until there are no more, or nobody takes them. What is wrong with the last one.
-fn read(output: ChildStdout, longest: usize, take: &Take) -> Option<String> {
+fn read(
+    output: ChildStdout,
+    longest: usize,
+    frames: Option<&Arc<Frames>>,
+    take: &Sender<Event>,
+) -> Option<String> {
     let mut output = BufReader::new(output);
     loop {
         let mut line = Vec::new();
         let limit = u64::try_from(longest).unwrap_or(u64::MAX);
         let read = output.by_ref().take(limit + 1).read_until(b'\n', &mut line);
-        match read {
+        let line = match read {
             Ok(0) | Err(_) => return None,
-            Ok(_) if line.len() > longest => {
-                let mib = longest >> 20;
-                return Some(format!("its program wrote a line of more than {mib} MiB"));
-            }
-            Ok(_) => {}
-        }
-        if line.iter().all(u8::is_ascii_whitespace) {
-            continue;
-        }
-        let event = match String::from_utf8(line) {
-            Ok(line) => Event::Line(line),
-            Err(error) => {
-                let line = error.into_bytes();
-                let shown = String::from_utf8_lossy(line.get(..60).unwrap_or(&line)).into_owned();
-                return Some(format!(
-                    "its program wrote a line that is no UTF-8: {shown:?}"
-                ));
-            }
+            Ok(_) if line.len() > longest => return Some(too_long(longest)),
+            Ok(_) => line_of(line),
         };
-        if !take.put(event) {
+        let line = match line.and_then(|line| line.map(|line| resolved(frames, line)).transpose()) {
+            Ok(Some(line)) => line,
+            Ok(None) => continue,
+            Err(wrong) => return Some(wrong),
+        };
+        if take.send(Event::Line(line)).is_err() {
             return None;
         }
     }
+}
+
+fn too_long(longest: usize) -> String {
+    let mib = longest >> 20;
+    format!("its program wrote a line of more than {mib} MiB")
+}
+
+/// A line, if there is anything in it.
+fn line_of(line: Vec<u8>) -> Result<Option<String>, String> {
+    if line.iter().all(u8::is_ascii_whitespace) {
+        return Ok(None);
+    }
+    String::from_utf8(line).map(Some).map_err(|error| {
+        let line = error.into_bytes();
+        let shown = String::from_utf8_lossy(line.get(..60).unwrap_or(&line)).into_owned();
+        format!("its program wrote a line that is no UTF-8: {shown:?}")
+    })
 }
 
 /// Waits for its end, and ends all that it started. How it ended.

@@ -5,6 +5,7 @@ use std::{
     collections::{BTreeMap, VecDeque},
     future::poll_fn,
     rc::Rc,
+    sync::Arc,
     task::Poll,
     time::Duration,
 };
@@ -12,18 +13,23 @@ use std::{
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use ctos::{
     message::{CommandInfo, Message, RawReplier, Shape},
+    reactor,
     survey::AtReport,
     system::AppResult,
     task::{Context, EventHandler, Handled, HandlerError, Handover, Phase, StopReason},
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use tokio::sync::{Notify, mpsc, oneshot};
+use tokio::sync::{Notify, oneshot};
 
 use crate::{
     args::{self, Args},
+    encode::encoded,
+    frames::{Frames, base64},
+    hello,
     lines::{Asked, Hello, Level, Said, Told, VERSION},
-    process::{Event, Events, Plan, Program},
+    process::{Event, Events, Listening, Plan, Program},
+    types::Shown,
 };
 
 ctos::command! {
@@ -89,7 +95,7 @@ struct Open {
 
 /// Where the events of a program come from.
 enum Source {
-    Task(mpsc::Receiver<Event>),
+    Pipe(Listening),
     /// From the steps that are made.
     Steps(Rc<Shared>),
     /// From the record.
@@ -99,10 +105,7 @@ enum Source {
 impl Source {
     async fn next(&mut self) -> Event {
         match self {
-            Self::Task(events) => {
-                let event = events.recv().await;
-                event.unwrap_or_else(|| Event::Ended("its program is gone".to_owned()))
-            }
+            Self::Pipe(pipe) => pipe.next().await,
             Self::Steps(shared) => loop {
                 let event = shared.queue.borrow_mut().pop_front();
                 match event {
@@ -119,6 +122,9 @@ struct Shared {
     args: Args,
     commands: BTreeMap<u16, Rc<Known>>,
     program: RefCell<Option<Program>>,
+    frames: RefCell<Option<Arc<Frames>>>,
+    /// Whether the program takes frames.
+    framed: Cell<bool>,
     /// In virtual time, what the program writes.
     events: RefCell<Option<Receiver<Event>>>,
     queue: RefCell<VecDeque<Event>>,
@@ -153,6 +159,8 @@ impl Programmed {
             args: cx.args()?,
             commands: known.collect::<Result<_, String>>()?,
             program: RefCell::default(),
+            frames: RefCell::default(),
+            framed: Cell::default(),
             events: RefCell::default(),
             queue: RefCell::default(),
             came: Notify::new(),
@@ -260,41 +268,33 @@ impl Shared {
             return Ok(Source::Record);
         }
         let (args, real) = (&self.args, !is_virtual(cx));
-        let mut command = args.command.clone();
-        if let Some(program) = command.first_mut()
-            && program.contains('/')
-        {
-            // A relative one would be looked for where the program is to run.
-            let path = std::path::absolute(cx.path(program))?;
-            *program = path.to_string_lossy().into_owned();
-        }
-        let own = [
-            ("CTOS_TASK".to_owned(), cx.name().to_owned()),
-            // Sets of texts have the same order in every run.
-            ("PYTHONHASHSEED".to_owned(), "0".to_owned()),
-        ];
-        let given = args.environment.iter();
-        let given = given.map(|(name, value)| (name.clone(), value.clone()));
-        let folder = match cx.app().folder.as_os_str().is_empty() {
-            true => std::path::Path::new("."),
-            false => &cx.app().folder,
-        };
+        let command = hello::command(args, cx.app()).map_err(HandlerError::new)?;
+        let frames = Frames::new(LONGEST).map(Arc::new);
         let plan = Plan {
             task: cx.name(),
             command: &command,
-            folder,
-            environment: own.into_iter().chain(given).collect(),
+            folder: hello::folder(cx.app()),
+            environment: hello::environment(args, cx.name()),
             line: usize::try_from(args.line_mib).unwrap_or(1) << 20,
             logs: real,
+            frames: frames.clone(),
         };
-        let (program, events) = Program::start(&plan, real).map_err(HandlerError::new)?;
+        let reactor = match real {
+            true => {
+                let shared = cx.chassis().shared(reactor::SHARED);
+                Some(shared.ok_or("its chassis has no reactor that could read its program")?)
+            }
+            false => None,
+        };
+        let (program, events) = Program::start(&plan, reactor).map_err(HandlerError::new)?;
+        self.frames.replace(frames);
         if real {
             let text = format!("its program is process {}", program.id());
             cx.is_at(Some(AtReport { text, until: None }));
         }
         self.program.replace(Some(program));
         Ok(match events {
-            Events::Task(events) => Source::Task(events),
+            Events::Pipe(pipe) => Source::Pipe(pipe),
             Events::Thread(events) => {
                 self.events.replace(Some(events));
                 Source::Steps(Rc::clone(self))
@@ -303,6 +303,7 @@ impl Shared {
     }
 
     fn hello(&self, cx: &Context) -> Handled {
+        let frames = self.frames.borrow().clone();
         let hello = Told::Hello {
             protocol: VERSION,
             task: cx.name(),
@@ -311,8 +312,20 @@ impl Shared {
             seed: cx.app().seed,
             virtual_time: is_virtual(cx),
             state: self.kept.borrow().clone(),
+            frames: frames.as_deref().map(Frames::folder),
+            declare: false,
         };
         self.tell(hello.line()).map_err(HandlerError::new)
+    }
+
+    /// Appends a value to a line.
+    fn json(&self, shape: &Shape, bytes: &[u8], line: &mut Vec<u8>) -> Option<()> {
+        let frames = self.frames.borrow();
+        let frames = frames.as_ref().filter(|_| self.framed.get());
+        shape.tell(bytes, line, LONGEST, &mut |bytes, line| match frames {
+            Some(frames) => frames.write(bytes, line),
+            None => base64(bytes, line),
+        })
     }
 
     /// Whether it is the program that the configuration tells of.
@@ -330,6 +343,7 @@ impl Shared {
                     .to_owned(),
             );
         }
+        self.framed.set(hello.frames);
         for offered in &hello.commands {
             let name = &offered.name;
             let mut known = self.commands.values();
@@ -344,7 +358,7 @@ impl Shared {
             ] {
                 let Some(said) = said else { continue };
                 if said.0 != *declared {
-                    let said = &said.0;
+                    let (said, declared) = (Shown(&said.0), Shown(declared));
                     return refuse(format!(
                         "its program says that the {what} of `{name}` is {said}; declared is {declared}"
                     ));
@@ -446,14 +460,12 @@ impl Shared {
         };
         let Open { known, reply, done } = open;
         let name = known.info.name;
-        let mut bytes = Vec::new();
-        let encoded = answer.and_then(|data| {
-            let encoded = known.reply.encode(data, &mut bytes);
-            encoded
+        let bytes = answer.and_then(|data| {
+            encoded(&known.reply, data)
                 .map_err(|why| format!("the answer of its program to `{name}` does not fit: {why}"))
         });
-        match encoded {
-            Ok(()) => reply.ok(bytes),
+        match bytes {
+            Ok(bytes) => reply.ok(bytes),
             Err(text) => {
                 if !reply.is_wanted() {
                     tracing::warn!(task = cx.name(), command = name, "{text}");
@@ -513,9 +525,8 @@ impl Shared {
             ));
         }
         let known = self.known(cx, task, command)?;
-        let mut data = Vec::new();
-        let encoded = known.request.encode(&asked.data, &mut data);
-        encoded.map_err(|why| format!("the data of `{task}.{command}` does not fit: {why}"))?;
+        let data = encoded(&known.request, &asked.data)
+            .map_err(|why| format!("the data of `{task}.{command}` does not fit: {why}"))?;
         let found = cx.task(task).await.map_err(|error| error.to_string())?;
         if !replies {
             let sent = cx.send_raw(&found, known.info, data).await;
@@ -529,7 +540,7 @@ impl Shared {
         let reply = cx.call_raw(&found, known.info, data, deadline).await;
         let reply = reply.map_err(|error| error.to_string())?;
         let mut line = format!("{{\"reply\":{{\"id\":{id},\"data\":").into_bytes();
-        let told = known.reply.tell(&reply, &mut line, LONGEST);
+        let told = self.json(&known.reply, &reply, &mut line);
         told.ok_or_else(|| format!("the reply of `{task}` to `{command}` cannot be told"))?;
         line.extend_from_slice(b"}}\n");
         Ok(Some(line))
@@ -592,7 +603,7 @@ impl EventHandler for Programmed {
         let mut line =
             format!("{{\"message\":{{\"id\":{id},\"command\":\"{name}\",{left}\"data\":")
                 .into_bytes();
-        if known.request.tell(&bytes, &mut line, LONGEST).is_none() {
+        if shared.json(&known.request, &bytes, &mut line).is_none() {
             reply.fail(format!(
                 "the data of `{name}` cannot be told to the program"
             ));

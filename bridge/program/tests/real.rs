@@ -102,8 +102,7 @@ fn registry() -> Registry {
 async fn ask(cx: &Context, command: &str, data: Value) -> Result<Value, String> {
     let info = cx.registry().command_of(cx.app(), "detector", command);
     let info = info.map_err(|finding| finding.to_string())?;
-    let mut bytes = Vec::new();
-    info.request.shape().unwrap().encode(&data, &mut bytes)?;
+    let bytes = bridge_program::encoded(&info.request.shape().unwrap(), &data)?;
     let found = cx
         .task("detector")
         .await
@@ -112,12 +111,7 @@ async fn ask(cx: &Context, command: &str, data: Value) -> Result<Value, String> 
         .call_raw(&found, info, bytes, Duration::from_secs(30))
         .await;
     let reply = reply.map_err(|error| error.to_string())?;
-    let mut json = Vec::new();
-    info.reply
-        .shape()
-        .unwrap()
-        .tell(&reply, &mut json, 1 << 30)
-        .unwrap();
+    let json = bridge_program::told(&info.reply.shape().unwrap(), &reply, 1 << 30).unwrap();
     Ok(serde_json::from_slice(&json).unwrap())
 }
 
@@ -190,12 +184,8 @@ async fn ratio(cx: &Context) -> Result<String, String> {
 
 /// An `int` as one field.
 fn postcard(number: i64) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    ctos::message::Shape::of::<i64>()
-        .unwrap()
-        .encode(&json!(number), &mut bytes)
-        .unwrap();
-    bytes
+    let shape = ctos::message::Shape::of::<i64>().unwrap();
+    bridge_program::encoded(&shape, &json!(number)).unwrap()
 }
 
 /// While the program does whatever it does, a task of the same processor answers.

@@ -344,6 +344,7 @@ mod tests {
             wrote: None,
             target: String::new(),
             trace: String::new(),
+            data: Vec::new(),
         }
     }
 

@@ -40,6 +40,18 @@ pub(crate) fn marked<'v>(
         .map(|(_, (place, tokens))| (place.name.as_str(), *tokens))
 }
 
+/// Declared data with its values.
+pub(crate) fn data(view: &NetView, state: &State) -> String {
+    let each = view.data.iter().zip(&state.data).map(|(data, value)| {
+        let unit = match data.kind.as_str() {
+            "int" | "float" | "bool" | "text" => String::new(),
+            unit => format!(" {unit}"),
+        };
+        format!("{} = {value}{unit}", data.name)
+    });
+    each.collect::<Vec<_>>().join(", ")
+}
+
 /// A net in lines.
 pub(crate) fn plain(
     view: &NetView,
@@ -75,6 +87,9 @@ pub(crate) fn plain(
         })
         .collect();
     line("marked", &marked.join(" "));
+    if !view.data.is_empty() {
+        line("data", &data(view, state));
+    }
     if !view.commands.is_empty() {
         let progress = state.in_progress.as_ref();
         let progress = progress.map_or_else(String::new, |symbol| format!("[{symbol}] "));
@@ -148,11 +163,16 @@ pub(crate) fn json(
     let places: serde_json::Map<String, serde_json::Value> = places
         .map(|(place, tokens)| (place.name.clone(), (*tokens).into()))
         .collect();
+    let data = view.data.iter().zip(&state.data);
+    let data: serde_json::Map<String, serde_json::Value> = data
+        .map(|(data, value)| (data.name.clone(), value.as_str().into()))
+        .collect();
     serde_json::json!({
         "net": view.name,
         "at_s": state.at_ns as f64 / 1e9,
         "seq": state.seq,
         "places": places,
+        "data": data,
         "transitions": standings,
         "tape": state.tape,
         "in_progress": state.in_progress,

@@ -56,7 +56,13 @@ fn a_key_that_no_driver_and_no_frame_source_reads_is_found() {
 
 #[test]
 fn a_key_of_a_net_that_is_written_wrong_is_found_with_the_one_that_was_meant() {
-    let findings = found(&registry(), "hello.net", "net = \"a.net\"\nbreakpoint = []");
+    let mut registry = registry();
+    pnt::task::register(
+        &mut registry,
+        "plain.net",
+        || pnt::library::Library::new(()),
+    );
+    let findings = found(&registry, "plain.net", "net = \"a.net\"\nbreakpoint = []");
     let shown: Vec<String> = findings.iter().map(ToString::to_string).collect();
     let meant = shown.iter().any(|one| {
         one.starts_with("app.toml:7:1: ") && one.contains("did you mean `breakpoints`?")

@@ -14,17 +14,23 @@ fn quoted<'a>(line: &'a str, key: &str) -> Option<&'a str> {
     line.split_once(key)?.1.split('"').nth(1)
 }
 
-const ALL_FIRINGS: [(&str, &str); 4] = [
+const ALL_FIRINGS: [(&str, &str); 6] = [
     ("greet", "started"),
     ("greet", "completed"),
     ("count", "started"),
     ("count", "completed"),
+    ("tell", "started"),
+    ("tell", "completed"),
 ];
+
+/// What the net tells.
+const FROM_SHELF: &str = "text=\"Hello, world, from shelf!\"";
 
 #[test]
 fn hello_runs_over_two_processes_and_shows_its_net_at_work() {
     let (out, err) = good(&hello(&["-v"]));
-    assert_eq!(out, "hello_done\nHello, world, from shelf!\n");
+    assert_eq!(out, "hello_done\n");
+    assert!(err.contains(FROM_SHELF), "{err}");
     assert_eq!(firings(&err), ALL_FIRINGS, "{err}");
     for chassis in ["desk", "shelf"] {
         let started = |line: &&str| {
@@ -39,7 +45,8 @@ fn hello_runs_over_two_processes_and_shows_its_net_at_work() {
 fn hello_runs_on_the_virtual_clock_in_one_process_and_the_same_every_time() {
     let virtual_time = ["-v", "--set", "time.mode=virtual"];
     let (out, err) = good(&hello(&virtual_time));
-    assert_eq!(out, "hello_done\nHello, world, from shelf!\n");
+    assert_eq!(out, "hello_done\n");
+    assert!(err.contains(FROM_SHELF), "{err}");
     assert_eq!(firings(&err), ALL_FIRINGS, "{err}");
     assert!(!err.contains("pid"), "{err}");
     let (again, _) = good(&hello(&virtual_time));
@@ -48,8 +55,8 @@ fn hello_runs_on_the_virtual_clock_in_one_process_and_the_same_every_time() {
 
 #[test]
 fn a_task_moves_to_another_process_by_its_on_alone() {
-    let (out, _) = good(&hello(&["--set", "task.greeter.on=desk"]));
-    assert_eq!(out, "hello_done\nHello, world, from desk!\n");
+    let (_, err) = good(&hello(&["-v", "--set", "task.greeter.on=desk"]));
+    assert!(err.contains(&FROM_SHELF.replace("shelf", "desk")), "{err}");
 }
 
 #[test]

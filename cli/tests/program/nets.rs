@@ -86,7 +86,7 @@ fn a_net_goes_to_pnml_and_back_and_is_checked_in_either_form() {
     let object: serde_json::Value = serde_json::from_str(made.stdout.trim()).unwrap();
     assert_eq!(
         (object["places"].as_u64(), object["transitions"].as_u64()),
-        (Some(2), Some(2))
+        (Some(3), Some(3))
     );
     let back = ctos(
         folder.path(),
@@ -94,7 +94,7 @@ fn a_net_goes_to_pnml_and_back_and_is_checked_in_either_form() {
     );
     assert_eq!(back.code, 0);
     assert!(
-        back.stdout.contains("  send counter.count\n"),
+        back.stdout.contains("  send counter.count(-> times)\n"),
         "{}",
         back.stdout
     );

@@ -392,7 +392,7 @@ fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
     write("other.net", &net.replace("net hello ", "net other "));
     write("broken.net", &net.replace("write hello_done", "write gone"));
     // The whole round of a command. Some of its steps can be taken in several ways, by what is in progress.
-    let round = "command hello to hello\ngreet starts\nhello.greet completes\nhello.count starts\nhello.count completes\n";
+    let round = "command hello to hello\ngreet starts\nhello.greet completes\nhello.count starts\nhello.count completes\ntell starts\nhello.tell completes\n";
     write("steps", round);
     let app = root().join("configs/hello.toml");
     let app = app.to_str().expect("a name");
@@ -420,8 +420,8 @@ fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
         let lines: Vec<&str> = said.lines().collect();
         assert_eq!(lines[0], format!("   0  begins: hello idle, {place}"));
         assert_eq!(
-            lines[5],
-            format!("   5  hello.count completes: hello idle, {place}")
+            lines[7],
+            format!("   7  hello.tell completes: hello idle, {place}")
         );
     }
     // A net of another name stands beside those of the app.
@@ -433,7 +433,7 @@ fn a_file_takes_the_place_of_the_net_of_an_app_that_is_played() {
     );
     let (code, _, errors) = play(&["broken.net"]);
     assert_eq!(code, Some(3));
-    assert!(errors.contains("broken.net:16:9"), "{errors}");
+    assert!(errors.contains("broken.net:23:9"), "{errors}");
 }
 
 #[test]

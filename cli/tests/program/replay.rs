@@ -69,7 +69,8 @@ fn apps(folder: &Path) -> Vec<PathBuf> {
         let is_text = path.extension().is_some_and(|end| end == "toml");
         // Only a program with the feature `ros2` boots it.
         let is_ros = path.ends_with("calibrate-ros2.toml");
-        let left_out = is_ros || (path.ends_with("program.toml") && !has_python());
+        let in_python = path.ends_with("program.toml") || path.ends_with("measure.toml");
+        let left_out = is_ros || (in_python && !has_python());
         is_text && !left_out && {
             let text = fs::read_to_string(path).unwrap();
             text.contains("[chassis.") || text.contains("\ninclude = [")
@@ -90,13 +91,16 @@ fn app(file: &Path, seed: u64) -> App {
         "time.mode=\"virtual\"".to_owned(),
         "record.file=\"run.mcap\"".to_owned(),
     ];
-    if file.ends_with("program.toml") {
-        // Its client for Python lies beside the folder of configurations.
-        let client = root().join("clients/python/src").display().to_string();
-        let sets = ["meter", "desk"]
-            .map(|task| format!("task.{task}.args.environment.PYTHONPATH={client:?}"));
-        selection.sets.extend(sets);
-    }
+    // The client for Python lies beside the folder of configurations.
+    let client = root().join("clients/python/src").display().to_string();
+    let programs = match file.file_name().and_then(|name| name.to_str()) {
+        Some("program.toml") => &["meter", "desk"][..],
+        Some("measure.toml") => &["meter"],
+        _ => &[],
+    };
+    let sets = programs.iter();
+    let sets = sets.map(|task| format!("task.{task}.args.environment.PYTHONPATH={client:?}"));
+    selection.sets.extend(sets);
     program::app(&selection).unwrap_or_else(|findings| panic!("{findings}"))
 }
 

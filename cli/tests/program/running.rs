@@ -381,7 +381,7 @@ const FILES: &[(&str, Then)] = &[
         Ends,
     ),
     (
-        "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --fail 0.01 --seed 7 -v",
+        "ctos net run configs/nets/greet.net --tape greet world 3 --stand-in --fail 0.3 --seed 7 -v",
         Refused(1, "the stand-in fails by chance"),
     ),
     ("ctos net run configs/nets/greet.net --display", ComesUp),

@@ -139,3 +139,42 @@ fn a_watched_net_is_checked_at_every_save() {
     watch.kill().unwrap();
     watch.wait().unwrap();
 }
+
+#[test]
+fn a_net_asks_a_program_in_python_and_decides_by_its_answer_with_units_checked() {
+    let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    if !Command::new(python)
+        .arg("--version")
+        .output()
+        .is_ok_and(|ran| ran.status.success())
+    {
+        return;
+    }
+    let boot = |more: &[&str]| {
+        let line = [
+            "boot",
+            "configs/measure.toml",
+            "-v",
+            "--set",
+            "time.mode=\"virtual\"",
+        ];
+        said(&ctos(&[&line, more].concat()).output().unwrap())
+    };
+    let (code, text) = boot(&[]);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.contains("mm thick, from 64 values"), "{text}");
+    // The net's text names the unit, and the file of the program, too.
+    let folder = tempfile::tempdir().unwrap();
+    let net = fs::read_to_string(root().join("configs/nets/measure.net")).unwrap();
+    let file = folder.path().join("measure.net");
+    fs::write(&file, net.replace("sd : mm", "sd : px")).unwrap();
+    let (code, text) = boot(&[
+        "--set",
+        &format!("task.measure.args.net={:?}", file.display().to_string()),
+    ]);
+    assert_eq!(code, Some(3), "{text}");
+    assert!(
+        text.contains("`result` is (mm, px, int), and command `measure` of task `meter` has (mm, mm, i64) there"),
+        "{text}"
+    );
+}

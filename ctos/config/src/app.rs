@@ -276,7 +276,7 @@ impl App {
     #[must_use]
     pub fn read_so_far(&self) -> BTreeSet<String> {
         let read = self.trail.read();
-        let names = read.iter().map(|read| read.path.display().to_string());
+        let names = read.keys().map(|path| path.display().to_string());
         names.chain([SET.to_owned()]).collect()
     }
 
@@ -320,13 +320,11 @@ impl App {
     pub fn read(&self, relative: impl AsRef<Path>) -> Result<Source, Finding> {
         let path = self.file_at(&relative);
         let source = Source::read(&path).map_err(|finding| finding.help(LOOKED_FOR))?;
-        let mut read = self.trail.read();
-        read.retain(|other| other.path != path);
-        read.push(Read {
-            path,
+        let read = Read {
             text: source.text().to_owned(),
             absolute: relative.as_ref().is_absolute(),
-        });
+        };
+        self.trail.read().insert(path, read);
         Ok(source)
     }
 

@@ -52,16 +52,16 @@ impl App {
     /// A file that is named by an absolute path: the other host would look for it there.
     pub fn bundle(&self) -> Result<Bundle, Finding> {
         let mut files = BTreeMap::new();
-        for read in self.trail.read().iter() {
-            let path = read.path.display();
+        for (path, read) in self.trail.read().iter() {
             if read.absolute {
+                let path = path.display();
                 let text = format!(
                     "`{path}` is an absolute path, so the app cannot be sent to another host"
                 );
                 let finding = Finding::error("ctos::config::bundle", text);
                 return Err(finding.help("name it relative to the file that names it"));
             }
-            files.insert(whole(&read.path)?, read.text.clone());
+            files.insert(whole(path)?, read.text.clone());
         }
         let top = common_folder(files.keys());
         let name = |path: &Path| {

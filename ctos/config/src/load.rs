@@ -104,7 +104,7 @@ pub(super) fn merged(
     };
     let mut root = loader.file(&selection.file, None, false)?;
     let (sources, mut variables) = (loader.sources, loader.variables);
-    let folders = sources.iter().filter_map(|read| read.path.parent());
+    let folders = sources.iter().filter_map(|(path, _)| path.parent());
     let folders = folders.map(Path::to_owned).collect();
     let profiles = declared(root.take("profile"), findings);
     let in_file = profile_of_file(&mut root, &mut variables, findings);
@@ -135,7 +135,7 @@ pub(super) fn merged(
             used: variables.used,
             folders,
             applied,
-            read: Arc::new(Mutex::new(sources)),
+            read: Arc::new(Mutex::new(sources.into_iter().collect())),
         },
     })
 }
@@ -169,7 +169,7 @@ struct Loader<'v, 'f> {
     /// common file does not undo what another included file says on top of it.
     done: Vec<PathBuf>,
     /// Every file that was read.
-    sources: Vec<Read>,
+    sources: Vec<(PathBuf, Read)>,
 }
 
 impl Loader<'_, '_> {
@@ -186,11 +186,11 @@ impl Loader<'_, '_> {
         let read = self.variables.files.read(path);
         let read = read.map_err(|finding| finding.at(named_at.cloned()));
         let source = self.findings.keep(read)?;
-        self.sources.push(Read {
-            path: path.to_owned(),
+        let read = Read {
             text: source.text().to_owned(),
             absolute,
-        });
+        };
+        self.sources.push((path.to_owned(), read));
         let mut own = Node::from_toml(&source, self.findings);
         self.chain
             .push((identity.clone(), source.name().to_owned()));

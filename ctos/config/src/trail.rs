@@ -4,6 +4,7 @@
 use super::node::Entry;
 use super::variables::Used;
 use crate::diagnostic::Place;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -15,14 +16,13 @@ pub(crate) struct Trail {
     /// The folders of the files that were read, the app's own first.
     pub(super) folders: Vec<PathBuf>,
     /// Clones of an app share it, so that what a check opens is known wherever the app is.
-    pub(super) read: Arc<Mutex<Vec<Read>>>,
+    /// By the paths as they were put together.
+    pub(super) read: Arc<Mutex<BTreeMap<PathBuf, Read>>>,
 }
 
 /// A file that was read.
 #[derive(Debug, Clone)]
 pub(crate) struct Read {
-    /// Its path as it was put together.
-    pub(super) path: PathBuf,
     pub(super) text: String,
     /// Whether it is named by an absolute path.
     pub(super) absolute: bool,
@@ -37,7 +37,7 @@ impl PartialEq for Trail {
 
 impl Trail {
     /// Every file that was read so far.
-    pub(super) fn read(&self) -> MutexGuard<'_, Vec<Read>> {
+    pub(super) fn read(&self) -> MutexGuard<'_, BTreeMap<PathBuf, Read>> {
         self.read.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

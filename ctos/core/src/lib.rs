@@ -124,8 +124,8 @@ pub mod time {
 /// Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
 pub mod message {
     pub use ctos_message::{
-        Command, CommandInfo, Data, DataType, Declared, Flags, Header, Payload, PayloadError,
-        SYSTEM_COMMANDS, Shape, Tid, trimmed,
+        Command, CommandInfo, Data, DataType, Flags, Header, Payload, PayloadError,
+        SYSTEM_COMMANDS, Shape, ShapeKind, Tid, trimmed,
     };
 
     pub use crate::envelope::{Message, RawReplier, Replier};

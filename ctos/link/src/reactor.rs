@@ -44,6 +44,9 @@ enum Waited {
     Elsewhere,
 }
 
+/// Under which key a chassis shares its reactor: handlers that read what no link is add sources of their own.
+pub const SHARED: &str = "ctos.reactor";
+
 /// The links of one chassis, and who waits for them.
 pub struct Reactor {
     clock: Clock,

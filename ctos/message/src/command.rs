@@ -68,14 +68,13 @@ pub struct CommandInfo {
 
 impl CommandInfo {
     /// A command that a program in another language declares. What is declared stays for as long as this process lives.
-    /// Its help tells the types, too: two that differ in them are different commands.
+    /// Its help is to tell the types, too: two that differ in them are different commands.
     #[must_use]
     pub fn declared(code: u16, name: &str, doc: &str, request: Shape, reply: Shape) -> Self {
-        let doc = format!("{doc} ({request} -> {reply})");
         Self {
             code,
             name: kept::text(name),
-            doc: kept::text(doc.trim_start()),
+            doc: kept::text(doc),
             request: DataType(Of::Declared(kept::shape(request))),
             reply: DataType(Of::Declared(kept::shape(reply))),
         }
@@ -140,7 +139,7 @@ impl DataType {
             Of::Compiled { split, .. } => split(bytes),
             Of::Declared(shape) => shape.split(bytes).ok_or_else(|| PayloadError {
                 expected: "value of the declared type",
-                reason: format!("{} bytes are no {shape}", bytes.len()),
+                reason: format!("{} bytes are no such value", bytes.len()),
             }),
         }
     }

@@ -25,4 +25,4 @@ mod trace;
 pub use command::{Command, CommandInfo, DataType, FENCE, SYSTEM_COMMANDS, trimmed};
 pub use data::{Data, Payload, PayloadError, append};
 pub use header::{Flags, Header, Tid};
-pub use shape::{Declared, Shape};
+pub use shape::{Kind as ShapeKind, Shape};

@@ -1,18 +1,13 @@
 //! What the data of a command looks like, as it stands in a file. With it, a program that does not know
 //! the type reads postcard bytes as JSON. How it is found, `trace.rs` says.
 
-mod declared;
-mod encode;
+pub(super) mod kept;
 
 use std::panic::AssertUnwindSafe;
 
-use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::trace::shape_of;
-
-pub use declared::Declared;
-pub(super) use declared::kept;
 
 /// How deep values may lie in one another.
 const DEPTH: usize = 64;
@@ -21,28 +16,45 @@ const LIMIT: usize = 256 * 1024;
 
 /// What kind of type it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub(super) enum Kind {
+pub enum Kind {
     /// Not found yet.
     #[default]
     Unknown,
+    /// Nothing at all.
     Unit,
     /// A variant that is a name and no more.
     Nothing,
+    /// Yes or no.
     Bool,
+    /// A whole number of 8 bits.
     I8,
+    /// Of 16 bits.
     I16,
+    /// Of 32 bits.
     I32,
+    /// Of 64 bits.
     I64,
+    /// Of 128 bits.
     I128,
+    /// A whole number of 8 bits, not negative.
     U8,
+    /// Of 16 bits.
     U16,
+    /// Of 32 bits.
     U32,
+    /// Of 64 bits.
     U64,
+    /// Of 128 bits.
     U128,
+    /// A float of 32 bits.
     F32,
+    /// A float of 64 bits.
     F64,
+    /// A character.
     Char,
+    /// Text.
     Text,
+    /// Opaque bytes.
     Bytes,
     /// Such a value, or none.
     Option,
@@ -63,29 +75,24 @@ pub(super) enum Kind {
 /// The shape of a type.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Shape {
-    kind: Kind,
+    /// What kind of type it is.
+    pub kind: Kind,
     /// The type's name, where it may stand in itself.
     #[serde(default, skip_serializing_if = "String::is_empty")]
-    name: String,
+    pub name: String,
     /// The names of its fields or variants.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    names: Vec<String>,
+    pub names: Vec<String>,
     /// What is in it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    inner: Vec<Self>,
+    pub inner: Vec<Self>,
     /// What a number counts, if that was declared: `px`.
     #[serde(default, skip_serializing_if = "String::is_empty")]
-    unit: String,
+    pub unit: String,
 }
 
-/// How bytes stand in JSON.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Opaque {
-    /// Each as a number, as a vector of them does.
-    Numbers,
-    /// As base64.
-    Base64,
-}
+/// Appends bytes to JSON as one value.
+type WriteBytes<'w> = &'w mut (dyn FnMut(&[u8], &mut Vec<u8>) + 'w);
 
 impl Shape {
     /// The shape of `T`. `None` where it cannot be found: a type that takes not every number or text may
@@ -98,7 +105,8 @@ impl Shape {
     }
 
     /// One that holds `count` others, of which nothing is known.
-    pub(super) fn holding(kind: Kind, count: usize) -> Self {
+    #[must_use]
+    pub fn holding(kind: Kind, count: usize) -> Self {
         Self {
             kind,
             inner: vec![Self::default(); count],
@@ -107,7 +115,8 @@ impl Shape {
     }
 
     /// One with a name, and with names for what it holds.
-    pub(super) fn named(kind: Kind, name: &str, names: &[&str]) -> Self {
+    #[must_use]
+    pub fn named(kind: Kind, name: &str, names: &[&str]) -> Self {
         Self {
             name: name.to_owned(),
             names: names.iter().map(|&name| name.to_owned()).collect(),
@@ -130,12 +139,19 @@ impl Shape {
 
     /// Appends `bytes` as JSON to `json`, which is left as it was when they are no such value.
     pub fn convert(&self, bytes: &[u8], json: &mut Vec<u8>) -> Option<()> {
-        self.write(bytes, json, LIMIT, Opaque::Numbers)
+        self.write(bytes, json, LIMIT, None)
     }
 
-    /// The same for a program of another language: bytes stand as base64, and the JSON may be `limit` bytes long.
-    pub fn tell(&self, bytes: &[u8], json: &mut Vec<u8>, limit: usize) -> Option<()> {
-        self.write(bytes, json, limit, Opaque::Base64)
+    /// The same for a program of another language: `opaque` appends bytes as one value, which are numbers otherwise, and
+    /// the JSON may be `limit` bytes long.
+    pub fn tell(
+        &self,
+        bytes: &[u8],
+        json: &mut Vec<u8>,
+        limit: usize,
+        opaque: WriteBytes<'_>,
+    ) -> Option<()> {
+        self.write(bytes, json, limit, Some(opaque))
     }
 
     /// How many bytes of `bytes` are such a value.
@@ -145,7 +161,7 @@ impl Shape {
             bytes,
             json,
             limit: usize::MAX,
-            opaque: Opaque::Base64,
+            opaque: Some(&mut |_, _| ()),
             depth: 0,
         };
         reader.value(self, None)?;
@@ -178,7 +194,13 @@ impl Shape {
         left.is_empty().then_some(parts)
     }
 
-    fn write(&self, bytes: &[u8], json: &mut Vec<u8>, limit: usize, opaque: Opaque) -> Option<()> {
+    fn write(
+        &self,
+        bytes: &[u8],
+        json: &mut Vec<u8>,
+        limit: usize,
+        opaque: Option<WriteBytes<'_>>,
+    ) -> Option<()> {
         let start = json.len();
         let mut reader = Reader {
             bytes,
@@ -196,11 +218,11 @@ impl Shape {
     }
 }
 
-struct Reader<'a> {
+struct Reader<'a, 'w> {
     bytes: &'a [u8],
     json: &'a mut Vec<u8>,
     limit: usize,
-    opaque: Opaque,
+    opaque: Option<WriteBytes<'w>>,
     depth: usize,
 }
 
@@ -210,7 +232,7 @@ struct Around<'a> {
     outer: Option<&'a Around<'a>>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> Reader<'a, '_> {
     fn take<T: Deserialize<'a>>(&mut self) -> Option<T> {
         let (value, rest) = postcard::take_from_bytes(self.bytes).ok()?;
         self.bytes = rest;
@@ -227,11 +249,12 @@ impl<'a> Reader<'a> {
     }
 
     fn bytes(&mut self) -> Option<()> {
-        match self.opaque {
-            Opaque::Numbers => self.copy::<&[u8]>(),
-            Opaque::Base64 => {
-                let bytes: &[u8] = self.take()?;
-                self.put(&STANDARD.encode(bytes))
+        let bytes: &[u8] = self.take()?;
+        match &mut self.opaque {
+            None => self.put(&bytes),
+            Some(write) => {
+                write(bytes, self.json);
+                Some(())
             }
         }
     }
@@ -276,7 +299,7 @@ impl<'a> Reader<'a> {
             },
             Kind::Sequence => {
                 let each = shape.inner.first()?;
-                if each.kind == Kind::U8 && self.opaque == Opaque::Base64 {
+                if each.kind == Kind::U8 && self.opaque.is_some() {
                     // A vector of bytes is as long as bytes are.
                     return self.bytes().map(|()| self.depth -= 1);
                 }
@@ -458,73 +481,6 @@ mod tests {
                 None => prop_assert_eq!(json, b"before"),
             }
         }
-    }
-
-    proptest! {
-        #[test]
-        fn json_becomes_the_bytes_that_it_was_made_of(whole in whole()) {
-            // JSON has no whole numbers beyond 64 bits.
-            let whole = Whole { large: u128::from(whole.large as u64), next: None, ..whole };
-            let shape = Shape::of::<Whole>().unwrap();
-            let (bytes, mut json, mut again) = (postcard::to_stdvec(&whole).unwrap(), Vec::new(), Vec::new());
-            shape.tell(&bytes, &mut json, 1 << 20).unwrap();
-            let value: serde_json::Value = serde_json::from_slice(&json).unwrap();
-            shape.encode(&value, &mut again).unwrap();
-            // JSON has the keys of a map in another order, so what is read is compared; by its bytes, as zero has a sign.
-            let read: Whole = postcard::from_bytes(&again).unwrap();
-            prop_assert_eq!(bytes, postcard::to_stdvec(&read).unwrap());
-        }
-    }
-
-    #[test]
-    fn a_declared_type_is_that_of_the_same_fields_and_tells_what_does_not_fit() {
-        let text = r#"{"u": "px", "name": "text?", "way": "left | right", "at": ["m", "m"], "all": ["u8"]}"#;
-        let Declared(shape) = serde_json::from_str(text).unwrap();
-        assert_eq!(
-            shape.to_string(),
-            "{u: px, name: text?, way: left | right, at: [m, m], all: [u8]}"
-        );
-        let value = serde_json::json!({"u": 1.5, "way": "right", "at": [1, 2], "all": "/wA="});
-        let (mut bytes, mut json) = (Vec::new(), Vec::new());
-        shape.encode(&value, &mut bytes).unwrap();
-        let same = (1.5, None::<String>, 1_u32, [1.0, 2.0], vec![255_u8, 0]);
-        assert_eq!(bytes, postcard::to_stdvec(&same).unwrap());
-        assert_eq!(
-            (shape.fields(), shape.split(&bytes).unwrap().concat()),
-            (5, bytes.clone())
-        );
-        assert_eq!(shape.split(&bytes[..bytes.len() - 1]), None);
-        shape.tell(&bytes, &mut json, 1000).unwrap();
-        assert_eq!(
-            String::from_utf8(json).unwrap(),
-            r#"{"u":1.5,"name":null,"way":"right","at":[1.0,2.0],"all":"/wA="}"#
-        );
-        for (wrong, why) in [
-            (r#"{"u": "1"}"#, "`u`: \"1\" is no px"),
-            (
-                r#"{"u": 1, "way": "up"}"#,
-                "`way`: \"up\" is none of left, right",
-            ),
-            (
-                r#"{"u": 1, "way": "left", "at": [1]}"#,
-                "`at`: it has 1 values, not 2",
-            ),
-            (
-                r#"{"u": 1, "way": "left", "at": [1, true]}"#,
-                "`at.1`: true is no m",
-            ),
-            (r#"{"v": 1}"#, "there is no field `v`"),
-            ("[]", "[] is no {u"),
-        ] {
-            let value = serde_json::from_str(wrong).unwrap();
-            let error = shape.encode(&value, &mut bytes).unwrap_err();
-            assert!(error.contains(why), "{error}");
-        }
-        let error = serde_json::from_str::<Declared>(r#"{"u": "pixel"}"#).unwrap_err();
-        assert!(
-            error.to_string().contains("there is no type `pixel`"),
-            "{error}"
-        );
     }
 
     #[derive(Debug, Serialize, Deserialize)]

@@ -14,7 +14,7 @@ mod words;
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
+use std::{collections::BTreeSet, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings};
 use ending::end;
@@ -198,28 +198,32 @@ fn too_large(boot: &Limits, markings: u128) -> Finding {
 /// or not by itself.
 #[must_use]
 pub fn systems(nets: &[Arc<Net>]) -> Vec<Vec<Arc<Net>>> {
-    let mut groups: Vec<Vec<Arc<Net>>> = Vec::new();
+    type Named<'n> = (&'n Arc<Net>, BTreeSet<&'n str>);
+    let mut groups: Vec<Vec<Named<'_>>> = Vec::new();
     for net in nets {
-        let (with, mut without): (Vec<_>, Vec<_>) = groups.into_iter().partition(|group| {
-            group
-                .iter()
-                .any(|other| knows(net, other) || knows(other, net))
-        });
-        let mut together: Vec<Arc<Net>> = with.into_iter().flatten().collect();
-        together.push(Arc::clone(net));
+        let named = (net, named(net));
+        let (with, mut without): (Vec<_>, Vec<_>) = groups
+            .into_iter()
+            .partition(|group| group.iter().any(|other| know(&named, other)));
+        let mut together: Vec<Named<'_>> = with.into_iter().flatten().collect();
+        together.push(named);
         without.push(together);
         groups = without;
     }
-    groups
+    let whole = |group: Vec<Named<'_>>| group.into_iter().map(|(net, _)| Arc::clone(net)).collect();
+    groups.into_iter().map(whole).collect()
 }
 
-/// Whether one net names the other.
-fn knows(net: &Net, other: &Net) -> bool {
+/// The other nets that a net names.
+fn named(net: &Net) -> BTreeSet<&str> {
     let partners = net.coordinators().iter().chain(net.serves());
-    let mut names = partners
-        .map(|partner| partner.net.as_str())
-        .chain(net.remote_nets());
-    names.any(|name| name == other.name())
+    let partners = partners.map(|partner| partner.net.as_str());
+    partners.chain(net.remote_nets()).collect()
+}
+
+/// Whether one of two nets names the other.
+fn know(one: &(&Arc<Net>, BTreeSet<&str>), other: &(&Arc<Net>, BTreeSet<&str>)) -> bool {
+    one.1.contains(other.0.name()) || other.1.contains(one.0.name())
 }
 
 /// Composes the nets of an app and checks them, each group of nets that name each other by itself. The markings

@@ -13,7 +13,7 @@ pub mod tape;
 #[cfg(test)]
 mod tests;
 
-use std::{fmt, sync::Arc};
+use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings, Place as At};
 
@@ -157,11 +157,12 @@ impl System {
     pub fn fit(nets: &[Arc<Net>]) -> Findings {
         let mut findings = Findings::new();
         check_names(nets, &mut findings);
+        let arriving = arriving(nets);
         for net in nets {
             check_remote(net, nets, &mut findings);
             check_partners(net, nets, &mut findings);
             check_retries(net, nets, &mut findings);
-            check_unused(net, nets, &mut findings);
+            check_unused(net, &arriving, &mut findings);
             check_resets(net, &mut findings);
         }
         findings
@@ -239,25 +240,22 @@ fn find<'a>(nets: &'a [Arc<Net>], name: &str) -> Option<&'a Arc<Net>> {
 }
 
 fn check_names(nets: &[Arc<Net>], findings: &mut Findings) {
-    for (index, net) in nets.iter().enumerate() {
-        if let Some(first) = nets
-            .iter()
-            .take(index)
-            .find(|other| other.name() == net.name())
-        {
-            findings.push(
-                Finding::error(
-                    "pnt::app::duplicate_net",
-                    format!(
-                        "two nets are called `{}`; the other is at {}",
-                        net.name(),
-                        first.at()
-                    ),
-                )
+    let mut known: BTreeMap<&str, &Net> = BTreeMap::new();
+    for net in nets {
+        let Some(first) = known.get(net.name()) else {
+            known.insert(net.name(), net);
+            continue;
+        };
+        let text = format!(
+            "two nets are called `{}`; the other is at {}",
+            net.name(),
+            first.at()
+        );
+        findings.push(
+            Finding::error("pnt::app::duplicate_net", text)
                 .at(net.at().clone())
                 .help("rename one of them"),
-            );
-        }
+        );
     }
 }
 
@@ -425,8 +423,18 @@ fn check_resets(net: &Net, findings: &mut Findings) {
     }
 }
 
+/// The arcs of all nets to places of others, by the name of the other.
+fn arriving(nets: &[Arc<Net>]) -> BTreeMap<&str, Vec<&RemoteArc>> {
+    let mut arriving: BTreeMap<&str, Vec<&RemoteArc>> = BTreeMap::new();
+    let all = nets.iter().flat_map(|net| outputs(net));
+    for arc in all.flat_map(|outputs| &outputs.remote) {
+        arriving.entry(&arc.net).or_default().push(arc);
+    }
+    arriving
+}
+
 /// Declared places that no arc touches.
-fn check_unused(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
+fn check_unused(net: &Net, arriving: &BTreeMap<&str, Vec<&RemoteArc>>, findings: &mut Findings) {
     let mut used = vec![false; net.places().len()];
     for transition in net.transitions() {
         let fail = transition.fail.iter().flat_map(|outputs| &outputs.local);
@@ -438,12 +446,8 @@ fn check_unused(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
             used[arc.place.index()] = true;
         }
     }
-    for arc in nets
-        .iter()
-        .flat_map(|net| outputs(net))
-        .flat_map(|outputs| &outputs.remote)
-    {
-        if let (true, Some(place)) = (arc.net == net.name(), net.place(&arc.place)) {
+    for arc in arriving.get(net.name()).into_iter().flatten() {
+        if let Some(place) = net.place(&arc.place) {
             used[place.index()] = true;
         }
     }

@@ -560,3 +560,169 @@ fn messages_take_declared_data_along_and_replies_become_it() {
         assert!(found.contains(wanted), "{found}");
     }
 }
+
+#[test]
+fn each_net_of_an_app_is_compiled_once_until_its_text_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |index: usize| folder.path().join(format!("n{index}.net"));
+    let mut config = "[app]\nuntil = \"person\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[task.person]\nhandler = \"person\"\non = \"a\"\n[task.objects]\nhandler = \"sorma.daemon\"\non = \"a\"\n".to_owned();
+    for index in 0..30 {
+        let net = DRINKS.replace(
+            "net n\n",
+            &format!("net n{index}\ninclude \"more.net\"\nuse rounds() as rounds\n"),
+        );
+        std::fs::write(file(index), net).unwrap();
+        config += &format!(
+            "[task.n{index}]\nhandler = \"pnt.net\"\non = \"a\"\nargs.net = \"n{index}.net\"\n"
+        );
+    }
+    let more = |seconds: u8| {
+        let subnet = format!(
+            "subnet rounds()\n  place more = 1, less\n  transition lessen\n    in more\n    out less\n  transition more_again\n    in less\n    time {seconds} s\n    out more\nend\n"
+        );
+        std::fs::write(folder.path().join("more.net"), subnet).unwrap();
+    };
+    more(1);
+    std::fs::write(folder.path().join("app.toml"), config).unwrap();
+    let run = || {
+        let app = load(&folder.path().join("app.toml"), &[], &[]);
+        let app = app.unwrap_or_else(|f| panic!("{f}"));
+        let found = registry(&[]).check(&app);
+        assert!(!found.has_errors(), "{found}");
+        let unseen: Observer = Arc::new(|_| ());
+        let ran = simulation::run(app, registry(&[]), Setup::default(), &unseen).unwrap();
+        assert!(matches!(ran.outcome.end, End::Finished(_)));
+        (0..30)
+            .map(|index| pnt::task::compilations(&file(index)))
+            .collect::<Vec<u64>>()
+    };
+    assert_eq!(run(), [1; 30]);
+    assert_eq!(run(), [1; 30]);
+    // What is included counts, too.
+    more(2);
+    assert_eq!(run(), [2; 30]);
+}
+
+#[test]
+fn a_stand_in_fails_as_often_as_said_and_the_same_from_the_same_seed() {
+    let net = "net n
+place idle = 1, asking, failed
+data left : int
+data done : int
+data bad : int
+command go -> gone
+transition begin
+  in idle
+  tape go
+  set left = 1000
+  out asking
+transition ask
+  in asking
+  when left > 0
+  request \"bar EXEC\"
+  set left = left - 1
+  set done = done + 1
+  out asking
+  fail failed
+transition fail_once
+  in failed
+  set left = left - 1
+  set bad = bad + 1
+  out asking
+transition finish
+  in asking
+  when not left > 0
+  out idle
+  write gone
+";
+    let bad = |seed: u32| -> u32 {
+        let (_folder, mut app) = app(net, ", stand_in = { fail = 0.3 }");
+        app.seed = u64::from(seed);
+        let unseen: Observer = Arc::new(|_| ());
+        let ran = simulation::run(app, registry(&["go"]), Setup::default(), &unseen).unwrap();
+        let End::Finished(result) = ran.outcome.end else {
+            panic!("it did not end")
+        };
+        let said = result.text.split("(\"bad\", \"").nth(1).unwrap().to_owned();
+        said.split('"').next().unwrap().parse().unwrap()
+    };
+    let counts: Vec<u32> = (0..5).map(bad).collect();
+    // Four standard deviations of a binomial distribution: 58.
+    assert!(
+        counts.iter().all(|count| (242..=358).contains(count)),
+        "{counts:?}"
+    );
+    assert_eq!(counts, (0..5).map(bad).collect::<Vec<u32>>());
+    assert!(counts.iter().any(|count| *count != counts[0]), "{counts:?}");
+}
+
+#[test]
+fn a_condition_that_is_stood_in_for_agrees_with_its_negation_and_says_both() {
+    let net = "net n
+place idle = 1, asked, yes, no
+command go -> said_yes, said_no
+transition begin
+  in idle
+  tape go
+  out asked
+transition say_yes
+  in asked
+  when is_dark
+  out yes
+transition say_no
+  in asked
+  when not is_dark
+  out no
+transition tell_yes
+  in yes
+  out idle
+  write said_yes
+transition tell_no
+  in no
+  out idle
+  write said_no
+";
+    let said = ran(net, ", stand_in = true", &["go"; 40]);
+    let count = |word: &str| said.matches(word).count();
+    assert_eq!(count("said_yes ") + count("said_no "), 40, "{said}");
+    assert!(count("said_yes ") > 5 && count("said_no ") > 5, "{said}");
+}
+
+#[test]
+fn data_in_a_message_has_the_unit_that_the_command_names() {
+    use ctos::message::{CommandInfo, Shape, ShapeKind};
+    let shape = |unit: &str| {
+        let mut shape = Shape::named(ShapeKind::Struct, "", &["far"]);
+        shape.inner = vec![Shape {
+            kind: ShapeKind::F64,
+            unit: unit.to_owned(),
+            ..Shape::default()
+        }];
+        shape
+    };
+    let found = |declared: &str, unit: &str| {
+        let net = format!(
+            "net n\nplace p = 1\ndata far : {declared}\ncommand go -> gone\ntransition t\n  in p\n  tape go\n  send objects2.look(far)\n  out p\n  write gone\n"
+        );
+        let (folder, _) = app(&net, "");
+        let file = folder.path().join("app.toml");
+        let config = std::fs::read_to_string(&file).unwrap()
+            + "[task.objects2]\nhandler = \"camera\"\non = \"a\"\n";
+        std::fs::write(&file, config).unwrap();
+        let app = load(&file, &[], &[]).unwrap_or_else(|f| panic!("{f}"));
+        let mut registry = registry(&[]);
+        let look = CommandInfo::declared(1, "look", "", shape(unit), shape("m"));
+        registry.handler("camera", &[look], |_| Ok(Person(Vec::new())));
+        registry.check(&app).to_string()
+    };
+    for (declared, unit) in [("px", "px"), ("float", "px"), ("px", ""), ("Nm", "N m")] {
+        assert_eq!(found(declared, unit), "", "{declared} {unit}");
+    }
+    let said = found("m", "px");
+    assert!(
+        said.contains(
+            "n.net:8:8: error: `far` is (m), and command `look` of task `objects2` has (px) there"
+        ),
+        "{said}"
+    );
+}

@@ -25,10 +25,11 @@ use serde::{Deserialize, Serialize};
 
 pub use event::{Event, EventPhase, Running, Sent, State};
 pub use replica::{Replica, ReplicaError};
-pub(crate) use source::{Happened, Source};
+pub(crate) use source::{Changed, Happened, Source};
 pub use standing::Standing;
 pub use view::{
-    ArcView, CommandView, NetView, PinView, PlaceView, RemoteView, RouteView, Side, TransitionView,
+    ArcView, CommandView, DataView, NetView, PinView, PlaceView, RemoteView, RouteView, Side,
+    TransitionView,
 };
 
 /// The most events of one [`Batch`].

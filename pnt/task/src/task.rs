@@ -36,7 +36,7 @@ mod written;
 #[cfg(test)]
 mod tests;
 
-use std::rc::Rc;
+use std::{rc::Rc, sync::Arc};
 
 use serde::de::DeserializeOwned;
 
@@ -55,7 +55,9 @@ use crate::{
 };
 pub use ask::put_once;
 use engine::{Asker, Engine};
-pub use load::{check_app, check_args, check_messages, check_nets, load, net_of, net_tasks, nets};
+pub use load::{
+    check_app, check_args, check_messages, check_nets, compilations, load, net_of, net_tasks, nets,
+};
 pub use manual::check_breakpoint;
 pub use messages::{
     COMMANDS, Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId,
@@ -117,7 +119,7 @@ impl NetTask {
     #[must_use]
     pub fn new<S: 'static>(
         cx: &Context,
-        net: Net,
+        net: impl Into<Arc<Net>>,
         library: Library<S>,
         conflicts: Conflicts,
         data: Option<Rc<dyn DataStore>>,
@@ -125,7 +127,7 @@ impl NetTask {
         let plain = (Settings::default(), None);
         Self::of(Engine::new(
             cx.clone(),
-            net,
+            net.into(),
             library.functions,
             conflicts,
             data,
@@ -161,7 +163,7 @@ impl NetTask {
             .config()
             .ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
         let settings = settings(config)?;
-        let net = load(&cx.app().file_at(&settings.net))?;
+        let net = net_of(config, cx.app())?;
         // What is wrong with it was said when the app was checked; a net runs without it.
         let layout = LayoutFile::of_net(&cx.app().file_at(&settings.net), &mut Findings::new());
         let task = Self::resumed(cx, net, library, data, settings)?;
@@ -176,17 +178,17 @@ impl NetTask {
     /// What is wrong with the settings or with what was stored.
     pub fn with_settings<S: 'static>(
         cx: &Context,
-        net: Net,
+        net: impl Into<Arc<Net>>,
         library: Library<S>,
         data: Option<Rc<dyn DataStore>>,
         settings: Settings,
     ) -> Result<Self, HandlerError> {
-        Self::resumed(cx, net, library.functions, data, settings)
+        Self::resumed(cx, net.into(), library.functions, data, settings)
     }
 
     fn resumed(
         cx: &Context,
-        net: Net,
+        net: Arc<Net>,
         library: Functions,
         data: Option<Rc<dyn DataStore>>,
         settings: Settings,
@@ -217,7 +219,7 @@ impl NetTask {
             Some(store) => store.load(cx)?,
             None => Contents::new(),
         };
-        let net = durable::replaced_net(&contents)?.unwrap_or(net);
+        let net = durable::replaced_net(&contents)?.map_or(net, Arc::new);
         let with = (settings, store);
         let mut engine = Engine::new(cx.clone(), net, library, conflicts, data, with);
         engine.resume(&contents)?;

@@ -7,7 +7,6 @@ use ctos::{
     registry::Registry,
     task::{Context, HandlerError},
 };
-use pnt::library::Library;
 use serde::{Deserialize, Serialize};
 
 /// Boils the water of one cup.
@@ -38,10 +37,9 @@ impl Kettle {
     }
 }
 
-/// Every event handler that `app.toml` can name: those of `ctos`, the kettle, and what runs nets.
+/// Every event handler that `app.toml` can name: those of `ctos`, and the kettle.
 pub fn registry() -> Registry {
     let mut registry = cli::program::registry();
     registry.handler("tea.kettle", &Kettle::COMMANDS, |_| Ok(Kettle(2)));
-    pnt::task::register(&mut registry, "tea.net", || Library::new(()));
     registry
 }

@@ -141,6 +141,20 @@ fn a_second_answer_goes_to_nobody_and_one_to_no_question_ends_the_program() {
 }
 
 #[test]
+fn a_frame_that_is_none_ends_the_program_with_what_is_wrong() {
+    for (frame, why) in [
+        ("../../etc/hostname", "a name is at most 64 letters"),
+        ("missing", "No such file or directory"),
+    ] {
+        let find = format!(
+            "echo '{{\"reply\":{{\"id\":'$n',\"data\":{{\"frame\":\"{frame}\",\"bytes\":5}}}}}}'"
+        );
+        let text = told(&answering(&find));
+        assert!(text.contains("a frame") && text.contains(why), "{text}");
+    }
+}
+
+#[test]
 fn an_answer_that_comes_too_late_ends_the_program_where_that_is_said() {
     let args = answering(":");
     let text = told(&format!("{args}\nanswer_s = 0.5"));
@@ -289,6 +303,24 @@ fn what_is_missing_or_not_executable_is_found_before_anything_starts() {
             "command = [\"sh\"]\ndeclares = \"p.toml\"",
             "ctos::config::value",
             "there is no type `pixel`",
+        ),
+        (
+            &[][..],
+            "command = [\"sh\", \"-c\", \"echo no more paper >&2; exit 3\"]\ndeclares = \"hello\"",
+            "ctos::program::hello",
+            "does not tell what it takes: its program ended with exit code 3; its last words: no more paper",
+        ),
+        (
+            &[][..],
+            "command = [\"sh\", \"-c\", \"read l; read l\"]\ndeclares = \"hello\"\nstart_s = 0.2",
+            "ctos::program::hello",
+            "it did not say hello within 0.2 s",
+        ),
+        (
+            &[][..],
+            "command = [\"sh\", \"-c\", \"echo Loading weights\"]\ndeclares = \"hello\"",
+            "ctos::program::hello",
+            "it said no hello at first",
         ),
         (
             &[("p.toml", "[command.a]\ncode = 7\n[command.b]\ncode = 7\n")][..],

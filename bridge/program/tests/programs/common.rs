@@ -83,19 +83,13 @@ pub fn person<F: Future<Output = Result<String, String>> + 'static>(
 pub async fn ask(cx: &Context, task: &str, command: &str, data: Value) -> Result<Value, String> {
     let info = cx.registry().command_of(cx.app(), task, command);
     let info = info.map_err(|finding| finding.to_string())?;
-    let mut bytes = Vec::new();
-    info.request.shape().unwrap().encode(&data, &mut bytes)?;
+    let bytes = bridge_program::encoded(&info.request.shape().unwrap(), &data)?;
     let found = cx.task(task).await.map_err(|error| error.to_string())?;
     let reply = cx
         .call_raw(&found, info, bytes, Duration::from_secs(60))
         .await;
     let reply = reply.map_err(|error| error.to_string())?;
-    let mut json = Vec::new();
-    info.reply
-        .shape()
-        .unwrap()
-        .tell(&reply, &mut json, 1 << 30)
-        .unwrap();
+    let json = bridge_program::told(&info.reply.shape().unwrap(), &reply, 1 << 30).unwrap();
     Ok(serde_json::from_slice(&json).unwrap())
 }
 

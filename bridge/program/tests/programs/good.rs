@@ -272,3 +272,170 @@ fn the_program_in_c_speaks_the_protocol() {
     let end = format!("{:?}", run_app(app, registry(does)).end);
     assert!(end.contains("-42 b:main 10"), "{end}");
 }
+
+ctos::command! {
+    /// Says that it is there.
+    pub struct Ready {} => (), 2, "ready"
+}
+
+ctos::command! {
+    /// Ends the app.
+    pub struct Now {} => (), 1, "now"
+}
+
+struct Ender;
+
+#[ctos::handler]
+impl Ender {
+    #[command]
+    fn ready(&mut self, _: Ready) {}
+
+    #[command]
+    async fn now(
+        &mut self,
+        cx: &ctos::task::Context,
+        Now {}: Now,
+    ) -> Result<(), ctos::task::HandlerError> {
+        cx.finish(ctos::system::AppResult {
+            ok: true,
+            text: "the other task".to_owned(),
+            json: String::new(),
+        });
+        Ok(())
+    }
+}
+
+#[test]
+fn other_tasks_of_the_processor_have_their_turn_while_a_program_writes_without_a_pause() {
+    if !has_python() {
+        return;
+    }
+    let writes = r#"
+import json, sys
+def say(**line):
+    print(json.dumps(line), flush=True)
+for text in sys.stdin:
+    line = json.loads(text)
+    if "hello" in line:
+        say(hello={"protocol": 1})
+    elif "run" in line:
+        # From then on it knows where the other task is, and no time need pass to find it.
+        say(call={"id": 1, "task": "ender", "command": "ready", "data": {}})
+    elif "reply" in line:
+        say(send={"id": 2, "task": "ender", "command": "now", "data": {}})
+        for number in range(1000):
+            say(keep={"state": number})
+        say(finish={"ok": True, "text": "the program"})
+    elif "step" in line:
+        say(step=line["step"])
+    elif "stop" in line:
+        break
+"#;
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!(
+        "[app]\nname = \"t\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[task.writer]\nhandler = \"ctos.program\"\non = \"a\"\nargs.command = [\"{}\", \"writer.py\"]\nargs.asks = [\"ender\"]\n[task.ender]\nhandler = \"ender\"\non = \"a\"\n",
+        python()
+    );
+    let app = load(folder.path(), &[("writer.py", writes)], &text);
+    let mut registry = registry(person(|_| async { Ok(String::new()) }));
+    registry.handler("ender", &Ender::COMMANDS, |_| Ok(Ender));
+    let ended = run_app(app, registry).end;
+    assert!(
+        matches!(&ended, ctos::boot::End::Finished(result) if result.text == "the other task"),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn a_program_that_declares_its_commands_in_its_hello_alone_is_known_to_check_and_to_who_asks() {
+    if !has_python() {
+        return;
+    }
+    let writes = r#"
+import ctos
+
+@ctos.handler
+def double(number: int) -> int:
+    "Doubles a number."
+    return 2 * number
+
+@ctos.handler(request={"times": "int", "far": "mm"}, reply={"mean": "px?"})
+def measure(times, far):
+    return {"mean": far * times}
+
+ctos.run()
+"#;
+    let args = format!(
+        "command = [\"{}\", \"detector.py\"]\ndeclares = \"hello\"\nenvironment.PYTHONPATH = \"{}\"",
+        python(),
+        client()
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let app = load(
+        folder.path(),
+        &[("detector.py", writes)],
+        &(app_text(&args, "") + "[time]\nmode = \"virtual\"\n"),
+    );
+    let does = person(|cx| async move {
+        let said = ask(&cx, "detector", "measure", json!({"times": 2, "far": 1.5})).await?;
+        let twice = ask(&cx, "detector", "double", json!({"number": 4})).await?;
+        Ok(format!("{said} {twice}"))
+    });
+    let registry = registry(does);
+    let found = registry.check(&app);
+    assert!(found.is_empty(), "{found}");
+    let measure = registry.command_of(&app, "detector", "measure").unwrap();
+    assert_eq!(
+        (measure.code, measure.doc),
+        (2, "({times: int, far: mm} -> {mean: px?})")
+    );
+    let ended = run_app(app, registry).end;
+    assert!(
+        matches!(&ended, ctos::boot::End::Finished(result) if result.text == "{\"mean\":3.0} 8"),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn large_bytes_go_through_shared_memory_and_nothing_of_them_is_left() {
+    if !has_python() {
+        return;
+    }
+    let writes = r#"
+import ctos
+
+@ctos.handler
+def turn(pixels):
+    framed = isinstance(pixels, dict)
+    return {"framed": framed, "pixels": ctos.opaque(pixels)[::-1]}
+
+ctos.run(frames=True)
+"#;
+    let declares = "[command.turn]\nrequest = { pixels = \"bytes\" }\nreply = { framed = \"bool\", pixels = \"bytes\" }\n";
+    let args = format!(
+        "command = [\"{}\", \"detector.py\"]\nenvironment.PYTHONPATH = \"{}\"",
+        python(),
+        client()
+    );
+    let does = person(|cx| async move {
+        use base64::{Engine as _, engine::general_purpose::STANDARD};
+        for (length, framed) in [(1000, false), (3 << 20, true)] {
+            let pixels: Vec<u8> = (0..length).map(|at: usize| (at % 251) as u8).collect();
+            let data = json!({"pixels": STANDARD.encode(&pixels)});
+            let answer = ask(&cx, "detector", "turn", data).await?;
+            assert_eq!(answer["framed"], framed, "{length}");
+            let turned = STANDARD.decode(answer["pixels"].as_str().unwrap()).unwrap();
+            assert!(turned.iter().eq(pixels.iter().rev()));
+        }
+        let own = format!("ctos-frames-{}-", std::process::id());
+        let folders = fs::read_dir("/dev/shm").unwrap().flatten();
+        let folders = folders.filter(|one| one.file_name().to_string_lossy().starts_with(&own));
+        let left = folders
+            .flat_map(|one| fs::read_dir(one.path()).unwrap())
+            .count();
+        Ok(format!("{left} left"))
+    });
+    let files = [("detector.py", writes), ("detector.toml", declares)];
+    let app = app_text(&args, "") + "[time]\nmode = \"virtual\"\n";
+    assert_eq!(run(&files, &app, does).unwrap(), "0 left");
+}

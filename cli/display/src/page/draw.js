@@ -2,7 +2,7 @@
 // stand where they are told to.
 
 import { BAR, Field, RADIUS } from "./field.js";
-import { called, foldStanding, nodeStanding, seconds } from "./model.js";
+import { called, foldStanding, nodeStanding, seconds, valueOf } from "./model.js";
 import { alongPoints, dots, element, markers, middleOf, pathOf, pointsOf } from "./shapes.js";
 import { View } from "./view.js";
 
@@ -14,6 +14,9 @@ const MOST_AT_ONCE = 20;
 const MOST_TRAVELLERS = 60;
 /** Nets of more nodes are painted on canvases. */
 const LARGE = 300;
+
+/** So much of a value stands beside a place, characters. */
+const VALUE = 24;
 
 /** Whether motion is unwelcome. */
 const still = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -156,6 +159,11 @@ export class Picture extends View {
       shown.tally = element("tspan", { class: "tally", x: node.x + x, dy: node.label === "above" ? -13 : 12 });
       shown.name.append(shown.tally);
     }
+    if (kind === "place") {
+      // The values that are stored with the place.
+      shown.values = net.view.data.flatMap((data, number) => (data.place === node.kind.place ? [{ number, data, line: element("tspan", { class: "value", x: node.x + x, dy: node.label === "above" ? -13 : 12 }) }] : []));
+      shown.name.append(...shown.values.map(({ line }) => line));
+    }
     this.layers.nodes.append(group);
     this.layers.names.append(shown.name);
   }
@@ -182,6 +190,11 @@ export class Picture extends View {
       const shown = group.places.get(place);
       if (shown) this.updatePlace(shown, count, changed.add(shown));
     });
+    for (const { number, data, line } of group.values) {
+      if (group.data[number] === state.data[number]) continue;
+      group.data[number] = state.data[number];
+      line.textContent = valueText(data, state.data[number]);
+    }
     state.ended.forEach((count, number) => {
       if (group.ended[number] === count) return;
       group.ended[number] = count;
@@ -361,7 +374,7 @@ export class Picture extends View {
     shown.group?.setAttribute("transform", `translate(${node.x} ${node.y})`);
     shown.name?.setAttribute("x", node.x + label.x);
     shown.name?.setAttribute("y", node.y + label.y);
-    shown.tally?.setAttribute("x", node.x + label.x);
+    for (const line of [shown.tally, ...(shown.values ?? []).map((one) => one.line)]) line?.setAttribute("x", node.x + label.x);
     if (this.large) this.field.look(this, this.near);
   }
 }
@@ -391,10 +404,11 @@ function fillOf(shown, part) {
 
 /** What a display must look at again when a place of a net, or a number of firings, has changed. */
 function groupOf(net, all) {
-  const group = { net, all, places: new Map(), transitions: [], touches: [], parts: [], counts: [], ended: [], brief: null, about: null };
+  const group = { net, all, places: new Map(), transitions: [], touches: [], parts: [], counts: [], ended: [], values: [], data: [], brief: null, about: null };
   const add = (lists, number, shown) => (lists[number] ??= new Set()).add(shown);
   for (const shown of all) {
     if (shown.kind === "place") group.places.set(shown.node.kind.place, shown);
+    group.values.push(...(shown.values ?? []));
     if (shown.kind !== "transition" && shown.kind !== "fold") continue;
     group.transitions.push(shown);
     const watched = shown.kind === "fold" ? shown.node.kind.fold[0] : [shown.node.kind.transition[1]];
@@ -411,6 +425,12 @@ function groupOf(net, all) {
 /** The transitions that a node stands for, by number. */
 function numbersOf({ kind }) {
   return kind.fold ? kind.fold[1].flatMap(([parts]) => parts) : kind.transition[0];
+}
+
+/** A value beside a place: a field by its own name. */
+function valueText(data, value) {
+  const text = `${data.name.split(".").at(-1)} = ${valueOf(data, value)}`;
+  return text.length > VALUE ? `${text.slice(0, VALUE - 1)}…` : text;
 }
 
 /** How often a transition has fired, and how long its action takes. */

@@ -138,7 +138,7 @@ export class Fork extends Net {
   }
 
   note(event, reads = false) {
-    const plain = { seq: this.head.seq + 1, at_ns: this.head.at_ns + 1e6, net: this.name, firing: null, consumed: [], produced: [], sent: [], read: null, wrote: null, target: "", trace: "" };
+    const plain = { seq: this.head.seq + 1, at_ns: this.head.at_ns + 1e6, net: this.name, firing: null, consumed: [], produced: [], sent: [], read: null, wrote: null, target: "", trace: "", data: [] };
     // What a failure names as read goes back to the tape; a branch keeps it read.
     if (reads) this.follow([{ ...plain, ...event, phase: "fired", wrote: null }]);
     else this.follow([{ ...plain, ...event }]);

@@ -17,19 +17,21 @@ export function copy(state) {
     ended: state.ended.slice(),
     failed: state.failed.slice(),
     busy_ns: state.busy_ns.slice(),
+    data: state.data.slice(),
   };
 }
 
-/** The numbers of places and transitions by their names. */
+/** The numbers of places, transitions and values of data by their names. */
 export function indexOf(view) {
   const index = (list) => new Map(list.map((one, number) => [one.name, number]));
-  return { places: index(view.places), transitions: index(view.transitions) };
+  return { places: index(view.places), transitions: index(view.transitions), data: index(view.data) };
 }
 
 /** Changes `state` by one event. The rules are those of `pnt::stream::Replica`. */
 export function apply(state, event, index) {
   for (const [name, tokens] of event.consumed) state.places[index.places.get(name)] -= tokens;
   for (const [name, tokens] of event.produced) state.places[index.places.get(name)] += tokens;
+  for (const [name, value] of event.data) state.data[index.data.get(name)] = value;
   state.seq = event.seq;
   state.at_ns = event.at_ns;
   const number = index.transitions.get(event.transition);
@@ -179,6 +181,21 @@ export class Net {
     return lanes;
   }
 
+  /** From when to when declared data had each of its values, by name; only of data that has changed. The end of what it is
+   * now is null. */
+  changes() {
+    const changes = new Map();
+    this.events.forEach((event, position) => {
+      for (const [name, value] of event.data) {
+        if (!changes.has(name)) changes.set(name, [{ from: this.base.at_ns, to: null, value: this.base.data[this.index.data.get(name)], position: 0 }]);
+        const spans = changes.get(name);
+        spans.at(-1).to = event.at_ns;
+        spans.push({ from: event.at_ns, to: null, value, position: position + 1 });
+      }
+    });
+    return changes;
+  }
+
   /** Tokens of a place over time: moments and what they were from then on. */
   history(place) {
     const number = this.index.places.get(place);
@@ -271,6 +288,12 @@ function runningSince(net, state, start) {
     if (event.transition === start.name) return [{ transition: start.name, since_ns: event.at_ns }];
   }
   return [{ transition: start.name, since_ns: net.base.at_ns }];
+}
+
+/** A value of declared data as a person reads it; `data` is one of the net's view. */
+export function valueOf({ kind }, value) {
+  if (kind === "text") return `"${value}"`;
+  return ["int", "float", "bool"].includes(kind) ? value : `${value} ${kind}`;
 }
 
 /** Seconds, as a person reads them. */

@@ -1,7 +1,7 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
-import { called, nodeStanding, seconds } from "./model.js";
 import { OF_TASK } from "./loads.js";
+import { called, nodeStanding, seconds, valueOf } from "./model.js";
 import { durationKey, placeKey, taskKey } from "./plots.js";
 import { standingSection } from "./standing.js";
 import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
@@ -57,7 +57,8 @@ function placePart(net, node, app) {
   const count = state.places[node.kind.place];
   const facts = [["tokens", withPlot(String(count), "plot", placeKey(net.name, place.name), app, net.real)], ["at the start", String(place.tokens)]];
   if (place.capacity !== null) facts.push(["at most", String(place.capacity)]);
-  if (place.data !== null) facts.push(["says whether valid", place.data]);
+  if (place.data !== null && !net.view.data.some((data) => data.place === node.kind.place)) facts.push(["says whether valid", place.data]);
+  net.view.data.forEach((data, number) => data.place === node.kind.place && facts.push([data.name, valueOf(data, state.data[number])]));
   facts.push(inText(place.at));
   const takers = net.view.transitions.filter((one) => one.inputs.some((arc) => arc.place === node.kind.place));
   const senders = sendersTo(net.name, place.name, [...app.nets.values()]);
@@ -284,6 +285,7 @@ function netPart(net, app) {
     net.view.commands.length > 0 ? make("p", {}, make("span", { class: "soft" }, "tape "), ...(state.in_progress ? [...symbols([state.in_progress]), " in progress "] : []),
       ...symbols(state.tape), state.tape.length === 0 && !state.in_progress ? "empty" : "", ...(answers.length > 0 ? [make("span", { class: "soft" }, " answered "), ...symbols(answers)] : [])) : null,
     commandPart(net, app),
+    net.view.data.length > 0 ? make("div", { "aria-label": "data" }, factList(net.view.data.slice(0, MOST_LISTED).map((data, number) => [data.name, valueOf(data, state.data[number])]))) : null,
     make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, MOST_LISTED).map((node) => jump(net, node.name, app)))),
       ...(lists.running.length > 0 ? ["; taken by ", ...between(lists.running.slice(0, MOST_LISTED).map(([node]) => jump(net, node.name, app)))] : [])),
     net.skipped > 0 ? make("p", { class: "soft" }, `${net.skipped} events came too fast to be shown`) : null);

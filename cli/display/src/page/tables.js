@@ -2,7 +2,7 @@
 
 import { colours } from "./field.js";
 import { make, tokens } from "./panels.js";
-import { passes, seconds, told } from "./model.js";
+import { passes, seconds, told, valueOf } from "./model.js";
 
 /** The table shows no more rows than this; filters find the others. While the present goes on it shows fewer, and
  * those often. */
@@ -12,7 +12,7 @@ const LANE = 17;
 
 // -- lanes ---------------------------------------------------------------------------------
 
-/** Actions over time: a lane for each transition that did something, or for each task. */
+/** Actions over time: a lane for each transition that did something, or for each task. Below them, what data has changed. */
 export class Lanes {
   constructor(host, app) {
     [this.host, this.app] = [host, app];
@@ -36,7 +36,7 @@ export class Lanes {
     else {
       const row = this.rows[Math.floor((event.clientY - rect.top - 4 + this.host.scrollTop) / LANE)];
       if (row?.task) this.app.lookAt(row.task);
-      else if (row) this.app.choose(row.key);
+      else if (row?.key) this.app.choose(row.key);
     }
   }
 
@@ -58,6 +58,12 @@ export class Lanes {
         const [key, name] = byTask ? [task, task] : [`${net.name}/${one.shown}`, one.shown];
         if (!rows.has(key)) rows.set(key, { key, name, task: byTask ? task : null, bars: [] });
         rows.get(key).bars.push(...requestBars(net, transition, bars));
+      }
+    }
+    for (const net of byTask ? [] : app.visibleNets()) {
+      for (const [name, spans] of net.changes()) {
+        const data = net.view.data[net.index.data.get(name)];
+        rows.set(`${net.name} ${name}`, { key: null, name, task: null, bars: [], spans: spans.map((span) => ({ ...span, text: valueOf(data, span.value) })) });
       }
     }
     this.rows = [...rows.values()];
@@ -92,7 +98,7 @@ export class Lanes {
     const x = (at) => this.left + ((width - this.left - 8) * (at - from)) / Math.max(1, to - from);
     const looks = { started: colour.running, completed: colour.running, failed: colour.failed };
     const first = Math.floor(top / LANE);
-    this.rows.slice(first, first + Math.ceil(height / LANE) + 1).forEach(({ key, name, bars }, index) => {
+    this.rows.slice(first, first + Math.ceil(height / LANE) + 1).forEach(({ key, name, bars, spans }, index) => {
       const y = (first + index) * LANE + 4 - top;
       if ((first + index) % 2 === 1) {
         pen.fillStyle = colour.wash;
@@ -100,7 +106,7 @@ export class Lanes {
         pen.fillRect(0, y, width, LANE);
         pen.globalAlpha = 1;
       }
-      pen.fillStyle = key === app.chosen || key === app.task ? colour.mark : colour.soft;
+      pen.fillStyle = key !== null && (key === app.chosen || key === app.task) ? colour.mark : colour.soft;
       pen.fillText(clipped(pen, name, this.left - 16), 12, y + 12);
       for (const bar of bars) {
         const until = bar.to ?? end;
@@ -111,6 +117,17 @@ export class Lanes {
         else pen.fillRect(a, y + 3.5, Math.max(2, b - a), LANE - 7);
         // Without colour: what failed has a cross on it.
         if (bar.phase === "failed") pen.fillText("✕", b + 1, y + 12);
+      }
+      // A value from one change to the next, as far as there is room for it.
+      for (const span of spans ?? []) {
+        const until = span.to ?? end;
+        if (until < from || span.from > to) continue;
+        const [a, b] = [Math.max(this.left, x(span.from)), Math.min(x(until), width - 8)];
+        pen.fillStyle = colour.faint;
+        pen.fillRect(a, y + 3, 1, LANE - 6);
+        pen.fillRect(a, y + LANE - 4, Math.max(1, b - a), 1);
+        pen.fillStyle = colour.soft;
+        if (b - a > 14) pen.fillText(clipped(pen, span.text, b - a - 6), a + 4, y + 11);
       }
     });
     pen.fillStyle = colour.mark;

@@ -159,6 +159,10 @@ impl Screen {
             })
             .collect();
         lines.push(Line::from(format!("marked   {}", marked.join(" "))));
+        if !net.view.data.is_empty() {
+            let data = text::data(&net.view, state);
+            lines.push(Line::from(format!("data     {data}")));
+        }
         let progress = state.in_progress.iter().map(|symbol| format!("[{symbol}]"));
         let tape: Vec<String> = progress.chain(state.tape.iter().cloned()).collect();
         if !net.view.commands.is_empty() {

@@ -50,6 +50,9 @@ pub(super) struct Answer {
     /// Firing sequences that show why the nets are not sound.
     counterexamples: Vec<Shown>,
     findings: Vec<serde_json::Value>,
+    /// Conditions of `when` lines: any of them may say yes or no at any time.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    free_choices: Vec<FreeChoice>,
     /// What came on tapes, by net, where that was given.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     tapes: BTreeMap<String, String>,
@@ -111,6 +114,54 @@ fn marked(model: &Model, marking: &[u32]) -> BTreeMap<String, u32> {
     held.map(|(place, tokens)| (place.name.clone(), *tokens))
         .collect()
 }
+
+/// A condition that the analysis does not look into.
+#[derive(Debug, Serialize)]
+struct FreeChoice {
+    net: String,
+    transition: String,
+    /// As it is written, with `not`.
+    when: String,
+    at: String,
+}
+
+impl FreeChoice {
+    fn all(nets: &[Arc<Net>]) -> Vec<Self> {
+        let conditions = nets.iter().flat_map(|net| {
+            let transitions = net.transitions().iter();
+            transitions.filter_map(move |transition| {
+                let when = transition.when.as_ref()?;
+                let not = if when.negated { "not " } else { "" };
+                Some(Self {
+                    net: net.name().to_owned(),
+                    transition: transition.written().to_owned(),
+                    when: format!("{not}{}", when.function),
+                    at: when.at.to_string(),
+                })
+            })
+        });
+        conditions.collect()
+    }
+
+    /// A line for all of them.
+    fn text(all: &[Self], alone: bool) -> String {
+        let each = all.iter().take(MOST_CHOICES).map(|one| match alone {
+            true => format!("{}: {}", one.transition, one.when),
+            false => format!("{}.{}: {}", one.net, one.transition, one.when),
+        });
+        let mut each: Vec<String> = each.collect();
+        if let more @ 1.. = all.len() - each.len() {
+            each.push(format!("{more} more"));
+        }
+        format!(
+            "\n  `when` lines, each taken as a free choice between yes and no: {}",
+            each.join("; ")
+        )
+    }
+}
+
+/// So many conditions are listed for people.
+const MOST_CHOICES: usize = 12;
 
 /// One command by itself.
 #[derive(Debug, Serialize)]
@@ -279,6 +330,7 @@ impl Answer {
                 .map(|counterexample| Shown::new(counterexample, &proof.model))
                 .collect(),
             findings: proof.findings.iter().map(show::finding_json).collect(),
+            free_choices: FreeChoice::all(nets),
             tapes: options
                 .tapes
                 .iter()
@@ -354,6 +406,9 @@ impl Answer {
                 "\n  without bound: {}",
                 self.unbounded_places.join(", ")
             );
+        }
+        if !self.free_choices.is_empty() {
+            text.push_str(&FreeChoice::text(&self.free_choices, self.nets.len() == 1));
         }
         for (net, tape) in &self.tapes {
             let _ = write!(text, "\n  tape of {net}: {tape}");

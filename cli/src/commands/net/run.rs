@@ -29,7 +29,7 @@ use crate::commands::{
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos net run configs/nets/greet.net --tape 'greet world 3'
-  ctos net run configs/nets/greet.net --tape 'greet world 3' --stand-in --fail 0.01 --seed 7 -v
+  ctos net run configs/nets/greet.net --tape 'greet world 3' --stand-in --fail 0.3 --seed 7 -v
   ctos net run configs/nets/greet.net --display")]
 pub struct RunArgs {
     /// The net

@@ -29,10 +29,12 @@ from typing import Any, BinaryIO, Callable, NoReturn, Optional
 
 __all__ = [
     "Answer", "CallError", "Refused", "args", "at", "call", "finish", "handler", "keep", "log", "on_run",
-    "on_stop", "rng", "run", "send", "service_object", "state", "task", "unwrap",
+    "on_stop", "opaque", "rng", "run", "send", "service_object", "state", "task", "unwrap",
 ]
 
 PROTOCOL = 1
+# Fewer bytes go as base64.
+LEAST_FRAME = 1 << 16
 
 
 class CallError(Exception):
@@ -62,20 +64,30 @@ _state: Any = None
 _rng = random.Random()
 _waiting: deque[dict[str, Any]] = deque()
 _next = 1
+# The folder of frames, and how many were written.
+_frames: Optional[str] = None
+_framed = 0
 _input: BinaryIO = sys.stdin.buffer
 _output: BinaryIO = sys.stdout.buffer
 
 
-def handler(function: Optional[Callable[..., Any]] = None, *, name: Optional[str] = None) -> Any:
+def handler(
+    function: Optional[Callable[..., Any]] = None,
+    *,
+    name: Optional[str] = None,
+    request: Optional[dict[str, Any]] = None,
+    reply: Any = None,
+) -> Any:
     """Takes the command that is called as the function is, or `name`.
 
     The fields of the request are its arguments by name. What it returns is the reply: a value, a dictionary, a dataclass.
+    `request` and `reply` are their types with units, for `declares = "hello"`; without them the annotations count.
     """
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
         command = name or function.__name__
         _handlers[command] = function
-        _declared.append({"name": command, "function": function})
+        _declared.append({"name": command, "function": function, "request": request, "reply": reply})
         return function
 
     return register(function) if function else register
@@ -131,6 +143,17 @@ def send(to: str, command: str, /, **data: Any) -> None:
     _write({"send": _asked(to, command, data)})
 
 
+def opaque(value: Any) -> bytes:
+    """The bytes that a field of type `bytes` has: they come as base64, or as a frame in shared memory, which is read once."""
+    if isinstance(value, dict) and set(value) == {"frame", "bytes"} and _frames is not None:
+        path = os.path.join(_frames, os.path.basename(value["frame"]))
+        with open(path, "rb") as file:
+            read = file.read()
+        os.unlink(path)
+        return read
+    return base64.b64decode(value)
+
+
 def unwrap(reply: Any) -> Any:
     """The value of a reply that is `{"Ok": value}`; `CallError` for `{"Err": why}`."""
     if isinstance(reply, dict) and set(reply) == {"Ok"}:
@@ -182,15 +205,16 @@ def finish(ok: bool, text: str = "") -> None:
     _write({"finish": {"ok": ok, "text": text}})
 
 
-def run(*, deterministic: bool = True) -> NoReturn:
+def run(*, deterministic: bool = True, frames: bool = False) -> NoReturn:
     """Serves until the task is stopped.
 
     `deterministic`: the same lines lead to the same lines. Without that it is refused in virtual time.
+    `frames`: bytes of more than 64 kB go through shared memory, in both directions; handlers read them by `opaque(value)`.
     """
     if sys.argv[1:] == ["--declare"]:
         print(_declaration(deterministic))
         sys.exit(0)
-    global _input, _output, _hello, _state, _rng
+    global _input, _output, _hello, _state, _rng, _frames
     # Whatever prints, in whatever library, does not write into the protocol.
     _output = os.fdopen(os.dup(1), "wb", buffering=0)
     _input = os.fdopen(os.dup(0), "rb")
@@ -204,9 +228,12 @@ def run(*, deterministic: bool = True) -> NoReturn:
     if _hello["protocol"] != PROTOCOL:
         sys.exit(f"this client speaks version {PROTOCOL} of the protocol, the task {_hello['protocol']}")
     _state = _hello.get("state")
+    _frames = _hello.get("frames") if frames else None
     _rng = random.Random(f"{_hello['seed']} {_hello['task']}")
-    commands = [{"name": declared["name"]} for declared in _declared]
-    _write({"hello": {"protocol": PROTOCOL, "deterministic": deterministic, "commands": commands}})
+    # Types are told to who asks for them alone: otherwise the file beside the program has them.
+    commands = [_types(declared) if _hello.get("declare") else {"name": declared["name"]} for declared in _declared]
+    hello = {"protocol": PROTOCOL, "deterministic": deterministic, "frames": _frames is not None, "commands": commands}
+    _write({"hello": hello})
     while True:
         line = _waiting.popleft() if _waiting else _read()
         if line is None:
@@ -272,7 +299,7 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, (bytes, bytearray, memoryview)):
-        return base64.b64encode(value).decode("ascii")
+        return _frame(value) if _frames is not None and len(value) >= LEAST_FRAME else base64.b64encode(value).decode("ascii")
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
@@ -282,6 +309,16 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
     raise TypeError(f"{type(value).__name__} has no JSON")
+
+
+def _frame(value: Any) -> dict[str, Any]:
+    """A frame of these bytes: who reads the line removes it."""
+    global _framed
+    _framed += 1
+    name = f"p{_framed}"
+    with open(os.path.join(_frames or "", name), "xb") as file:
+        file.write(value)
+    return {"frame": name, "bytes": memoryview(value).nbytes}
 
 
 def _line(line: dict[str, Any]) -> bytes:
@@ -326,15 +363,34 @@ def _type(annotation: Any) -> str:
     return json.dumps("float")
 
 
+def _types(declared: dict[str, Any]) -> dict[str, Any]:
+    """What a command takes and gives, with its help."""
+    about = inspect.signature(declared["function"])
+    request, reply = declared["request"], declared["reply"]
+    if request is None:
+        request = {name: json.loads(_type(one.annotation)) for name, one in about.parameters.items()}
+    if reply is None:
+        gives = about.return_annotation
+        reply = "nothing" if gives in (None, "None", inspect.Signature.empty) else json.loads(_type(gives))
+    help = (inspect.getdoc(declared["function"]) or "").split("\n")[0]
+    return {"name": declared["name"], "help": help, "request": request, "reply": reply}
+
+
+def _toml(value: Any) -> str:
+    """A type as TOML has it."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_toml(one)}" for name, one in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml(one) for one in value) + "]"
+    return json.dumps(value)
+
+
 def _declaration(deterministic: bool) -> str:
     lines = [f"deterministic = {json.dumps(deterministic)}"]
     for declared in _declared:
-        about = inspect.signature(declared["function"])
-        fields = ", ".join(f"{name} = {_type(one.annotation)}" for name, one in about.parameters.items())
-        gives = about.return_annotation
-        reply = "\"nothing\"" if gives in (None, "None", inspect.Signature.empty) else _type(gives)
-        text = (inspect.getdoc(declared["function"]) or "").split("\n")[0]
+        types = _types(declared)
         lines += [
-            "", f"[command.{declared['name']}]", f"help = {json.dumps(text)}", f"request = {{ {fields} }}", f"reply = {reply}",
+            "", f"[command.{types['name']}]", f"help = {json.dumps(types['help'])}", f"request = {_toml(types['request'])}",
+            f"reply = {_toml(types['reply'])}",
         ]
     return "\n".join(lines)

@@ -32,7 +32,7 @@ use ctos_core::chassis::Chassis;
 use ctos_link::{
     handshake::{Member, Process, Token},
     injure::Injury,
-    reactor::{LinkParker, Reactor},
+    reactor::{self, LinkParker, Reactor},
     security::{KeyError, Keys},
     session::{
         DownReason, Limits, Session,
@@ -182,6 +182,7 @@ impl Mesh {
         let reactor = Reactor::new(chassis.name(), chassis.clock.clone(), spin);
         let reactor = reactor.map_err(MeshError::Wait)?;
         let links = reactor.clone();
+        chassis.share(reactor::SHARED, reactor.clone());
         chassis.set_parks(Box::new(move || Arc::new(LinkParker::new(links.clone()))));
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {

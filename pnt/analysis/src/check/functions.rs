@@ -57,6 +57,20 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
                 .help("run the net with the handler `pnt.net`"),
         );
     }
+    for data in &net.declared().data {
+        if names.enabling.contains(&data.name) {
+            let text = format!(
+                "data `{0}` hides the enabling function `{0}` of the library of net `{1}`",
+                data.name,
+                net.name()
+            );
+            findings.push(
+                Finding::error("pnt::net::data", text)
+                    .at(data.at.clone())
+                    .help("rename the data: in a `when` line, a name means one thing"),
+            );
+        }
+    }
     let mut unknown = |what: &str, name: &str, at: &At, known: &BTreeSet<String>| {
         if !known.contains(name) {
             let finding = Finding::error(

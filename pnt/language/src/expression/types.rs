@@ -98,7 +98,11 @@ impl<'a> Types<'a> {
                 let Expr::Ident(name) = &select.operand.expr else {
                     return Err(self.no_part(id));
                 };
-                self.named(select.operand.id, &format!("{name}.{}", select.field))
+                let (whole, at) = (format!("{name}.{}", select.field), select.operand.id);
+                let typed = self.named(at, &whole)?;
+                // It is looked up as one name.
+                tree.expr = Expr::Ident(whole);
+                Ok(typed)
             }
             Expr::Call(call) => self.call(id, call),
             _ => Err(self.no_part(id)),

@@ -122,6 +122,9 @@ pub struct Event {
     pub target: String,
     /// The trace of the message that made it possible, `CHASSIS.NUMBER`; empty when no message did.
     pub trace: String,
+    /// Declared data that has changed, by name, with its new values as people write them.
+    #[serde(default)]
+    pub data: Vec<(String, String)>,
 }
 
 /// A firing whose action goes on.
@@ -163,6 +166,9 @@ pub struct State {
     pub paused: Option<String>,
     /// Why the net has stopped for good, if it has.
     pub stopped: Option<String>,
+    /// The values of declared data, as people write them, by number.
+    #[serde(default)]
+    pub data: Vec<String>,
 }
 
 impl State {
@@ -183,6 +189,7 @@ impl State {
             busy_ns: vec![0; count],
             paused: None,
             stopped: None,
+            data: view.data.iter().map(|data| data.initial.clone()).collect(),
         }
     }
 }

@@ -60,6 +60,7 @@ pub enum ReplicaError {
 pub struct Replica {
     net: String,
     places: BTreeMap<String, usize>,
+    data: BTreeMap<String, usize>,
     transitions: BTreeMap<String, usize>,
     state: State,
 }
@@ -75,6 +76,9 @@ impl Replica {
         let mut replica = Self {
             net: view.name.clone(),
             places: places
+                .map(|(index, one)| (one.name.clone(), index))
+                .collect(),
+            data: (view.data.iter().enumerate())
                 .map(|(index, one)| (one.name.clone(), index))
                 .collect(),
             transitions: transitions
@@ -100,6 +104,7 @@ impl Replica {
         let counts = [state.ended.len(), state.failed.len(), state.busy_ns.len()];
         let fits = state.net == self.net
             && state.places.len() == self.places.len()
+            && state.data.len() == self.data.len()
             && counts.iter().all(|count| *count == self.transitions.len());
         if !fits {
             return Err(ReplicaError::Other {
@@ -134,6 +139,14 @@ impl Replica {
             ),
         };
         let places = self.moved(event)?;
+        for (name, value) in &event.data {
+            let there = self.data.get(name);
+            let there = there.and_then(|index| self.state.data.get_mut(*index));
+            match there {
+                Some(there) => there.clone_from(value),
+                None => return Err(self.unknown("data", name, event.seq)),
+            }
+        }
         self.state.places = places;
         self.state.seq = event.seq;
         self.state.at_ns = event.at_ns;

@@ -12,6 +12,7 @@ use super::{
     Sent, State, view,
 };
 use pnt_language::{
+    data::Value,
     exec::{Execution, FiringId, OnTape, Tokens},
     net::{self, Net, PlaceId, TransitionId},
 };
@@ -42,11 +43,14 @@ struct Kept {
     emptied: Tokens,
 }
 
+/// Values of declared data that have changed, by number.
+pub(crate) type Changed = Vec<(usize, Value)>;
+
 /// What happened.
 #[derive(Debug, Clone)]
 pub(crate) enum Happened {
-    /// To a transition, in one of its firings, and why.
-    Transition(TransitionId, EventPhase, Option<FiringId>, String),
+    /// To a transition, in one of its firings, why, and what declared data has become.
+    Transition(TransitionId, EventPhase, Option<FiringId>, String, Changed),
     /// To the tokens of places alone, and who did it.
     Tokens(EventPhase, Tokens, Arc<str>),
     /// A symbol came, with arguments.
@@ -89,6 +93,8 @@ pub(crate) struct Source {
     current: Option<u64>,
     /// The marking after the latest event; kept where there are reset arcs only.
     marking: Vec<u32>,
+    /// Declared data after the latest event.
+    values: Vec<Value>,
     resets: bool,
     /// Number of the latest event that followers may see: of those after it a crash could still undo
     /// what they tell.
@@ -110,6 +116,7 @@ impl Source {
         let count = net.transitions().len();
         let resets = net.transitions().iter().any(|one| !one.resets.is_empty());
         let marking = net.places().iter().map(|place| place.tokens).collect();
+        let values = net.declared().initial();
         Self {
             net,
             run: now.as_nanos(),
@@ -123,6 +130,7 @@ impl Source {
             stopped: None,
             current: None,
             marking,
+            values,
             resets,
             shown: 0,
             whole: None,
@@ -135,10 +143,11 @@ impl Source {
 
     /// Begins a new stream, of a net that is put in place of this one or goes on where it was. Followers
     /// get its whole state.
-    pub(crate) fn begin_again(&mut self, now: Instant, execution: &Execution) {
+    pub(crate) fn begin_again(&mut self, now: Instant, execution: &Execution, values: &[Value]) {
         let mut begun = Self::new(Arc::clone(execution.net()), now);
         begun.run = now.as_nanos().max(self.run + 1);
         begun.marking = execution.marking().to_vec();
+        begun.values = values.to_vec();
         begun.current = execution.tape().current().map(|on_tape| on_tape.number);
         begun.paused = self.paused.take();
         begun.followers = std::mem::take(&mut self.followers);
@@ -166,8 +175,13 @@ impl Source {
         self.current = current;
         let emptied = self.emptied(&what, execution);
         match &what {
-            Happened::Transition(id, phase, firing, _) => {
+            Happened::Transition(id, phase, firing, _, changed) => {
                 self.count(*id, *phase, *firing, at_ns);
+                for (slot, value) in changed {
+                    if let Some(there) = self.values.get_mut(*slot) {
+                        there.clone_from(value);
+                    }
+                }
             }
             Happened::Net(EventPhase::Paused, why) => self.paused = Some(why.clone()),
             Happened::Net(EventPhase::Resumed, _) => self.paused = None,
@@ -269,6 +283,7 @@ impl Source {
             busy_ns: self.busy_ns.clone(),
             paused: self.paused.clone(),
             stopped: self.stopped.clone(),
+            data: self.values.iter().map(Value::to_string).collect(),
         }
     }
 
@@ -463,12 +478,19 @@ impl Source {
             wrote: None,
             target: String::new(),
             trace: trace(kept.trace),
+            data: Vec::new(),
         };
         match &kept.what {
-            Happened::Transition(id, phase, firing, text) => {
+            Happened::Transition(id, phase, firing, text, changed) => {
                 event.phase = *phase;
                 event.text.clone_from(text);
                 event.firing = firing.map(FiringId::number);
+                let slots = &net.declared().slots;
+                let named = |(slot, value): &(usize, Value)| {
+                    let name = slots.get(*slot)?.name.clone();
+                    Some((name, value.to_string()))
+                };
+                event.data = changed.iter().filter_map(named).collect();
                 fill(net, &net[*id], &mut event);
                 let named = |(id, count): &(PlaceId, u32)| (net[*id].name.clone(), *count);
                 event.consumed.extend(kept.emptied.iter().map(named));

@@ -21,6 +21,7 @@ use crate::{
 };
 use pnt_language::{
     compile,
+    data::Value,
     exec::{Conflicts, Execution},
     net::Net,
 };
@@ -413,7 +414,7 @@ fn a_request_is_told_by_its_authors_name_with_what_happened_to_it() {
         }
         let id = net.transition(name).unwrap();
         execution.fire(id).unwrap();
-        let what = Happened::Transition(id, EventPhase::Fired, None, String::new());
+        let what = Happened::Transition(id, EventPhase::Fired, None, String::new(), Vec::new());
         source.note(Instant::from_nanos(0), 0, what, &execution);
         let event = source.last().unwrap();
         let (transition, phase) = view.told(&event);
@@ -477,10 +478,10 @@ transition loop
                     let Some(id) = execution.enabled().nth(index) else { continue };
                     if net[id].action.is_some() {
                         let firing = execution.start(id).unwrap();
-                        Happened::Transition(id, EventPhase::Started, Some(firing), String::new())
+                        Happened::Transition(id, EventPhase::Started, Some(firing), String::new(), Vec::new())
                     } else {
                         execution.fire(id).unwrap();
-                        Happened::Transition(id, EventPhase::Fired, None, String::new())
+                        Happened::Transition(id, EventPhase::Fired, None, String::new(), Vec::new())
                     }
                 }
                 Push::End(index, ok) => {
@@ -491,7 +492,7 @@ transition loop
                         (execution.fail(firing).map(|_| ()), EventPhase::Failed)
                     };
                     result.unwrap();
-                    Happened::Transition(id, phase, Some(firing), String::new())
+                    Happened::Transition(id, phase, Some(firing), String::new(), Vec::new())
                 }
                 Push::Receive(index) => {
                     let name = &net.places()[index].name;
@@ -508,4 +509,77 @@ transition loop
             prop_assert_eq!(replica.state(), &source.state(now, &execution));
         }
     }
+}
+
+#[test]
+fn a_replica_has_the_values_of_declared_data_after_each_event_and_the_view_says_beside_which_place()
+{
+    let text = "net n\nplace p = 1, found data spot\ndata count : int = 4\ndata spot { u : px, far : bool }\ntransition t\n  in p\n  set count = 5\n  out p\n";
+    let net = Arc::new(net(text));
+    let view = NetView::new(&net);
+    let shown = |one: &DataView| {
+        let place = one
+            .place
+            .map(|place| view.places[place as usize].name.clone());
+        (
+            one.name.clone(),
+            one.kind.clone(),
+            one.initial.clone(),
+            place,
+        )
+    };
+    let name = str::to_owned;
+    assert_eq!(
+        view.data.iter().map(shown).collect::<Vec<_>>(),
+        [
+            (name("count"), name("int"), name("4"), None),
+            (name("spot.u"), name("px"), name("0.0"), Some(name("found"))),
+            (
+                name("spot.far"),
+                name("bool"),
+                name("false"),
+                Some(name("found"))
+            ),
+        ]
+    );
+    let mut execution = Execution::new(Arc::clone(&net));
+    let now = Instant::from_nanos(0);
+    let mut source = Source::new(Arc::clone(&net), now);
+    let mut replica = Replica::new(&view, source.state(now, &execution)).unwrap();
+    let id = net.transition("t").unwrap();
+    let changes: [&[(usize, Value)]; 2] = [
+        &[(0, Value::Int(5))],
+        &[(1, Value::Float(1.5)), (2, Value::Bool(true))],
+    ];
+    for changed in changes {
+        let firing = execution.start(id).unwrap();
+        let begun = Happened::Transition(
+            id,
+            EventPhase::Started,
+            Some(firing),
+            String::new(),
+            Vec::new(),
+        );
+        source.note(now, 0, begun, &execution);
+        replica.apply(&source.last().unwrap()).unwrap();
+        execution.complete(firing).unwrap();
+        let done = Happened::Transition(
+            id,
+            EventPhase::Completed,
+            Some(firing),
+            String::new(),
+            changed.to_vec(),
+        );
+        source.note(now, 0, done, &execution);
+        replica.apply(&source.last().unwrap()).unwrap();
+        assert_eq!(replica.state(), &source.state(now, &execution));
+    }
+    assert_eq!(replica.state().data, ["5", "1.5", "true"]);
+    let strange = Event {
+        data: vec![(name("cuont"), name("1"))],
+        seq: 5,
+        ..source.last().unwrap()
+    };
+    let error = replica.apply(&strange).unwrap_err().to_string();
+    assert_eq!(error, "net `n` has no data `cuont`, which event 5 names");
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::event::{Event, EventPhase};
 
-use pnt_language::net::{Action, Arc, Net, Outputs, Part, RemoteArc, Role};
+use pnt_language::net::{Action, Arc, Net, Outputs, Part, Place, RemoteArc, Role, SetTo};
 
 /// A net as displays know it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,6 +27,22 @@ pub struct NetView {
     pub pins: BTreeMap<String, PinView>,
     /// Arcs that are not straight, from the layout file.
     pub routes: Vec<RouteView>,
+    /// Values of declared data, by number.
+    #[serde(default)]
+    pub data: Vec<DataView>,
+}
+
+/// A value of declared data.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DataView {
+    /// Its name; of a field, that of the data, a point and its own.
+    pub name: String,
+    /// Its type; of a float with a unit, the unit.
+    pub kind: String,
+    /// Its value at first.
+    pub initial: String,
+    /// The place that names the data, or that is marked when a reply is stored as it; by number.
+    pub place: Option<u32>,
 }
 
 /// A place.
@@ -162,6 +178,39 @@ pub enum Side {
     Right,
 }
 
+/// The declared data of a net.
+fn data(net: &Net) -> Vec<DataView> {
+    let declared = net.declared();
+    let stored = |name: &str| {
+        let mut transitions = net.transitions().iter();
+        transitions.find_map(|one| match &one.action {
+            Some(Action::Written { sets, .. }) => {
+                let mut sets = sets.iter().filter(|set| set.name == name);
+                sets.any(|set| matches!(set.to, SetTo::Reply))
+                    .then(|| one.outputs.local.first().map(|arc| arc.place.index()))?
+            }
+            _ => None,
+        })
+    };
+    let of_place = |name: &str| {
+        let names = |place: &Place| place.data.as_deref() == Some(name);
+        let place = net.places().iter().position(names);
+        place
+            .or_else(|| stored(name))
+            .and_then(|place| u32::try_from(place).ok())
+    };
+    let views = declared.data.iter().flat_map(|data| {
+        let (place, slots) = (of_place(&data.name), declared.slots.get(data.slots.clone()));
+        slots.into_iter().flatten().map(move |slot| DataView {
+            name: slot.name.clone(),
+            kind: slot.kind.to_string(),
+            initial: slot.initial.to_string(),
+            place,
+        })
+    });
+    views.collect()
+}
+
 impl NetView {
     /// A net, without pins.
     #[must_use]
@@ -194,6 +243,7 @@ impl NetView {
                 .collect(),
             pins: BTreeMap::new(),
             routes: Vec::new(),
+            data: data(net),
         }
     }
 

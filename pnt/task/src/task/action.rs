@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     library::{Acted, Action, Local},
-    stream::EventPhase,
+    stream::{Changed, EventPhase},
 };
 use pnt_analysis::check::objects::Objects;
 use pnt_language::{
@@ -52,7 +52,7 @@ impl Engine {
             Ok(acted) => (acted, false),
             Err(Aborted) => {
                 let (acted, by_hand) = self.ended_from_outside(firing);
-                (acted.map(|()| String::new()), by_hand)
+                (acted.map(|()| Changed::new()), by_hand)
             }
         };
         let net = self.net();
@@ -113,16 +113,16 @@ impl Engine {
         cx: &Context,
         id: TransitionId,
         firing: FiringId,
-        acted: Result<String, HandlerError>,
+        acted: Result<Changed, HandlerError>,
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
         let failed = acted.is_err();
         let (phase, text) = match &acted {
-            Ok(changed) => (EventPhase::Completed, changed.clone()),
+            Ok(changed) => (EventPhase::Completed, core.declared.told(changed)),
             Err(error) => (EventPhase::Failed, error.to_string()),
         };
         let on_tape = core.at_hand(id);
-        let effects = match acted {
+        let effects = match &acted {
             Ok(_) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
         };
@@ -133,6 +133,7 @@ impl Engine {
             firing: Some(firing),
             phase,
             text: &text,
+            changed: acted.unwrap_or_default(),
         };
         self.log(&mut core, cx, &phase);
         drop(core);
@@ -146,7 +147,7 @@ impl Engine {
         id: TransitionId,
         firing: FiringId,
         action: Action<()>,
-    ) -> Result<String, HandlerError> {
+    ) -> Result<Changed, HandlerError> {
         let net = self.net();
         let transition = &net[id];
         let acting = async {
@@ -179,7 +180,7 @@ impl Engine {
                 }
                 None => Ok(()),
             };
-            acted.map(|()| String::new())
+            acted.map(|()| Changed::new())
         };
         match transition.within {
             Some(limit) => self.cx.timeout(limit, acting).await?,
@@ -212,14 +213,14 @@ impl Engine {
         (task, command, request): (&str, &str, RequestId),
         (inputs, outputs): Objects<'_>,
         limit: Duration,
-    ) -> Result<String, HandlerError> {
+    ) -> Result<Changed, HandlerError> {
         let cx = &action.cx;
         let info = match cx.registry().command_of(cx.app(), task, command) {
             Ok(info) => info,
             // Of a net that is asked for one of its own commands.
             Err(_) if is_net(cx, task) => {
                 let dispatched = self.dispatch(action, task, (command, request), limit);
-                return dispatched.await.map(|()| String::new());
+                return dispatched.await.map(|()| Changed::new());
             }
             Err(finding) => return Err(finding.into()),
         };

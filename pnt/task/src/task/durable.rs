@@ -289,7 +289,7 @@ impl Engine {
         core.changed();
         core.journal
             .stream
-            .begin_again(self.cx.now(), &core.execution);
+            .begin_again(self.cx.now(), &core.execution, core.declared.values());
         tracing::warn!(target: "pnt::net", net = net.name(), "net goes on where it was");
         Ok(())
     }

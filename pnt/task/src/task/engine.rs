@@ -30,7 +30,7 @@ use super::{
     routes::Routes,
     settings::Settings,
     transfers::Transfers,
-    written::Data,
+    written::{Data, Drawn},
 };
 use crate::{
     library::{DataStore, Functions},
@@ -56,8 +56,8 @@ pub(super) struct Engine {
     pub(super) durable: Durable<Self>,
     /// Whether the app is about to be stopped.
     pub(super) stopping: Cell<bool>,
-    /// What functions that are stood in for say depends on it.
-    pub(super) chance: u64,
+    /// What chance says, if actions and functions are stood in for.
+    pub(super) stand_in: Option<RefCell<Drawn>>,
 }
 
 /// Who waits for the answer to a command.
@@ -139,21 +139,21 @@ pub(super) struct Core {
 impl Engine {
     pub(super) fn new(
         cx: Context,
-        net: Net,
+        net: Arc<Net>,
         library: Functions,
         conflicts: Conflicts,
         data: Option<Rc<dyn DataStore>>,
         (settings, store): (Settings, Option<Arc<Store>>),
     ) -> Self {
-        let net = Arc::new(net);
         let name = Arc::from(net.name());
         let view = RefCell::new(NetView::new(&net));
         let execution = Execution::new(Arc::clone(&net));
         let race = Race::new(&execution, cx.rng("race"));
-        let chance = mix(cx.app().seed, &[cx.name(), "stand-in"]);
+        let stand_in = settings.stand_in.is_some();
+        let stand_in = stand_in.then(|| RefCell::new(Drawn::new(&cx)));
         Self {
             view,
-            chance,
+            stand_in,
             stopping: Cell::new(false),
             core: RefCell::new(Core {
                 conflicts,

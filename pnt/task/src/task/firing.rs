@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     library::{Acted, Action, CommandLine},
-    stream::EventPhase,
+    stream::{Changed, EventPhase},
 };
 use pnt_language::{
     exec::{FireError, FiringId, OnTape, Written},
@@ -157,6 +157,7 @@ impl Engine {
             firing: None,
             phase: EventPhase::Fired,
             text: "",
+            changed: Changed::new(),
         };
         self.log(&mut core, cx, &phase);
         drop(core);
@@ -174,6 +175,7 @@ impl Engine {
             firing: Some(firing),
             phase: EventPhase::Started,
             text: "",
+            changed: Changed::new(),
         };
         self.log(&mut core, cx, &phase);
         drop(core);

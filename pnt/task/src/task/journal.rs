@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ctos::time::Instant;
 
 use super::messages::FiringEvent;
-use crate::stream::{Event, EventPhase, Happened, Source, view};
+use crate::stream::{Changed, Event, EventPhase, Happened, Source, view};
 use pnt_language::{
     exec::{Execution, FiringId},
     net::{Net, TransitionId},
@@ -27,8 +27,10 @@ pub(super) struct Phase<'p> {
     pub(super) transition: TransitionId,
     pub(super) firing: Option<FiringId>,
     pub(super) phase: EventPhase,
-    /// Why it failed; empty otherwise.
+    /// Why it failed, or what data has changed; empty otherwise.
     pub(super) text: &'p str,
+    /// Declared data that has changed.
+    pub(super) changed: Changed,
 }
 
 impl Phase<'_> {
@@ -80,8 +82,8 @@ impl Journal {
         execution: &Execution,
         phase: &Phase,
     ) {
-        let text = phase.text.to_owned();
-        let what = Happened::Transition(phase.transition, phase.phase, phase.firing, text);
+        let (text, changed) = (phase.text.to_owned(), phase.changed.clone());
+        let what = Happened::Transition(phase.transition, phase.phase, phase.firing, text, changed);
         self.stream.note(now, trace, what, execution);
     }
 

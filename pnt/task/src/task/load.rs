@@ -1,6 +1,10 @@
 //! Reading and checking the nets of a configuration before anything starts.
 
-use std::{path::Path, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
 
 use ctos::{
     config::{App, TaskConfig},
@@ -34,18 +38,78 @@ pub fn load(path: &Path) -> Result<Net, Findings> {
     })
 }
 
-/// The net of a task.
+/// Nets that were compiled, by the paths of their files.
+static COMPILED: Mutex<Compiled> = Mutex::new(BTreeMap::new());
+
+/// So many nets are kept; then all are forgotten.
+const MOST_KEPT: usize = 10_000;
+
+/// A net, and the texts that it was made of: its file's, then those that it includes.
+#[derive(Clone)]
+struct Known {
+    texts: Vec<(PathBuf, Source)>,
+    net: Arc<Net>,
+    /// How often it was compiled.
+    times: u64,
+}
+
+type Compiled = BTreeMap<PathBuf, Known>;
+
+fn compiled() -> MutexGuard<'static, Compiled> {
+    COMPILED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// How often this process has compiled the net of a file for the tasks of apps.
+#[doc(hidden)]
+#[must_use]
+pub fn compilations(file: &Path) -> u64 {
+    compiled().get(file).map_or(0, |known| known.times)
+}
+
+/// The net of a task. A file is compiled once in a process, as long as it and what it includes are the same.
 ///
 /// # Errors
 /// What [`check_args`] finds about its arguments and its net.
-pub fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
+pub fn net_of(task: &TaskConfig, app: &App) -> Result<Arc<Net>, Findings> {
     let file = settings(task)?.net;
     let source = app.read(&file).map_err(|finding| {
         let place = task.args.get("net").and_then(|net| net.place().cloned());
         finding.at(place.unwrap_or_else(|| task.place.clone()))
     })?;
+    let path = app.file_at(&file);
+    let known = compiled().get(&path).cloned();
+    let times = known.as_ref().map_or(1, |known| known.times + 1);
+    if let Some(Known { texts, net, .. }) = known {
+        let same = |(path, before): &(PathBuf, Source)| {
+            let now = app.read(path);
+            now.is_ok_and(|now| now.text() == before.text())
+        };
+        let mut texts = texts.iter();
+        let own = texts.next();
+        if own.is_some_and(|(_, own)| own.text() == source.text()) && texts.all(same) {
+            return Ok(net);
+        }
+    }
     let folder = Path::new(&file).parent().unwrap_or(Path::new(""));
-    compile::net_with(&source, &mut |included| app.read(folder.join(included)))
+    let mut texts = vec![(PathBuf::from(&file), source.clone())];
+    let net = compile::net_with(&source, &mut |included| {
+        let path = folder.join(included);
+        let source = app.read(&path)?;
+        texts.push((path, source.clone()));
+        Ok(source)
+    });
+    let net = Arc::new(net?);
+    let known = Known {
+        texts,
+        net: Arc::clone(&net),
+        times,
+    };
+    let mut compiled = compiled();
+    if compiled.len() >= MOST_KEPT {
+        compiled.clear();
+    }
+    compiled.insert(path, known);
+    Ok(net)
 }
 
 /// Checks one net task: its arguments, its net by itself, and that its library has every function
@@ -102,6 +166,9 @@ fn check_layout(net: &Net, task: &TaskConfig, app: &App, findings: &mut Findings
     let path = app.file_at(settings.net);
     let mut found = Findings::new();
     let file = LayoutFile::of_net(&path, &mut found);
+    if file == LayoutFile::default() && found.is_empty() {
+        return;
+    }
     for mut finding in found.into_sorted() {
         finding.severity = Severity::Warning;
         findings.push(finding);
@@ -146,7 +213,7 @@ pub fn net_tasks(app: &App, registry: &Registry) -> Vec<String> {
 /// All findings about the first net that is wrong by itself.
 pub fn nets(app: &App, registry: &Registry) -> Result<Vec<Arc<Net>>, Findings> {
     let tasks = app.tasks.iter().filter(|task| runs_net(task, registry));
-    tasks.map(|task| net_of(task, app).map(Arc::new)).collect()
+    tasks.map(|task| net_of(task, app)).collect()
 }
 
 /// Checks all nets of an app together, whichever handlers run them. When one of the nets is wrong by itself
@@ -173,7 +240,7 @@ pub(super) fn check_app_with(
         let known = tasks.iter().filter_map(|name| {
             let task = app.task(name)?;
             let whole = net_of(task, app).ok();
-            whole.or_else(|| as_far_as_known(task, app)).map(Arc::new)
+            whole.or_else(|| as_far_as_known(task, app).map(Arc::new))
         });
         let known: Vec<Arc<Net>> = known.collect();
         check_messages(&known, app, registry, findings);
@@ -377,6 +444,30 @@ mod tests {
             ],
             "{found}"
         );
+    }
+
+    #[test]
+    fn data_that_is_called_as_an_enabling_function_of_the_library_is_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = "[app]\nname = \"t\"\n[chassis.a]\n[task.n]\nhandler = \"test.net\"\non = \"a\"\nargs = { net = \"n.net\" }\n";
+        let net = "net n\nplace a = 1\ndata more : bool\ncommand go -> gone\ntransition t\n  in a\n  tape go\n  when more\n  out a\n  write gone\ntransition u\n  in a\n  tape go\n  when not more\n  out a\n  write gone\n";
+        let found = |net: &str| {
+            let app = write_app(folder.path(), &[("app.toml", config), ("n.net", net)]);
+            let mut registry = Registry::new();
+            task::register(&mut registry, "test.net", || {
+                Library::new(()).enabling("more", |()| true)
+            });
+            registry.check(&app).to_string()
+        };
+        let said = found(net);
+        assert!(
+            said.contains(
+                "n.net:3:6: error: data `more` hides the enabling function `more` of the library of net `n`"
+            ),
+            "{said}"
+        );
+        assert_eq!(found(&net.replace("data more : bool\n", "")), "");
+        assert_eq!(found(&net.replace("more", "other")), "");
     }
 
     #[test]

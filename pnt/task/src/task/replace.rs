@@ -123,9 +123,13 @@ impl Engine {
         self.view.replace(NetView::new(core.execution.net()));
         {
             let Core {
-                journal, execution, ..
+                journal,
+                execution,
+                declared,
+                ..
             } = &mut *core;
-            journal.stream.begin_again(cx.now(), execution);
+            let stream = &mut journal.stream;
+            stream.begin_again(cx.now(), execution, declared.values());
         }
         let what = Happened::Net(EventPhase::Ordered, with_name(&said, &replacing.by));
         core.changed();

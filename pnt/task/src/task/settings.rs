@@ -1,6 +1,6 @@
 //! What a net task reads from its arguments.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 use ctos::{
     config::{App, Node, TaskConfig},
@@ -230,7 +230,7 @@ fn table(node: &Node) -> Option<BTreeMap<String, String>> {
 pub(super) fn check(
     task: &TaskConfig,
     (net, settings): (&Net, &Settings),
-    net_of: impl Fn(&str) -> Option<Net>,
+    net_of: impl Fn(&str) -> Option<Arc<Net>>,
     app: &App,
     findings: &mut Findings,
 ) {

@@ -1,9 +1,12 @@
 //! What stands in the net's text: declared data, guards that are expressions, and actions that are lines of text. Also
 //! how the actions of a net are stood in for.
 
-use std::{ops::Range, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, ops::Range, sync::Arc, time::Duration};
 
-use ctos::{message::DataType, mix, task::HandlerError};
+use ctos::{
+    message::DataType,
+    task::{Context, HandlerError},
+};
 use pnt_language::{
     data::{Kind, Value},
     expression::Values,
@@ -11,12 +14,14 @@ use pnt_language::{
     timing::Timing,
 };
 
-use super::{
-    engine::Engine,
-    fields::{self, Form},
-    settings::StandIn,
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::{engine::Engine, fields, settings::StandIn};
+use crate::{
+    library::{Action, Answer},
+    stream::Changed,
 };
-use crate::library::{Action, Answer};
 
 /// The longest account of changed data that an event has, characters.
 const SHOWN: usize = 200;
@@ -89,69 +94,100 @@ impl Data {
         sets: &[Set],
         answer: Option<&Answer>,
         arguments: &[(String, Value)],
-    ) -> Result<String, HandlerError> {
-        let mut next = Self {
-            net: Arc::clone(&self.net),
-            values: self.values.clone(),
-        };
+    ) -> Result<Changed, HandlerError> {
+        let mut before = Vec::new();
         for set in sets {
             let new = match (&set.to, answer) {
                 (SetTo::Value(value), _) => {
-                    let value = value.evaluate(&next.with(arguments));
-                    vec![value.map_err(|error| HandlerError::new(error.to_string()))?]
+                    let value = value.evaluate(&self.with(arguments));
+                    value
+                        .map(|value| vec![value])
+                        .map_err(|error| HandlerError::new(error.to_string()))
                 }
-                (SetTo::Reply, Some(answer)) => next.answered(set, answer)?,
+                (SetTo::Reply, Some(answer)) => self.answered(set, answer),
                 // Nobody was asked.
                 (SetTo::Reply, None) => continue,
             };
-            let there = next.values.get_mut(set.slots.clone());
-            there
-                .into_iter()
-                .flatten()
-                .zip(new)
-                .for_each(|(there, new)| *there = new);
+            match new {
+                Ok(new) => self.exchange(set.slots.clone(), new, &mut before),
+                Err(error) => {
+                    self.back(before);
+                    return Err(error);
+                }
+            }
         }
-        Ok(self.become_all(next.values))
+        Ok(self.changed(before))
     }
 
     /// Gives data these values, if all are of the declared types; what has changed.
-    fn put(&mut self, new: Vec<(Range<usize>, Vec<Value>)>) -> Result<String, HandlerError> {
-        let mut values = self.values.clone();
+    fn put(&mut self, new: Vec<(Range<usize>, Vec<Value>)>) -> Result<Changed, HandlerError> {
+        let mut before = Vec::new();
         for (slots, new) in new {
-            let there = self
-                .net
-                .declared()
-                .slots
-                .get(slots.clone())
-                .unwrap_or_default();
+            let there = self.net.declared().slots.get(slots.clone());
+            let there = there.unwrap_or_default();
             let same = there.len() == new.len()
                 && there.iter().zip(&new).all(|(slot, new)| new.is(slot.kind));
             if !same {
+                self.back(before);
                 return Err(HandlerError::new(
                     "a reply has other values than the data that it is stored as",
                 ));
             }
-            let there = values.get_mut(slots).into_iter().flatten();
-            there.zip(new).for_each(|(there, new)| *there = new);
+            self.exchange(slots, new, &mut before);
         }
-        Ok(self.become_all(values))
+        Ok(self.changed(before))
     }
 
-    /// Takes new values; what has changed.
-    fn become_all(&mut self, next: Vec<Value>) -> String {
-        let mut said = String::new();
-        for ((name, before), now) in self.net.declared().shown(&self.values).zip(&next) {
-            if before != now {
-                let apart = if said.is_empty() { "" } else { ", " };
-                said.push_str(&format!("{apart}{name} = {now}"));
+    /// Puts values in the place of others, which go to those that were there before.
+    fn exchange(&mut self, slots: Range<usize>, new: Vec<Value>, before: &mut Changed) {
+        for (slot, new) in slots.zip(new) {
+            if let Some(there) = self.values.get_mut(slot) {
+                before.push((slot, std::mem::replace(there, new)));
             }
+        }
+    }
+
+    /// Puts back what was there before.
+    fn back(&mut self, before: Changed) {
+        for (slot, old) in before.into_iter().rev() {
+            if let Some(there) = self.values.get_mut(slot) {
+                *there = old;
+            }
+        }
+    }
+
+    /// What is no longer as it was before, with its values now.
+    fn changed(&self, before: Changed) -> Changed {
+        let mut first = BTreeMap::new();
+        for (slot, old) in before {
+            first.entry(slot).or_insert(old);
+        }
+        let now = first.into_iter().filter_map(|(slot, old)| {
+            let now = self.values.get(slot).filter(|now| **now != old)?;
+            Some((slot, now.clone()))
+        });
+        now.collect()
+    }
+
+    /// For people: what has changed.
+    pub(super) fn told(&self, changed: &Changed) -> String {
+        let slots = &self.net.declared().slots;
+        let mut said = String::new();
+        for (slot, now) in changed {
+            let name = slots.get(*slot).map_or("", |slot| slot.name.as_str());
+            let apart = if said.is_empty() { "" } else { ", " };
+            said.push_str(&format!("{apart}{name} = {now}"));
         }
         if let Some((cut, _)) = said.char_indices().nth(SHOWN) {
             said.truncate(cut);
             said.push('…');
         }
-        self.values = next;
         said
+    }
+
+    /// All values, by number.
+    pub(super) fn values(&self) -> &[Value] {
+        &self.values
     }
 
     /// The values of an answer, which has as many of each kind as are declared.
@@ -193,6 +229,35 @@ impl Data {
     }
 }
 
+/// What chance says where nobody is there to be asked, from the app's seed.
+pub(super) struct Drawn {
+    rng: ChaCha8Rng,
+    /// What enabling functions say until a firing ends, and how many had ended then.
+    said: (u64, BTreeMap<String, bool>),
+}
+
+impl Drawn {
+    pub(super) fn new(cx: &Context) -> Self {
+        Self {
+            rng: cx.rng("stand-in"),
+            said: (0, BTreeMap::new()),
+        }
+    }
+
+    /// The same until something fires, so that a function and its negation agree.
+    fn says(&mut self, function: &str, ended: u64) -> bool {
+        if self.said.0 != ended {
+            self.said = (ended, BTreeMap::new());
+        }
+        if let Some(said) = self.said.1.get(function) {
+            return *said;
+        }
+        let said = self.rng.random();
+        self.said.1.insert(function.to_owned(), said);
+        said
+    }
+}
+
 fn unknown_form(name: &str) -> HandlerError {
     HandlerError::new(format!("the form of the field for `{name}` is not known"))
 }
@@ -206,9 +271,8 @@ impl Engine {
         let Some(expression) = &when.expression else {
             let function = &when.function;
             let chance = || {
-                // The same until something fires, so that a function and its negation agree.
-                let drawn = mix(self.chance, &[function, &ended.to_string()]);
-                self.settings.stand_in.is_some().then_some(drawn >> 63 == 1)
+                let mut stand_in = self.stand_in.as_ref()?.borrow_mut();
+                Some(stand_in.says(function, ended))
             };
             let said = self.library.ask(function).or_else(chance);
             return said
@@ -227,7 +291,7 @@ impl Engine {
         action: &Action<()>,
         (does, sets): (Option<&Does>, &[Set]),
         limit: Duration,
-    ) -> Result<String, HandlerError> {
+    ) -> Result<Changed, HandlerError> {
         let arguments = self.arguments_of(action);
         let mut answer = None;
         match does {
@@ -250,7 +314,7 @@ impl Engine {
             }
         }
         if sets.is_empty() {
-            return Ok(String::new());
+            return Ok(Changed::new());
         }
         self.core
             .borrow_mut()
@@ -287,7 +351,7 @@ impl Engine {
         inputs: &[String],
         kind: DataType,
     ) -> Result<Vec<u8>, HandlerError> {
-        let (arguments, form) = (self.arguments_of(action), Form::of(kind));
+        let (arguments, form) = (self.arguments_of(action), kind.shape());
         let mut bytes = Vec::new();
         for (index, input) in inputs.iter().enumerate() {
             match self.own(input, &arguments)? {
@@ -295,7 +359,7 @@ impl Engine {
                 Some(values) => {
                     let form = form
                         .as_ref()
-                        .and_then(|form| form.part(index, inputs.len()));
+                        .and_then(|form| fields::part(form, index, inputs.len()));
                     let form = form.ok_or_else(|| unknown_form(input))?;
                     bytes.extend(fields::written(&values, form)?);
                 }
@@ -335,9 +399,9 @@ impl Engine {
         outputs: &[String],
         reply: Vec<u8>,
         kind: DataType,
-    ) -> Result<String, HandlerError> {
+    ) -> Result<Changed, HandlerError> {
         let parts = match outputs {
-            [] => return Ok(String::new()),
+            [] => return Ok(Changed::new()),
             [_] => vec![reply],
             _ => kind.split(&reply)?,
         };
@@ -362,8 +426,8 @@ impl Engine {
                 objects.push((name.clone(), bytes));
                 continue;
             };
-            let form = form.get_or_insert_with(|| Form::of(kind)).as_ref();
-            let form = form.and_then(|form| form.part(index, outputs.len()));
+            let form = form.get_or_insert_with(|| kind.shape()).as_ref();
+            let form = form.and_then(|form| fields::part(form, index, outputs.len()));
             let values = fields::read(&bytes, form.ok_or_else(|| unknown_form(name))?)?;
             own.push((data.slots, values));
         }
@@ -395,7 +459,7 @@ impl Engine {
         action: &Action<()>,
         transition: &Transition,
         stand_in: &StandIn,
-    ) -> Result<String, HandlerError> {
+    ) -> Result<Changed, HandlerError> {
         let stated = match (&transition.action, transition.timing) {
             (
                 Some(NetAction::Written {
@@ -408,25 +472,18 @@ impl Engine {
             (_, Timing::Exponential { mean } | Timing::Normal { mean, .. }) => mean,
             (_, Timing::Immediate) => Duration::ZERO,
         };
-        let events = self.core.borrow().journal.ended();
-        let drawn = mix(
-            self.chance,
-            &[
-                &transition.name,
-                &events.to_string(),
-                &action.cx().now().as_nanos().to_string(),
-            ],
-        );
+        // Drawn before anything else of this net may be.
+        let fails = self.stand_in.as_ref().is_some_and(|drawn| {
+            let drawn = drawn.borrow_mut().rng.random::<f64>();
+            drawn < stand_in.fail
+        });
         action.cx().sleep(stated).await;
-        // The upper bits, as a fraction.
-        #[allow(clippy::cast_precision_loss)]
-        let fraction = (drawn >> 11) as f64 / (1_u64 << 53) as f64;
         // Lines that ask nobody do not fail by chance.
         let asks = match &transition.action {
             Some(NetAction::Written { does, .. }) => matches!(does, Some(Does::Request(_))),
             _ => true,
         };
-        if asks && fraction < stand_in.fail {
+        if asks && fails {
             return Err(HandlerError::new("the stand-in fails by chance"));
         }
         match &transition.action {
@@ -437,7 +494,7 @@ impl Engine {
                 let arguments = self.arguments_of(action);
                 self.core.borrow_mut().declared.set(sets, None, &arguments)
             }
-            _ => Ok(String::new()),
+            _ => Ok(Changed::new()),
         }
     }
 }

@@ -2,12 +2,11 @@
 
 use std::fmt;
 
+use ctos::message::{Shape, ShapeKind as Kind};
 use serde::{
     Deserialize, Deserializer,
     de::{Error, MapAccess, SeqAccess, Visitor},
 };
-
-use super::{Kind, Shape};
 
 /// What a float may count.
 const UNITS: [&str; 24] = [
@@ -45,12 +44,11 @@ const NAMES: [(&str, Kind); 17] = [
 /// - `[type]`, any number of them; `[type, type]`, one of each;
 /// - `{ name = type }`, with the names of its fields, in this order.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Declared(pub Shape);
+pub(crate) struct Declared(pub(crate) Shape);
 
 impl Declared {
     /// What has no fields.
-    #[must_use]
-    pub fn empty() -> Self {
+    pub(crate) fn empty() -> Self {
         Self(Shape::named(Kind::Struct, "", &[]))
     }
 
@@ -131,18 +129,22 @@ impl<'de> Deserialize<'de> for Declared {
     }
 }
 
-/// As a person would declare it.
-impl fmt::Display for Shape {
+/// A type as a person would declare it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shown<'a>(pub(crate) &'a Shape);
+
+impl fmt::Display for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shape = self.0;
         let all = |f: &mut fmt::Formatter<'_>| {
-            for (index, shape) in self.inner.iter().enumerate() {
+            for (index, inner) in shape.inner.iter().map(Shown).enumerate() {
                 let comma = if index > 0 { ", " } else { "" };
-                write!(f, "{comma}{shape}")?;
+                write!(f, "{comma}{inner}")?;
             }
             Ok(())
         };
-        match self.kind {
-            _ if !self.unit.is_empty() => f.write_str(&self.unit),
+        match shape.kind {
+            _ if !shape.unit.is_empty() => f.write_str(&shape.unit),
             Kind::Option => all(f).and_then(|()| f.write_str("?")),
             Kind::Sequence | Kind::Tuple => {
                 f.write_str("[")?;
@@ -151,50 +153,20 @@ impl fmt::Display for Shape {
             }
             Kind::Struct => {
                 f.write_str("{")?;
-                for (index, (name, shape)) in self.names.iter().zip(&self.inner).enumerate() {
-                    let comma = if index > 0 { ", " } else { "" };
-                    write!(f, "{comma}{name}: {shape}")?;
+                for (index, (name, inner)) in shape.names.iter().zip(&shape.inner).enumerate() {
+                    let (comma, inner) = (if index > 0 { ", " } else { "" }, Shown(inner));
+                    write!(f, "{comma}{name}: {inner}")?;
                 }
                 f.write_str("}")
             }
-            Kind::Enum => f.write_str(&self.names.join(" | ")),
+            Kind::Enum => f.write_str(&shape.names.join(" | ")),
             Kind::Map => f.write_str("map"),
-            Kind::Around => f.write_str(&self.name),
+            Kind::Around => f.write_str(&shape.name),
             Kind::Unknown | Kind::Nothing => f.write_str("nothing"),
             kind => {
                 let name = NAMES.iter().find(|(_, known)| *known == kind);
                 f.write_str(name.map_or("number", |(name, _)| name))
             }
         }
-    }
-}
-
-/// What was declared once, for as long as the process lives: commands are known by reference everywhere.
-pub(crate) mod kept {
-    use std::sync::{Mutex, PoisonError};
-
-    use super::Shape;
-
-    static TEXTS: Mutex<Vec<&'static str>> = Mutex::new(Vec::new());
-    static SHAPES: Mutex<Vec<&'static Shape>> = Mutex::new(Vec::new());
-
-    pub(crate) fn text(text: &str) -> &'static str {
-        let mut all = TEXTS.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = all.iter().find(|known| **known == text) {
-            return known;
-        }
-        let new: &'static str = text.to_owned().leak();
-        all.push(new);
-        new
-    }
-
-    pub(crate) fn shape(shape: Shape) -> &'static Shape {
-        let mut all = SHAPES.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = all.iter().find(|known| ***known == shape) {
-            return known;
-        }
-        let new: &'static Shape = Box::leak(Box::new(shape));
-        all.push(new);
-        new
     }
 }

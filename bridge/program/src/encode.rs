@@ -1,26 +1,42 @@
 //! JSON that a program in another language wrote, as the postcard bytes of a value of a known shape.
 
+#[cfg(test)]
+mod tests;
+
 use base64::{Engine as _, engine::general_purpose::STANDARD};
+use ctos::message::{Shape, ShapeKind as Kind};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{Around, DEPTH, Kind, Shape};
-use crate::data::append;
+use crate::{frames::base64, types::Shown};
 
-impl Shape {
-    /// Appends the postcard bytes of `value` to `bytes`. A field that is missing is none where its type has that.
-    /// Bytes may stand as base64. `null` is a float that is not a number.
-    ///
-    /// # Errors
-    /// What does not fit, and where in the value; `bytes` is left as it was.
-    pub fn encode(&self, value: &Value, bytes: &mut Vec<u8>) -> Result<(), String> {
-        let start = bytes.len();
-        let mut writer = Writer { bytes, depth: 0 };
-        writer.value(self, value, None).map_err(|wrong| {
-            bytes.truncate(start);
-            wrong.told()
-        })
-    }
+/// How deep values may lie in one another.
+const DEPTH: usize = 64;
+
+/// The postcard bytes of `value`. A field that is missing is none where its type has that. Bytes may stand as base64.
+/// `null` is a float that is not a number.
+///
+/// # Errors
+/// What does not fit, and where in the value.
+pub fn encoded(shape: &Shape, value: &Value) -> Result<Vec<u8>, String> {
+    let (bytes, depth) = (Vec::new(), 0);
+    let mut writer = Writer { bytes, depth };
+    let written = writer.value(shape, value, None);
+    written.map(|()| writer.bytes).map_err(Wrong::told)
+}
+
+/// The JSON of postcard bytes, in which bytes stand as base64. Nothing where they are no such value.
+#[must_use]
+pub fn told(shape: &Shape, bytes: &[u8], limit: usize) -> Option<Vec<u8>> {
+    let mut json = Vec::new();
+    shape.tell(bytes, &mut json, limit, &mut base64)?;
+    Some(json)
+}
+
+/// A type with a name around what is written, and those around it.
+struct Around<'a> {
+    shape: &'a Shape,
+    outer: Option<&'a Around<'a>>,
 }
 
 /// What does not fit, and the way to it, innermost first.
@@ -49,8 +65,8 @@ impl Wrong {
     }
 }
 
-struct Writer<'a> {
-    bytes: &'a mut Vec<u8>,
+struct Writer {
+    bytes: Vec<u8>,
     depth: usize,
 }
 
@@ -64,9 +80,11 @@ fn shown(value: &Value) -> String {
     text
 }
 
-impl Writer<'_> {
+impl Writer {
     fn put<T: Serialize + ?Sized>(&mut self, value: &T) -> Result<(), Wrong> {
-        append(value, self.bytes).map_err(|error| Wrong::new(error.to_string()))
+        let own = postcard::to_stdvec(value).map_err(|error| Wrong::new(error.to_string()))?;
+        self.bytes.extend(own);
+        Ok(())
     }
 
     fn whole<T: Serialize + TryFrom<i128>>(&mut self, value: &Value) -> Result<(), Wrong> {
@@ -114,7 +132,7 @@ impl Writer<'_> {
         value: &Value,
         around: Option<&Around<'_>>,
     ) -> Result<(), Wrong> {
-        let no = || Wrong::new(format!("{} is no {shape}", shown(value)));
+        let no = || no(shape, value);
         match shape.kind {
             Kind::Unknown => Err(Wrong::new("its type is not known here")),
             Kind::Unit | Kind::Nothing => value.is_null().then_some(()).ok_or_else(no),
@@ -199,7 +217,7 @@ impl Writer<'_> {
         around: Option<&Around<'_>>,
     ) -> Result<(), Wrong> {
         let ([key, each], Some(all)) = (shape.inner.as_slice(), value.as_object()) else {
-            return Err(Wrong::new(format!("{} is no {shape}", shown(value))));
+            return Err(no(shape, value));
         };
         self.put(&all.len())?;
         for (name, value) in all {
@@ -226,7 +244,7 @@ impl Writer<'_> {
             Value::Object(all) => all,
             // What has no fields need not be written.
             Value::Null if shape.names.is_empty() => &nothing,
-            _ => return Err(Wrong::new(format!("{} is no {shape}", shown(value)))),
+            _ => return Err(no(shape, value)),
         };
         if let Some(strange) = all.keys().find(|key| !shape.names.contains(key)) {
             let known = shape.names.join(", ");
@@ -241,7 +259,7 @@ impl Writer<'_> {
             let put = match all.get(name) {
                 Some(value) => self.value(member, value, within),
                 None if member.kind == Kind::Option => self.put(&0_u8),
-                None => Err(Wrong::new(format!("it is missing: {member}"))),
+                None => Err(Wrong::new(format!("it is missing: {}", Shown(member)))),
             };
             put.map_err(|wrong| wrong.within(name))?;
         }
@@ -274,6 +292,10 @@ impl Writer<'_> {
         let put = self.value(variant, value, within);
         put.map_err(|wrong| wrong.within(name))
     }
+}
+
+fn no(shape: &Shape, value: &Value) -> Wrong {
+    Wrong::new(format!("{} is no {}", shown(value), Shown(shape)))
 }
 
 fn first(shape: &Shape) -> Result<&Shape, Wrong> {
