@@ -38,6 +38,8 @@ pub struct ControlArgs {
     pub prediction: bool,
     /// How long a setpoint takes to become a place of the hand, s.
     pub lead_s: f64,
+    /// How long the hand takes to come up with a ball that turns, s: as far ahead motions are held against what came of them.
+    pub catch_up_s: f64,
     /// The hand stays within this distance from where it began, m.
     pub reach_m: f64,
     /// Without a measurement for this time the ball counts as lost, s; it is followed until it expires.
@@ -64,6 +66,7 @@ impl Default for ControlArgs {
             },
             prediction: true,
             lead_s: 0.0135,
+            catch_up_s: 0.2,
             reach_m: 0.3,
             overdue_s: 0.2,
         }
@@ -86,6 +89,7 @@ impl ControlArgs {
             .find_map(|(name, wrong)| wrong.map(|(key, value)| (format!("{name}.{key}"), value)));
         let own = [
             ("lead_s", self.lead_s, 0.0),
+            ("catch_up_s", self.catch_up_s, 0.0),
             ("reach_m", self.reach_m, 0.01),
             ("overdue_s", self.overdue_s, 0.001),
         ];
@@ -196,7 +200,9 @@ impl Control {
 
     /// Takes in that the hand should have been at `place` at the moment `at`; it is known `now`.
     pub fn measure(&mut self, now: f64, at: f64, place: &Point3<f64>) -> Taken {
-        let taken = self.target.measure(at, place);
+        let ahead = (now - at).max(0.0) + self.args.lead_s;
+        let further = ahead + self.args.catch_up_s;
+        let taken = self.target.measure(at, place, [ahead, further]);
         match taken {
             Taken::Begun | Taken::Used => {
                 self.counts.used += 1;
@@ -229,7 +235,8 @@ impl Control {
             }
             Some(target) => {
                 self.hold = target.place + self.offset;
-                (self.hold, target.velocity)
+                // Of a motion that seldom goes on as predicted the hand takes little along.
+                (self.hold, target.velocity * target.worth)
             }
             None => {
                 let moving = self.offset * FREELY;
@@ -242,7 +249,8 @@ impl Control {
             self.hold = goal;
         }
         let before = self.course.velocity;
-        let wanted = self.course.wanted(&goal, &moving, period);
+        let predicted = self.args.prediction && expected.is_some() && !self.stands;
+        let wanted = self.course.wanted(&goal, &moving, predicted, period);
         let wanted = self.contact.allow(force, &self.course.place, wanted);
         self.course.follow(&wanted, period);
         self.course.ratio(&before, period)
