@@ -40,6 +40,8 @@ pub struct ControlArgs {
     pub lead_s: f64,
     /// How long the hand takes to come up with a ball that turns, s: as far ahead motions are held against what came of them.
     pub catch_up_s: f64,
+    /// Force and mouse move the goal no faster than this, m/s: what they lead the hand into is met gently.
+    pub steer_m_s: f64,
     /// The hand stays within this distance from where it began, m.
     pub reach_m: f64,
     /// Without a measurement for this time the ball counts as lost, s; it is followed until it expires.
@@ -67,6 +69,7 @@ impl Default for ControlArgs {
             prediction: true,
             lead_s: 0.0135,
             catch_up_s: 0.2,
+            steer_m_s: 0.2,
             reach_m: 0.3,
             overdue_s: 0.2,
         }
@@ -90,6 +93,7 @@ impl ControlArgs {
         let own = [
             ("lead_s", self.lead_s, 0.0),
             ("catch_up_s", self.catch_up_s, 0.0),
+            ("steer_m_s", self.steer_m_s, 0.001),
             ("reach_m", self.reach_m, 0.01),
             ("overdue_s", self.overdue_s, 0.001),
         ];
@@ -218,7 +222,8 @@ impl Control {
     /// Goes on by a period, s, until `now`. `force` is what the hand is pushed with, N in the base frame, `mouse` how the mouse is
     /// deflected. Answers how large the change of the velocity was, as a part of what the limit allows.
     pub fn go(&mut self, now: f64, force: &Vector3<f64>, mouse: &Vector3<f64>, period: f64) -> f64 {
-        self.offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
+        let offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
+        self.offset += (offset - self.offset).cap_magnitude(self.args.steer_m_s * period);
         let ahead = now + self.args.lead_s;
         let expected = match self.args.prediction {
             true => self.target.at(ahead),
@@ -409,6 +414,19 @@ mod tests {
         );
         rig.run(3.0, still, NONE);
         assert!((rig.control.course().place - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-3);
+    }
+
+    #[test]
+    fn force_and_mouse_move_the_hand_no_faster_than_is_said() {
+        let mut rig = Rig::new(ControlArgs::default());
+        let still = |_| Some(Point3::new(0.1, 0.0, 0.0));
+        rig.run(3.0, still, NONE);
+        for _ in 0..150 {
+            rig.run(0.0046, still, Vector3::new(0.0, 40.0, 0.0));
+            let fast = rig.control.course().velocity.norm();
+            assert!(fast < 0.25, "{fast} m/s");
+        }
+        assert!(rig.control.course().place.y > 0.08);
     }
 
     #[test]

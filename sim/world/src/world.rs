@@ -149,6 +149,8 @@ pub struct World {
     still: Vec<Still>,
     /// Each piece of furniture in the engine, and with what it was pressed since the last period began, N s.
     furniture: Vec<ColliderHandle>,
+    /// With what a person pushes the tip of each arm, N, and for how long still, s.
+    pushes: Vec<(Vector3<f64>, f64)>,
     pieces: Vec<Vector3<f64>>,
     sensing: Vec<Sensing>,
     elapsed: Duration,
@@ -191,6 +193,7 @@ impl World {
             objects: Vec::new(),
             still: Still::all(&cell.room),
             furniture: Vec::new(),
+            pushes: vec![(Vector3::zeros(), 0.0); cell.arms.len()],
             pieces: vec![Vector3::zeros(); cell.room.len()],
             sensing: vec![
                 Sensing {

@@ -182,7 +182,7 @@ impl PadText {
             radius: check.number(&self.radius, "the radius of a pad", "m", [1e-3, 1.0]),
         };
         let stiffness = &self.stiffness;
-        let stiffness = check.number(stiffness, "the stiffness of a pad", "N/m", [1.0, 1e5]);
+        let stiffness = check.number(stiffness, "the stiffness of a pad", "N/m", [1.0, 2e4]);
         let damping = check.number(&self.damping, "the damping of a pad", "N s/m", [0.0, 1e3]);
         Some(PadSpec {
             frame: check.frame(model, &self.link)?,
