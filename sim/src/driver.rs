@@ -39,6 +39,8 @@ pub struct SimArm {
     /// Sensors by index in the cell, and as slots.
     sensing: Vec<usize>,
     sensors: Vec<Sensor>,
+    /// Names of the furniture that feels, and may cut the power.
+    plates: Vec<String>,
     /// Lasers that it lights, by index in the cell: slots after the sensors.
     lasers: Vec<usize>,
     tick: f64,
@@ -73,6 +75,7 @@ impl SimArm {
             state: vec![0.0; port.state_length(arm)],
             sensing: Vec::new(),
             sensors: Vec::new(),
+            plates: cell.plates.iter().map(|plate| plate.name.clone()).collect(),
             lasers: Vec::new(),
             tick: 0.0,
             period: Duration::ZERO,
@@ -84,10 +87,10 @@ impl SimArm {
     #[must_use]
     pub fn sensing(mut self, cell: &Cell, sensors: &[usize]) -> Self {
         for index in sensors {
-            if let Some(spec) = cell.sensors.get(*index) {
+            if let Some(name) = cell.sensor(*index) {
                 self.sensing.push(*index);
                 self.sensors.push(Sensor {
-                    name: spec.name.clone(),
+                    name: name.to_owned(),
                     kind: SensorKind::ForceTorque,
                 });
             }
@@ -144,6 +147,12 @@ impl SimArm {
         }
         if self.waited > STANDSTILL {
             return Err(self.still());
+        }
+        if let Some((plate, force)) = self.port.cut() {
+            let plate = self.plates.get(plate).map_or("", String::as_str);
+            return Err(self.fault(format!(
+                "the force sensor `{plate}` felt {force:.0} N and cut the power: see what presses on it, then reset"
+            )));
         }
         Ok(())
     }

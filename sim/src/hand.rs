@@ -3,12 +3,12 @@
 
 mod motion;
 
-use std::time::Duration;
+use std::{cell::Cell, rc::Rc, time::Duration};
 
 use ctos::{
     Context,
     diagnostic::Finding,
-    message::Message,
+    message::{Command as _, Message},
     registry::Registry,
     sync::{CyclicHandle, Tick},
     task::{EventHandler, Handled, HandlerError, Phase},
@@ -31,6 +31,22 @@ const SLOTS: usize = 2000;
 
 /// Where what is hidden is, m under its place.
 const UNDER: f64 = 20.0;
+
+ctos::command! {
+    /// A person leads the hand: its motion goes on so far from home, m in the world. It goes there with the hand's speed.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LeadHand {
+        /// Along x,
+        pub x: f64,
+        /// y,
+        pub y: f64,
+        /// and z.
+        pub z: f64,
+    } => (), 0x0395, "lead_hand"
+}
+
+/// No hand is led further than this, m.
+const FURTHEST: f64 = 1.0;
 
 /// Arguments of a hand.
 #[derive(Debug, Clone, Deserialize)]
@@ -102,7 +118,7 @@ fn period_ms() -> f64 {
 
 /// Registers the event handler.
 pub(crate) fn register(registry: &mut Registry) {
-    let handler = registry.handler(HAND, &[], |cx| Ok(Hand::new(cx.args()?)));
+    let handler = registry.handler(HAND, &[LeadHand::INFO], |cx| Ok(Hand::new(cx.args()?)));
     handler.checked_args::<HandArgs>(|args, task, app, findings| {
         let mut refuse = |key: &str, text: String, help: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
@@ -138,12 +154,18 @@ pub(crate) fn register(registry: &mut Registry) {
 /// The event handler.
 struct Hand {
     args: HandArgs,
+    /// How far it is led from home, m.
+    led: Rc<Cell<Vector3<f64>>>,
     cyclic: Option<CyclicHandle>,
 }
 
 impl Hand {
     fn new(args: HandArgs) -> Self {
-        Self { args, cyclic: None }
+        Self {
+            args,
+            led: Rc::default(),
+            cyclic: None,
+        }
     }
 
     fn writer(&self, cx: &Context, clock: &Clock) -> Result<Option<Writer>, HandlerError> {
@@ -158,7 +180,19 @@ impl Hand {
 
 impl EventHandler for Hand {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        cx.default_processing(message)
+        if message.command() != LeadHand::CODE {
+            return cx.default_processing(message);
+        }
+        let (LeadHand { x, y, z }, reply) = message.open::<LeadHand>()?;
+        let led = Vector3::new(x, y, z);
+        // A length that is no number is in no range.
+        if !(0.0..=FURTHEST).contains(&led.norm()) {
+            return reply.fail(format!(
+                "a hand is led by {FURTHEST} m at most, not to {x}, {y}, {z}"
+            ));
+        }
+        self.led.set(led);
+        reply.ok(())
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
@@ -177,10 +211,12 @@ impl EventHandler for Hand {
         let mut motion = Motion::new(args.motion, Point3::from(args.home), sizes, rng);
         let begin = cx.now();
         let period = Duration::from_secs_f64(args.period_ms * 1e-3);
-        let own = cx.clone();
+        let (own, led, mut off) = (cx.clone(), Rc::clone(&self.led), Vector3::zeros());
         let tick = move |tick: &Tick| {
             let time = tick.now.since(begin).as_secs_f64();
-            let place = motion.at(time - args.begins_s);
+            let step = args.speed * args.period_ms * 1e-3;
+            off += (led.get() - off).cap_magnitude(step);
+            let place = motion.at(time - args.begins_s) + off;
             let hidden = |[from, to]: &[f64; 2]| time >= *from && time < *to;
             let under = if args.hidden_s.iter().any(hidden) {
                 UNDER

@@ -44,7 +44,7 @@ struct ArmArgs {
     arm: Option<String>,
     /// Names of joints of its model, in the order of the slots; all of them, when none is named.
     joints: Option<Vec<String>>,
-    /// Names of sensors that the arm carries, in the order of their numbers; none, when none is named.
+    /// Names of sensors that the arm carries, or of furniture that feels, in the order of their numbers; none, when none is named.
     #[serde(default)]
     sensors: Vec<String>,
     /// Names of lasers that the arm carries: outputs after the sensors; none, when none is named.
@@ -115,13 +115,16 @@ fn joints(args: &ArmArgs, cell: &Cell) -> Result<Joints, Finding> {
 fn sensors(args: &ArmArgs, arm: usize, cell: &Cell) -> Result<Vec<usize>, Finding> {
     let carried = |name: &str| {
         let mut all = cell.sensors.iter();
-        all.position(|sensor| sensor.name == name && sensor.mount.arm == arm)
+        let wrist = all.position(|sensor| sensor.name == name && sensor.mount.arm == arm);
+        let mut all = cell.plates.iter();
+        let mut plate = || all.position(|plate| plate.name == name);
+        wrist.or_else(|| Some(cell.sensors.len() + plate()?))
     };
     let names = args.sensors.iter();
     let found = names.map(|name| {
         carried(name).ok_or_else(|| {
             let text = format!("the arm carries no sensor `{name}`");
-            let known = cell.sensors.iter().map(|sensor| sensor.name.as_str());
+            let known = (0..).map_while(|index| cell.sensor(index));
             Finding::error("sim::arm::sensors", text).suggest(name, known)
         })
     });

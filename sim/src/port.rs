@@ -31,8 +31,10 @@ pub struct Taken {
 #[derive(Debug)]
 pub struct Port {
     arms: Vec<ArmPort>,
-    /// What each sensor reads.
+    /// What each sensor reads: at wrists, then of furniture that feels.
     sensors: Vec<Latest>,
+    /// Which piece of furniture has cut the power, by number from 1, and with how much force, N; 0 for none.
+    cut: Latest,
     /// Whether each laser is lit that an arm carries, 0 or 1.
     lasers: Vec<Latest>,
     /// What those who look on see besides.
@@ -93,11 +95,10 @@ impl Port {
         });
         Self {
             arms: arms.collect(),
-            sensors: cell
-                .sensors
-                .iter()
+            sensors: (0..cell.sensors.len() + cell.plates.len())
                 .map(|_| Latest::new(&[0.0; 6]))
                 .collect(),
+            cut: Latest::new(&[0.0; 2]),
             lasers: cell.lasers.iter().map(|_| Latest::new(&[0.0])).collect(),
             watched: Watched::new(cell),
             claims: Mutex::new(Vec::new()),
@@ -197,6 +198,20 @@ impl Port {
         if let Some(sensor) = self.sensors.get(sensor) {
             sensor.write(numbers);
         }
+    }
+
+    /// Which plate has cut the power of all arms, by index, and with how much force, N.
+    pub(crate) fn cut(&self) -> Option<(usize, f64)> {
+        let mut cut = [0.0; 2];
+        self.cut.read(&mut cut);
+        let [number, force] = cut;
+        (number > 0.0).then(|| (number as usize - 1, force))
+    }
+
+    /// A plate has cut the power, or it can be had again.
+    pub(crate) fn show_cut(&self, cut: Option<(usize, f64)>) {
+        let cut = cut.map_or([0.0; 2], |(plate, force)| [plate as f64 + 1.0, force]);
+        self.cut.write(cut);
     }
 
     /// Lights a laser that an arm carries, or puts it out.

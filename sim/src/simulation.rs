@@ -8,7 +8,7 @@ use std::{sync::Arc, time::Duration};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::{
-    cell::{Cell, LaserSpec, Mount},
+    cell::{Cell, LaserSpec, Mount, PlateSpec},
     hold::Hold,
     port::{Claim, Port},
     scene::{self, CameraFault, LaserOrder, SceneBeam, SceneState},
@@ -21,6 +21,12 @@ const SILENCE: f64 = 3.0;
 
 /// No tick makes up for more: drivers have given a world up that stood still for longer.
 const LONGEST: Duration = Duration::from_millis(100);
+
+/// What furniture feels is low-passed with this time constant, s, before it cuts the power.
+const FEELS: f64 = 0.005;
+
+/// Power that was cut cannot be had again for so long, s.
+const CUT: f64 = 0.5;
 
 /// A driver, as the world sees it.
 #[derive(Debug)]
@@ -45,6 +51,10 @@ pub struct Simulation {
     camera_faults: Vec<Option<CameraFault>>,
     lasers: Vec<(LaserSpec, LaserOrder)>,
     wrists: Vec<Wrist>,
+    /// Furniture that feels, and what it felt of late, N.
+    plates: Vec<(PlateSpec, Vector3<f64>)>,
+    /// Which of it has cut the power, with how much force, N, and how long ago, s.
+    cut: Option<(usize, f64, f64)>,
     tick: u64,
     stamp: Duration,
 }
@@ -70,10 +80,17 @@ impl Simulation {
                 .iter()
                 .map(|sensor| Wrist::new(sensor.electronics.clone()))
                 .collect(),
+            plates: cell
+                .plates
+                .iter()
+                .map(|plate| (plate.clone(), Vector3::zeros()))
+                .collect(),
+            cut: None,
             tick: 0,
             stamp: Duration::ZERO,
         };
         simulation.port.set_failure(None);
+        simulation.port.show_cut(None);
         simulation.show();
         // What is still is felt before the first tick.
         if simulation.world.advance(Duration::ZERO).is_ok() {
@@ -157,6 +174,11 @@ impl Simulation {
         self.world.link(mount).translation.vector.into()
     }
 
+    /// A person pushes an arm at its tip from now on, N in the world, for so long, s.
+    pub fn push(&mut self, arm: usize, force: Vector3<f64>, seconds: f64) {
+        self.world.push(arm, force, seconds);
+    }
+
     /// From now on a laser does that. False when there is no such laser in the room.
     pub fn order_laser(&mut self, name: &str, order: LaserOrder) -> bool {
         let mut lasers = self.lasers.iter_mut();
@@ -198,7 +220,7 @@ impl Simulation {
         if let Some(claims) = self.port.changed_claims(&mut self.changes) {
             self.attach(claims)?;
         }
-        let mut heard: f64 = 0.0;
+        let (mut heard, mut wanted): (f64, bool) = (0.0, false);
         for driver in &mut self.drivers {
             let claim = &driver.claim;
             let (count, released, own_period) = claim.look(&mut driver.scratch);
@@ -213,10 +235,21 @@ impl Simulation {
                 tracing::warn!(driver = %claim.driver, "silent for three periods: its joints brake");
             }
             driver.brakes = silent;
+            wanted |= released;
+            let released = released && self.cut.is_none();
             let torques = driver.scratch.iter().skip(2);
             for (joint, torque) in claim.joints.iter().zip(torques) {
                 let torque = (released && !silent).then_some(*torque);
                 self.world.command(claim.arm, *joint, torque)?;
+            }
+        }
+        // As with a contactor: power comes back to those who had let go of it.
+        if let Some((plate, _, since)) = &mut self.cut {
+            *since += period.as_secs_f64();
+            let felt = self.plates.get(*plate);
+            let presses = felt.is_some_and(|(spec, felt)| felt.norm() > spec.cuts_n);
+            if *since > CUT && !wanted && !presses {
+                self.cut = None;
             }
         }
         // A driver that was here before its world has spoken for long: no tick was missed then.
@@ -256,6 +289,20 @@ impl Simulation {
             let read = wrist.sample(&wrench, &world, &known, period);
             self.port.show_sensed(sensor, read);
         }
+        let share = 1.0 - (-period.as_secs_f64() / FEELS).exp();
+        for (plate, (spec, felt)) in self.plates.iter_mut().enumerate() {
+            let pressed = self.world.piece(spec.piece);
+            *felt += (pressed - *felt) * share;
+            if felt.norm() > spec.cuts_n && self.cut.is_none() {
+                tracing::warn!(plate = %spec.name, force = felt.norm(), "it cuts the power of all arms");
+                self.cut = Some((plate, felt.norm(), 0.0));
+            }
+            let [x, y, z] = (*felt).into();
+            let sensor = self.wrists.len() + plate;
+            self.port.show_sensed(sensor, [x, y, z, 0.0, 0.0, 0.0]);
+        }
+        let cut = self.cut.map(|(plate, force, _)| (plate, force));
+        self.port.show_cut(cut);
     }
 
     fn show(&self) {

@@ -10,7 +10,7 @@ use ctos::{
     task::{EventHandler, Handled, HandlerError, Phase},
 };
 use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use vss::command::{NamedCamera, OrderLaser, TrueCameras};
 
@@ -98,6 +98,25 @@ ctos::command! {
     } => [f64; 3], 0x0505, "hold_link"
 }
 
+ctos::command! {
+    /// A person pushes an arm at its tip, with this force, N in the world, for so long, s; then the person lets go.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct PushArm {
+        /// Along x,
+        pub x: f64,
+        /// y,
+        pub y: f64,
+        /// and z.
+        pub z: f64,
+        /// For how long, s.
+        pub seconds: f64,
+    } => (), 0x0396, "push_arm"
+}
+
+/// No person pushes harder, N, or longer, s.
+const HARDEST: f64 = 200.0;
+const LONGEST: f64 = 60.0;
+
 /// Arguments of the world's task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -127,6 +146,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         FailCamera::INFO,
         OrderLaser::INFO,
         PlaceBody::INFO,
+        PushArm::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
         ReadBodies::INFO,
@@ -340,6 +360,23 @@ impl EventHandler for WorldTask {
                 } else {
                     reply.fail(format!("the cell has no object `{body}`"))
                 }
+            }
+            PushArm::CODE => {
+                let (PushArm { x, y, z, seconds }, reply) = message.open::<PushArm>()?;
+                let force = Vector3::new(x, y, z);
+                if !((0.0..=HARDEST).contains(&force.norm()) && (0.0..=LONGEST).contains(&seconds))
+                {
+                    let text = format!(
+                        "a push has {HARDEST} N and lasts {LONGEST} s at most, not {x}, {y}, {z} N for {seconds} s"
+                    );
+                    return reply.fail(text);
+                }
+                let arm = match self.cell.arm(None) {
+                    Ok(arm) => arm,
+                    Err(finding) => return reply.fail(finding.message),
+                };
+                self.simulation.borrow_mut().push(arm, force, seconds);
+                reply.ok(())
             }
             TrueCameras::CODE => {
                 let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;

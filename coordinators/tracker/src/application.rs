@@ -213,6 +213,8 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "estimate_rms_m": verdict.estimate_rms_m,
         "estimate_mean_m": verdict.estimate_mean_m,
         "servo_rms_m": verdict.servo_rms_m,
+        "setpoint_median_s": verdict.setpoint_median_s,
+        "setpoint_p99_s": verdict.setpoint_p99_s,
         "max_force_n": verdict.max_force_n,
         "max_acceleration_ratio": verdict.max_acceleration_ratio,
         "max_step_m_s": verdict.max_step_m_s,

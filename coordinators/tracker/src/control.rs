@@ -38,6 +38,10 @@ pub struct ControlArgs {
     pub prediction: bool,
     /// How long a setpoint takes to become a place of the hand, s.
     pub lead_s: f64,
+    /// How long the hand takes to come up with a ball that turns, s: as far ahead motions are held against what came of them.
+    pub catch_up_s: f64,
+    /// Force and mouse move the goal no faster than this, m/s: what they lead the hand into is met gently.
+    pub steer_m_s: f64,
     /// The hand stays within this distance from where it began, m.
     pub reach_m: f64,
     /// Without a measurement for this time the ball counts as lost, s; it is followed until it expires.
@@ -64,6 +68,8 @@ impl Default for ControlArgs {
             },
             prediction: true,
             lead_s: 0.0135,
+            catch_up_s: 0.2,
+            steer_m_s: 0.2,
             reach_m: 0.3,
             overdue_s: 0.2,
         }
@@ -86,6 +92,8 @@ impl ControlArgs {
             .find_map(|(name, wrong)| wrong.map(|(key, value)| (format!("{name}.{key}"), value)));
         let own = [
             ("lead_s", self.lead_s, 0.0),
+            ("catch_up_s", self.catch_up_s, 0.0),
+            ("steer_m_s", self.steer_m_s, 0.001),
             ("reach_m", self.reach_m, 0.01),
             ("overdue_s", self.overdue_s, 0.001),
         ];
@@ -196,7 +204,9 @@ impl Control {
 
     /// Takes in that the hand should have been at `place` at the moment `at`; it is known `now`.
     pub fn measure(&mut self, now: f64, at: f64, place: &Point3<f64>) -> Taken {
-        let taken = self.target.measure(at, place);
+        let ahead = (now - at).max(0.0) + self.args.lead_s;
+        let further = ahead + self.args.catch_up_s;
+        let taken = self.target.measure(at, place, [ahead, further]);
         match taken {
             Taken::Begun | Taken::Used => {
                 self.counts.used += 1;
@@ -212,7 +222,8 @@ impl Control {
     /// Goes on by a period, s, until `now`. `force` is what the hand is pushed with, N in the base frame, `mouse` how the mouse is
     /// deflected. Answers how large the change of the velocity was, as a part of what the limit allows.
     pub fn go(&mut self, now: f64, force: &Vector3<f64>, mouse: &Vector3<f64>, period: f64) -> f64 {
-        self.offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
+        let offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
+        self.offset += (offset - self.offset).cap_magnitude(self.args.steer_m_s * period);
         let ahead = now + self.args.lead_s;
         let expected = match self.args.prediction {
             true => self.target.at(ahead),
@@ -229,7 +240,8 @@ impl Control {
             }
             Some(target) => {
                 self.hold = target.place + self.offset;
-                (self.hold, target.velocity)
+                // Of a motion that seldom goes on as predicted the hand takes little along.
+                (self.hold, target.velocity * target.worth)
             }
             None => {
                 let moving = self.offset * FREELY;
@@ -242,7 +254,8 @@ impl Control {
             self.hold = goal;
         }
         let before = self.course.velocity;
-        let wanted = self.course.wanted(&goal, &moving, period);
+        let predicted = self.args.prediction && expected.is_some() && !self.stands;
+        let wanted = self.course.wanted(&goal, &moving, predicted, period);
         let wanted = self.contact.allow(force, &self.course.place, wanted);
         self.course.follow(&wanted, period);
         self.course.ratio(&before, period)
@@ -401,6 +414,19 @@ mod tests {
         );
         rig.run(3.0, still, NONE);
         assert!((rig.control.course().place - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-3);
+    }
+
+    #[test]
+    fn force_and_mouse_move_the_hand_no_faster_than_is_said() {
+        let mut rig = Rig::new(ControlArgs::default());
+        let still = |_| Some(Point3::new(0.1, 0.0, 0.0));
+        rig.run(3.0, still, NONE);
+        for _ in 0..150 {
+            rig.run(0.0046, still, Vector3::new(0.0, 40.0, 0.0));
+            let fast = rig.control.course().velocity.norm();
+            assert!(fast < 0.25, "{fast} m/s");
+        }
+        assert!(rig.control.course().place.y > 0.08);
     }
 
     #[test]

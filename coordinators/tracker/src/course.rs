@@ -20,6 +20,9 @@ pub struct CourseArgs {
     pub acceleration: f64,
     /// Time constant of the last bit of the way, s.
     pub settle_s: f64,
+    /// A goal that is predicted to move faster than this is met no more than by so much faster, m/s: a hand that comes up faster
+    /// cannot brake when the goal turns. One that rests is reached in the least time.
+    pub closing: f64,
 }
 
 impl Default for CourseArgs {
@@ -28,6 +31,7 @@ impl Default for CourseArgs {
             speed: 1.0,
             acceleration: 4.0,
             settle_s: 0.05,
+            closing: 0.3,
         }
     }
 }
@@ -40,6 +44,7 @@ impl CourseArgs {
             ("speed", self.speed),
             ("acceleration", self.acceleration),
             ("settle_s", self.settle_s),
+            ("closing", self.closing),
         ];
         let wrong = |(_, value): &(_, f64)| !(*value > 0.0 && *value <= 100.0);
         all.into_iter().find(wrong)
@@ -67,19 +72,21 @@ impl Course {
         }
     }
 
-    /// Goes on by a period, s, towards a goal that moves with a velocity and is there at the end of the period.
-    pub fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
-        let wanted = self.wanted(goal, moving, period);
-        self.follow(&wanted, period);
-    }
-
-    /// How fast it would go towards that goal, m/s.
+    /// How fast it would go towards a goal that moves with a velocity and is there at the end of a period of so many s, m/s. The goal's
+    /// motion is `predicted`, or it is only where it was.
     #[must_use]
-    pub fn wanted(&self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) -> Vector3<f64> {
+    pub fn wanted(
+        &self,
+        goal: &Point3<f64>,
+        moving: &Vector3<f64>,
+        predicted: bool,
+        period: f64,
+    ) -> Vector3<f64> {
         let CourseArgs {
             speed,
             acceleration,
             settle_s,
+            closing,
         } = self.args;
         let way = goal - moving * period - self.place;
         let left = way.norm();
@@ -91,6 +98,11 @@ impl Course {
         } else {
             (braking * (2.0 * left - near)).sqrt()
         };
+        let turns = match predicted {
+            true => (moving.norm() / closing).min(1.0),
+            false => 0.0,
+        };
+        let towards = towards - turns * (towards - closing).max(0.0);
         let direction = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
         clipped(moving + direction * towards, speed)
     }
@@ -127,6 +139,14 @@ mod tests {
     use proptest::prelude::*;
 
     const PERIOD: f64 = 0.0045;
+
+    impl Course {
+        /// Goes on by a period towards a goal whose motion is predicted.
+        fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
+            let wanted = self.wanted(goal, moving, true, period);
+            self.follow(&wanted, period);
+        }
+    }
 
     fn vector() -> impl Strategy<Value = Vector3<f64>> {
         prop::array::uniform3(-1.0..1.0_f64).prop_map(Vector3::from)

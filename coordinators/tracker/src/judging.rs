@@ -92,6 +92,10 @@ pub struct Verdict {
     pub estimate_mean_m: [f64; 3],
     /// Distance of the hand from where it was sent: root mean square, m.
     pub servo_rms_m: f64,
+    /// From a picture's exposure to the first setpoint that knows of it: median, s.
+    pub setpoint_median_s: f64,
+    /// Its 99th percentile, s.
+    pub setpoint_p99_s: f64,
     /// Largest force at the wrist, N.
     pub max_force_n: f64,
     /// Largest change of the commanded velocity, as a part of what the limit allows.
@@ -118,6 +122,8 @@ pub struct Judge {
     estimate: Errors,
     means: Vector3<f64>,
     servo: Errors,
+    /// Seconds from exposures to setpoints.
+    setpoints: Errors,
     force: f64,
     ratio: f64,
     step: f64,
@@ -143,6 +149,7 @@ impl Judge {
             estimate: Errors::default(),
             means: Vector3::zeros(),
             servo: Errors::default(),
+            setpoints: Errors::default(),
             force: 0.0,
             ratio: 0.0,
             step: 0.0,
@@ -189,6 +196,14 @@ impl Judge {
         {
             self.step = self.step.max((record.velocity - last.velocity).norm());
         }
+        // A younger picture than the one before is one that has just come.
+        if let Some(last) = &self.last
+            && last.phase == Phase::Track
+            && record.phase == Phase::Track
+            && record.age < last.age
+        {
+            self.setpoints.add(record.age);
+        }
         self.last = Some(*record);
         if let (Some((druide, argus)), false) = (&self.clocks, record.clock.is_nan()) {
             let error = (record.clock - druide.ahead_of_this(argus, record.now)).abs();
@@ -233,6 +248,8 @@ impl Judge {
             estimate_rms_m: self.estimate.rms(),
             estimate_mean_m: means.into(),
             servo_rms_m: self.servo.rms(),
+            setpoint_median_s: self.setpoints.part(0.5),
+            setpoint_p99_s: self.setpoints.part(0.99),
             max_force_n: self.force,
             max_acceleration_ratio: self.ratio,
             max_step_m_s: self.step,
@@ -279,6 +296,14 @@ pub fn lines(verdict: &Verdict, counts: &Counts) -> String {
             format!(
                 "{:.2} mm rms from where it was sent",
                 verdict.servo_rms_m * mm
+            ),
+        ),
+        (
+            "exposure",
+            format!(
+                "to setpoint {:.1} ms, {:.1} ms at 99 %",
+                verdict.setpoint_median_s * 1e3,
+                verdict.setpoint_p99_s * 1e3
             ),
         ),
         ("force", format!("{:.1} N at most", verdict.max_force_n)),
@@ -364,5 +389,54 @@ mod tests {
             (1.0, 0.5)
         );
         assert!(!lines(&found, &Counts::default()).is_empty());
+    }
+
+    #[test]
+    fn percentiles_forces_and_times_are_those_of_all_records() {
+        let mut judge = Judge::new();
+        let (mut errors, mut ages) = (Vec::new(), Vec::new());
+        for step in 0..3000_u32 {
+            let now = f64::from(step) * 0.0045;
+            judge.ball(now, Point3::new(0.5, 0.0, 0.0));
+            // Far at times, and a picture every ninth period, each after another time.
+            let wrong = if step < 10 {
+                0.0
+            } else {
+                f64::from(step * 7919 % 1000) * 1e-5
+            };
+            let age = 0.01 + f64::from(step / 9 * 31 % 100) * 1e-4 + f64::from(step % 9) * 0.0045;
+            let mut record = CourseRecord {
+                age,
+                ..record(now, wrong)
+            };
+            record.force = if step == 1500 { 7.5 } else { 0.5 };
+            record.clock_bound = if step == 9 { 2e-3 } else { 1e-3 };
+            judge.course(&record);
+            if now >= SETTLED {
+                errors.push(wrong);
+            }
+            if step > 0 && step % 9 == 0 {
+                ages.push(age);
+            }
+        }
+        let part = |mut all: Vec<f64>, part: f64| {
+            all.sort_by(f64::total_cmp);
+            all[(all.len() as f64 * part).ceil() as usize - 1]
+        };
+        judge.know_clocks(ClockTruth::default(), ClockTruth::default());
+        let last = CourseRecord {
+            age: 9.0,
+            ..record(13.5, 0.0)
+        };
+        judge.course(&last);
+        let found = judge.verdict();
+        assert!(
+            (found.p95_m - part(errors, 0.95)).abs() < 1.01 * STEP,
+            "{found:?}"
+        );
+        assert!((found.setpoint_median_s - part(ages.clone(), 0.5)).abs() < 1.01 * STEP);
+        assert!((found.setpoint_p99_s - part(ages, 0.99)).abs() < 1.01 * STEP);
+        assert_eq!(found.max_force_n, 7.5);
+        assert_eq!(found.clock_bound_s, 1e-3);
     }
 }

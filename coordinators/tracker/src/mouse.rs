@@ -15,7 +15,7 @@ use serde::Deserialize;
 use sorma::snapshot::{Layout, Place, Writer};
 use std::{cell::RefCell, rc::Rc};
 
-use crate::wire::{DeflectMouse, MOUSE};
+use crate::wire::{DeflectMouse, MOUSE, SteerMouse};
 
 /// The handler's name.
 pub const HANDLER: &str = "tracker.spacemouse";
@@ -44,7 +44,7 @@ impl Default for MouseArgs {
 
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
-    let handler = registry.handler(HANDLER, &[DeflectMouse::INFO], |cx| {
+    let handler = registry.handler(HANDLER, &[DeflectMouse::INFO, SteerMouse::INFO], |cx| {
         Ok(Mouse {
             args: cx.args()?,
             deflected: Rc::default(),
@@ -70,7 +70,10 @@ pub(crate) fn register(registry: &mut Registry) {
     });
 }
 
-/// What was said last, and when.
+/// Nobody steers longer with one message, s.
+const LONGEST: f64 = 10.0;
+
+/// What was said last, and until when it counts.
 type Deflected = Rc<RefCell<Option<(Instant, [f64; 6])>>>;
 
 struct Mouse {
@@ -79,22 +82,48 @@ struct Mouse {
     cyclic: Option<CyclicHandle>,
 }
 
-impl EventHandler for Mouse {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        if message.command() != DeflectMouse::CODE {
-            return cx.default_processing(message);
-        }
-        let (DeflectMouse { numbers }, reply) = message.open::<DeflectMouse>()?;
-        if let Some(wrong) = numbers
+impl Mouse {
+    /// Is deflected so from now on, for so long, s.
+    fn deflect(&self, now: Instant, numbers: [f64; 6], seconds: f64) -> Result<(), String> {
+        let wrong = numbers
             .iter()
-            .find(|number| !(-1.0..=1.0).contains(*number))
-        {
-            return reply.fail(format!(
+            .find(|number| !(-1.0..=1.0).contains(*number));
+        if let Some(wrong) = wrong {
+            return Err(format!(
                 "a deflection goes from -1 to 1, and one is {wrong}"
             ));
         }
-        *self.deflected.borrow_mut() = Some((cx.now(), numbers));
-        reply.ok(())
+        if !(0.0..=LONGEST).contains(&seconds) {
+            return Err(format!(
+                "the mouse is deflected for {LONGEST} s at most, not for {seconds}"
+            ));
+        }
+        *self.deflected.borrow_mut() = Some((now + Duration::from_secs_f64(seconds), numbers));
+        Ok(())
+    }
+}
+
+impl EventHandler for Mouse {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            DeflectMouse::CODE => {
+                let (DeflectMouse { numbers }, reply) = message.open::<DeflectMouse>()?;
+                match self.deflect(cx.now(), numbers, self.args.callback_s) {
+                    Ok(()) => reply.ok(()),
+                    Err(why) => reply.fail(why),
+                }
+            }
+            SteerMouse::CODE => {
+                let (steer, reply) = message.open::<SteerMouse>()?;
+                let SteerMouse { x, y, z, .. } = steer;
+                let numbers = [x, y, z, steer.about_x, steer.about_y, steer.about_z];
+                match self.deflect(cx.now(), numbers, steer.seconds) {
+                    Ok(()) => reply.ok(()),
+                    Err(why) => reply.fail(why),
+                }
+            }
+            _ => cx.default_processing(message),
+        }
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
@@ -105,11 +134,10 @@ impl EventHandler for Mouse {
         let layout = Layout::new(SLOTS, 6).described("x\ny\nz\nabout x\nabout y\nabout z");
         let mut writer = Writer::create(&place, MOUSE, layout, cx.chassis().clock())?;
         let deflected = Rc::clone(&self.deflected);
-        let callback = Duration::from_secs_f64(self.args.callback_s);
         let tick = move |tick: &Tick| {
             let mut deflected = deflected.borrow_mut();
-            if let Some((since, numbers)) = *deflected
-                && tick.now.since(since) > callback
+            if let Some((until, numbers)) = *deflected
+                && tick.now > until
             {
                 if numbers.iter().any(|number| *number != 0.0) {
                     tracing::warn!("a deflection that is not said anew is called back");

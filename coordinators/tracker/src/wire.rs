@@ -114,6 +114,27 @@ ctos::command! {
     } => (), 0x0629, "deflect_mouse"
 }
 
+ctos::command! {
+    /// Deflects the mouse for a while, each number from -1 to 1; then it is let go.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SteerMouse {
+        /// Along x of the base frame,
+        pub x: f64,
+        /// along y,
+        pub y: f64,
+        /// along z,
+        pub z: f64,
+        /// about x,
+        pub about_x: f64,
+        /// about y,
+        pub about_y: f64,
+        /// about z.
+        pub about_z: f64,
+        /// For how long, s.
+        pub seconds: f64,
+    } => (), 0x062d, "steer_mouse"
+}
+
 /// When a question arrived, and when it was answered, ns by the clock of who was asked.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ClockTimes {

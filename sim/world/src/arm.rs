@@ -42,6 +42,17 @@ impl Touch {
             work: 0.0,
         }
     }
+
+    /// Both together, of which one is no wall that stops it.
+    pub fn with(&self, other: &Self) -> Self {
+        let sum = |own: &[f64], other: &[f64]| own.iter().zip(other).map(|(a, b)| a + b).collect();
+        Self {
+            impulse: sum(&self.impulse, &other.impulse),
+            shift: sum(&self.shift, &other.shift),
+            by_still: self.by_still && other.by_still,
+            work: self.work + other.work,
+        }
+    }
 }
 
 /// The arm's state is no longer made of finite numbers.

@@ -13,7 +13,12 @@ use mcs_model::{Body, FrameId, Model};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use vss_tools::laser::Scanner;
 
-use crate::{camera::truth::CameraTruth, scene::SceneState, shapes::Shape, wrist::Electronics};
+use crate::{
+    camera::truth::CameraTruth,
+    scene::SceneState,
+    shapes::{Shape, Solid},
+    wrist::Electronics,
+};
 
 /// How the file of a model is read that the cell names, relative to the cell's file.
 pub type ReadModel<'a> = &'a dyn Fn(&str) -> Result<Source, Finding>;
@@ -39,6 +44,8 @@ pub struct Cell {
     pub lasers: Vec<LaserSpec>,
     /// The force-torque sensors.
     pub sensors: Vec<SensorSpec>,
+    /// The furniture that feels.
+    pub plates: Vec<PlateSpec>,
     /// What can be seen and may move: links of the arms, then objects.
     pub bodies: Vec<BodySpec>,
 }
@@ -64,6 +71,32 @@ pub struct ArmSpec {
     pub tip_offset: Vector3<f64>,
     /// Its outer form, each part in the frame that carries it.
     pub shapes: Vec<(FrameId, Shape)>,
+    /// What is soft around it. It is not drawn.
+    pub pads: Vec<PadSpec>,
+}
+
+/// A soft form around a link.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PadSpec {
+    /// The frame that carries it.
+    pub frame: FrameId,
+    /// Its outer form, in that frame.
+    pub solid: Solid,
+    /// Its spring, N/m.
+    pub stiffness: f64,
+    /// Its damper, N s/m.
+    pub damping: f64,
+}
+
+/// A piece of furniture that feels with what arms press it. The weight of what rests on it is taken off.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlateSpec {
+    /// Its name.
+    pub name: String,
+    /// Which piece, by index in [`Cell::room`].
+    pub piece: usize,
+    /// A larger force cuts the power of all arms, N; infinite for none.
+    pub cuts_n: f64,
 }
 
 impl ArmSpec {
@@ -241,6 +274,14 @@ impl Cell {
     /// Everything that is wrong in it, each with its place.
     pub fn parse_with(source: &Source, model: ReadModel<'_>) -> Result<Self, Findings> {
         text::parse(source, model)
+    }
+
+    /// The name of a sensor that can be a slot: the force-torque sensors, then the furniture that feels.
+    #[must_use]
+    pub fn sensor(&self, index: usize) -> Option<&str> {
+        let wrists = self.sensors.iter().map(|sensor| &sensor.name);
+        let plates = self.plates.iter().map(|plate| &plate.name);
+        wrists.chain(plates).nth(index).map(String::as_str)
     }
 
     /// The camera called `name`.

@@ -11,6 +11,8 @@
 //! creep out of it. So a step begins with what the steps before did to a link. The arm has felt it already, and the engine
 //! presses the link by as much the other way. Only what changes is left to the link's weight.
 
+mod pads;
+
 use std::time::Duration;
 
 pub use crate::engine::GRAVITY;
@@ -24,6 +26,8 @@ use rapier3d_f64::{
     math::Vector,
     pipeline::PhysicsWorld,
 };
+
+use pads::Still;
 
 use crate::{
     arm::{Arm, Lost, Touch},
@@ -142,6 +146,13 @@ pub struct World {
     physics: PhysicsWorld,
     links: Vec<Link>,
     objects: Vec<RigidBodyHandle>,
+    /// What never moves, as pads meet it.
+    still: Vec<Still>,
+    /// Each piece of furniture in the engine, and with what it was pressed since the last period began, N s.
+    furniture: Vec<ColliderHandle>,
+    /// With what a person pushes the tip of each arm, N, and for how long still, s.
+    pushes: Vec<(Vector3<f64>, f64)>,
+    pieces: Vec<Vector3<f64>>,
     sensing: Vec<Sensing>,
     /// The hand that holds each arm.
     holds: Vec<Option<Hold>>,
@@ -184,6 +195,10 @@ impl World {
             links: Vec::new(),
             objects: Vec::new(),
             holds: vec![None; cell.arms.len()],
+            still: Still::all(&cell.room),
+            furniture: Vec::new(),
+            pushes: vec![(Vector3::zeros(), 0.0); cell.arms.len()],
+            pieces: vec![Vector3::zeros(); cell.room.len()],
             sensing: vec![
                 Sensing {
                     momentum: NOTHING,
@@ -264,6 +279,7 @@ impl World {
         for link in &mut self.links {
             link.pressed = Vector3::zeros();
         }
+        self.pieces.fill(Vector3::zeros());
         // Held arms among still things are a world that stands still.
         let holds = self.holds.iter().any(Option::is_some);
         let still = !holds && self.objects.is_empty() && self.arms.iter().all(Arm::is_held);
@@ -364,11 +380,17 @@ impl World {
     }
 
     fn step(&mut self, h: f64) -> Result<(), WorldError> {
-        let expected = self.expect(h);
         let mut blows = self.pull(h);
+        let pads = self.press_pads(h, &mut blows);
+        let expected = self.expect(h);
         for (index, arm) in self.arms.iter_mut().enumerate() {
             let expected = expected.get(index).and_then(Option::as_ref);
-            if arm.predict(h, expected).is_err() {
+            let pad = pads.get(index).and_then(Option::as_ref);
+            let both = match (expected, pad) {
+                (Some(expected), Some(pad)) => Some(expected.with(pad)),
+                (one, other) => one.or(other).cloned(),
+            };
+            if arm.predict(h, both.as_ref()).is_err() {
                 return Err(self.lost(index));
             }
         }
@@ -380,8 +402,9 @@ impl World {
         parameters.num_internal_stabilization_iterations = sweeps;
         parameters.dt = h;
         self.physics.step();
-        for (index, expected) in expected.iter().enumerate() {
-            if self.feel(index, h, expected.is_some(), &mut blows).is_err() {
+        for (index, (expected, pad)) in expected.iter().zip(&pads).enumerate() {
+            let (hangs, pad) = (expected.is_some(), pad.as_ref());
+            if self.feel(index, h, hangs, pad, &mut blows).is_err() {
                 return Err(self.lost(index));
             }
         }
@@ -524,20 +547,22 @@ impl World {
         all
     }
 
-    /// Gives an arm what the step did to its links, and adds that to `blows`.
+    /// Gives an arm what the step did to its links besides what presses on its pads, and adds that to `blows`.
     fn feel(
         &mut self,
         index: usize,
         h: f64,
         expected: bool,
+        pad: Option<&Touch>,
         blows: &mut Vec<Blow>,
     ) -> Result<(), Lost> {
         let Some(arm) = self.arms.get_mut(index) else {
             return Ok(());
         };
-        let mut touch = Touch::none(arm.model().dof());
+        let none = Touch::none(arm.model().dof());
+        let mut touch = pad.map_or(none, Touch::clone);
         // What hangs on an arm is no wall that stops it.
-        touch.by_still = !expected;
+        touch.by_still = !expected && pad.is_none();
         let mut touched = false;
         for link in self.links.iter_mut().filter(|link| link.mount.arm == index) {
             let before = link.felt.take();
@@ -562,9 +587,15 @@ impl World {
         }
         let (held, taken) = (arm.is_held(), arm.push(h, &mut touch)?);
         for link in self.links.iter_mut().filter(|link| link.mount.arm == index) {
-            link.pressed += link
+            let felt = link
                 .felt
                 .map_or_else(Vector3::zeros, |[force, _]| force * taken);
+            link.pressed += felt;
+            for (piece, pressed) in self.furniture.iter().zip(&mut self.pieces) {
+                if felt != Vector3::zeros() && link.touches(*piece, &self.physics) {
+                    *pressed -= felt;
+                }
+            }
             blows.extend(link.felt.map(|felt| Blow {
                 mount: link.mount,
                 at: link.began.0,
@@ -620,7 +651,8 @@ impl World {
         let cell = self.cell.clone();
         self.insert_still(&engine::FLOOR, &Isometry3::identity(), ROOM);
         for Shape { solid, .. } in &cell.room {
-            self.insert_still(solid, &Isometry3::identity(), ROOM);
+            let piece = self.insert_still(solid, &Isometry3::identity(), ROOM);
+            self.furniture.push(piece);
         }
         for body in &cell.bodies {
             match body.origin {
@@ -655,12 +687,12 @@ impl World {
         solid: &crate::shapes::Solid,
         at: &Isometry3<f64>,
         groups: InteractionGroups,
-    ) {
+    ) -> ColliderHandle {
         let (shape, within) = engine::shape(solid);
         let collider = ColliderBuilder::new(shape)
             .position(pose(&(at * within)))
             .collision_groups(groups);
-        self.physics.insert_collider(collider, None);
+        self.physics.insert_collider(collider, None)
     }
 
     fn insert_link(
@@ -708,6 +740,14 @@ impl World {
 }
 
 impl Link {
+    /// Whether a solid touches it.
+    fn touches(&self, other: ColliderHandle, physics: &PhysicsWorld) -> bool {
+        self.colliders.iter().any(|own| {
+            let pair = physics.narrow_phase.contact_pair(*own, other);
+            pair.is_some_and(|pair| pair.has_any_active_contact())
+        })
+    }
+
     /// Whether something touches it, and nothing that moves does.
     fn touched_by(&self, physics: &PhysicsWorld) -> Option<bool> {
         let mut still = None;

@@ -21,7 +21,8 @@ use mcs::{
     guard::GuardRegistry,
     partition::McsExpander,
 };
-use pnt::task::Marking;
+use mcs_hand::command::{ReadTouch, Touch};
+use pnt::task::{Marking, PutTape};
 use serde_json::Value;
 use sim::{scene::CameraFault, world_task::FailCamera};
 use tracker::{coordination::ask, wire::DeflectMouse};
@@ -32,6 +33,8 @@ use vss::{catalog::VssExpander, source::FrameSources};
 pub enum Act {
     /// Puts an order on the net's tape.
     Order(&'static str),
+    /// Puts a command with its numbers on the tape of the net that stands for a person.
+    Person(&'static str, &'static [f64]),
     Stop,
     Resume,
     EmergencyStop,
@@ -50,6 +53,7 @@ pub struct Rig {
     sets: Vec<String>,
     more: String,
     cell: String,
+    swap: Option<[&'static str; 2]>,
     acts: Vec<(f64, Act)>,
     faults: Vec<Fault>,
 }
@@ -62,6 +66,8 @@ pub struct Ended {
     pub answers: Vec<(f64, String, String)>,
     /// What the net was from when on, s.
     pub states: Vec<(f64, String)>,
+    /// What touched the arm, as the world has it, while something did: the moment, s, and the sum of all forces, N.
+    pub touched: Vec<(f64, f64)>,
     /// The map's table afterwards.
     pub map: String,
 }
@@ -88,6 +94,15 @@ impl Ended {
         (symbol, text)
     }
 
+    /// The least and the largest force of the world on the arm between two moments, s; N.
+    pub fn pressed(&self, from: f64, until: f64) -> [f64; 2] {
+        let within = |at: f64| at >= from && at < until;
+        let forces = self.touched.iter().filter(|(at, _)| within(*at));
+        forces.fold([f64::MAX, 0.0], |[low, high], (_, force)| {
+            [low.min(*force), high.max(*force)]
+        })
+    }
+
     /// What holds whatever happens: no step of the commanded speed, no record lost, clocks known within their bound.
     pub fn must_be_smooth(&self) {
         let told = format!("{:?} {}", self.states, self.result);
@@ -110,6 +125,7 @@ impl Rig {
             sets: Vec::new(),
             more: String::new(),
             cell: String::new(),
+            swap: None,
             acts: Vec::new(),
             faults: Vec::new(),
         }
@@ -130,6 +146,12 @@ impl Rig {
     /// With more in the cell.
     pub fn cell(mut self, lines: &str) -> Self {
         self.cell += lines;
+        self
+    }
+
+    /// With another text in the place of one of the cell.
+    pub fn swap(mut self, text: &'static str, other: &'static str) -> Self {
+        self.swap = Some([text, other]);
         self
     }
 
@@ -157,6 +179,7 @@ impl Rig {
             "tracker-map.csv",
             "tracker.toml",
             "nets/tracker/tracking.net",
+            "nets/tracker/person.net",
         ] {
             std::fs::copy(from.join(file), configs.join(file)).unwrap();
         }
@@ -173,6 +196,12 @@ impl Rig {
             ),
         );
         append("tracker-cell.toml", &self.cell);
+        if let Some([text, other]) = self.swap {
+            let file = configs.join("tracker-cell.toml");
+            let cell = std::fs::read_to_string(&file).unwrap();
+            assert!(cell.contains(text));
+            std::fs::write(file, cell.replace(text, other)).unwrap();
+        }
         let file = configs.join("tracker.toml");
         let text = std::fs::read_to_string(&file).unwrap();
         assert!(text.contains("driver = \"sim.arm\""));
@@ -213,6 +242,7 @@ impl Rig {
             result,
             answers: seen.answers,
             states: seen.states,
+            touched: seen.touched,
             map: std::fs::read_to_string(configs.join("tracker-map.csv")).unwrap(),
         }
     }
@@ -222,6 +252,7 @@ impl Rig {
 struct Seen {
     answers: Vec<(f64, String, String)>,
     states: Vec<(f64, String)>,
+    touched: Vec<(f64, f64)>,
     feels: [f64; 3],
 }
 
@@ -247,6 +278,7 @@ fn registry(acts: Vec<(f64, Act)>, seen: &Arc<Mutex<Seen>>) -> Registry {
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     tracker::register(&mut registry);
+    pnt_net::register(&mut registry);
     let seen = Arc::clone(seen);
     registry.handler("test.script", &[], move |_| {
         Ok(Script {
@@ -329,6 +361,21 @@ impl EventHandler for Script {
                 own.sleep(Duration::from_millis(20)).await;
             }
         });
+        let (own, seen) = (cx.clone(), Arc::clone(&self.seen));
+        cx.spawn(async move {
+            while !own.is_stopping() {
+                if let Ok(world) = own.task("world").await
+                    && let Ok(touches) = own.call(&world, ReadTouch { arm: None }).await
+                    && !touches.is_empty()
+                {
+                    let force = |touch: &Touch| touch.force_n.map(|n| n * n).iter().sum::<f64>();
+                    let sum = touches.iter().map(|touch| force(touch).sqrt()).sum();
+                    let now = own.now().since_start().as_secs_f64();
+                    seen.lock().unwrap().touched.push((now, sum));
+                }
+                own.sleep(Duration::from_micros(4500)).await;
+            }
+        });
         for (at, act) in self.acts.clone() {
             let (own, seen) = (cx.clone(), Arc::clone(&self.seen));
             cx.spawn(async move {
@@ -375,6 +422,16 @@ async fn done(cx: &Context, seen: &Mutex<Seen>, at: f64, act: Act) -> Result<(),
     match act {
         Act::Order(symbol) => {
             let answer = ask(cx, "tracking", symbol).await?;
+            let mut seen = seen.lock().unwrap();
+            seen.answers.push((at, answer.symbol, answer.text));
+        }
+        Act::Person(symbol, numbers) => {
+            let person = cx.task("person").await?;
+            let put = PutTape {
+                symbol: symbol.to_owned(),
+                arguments: numbers.iter().map(f64::to_string).collect(),
+            };
+            let answer = cx.call(&person, put).await?;
             let mut seen = seen.lock().unwrap();
             seen.answers.push((at, answer.symbol, answer.text));
         }

@@ -219,12 +219,19 @@ impl<F: Fn() -> bool> Watch<F> {
             report.stops += 1;
             report.stopped = Some(why);
         }
-        let reason = self.reason().await;
-        reason
-            .inspect_err(|error| {
-                tracing::debug!("why the arm does not follow is not known: {error}")
-            })
-            .ok()
+        match self.reason().await {
+            Ok((event, fault)) => {
+                // What took the power away says more than the stream that it ended.
+                if let (true, Some(fault)) = (stopped, fault) {
+                    self.shared.borrow_mut().report.stopped = Some(fault);
+                }
+                Some(event)
+            }
+            Err(error) => {
+                tracing::debug!("why the arm does not follow is not known: {error}");
+                None
+            }
+        }
     }
 
     /// How the ball is that the arm follows.
@@ -240,22 +247,23 @@ impl<F: Fn() -> bool> Watch<F> {
         })
     }
 
-    /// Why the arm does not follow, as the net understands it.
-    async fn reason(&self) -> Result<Event, MotionError> {
+    /// Why the arm does not follow, as the net understands it, and what took its power away.
+    async fn reason(&self) -> Result<(Event, Option<String>), MotionError> {
         let client = self.cx.task(&self.args.mcs).await?;
         let status = self.cx.call(&client, Status {}).await?;
         if status.state == State::Estopped {
-            return Ok(Event::PowerOff);
+            return Ok((Event::PowerOff, status.fault));
         }
         let last = self.cx.call(&client, ReadGuards {}).await?.last;
         let new = last.filter(|last| self.found.borrow().as_ref() != Some(last));
         let guard = new.map(|report| report.guard.to_string());
-        Ok(match guard {
+        let event = match guard {
             Some(guard) if self.args.overload.contains(&guard) => Event::TooMuchForce,
             Some(guard) if !self.args.again_after.contains(&guard) => Event::GuardSpoke,
             _ if status.stopped => Event::StoppedByOthers,
             _ => Event::StreamEnded,
-        })
+        };
+        Ok((event, None))
     }
 
     /// Why the arm does not follow, if it does not.

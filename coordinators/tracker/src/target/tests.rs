@@ -8,6 +8,9 @@ use super::*;
 
 const PERIOD: f64 = 0.04;
 
+/// How far ahead predictions are held against what came, s.
+const AHEAD: [f64; 2] = [0.1, 0.3];
+
 /// A Kalman filter of one axis with a random walk of the acceleration, which knows stamps and statistics: nothing of it is in
 /// what it is compared with.
 struct Kalman {
@@ -98,7 +101,10 @@ fn errors(motion: fn(f64) -> f64, latency: [f64; 2], agility: f64, seed: u64) ->
     let sigma = 0.000_5;
     let args = TargetArgs {
         sigma_m: sigma,
-        agility,
+        manners: [Manner {
+            agility,
+            manoeuvre_s: 0.25,
+        }; 3],
         ..TargetArgs::default()
     };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -118,7 +124,7 @@ fn errors(motion: fn(f64) -> f64, latency: [f64; 2], agility: f64, seed: u64) ->
         let now = f64::from(tick) * 0.0045;
         while let Some((_, at, z)) = arrivals.get(next).filter(|arrival| arrival.0 <= now) {
             next += 1;
-            if target.measure(*at, &Point3::new(*z, 0.0, 0.0)) == Taken::Late {
+            if target.measure(*at, &Point3::new(*z, 0.0, 0.0), AHEAD) == Taken::Late {
                 continue;
             }
             match &mut kalman {
@@ -184,7 +190,7 @@ fn moving() -> Target {
     let mut target = Target::new(TargetArgs::default());
     for step in 0..=25 {
         let time = f64::from(step) * PERIOD;
-        target.measure(time, &at(0.3 * time));
+        target.measure(time, &at(0.3 * time), AHEAD);
     }
     target
 }
@@ -216,11 +222,11 @@ fn after_the_expiry_the_motion_decays_without_a_step_of_speed() {
 fn what_comes_out_of_order_or_twice_or_is_no_number_changes_nothing() {
     let mut target = moving();
     let before = target.at(1.1);
-    assert_eq!(target.measure(0.96, &at(0.0)), Taken::Late);
-    assert_eq!(target.measure(1.0, &at(0.3)), Taken::Late);
-    assert_eq!(target.measure(1.04, &at(f64::NAN)), Taken::Wrong);
-    assert_eq!(target.measure(f64::NAN, &at(0.3)), Taken::Wrong);
-    assert_eq!(target.measure(1.04, &at(0.9)), Taken::Far);
+    assert_eq!(target.measure(0.96, &at(0.0), AHEAD), Taken::Late);
+    assert_eq!(target.measure(1.0, &at(0.3), AHEAD), Taken::Late);
+    assert_eq!(target.measure(1.04, &at(f64::NAN), AHEAD), Taken::Wrong);
+    assert_eq!(target.measure(f64::NAN, &at(0.3), AHEAD), Taken::Wrong);
+    assert_eq!(target.measure(1.04, &at(0.9), AHEAD), Taken::Far);
     assert_eq!(target.at(1.1), before);
 }
 
@@ -229,7 +235,7 @@ fn a_target_that_is_elsewhere_for_long_is_taken_there() {
     let mut target = moving();
     let mut taken = Vec::new();
     for step in 1..20 {
-        taken.push(target.measure(1.0 + f64::from(step) * PERIOD, &at(0.9)));
+        taken.push(target.measure(1.0 + f64::from(step) * PERIOD, &at(0.9), AHEAD));
     }
     assert_eq!(taken[0], Taken::Far);
     assert!(taken.contains(&Taken::Begun), "{taken:?}");
@@ -239,7 +245,7 @@ fn a_target_that_is_elsewhere_for_long_is_taken_there() {
 #[test]
 fn a_target_that_comes_back_after_an_expiry_begins_at_rest() {
     let mut target = moving();
-    assert_eq!(target.measure(2.0, &at(0.1)), Taken::Begun);
+    assert_eq!(target.measure(2.0, &at(0.1), AHEAD), Taken::Begun);
     let found = target.at(2.0).unwrap();
     assert_eq!((found.place, found.velocity), (at(0.1), Vector3::zeros()));
 }
@@ -250,7 +256,10 @@ fn a_target_that_is_held_still_does_not_tremble() {
     let mut speeds = |still: f64| {
         let args = TargetArgs {
             still_m_s: still,
-            agility: 1.0,
+            manners: [Manner {
+                agility: 1.0,
+                manoeuvre_s: 0.25,
+            }; 3],
             ..TargetArgs::default()
         };
         let mut target = Target::new(args);
@@ -258,7 +267,7 @@ fn a_target_that_is_held_still_does_not_tremble() {
         for step in 0..500 {
             let noise: f64 = StandardNormal.sample(&mut rng);
             let time = f64::from(step) * PERIOD;
-            target.measure(time, &at(0.000_3 * noise));
+            target.measure(time, &at(0.000_3 * noise), AHEAD);
             sum += target.at(time + 0.02).unwrap().velocity.norm();
         }
         sum / 500.0
@@ -276,7 +285,7 @@ proptest! {
         for _ in 0..200 {
             now += rng.random_range(-0.05..0.4);
             let place = at(rng.random_range(-0.2..0.2));
-            target.measure(now, &place);
+            target.measure(now, &place, AHEAD);
             let found = target.at(now + rng.random_range(0.0..2.0));
             let finite = found.is_none_or(|found| {
                 let mut numbers = found.place.iter().chain(found.velocity.iter());

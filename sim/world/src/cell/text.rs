@@ -150,6 +150,14 @@ impl CellText {
             let name = check.name("a sensor", &sensor.name, &mut names);
             sensors.extend(sensor.check(name, &mut arms, check));
         }
+        // Both are slots, and told apart by their names.
+        let mut plates = Vec::new();
+        for (piece, item) in self.furniture.iter().enumerate() {
+            if let Some(plate) = &item.feels {
+                let name = check.name("a sensor", &plate.name, &mut names);
+                plates.push(plate.check(name, piece, check));
+            }
+        }
         // A load may hang on other sensors besides its own.
         for sensor in &mut sensors {
             if let Some(arm) = arms.get(sensor.mount.arm) {
@@ -160,6 +168,7 @@ impl CellText {
         let mut cell = Cell {
             bodies: bodies(&arms, &objects, &mounts),
             sensors,
+            plates,
             arms,
             lamps,
             floor_grey,

@@ -1,6 +1,7 @@
 mod contacts;
 mod grasp;
 mod hand;
+mod pads;
 mod puma;
 mod wrist;
 

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::{
-    super::ArmSpec,
+    super::{ArmSpec, PadSpec},
     check::{Check, FRICTION, GREY},
 };
 use crate::shapes::{self, Paint, Shape, Solid};
@@ -28,6 +28,8 @@ pub(super) struct ArmText {
     tip_offset: Option<Spanned<[f64; 3]>>,
     #[serde(default)]
     capsule: Vec<CapsuleText>,
+    #[serde(default)]
+    pad: Vec<PadText>,
 }
 
 #[derive(Deserialize, Default)]
@@ -45,6 +47,18 @@ struct CapsuleText {
     to: Spanned<[f64; 3]>,
     radius: Spanned<f64>,
     grey: Spanned<f64>,
+}
+
+/// A soft form around a link: a capsule.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PadText {
+    link: Spanned<String>,
+    from: Spanned<[f64; 3]>,
+    to: Spanned<[f64; 3]>,
+    radius: Spanned<f64>,
+    stiffness: Spanned<f64>,
+    damping: Spanned<f64>,
 }
 
 impl ArmText {
@@ -68,6 +82,8 @@ impl ArmText {
         let model = check.model(&self.model)?;
         let start = self.start(&model, check)?;
         let own = self.shapes(&model, check);
+        let pads = self.pad.iter();
+        let pads = pads.filter_map(|pad| pad.check(&model, check)).collect();
         let shapes = if own.is_empty() {
             shapes::outline(&model)
         } else {
@@ -94,6 +110,7 @@ impl ArmText {
             }),
             tip_offset,
             shapes,
+            pads,
         })
     }
 
@@ -153,5 +170,25 @@ impl ArmText {
             all.extend(frame.map(|frame| (frame, Shape { solid, paint })));
         }
         all
+    }
+}
+
+impl PadText {
+    fn check(&self, model: &Model, check: &mut Check<'_>) -> Option<PadSpec> {
+        let mut end = |end: &Spanned<[f64; 3]>| check.point(end, "an end of a pad", 10.0).into();
+        let solid = Solid::Capsule {
+            a: end(&self.from),
+            b: end(&self.to),
+            radius: check.number(&self.radius, "the radius of a pad", "m", [1e-3, 1.0]),
+        };
+        let stiffness = &self.stiffness;
+        let stiffness = check.number(stiffness, "the stiffness of a pad", "N/m", [1.0, 2e4]);
+        let damping = check.number(&self.damping, "the damping of a pad", "N s/m", [0.0, 1e3]);
+        Some(PadSpec {
+            frame: check.frame(model, &self.link)?,
+            solid,
+            stiffness,
+            damping,
+        })
     }
 }

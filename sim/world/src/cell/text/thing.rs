@@ -6,7 +6,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::{
-    super::ObjectSpec,
+    super::{ObjectSpec, PlateSpec},
     check::{Check, FRICTION},
 };
 use crate::shapes::{Shape, Solid};
@@ -61,10 +61,19 @@ enum FormText {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FurnitureText {
+    pub(super) feels: Option<PlateText>,
     centre: Spanned<[f64; 3]>,
     size: Spanned<[f64; 3]>,
     grey: Option<Spanned<f64>>,
     colour: Option<Spanned<[f64; 3]>>,
+}
+
+/// What feels with what arms press a piece of furniture.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlateText {
+    pub(super) name: Spanned<String>,
+    cuts_n: Option<Spanned<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -260,6 +269,19 @@ impl FurnitureText {
                 "a piece of furniture",
                 self.size.span(),
             ),
+        }
+    }
+}
+
+impl PlateText {
+    pub(super) fn check(&self, name: String, piece: usize, check: &mut Check<'_>) -> PlateSpec {
+        let what = "the force that cuts the power";
+        let cuts = self.cuts_n.as_ref();
+        let cuts = cuts.map(|force| check.number(force, what, "N", [0.1, 1e4]));
+        PlateSpec {
+            name,
+            piece,
+            cuts_n: cuts.unwrap_or(f64::INFINITY),
         }
     }
 }
