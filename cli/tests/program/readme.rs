@@ -89,7 +89,8 @@ fn output_in_the_readme_is_the_output_of_a_run() {
     let (out, err) = good(&hello(&["-v"]));
     // The lines of two processes and of two streams may come in another order.
     let sorted = |text: &str| {
-        let mut lines: Vec<String> = text.lines().map(masked).collect();
+        let lines = text.lines().map(masked).filter(|line| !line.is_empty());
+        let mut lines: Vec<String> = lines.collect();
         lines.sort();
         lines
     };
