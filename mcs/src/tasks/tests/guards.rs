@@ -127,6 +127,17 @@ fn after_a_retreat_the_tool_is_where_all_was_well() {
             }
             // It had been quick, so that the way to rest was long.
             assert!(back > start - 0.097, "{back} {start}");
+            // It is held as before, by whom it was held, and the next motion may begin at once.
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!((status.state, status.stopped), (State::Motion, false));
+            assert_eq!(status.holder.as_deref(), Some("user"));
+            let order = down(&cx, &mcs, 0.1, &["no-table"]).await?;
+            let again = error_of(&cx, &mcs, order).await?;
+            assert_eq!(again.outcome, Outcome::Guard, "{again}");
+            let lower = height(&cx, &mcs).await?;
+            let order = down(&cx, &mcs, -0.05, &["no-table"]).await?;
+            done(&cx, &mcs, order).await?;
+            assert!((height(&cx, &mcs).await? - lower - 0.05).abs() < 2e-3);
             Ok(String::new())
         })
     });

@@ -236,11 +236,10 @@ fn two_arms_as_one_manipulator_lift_a_bar_and_move_it_and_press_on_it_as_hard_as
             "{weight} N"
         );
     }
-    // Where it goes up and down its weight comes and goes by a quarter from one moment to the next. Where it leaves the stand and
-    // meets it, the stand pushes it.
+    // Where it goes up and down its weight comes and goes by a quarter. Where it leaves the stand and meets it, the stand pushes it.
     for sample in of("lift").chain(of("back")) {
         let most = match sample.at.z > BAR[2] + 1e-3 {
-            true => 0.08,
+            true => 0.04,
             false => 0.4,
         };
         let off = |squeeze: &f64| (squeeze - FORCE).abs() < most * FORCE;
