@@ -1,7 +1,7 @@
 //! How well the hand follows, without pictures and without an arm: the ball moves, is measured late and with noise where the map knows
 //! it, and the hand is where its setpoint was a moment ago. Beside it runs a Kalman filter that has the true stamps and statistics.
 //!
-//! `CTOS_TRACKER_SEEDS=20 cargo test --workspace --test following -- --nocapture` prints the table of `docs/tracker.md`;
+//! `CTOS_TRACKER_SEEDS=6 cargo test --workspace --test following -- --nocapture` prints the table of `docs/tracker.md`;
 //! `CTOS_TRACKER_HOURS=1` has the long run go on for so many hours.
 #![allow(
     clippy::unwrap_used,
