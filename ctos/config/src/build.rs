@@ -77,7 +77,7 @@ pub(super) fn build(
         time: root.read("time.mode").unwrap_or_default(),
         links: links::links(&root, &chassis, builder.findings),
         security: links::security(&root),
-        record: observe::record(&root),
+        record: observe::record(&root, builder.findings),
         metrics: observe::metrics(&root, builder.findings),
         listen: root.read("app.listen"),
         control: root.read("control.listen"),

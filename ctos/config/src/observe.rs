@@ -29,7 +29,12 @@ impl RecordConfig {
 }
 
 /// `[record]`; `None` without a `file`.
-pub(super) fn record(root: &Node) -> Option<RecordConfig> {
+pub(super) fn record(root: &Node, findings: &mut Findings) -> Option<RecordConfig> {
+    let channels = root.get("record.channels");
+    for channel in channels.map_or(&[][..], Node::elements) {
+        // Only whether it is a text counts.
+        let _ = findings.keep(channel.parse::<String>());
+    }
     Some(RecordConfig::read(root.read("record.file")?, root))
 }
 

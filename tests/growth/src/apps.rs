@@ -275,13 +275,8 @@ pub fn be_chassis(arguments: &[String]) -> Result<(), Failed> {
         return Err("a chassis is started by a boot".into());
     };
     let app = loaded(&chassis_text(size.parse()?)?, &[])?;
-    Ok(run_chassis(
-        app,
-        registry(),
-        name,
-        &address.parse()?,
-        origin.parse()?,
-    )?)
+    run_chassis(app, registry(), name, &address.parse()?, origin.parse()?)?;
+    Ok(())
 }
 
 /// One look-up of a task by its name.

@@ -4,14 +4,15 @@ use std::{fmt::Write as _, hint::black_box, sync::Arc};
 
 use ctos::{diagnostic::Source, time::Clock};
 use pnt::{
-    check::{Options, prove},
+    analysis::explicit::Limits,
+    check::{Options, Rule, prove},
     compile,
     exec::{Conflicts, Execution},
     layout::{Detail, Drawing},
     net::Net,
     stream::NetView,
 };
-use sorma::{Class, Context, Dictionary, Outcome, Request as _, ServiceObject, Sorm, Transport};
+use sorma::{Class, Context, Dictionary, Outcome, ServiceObject, Sorm, Transport};
 use sorma_snapshot::{Layout, Place, Reader, Snapshot, Writer};
 
 use crate::{
@@ -38,7 +39,11 @@ fn ring(size: u64) -> Result<Arc<Net>, Failed> {
 pub fn net_check(size: u64) -> Result<Cost, Failed> {
     let (cost, _) = cost(|| {
         let nets = [ring(size)?];
-        let proof = prove(&nets, &Options::default(), &mut |_| ());
+        let proof = prove(
+            &nets,
+            &Options::new(Rule::Closed, Limits::default()),
+            &mut |_| (),
+        );
         Ok(proof.map_err(|findings| findings.to_string())?)
     })?;
     Ok(cost)
@@ -47,7 +52,7 @@ pub fn net_check(size: u64) -> Result<Cost, Failed> {
 /// One firing.
 pub fn net_firing(size: u64) -> Result<Cost, Failed> {
     let mut execution = Execution::new(ring(size)?);
-    let mut conflicts = Conflicts::new(execution.net());
+    let mut conflicts = Conflicts::Declared;
     step(10_000, || {
         let id = execution.choose(&mut conflicts, |_| true);
         execution.fire(id.ok_or("nothing is enabled")?)?;
