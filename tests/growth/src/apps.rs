@@ -38,6 +38,9 @@ const ON_ONE: u64 = 50_000;
 /// Long enough for everything.
 const HOUR: Duration = Duration::from_secs(3600);
 
+/// The app ends so long after its last task is done.
+const AFTER: Duration = Duration::from_millis(500);
+
 ctos::command! {
     /// Is answered at once.
     pub struct Ask { pub number: u64 } => u64, 1, "ask"
@@ -131,10 +134,16 @@ impl EventHandler for Last {
             }
             let took_s = clock.now().since(begun).as_secs_f64();
             let shared = shares();
-            cx.finish(AppResult {
+            let told = AppResult {
                 ok: true,
                 text: String::new(),
                 json: format!("[{took_s}, {shared}]"),
+            };
+            let child = cx.clone();
+            // First all others have acknowledged the phase.
+            cx.spawn(async move {
+                child.sleep(AFTER).await;
+                child.finish(told);
             });
         }
         Ok(())
@@ -271,7 +280,7 @@ pub fn processes(size: u64) -> Result<Cost, Failed> {
 /// # Errors
 /// It cannot be one.
 pub fn be_chassis(arguments: &[String]) -> Result<(), Failed> {
-    let [size, name, address, origin] = arguments else {
+    let [size, _, name, _, address, _, origin] = arguments else {
         return Err("a chassis is started by a boot".into());
     };
     let app = loaded(&chassis_text(size.parse()?)?, &[])?;
@@ -290,8 +299,9 @@ pub fn names(size: u64) -> Result<Cost, Failed> {
 
 /// An app of two tasks, one of which calls the other.
 fn pair(size: u64, work: &str, sets: &[String]) -> Result<App, Failed> {
+    let queue = size.clamp(64, 65_536);
     let text = format!(
-        "[app]\nuntil = \"last\"\nphase_timeout_s = 3600\n[chassis.a]\n[task.t0]\nhandler = \"idle\"\non = \"a\"\n\
+        "[app]\nuntil = \"last\"\nphase_timeout_s = 3600\n[chassis.a]\n[task.t0]\nhandler = \"idle\"\non = \"a\"\nqueue = {queue}\n\
          [task.last]\nhandler = \"last\"\non = \"a\"\nargs = {{ work = \"{work}\", size = {size} }}\n"
     );
     loaded(&text, sets)

@@ -245,7 +245,7 @@ fn a_page_that_has_forgotten_the_oldest_events_says_so_and_shows_the_rest_exactl
     assert_eq!(browser.ask("document.querySelector('#older').hidden"), true);
     // The net waits: these events are the only ones that come.
     browser.ask(&format!(
-        "(() => {{ const net = {DISPATCHER}; const last = {{ net: net.name, seq: net.head.seq, at_ns: net.head.at_ns, sent: [], target: '', trace: '' }}; const first = net.view.places[0].name; const events = []; \
+        "(() => {{ const net = {DISPATCHER}; const last = {{ net: net.name, seq: net.head.seq, at_ns: net.head.at_ns, sent: [], data: [], target: '', trace: '' }}; const first = net.view.places[0].name; const events = []; \
          for (let n = 1; n <= 21000; n += 1) events.push({{ ...last, seq: last.seq + n, at_ns: last.at_ns + n * 1000, transition: '', firing: null, read: null, wrote: null, text: '', \
            phase: n % 2 === 1 ? 'put' : 'taken', produced: n % 2 === 1 ? [[first, 1]] : [], consumed: n % 2 === 1 ? [] : [[first, 1]] }}); \
          globalThis.was = net.head.places[0]; nets.take({{ kind: 'events', net: net.name, events }}); }})()"

@@ -5,11 +5,11 @@ import { told } from "./model.js";
 /** So many moments of the app's tasks are kept: an hour. */
 const MOMENTS = 3600;
 
-/** What can be plotted of a task: its words, and how a value is told. */
+/** What can be plotted of a task: its words, how a value is told, and the words where there is little room. */
 export const OF_TASK = {
-  queue: ["messages waiting", String],
-  rate: ["messages handled a second", (value) => value.toFixed(value < 10 ? 1 : 0)],
-  time: ["time of a message", (value) => `${(1e3 * value).toFixed(value < 0.01 ? 2 : 0)} ms`],
+  queue: ["messages waiting", String, "waiting"],
+  rate: ["messages handled a second", (value) => value.toFixed(value < 10 ? 1 : 0), "a second"],
+  time: ["time of a message", (value) => `${(1e3 * value).toFixed(value < 0.01 ? 2 : 0)} ms`, "time"],
 };
 
 export class Loads {

@@ -26,8 +26,8 @@ export const durationKey = (net, node) => `duration/${encoded(net, node)}`;
 /** What a plot is called: `kind` and the names of its key. */
 function titleOf(kind, names) {
   if (kind === "number") return `${names[1]} · ${names[2]}`;
-  if (kind === "task") return `${names[0]} · ${OF_TASK[names[1]]?.[0] ?? names[1]}`;
-  if (kind === "duration") return `${names[1]} of ${names[0]} · time of an action`;
+  if (kind === "task") return `${names[0]} · ${OF_TASK[names[1]]?.[2] ?? names[1]}`;
+  if (kind === "duration") return `${names[1]} · time`;
   return `${names[1]} of ${names[0]}`;
 }
 
