@@ -509,7 +509,8 @@ fn made(segments: [Option<Segment>; 2], mut arms: [Arm; 2]) -> Option<String> {
             arm.port.order(order).unwrap();
         }
     }
-    for _ in 0..20_000 {
+    // A line near a singularity takes minutes.
+    for _ in 0..200_000 {
         for arm in &mut arms {
             arm.servo.tick(0);
         }
