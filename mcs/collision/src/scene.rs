@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 use crate::distance::between;
 
 /// A way is cut into so many pieces at most: a power of two.
-pub const PIECES: usize = 32;
+pub const PIECES: usize = 64;
 /// The places of a way that are known: now, and those of a way to rest.
 const NODES: usize = REST_PARTS + 2;
 /// Positions at which pairs are looked at when a scene is made.
