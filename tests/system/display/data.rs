@@ -7,11 +7,17 @@ use crate::harness::Scratch;
 #[ignore = "needs Chromium"]
 fn values_stand_beside_the_place_that_they_are_stored_with_and_their_changes_in_table_and_lanes() {
     let scratch = Scratch::new();
-    // It waits with what it was answered, before it thanks.
-    let waits = ["--set", "task.greet.args.breakpoints=[\"thank\"]"];
+    // The page sees a past only from when it attached: the net waits before its first firing. Then it waits with what
+    // it was answered, before it thanks.
+    let waits = [
+        "--set",
+        "task.greet.args.breakpoints=[\"begin\", \"thank\"]",
+    ];
     let (_run, page) = boot_app(&scratch, "configs/greet.toml", &waits);
     let mut browser = Browser::open(&format!("{page}#net=greet"), SIZE);
-    browser.wait("nets.nets.get('greet')?.head.paused !== null");
+    browser.wait("nets.nets.get('greet')?.head.paused?.includes('begin')");
+    browser.click("Release net");
+    browser.wait("nets.nets.get('greet').head.paused?.includes('thank')");
     let beside = "[...document.querySelectorAll('.names .name')].filter((name) => name.firstChild.textContent === 'served').flatMap((name) => [...name.querySelectorAll('.value')]).map((line) => line.textContent).join('; ')";
     browser.wait(&format!("{beside} === 'tea = 0.2; lemon = 0.5'"));
     // What belongs to no place stands in the side.
