@@ -897,8 +897,8 @@ fn a_port_in_use_is_found_by_the_check_and_named_by_the_option_that_was_typed() 
     let booted = scratch.boot(&["--foxglove=0.0.0.0:0"]);
     booted
         .must_exit(3)
-        .must_say("where others can reach them, would need keys")
-        .must_say("ssh -L");
+        .must_say("where others can reach it, needs keys")
+        .must_say("ctos keys new");
     let panel = format!("task.panel.args.listen={at:?}");
     let booted = scratch.boot(&["--profile", "panel", "--set", &panel]);
     booted

@@ -1,6 +1,13 @@
 //! The calibration as programs of others see it: its record, and what is served to viewers.
 
-use std::{collections::BTreeMap, net::TcpStream, path::Path, process::Command};
+use std::{
+    collections::BTreeMap,
+    ffi::OsStr,
+    fs,
+    net::TcpStream,
+    path::Path,
+    process::{Command, Output},
+};
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -71,17 +78,26 @@ fn of_chosen_channels_nothing_else_is_recorded_and_the_record_is_small() {
 }
 
 /// A script of Python beside this file, with what it prints as JSON.
-fn python(script: &str, argument: impl AsRef<std::ffi::OsStr>) -> Value {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("system/viewers");
-    let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let ended = Command::new(python)
-        .arg(folder.join(script))
-        .arg(argument)
-        .output()
-        .unwrap();
+fn python(script: &str, arguments: &[&OsStr]) -> Value {
+    let ended = run_python(script, arguments);
     let told = String::from_utf8_lossy(&ended.stderr);
     assert!(ended.status.success(), "{told}");
     serde_json::from_slice(&ended.stdout).unwrap()
+}
+
+/// What a reader says that fails.
+fn failed(script: &str, arguments: &[&OsStr]) -> String {
+    let ended = run_python(script, arguments);
+    assert!(!ended.status.success());
+    String::from_utf8_lossy(&ended.stderr).into_owned()
+}
+
+fn run_python(script: &str, arguments: &[&OsStr]) -> Output {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("system/viewers");
+    let python = std::env::var("CTOS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let mut command = Command::new(python);
+    command.arg(folder.join(script)).args(arguments);
+    command.output().unwrap()
 }
 
 #[test]
@@ -89,7 +105,7 @@ fn python(script: &str, argument: impl AsRef<std::ffi::OsStr>) -> Value {
 fn readers_of_others_read_every_channel_and_find_the_arm_where_its_joints_say() {
     let scratch = Scratch::short();
     let channels = recorded(&scratch, &[]);
-    let found = python("read.py", scratch.path("run.mcap"));
+    let found = python("read.py", &[scratch.path("run.mcap").as_ref()]);
     let foreign = |topic: &str| {
         let roots = [
             "/tf/",
@@ -136,7 +152,11 @@ struct Viewer {
 impl Viewer {
     fn connect(address: &str, protocol: &str) -> Result<Self, tungstenite::Error> {
         let request = ClientRequestBuilder::new(address.parse().unwrap());
-        let (socket, _) = tungstenite::connect(request.with_sub_protocol(protocol))?;
+        Self::ask(request.with_sub_protocol(protocol))
+    }
+
+    fn ask(request: ClientRequestBuilder) -> Result<Self, tungstenite::Error> {
+        let (socket, _) = tungstenite::connect(request)?;
         Ok(Self {
             socket,
             channels: BTreeMap::new(),
@@ -180,21 +200,32 @@ impl Viewer {
     }
 }
 
-/// Boots the calibration with a server for viewers; tells its address.
-fn served(scratch: &Scratch) -> (Run<'_>, String) {
-    let mut run = scratch.start_boot(&["--foxglove=127.0.0.1:0"]);
-    let line = run.line_with("ws://127.0.0.1:");
-    let (_, rest) = line.split_once("ws://").unwrap();
-    let end = rest.find(|one: char| !one.is_ascii_digit() && !".:".contains(one));
-    let address = format!("ws://{}", &rest[..end.unwrap_or(rest.len())]);
+/// Boots the calibration with a server for viewers; tells its address, and the address with the token.
+fn served(scratch: &Scratch) -> (Run<'_>, String, String) {
+    let (mut run, address, with_token) = opened(scratch, &["--foxglove=127.0.0.1:0"]);
     run.wait_for("phase 3");
-    (run, address)
+    (run, address, with_token)
+}
+
+/// Boots the calibration, which serves viewers.
+fn opened<'s>(scratch: &'s Scratch, arguments: &[&str]) -> (Run<'s>, String, String) {
+    let mut run = scratch.start_boot(arguments);
+    let line = run.line_with("viewers may connect");
+    let field = |name: &str| {
+        let (_, rest) = line.split_once(name).unwrap();
+        rest.split([' ', '"', '\n', '\u{1b}'])
+            .find(|text| !text.is_empty())
+            .unwrap()
+            .to_owned()
+    };
+    let with_token = fs::read_to_string(field("open=")).unwrap();
+    (run, field("address="), with_token.trim().to_owned())
 }
 
 #[test]
 fn a_viewer_that_comes_late_is_told_the_whole_beside_one_that_stops_reading() {
     let scratch = Scratch::new();
-    let (run, address) = served(&scratch);
+    let (run, address, _) = served(&scratch);
     let stuck = Viewer::connect(&address, "foxglove.sdk.v1.1").unwrap();
     for protocol in ["foxglove.sdk.v1", "foxglove.sdk.v1.1"] {
         let mut viewer = Viewer::connect(&address, protocol).unwrap();
@@ -219,8 +250,8 @@ fn a_viewer_that_comes_late_is_told_the_whole_beside_one_that_stops_reading() {
 #[ignore = "needs the Python packages websocket-client, mcap-protobuf-support and opencv: CTOS_PYTHON names a Python that has them"]
 fn a_client_of_others_subscribes_and_reads_poses_and_pictures_by_their_schemas() {
     let scratch = Scratch::new();
-    let (run, address) = served(&scratch);
-    let found = python("live.py", &address);
+    let (run, address, _) = served(&scratch);
+    let found = python("live.py", &[address.as_ref()]);
     assert_eq!(found["protocol"], "foxglove.sdk.v1");
     assert!(found["transforms"].as_u64().unwrap() >= 20, "{found}");
     assert!(found["joints"].as_u64().unwrap() == 6, "{found}");
@@ -231,13 +262,58 @@ fn a_client_of_others_subscribes_and_reads_poses_and_pictures_by_their_schemas()
 }
 
 #[test]
+fn a_page_of_another_site_looks_on_with_the_token_alone_and_an_installed_viewer_without() {
+    let scratch = Scratch::new();
+    let (run, address, with_token) = served(&scratch);
+    let from = |address: &str, origin: &str| {
+        let request = ClientRequestBuilder::new(address.parse().unwrap());
+        let request = request.with_sub_protocol("foxglove.sdk.v1");
+        Viewer::ask(request.with_header("Origin", origin))
+    };
+    let site = "https://viewer.example";
+    let refused = from(&address, site).err().unwrap().to_string();
+    assert!(refused.contains("403"), "{refused}");
+    let guessed = format!("{address}?token=0123456789abcdef0123456789abcdef");
+    assert!(from(&guessed, site).is_err());
+    for (address, origin) in [(&with_token, site), (&address, "file://")] {
+        let mut viewer = from(address, origin).unwrap();
+        while viewer.count("/tf/state") == 0 {
+            viewer.read();
+        }
+    }
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+}
+
+#[test]
+#[ignore = "needs the Python packages websocket-client, mcap-protobuf-support and opencv: CTOS_PYTHON names a Python that has them"]
+fn beyond_the_loopback_viewers_come_with_keys_encrypted_and_with_the_token() {
+    let scratch = Scratch::new();
+    let made = scratch.ctos(&["keys", "new", "configs/keys/cell", "--role", "boot"]);
+    made.must_exit(0);
+    let keys = "security={ key = \"keys/cell\", authority = \"keys/ca.pem\" }";
+    let (mut run, address, with_token) = opened(&scratch, &["--foxglove=0.0.0.0:0", "--set", keys]);
+    run.wait_for("phase 3");
+    assert!(address.starts_with("wss://0.0.0.0:"), "{address}");
+    let here = |address: &str| address.replacen("0.0.0.0", "127.0.0.1", 1);
+    let unencrypted = here(&with_token).replacen("wss", "ws", 1);
+    assert!(Viewer::connect(&unencrypted, "foxglove.sdk.v1").is_err());
+    let authority = scratch.path("configs/keys/ca.pem");
+    let found = python("live.py", &[here(&with_token).as_ref(), authority.as_ref()]);
+    assert!(found["transforms"].as_u64().unwrap() >= 20, "{found}");
+    let refused = failed("live.py", &[here(&address).as_ref(), authority.as_ref()]);
+    assert!(refused.contains("403"), "{refused}");
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+}
+
+#[test]
 fn a_record_does_not_grow_because_somebody_looks_on() {
     let scratch = Scratch::new();
-    let mut run = scratch.start_boot(&["--foxglove=127.0.0.1:0", "--record", "run.mcap"]);
-    let line = run.line_with("ws://127.0.0.1:");
-    let (_, rest) = line.split_once("ws://").unwrap();
-    let end = rest.find(|one: char| !one.is_ascii_digit() && !".:".contains(one));
-    let address = format!("ws://{}", &rest[..end.unwrap_or(rest.len())]);
+    let (mut run, address, _) = opened(
+        &scratch,
+        &["--foxglove=127.0.0.1:0", "--record", "run.mcap"],
+    );
     run.wait_for("phase 3");
     // Each subscribes to every channel, and is told the whole each time.
     for _ in 0..4 {
@@ -282,7 +358,7 @@ fn a_record_keeps_the_layouts_of_the_app_for_whoever_shows_it_without_the_app() 
 #[test]
 fn rubbish_from_a_viewer_ends_nothing_but_perhaps_its_own_connection() {
     let scratch = Scratch::new();
-    let (run, address) = served(&scratch);
+    let (run, address, _) = served(&scratch);
     for rubbish in [
         Message::text("this is no order"),
         Message::text(r#"{"op":"subscribe","subscriptions":[{"id":1,"channelId":99999}]}"#),

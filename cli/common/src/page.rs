@@ -1,4 +1,4 @@
-//! What the tasks that serve a page have in common: who may do what there, and how files are sent. Also a server
+//! What the tasks that serve people have in common: who may do what there, and how files are sent. Also a server
 //! on a thread of its own. The address is bound before anything else is done. Knows no page.
 
 use std::{
@@ -46,6 +46,17 @@ pub struct Setting<'a> {
     pub allow_control: bool,
     /// What a page must show for it; drawn when it is left out.
     pub token: Option<&'a str>,
+    /// How it is reached.
+    pub kind: Kind,
+}
+
+/// How what is served is reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A browser opens a page, with the token behind this mark. Pages of other sites may ask nothing.
+    Page(&'static str),
+    /// Programs connect by WebSocket, and so do pages of other sites that show the token.
+    Stream,
 }
 
 /// A finding about an argument of a page's task.
@@ -66,7 +77,7 @@ pub fn check(
         return;
     }
     let text =
-        format!("a page at {listen}, where others can reach it, needs keys, and there are none");
+        format!("what {listen} serves, where others can reach it, needs keys, and there are none");
     let finding = Finding::error(code, text).help(
         "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]; or listen at 127.0.0.1",
     );
@@ -108,6 +119,7 @@ pub async fn serve(pages: Pages, router: Router, stop: impl Future) -> io::Resul
 pub struct Front {
     pages: Pages,
     door: Door,
+    kind: Kind,
 }
 
 impl Front {
@@ -126,29 +138,39 @@ impl Front {
             Keys::load(&place(&security.key), &place(&security.authority)).map(Arc::new)
         });
         let keys = keys.transpose().map_err(|error| failed(&error))?;
-        let pages = Pages::new(listener, keys, setting.names).map_err(|error| failed(&error))?;
+        let mut pages =
+            Pages::new(listener, keys, setting.names).map_err(|error| failed(&error))?;
+        let is_stream = setting.kind == Kind::Stream;
+        if is_stream {
+            pages = pages.with_any_origin();
+        }
         let token = match setting.token {
             Some(token) => Some(token.to_owned()),
             None => Some(drawn_token()?),
         };
         Ok(Self {
             door: Door {
-                token: token.filter(|_| setting.allow_control || !is_loopback),
+                token: token.filter(|_| setting.allow_control || is_stream || !is_loopback),
                 anybody_looks: is_loopback,
                 allow_control: setting.allow_control,
                 refusals: Refusals::default(),
             },
             pages,
+            kind: setting.kind,
         })
     }
 
-    /// The page's address, without a token.
+    /// The address, without a token.
     fn url(&self) -> String {
-        self.pages.url()
+        let url = self.pages.url();
+        match self.kind {
+            Kind::Page(_) => url,
+            Kind::Stream => url.replacen("http", "ws", 1),
+        }
     }
 
-    /// Writes the file that opens the page with its token, which stands behind `mark` in the address.
-    fn opener(&self, app: &str, task: &str, mark: &str) -> io::Result<Option<Opener>> {
+    /// Writes the file that has the address with the token: a page that leads there, or the text.
+    fn opener(&self, app: &str, task: &str) -> io::Result<Option<Opener>> {
         let Some(token) = &self.door.token else {
             return Ok(None);
         };
@@ -157,14 +179,23 @@ impl Front {
             if is_plain { letter } else { '_' }
         };
         let plain = |name: &str| name.chars().take(64).map(plain).collect::<String>();
-        let name = format!("{}-{}-{}.html", plain(app), plain(task), std::process::id());
+        let url = self.url();
+        let (ending, text) = match self.kind {
+            Kind::Page(mark) => ("html", opening(&format!("{url}{mark}{token}"))),
+            Kind::Stream => ("txt", format!("{url}?token={token}\n")),
+        };
+        let name = format!(
+            "{}-{}-{}.{ending}",
+            plain(app),
+            plain(task),
+            std::process::id()
+        );
         let path = control::prepared_folder()?.join(name);
-        doors::private_file(&path, &opening(&format!("{}{mark}{token}", self.url())))?;
+        doors::private_file(&path, &text)?;
         Ok(Some(Opener { path }))
     }
 
-    /// Serves the page of a task, and writes the file that opens it. `server` is given who may do what; the
-    /// token stands behind `mark` in the address.
+    /// Serves what a task shows, and writes the file that opens it. `server` is given who may do what.
     ///
     /// # Errors
     /// The system has no thread to give, or no place for the file.
@@ -172,7 +203,6 @@ impl Front {
         mut self,
         cx: &Context,
         name: &'static str,
-        mark: &str,
         server: S,
     ) -> Result<Served, HandlerError>
     where
@@ -180,7 +210,7 @@ impl Front {
         F: Future<Output = io::Result<()>>,
     {
         cx.reads_unrecorded("what the browsers of its page ask");
-        let opener = self.opener(&cx.app().name, cx.name(), mark)?;
+        let opener = self.opener(&cx.app().name, cx.name())?;
         let (url, door) = (self.url(), std::mem::take(&mut self.door));
         let _stop = self.serve(name, move |pages, stopped| server(pages, door, stopped))?;
         Ok(Served { url, opener, _stop })
@@ -213,7 +243,7 @@ impl Front {
 
 fn failed(listen: SocketAddr, error: &dyn std::fmt::Display) -> HandlerError {
     HandlerError::new(format!(
-        "a page cannot be served at {listen}: {error}; choose another `listen`, or another address for `--display` if that gave it"
+        "{listen} cannot be served: {error}; choose another `listen`, or another address for `--display` or `--foxglove` if that gave it"
     ))
 }
 
@@ -284,15 +314,19 @@ pub enum Right {
 }
 
 impl Door {
-    /// The right that these bytes give.
-    pub fn right(&self, shown: &[u8]) -> Option<Right> {
-        let same = self.token.as_ref().is_some_and(|token| {
+    /// Whether these bytes are the token.
+    pub fn knows(&self, shown: &[u8]) -> bool {
+        self.token.as_ref().is_some_and(|token| {
             // Looked at to its end, wherever it differs.
             let pairs = shown.iter().zip(token.as_bytes());
             let differs = shown.len() ^ token.len();
             pairs.fold(differs, |differs, (a, b)| differs | usize::from(a ^ b)) == 0
-        });
-        match (same, self.allow_control) {
+        })
+    }
+
+    /// The right that these bytes give.
+    pub fn right(&self, shown: &[u8]) -> Option<Right> {
+        match (self.knows(shown), self.allow_control) {
             (true, true) => Some(Right::Control),
             (true, false) => Some(Right::Look),
             (false, _) => self.anybody_looks.then_some(Right::Look),
@@ -350,6 +384,7 @@ mod tests {
             names: &[],
             allow_control,
             token,
+            kind: Kind::Page("?token="),
         }
     }
 
@@ -403,7 +438,7 @@ mod tests {
         let setting = setting("127.0.0.1:0", true, Some("a\"b"));
         let front = Front::bind(&app(""), &setting).unwrap();
         assert!(!front.url().contains("a\"b"));
-        let opener = front.opener("app", "../x", "?token=").unwrap().unwrap();
+        let opener = front.opener("app", "../x").unwrap().unwrap();
         let path = opener.path.clone();
         let mode = path.metadata().unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
@@ -443,6 +478,21 @@ mod tests {
             };
             assert_eq!(open.right(b"secret"), Some(right));
         }
+    }
+
+    #[test]
+    fn a_stream_has_a_token_also_where_anybody_looks_and_its_file_is_the_address_with_it() {
+        let stream = Setting {
+            kind: Kind::Stream,
+            ..setting("127.0.0.1:0", false, Some("secret"))
+        };
+        let front = Front::bind(&app(""), &stream).unwrap();
+        let opener = front.opener("app", "viewers").unwrap().unwrap();
+        let text = std::fs::read_to_string(&opener.path).unwrap();
+        let port = front.pages.address().port();
+        assert_eq!(text, format!("ws://127.0.0.1:{port}/?token=secret\n"));
+        assert_eq!(front.door.right(b""), Some(Right::Look));
+        assert!(front.door.knows(b"secret") && !front.door.knows(b""));
     }
 
     #[test]

@@ -19,7 +19,7 @@ use super::{
     server::{self, Asking, Service},
     standing,
 };
-use cli_common::page::{self, Front, Served, Setting};
+use cli_common::page::{self, Front, Kind, Served, Setting};
 
 /// How long a net waits for something to happen before it answers.
 const PATIENCE_MS: u32 = 2_000;
@@ -73,6 +73,7 @@ impl NetDisplay {
             names: &args.names,
             allow_control: args.allow_control,
             token: args.token.as_deref(),
+            kind: Kind::Page("?token="),
         };
         let (orders, received) = mpsc::channel(ORDERS);
         let (hub, viewers) = (self.hub.clone(), args.viewers);
@@ -88,7 +89,7 @@ impl NetDisplay {
             server::serve(pages, service, stopped)
         };
         let front = Front::bind(cx.app(), &setting)?;
-        let served = front.serve_task(cx, "display", "?token=", serve)?;
+        let served = front.serve_task(cx, "display", serve)?;
         let open = served.opener.as_ref().map(tracing::field::display);
         tracing::info!(
             target: page::LOG_TARGET,

@@ -64,8 +64,8 @@ pub struct BootArgs {
     /// Serve a page that shows the nets, from a chassis of its own; at ADDRESS, or on the loopback
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = DISPLAY)]
     pub display: Option<SocketAddr>,
-    /// Serve the scene, the pictures and the joints to Foxglove and Lichtblick, from a chassis of its own; at ADDRESS of the
-    /// loopback
+    /// Serve the scene, the pictures and the joints to Foxglove and Lichtblick, from a chassis of its own; at ADDRESS, or on
+    /// the loopback
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = FOXGLOVE)]
     pub foxglove: Option<SocketAddr>,
     /// With `--display`: let whoever has the token of the page's address intervene

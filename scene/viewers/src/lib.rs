@@ -16,6 +16,7 @@
 //! With `listen` it also serves them to viewers that connect, over the Foxglove WebSocket protocol.
 //! Besides it records `/scene/TASK` and `/picture/CAMERA`, which `ctos display` shows. Lengths are in m, times are those of the app: since its start. [`Translator`] is that translation by itself.
 
+mod front;
 mod live;
 mod shapes;
 mod task;

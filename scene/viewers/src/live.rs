@@ -1,21 +1,31 @@
 //! Viewers that are connected now, over the Foxglove WebSocket protocol. They look on: nothing can be ordered there.
 
-use std::{cell::RefCell, collections::BTreeMap, net::SocketAddr, sync::Arc};
+use std::{
+    cell::RefCell,
+    collections::BTreeMap,
+    net::{Ipv4Addr, SocketAddr},
+    sync::Arc,
+};
 
-use ctos::{record::ChannelSchema, task::HandlerError};
+use cli_common::page::{Front, Served};
+use ctos::{
+    record::ChannelSchema,
+    task::{Context as TaskContext, HandlerError},
+};
 use foxglove::{
     ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServerHandle,
     websocket::{ChannelView, Client, ServerListener},
 };
 use tokio::sync::mpsc::{Sender, error::TrySendError};
 
-use crate::translate::Sent;
+use crate::{front, translate::Sent};
 
 /// The server, on threads of its own, and the channels so far.
 pub(crate) struct Live {
     context: Arc<Context>,
     channels: RefCell<BTreeMap<String, Arc<RawChannel>>>,
     server: WebSocketServerHandle,
+    served: Served,
 }
 
 /// Tells that somebody has come who lacks the whole.
@@ -31,35 +41,39 @@ impl ServerListener for Comers {
 }
 
 impl Live {
-    /// Serves viewers of the app `name` at `listen`; `comers` hears of those that come.
+    /// Serves viewers of the app where `front` is bound; `comers` hears of those that come.
     ///
     /// # Errors
-    /// The address cannot be had.
+    /// The system has no port or no thread to give.
     pub(crate) fn open(
-        name: &str,
-        listen: SocketAddr,
+        cx: &TaskContext,
+        front: Front,
         comers: Sender<()>,
     ) -> Result<Self, HandlerError> {
         let context = Context::new();
+        // The server of the protocol knows no token and no keys: who may come is told in front of it.
         let server = context
             .websocket_server()
-            .name(name)
-            .bind(listen.ip().to_string(), listen.port())
+            .name(&cx.app().name)
+            .bind(Ipv4Addr::LOCALHOST.to_string(), 0)
             .listener(Arc::new(Comers(comers)))
             .start_blocking()
-            .map_err(|error| {
-                HandlerError::new(format!("viewers cannot be served at {listen}: {error}"))
-            })?;
+            .map_err(|error| HandlerError::new(format!("viewers cannot be served: {error}")))?;
+        let behind = SocketAddr::from((Ipv4Addr::LOCALHOST, server.port()));
+        let served = front.serve_task(cx, "viewers", move |pages, door, stopped| {
+            front::serve(pages, door, behind, stopped)
+        })?;
         Ok(Self {
             context,
             channels: RefCell::default(),
             server,
+            served,
         })
     }
 
-    /// Where it is served, when port 0 was asked for.
-    pub(crate) fn port(&self) -> u16 {
-        self.server.port()
+    /// Where it is served, and the file that has the address with the token.
+    pub(crate) fn served(&self) -> &Served {
+        &self.served
     }
 
     /// Sends a message to those who have subscribed to its channel. One that is slow misses some.

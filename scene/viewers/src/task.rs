@@ -6,6 +6,7 @@ use std::{
     rc::Rc,
 };
 
+use cli_common::page::{self, Front, Kind, Served, Setting};
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
@@ -25,15 +26,17 @@ use crate::{
     translate::{Sent, Translator},
 };
 
-/// The log target of addresses that are served: it is shown where nothing else of its level is.
-const LOG_TARGET: &str = "ctos::page";
-
 /// `[task.NAME.args]` of the task.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Args {
     /// Where viewers connect; port 0 takes any that is free. Without it everything is only recorded.
     listen: Option<SocketAddr>,
+    /// What a viewer must show that comes from elsewhere, or is a page of another site; drawn at random when it is left out.
+    token: Option<String>,
+    /// What else than its own name and its addresses viewers may call this host.
+    #[serde(default)]
+    names: Vec<String>,
     /// The app's file of displays, relative to the configuration's folder: each record keeps it as it is.
     displays: Option<String>,
 }
@@ -48,26 +51,14 @@ struct Displays {
     text: String,
 }
 
-/// Checks the arguments: nobody else may look on, for this server knows no keys.
+/// Checks the arguments: whoever else can look on must have keys.
 pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
     if let Some(Err(finding)) = args.displays.as_ref().map(|file| app.read(file)) {
-        let place = task.args.locate("displays");
-        findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
+        findings.push(page::at(task, "displays", finding));
     }
-    let Some(listen) = args.listen else { return };
-    if listen.ip().to_canonical().is_loopback() {
-        return;
+    if let Some(listen) = args.listen {
+        page::check(task, listen, app, "scene::viewers::open", findings);
     }
-    let text = format!("viewers at {listen}, where others can reach them, would need keys");
-    let port = listen.port();
-    let place = task.args.locate("listen");
-    findings.push(
-        Finding::error("scene::viewers::open", text)
-            .at(place.unwrap_or_else(|| task.place.clone()))
-            .help(format!(
-                "listen at 127.0.0.1:{port}; from elsewhere come by `ssh -L {port}:127.0.0.1:{port} HOST`"
-            )),
-    );
 }
 
 /// What all parts of the task share.
@@ -142,11 +133,20 @@ impl Viewers {
     /// Serves viewers, and tells the whole to those that come.
     fn open(&self, cx: &Context, listen: SocketAddr) -> Handled {
         let (comers, comes) = channel(1);
-        let live = Live::open(&cx.app().name, listen, comers)?;
+        let setting = Setting {
+            listen,
+            names: &self.args.names,
+            allow_control: false,
+            token: self.args.token.as_deref(),
+            kind: Kind::Stream,
+        };
+        let live = Live::open(cx, Front::bind(cx.app(), &setting)?, comers)?;
+        let Served { url, opener, .. } = live.served();
         tracing::info!(
-            target: LOG_TARGET,
+            target: page::LOG_TARGET,
             task = cx.name(),
-            address = %format_args!("ws://{}:{}", listen.ip(), live.port()),
+            address = url,
+            open = opener.as_ref().map(tracing::field::display),
             "viewers may connect"
         );
         self.told.live.replace(Some(live));
@@ -166,7 +166,6 @@ impl EventHandler for Viewers {
         match (phase, self.args.listen) {
             // In virtual time nobody can look on.
             (Phase::Create, Some(listen)) if real => {
-                cx.reads_unrecorded("viewers");
                 self.open(cx, listen)?;
             }
             (Phase::Connect, _) => {

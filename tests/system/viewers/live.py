@@ -1,4 +1,6 @@
-"""Follows a running app as a stranger: by the Foxglove WebSocket protocol, with websocket-client. Prints what came as JSON."""
+"""Follows a running app as a stranger: by the Foxglove WebSocket protocol, with websocket-client. Prints what came as JSON.
+
+Arguments: the address, and the certificate of the app's authority where it is encrypted."""
 
 import base64
 import json
@@ -11,7 +13,9 @@ import websocket
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
-socket = websocket.create_connection(sys.argv[1], subprotocols=["foxglove.sdk.v1"], timeout=30)
+# The certificate names the key, and no host.
+encrypted = {"ca_certs": sys.argv[2], "check_hostname": False} if len(sys.argv) > 2 else None
+socket = websocket.create_connection(sys.argv[1], subprotocols=["foxglove.sdk.v1"], timeout=30, sslopt=encrypted)
 found = {"protocol": socket.getsubprotocol(), "transforms": 0, "joints": 0, "pictures": 0, "undecoded": 0}
 decoders = {}
 topics = {}

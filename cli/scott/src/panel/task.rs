@@ -17,7 +17,7 @@ use super::{
     server,
     service::{Objects, Service},
 };
-use cli_common::page::{self, Front, Served, Setting};
+use cli_common::page::{self, Front, Kind, Served, Setting};
 
 use crate::attach::refusal;
 
@@ -82,6 +82,7 @@ impl ObjectPanel {
             names: &args.names,
             allow_control: args.allow_control,
             token: args.token.as_deref(),
+            kind: Kind::Page("#"),
         };
         let (lines, asked) = mpsc::channel(LINES);
         let (name, panels) = (cx.app().name.clone(), std::mem::take(&mut self.panels));
@@ -90,7 +91,7 @@ impl ObjectPanel {
             server::serve(pages, service, stopped)
         };
         let front = Front::bind(cx.app(), &setting)?;
-        let served = front.serve_task(cx, "panel", "#", serve)?;
+        let served = front.serve_task(cx, "panel", serve)?;
         let open = served.opener.as_ref().map(tracing::field::display);
         tracing::info!(
             target: page::LOG_TARGET,

@@ -54,6 +54,7 @@ pub struct Pages {
     address: SocketAddr,
     keys: Option<Arc<Keys>>,
     names: Vec<String>,
+    any_origin: bool,
 }
 
 impl Pages {
@@ -81,7 +82,15 @@ impl Pages {
             address,
             keys,
             names,
+            any_origin: false,
         })
+    }
+
+    /// Lets pages of other sites ask too: the service tells by the header `Origin` and by what they show.
+    #[must_use]
+    pub fn with_any_origin(mut self) -> Self {
+        self.any_origin = true;
+        self
     }
 
     /// Where they are, with the port that was given.
@@ -121,6 +130,7 @@ impl Pages {
         let tls = self.keys.map(|keys| keys.page());
         let site = Arc::new(Site {
             names: self.names,
+            any_origin: self.any_origin,
             clock: Clock::real(),
             refusals: Refusals::default(),
         });
@@ -163,6 +173,7 @@ impl Pages {
 /// What all connections share.
 struct Site {
     names: Vec<String>,
+    any_origin: bool,
     clock: Clock,
     refusals: Refusals,
 }
@@ -241,6 +252,7 @@ impl Site {
             return Err("this server is not called so; name it in `names`, or use its address");
         }
         match text(ORIGIN) {
+            _ if self.any_origin => Ok(()),
             // No browser sends none with what changes anything; programs may.
             None => Ok(()),
             Some(origin) if origin == format!("http://{host}") => Ok(()),
@@ -286,6 +298,7 @@ mod tests {
     fn site(names: &[&str]) -> Site {
         Site {
             names: names.iter().map(|&name| name.to_owned()).collect(),
+            any_origin: false,
             clock: Clock::virtual_clock(),
             refusals: Refusals::default(),
         }
