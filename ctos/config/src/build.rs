@@ -9,6 +9,7 @@ mod tasks;
 use super::app::{App, ChassisConfig, ProcessorConfig, SharedConfig};
 use super::check::checked;
 use super::expander::Expander;
+use super::index::Index;
 use super::keys::{self, TOP};
 use super::node::{Entry, Node};
 use super::policies::{restart, supervision};
@@ -84,6 +85,7 @@ pub(super) fn build(
         hosts: hosts::hosts(&root, builder.findings),
         semaphores: shared("semaphore", "permits"),
         barriers: shared("barrier", "parties"),
+        index: Index::of(&chassis, &tasks),
         chassis,
         tasks,
         folder: folder.map_or_else(|| PathBuf::from("."), PathBuf::from),
