@@ -1,6 +1,5 @@
 //! Where the tasks and chassis of an app stand in its lists, by their names. Made once, with the app.
 
-use super::app::{ChassisConfig, TaskConfig};
 use std::collections::BTreeMap;
 
 /// The places of names in two lists; of a name that stands twice the first. And those of each handler's tasks.
@@ -12,27 +11,31 @@ pub(super) struct Index {
 }
 
 /// Each name with its place.
-fn places<'n>(names: impl Iterator<Item = &'n String>) -> BTreeMap<String, usize> {
+fn places<'n>(names: impl Iterator<Item = &'n str>) -> BTreeMap<String, usize> {
     let mut places = BTreeMap::new();
     for (place, name) in names.enumerate() {
-        places.entry(name.clone()).or_insert(place);
+        places.entry(name.to_owned()).or_insert(place);
     }
     places
 }
 
 impl Index {
-    pub(super) fn of(chassis: &[ChassisConfig], tasks: &[TaskConfig]) -> Self {
+    /// The names of all chassis, and those of all tasks with their handlers, in declared order.
+    pub(super) fn of<'n>(
+        chassis: impl Iterator<Item = &'n str>,
+        tasks: impl Iterator<Item = (&'n str, &'n str)> + Clone,
+    ) -> Self {
         let mut handlers: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-        for (place, task) in tasks.iter().enumerate() {
-            match handlers.get_mut(&task.handler) {
+        for (place, (_, handler)) in tasks.clone().enumerate() {
+            match handlers.get_mut(handler) {
                 Some(places) => places.push(place),
-                None => drop(handlers.insert(task.handler.clone(), vec![place])),
+                None => drop(handlers.insert(handler.to_owned(), vec![place])),
             }
         }
         Self {
             handlers,
-            tasks: places(tasks.iter().map(|task| &task.name)),
-            chassis: places(chassis.iter().map(|chassis| &chassis.name)),
+            tasks: places(tasks.map(|(name, _)| name)),
+            chassis: places(chassis),
         }
     }
 
