@@ -1,7 +1,7 @@
 //! The agent: the task of each chassis that creates the configured tasks, takes in those that move there, and ends
 //! the process. It also tells what is known of the tasks, and begins and ends records.
 
-use std::{sync::Arc, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use tokio::sync::oneshot;
 
@@ -174,8 +174,7 @@ impl Agent {
 
     #[chassis_down]
     async fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
-        let mut others = cx.chassis().others();
-        if let Some(peer) = others.find(|index| cx.chassis().name_of(*index) == chassis) {
+        if let Some(peer) = cx.chassis().number_of(chassis) {
             self.arrivals.lost(cx, peer);
             for task in cx.chassis().tasks() {
                 task.mailbox.forget_gate(peer);
@@ -199,6 +198,7 @@ impl Agent {
             .collect();
         // None before the first move; asked because this chassis may be one that was started again.
         let moved = cx.call(&Context::server(), MovedTasks {}).await?;
+        let moved: BTreeMap<String, Place> = moved.into_iter().collect();
         let tasks = chassis.app.tasks.iter();
         for config in tasks.filter_map(|config| placed_here(&chassis, config, &moved)) {
             if let Err(reason) = self.create_and_register(cx, &config).await {
@@ -282,10 +282,9 @@ impl Agent {
 fn placed_here(
     chassis: &Chassis,
     config: &TaskConfig,
-    moved: &[(String, Place)],
+    moved: &BTreeMap<String, Place>,
 ) -> Option<TaskConfig> {
-    let home = moved.iter().find(|(name, _)| *name == config.name);
-    let Some((_, place)) = home else {
+    let Some(place) = moved.get(&config.name) else {
         return (config.chassis == chassis.name()).then(|| config.clone());
     };
     let (name, _) = chassis.processors.get(usize::from(place.processor))?;

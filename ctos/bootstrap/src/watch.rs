@@ -65,6 +65,12 @@ pub fn look_until<'a>(
     }
 }
 
+/// Before that moment none of these chassis looks at itself again.
+pub fn next_look<'a>(chassis: impl Iterator<Item = &'a std::sync::Arc<Chassis>>) -> Instant {
+    let next = chassis.map(|one| Watch::of(one).last_look() + INTERVAL);
+    next.min().unwrap_or(Instant::LAST)
+}
+
 /// What is wrong with a chassis at present.
 #[must_use]
 pub fn lints(chassis: &Chassis) -> Vec<Lint> {

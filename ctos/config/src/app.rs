@@ -1,5 +1,6 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
+use super::index::Index;
 use super::links::{LinkConfig, SecurityConfig};
 use super::load::SET;
 use super::node::Node;
@@ -60,6 +61,7 @@ pub struct App {
     pub folder: PathBuf,
     /// Warnings; an app with errors is not made.
     pub warnings: Findings,
+    pub(super) index: Index,
     pub(super) trail: Trail,
     pub(super) root: Node,
     pub(super) partial: bool,
@@ -280,10 +282,26 @@ impl App {
         names.chain([SET.to_owned()]).collect()
     }
 
-    /// The task of that name.
+    /// The task of that name. Takes as long among many tasks as among few.
     #[must_use]
     pub fn task(&self, name: &str) -> Option<&TaskConfig> {
-        self.tasks.iter().find(|task| task.name == name)
+        let task = self.tasks.get(self.index.task(name)?);
+        task.filter(|task| task.name == name)
+    }
+
+    /// The tasks of an event handler, in declared order. The others are not looked at.
+    pub fn tasks_with<'a>(&'a self, handler: &'a str) -> impl Iterator<Item = &'a TaskConfig> {
+        let places = self.index.of_handler(handler).iter();
+        let tasks = places.filter_map(|place| self.tasks.get(*place));
+        tasks.filter(move |task| task.handler == handler)
+    }
+
+    /// The place of the chassis of that name in [`App::chassis`].
+    #[must_use]
+    pub fn place_of_chassis(&self, name: &str) -> Option<usize> {
+        let place = self.index.chassis(name)?;
+        let chassis = self.chassis.get(place)?;
+        (chassis.name == name).then_some(place)
     }
 
     /// The place of a key by its dotted path, for example `task.mcs.args.speed`. Tasks made by an

@@ -9,6 +9,7 @@ mod tasks;
 use super::app::{App, ChassisConfig, ProcessorConfig, SharedConfig};
 use super::check::checked;
 use super::expander::Expander;
+use super::index::Index;
 use super::keys::{self, TOP};
 use super::node::{Entry, Node};
 use super::policies::{restart, supervision};
@@ -84,6 +85,12 @@ pub(super) fn build(
         hosts: hosts::hosts(&root, builder.findings),
         semaphores: shared("semaphore", "permits"),
         barriers: shared("barrier", "parties"),
+        index: Index::of(
+            chassis.iter().map(|one| one.name.as_str()),
+            tasks
+                .iter()
+                .map(|one| (one.name.as_str(), one.handler.as_str())),
+        ),
         chassis,
         tasks,
         folder: folder.map_or_else(|| PathBuf::from("."), PathBuf::from),

@@ -3,23 +3,52 @@
 //! Every parser and checker of the workspace (configuration, nets, position files) reports through
 //! [`Findings`]. So one run of `ctos check` shows all of them, in order of place, in one form.
 
-use std::{fmt, ops::Range, path::Path, sync::Arc};
+use std::{
+    fmt,
+    ops::Range,
+    path::Path,
+    sync::{Arc, OnceLock},
+};
 
 /// A text that findings point into, with the name a person knows it by (its path as given).
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Source {
+#[derive(Clone)]
+pub struct Source(Arc<Written>);
+
+/// What all places in one text share.
+struct Written {
     name: Arc<str>,
     text: Arc<str>,
+    /// Where each line begins; found when the first place is shown, so that the others need not be counted up to.
+    lines: OnceLock<Vec<usize>>,
+}
+
+impl PartialEq for Source {
+    fn eq(&self, other: &Self) -> bool {
+        let same = || self.0.name == other.0.name && self.0.text == other.0.text;
+        Arc::ptr_eq(&self.0, &other.0) || same()
+    }
+}
+
+impl Eq for Source {}
+
+impl fmt::Debug for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Source")
+            .field("name", &self.0.name)
+            .field("text", &self.0.text)
+            .finish()
+    }
 }
 
 impl Source {
     /// A source called `name` that holds `text`.
     #[must_use]
     pub fn new(name: impl Into<Arc<str>>, text: impl Into<Arc<str>>) -> Self {
-        Self {
+        Self(Arc::new(Written {
             name: name.into(),
             text: text.into(),
-        }
+            lines: OnceLock::new(),
+        }))
     }
 
     /// Reads a file.
@@ -42,26 +71,38 @@ impl Source {
     /// The name given at creation, usually a path.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.name
+        &self.0.name
     }
 
     /// The whole text.
     #[must_use]
     pub fn text(&self) -> &str {
-        &self.text
+        &self.0.text
     }
 
     /// Line and column of a byte offset, both counted from 1, columns in characters.
     #[must_use]
     pub fn line_column(&self, offset: usize) -> (usize, usize) {
-        let mut end = offset.min(self.text.len());
-        while !self.text.is_char_boundary(end) {
+        let text = self.text();
+        let mut end = offset.min(text.len());
+        while !text.is_char_boundary(end) {
             end -= 1;
         }
-        let before = &self.text[..end];
-        let line = before.bytes().filter(|byte| *byte == b'\n').count() + 1;
-        let start = before.rfind('\n').map_or(0, |at| at + 1);
-        (line, before[start..].chars().count() + 1)
+        let lines = self.lines();
+        let line = lines.partition_point(|start| *start <= end);
+        let start = line.checked_sub(1).and_then(|line| lines.get(line));
+        let before = &text[start.copied().unwrap_or(0)..end];
+        (line, before.chars().count() + 1)
+    }
+
+    /// Where each line begins.
+    fn lines(&self) -> &[usize] {
+        self.0.lines.get_or_init(|| {
+            let ends = self.text().match_indices('\n');
+            std::iter::once(0)
+                .chain(ends.map(|(at, _)| at + 1))
+                .collect()
+        })
     }
 
     /// A place in this source.
@@ -76,11 +117,9 @@ impl Source {
     /// The place of a whole line, counted from 1.
     #[must_use]
     pub fn at_line(&self, line: usize) -> Place {
-        let end = self.text.len();
-        let starts = self.text.match_indices('\n').map(|(at, _)| at + 1);
-        let start = std::iter::once(0).chain(starts).nth(line.wrapping_sub(1));
-        let start = start.unwrap_or(end);
-        let text = self.text[start..].split('\n').next().unwrap_or_default();
+        let start = self.lines().get(line.wrapping_sub(1)).copied();
+        let start = start.unwrap_or(self.text().len());
+        let text = self.text()[start..].split('\n').next().unwrap_or_default();
         self.at(start..start + text.trim_end().len())
     }
 }
@@ -298,7 +337,7 @@ impl Findings {
     pub fn into_sorted(mut self) -> Vec<Finding> {
         self.list.sort_by_key(|finding| {
             let place = finding.place.as_ref()?;
-            Some((place.source.name.clone(), place.range.start))
+            Some((place.source.0.name.clone(), place.range.start))
         });
         self.list
     }
@@ -335,6 +374,32 @@ mod tests {
         let source = Source::new("a.toml", "x = 1\nä = 2\n");
         let offset = source.text().find("= 2").unwrap();
         assert_eq!(source.at(offset..offset + 1).to_string(), "a.toml:2:3");
+    }
+
+    #[test]
+    fn the_lines_of_a_text_are_looked_for_once_for_all_places_in_it() {
+        let source = Source::new("a.toml", "a = 1\n".repeat(1000));
+        let (first, last) = (source.at(0..1), source.clone().at(5994..5995));
+        assert_eq!(source.0.lines.get(), None);
+        assert_eq!(last.to_string(), "a.toml:1000:1");
+        assert_eq!(source.0.lines.get().map(Vec::len), Some(1001));
+        assert!(Arc::ptr_eq(&first.source.0, &last.source.0));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn line_and_column_are_those_of_a_walk_through_the_text(text in "[aä\n]{0,40}", offset in 0..99_usize) {
+            let mut walked = (1, 1);
+            let before = text.char_indices().take_while(|(at, one)| at + one.len_utf8() <= offset);
+            for (_, one) in before {
+                walked = if one == '\n' { (walked.0 + 1, 1) } else { (walked.0, walked.1 + 1) };
+            }
+            let source = Source::new("a", text.as_str());
+            proptest::prop_assert_eq!(source.line_column(offset), walked);
+            let starts = text.split('\n').next_back().map(|last| text.len() - last.len());
+            let last = text.split('\n').count();
+            proptest::prop_assert_eq!(Some(source.at_line(last).range.start), starts);
+        }
     }
 
     #[test]

@@ -21,6 +21,7 @@ mod check;
 mod de;
 mod expander;
 mod hosts;
+mod index;
 mod keys;
 mod links;
 mod load;

@@ -132,6 +132,16 @@ impl Chassis {
         }
     }
 
+    /// The number of the chassis of that name.
+    #[must_use]
+    pub fn number_of(&self, name: &str) -> Option<u8> {
+        if name == BOOT_CHASSIS {
+            return Some(0);
+        }
+        let place = self.app.place_of_chassis(name)?;
+        u8::try_from(place + 1).ok()
+    }
+
     /// What the configuration says of chassis number `index`; nothing of the one that boots, 0.
     #[must_use]
     pub fn config_of(&self, index: u8) -> Option<&ChassisConfig> {
@@ -365,5 +375,50 @@ impl Chassis {
         for (_, handle) in &self.processors {
             handle.stop();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fmt::Write as _;
+
+    use super::*;
+    use crate::registry::Registry;
+    use ctos_config::load_texts;
+
+    fn app(tasks: usize) -> Arc<App> {
+        let mut text = "[chassis.desk]\n[chassis.cell]\n".to_owned();
+        for task in 0..tasks {
+            let on = if task % 2 == 0 { "desk" } else { "cell" };
+            writeln!(text, "[task.t{task}]\nhandler = \"h\"\non = \"{on}\"").unwrap();
+        }
+        Arc::new(load_texts(&[("app.toml", &text)], &[], &[]).unwrap())
+    }
+
+    #[test]
+    fn a_chassis_has_one_number_and_one_name() {
+        let chassis = Chassis::new(1, app(2), Arc::new(Registry::new()), Clock::real());
+        for (name, number) in [(BOOT_CHASSIS, 0), ("desk", 1), ("cell", 2)] {
+            assert_eq!(chassis.number_of(name), Some(number));
+            assert_eq!(chassis.name_of(number), name);
+        }
+        assert_eq!(chassis.number_of("cage"), None);
+    }
+
+    #[test]
+    fn a_task_of_the_configuration_is_found_among_thousands_as_fast_as_among_ten() {
+        let clock = Clock::real();
+        let took = |tasks: usize| {
+            let app = app(tasks);
+            let names: Vec<String> = (0..tasks).map(|task| format!("t{task}")).collect();
+            let begun = clock.now();
+            for name in names.iter().cycle().take(30_000) {
+                assert_eq!(app.task(name).unwrap().name, *name);
+            }
+            clock.now().since(begun)
+        };
+        let (few, many) = (took(10), took(3000));
+        // Looking through all of them takes some hundred times as long.
+        assert!(many < few * 20, "{many:?} among 3000, {few:?} among 10");
     }
 }

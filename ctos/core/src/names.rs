@@ -5,6 +5,7 @@
 //! A name belongs to one task at a time, and a task id to one name for the whole run.
 
 mod away;
+mod lines;
 mod moves;
 mod waiting;
 
@@ -17,6 +18,7 @@ use std::{
 use tokio::sync::oneshot;
 
 use away::Presence;
+use lines::Lines;
 
 use crate::{
     context::{Context, TaskRef},
@@ -47,7 +49,7 @@ pub struct Names {
     past: BTreeMap<String, Tid>,
     /// Those whose task came to its end by itself.
     ended: BTreeSet<String>,
-    waiting: BTreeMap<String, Vec<Waiter>>,
+    waiting: Lines<Waiter>,
     monitors: BTreeMap<String, BTreeSet<Tid>>,
     /// Names whose task takes no messages at the moment.
     down: BTreeSet<String>,
@@ -100,7 +102,7 @@ impl TidServer {
         state.names.insert(task.name.to_string(), task.tid);
         let before = state.past.remove(&*task.name);
         state.ended.remove(&*task.name);
-        let waiters = state.waiting.remove(&*task.name).unwrap_or_default();
+        let waiters = state.waiting.take(&task.name);
         drop(state);
         if let Some(old) = before {
             broadcast(cx, &task.name, old, Some(task.tid));
@@ -109,7 +111,7 @@ impl TidServer {
             // A reply cannot fail.
             let _ = waiter.reply.ok(Ok(task.tid));
         }
-        self.state.borrow_mut().answer_waiting(cx);
+        self.state.borrow_mut().answer_waiting_for(cx, &task.name);
         self.notify(cx, &task, &Change::Up);
         Ok(())
     }
@@ -164,10 +166,13 @@ impl TidServer {
     #[command]
     fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u16> {
         let state = self.state.borrow();
-        let used = state.used.keys();
+        let (first, last) = (
+            Tid::new(chassis, 0, 0),
+            Tid::new(chassis, u8::MAX, u16::MAX),
+        );
+        let used = state.used.range(first..=last);
         // In the order of their slots: the last of each processor counts.
-        used.filter(|tid| tid.chassis() == chassis)
-            .map(|tid| (tid.processor(), tid.slot().saturating_add(1)))
+        used.map(|(tid, _)| (tid.processor(), tid.slot().saturating_add(1)))
             .collect()
     }
 
@@ -217,7 +222,8 @@ impl TidServer {
         let gone: Vec<TaskRef> = {
             let state = self.state.borrow();
             let all = state.names.iter();
-            all.filter(|(_, tid)| here.name_of(tid.chassis()) == chassis)
+            let lost = here.number_of(chassis);
+            all.filter(|(_, tid)| Some(tid.chassis()) == lost)
                 .map(|(name, tid)| TaskRef::new(name.as_str(), *tid))
                 .collect()
         };
@@ -227,7 +233,7 @@ impl TidServer {
             self.notify(cx, &task, &Change::Ended { reason });
         }
         let mut state = self.state.borrow_mut();
-        if let Some(index) = here.others().find(|index| here.name_of(*index) == chassis) {
+        if let Some(index) = here.number_of(chassis) {
             state.presence.lost(cx, index);
         }
         state.answer_waiting(cx);

@@ -16,6 +16,7 @@ mod core;
 mod futures;
 mod handle;
 mod poll;
+mod ready;
 mod run;
 pub(crate) mod wake;
 mod yielding;

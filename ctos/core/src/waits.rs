@@ -15,16 +15,24 @@ struct Entry {
     since: Instant,
 }
 
+/// The calls of one task that are shown.
+#[derive(Debug, Default)]
+struct Shown {
+    entries: Vec<Option<Entry>>,
+    /// Places in `entries` that are used again, so that a call allocates nothing and looks for nothing.
+    free: Vec<usize>,
+}
+
 /// What one task waits for. Its children's calls count as its own.
 #[derive(Debug, Default)]
 pub struct Waits {
-    /// Made for the first one. Free places are used again, so that a call allocates nothing.
-    entries: OnceLock<Box<Mutex<Vec<Option<Entry>>>>>,
+    /// Made for the first one.
+    shown: OnceLock<Box<Mutex<Shown>>>,
 }
 
 impl Waits {
-    fn entries(&self) -> MutexGuard<'_, Vec<Option<Entry>>> {
-        lock(self.entries.get_or_init(Box::default))
+    fn shown(&self) -> MutexGuard<'_, Shown> {
+        lock(self.shown.get_or_init(Box::default))
     }
 
     /// Shows a call; the number takes it away again.
@@ -41,42 +49,44 @@ impl Waits {
             command,
             since,
         });
-        let mut entries = self.entries();
-        match entries.iter().position(Option::is_none) {
-            Some(free) => {
-                if let Some(place) = entries.get_mut(free) {
-                    *place = entry;
-                }
-                free
-            }
-            None => {
-                entries.push(entry);
-                entries.len() - 1
-            }
+        let mut shown = self.shown();
+        let Some(free) = shown.free.pop() else {
+            shown.entries.push(entry);
+            return shown.entries.len() - 1;
+        };
+        if let Some(place) = shown.entries.get_mut(free) {
+            *place = entry;
         }
+        free
     }
 
     /// The call has ended, however it ended.
     pub(crate) fn end(&self, place: usize) {
-        if let Some(place) = self.entries().get_mut(place) {
-            *place = None;
+        let mut shown = self.shown();
+        let entry = shown.entries.get_mut(place).and_then(Option::take);
+        if entry.is_some() {
+            shown.free.push(place);
         }
     }
 
     /// Whom the latest of them asked, and when.
     pub(crate) fn latest(&self) -> Option<(Tid, Instant)> {
-        let entries = lock(self.entries.get()?);
-        let latest = entries.iter().flatten().max_by_key(|entry| entry.since)?;
+        let shown = lock(self.shown.get()?);
+        let latest = shown
+            .entries
+            .iter()
+            .flatten()
+            .max_by_key(|entry| entry.since)?;
         Some((latest.tid, latest.since))
     }
 
     /// What is waited for at `now`, longest first.
     pub fn read(&self, now: Instant) -> Vec<WaitReport> {
-        let Some(entries) = self.entries.get() else {
+        let Some(shown) = self.shown.get() else {
             return Vec::new();
         };
-        let entries = lock(entries);
-        let mut waits: Vec<&Entry> = entries.iter().flatten().collect();
+        let shown = lock(shown);
+        let mut waits: Vec<&Entry> = shown.entries.iter().flatten().collect();
         waits.sort_by_key(|entry| (entry.since, &entry.to));
         let report = |entry: &Entry| WaitReport {
             to: entry.to.to_string(),
@@ -114,6 +124,20 @@ mod tests {
         );
         waits.end(second);
         assert_eq!(names(&waits), ["ear"]);
-        assert_eq!(waits.entries().len(), 2, "a free place was not used");
+        assert_eq!(waits.shown().entries.len(), 2, "a free place was not used");
+    }
+
+    #[test]
+    fn among_many_calls_a_free_place_is_known_and_need_not_be_looked_for() {
+        let waits = Waits::default();
+        let begin = || waits.begin("arm".into(), Tid::default(), "go", Instant::START);
+        let places: Vec<usize> = (0..1000).map(|_| begin()).collect();
+        assert_eq!(places, (0..1000).collect::<Vec<_>>());
+        assert_eq!(waits.shown().free, [0; 0]);
+        for place in [700, 20, 20] {
+            waits.end(place);
+        }
+        assert_eq!(waits.shown().free, [700, 20]);
+        assert_eq!([begin(), begin(), begin()], [20, 700, 1000]);
     }
 }

@@ -7,6 +7,8 @@ use super::{event::Traffic, lines::Schema, parts::Line, traffic::Coder};
 
 /// A stretch of events ends at this size, bytes: a file that breaks off lacks no more than is in one chunk.
 const STRETCH: usize = 64 * 1024;
+/// And so long after its first event, ns: who looks for a moment finds the stretches around it.
+const STRETCH_NS: u64 = 1_000_000_000;
 /// Space that is kept for the next time, bytes; what a burst took beyond it is given back.
 const KEPT: usize = 1024 * 1024;
 
@@ -43,7 +45,10 @@ impl Batch {
         data: impl FnOnce(&mut Vec<u8>) -> bool,
     ) -> bool {
         let (start, at) = (self.bytes.len(), event.at);
-        let goes_on = |last: &Piece| last.schema == Schema::Events && start - last.start < STRETCH;
+        let goes_on = |last: &Piece| {
+            let is_short = start - last.start < STRETCH && at.saturating_sub(last.at) < STRETCH_NS;
+            last.schema == Schema::Events && is_short
+        };
         if !self.pieces.last().is_some_and(goes_on) {
             self.coder.restart();
             self.pieces.push(Piece {

@@ -11,6 +11,7 @@ extern crate ctos_core as ctos;
 #[doc(hidden)]
 pub mod attach;
 mod batch;
+mod counts;
 mod event;
 mod glossary;
 mod lines;
@@ -20,6 +21,7 @@ mod read;
 mod recorder;
 mod recorders;
 mod replay;
+mod summary;
 mod traffic;
 mod writer;
 

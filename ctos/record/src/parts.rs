@@ -20,7 +20,10 @@ use mcap::{
     write::NoSeek,
 };
 
-use super::lines::Schema;
+use super::{
+    counts::{COUNTS, Counts},
+    lines::{EVENTS, Schema},
+};
 use ctos_core::{report::RecordReport, tap::ChannelSchema};
 use ctos_time::lock::lock;
 
@@ -56,6 +59,8 @@ pub(crate) struct LineWriter<W: Write + Seek> {
     pub(crate) mcap: mcap::Writer<W>,
     /// The channels so far, with the number of lines in each.
     channels: BTreeMap<String, (u16, u32)>,
+    /// What is in it, for its end.
+    pub(crate) counts: Counts,
 }
 
 impl<W: Write + Seek> LineWriter<W> {
@@ -65,8 +70,17 @@ impl<W: Write + Seek> LineWriter<W> {
             .profile("ctos")
             .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
             .create(file)?;
-        let channels = BTreeMap::new();
-        Ok(Self { mcap, channels })
+        Ok(Self {
+            mcap,
+            channels: BTreeMap::new(),
+            counts: Counts::default(),
+        })
+    }
+
+    /// Closes the file: behind what it holds stands what that is.
+    pub(crate) fn finish(&mut self) -> mcap::McapResult<()> {
+        self.metadata(COUNTS, self.counts.page())?;
+        self.mcap.finish().map(drop)
     }
 
     pub(crate) fn metadata(
@@ -108,7 +122,12 @@ impl<W: Write + Seek> LineWriter<W> {
             log_time: at,
             publish_time: at,
         };
-        self.mcap.write_to_known_channel(&header, bytes)
+        self.mcap.write_to_known_channel(&header, bytes)?;
+        // What is in a stretch is counted by the one who knows.
+        if schema.encoding != EVENTS {
+            self.counts.add(topic, at, bytes.len());
+        }
+        Ok(())
     }
 }
 
@@ -282,11 +301,16 @@ impl Parts {
 
     /// Writes one line; it is lost, and counted, when there is no file to write to.
     pub(crate) fn write(&mut self, now: u64, line: &Line<'_>) {
+        self.write_stretch(now, line, &Counts::default());
+    }
+
+    /// [`Self::write`] of a stretch that holds what is `packed`.
+    pub(crate) fn write_stretch(&mut self, now: u64, line: &Line<'_>, packed: &Counts) {
         if !self.ready(now) {
             return self.lost(line.lines, "the disk took nothing more");
         }
         let Some(part) = &mut self.part else { return };
-        if let Err(error) = part.write(line) {
+        if let Err(error) = part.write(line, packed) {
             tracing::warn!(topic = line.topic, error = %error, "a line could not be recorded");
             return self.lost(line.lines, "a line could not be recorded");
         }
@@ -436,9 +460,10 @@ impl Part {
         Ok(part)
     }
 
-    fn write(&mut self, line: &Line<'_>) -> mcap::McapResult<()> {
+    fn write(&mut self, line: &Line<'_>, packed: &Counts) -> mcap::McapResult<()> {
         self.writer
             .line(line.topic, &line.schema.text(), line.at, line.bytes)?;
+        self.writer.counts.extend(packed);
         self.bytes += OVERHEAD + u64::try_from(line.bytes.len()).unwrap_or(u64::MAX / 4);
         self.lines += line.lines;
         Ok(())
@@ -454,7 +479,7 @@ impl Part {
     fn finish(&mut self, lost: u64) -> io::Result<()> {
         self.writer.lost(lost).map_err(io::Error::other)?;
         self.flush()?;
-        self.writer.mcap.finish().map_err(io::Error::other)?;
+        self.writer.finish().map_err(io::Error::other)?;
         self.write_out()
     }
 

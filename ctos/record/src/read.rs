@@ -4,9 +4,9 @@
 //! as it was noted, and is turned here into the lines that everybody reads.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, VecDeque},
     fs::File,
-    io::{self, BufWriter, Read, Write},
+    io::{self, BufWriter, Read, Seek, SeekFrom, Write},
     os::unix::fs::OpenOptionsExt,
     path::{Path, PathBuf},
     sync::Arc,
@@ -22,13 +22,14 @@ use super::{
     glossary::Glossary,
     lines::{self, EVENTS},
     parts::{LOST, LineWriter, NAMES, RUN},
+    summary::{Contents, Without},
     traffic::Events,
 };
 use ctos_core::tap::ChannelSchema;
 use ctos_time::Instant;
 
 /// The longest record of a file that is read, bytes.
-const RECORD_LIMIT: usize = 256 * 1024 * 1024;
+pub(crate) const RECORD_LIMIT: usize = 256 * 1024 * 1024;
 
 /// Why a record could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -124,10 +125,15 @@ impl Filter {
     /// Whether a line at `at` of channel `topic` is wanted.
     #[must_use]
     pub fn takes(&self, topic: &str, at: Instant) -> bool {
-        let topics = &self.topics;
         self.from.is_none_or(|from| at >= from)
             && self.to.is_none_or(|to| at <= to)
-            && (topics.is_empty() || topics.iter().any(|pattern| matches(pattern, topic)))
+            && self.names(topic)
+    }
+
+    /// Whether lines of channel `topic` may be wanted.
+    pub(crate) fn names(&self, topic: &str) -> bool {
+        let mut topics = self.topics.iter();
+        self.topics.is_empty() || topics.any(|pattern| matches(pattern, topic))
     }
 }
 
@@ -201,14 +207,14 @@ impl Record {
         for Entry { at, channel, json } in &self.entries {
             writer.line(&channel.topic, &channel.schema, at.as_nanos(), json)?;
         }
-        writer.mcap.finish()?;
+        writer.finish()?;
         writer.mcap.into_inner().flush()?;
         Ok(())
     }
 }
 
 /// What has been read of a file so far.
-struct Scan<'a> {
+pub(crate) struct Scan<'a> {
     filter: &'a Filter,
     schemas: BTreeMap<u16, ChannelSchema>,
     channels: BTreeMap<u16, Arc<Channel>>,
@@ -216,11 +222,13 @@ struct Scan<'a> {
     /// The channels of what happened to messages, by their names.
     traffic: BTreeMap<String, Arc<Channel>>,
     run: Run,
+    /// The end of the file has told what is in it.
+    counted: bool,
     closed: bool,
 }
 
 impl<'a> Scan<'a> {
-    fn new(path: &Path, filter: &'a Filter) -> Self {
+    pub(crate) fn new(path: &Path, filter: &'a Filter) -> Self {
         Self {
             filter,
             schemas: BTreeMap::new(),
@@ -231,7 +239,32 @@ impl<'a> Scan<'a> {
                 path: path.to_owned(),
                 ..Run::default()
             },
+            counted: false,
             closed: false,
+        }
+    }
+
+    /// Takes what the end of the file says of all of it. Channels stand in chunks that may be passed over.
+    fn expect(&mut self, contents: Contents) {
+        let Contents { summary, counts } = contents;
+        self.run.span = counts.span();
+        self.run.channels = counts.channels;
+        self.counted = true;
+        for (id, channel) in summary.channels {
+            let mut schema = ChannelSchema::default();
+            if let Some(known) = &channel.schema {
+                schema = ChannelSchema {
+                    name: known.name.clone().into(),
+                    language: known.encoding.clone().into(),
+                    text: known.data.to_vec().into(),
+                    ..schema
+                };
+                self.schemas.insert(known.id, schema.clone());
+            }
+            schema.encoding = channel.message_encoding.clone().into();
+            let topic = channel.topic.clone();
+            self.channels
+                .insert(id, Arc::new(Channel { topic, schema }));
         }
     }
 
@@ -270,6 +303,8 @@ impl<'a> Scan<'a> {
                 self.run.lost = events.and_then(|count| count.parse().ok()).unwrap_or(0);
             }
             Part::Footer(_) => self.closed = true,
+            // What follows has been read.
+            Part::DataEnd(_) if self.counted => self.closed = true,
             _ => {}
         }
     }
@@ -295,6 +330,9 @@ impl<'a> Scan<'a> {
     }
 
     fn count(&mut self, topic: &str, at: Instant, bytes: usize) {
+        if self.counted {
+            return;
+        }
         let counted = self.run.channels.entry(topic.to_owned()).or_default();
         counted.0 += 1;
         counted.1 += u64::try_from(bytes).unwrap_or(0);
@@ -333,12 +371,45 @@ impl<'a> Scan<'a> {
 }
 
 /// Reads one file from its beginning to where it ends or breaks off, and shows what `filter` takes; the
-/// rest is counted.
+/// rest is counted. Of a file that was closed only what may hold something wanted is read.
 ///
 /// # Errors
 /// [`ReadError`] when it cannot be opened, or is not an MCAP file from its first byte.
 pub fn scan_only(path: &Path, filter: &Filter, see: impl FnMut(Entry)) -> Result<Run, ReadError> {
-    scan(path, filter, see, |_| false)
+    scan_in(open(path)?, path, filter, see)
+}
+
+fn failed(path: &Path) -> impl Fn(io::Error) -> ReadError {
+    |error| ReadError::Io {
+        path: path.to_owned(),
+        error,
+    }
+}
+
+fn open(path: &Path) -> Result<File, ReadError> {
+    File::open(path).map_err(failed(path))
+}
+
+/// [`scan_only`] of a file that is open.
+pub(crate) fn scan_in(
+    mut file: impl Read + Seek,
+    path: &Path,
+    filter: &Filter,
+    see: impl FnMut(Entry),
+) -> Result<Run, ReadError> {
+    let mut scan = Scan::new(path, filter);
+    let mut passed = VecDeque::new();
+    // What comes through a pipe has no end to look at.
+    if let Ok(size) = file.seek(SeekFrom::End(0)) {
+        let contents = Contents::read(&mut file, size).map_err(failed(path))?;
+        let superfluous = contents.as_ref().and_then(|one| one.superfluous(filter));
+        if let (Some(contents), Some(superfluous)) = (contents, superfluous) {
+            scan.expect(contents);
+            passed = superfluous;
+        }
+        file.rewind().map_err(failed(path))?;
+    }
+    scan.read(Without::new(file, passed), see, |_| false)
 }
 
 /// What the writer of a file noted of the run: `app`, `origin_ns`, `first`, ... Only its beginning is read.
@@ -347,63 +418,61 @@ pub fn scan_only(path: &Path, filter: &Filter, see: impl FnMut(Entry)) -> Result
 /// As [`scan_only`].
 pub fn noted(path: &Path) -> Result<BTreeMap<String, String>, ReadError> {
     let nothing = Filter::default();
-    let run = scan(path, &nothing, |_| (), |run| !run.noted.is_empty())?;
+    let scan = Scan::new(path, &nothing);
+    let run = scan.read(open(path)?, |_| (), |run| !run.noted.is_empty())?;
     Ok(run.noted)
 }
 
-/// Reads until its end, or until there is enough.
-fn scan(
-    path: &Path,
-    filter: &Filter,
-    mut see: impl FnMut(Entry),
-    enough: impl Fn(&Run) -> bool,
-) -> Result<Run, ReadError> {
-    let failed = |error| ReadError::Io {
-        path: path.to_owned(),
-        error,
-    };
-    let mut file = File::open(path).map_err(failed)?;
-    let options = LinearReaderOptions::default()
-        .with_skip_end_magic(true)
-        .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(RECORD_LIMIT);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut scan = Scan::new(path, filter);
-    let mut begun = false;
-    while let Some(event) = reader.next_event() {
-        let read = match event {
-            Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                let read = file.read(reader.insert(wanted)).map_err(failed)?;
-                reader.notify_read(read);
-                Ok(())
+impl Scan<'_> {
+    /// Reads `file` until its end, or until there is enough.
+    pub(crate) fn read(
+        mut self,
+        mut file: impl Read,
+        mut see: impl FnMut(Entry),
+        enough: impl Fn(&Run) -> bool,
+    ) -> Result<Run, ReadError> {
+        let path = self.run.path.clone();
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(RECORD_LIMIT);
+        let mut reader = LinearReader::new_with_options(options);
+        let mut begun = false;
+        while let Some(event) = reader.next_event() {
+            let read = match event {
+                Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                    let read = file.read(reader.insert(wanted)).map_err(failed(&path))?;
+                    reader.notify_read(read);
+                    Ok(())
+                }
+                Ok(LinearReadEvent::Record { data, opcode }) => {
+                    begun = true;
+                    mcap::parse_record(opcode, data).map(|part| self.take(part, &mut see))
+                }
+                Err(error) => Err(error),
+            };
+            if let Err(error) = read {
+                self.tear(&error.to_string());
             }
-            Ok(LinearReadEvent::Record { data, opcode }) => {
-                begun = true;
-                mcap::parse_record(opcode, data).map(|part| scan.take(part, &mut see))
+            if self.closed || self.run.torn.is_some() {
+                break;
             }
-            Err(error) => Err(error),
-        };
-        if let Err(error) = read {
-            scan.tear(&error.to_string());
+            if enough(&self.run) {
+                return Ok(self.run);
+            }
         }
-        if scan.closed || scan.run.torn.is_some() {
-            break;
+        if !begun {
+            self.tear("it holds nothing");
+            return Err(ReadError::Format {
+                path,
+                reason: self.run.torn.unwrap_or_default(),
+            });
         }
-        if enough(&scan.run) {
-            return Ok(scan.run);
+        if !self.closed {
+            self.tear("it was not closed");
         }
+        Ok(self.run)
     }
-    if !begun {
-        scan.tear("it holds nothing");
-        return Err(ReadError::Format {
-            path: path.to_owned(),
-            reason: scan.run.torn.unwrap_or_default(),
-        });
-    }
-    if !scan.closed {
-        scan.tear("it was not closed");
-    }
-    Ok(scan.run)
 }
 
 #[cfg(test)]

@@ -1,10 +1,15 @@
 //! The writer empties the buffers. It puts their lines and stretches of events into files, with the names
 //! that belong to these, and counts what was lost.
 
-use std::sync::{Arc, Mutex};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+};
 
 use super::{
     batch::Batch,
+    counts::Counts,
+    event::Step,
     glossary::Glossary,
     lines::{self, Schema},
     parts::{Line, NAMES, Parts},
@@ -79,7 +84,34 @@ impl Writer {
         if self.parts.ready(now) {
             self.tell_names();
         }
-        self.parts.write(now, line);
+        let packed = self.counted(line);
+        self.parts.write_stretch(now, line, &packed);
+    }
+
+    /// What is in a stretch.
+    fn counted(&self, stretch: &Line<'_>) -> Counts {
+        // Few kinds of events of few tasks come again and again.
+        let mut tally: BTreeMap<_, (Step, (u64, u64))> = BTreeMap::new();
+        let mut span = (u64::MAX, 0);
+        for (event, _, length) in Events::new(stretch.bytes) {
+            let kind = (event.key.task, event.step.number());
+            let (_, counted) = tally.entry(kind).or_insert((event.step, (0, 0)));
+            counted.0 += 1;
+            counted.1 += u64::try_from(length).unwrap_or(0);
+            span = (span.0.min(event.at), span.1.max(event.at));
+        }
+        let mut counts = Counts::default();
+        let names = lock(&self.names);
+        for ((task, _), (step, counted)) in tally {
+            let (topic, _) = lines::channel_of(&step, &names.task(task));
+            counts.add_lines(&topic, counted, span);
+        }
+        let (before, after) = (
+            stretch.at.saturating_sub(span.0),
+            span.1.saturating_sub(stretch.at),
+        );
+        counts.longest = before.max(after);
+        counts
     }
 
     fn tell_names(&mut self) {

@@ -12,8 +12,9 @@ use ctos_time::{Drift, Instant};
 
 impl Simulation {
     fn index(&self, name: &str) -> Option<usize> {
-        let mut machines = self.machines.iter();
-        machines.position(|machine| machine.chassis.name() == name)
+        // Machines stand in the order of the numbers of their chassis.
+        let number = self.machines.first()?.chassis.number_of(name)?;
+        Some(usize::from(number))
     }
 
     pub(super) fn happen(&mut self, fault: Fault) {
@@ -47,6 +48,7 @@ impl Simulation {
             FaultKind::Restart => self.tell_boot(system::RestartChassis { chassis: number }),
             FaultKind::Freeze if !machine.gone => {
                 machine.freeze(until);
+                self.rouse(index);
                 for other in self.machines.iter().filter(|other| !other.gone) {
                     let peer = other.chassis.index();
                     if peer != number {

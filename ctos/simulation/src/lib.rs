@@ -7,6 +7,7 @@
 
 extern crate ctos_core as ctos;
 
+mod awake;
 mod draw;
 mod events;
 mod fault;

@@ -62,24 +62,16 @@ impl Machine {
         self.slow = Some((until, per_step));
     }
 
-    /// Runs what was brought to its processors. True when there was something.
-    pub(crate) fn run_jobs(&self) -> bool {
-        let mut any = false;
-        for slot in &self.slots {
-            any |= slot.processor.run_jobs();
-        }
-        any
+    /// Runs what was brought to a processor. True when there was something.
+    pub(crate) fn run_jobs(&self, processor: usize) -> bool {
+        let slot = self.slots.get(processor);
+        slot.is_some_and(|slot| slot.processor.run_jobs())
     }
 
-    /// How many futures could be polled now, by processor.
-    pub(crate) fn count_ready(&self, now: Instant, counts: &mut Vec<usize>) {
-        counts.extend(self.slots.iter().map(|slot| {
-            if slot.free_at > now {
-                0
-            } else {
-                slot.processor.ready_count()
-            }
-        }));
+    /// How many futures of a processor could be polled now.
+    pub(crate) fn count_ready(&self, processor: usize, now: Instant) -> usize {
+        let free = self.slots.get(processor).filter(|slot| slot.free_at <= now);
+        free.map_or(0, |slot| slot.processor.ready_count())
     }
 
     /// Polls a ready future of a processor, which then is busy for as long as that takes.
@@ -97,32 +89,39 @@ impl Machine {
         slot.processor.poll_ready(index)
     }
 
-    /// How many processors it has.
-    pub(crate) fn processors(&self) -> usize {
-        self.slots.len()
+    /// Its processors.
+    pub(crate) fn processors(&self) -> impl Iterator<Item = &Rc<Processor>> {
+        self.slots.iter().map(|slot| &slot.processor)
     }
 
-    /// When something is due that nothing else brings about.
-    pub(crate) fn next_event(&self, now: Instant) -> Option<Instant> {
-        self.slots
-            .iter()
-            .filter_map(|slot| {
-                let due = slot.processor.next_deadline();
-                let due = due.map(|due| self.clock().true_at(due));
-                if slot.free_at <= now {
-                    due
-                } else if slot.processor.ready_count() > 0 {
-                    Some(slot.free_at)
-                } else {
-                    due.map(|due| due.max(slot.free_at))
-                }
-            })
-            .min()
+    /// When something is due at a processor that nothing else brings about.
+    pub(crate) fn next_event(&self, processor: usize, now: Instant) -> Option<Instant> {
+        let slot = self.slots.get(processor)?;
+        let due = slot.processor.next_deadline();
+        let due = due.map(|due| self.clock().true_at(due));
+        if slot.free_at <= now {
+            due
+        } else if slot.processor.ready_count() > 0 {
+            Some(slot.free_at)
+        } else {
+            due.map(|due| due.max(slot.free_at))
+        }
     }
 
-    /// Lets the timers and synchronous functions run that are due.
-    pub(crate) fn run_due(&self, now: Instant) {
-        for slot in self.slots.iter().filter(|slot| slot.free_at <= now) {
+    /// A processor falls asleep, if it has nothing to do until something is due or brought. That whose code this thread
+    /// ran last does not: what comes to it need not be brought.
+    pub(crate) fn falls_asleep(&self, processor: usize, now: Instant) -> bool {
+        let slot = self.slots.get(processor).filter(|slot| slot.free_at <= now);
+        let here = Processor::here();
+        slot.is_some_and(|slot| {
+            let is_here = here.is_some_and(|here| Rc::ptr_eq(&here, &slot.processor));
+            !is_here && slot.processor.ready_count() == 0 && slot.processor.falls_asleep()
+        })
+    }
+
+    /// Lets the timers and synchronous functions of a processor run that are due.
+    pub(crate) fn run_due(&self, processor: usize, now: Instant) {
+        if let Some(slot) = self.slots.get(processor).filter(|slot| slot.free_at <= now) {
             slot.processor.schedule.run();
             slot.processor.fire_timers();
         }

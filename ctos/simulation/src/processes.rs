@@ -13,7 +13,7 @@ use crate::{injured, machine::Machine, run::Simulation};
 use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
 use ctos_message::Command;
-use ctos_time::lock::lock;
+use ctos_time::{Instant, lock::lock};
 
 /// How long the process of a chassis takes to start, ns.
 const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
@@ -117,8 +117,9 @@ impl Simulation {
         // First the links, so that what its destructors send reaches nobody.
         chassis.drop_links();
         machine.clear();
-        for other in chassis.others() {
-            self.network.hang_up(index, other);
+        self.rouse(usize::from(index));
+        for other in self.machines.iter().filter(|machine| !machine.gone) {
+            self.network.hang_up(index, other.chassis.index());
         }
         chassis.close();
     }
@@ -157,7 +158,13 @@ impl Simulation {
         self.casualties.remove(&index);
         if let Some(place) = self.machines.get_mut(usize::from(index)) {
             *place = Machine::new(new);
+            let number = usize::from(index);
+            for (processor, here) in place.processors().enumerate() {
+                self.awake.add((number, processor), here);
+            }
         }
+        // It has not looked at itself yet.
+        self.next_look = Instant::START;
         self.tell_boot(system::ChassisLinked {
             chassis: index,
             incarnation,

@@ -24,6 +24,7 @@ use ctos_record as record;
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
 use crate::{
+    awake::{Awake, Place},
     draw::Drawn,
     events::{EventLog, EventSink},
     fault::Fault,
@@ -133,8 +134,11 @@ pub(super) struct Simulation {
     pub(super) recording: Option<record::Recording>,
     pub(super) observer: Observer,
     pub(super) steps_at_once: u64,
+    pub(super) awake: Awake,
+    /// Before then no chassis looks at itself.
+    pub(super) next_look: Instant,
     /// Kept between steps for its space.
-    pub(super) counts: Vec<usize>,
+    pub(super) counts: Vec<(Place, usize)>,
 }
 
 impl Simulation {
@@ -204,6 +208,12 @@ impl Simulation {
             let boots = machine.chassis.index() == 0;
             ctos_bootstrap::bootstrap::start_system_tasks(&machine.chassis, boots.then_some(&seat));
         }
+        let mut awake = Awake::default();
+        for (number, machine) in machines.iter().enumerate() {
+            for (place, processor) in machine.processors().enumerate() {
+                awake.add((number, place), processor);
+            }
+        }
         Ok(Self {
             stops: [setup.stop_after, setup.stop_again_after]
                 .into_iter()
@@ -228,6 +238,8 @@ impl Simulation {
             recording,
             observer: observer.clone(),
             steps_at_once: 0,
+            awake,
+            next_look: Instant::START,
             counts: Vec::new(),
         })
     }
@@ -295,10 +307,13 @@ impl Simulation {
         }
     }
 
-    fn run_jobs(&self) -> bool {
-        let mut any = false;
-        for machine in &self.machines {
-            any |= machine.run_jobs();
+    /// Runs what was brought to processors, in their order. What one brings to a later one is run at once.
+    fn run_jobs(&mut self) -> bool {
+        let (mut any, mut behind) = (false, None);
+        while let Some(place) = self.awake.next(behind) {
+            let machine = self.machines.get(place.0);
+            any |= machine.is_some_and(|machine| machine.run_jobs(place.1));
+            behind = Some(place);
         }
         any
     }
@@ -307,33 +322,52 @@ impl Simulation {
     fn poll_one(&mut self) -> bool {
         let now = self.clock.now();
         self.counts.clear();
-        for machine in &self.machines {
-            machine.count_ready(now, &mut self.counts);
+        let (mut total, mut behind) = (0, None);
+        while let Some(place) = self.awake.next(behind) {
+            let machine = self.machines.get(place.0);
+            let count = machine.map_or(0, |machine| machine.count_ready(place.1, now));
+            self.counts.push((place, count));
+            total += count;
+            behind = Some(place);
         }
-        let total: usize = self.counts.iter().sum();
         if total == 0 {
             return false;
         }
         let mut drawn = below(&mut self.rng, total);
-        let mut counts = self.counts.iter();
-        for machine in &mut self.machines {
-            for (processor, count) in (0..machine.processors()).zip(&mut counts) {
-                if drawn < *count {
-                    return machine.poll(processor, drawn, now);
-                }
-                drawn -= count;
+        for ((number, processor), count) in &self.counts {
+            if drawn < *count {
+                let machine = self.machines.get_mut(*number);
+                return machine.is_some_and(|machine| machine.poll(*processor, drawn, now));
             }
+            drawn -= count;
         }
         false
     }
 
-    fn next_event(&self) -> Option<Instant> {
+    /// When the first processor has something to do. Those that have nothing to do now fall asleep.
+    fn next_due(&mut self) -> Option<Instant> {
         let now = self.clock.now();
-        let machines = self.machines.iter();
-        let machines = machines.filter_map(|machine| machine.next_event(now));
+        let (mut first, mut behind) = (None, None);
+        while let Some(place) = self.awake.next(behind) {
+            behind = Some(place);
+            let Some(machine) = self.machines.get(place.0) else {
+                continue;
+            };
+            let due = machine.next_event(place.1, now);
+            if machine.falls_asleep(place.1, now) {
+                self.awake.sleeps(place, due);
+            } else {
+                first = first.into_iter().chain(due).min();
+            }
+        }
+        first.into_iter().chain(self.awake.next_due()).min()
+    }
+
+    fn next_event(&mut self) -> Option<Instant> {
+        let due = self.next_due();
         let starts = self.starts.keys().next().map(|key| key.0);
         let arrives = self.network.next_arrival();
-        let next = machines.chain(arrives).chain(starts).min();
+        let next = due.into_iter().chain(arrives).chain(starts).min();
         // When nothing else can ever happen, what is given still can; what is drawn has no end.
         let drawn = next.and(self.drawn.next());
         let given = self.script.keys().next().copied();
@@ -343,8 +377,11 @@ impl Simulation {
 
     /// Moves the clock and lets everything happen that is due then.
     fn advance(&mut self, moment: Instant) {
-        let chassis = self.machines.iter().map(|machine| &machine.chassis);
-        watch::look_until(&self.clock, chassis, moment);
+        if moment > self.next_look {
+            let chassis = || self.machines.iter().map(|machine| &machine.chassis);
+            watch::look_until(&self.clock, chassis(), moment);
+            self.next_look = watch::next_look(chassis());
+        }
         self.clock.advance_to(moment);
         self.steps_at_once = 0;
         while let Some(entry) = self.script.first_entry() {
@@ -373,9 +410,21 @@ impl Simulation {
         while let Some(flight) = self.network.arrive(moment) {
             self.land(flight, moment);
         }
-        for machine in &self.machines {
-            machine.run_due(moment);
+        self.awake.rouse_due(moment);
+        let mut behind = None;
+        while let Some(place) = self.awake.next(behind) {
+            if let Some(machine) = self.machines.get(place.0) {
+                machine.run_due(place.1, moment);
+            }
+            behind = Some(place);
         }
+    }
+
+    /// Something may have changed for a machine.
+    pub(super) fn rouse(&mut self, number: usize) {
+        let machine = self.machines.get(number);
+        let processors = machine.map_or(0, |machine| machine.processors().count());
+        (0..processors).for_each(|place| self.awake.rouse((number, place)));
     }
 
     fn land(&self, flight: InFlight, now: Instant) {
@@ -414,5 +463,86 @@ impl Simulation {
                 .note(|| format!("down {} loses {name}", chassis.name()));
         }
         chassis.link_down(peer);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fmt::Write as _;
+
+    use super::*;
+    use ctos_config::load_texts;
+    use ctos_core::{
+        context::Context, envelope::Message, handled::Handled, handler::EventHandler, phase::Phase,
+    };
+
+    /// Pings another task so often; without a number it does nothing.
+    struct Pings(Option<u32>);
+
+    impl EventHandler for Pings {
+        async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+            cx.default_processing(message)
+        }
+
+        async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+            let cx = cx.clone();
+            if let (Phase::Run, Some(pings)) = (phase, self.0) {
+                cx.clone().spawn(async move {
+                    // Everybody has passed the phases, and rests.
+                    cx.sleep(Duration::from_millis(1)).await;
+                    let far = cx.task("far").await.unwrap();
+                    for _ in 0..pings {
+                        cx.call(&far, system::Ping {}).await.unwrap();
+                    }
+                    cx.finish(system::AppResult {
+                        ok: true,
+                        text: String::new(),
+                        json: "{}".to_owned(),
+                    });
+                });
+            }
+            Ok(())
+        }
+    }
+
+    /// How often the simulation looks at a processor of an app in which two chassis exchange messages while
+    /// `others` have nothing to do.
+    fn visits(others: usize, pings: u32) -> u64 {
+        let mut text = String::from(
+            "[app]\nuntil = \"near\"\n[chassis.a]\n[chassis.b]\n\
+             [task.near]\nhandler = \"pings\"\non = \"a\"\n\
+             [task.far]\nhandler = \"idle\"\non = \"b\"\n",
+        );
+        for other in 0..others {
+            writeln!(
+                text,
+                "[chassis.c{other}]\n[task.t{other}]\nhandler = \"idle\"\non = \"c{other}\""
+            )
+            .unwrap();
+        }
+        let app = load_texts(&[("awake.toml", &text)], &[], &[]).unwrap();
+        let mut registry = Registry::new();
+        registry.handler("pings", &[], move |_| Ok(Pings(Some(pings))));
+        registry.handler("idle", &[], |_| Ok(Pings(None)));
+        let silent: Observer = Arc::new(|_| ());
+        let setup = Setup::default();
+        let simulation = Simulation::new(Arc::new(app), Arc::new(registry), setup, &silent);
+        let mut simulation = simulation.unwrap();
+        simulation.tell_boot(system::AllLinked {});
+        while lock(&simulation.end).is_none() {
+            assert!(simulation.step(None));
+        }
+        let end = lock(&simulation.end).take();
+        assert!(matches!(end, Some(End::Finished(_))), "{end:?}");
+        simulation.awake.visits
+    }
+
+    #[test]
+    fn a_message_costs_as_much_among_many_chassis_as_among_few() {
+        let [few, many] = [2, 40].map(|others| visits(others, 300) - visits(others, 0));
+        assert!(
+            many < few * 5 / 4,
+            "{many} looks among many, {few} among few"
+        );
     }
 }

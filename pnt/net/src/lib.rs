@@ -79,10 +79,7 @@ fn names() -> FunctionNames {
 
 /// The daemon of an app that has one.
 fn only_daemon(app: &App) -> Option<String> {
-    let mut daemons = app
-        .tasks
-        .iter()
-        .filter(|task| task.handler == daemon::HANDLER);
+    let mut daemons = app.tasks_with(daemon::HANDLER);
     let only = daemons.next()?;
     daemons.next().is_none().then(|| only.name.clone())
 }

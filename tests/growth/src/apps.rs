@@ -38,6 +38,9 @@ const ON_ONE: u64 = 50_000;
 /// Long enough for everything.
 const HOUR: Duration = Duration::from_secs(3600);
 
+/// Between two calls that shall not be at the same moment.
+const PAUSE: Duration = Duration::from_millis(1);
+
 /// The app ends so long after its last task is done.
 const AFTER: Duration = Duration::from_millis(500);
 
@@ -90,6 +93,8 @@ enum Work {
     CallAtOnce,
     /// Calls a task, one call after the other.
     Call,
+    /// The same, one call each millisecond.
+    CallInTime,
 }
 
 #[derive(Deserialize)]
@@ -125,10 +130,13 @@ impl EventHandler for Last {
                         answer?;
                     }
                 }
-                Work::Call => {
+                work @ (Work::Call | Work::CallInTime) => {
                     let to = cx.task("t0").await?;
                     for number in 0..size {
                         cx.call(&to, Ask { number }).await?;
+                        if let Work::CallInTime = work {
+                            cx.sleep(PAUSE).await;
+                        }
                     }
                 }
             }
@@ -341,13 +349,13 @@ struct Recorded {
 }
 
 impl Recorded {
-    fn new(size: u64) -> Result<Self, Failed> {
+    fn new(size: u64, work: &str) -> Result<Self, Failed> {
         let folder = tempfile::tempdir()?;
         let sets = [
             format!("record.file={:?}", folder.path().join("run.mcap")),
             "record.max_mb=1000000".to_owned(),
         ];
-        let app = pair(size, "call", &sets)?;
+        let app = pair(size, work, &sets)?;
         let (Cost { seconds, .. }, _) = cost(|| simulated(app))?;
         let bytes = std::fs::metadata(folder.path().join("run.mcap"))?.len();
         let cost = Cost {
@@ -364,33 +372,43 @@ impl Recorded {
 
 /// Writing it; the memory is that of the disk.
 pub fn record(size: u64) -> Result<Cost, Failed> {
-    Ok(Recorded::new(size)?.cost)
+    Ok(Recorded::new(size, "call")?.cost)
+}
+
+/// Reading all of it, as lines for people.
+pub fn record_read(size: u64) -> Result<Cost, Failed> {
+    let recorded = Recorded::new(size, "call")?;
+    Ok(cost(|| read(&recorded.file(), &Filter::default()))?.0)
 }
 
 /// Counting its lines.
 pub fn record_info(size: u64) -> Result<Cost, Failed> {
-    let recorded = Recorded::new(size)?;
+    let recorded = Recorded::new(size, "call")?;
     Ok(cost(|| read(&recorded.file(), &nothing()))?.0)
 }
 
-/// Finding its end, without what is before.
+/// Its last ten calls, without what is before.
 pub fn record_seek(size: u64) -> Result<Cost, Failed> {
-    let recorded = Recorded::new(size)?;
-    let end = Filter {
-        from: Some(Instant::from_nanos(u64::MAX)),
+    let recorded = Recorded::new(size, "call-in-time")?;
+    let last = Filter {
+        from: Some(Instant::START + PAUSE * u32::try_from(size.saturating_sub(10))?),
+        topics: vec!["/message/t0".to_owned()],
         ..Filter::default()
     };
-    let (Cost { seconds, .. }, _) = cost(|| read(&recorded.file(), &end))?;
+    let (Cost { seconds, .. }, found) = cost(|| read(&recorded.file(), &last))?;
+    if found == 0 {
+        return Err("nothing was found".into());
+    }
     Ok(Cost {
         seconds,
         bytes: None,
     })
 }
 
-/// What takes no line.
+/// What takes no line, as where lines are only counted.
 fn nothing() -> Filter {
     Filter {
-        to: Some(Instant::from_nanos(0)),
+        topics: vec![String::new()],
         ..Filter::default()
     }
 }

@@ -103,8 +103,15 @@ pub const AREAS: &[Area] = &[
         measure: apps::record,
     },
     Area {
-        name: "record-info",
+        name: "record-read",
         what: "reading a record of messages",
+        whole: true,
+        sizes: (1_000, 1_000_000),
+        measure: apps::record_read,
+    },
+    Area {
+        name: "record-info",
+        what: "counting a record of messages",
         whole: true,
         sizes: (1_000, 3_000_000),
         measure: apps::record_info,

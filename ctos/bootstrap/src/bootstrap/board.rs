@@ -247,7 +247,8 @@ impl Board {
     // -- all chassis --------------------------------------------------------------------------
 
     fn member(&self, index: u8) -> Option<&Rc<Member>> {
-        self.members.iter().find(|member| member.index == index)
+        // They are numbered from 1.
+        self.members.get(usize::from(index).checked_sub(1)?)
     }
 
     /// All tasks, in the order in which they were created.
@@ -332,8 +333,8 @@ impl Board {
 
     /// The chassis called `name` is not connected any more.
     pub(super) fn lost(&self, name: &str) {
-        let mut members = self.members.iter();
-        if let Some(member) = members.find(|one| one.report.borrow().name == name) {
+        let index = self.cx.chassis().number_of(name);
+        if let Some(member) = index.and_then(|index| self.member(index)) {
             member.tell(Event::Lost);
         }
     }

@@ -5,7 +5,6 @@ use futures_util::future::{Either, select};
 
 use crate::bootstrap::{BootEvent, board::Board};
 use ctos_core::{
-    chassis::BOOT_CHASSIS,
     context::TaskRef,
     phase::StopReason,
     system::{self, Exit, StopTask},
@@ -70,9 +69,7 @@ impl Board {
     }
 
     pub(super) fn stops_first(&self, task: &TaskRef) -> bool {
-        let chassis = self.cx.chassis().name_of(self.place_of(task));
-        debug_assert_ne!(chassis, BOOT_CHASSIS);
-        let mut configured = self.cx.app().chassis.iter();
-        configured.any(|config| config.name == chassis && config.stop_first)
+        let config = self.cx.chassis().config_of(self.place_of(task));
+        config.is_some_and(|config| config.stop_first)
     }
 }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Names, TidServer, broadcast};
+use super::{Names, TidServer, broadcast, lines::Lines};
 use crate::{
     context::Context,
     envelope::Replier,
@@ -22,7 +22,7 @@ pub(super) struct Presence {
     up: bool,
     stopping: bool,
     /// Tasks that wait for others to be back.
-    waiting: Vec<(FindTid, Replier<FindTid>)>,
+    waiting: Lines<(FindTid, Replier<FindTid>)>,
 }
 
 impl Presence {
@@ -54,9 +54,9 @@ impl Names {
         }
         match found {
             Err(Missing::Away { .. }) if request.waits => {
+                let name = request.name.clone();
                 let waiting = &mut self.presence.waiting;
-                waiting.retain(|(_, reply)| !reply.is_abandoned());
-                waiting.push((request, reply));
+                waiting.push(name, (request, reply), |(_, reply)| reply.is_abandoned());
                 Ok(())
             }
             found => reply.ok(found),
@@ -65,7 +65,18 @@ impl Names {
 
     /// Answers those who wait for what is known now.
     pub(super) fn answer_waiting(&mut self, cx: &Context) {
-        for (request, reply) in std::mem::take(&mut self.presence.waiting) {
+        let waiting = self.presence.waiting.take_all();
+        self.answer(cx, waiting);
+    }
+
+    /// Answers those who wait for `name`, if anything is known now.
+    pub(super) fn answer_waiting_for(&mut self, cx: &Context, name: &str) {
+        let waiting = self.presence.waiting.take(name);
+        self.answer(cx, waiting);
+    }
+
+    fn answer(&mut self, cx: &Context, waiting: Vec<(FindTid, Replier<FindTid>)>) {
+        for (request, reply) in waiting {
             // A reply cannot fail.
             let _ = self.asked(cx, request, reply);
         }
@@ -73,10 +84,8 @@ impl Names {
 
     /// The task with this id.
     pub(super) fn name_of(&self, tid: Tid) -> Option<String> {
-        let mut names = self.names.iter();
-        names
-            .find(|(_, own)| **own == tid)
-            .map(|(name, _)| name.clone())
+        let name = self.used.get(&tid)?;
+        (self.names.get(name) == Some(&tid)).then(|| name.clone())
     }
 
     fn find(&self, cx: &Context, from: Tid, request: &FindTid) -> Result<Tid, Missing> {
@@ -88,9 +97,7 @@ impl Names {
             return found.ok_or_else(unknown);
         };
         let here = cx.chassis();
-        let numbered = here
-            .others()
-            .find(|index| here.name_of(*index) == config.chassis);
+        let numbered = here.number_of(&config.chassis);
         let home = self.homes.get(name).map(|place| place.chassis);
         let Some(index) = found.map(Tid::chassis).or(home).or(numbered) else {
             return found.ok_or_else(unknown);
@@ -123,10 +130,10 @@ impl Names {
 
 /// Has the chassis of a task started for `by`, if it starts on demand.
 pub(super) fn want(cx: &Context, name: &str, by: Option<String>) {
-    let home = cx.app().task(name).map(|task| task.chassis.as_str());
     let here = cx.chassis();
-    let mut sleepers = here.others().filter(|index| here.starts_on_demand(*index));
-    if let Some(chassis) = sleepers.find(|index| Some(here.name_of(*index)) == home) {
+    let task = cx.app().task(name);
+    let home = task.and_then(|task| here.number_of(&task.chassis));
+    if let Some(chassis) = home.filter(|index| here.starts_on_demand(*index)) {
         let wanted = ChassisWanted {
             chassis,
             task: name.to_owned(),

@@ -5,13 +5,18 @@ use std::collections::BTreeSet;
 use super::{Names, Waiter};
 use crate::{envelope::Replier, handled::Handled, system::AwaitTid};
 
+impl Waiter {
+    fn has_given_up(&self) -> bool {
+        self.reply.is_abandoned()
+    }
+}
+
 impl Names {
     pub(super) fn wait(&mut self, request: AwaitTid, reply: Replier<AwaitTid>) -> Handled {
         let AwaitTid { name, waiter } = request;
         if let Some(tid) = self.seen_from(reply.asker().chassis(), &name) {
             return reply.ok(Ok(tid));
         }
-        self.forget_waiters();
         if let Some(circle) = self.circle(&waiter, &name) {
             return reply.ok(Err(circle));
         }
@@ -19,16 +24,8 @@ impl Names {
             name: waiter,
             reply,
         };
-        self.waiting.entry(name).or_default().push(waiter);
+        self.waiting.push(name, waiter, Waiter::has_given_up);
         Ok(())
-    }
-
-    /// Drops those who gave up.
-    pub(super) fn forget_waiters(&mut self) {
-        for waiters in self.waiting.values_mut() {
-            waiters.retain(|waiter| !waiter.reply.is_abandoned());
-        }
-        self.waiting.retain(|_, waiters| !waiters.is_empty());
     }
 
     /// The task that would start the task `name`: children are named after their parent.
@@ -58,31 +55,34 @@ impl Names {
             if !seen.insert(starter.to_owned()) {
                 continue;
             }
-            for (next, waiters) in &self.waiting {
-                if waiters.iter().any(|other| other.name == starter) {
-                    let way = format!("{so_far}, but `{starter}` waits for `{next}`");
-                    ways.push((next.clone(), way));
-                }
+            for next in self.awaited_by(starter) {
+                let way = format!("{so_far}, but `{starter}` waits for `{next}`");
+                ways.push((next.to_owned(), way));
             }
         }
         None
     }
 
+    /// The names that the task `waiter` waits for, each once.
+    fn awaited_by(&self, waiter: &str) -> BTreeSet<&str> {
+        let all = self.waiting.iter();
+        let own = all.filter(|(_, one)| one.name == waiter && !one.has_given_up());
+        own.map(|(wanted, _)| wanted).collect()
+    }
+
     pub(super) fn who_waits(&mut self, name: &str) -> String {
-        self.forget_waiters();
+        self.waiting.forget(Waiter::has_given_up);
         let mut text = match (self.past.get(name), self.starter(name)) {
             (Some(_), _) => "it was there and has ended".to_owned(),
             (None, Some(starter)) => format!("`{starter}`, which would start it, has not"),
             (None, None) => "nobody ever had this name".to_owned(),
         };
         if let Some(starter) = self.starter(name) {
-            for (wanted, waiters) in &self.waiting {
-                if waiters.iter().any(|waiter| waiter.name == starter) {
-                    text.push_str(&format!("; `{starter}` waits for `{wanted}`"));
-                }
+            for wanted in self.awaited_by(starter) {
+                text.push_str(&format!("; `{starter}` waits for `{wanted}`"));
             }
         }
-        let others = self.waiting.get(name).into_iter().flatten();
+        let others = self.waiting.of(name);
         let others: Vec<String> = others.map(|waiter| format!("`{}`", waiter.name)).collect();
         if !others.is_empty() {
             text.push_str(&format!("; {} waits for it too", others.join(", ")));

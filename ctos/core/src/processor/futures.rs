@@ -1,7 +1,6 @@
 //! The futures of a processor, and how they are woken.
 
 use std::{
-    collections::VecDeque,
     future::Future,
     pin::Pin,
     rc::Rc,
@@ -15,6 +14,7 @@ use std::{
 use super::{
     core::Processor,
     handle::{Item, ProcessorHandle},
+    ready::Ready,
     wake::FutureId,
 };
 
@@ -79,7 +79,7 @@ pub(super) struct Entry {
 pub(super) struct Futures {
     pub(super) entries: Vec<Entry>,
     pub(super) free: Vec<u32>,
-    pub(super) ready: VecDeque<FutureId>,
+    pub(super) ready: Ready<FutureId>,
 }
 
 impl Futures {

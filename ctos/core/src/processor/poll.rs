@@ -54,7 +54,7 @@ impl Processor {
             on_panic,
         }));
         entry.shared = Some(shared);
-        futures.ready.push_back(id);
+        futures.ready.push(id);
         id
     }
 
@@ -72,7 +72,7 @@ impl Processor {
             && !entry.ready
         {
             entry.ready = true;
-            futures.ready.push_back(id);
+            futures.ready.push(id);
         }
     }
 
@@ -191,7 +191,7 @@ impl Processor {
 
     fn take_ready(&self, index: usize) -> Option<FutureId> {
         let mut futures = self.futures.borrow_mut();
-        let id = futures.ready.remove(index)?;
+        let id = futures.ready.take(index)?;
         if let Some(entry) = futures.entry(id) {
             entry.ready = false;
         }

@@ -1,13 +1,20 @@
 //! The thread of a processor: what it does first, what next, and when it sleeps.
 
-use std::{rc::Rc, sync::atomic::Ordering, time::Duration};
+use std::{
+    rc::Rc,
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 
 use super::{
     core::{HERE, Processor},
     handle::Item,
 };
 use crate::contain::drop_contained;
-use ctos_time::{Instant, park::Glance};
+use ctos_time::{
+    Instant,
+    park::{Glance, Park},
+};
 
 /// How often a processor yields before it sleeps: nobody else may be ready yet.
 const YIELDS: u32 = 2;
@@ -110,8 +117,13 @@ impl Processor {
         }
     }
 
-    /// Announces that it sleeps now, if there is nothing to do.
-    fn falls_asleep(&self) -> bool {
+    /// Where it sleeps, of one that has no thread: a simulation polls it. The first call counts.
+    pub fn sleep_at(&self, place: Arc<dyn Park>) {
+        self.handle.parker.set(place);
+    }
+
+    /// Announces that it sleeps now, if there is nothing to do. Who brings something then wakes it.
+    pub fn falls_asleep(&self) -> bool {
         let handle = &self.handle;
         let has_work = || !self.inbox.is_empty() || handle.stop.load(Ordering::Acquire);
         handle.asleep.fall(has_work)

@@ -58,9 +58,7 @@ pub fn run_chassis(
 ) -> Result<i32, ChildError> {
     let app = Arc::new(app);
     let index = app
-        .chassis
-        .iter()
-        .position(|chassis| chassis.name == name)
+        .place_of_chassis(name)
         .and_then(|position| u8::try_from(position + 1).ok())
         .ok_or_else(|| ChildError::Unknown(name.to_owned()))?;
     let token = Token(std::env::var(crate::boot::launcher::TOKEN_VARIABLE).unwrap_or_default());

@@ -16,7 +16,7 @@ pub(crate) use call::unable;
 pub(crate) use peer::EXIT_GIVEN_UP;
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     io,
     path::Path,
     sync::{Arc, Mutex},
@@ -119,6 +119,9 @@ struct Roll {
     round: u32,
     /// Elsewhere: the members of that round, until they are all connected.
     awaited: Option<Vec<Member>>,
+    /// At the boot: who of the last announcement is still there, with the incarnation, and who is connected to all.
+    announced: BTreeMap<u8, u32>,
+    ready: BTreeSet<u8>,
 }
 
 /// What the tasks of a mesh share.

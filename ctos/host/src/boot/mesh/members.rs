@@ -1,6 +1,6 @@
 //! Who belongs to the app: the boot tells all of all, and hears when they are connected.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use super::{Inner, MeshEvent, Notice, Peer, calls};
 use ctos_link::{
@@ -19,7 +19,8 @@ impl Inner {
         }
     }
 
-    /// At the boot: when everybody who is expected has called, all are told of all.
+    /// At the boot: when everybody who is expected has called, all are told of all. One who leaves is no news, unless
+    /// somebody may wait to be connected to it: an app that ends would else tell all of all each time that one goes.
     fn announce(&self) {
         let (notice, sessions) = {
             let mut state = lock(&self.state);
@@ -36,11 +37,27 @@ impl Inner {
             if !peers.all(|peer| is_up(peer) && peer.member.is_some()) {
                 return;
             }
-            state.round += 1;
-            let round = state.round;
             let up = || state.peers.values().filter(|peer| is_up(peer));
+            let there = up().filter_map(|peer| peer.member.as_ref());
+            let there = there.map(|member| (member.chassis, member.incarnation));
+            let there: BTreeMap<u8, u32> = there.collect();
+            let before = &state.announced;
+            let has_come = there
+                .iter()
+                .any(|(one, life)| before.get(one) != Some(life));
+            let has_left = before.keys().any(|one| !there.contains_key(one));
+            let waits = there.keys().any(|one| !state.ready.contains(one));
+            let is_news = has_come || (has_left && waits);
+            if !is_news {
+                state.announced = there;
+                return;
+            }
+            let round = state.round + 1;
             let members = up().filter_map(|peer| peer.member.clone()).collect();
             let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
+            state.round = round;
+            state.announced = there;
+            state.ready.clear();
             (Notice::Members { round, members }, sessions)
         };
         for session in sessions {
@@ -102,11 +119,13 @@ impl Inner {
             }
             Notice::Ready { round } if self.chassis.index() == 0 => {
                 let incarnation = {
-                    let state = lock(&self.state);
-                    match state.peers.get(&chassis) {
-                        Some(peer) if round == state.round => peer.incarnation,
-                        _ => return,
-                    }
+                    let mut state = lock(&self.state);
+                    let known = state.peers.get(&chassis).map(|peer| peer.incarnation);
+                    let Some(incarnation) = known.filter(|_| round == state.round) else {
+                        return;
+                    };
+                    state.ready.insert(chassis);
+                    incarnation
                 };
                 self.send(MeshEvent::Joined {
                     chassis,

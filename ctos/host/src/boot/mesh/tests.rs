@@ -162,6 +162,23 @@ fn all_are_connected_to_all_by_every_kind_of_link() {
 }
 
 #[test]
+fn all_are_told_of_all_once_and_nobody_that_another_has_left_in_the_end() {
+    run(async {
+        let (mut boot, mut others) = app(3, &["same_host=unix"]).await;
+        let told = |boot: &Node| lock(&boot.mesh.inner.state).round;
+        assert_eq!(told(&boot), 1);
+        while let Some(mut last) = others.pop() {
+            last.mesh.close().await;
+            boot.went_down(last.chassis.index()).await;
+            // What that leads to has happened when somebody else has been heard.
+            tokio::task::yield_now().await;
+            boot.mesh.inner.changed();
+            assert_eq!(told(&boot), 1);
+        }
+    });
+}
+
+#[test]
 fn strangers_delay_nobody_and_are_counted() {
     run(async {
         let mut boot = Node::boot(1, &["same_host=tcp"]).await;
