@@ -102,6 +102,28 @@ fn two_clocks_that_differ_and_drift_cost_no_accuracy() {
 }
 
 #[test]
+fn a_clock_that_is_set_while_the_ball_is_followed_is_noticed_and_costs_no_step() {
+    let ended = Rig::new("set", 12.0)
+        .clock_that_is_set()
+        // Just after the clocks were compared.
+        .act(4.05, Act::SetClock(300_000_000))
+        .act(8.05, Act::SetClock(0))
+        .run();
+    ended.must_move_smoothly();
+    // Until the clocks are compared again no moment of argus can be believed.
+    let wrong = ended.number("unplaced") + ended.number("late");
+    assert!(wrong >= 2.0, "{}", ended.result);
+    assert_eq!(ended.result["clock_restarts"], 2, "{}", ended.result);
+    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+    for at in [3.9, 5.0, 7.9, 9.0, 11.9] {
+        assert_eq!(ended.state(at), "track", "{:?}", ended.states);
+    }
+    assert!(ended.number("tracked") > 0.95, "{}", ended.result);
+    assert!(ended.number("rms_m") < 0.01, "{}", ended.result);
+    assert!(ended.number("last_error_m") < 0.005, "{}", ended.result);
+}
+
+#[test]
 fn a_vision_chassis_that_is_killed_comes_back_and_so_does_the_hand() {
     let ended = Rig::new("killed", 9.0)
         .set("task.ball.args.reach=[0.02, 0.05, 0.02]")
