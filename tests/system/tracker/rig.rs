@@ -62,7 +62,7 @@ pub struct Rig {
     sets: Vec<String>,
     more: String,
     cell: String,
-    swap: Option<[&'static str; 2]>,
+    swap: Option<[String; 2]>,
     acts: Vec<(f64, Act)>,
     faults: Vec<Fault>,
 }
@@ -168,8 +168,8 @@ impl Rig {
     }
 
     /// With another text in the place of one of the cell.
-    pub fn swap(mut self, text: &'static str, other: &'static str) -> Self {
-        self.swap = Some([text, other]);
+    pub fn swap(mut self, text: &str, other: &str) -> Self {
+        self.swap = Some([text, other].map(str::to_owned));
         self
     }
 
@@ -225,8 +225,8 @@ impl Rig {
         if let Some([text, other]) = self.swap {
             let file = configs.join("tracker-cell.toml");
             let cell = std::fs::read_to_string(&file).unwrap();
-            assert!(cell.contains(text));
-            std::fs::write(file, cell.replace(text, other)).unwrap();
+            assert!(cell.contains(&text));
+            std::fs::write(file, cell.replace(&text, &other)).unwrap();
         }
         let file = configs.join("tracker.toml");
         let text = std::fs::read_to_string(&file).unwrap();
