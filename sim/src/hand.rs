@@ -33,7 +33,7 @@ const SLOTS: usize = 2000;
 const UNDER: f64 = 20.0;
 
 ctos::command! {
-    /// A person leads the hand: its motion goes on so far from home, m in the world. It goes there with the hand's speed.
+    /// A person leads the hand: its motion goes on so much further from home, m in the world. It goes there with the hand's speed.
     #[derive(Debug, Clone, PartialEq)]
     pub struct LeadHand {
         /// Along x,
@@ -184,11 +184,11 @@ impl EventHandler for Hand {
             return cx.default_processing(message);
         }
         let (LeadHand { x, y, z }, reply) = message.open::<LeadHand>()?;
-        let led = Vector3::new(x, y, z);
+        let led = self.led.get() + Vector3::new(x, y, z);
         // A length that is no number is in no range.
         if !(0.0..=FURTHEST).contains(&led.norm()) {
             return reply.fail(format!(
-                "a hand is led by {FURTHEST} m at most, not to {x}, {y}, {z}"
+                "a hand is led {FURTHEST} m at most from where it goes by itself, not by {x}, {y}, {z} more"
             ));
         }
         self.led.set(led);

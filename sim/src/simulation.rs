@@ -174,11 +174,6 @@ impl Simulation {
         self.world.link(mount).translation.vector.into()
     }
 
-    /// A person pushes an arm at its tip from now on, N in the world, for so long, s.
-    pub fn push(&mut self, arm: usize, force: Vector3<f64>, seconds: f64) {
-        self.world.push(arm, force, seconds);
-    }
-
     /// From now on a laser does that. False when there is no such laser in the room.
     pub fn order_laser(&mut self, name: &str, order: LaserOrder) -> bool {
         let mut lasers = self.lasers.iter_mut();

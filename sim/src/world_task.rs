@@ -17,7 +17,7 @@ use vss::command::{NamedCamera, OrderLaser, TrueCameras};
 use crate::{
     camera::truth::CameraTruth,
     cell::{Cell, Mount},
-    hold::Hold,
+    hold::{Grip, Hold},
     port::Port,
     scene::{CameraFault, SceneState},
     scenes::SceneWriter,
@@ -99,7 +99,7 @@ ctos::command! {
 }
 
 ctos::command! {
-    /// A person pushes an arm at its tip, with this force, N in the world, for so long, s; then the person lets go.
+    /// A person takes hold of an arm at its tip, pushes with this force, N in the world, for so long, s, and lets go.
     #[derive(Debug, Clone, PartialEq)]
     pub struct PushArm {
         /// Along x,
@@ -251,16 +251,30 @@ impl WorldTask {
                     arm,
                     Hold {
                         frame,
-                        hand: Point3::from(hand.at),
-                        stiffness: hand.stiffness,
-                        damping: hand.damping,
-                        most: hand.most_n,
+                        grip: Grip::Spring {
+                            hand: Point3::from(hand.at),
+                            stiffness: hand.stiffness,
+                            damping: hand.damping,
+                            most: hand.most_n,
+                        },
                     },
                 );
             }
             None => simulation.let_go(arm),
         }
         Ok(at.coords.into())
+    }
+
+    /// Has a hand push the only arm at its tip, N, for so long, s.
+    fn push(&self, force: Vector3<f64>, seconds: f64) -> Result<(), String> {
+        let arm = self.cell.arm(None).map_err(|finding| finding.message)?;
+        let spec = self.cell.arms.get(arm).ok_or("the cell has no arm")?;
+        let hold = Hold {
+            frame: spec.model.tip(),
+            grip: Grip::Push { force, seconds },
+        };
+        self.simulation.borrow_mut().hold(arm, hold);
+        Ok(())
     }
 
     /// Where everything is.
@@ -371,12 +385,10 @@ impl EventHandler for WorldTask {
                     );
                     return reply.fail(text);
                 }
-                let arm = match self.cell.arm(None) {
-                    Ok(arm) => arm,
-                    Err(finding) => return reply.fail(finding.message),
-                };
-                self.simulation.borrow_mut().push(arm, force, seconds);
-                reply.ok(())
+                match self.push(force, seconds) {
+                    Ok(()) => reply.ok(()),
+                    Err(why) => reply.fail(why),
+                }
             }
             TrueCameras::CODE => {
                 let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;

@@ -7,6 +7,7 @@
 mod browser;
 mod command;
 mod data;
+mod handles;
 mod layers;
 mod looking;
 mod numbers;

@@ -146,6 +146,19 @@ pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Fin
                 .help("write a net of the app, or a display of this file");
             findings.push(page::at(task, "displays", finding));
         }
+        let takes = |name: &str, command: &str| {
+            let net = nets.iter().find(|net| net.name() == name);
+            net.is_some_and(|net| {
+                let commands = NetView::new(net).commands;
+                commands.iter().any(|one| one.symbol == command)
+            })
+        };
+        for unknown in overviews.unknown_commands(takes) {
+            let text = format!("{}: no net takes the command of {unknown}", source.name());
+            let finding = Finding::warning("pnt::display::unknown_command", text)
+                .help("write `NET/COMMAND`, a net of the app and a command of its tape");
+            findings.push(page::at(task, "displays", finding));
+        }
         for unknown in overviews.unknown(|net| drawings.get(net)) {
             let text = format!("{}: no net has the node of {unknown}", source.name());
             let finding = Finding::warning("pnt::display::unknown_node", text)

@@ -486,6 +486,7 @@ impl Hub {
             tasks: &known.names,
             displays: known.displays(),
             layouts: known.overviews.layouts(),
+            handles: known.overviews.handles(),
             scenes: known.scenes.len(),
             origin_ns: self.clock.as_ref().and_then(Clock::origin_ns),
         }

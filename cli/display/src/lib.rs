@@ -13,6 +13,7 @@ mod assets;
 pub mod draw;
 mod figure;
 mod handled;
+mod handles;
 mod hub;
 mod lines;
 mod looking;

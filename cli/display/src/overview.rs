@@ -7,7 +7,7 @@
 //! show = ["dispatcher/move_robot", "dispatcher/find_pos", "motion/*"]
 //! ```
 //!
-//! The same file holds [layouts](super::panes).
+//! The same file holds [layouts](super::panes) and [handles](super::handles).
 
 use std::{
     collections::BTreeMap,
@@ -22,6 +22,7 @@ use pnt::layout::Drawing;
 use serde::Deserialize;
 
 use super::{
+    handles::{self, Handle},
     panes::{Layout, Named},
     wire::{Overview, OverviewPart},
 };
@@ -44,6 +45,7 @@ const BETWEEN: f64 = 40.0;
 pub(crate) struct Overviews {
     displays: BTreeMap<String, Described>,
     layouts: BTreeMap<String, Layout>,
+    handles: BTreeMap<String, Handle>,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -73,6 +75,8 @@ struct File {
     _display: BTreeMap<String, serde::de::IgnoredAny>,
     #[serde(default, rename = "layout")]
     _layout: BTreeMap<String, serde::de::IgnoredAny>,
+    #[serde(default, rename = "handle")]
+    _handle: BTreeMap<String, serde::de::IgnoredAny>,
 }
 
 impl Overviews {
@@ -94,6 +98,11 @@ impl Overviews {
                 all.layouts.insert(entry.key.clone(), one);
             }
         }
+        for entry in tables("handle") {
+            if let Some(one) = findings.keep(entry.value.parse::<Handle>()) {
+                all.handles.insert(entry.key.clone(), one);
+            }
+        }
         all
     }
 
@@ -101,6 +110,21 @@ impl Overviews {
     pub(crate) fn layouts(&self) -> Vec<Named<'_>> {
         let all = self.layouts.iter();
         all.map(|(name, layout)| Named { name, layout }).collect()
+    }
+
+    /// The handles.
+    pub(crate) fn handles(&self) -> Vec<handles::Named<'_>> {
+        let all = self.handles.iter();
+        all.map(|(name, handle)| handles::Named { name, handle })
+            .collect()
+    }
+
+    /// The commands of handles that `takes` does not know, as `HANDLE: NET/COMMAND`.
+    pub(crate) fn unknown_commands(&self, takes: impl Fn(&str, &str) -> bool) -> Vec<String> {
+        let all = self.handles.iter();
+        let lost = all.filter(|(_, handle)| !takes(&handle.net, &handle.command));
+        lost.map(|(name, handle)| format!("{name}: {}/{}", handle.net, handle.command))
+            .collect()
     }
 
     /// What layouts name and `known` does not know as a net or a display, as `LAYOUT: NET`.

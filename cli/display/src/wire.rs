@@ -9,7 +9,10 @@ use scene::track::{SceneStep, Shown};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::panes::{Layout, Named};
+use super::{
+    handles,
+    panes::{Layout, Named},
+};
 
 /// What a page is told.
 #[derive(Debug, Clone, Serialize)]
@@ -26,6 +29,7 @@ pub(crate) enum Told<'t> {
         tasks: &'t [String],
         displays: Vec<Overview>,
         layouts: Vec<Named<'t>>,
+        handles: Vec<handles::Named<'t>>,
         /// How many tasks show something of the scene.
         scenes: usize,
         /// When the app began, ns since 1970; not known of a record.

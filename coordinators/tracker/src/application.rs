@@ -232,6 +232,8 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "unread": lost,
         "phase": format!("{:?}", report.phase),
         "stops": report.stops,
+        "held": report.counts.held,
+        "held_by": report.held_by,
         "stopped": report.stopped,
     });
     Ok(AppResult {

@@ -20,6 +20,10 @@ const AT_REST: f64 = 0.002;
 /// How fast force and mouse move a hand that has no target: parts of their displacement for each second.
 const FREELY: f64 = 2.0;
 
+/// The hand stays so far before the end of what the arm reaches, m, and finds that end by so many halvings of the way there.
+const SHORT: f64 = 0.02;
+const HALVINGS: u32 = 10;
+
 /// How the hand follows.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -142,10 +146,12 @@ pub struct Counts {
     pub late: u64,
     /// Those that were too far from the ball.
     pub far: u64,
-    /// How often the ball was lost,
+    /// How often a ball that was followed was lost: no measurement of it has come for so long. Each that expires was lost before.
     pub lost: u64,
-    /// and how often it has expired.
+    /// How often it has expired: the picture of its last measurement was exposed so long ago.
     pub expired: u64,
+    /// How often the hand was held back at the end of what the arm reaches.
+    pub held: u64,
 }
 
 /// The tracker of one hand.
@@ -167,6 +173,8 @@ pub struct Control {
     offset: Vector3<f64>,
     /// The hand is to stand, whatever is seen, felt or steered.
     stands: bool,
+    /// Where the hand would have gone, had the arm reached that.
+    beyond: Option<Point3<f64>>,
 }
 
 impl Control {
@@ -186,6 +194,7 @@ impl Control {
             seen: f64::NEG_INFINITY,
             offset: Vector3::zeros(),
             stands: false,
+            beyond: None,
             args,
         }
     }
@@ -222,6 +231,17 @@ impl Control {
     /// Goes on by a period, s, until `now`. `force` is what the hand is pushed with, N in the base frame, `mouse` how the mouse is
     /// deflected. Answers how large the change of the velocity was, as a part of what the limit allows.
     pub fn go(&mut self, now: f64, force: &Vector3<f64>, mouse: &Vector3<f64>, period: f64) -> f64 {
+        self.go_within(now, [force, mouse], period, |_| true)
+    }
+
+    /// The same with an arm that does not reach every place of the hand.
+    pub fn go_within(
+        &mut self,
+        now: f64,
+        [force, mouse]: [&Vector3<f64>; 2],
+        period: f64,
+        reaches: impl FnMut(&Point3<f64>) -> bool,
+    ) -> f64 {
         let offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
         self.offset += (offset - self.offset).cap_magnitude(self.args.steer_m_s * period);
         let ahead = now + self.args.lead_s;
@@ -250,6 +270,7 @@ impl Control {
             }
         };
         let (goal, moving) = self.within_reach(goal, moving);
+        let (goal, moving) = self.short_of_the_end(goal, moving, reaches);
         if expected.is_none() {
             self.hold = goal;
         }
@@ -268,7 +289,8 @@ impl Control {
             false if now - self.seen > self.args.overdue_s => Phase::Lost,
             false => Phase::Track,
         };
-        if phase == Phase::Lost && self.phase == Phase::Track {
+        // One that expires between two periods was lost before.
+        if phase != Phase::Track && self.phase == Phase::Track {
             self.counts.lost += 1;
         }
         if phase == Phase::Expired && self.phase != Phase::Expired {
@@ -291,6 +313,43 @@ impl Control {
         let outward = way / length;
         let along = moving - outward * moving.dot(&outward).max(0.0);
         (self.home + outward * self.args.reach_m, along)
+    }
+
+    /// The goal, or the last place on the way there from which the arm still reaches a little further.
+    fn short_of_the_end(
+        &mut self,
+        goal: Point3<f64>,
+        moving: Vector3<f64>,
+        mut reaches: impl FnMut(&Point3<f64>) -> bool,
+    ) -> (Point3<f64>, Vector3<f64>) {
+        // Where a hand comes to rest that moves on with the goal and then brakes.
+        let brakes = moving * (0.5 * moving.norm() / self.args.course.acceleration);
+        let from = self.course.place;
+        let way = goal + brakes - from;
+        let further = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros) * SHORT;
+        let end = from + way + further;
+        if reaches(&end) {
+            self.beyond = None;
+            return (goal, moving);
+        }
+        if self.beyond.replace(end).is_none() {
+            self.counts.held += 1;
+        }
+        let (mut good, mut part) = (0.0, 0.5);
+        for halving in 2..=HALVINGS + 1 {
+            if reaches(&(from + way * part + further)) {
+                good = part;
+            }
+            let step = 0.5_f64.powi(halving as i32);
+            part = good + step;
+        }
+        (from + way * good, Vector3::zeros())
+    }
+
+    /// A place that the hand would go to, and that the arm does not reach, if it is held back.
+    #[must_use]
+    pub fn beyond(&self) -> Option<Point3<f64>> {
+        self.beyond
     }
 
     /// Where the hand is sent, and how fast it goes.
@@ -402,6 +461,17 @@ mod tests {
     }
 
     #[test]
+    fn a_ball_that_expires_within_one_period_was_lost_before() {
+        let mut rig = Rig::new(ControlArgs::default());
+        rig.run(3.0, |t| Some(sweep(t)), NONE);
+        rig.tick += 200;
+        rig.run(0.1, |_| None, NONE);
+        assert_eq!(rig.control.phase(), Phase::Expired);
+        let counts = rig.control.counts();
+        assert_eq!((counts.lost, counts.expired), (1, 1));
+    }
+
+    #[test]
     fn a_push_moves_the_hand_from_the_ball_and_a_spring_brings_it_back() {
         let mut rig = Rig::new(ControlArgs::default());
         let still = |_| Some(Point3::new(0.1, 0.0, 0.0));
@@ -451,6 +521,34 @@ mod tests {
         let place = rig.control.course().place;
         assert!((place.coords.norm() - 0.3).abs() < 0.005, "{place}");
         assert!(rig.worst <= 1.0 + 1e-9);
+    }
+
+    #[test]
+    fn a_ball_beyond_what_the_arm_reaches_holds_the_hand_before_that_without_a_step_and_leads_it_back()
+     {
+        let mut control = Control::new(ControlArgs::default(), Point3::origin());
+        let ball = |t: f64| Point3::new(0.25 * (1.5 * t).sin(), 0.0, 0.0);
+        let (mut worst, mut furthest, mut last): (f64, f64, f64) = (0.0, 0.0, 0.0);
+        for tick in 1..3000_u32 {
+            let now = f64::from(tick) * PERIOD;
+            let seen = now - 0.04;
+            if tick.is_multiple_of(9) {
+                control.measure(now, seen, &ball(seen));
+            }
+            let end = |place: &Point3<f64>| place.x < 0.15;
+            worst = worst.max(control.go_within(now, [&NONE, &NONE], PERIOD, end));
+            furthest = furthest.max(control.course().place.x);
+            assert_eq!(
+                control.beyond().is_some(),
+                control.beyond().is_some_and(|place| place.x >= 0.15)
+            );
+            if ball(now).x < 0.1 {
+                last = (control.course().place - ball(now + 0.0135)).norm();
+            }
+        }
+        assert!((0.12..0.15).contains(&furthest), "{furthest}");
+        assert!(worst <= 1.0 + 1e-9 && last < 0.01, "{worst} {last}");
+        assert!(control.counts().held >= 3, "{:?}", control.counts());
     }
 
     #[test]

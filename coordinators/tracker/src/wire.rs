@@ -198,6 +198,8 @@ pub struct TrackerReport {
     pub stopped: Option<String>,
     /// How often it was stopped.
     pub stops: u64,
+    /// What held the hand back last where the arm reaches no further, if something did.
+    pub held_by: Option<String>,
     /// What has happened.
     pub counts: Counts,
     /// Places that nobody knows the hand's pose for: before the clocks were compared, or too old.

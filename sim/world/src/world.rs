@@ -150,8 +150,6 @@ pub struct World {
     still: Vec<Still>,
     /// Each piece of furniture in the engine, and with what it was pressed since the last period began, N s.
     furniture: Vec<ColliderHandle>,
-    /// With what a person pushes the tip of each arm, N, and for how long still, s.
-    pushes: Vec<(Vector3<f64>, f64)>,
     pieces: Vec<Vector3<f64>>,
     sensing: Vec<Sensing>,
     /// The hand that holds each arm.
@@ -197,7 +195,6 @@ impl World {
             holds: vec![None; cell.arms.len()],
             still: Still::all(&cell.room),
             furniture: Vec::new(),
-            pushes: vec![(Vector3::zeros(), 0.0); cell.arms.len()],
             pieces: vec![Vector3::zeros(); cell.room.len()],
             sensing: vec![
                 Sensing {
@@ -505,7 +502,13 @@ impl World {
     /// What the hands that hold links do to them in a step.
     fn pull(&mut self, h: f64) -> Vec<Blow> {
         let mut blows = Vec::new();
-        for (index, hold) in self.holds.iter().enumerate() {
+        for index in 0..self.holds.len() {
+            let hold = self.holds.get(index).copied().flatten();
+            if hold.is_some_and(|hold| hold.is_over()) {
+                self.hold(index, None);
+            }
+        }
+        for (index, hold) in self.holds.iter_mut().enumerate() {
             let Some(hold) = hold else { continue };
             let mount = Mount {
                 arm: index,
@@ -524,6 +527,7 @@ impl World {
             let mut pulled = vec![0.0; arm.model().dof()];
             arm.at_joints(hold.frame, &at, [force, Vector3::zeros()], &mut pulled);
             arm.pull(pulled);
+            hold.pass(h);
             let impulse = [force * h, Vector3::zeros()];
             blows.push(Blow { mount, at, impulse });
         }

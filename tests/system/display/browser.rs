@@ -234,11 +234,23 @@ impl Browser {
     /// Drags what is at the middle of an element by so many px, with a mouse.
     #[track_caller]
     pub fn drag(&mut self, selector: &str, (dx, dy): (f64, f64)) {
+        let at = self.pull(selector, (dx, dy));
+        self.let_go(at);
+    }
+
+    /// Takes hold of the middle of an element and draws it by so many px, with a mouse that stays pressed; where it is then.
+    #[track_caller]
+    pub fn pull(&mut self, selector: &str, (dx, dy): (f64, f64)) -> (f64, f64) {
         let (x, y) = self.middle(selector);
         self.mouse("mousePressed", 1, (x, y));
         self.mouse("mouseMoved", 1, (x + dx / 2.0, y + dy / 2.0));
         self.mouse("mouseMoved", 1, (x + dx, y + dy));
-        self.mouse("mouseReleased", 0, (x + dx, y + dy));
+        (x + dx, y + dy)
+    }
+
+    /// Lets go of what the mouse holds there.
+    pub fn let_go(&mut self, at: (f64, f64)) {
+        self.mouse("mouseReleased", 0, at);
     }
 
     /// Clicks at a point of an element, px from its upper left corner, with a mouse.

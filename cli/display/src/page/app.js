@@ -60,6 +60,8 @@ class App extends Attention {
     /** What is typed for the tape of each net, and what became of what was put there: `{ net, line, told }`. */
     this.typed = new Map();
     this.commands = new Map();
+    /** Who waits for the answer to a command that a handle has put, by its number. */
+    this.calls = new Map();
     /** What the address asks for, until it is there or a person does something: nets come one by one. */
     this.wish = new URLSearchParams(location.hash.slice(1));
     this.touched = false;
@@ -127,6 +129,7 @@ class App extends Attention {
     this.control = message.control;
     this.displays = message.displays;
     this.panes.layouts = message.layouts;
+    this.overview.handles.show(message.handles);
     this.nets.clear();
     this.forks.clear();
     $("fork").setAttribute("aria-pressed", "false");
@@ -467,9 +470,21 @@ class App extends Attention {
     this.changed();
   }
 
+  /** Puts a command on the tape of a net for a handle, which is told the answer, and whether that is the good one. */
+  put(name, words, told) {
+    const net = this.nets.get(name);
+    if (!net || !this.order("command", net, { words })) return false;
+    const [good] = net.view.commands.find((one) => one.symbol === words[0])?.answers ?? [];
+    this.calls.set(this.asked, (ok, text) => told(text, ok && text.split(":")[0] === good));
+    return true;
+  }
+
   answered({ id, ok, text }) {
     const command = this.commands.get(id);
-    if (command) [command.told, command.ok] = [text, ok];
+    const call = this.calls.get(id);
+    this.calls.delete(id);
+    if (call) call(ok, text);
+    else if (command) [command.told, command.ok] = [text, ok];
     else if (!ok) this.say(text);
     this.changed();
   }
@@ -682,6 +697,8 @@ class App extends Attention {
     socket.onclose = (event) => {
       if (this.mode !== "ended") this.lost = true;
       for (const command of this.commands.values()) command.told ??= "nobody knows here: the connection was lost";
+      for (const call of this.calls.values()) call(false, "nobody knows what became of it: the connection was lost");
+      this.calls.clear();
       if (event.reason) this.say(event.reason);
       setTimeout(() => this.connect(), RETRY);
     };

@@ -1,6 +1,7 @@
 // The overview of the app: the scene, the pictures of cameras, and all of it in words.
 
 import { Pictures, SceneTrack, jobOf, measure } from "./cell.js";
+import { Handles } from "./handles.js";
 import { seconds } from "./model.js";
 import { make } from "./panels.js";
 import { numberKey } from "./plots.js";
@@ -65,6 +66,7 @@ export class Overview {
     this.missing.textContent = this.view.works ? "Nothing of the scene is known at this moment." : "This browser has no WebGL2, so the scene is not drawn. The table has all that is known of it.";
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.theme = null; this.view.stale = true; });
     new ResizeObserver(() => { this.view.stale = true; }).observe(this.stage);
+    this.handles = new Handles(this, app);
     this.listen();
   }
 
@@ -176,7 +178,7 @@ export class Overview {
   }
 
   parts() {
-    const all = partsAt(this.order(), this.moment(), this.truth, this.chosen);
+    const all = partsAt(this.order(), this.moment(), this.truth, this.chosen, this.handles.parts);
     this.showLayers(all);
     return all.filter((one) => this.wanted(one));
   }
@@ -189,6 +191,7 @@ export class Overview {
 
   /** Draws what has changed, as often as the page is drawn. */
   tick(now) {
+    this.handles.tick(now);
     const moment = this.moment();
     if (moment !== this.at) [this.at, this.due] = [moment, true];
     const [gap, painted] = [now - (this.ticked ?? now), this.painted];
@@ -209,6 +212,7 @@ export class Overview {
     this.paint(parts);
     this.name(parts);
     this.far(parts);
+    this.handles.place(parts);
     if (now - (this.told ?? 0) > TABLE_EVERY) {
       this.told = now;
       const words = this.words(parts);

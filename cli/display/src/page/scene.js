@@ -209,12 +209,17 @@ export class SceneView {
   /** Moves what is looked at, px. */
   shift(dx, dy) {
     [this.from, this.followed] = [null, null];
+    this.camera.target = minus(this.camera.target, this.along(this.camera.target, dx, dy));
+    this.stale = true;
+  }
+
+  /** How far a point of the scene goes that is moved by so many px in the plane of the view, m. */
+  along(at, dx, dy) {
     const back = unit3(minus(this.eye(), this.camera.target));
     const right = unit3(cross([0, 0, 1], back));
     const up = cross(back, right);
-    const each = (2 * Math.tan(ANGLE / 2) * this.camera.distance) / Math.max(1, this.canvas.clientHeight);
-    this.camera.target = plus(plus(this.camera.target, right, -dx * each), up, dy * each);
-    this.stale = true;
+    const each = (2 * Math.tan(ANGLE / 2) * inner(minus(this.eye(), at), back)) / Math.max(1, this.canvas.clientHeight);
+    return plus(plus([0, 0, 0], right, dx * each), up, -dy * each);
   }
 
   /** Shows all parts, as at first. */
@@ -412,18 +417,18 @@ export function vectorsOf({ part, row }) {
   }).filter((one) => one !== null);
 }
 
-/** The parts of tracks at a moment, with the frame of each. */
-export function partsAt(tracks, at_ns, withTruth, chosen) {
+/** The parts of tracks at a moment, with the frame of each. Those in `held` are seen even if only the simulator knows them. */
+export function partsAt(tracks, at_ns, withTruth, chosen, held) {
   const parts = [];
   for (const track of tracks) {
     const state = track.at(at_ns);
     if (state === null) continue;
-    const truth = state.view.layer === "truth";
-    if (truth && !withTruth) continue;
+    const simulated = state.view.layer === "truth";
     state.view.parts.forEach((part, index) => {
       const row = state.rows[index];
-      if (!row || row.slice(0, 8).includes(null)) return;
       const key = `${track.source}/${part.name}`;
+      const truth = simulated && !held.has(key);
+      if ((truth && !withTruth) || !row || row.slice(0, 8).includes(null)) return;
       parts.push({ key, part, row, truth, frame: placed(row.slice(1, 4), row.slice(4, 8)), chosen: key === chosen, track });
     });
   }

@@ -19,6 +19,9 @@ use crate::{
 /// Where the hand was is remembered for so long, s: pictures come later than that only when something is wrong.
 const REMEMBERED: f64 = 2.0;
 
+/// Nearer to a singular pose than this joints turn too fast: smallest singular value, m per rad.
+const SINGULAR: f64 = 0.04;
+
 /// Records that the buffers keep.
 const SETPOINTS: usize = 16;
 const COURSES: usize = 2000;
@@ -175,8 +178,7 @@ impl Period {
                 self.control.rest_at(held);
             }
         } else {
-            let force = self.force;
-            ratio = self.control.go(now, &force, &mouse, self.period);
+            ratio = self.go_on(now, &mouse, report);
         }
         if let Err(error) = self.send() {
             tracing::warn!("a setpoint is lost: {error}");
@@ -217,6 +219,32 @@ impl Period {
             clock_bound: difference.1,
         };
         let _ = self.courses.write(&record.floats(), &[]);
+    }
+
+    /// Goes on by a period as far as the arm reaches.
+    fn go_on(&mut self, now: f64, mouse: &Vector3<f64>, report: &mut TrackerReport) -> f64 {
+        let joints = self.solver.model().dof();
+        let held = self.control.counts().held;
+        let arm = vector(&self.record.floats, SETPOINT_AT, joints).map(|near| Reach {
+            sigma: self.solver.smallest_singular_value(near),
+            near,
+            turn: self.turn,
+        });
+        let solver = &mut self.solver;
+        let reaches = |place: &Point3<f64>| match &arm {
+            Some(arm) => arm.wrong(solver, place).is_none(),
+            None => true,
+        };
+        let both = [&self.force, mouse];
+        let ratio = self.control.go_within(now, both, self.period, reaches);
+        if let (Some(arm), Some(beyond)) = (&arm, self.control.beyond())
+            && self.control.counts().held > held
+        {
+            report.held_by = arm.wrong(&mut self.solver, &beyond);
+            let why = report.held_by.as_deref().unwrap_or_default();
+            tracing::warn!("the hand stays where the arm reaches no further: {why}");
+        }
+        ratio
     }
 
     /// Takes in what ticks of the servo left.
@@ -280,6 +308,36 @@ impl Period {
         let rows = pose.to_homogeneous().transpose();
         self.setpoints.write(rows.as_slice(), &[])?;
         Ok(())
+    }
+}
+
+/// Which places the arm reaches with a hand that is turned so.
+struct Reach<'a> {
+    /// Where its joints are.
+    near: &'a [f64],
+    /// Its smallest singular value there, m per rad.
+    sigma: f64,
+    turn: UnitQuaternion<f64>,
+}
+
+impl Reach<'_> {
+    /// Why it does not reach a place, if it does not. An arm that is nearly singular already may become less so.
+    fn wrong(&self, solver: &mut Solver, place: &Point3<f64>) -> Option<String> {
+        let pose = Isometry3::from_parts(place.coords.into(), self.turn);
+        let branch = solver.branch_of(self.near);
+        let q = match solver.follow(&pose, branch, self.near) {
+            Ok(q) => q,
+            Err(error) => return Some(error.to_string()),
+        };
+        let model = solver.model();
+        if let Some(joint) = model.joint_outside(&q) {
+            let name = model.joints().get(joint).map_or("", |joint| &joint.name);
+            return Some(format!("`{name}` would be beyond its limit"));
+        }
+        let sigma = solver.smallest_singular_value(&q);
+        (sigma < SINGULAR.min(self.sigma)).then(|| {
+            format!("the arm would be singular: its smallest singular value would be {sigma:.3}, and {SINGULAR} is needed")
+        })
     }
 }
 

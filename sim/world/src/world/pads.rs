@@ -1,4 +1,4 @@
-//! Soft forms around links, furniture that feels what the arms press on it, and persons who push.
+//! Soft forms around links, and furniture that feels what the arms press on it.
 //!
 //! A pad is no solid of the engine: it goes into what it touches, and pushes back as a spring and a damper at the deepest point.
 
@@ -79,36 +79,7 @@ impl World {
                 blows.push(Blow { mount, at, impulse });
             }
         }
-        for (index, (force, left)) in self.pushes.iter_mut().enumerate() {
-            let (Some(arm), Some(touch), true) =
-                (self.arms.get_mut(index), all.get_mut(index), *left > 0.0)
-            else {
-                continue;
-            };
-            *left -= h;
-            // Brakes that hold give way to no person.
-            if arm.is_held() {
-                continue;
-            }
-            let frame = arm.model().tip();
-            let at = Point3::from(arm.pose(frame).translation.vector);
-            let touch = touch.get_or_insert_with(|| Touch::none(arm.model().dof()));
-            let mount = Mount { arm: index, frame };
-            let impulse = [*force * h, Vector3::zeros()];
-            let shift = [*force * (h * h / 2.0), Vector3::zeros()];
-            arm.at_joints(frame, &at, impulse, &mut touch.impulse);
-            arm.at_joints(frame, &at, shift, &mut touch.shift);
-            touch.by_still = false;
-            blows.push(Blow { mount, at, impulse });
-        }
         all
-    }
-
-    /// A person pushes an arm at its tip from now on, N in the world, for so long, s.
-    pub fn push(&mut self, arm: usize, force: Vector3<f64>, seconds: f64) {
-        if let Some(push) = self.pushes.get_mut(arm) {
-            *push = (force, seconds);
-        }
     }
 
     /// Arm and number of every pad of an arm that moves.

@@ -1,0 +1,137 @@
+//! Handles: what a person takes hold of in the scene, and the command that it puts on the tape of a net. Kept in the file of
+//! displays.
+//!
+//! ```toml
+//! [handle.ball]
+//! title = "Drags the ball"
+//! part = "truth/ball"
+//! put = "person/drag"
+//! gives = "way"
+//! ```
+
+use serde::{Deserialize, Serialize};
+
+/// A handle. Its command has as many numbers as [`Gives`] says.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Written")]
+pub(crate) struct Handle {
+    pub(crate) title: String,
+    /// The part of the scene that is held, `TASK/PART`; none of a pad, which stands beside the scene.
+    pub(crate) part: Option<String>,
+    pub(crate) net: String,
+    pub(crate) command: String,
+    pub(crate) gives: Gives,
+}
+
+/// What a handle gives its command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Gives {
+    /// x, y, z: how much further it was dragged since the last command, m along the axes of the scene.
+    Way,
+    /// x, y, z: with how much it is pulled, N along the axes of the scene; and for how long that counts, s.
+    Force,
+    /// Six deflections from -1 to 1, of which a pad gives the first three; and for how long they count, s.
+    Axes,
+}
+
+/// As it stands in the file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    #[serde(default)]
+    title: String,
+    part: Option<String>,
+    put: String,
+    gives: Gives,
+}
+
+impl TryFrom<Written> for Handle {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let Written {
+            title,
+            part,
+            put,
+            gives,
+        } = written;
+        let names = |text: &str| {
+            let (one, other) = text.split_once('/')?;
+            let whole = !one.is_empty() && !other.is_empty();
+            whole.then(|| (one.to_owned(), other.to_owned()))
+        };
+        let Some((net, command)) = names(&put) else {
+            return Err(format!("`put` is `{put}`: write `NET/COMMAND`"));
+        };
+        match (&part, gives) {
+            (None, Gives::Way | Gives::Force) => {
+                return Err("`part` is missing: write `TASK/PART`, a part of the scene".to_owned());
+            }
+            (Some(part), Gives::Axes) => {
+                return Err(format!(
+                    "a pad has no part, and `part` is `{part}`: leave it out"
+                ));
+            }
+            (Some(part), _) if names(part).is_none() => {
+                return Err(format!("`part` is `{part}`: write `TASK/PART`"));
+            }
+            _ => {}
+        }
+        Ok(Self {
+            title,
+            part,
+            net,
+            command,
+            gives,
+        })
+    }
+}
+
+/// A handle as a page is told of it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct Named<'h> {
+    pub(crate) name: &'h str,
+    #[serde(flatten)]
+    pub(crate) handle: &'h Handle,
+}
+
+#[cfg(test)]
+mod tests {
+    use ctos::{
+        config::Node,
+        diagnostic::{Findings, Source},
+    };
+
+    use super::*;
+
+    #[test]
+    fn what_is_wrong_in_a_handle_is_told_with_its_place() {
+        let read = |text: &str| {
+            let mut findings = Findings::new();
+            let node = Node::from_toml(&Source::new("app.toml", text), &mut findings);
+            let handle = findings.keep(node.parse::<Handle>());
+            handle.ok_or_else(|| findings.to_string())
+        };
+        let ball = read("part = \"truth/ball\"\nput = \"n/drag\"\ngives = \"way\"\n").unwrap();
+        assert_eq!((&*ball.net, &*ball.command), ("n", "drag"));
+        read("put = \"n/steer\"\ngives = \"axes\"\n").unwrap();
+        for (wrong, says) in [
+            ("put = \"n/drag\"\ngives = \"way\"\n", "`part` is missing"),
+            (
+                "part = \"ball\"\nput = \"n/drag\"\ngives = \"force\"\n",
+                "`TASK/PART`",
+            ),
+            (
+                "part = \"a/b\"\nput = \"n/drag\"\ngives = \"axes\"\n",
+                "leave it out",
+            ),
+            ("put = \"drag\"\ngives = \"axes\"\n", "`NET/COMMAND`"),
+            ("put = \"n/drag\"\ngives = \"push\"\n", "push"),
+            ("puts = \"n/drag\"\ngives = \"axes\"\n", "puts"),
+        ] {
+            let told = read(wrong).unwrap_err();
+            assert!(told.contains(says) && told.contains("app.toml:"), "{told}");
+        }
+    }
+}
