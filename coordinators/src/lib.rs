@@ -25,6 +25,7 @@ pub mod positions;
 pub mod push;
 pub mod referee;
 mod results;
+pub mod served;
 pub mod services;
 pub mod strategy;
 pub mod vision;

@@ -2,7 +2,8 @@
 //!
 //! `player` follows the plot, and has Coordinators do the rest: `vision` reads the board, `transform` says where its fields are,
 //! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
-//! `room` without physics is in the place of table, arm and person; `referee` holds the game against it. `wire` has what they exchange.
+//! `room` without physics is in the place of table, arm and person; `shown` puts what is there before cameras. `referee` holds the
+//! game against it. `wire` has what they exchange.
 
 mod coordinator;
 mod hand;
@@ -12,6 +13,7 @@ mod player;
 mod referee;
 mod robot;
 mod room;
+mod shown;
 mod speaker;
 mod state;
 mod table;
@@ -25,8 +27,8 @@ use ctos::registry::Registry;
 /// Registers the event handlers.
 pub fn register(registry: &mut Registry) {
     coordinators::handler::register::<player::PlayerArgs>(registry);
-    coordinators::handler::register::<RoomArgs<vision::Vision>>(registry);
-    coordinators::handler::register::<RoomArgs<transform::Transform>>(registry);
+    coordinators::handler::register::<vision::VisionArgs>(registry);
+    coordinators::handler::register::<transform::TransformArgs>(registry);
     coordinators::handler::register::<RoomArgs<robot::Robot>>(registry);
     coordinators::handler::register::<RoomArgs<hand::Hand>>(registry);
     coordinators::handler::register::<people::PeopleArgs>(registry);

@@ -8,11 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     referee::{A_DISC, LOST, TWO_DISCS},
-    wire::{Errand, Hue, Situation, Spot, centre},
+    wire::{Errand, Hue, SURE, Situation, Spot, centre},
 };
 
-/// A disc that is seen less surely is unknown.
-const SURE: f64 = 0.8;
 /// After so many looks from elsewhere people are asked.
 const LOOKS_AGAIN: u32 = 4;
 /// After so many looks the same is said once more.

@@ -1,0 +1,127 @@
+//! Games before cameras over six daemons in virtual time, each from its seed.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests, outside test functions"
+)]
+
+use std::{path::Path, sync::Arc};
+
+use ctos::{
+    boot::{End, Fault, FaultKind, Observer, simulate},
+    config,
+    registry::Registry,
+    time::Instant,
+};
+use mcs::driver::DriverRegistry;
+use serde_json::Value;
+use sorma::{Dictionary, daemon};
+use vss::{catalog::VssExpander, source::FrameSources};
+
+fn registry() -> Registry {
+    let mut registry = Registry::new();
+    let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
+    sim::register(&mut registry, &mut drivers, &mut sources);
+    vss::register(&mut registry, sources);
+    coordinators::register(&mut registry);
+    checkers_player::register(&mut registry);
+    pnt::store::keep_states(&mut registry);
+    daemon::register(&mut registry, Dictionary::default(), |_, sorm| {
+        vss::services::register(sorm);
+    });
+    registry
+}
+
+/// How a game ends, with settings as `--set` takes them.
+fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/checkers-seen.toml");
+    let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
+    sets.push(format!("app.seed={seed}"));
+    sets.push("time.mode=\"virtual\"".to_owned());
+    sets.push("task.player.args.nodes=150".to_owned());
+    let app = config::load(&file, &sets, &[("vss", &VssExpander)]);
+    let app = app.unwrap_or_else(|found| panic!("{found}"));
+    let observer: Observer = Arc::new(|_| {});
+    match simulate(app, registry(), faults, &observer).unwrap().end {
+        End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
+            panic!("seed {seed}: {}", result.text);
+        }),
+        other => panic!("seed {seed}: {other:?}"),
+    }
+}
+
+/// A file with a game of some half-moves, after which White gives up.
+fn record(folder: &Path) -> String {
+    let mut game = checkers::Game::new(checkers::Variant::Brazilian);
+    for ply in 0..8 {
+        let moves = game.position().moves(game.variant());
+        game.make(moves[ply % moves.len()]).unwrap();
+    }
+    game.resign(checkers::Colour::White);
+    let file = folder.join("game.pdn");
+    std::fs::write(&file, game.record().write()).unwrap();
+    format!("task.player.args.opponent={:?}", file.display().to_string())
+}
+
+#[test]
+fn a_game_before_cameras_is_read_right_and_ends_truly() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record(folder.path());
+    let game = game(1, &[&opponent, "task.room.args.glare=0.0"], &[]);
+    assert_eq!(game["ok"], true, "{game:#}");
+    assert_eq!(game["result"], "Black has won: White gave up");
+    assert_eq!(game["looks"]["wrong"], 0, "{game:#}");
+}
+
+/// Seeds of the campaign; none unless `CTOS_CHECKERS_SEEN_SEEDS` says how many: a game takes half a minute of a core.
+fn seeds() -> u64 {
+    let given = std::env::var("CTOS_CHECKERS_SEEN_SEEDS").ok();
+    given.map_or(0, |text| text.parse().unwrap())
+}
+
+#[test]
+fn whole_games_before_cameras_with_errors_lost_discs_and_moved_boards_end_truly() {
+    let mut failed = Vec::new();
+    for seed in 0..seeds() {
+        let sets = [
+            [
+                "task.player.args.opponent=\"self\"",
+                "task.player.args.opponent=\"program\"",
+            ][seed as usize % 2],
+            "task.room.args.slips=0.03",
+        ];
+        let ran = std::panic::catch_unwind(|| {
+            let game = game(seed, &sets, &[]);
+            tracing::info!(%game, seed);
+            if let Ok(file) = std::env::var("CTOS_CHECKERS_SEEN_LOG") {
+                std::fs::write(format!("{file}.{seed}"), format!("{game:#}")).unwrap();
+            }
+            assert_eq!(game["ok"], true, "seed {seed}, {sets:?}: {game:#}");
+        });
+        if ran.is_err() {
+            failed.push(seed);
+        }
+    }
+    assert!(failed.is_empty(), "{failed:?}");
+}
+
+#[test]
+fn a_killed_vision_or_transform_learns_again_and_the_game_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record(folder.path());
+    let kill = |daemon: &str, at_s: u64| {
+        Fault::on(
+            daemon,
+            FaultKind::Kill,
+            Instant::from_nanos(at_s * 1_000_000_000),
+        )
+    };
+    let kills = [
+        kill("vision", 20),
+        kill("transform", 31),
+        kill("vision", 45),
+    ];
+    let game = game(2, &[&opponent], &kills);
+    assert_eq!(game["ok"], true, "{game:#}");
+}
