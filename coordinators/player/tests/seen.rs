@@ -15,7 +15,9 @@ use ctos::{
     time::Instant,
 };
 use mcs::driver::DriverRegistry;
+use nalgebra::Point3;
 use serde_json::Value;
+use sim::cell::Cell;
 use sorma::{Dictionary, daemon};
 use vss::{catalog::VssExpander, source::FrameSources};
 
@@ -62,6 +64,27 @@ fn record(folder: &Path) -> String {
     let file = folder.join("game.pdn");
     std::fs::write(&file, game.record().write()).unwrap();
     format!("task.player.args.opponent={:?}", file.display().to_string())
+}
+
+#[test]
+fn the_known_points_of_the_maps_are_those_of_the_cell() {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+    let cell = Cell::read(&configs.join("checkers-seen-cell.toml")).unwrap();
+    for name in ["left", "right", "far"] {
+        let camera = cell.camera(name).unwrap().truth.camera();
+        let table = std::fs::read_to_string(configs.join(format!("checkers/{name}.csv"))).unwrap();
+        let mut rows = 0;
+        for row in table.lines().skip(1) {
+            let numbers: Vec<f64> = row.split(',').map(|x| x.parse().unwrap()).collect();
+            let pixel = camera
+                .project(&Point3::new(numbers[0], numbers[1], 0.42))
+                .unwrap();
+            let off = (pixel.x - numbers[2]).hypot(pixel.y - numbers[3]);
+            assert!(off < 0.5, "{name}: {row} is {off} px off");
+            rows += 1;
+        }
+        assert_eq!(rows, 25);
+    }
 }
 
 #[test]
