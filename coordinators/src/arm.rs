@@ -44,13 +44,7 @@ pub struct ArmKeys<'a> {
 
 impl ArmKeys<'_> {
     /// Findings where one of them makes no sense; `code` is that of a park position that is none.
-    pub fn check(
-        &self,
-        task: &TaskConfig,
-        app: &App,
-        code: &'static str,
-        findings: &mut Findings,
-    ) {
+    pub fn check(&self, task: &TaskConfig, app: &App, code: &'static str, findings: &mut Findings) {
         crate::need_task(task, app, "mcs", self.mcs, findings);
         for (key, value) in [
             ("resume_within_s", self.resume_within_s),

@@ -2,7 +2,8 @@
 //!
 //! `player` follows the plot, and has Coordinators do the rest: `vision` reads the board, `transform` says where its fields are,
 //! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
-//! `room` without physics is in the place of table, arm and person; `shown` puts what is there before cameras. `referee` holds the
+//! `room` without physics is in the place of table, arm and person; `shown` puts what is there before
+//! cameras; `real` moves an arm and a gripper of a world with physics. `referee` holds the
 //! game against it. `wire` has what they exchange.
 
 mod coordinator;
@@ -10,6 +11,7 @@ mod hand;
 mod people;
 mod person;
 mod player;
+mod real;
 mod referee;
 mod robot;
 mod room;

@@ -9,7 +9,7 @@ use ctos::{
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use mcs_hand::command::PlaceBody;
+use mcs_hand::command::{PlaceBody, ReadBodies};
 use rand::RngExt;
 use serde::Deserialize;
 
@@ -127,6 +127,12 @@ impl Room {
         })
     }
 
+    /// Whether arm and hand are those of a world that moves by itself.
+    fn is_real(&self) -> bool {
+        let inner = self.inner.borrow();
+        inner.shown.as_ref().is_some_and(|shown| shown.args.real)
+    }
+
     /// Answers a request after some time.
     fn after<C: Command>(
         &self,
@@ -153,6 +159,25 @@ impl EventHandler for Room {
         match message.command() {
             See::CODE => {
                 self.after::<See>(cx, message, PICTURE, |table, See { pose }| table.see(pose))
+            }
+            Go::CODE if self.is_real() => {
+                let (Go { to }, reply) = message.open::<Go>()?;
+                let table = &mut self.inner.borrow_mut().table;
+                if to.is_some() {
+                    if !table.hand {
+                        table.arm = to;
+                    }
+                    return reply.ok(!table.hand);
+                }
+                let (child, inner) = (cx.clone(), self.inner.clone());
+                cx.spawn(async move {
+                    let read = read(&child, &inner).await;
+                    let _ = match read {
+                        Ok(()) => reply.ok(true),
+                        Err(error) => reply.fail(error),
+                    };
+                });
+                Ok(())
             }
             Go::CODE => {
                 let (Go { to }, reply) = message.open::<Go>()?;
@@ -256,6 +281,25 @@ impl Inner {
             }
         }
     }
+}
+
+/// Nobody is at the table any more: it is as arm and hand have left it.
+async fn read(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
+    let world = inner
+        .borrow()
+        .shown
+        .as_ref()
+        .map(|shown| shown.args.world.clone());
+    let world = world.ok_or("there is no world")?;
+    let bodies = wire::ask(cx, &world, ReadBodies {}).await?;
+    let now = seconds(cx);
+    let Inner { table, shown, .. } = &mut *inner.borrow_mut();
+    if let Some(shown) = shown {
+        shown.read(table, &bodies, now);
+    }
+    table.arm = None;
+    table.note();
+    Ok(())
 }
 
 /// Puts the bodies of the world where the table has them.

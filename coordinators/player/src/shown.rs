@@ -1,12 +1,13 @@
-//! The table of a dry game before cameras: where the bodies of a world in which nothing moves by itself are to be, and whether what was
-//! read of pictures is so. Knows no task.
+//! The table before cameras: where the bodies of a world are to be, and whether what was read of pictures is so. In a dry game nothing
+//! moves there by itself; where arm and hand are real, the table is read from the world. Knows no task.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use mcs_hand::command::Body;
+use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use crate::{
-    table::{Table, table_at},
-    wire::{Hue, Looked, Looks, SURE, apart, centre},
+    table::{Stack, Table, table_at},
+    wire::{BOARD_M, DISC_M, Hue, Looked, Looks, Pose, SURE, TABLE_M, apart, centre},
 };
 
 /// Arguments.
@@ -17,12 +18,10 @@ pub struct ShownArgs {
     pub world: String,
     /// Where the first camera is, m: what it does not see well is something small before it.
     eye: [f64; 3],
+    /// Whether arm and hand are real, and move what is there.
+    #[serde(default)]
+    pub real: bool,
 }
-
-/// How high the table is, the board on it, and a disc, m.
-const TABLE_M: f64 = 0.4;
-const BOARD_M: f64 = 0.02;
-const DISC_M: f64 = 0.01;
 
 /// Discs of each colour.
 const DISCS: usize = 24;
@@ -38,11 +37,24 @@ const SPECK_S: f64 = 3.0;
 const ON_M: f64 = 0.015;
 const BESIDE_M: f64 = 0.052;
 
+/// A body so near to where a disc should be is that disc, m; and discs so near to one another are a stack.
+const SAME_M: f64 = 0.012;
+
+/// What is lower lies on the floor, m.
+const FLOOR_M: f64 = 0.38;
+
+/// A body, and where it is.
+#[derive(Debug, Clone)]
+struct Placed {
+    name: String,
+    pose: Isometry3<f64>,
+}
+
 /// What cameras see of a table.
 pub struct Shown {
     pub args: ShownArgs,
-    /// Where each body is.
-    bodies: Vec<(String, Isometry3<f64>)>,
+    /// The board, the hand, the speck, and the discs.
+    bodies: Vec<Placed>,
     /// When something was changed last, s, and how many changes are still on their way.
     changed: f64,
     changing: u32,
@@ -61,13 +73,27 @@ fn hidden(nth: usize) -> Isometry3<f64> {
     at([-2.0, 0.1 * nth as f64], 0.05, 0.0)
 }
 
+/// The bodies before the discs.
+const BOARD: usize = 0;
+const HAND: usize = 1;
+const SPECK: usize = 2;
+const FIRST: usize = 3;
+
 impl Shown {
     /// Nothing is shown yet.
     #[must_use]
     pub fn new(args: ShownArgs) -> Self {
+        let discs = ["light", "dark"].into_iter();
+        let discs = discs.flat_map(|word| (1..=DISCS).map(move |nth| format!("{word}{nth}")));
+        let names = ["board", "hand", "speck"].map(str::to_owned);
+        let bodies = names.into_iter().chain(discs).enumerate();
+        let bodies = bodies.map(|(nth, name)| Placed {
+            name,
+            pose: hidden(nth),
+        });
         Self {
             args,
-            bodies: Vec::new(),
+            bodies: bodies.collect(),
             changed: f64::INFINITY,
             changing: 0,
             speck: None,
@@ -83,21 +109,84 @@ impl Shown {
     /// Takes the table as it is now; the bodies that are to be put elsewhere.
     pub fn take(&mut self, table: &Table, now: f64) -> Vec<usize> {
         self.speck = self.speck.filter(|(until, _)| *until > now);
-        let bodies = self.wanted(table);
-        let moved = |nth: &usize| self.bodies.get(*nth) != bodies.get(*nth);
-        let moved: Vec<usize> = (0..bodies.len()).filter(moved).collect();
+        let mut moved = Vec::new();
+        let board = at(table.board.at, TABLE_M + 0.5 * BOARD_M, table.board.yaw);
+        self.put(BOARD, board, &mut moved);
+        // What floats would fall where things move.
+        if !self.args.real {
+            self.put(HAND, hand(table), &mut moved);
+            self.put(SPECK, self.speck_at(&table.board), &mut moved);
+        }
+        for hue in [Hue::Light, Hue::Dark] {
+            self.take_discs(table, hue, &mut moved);
+        }
         if !moved.is_empty() {
             self.changed = f64::INFINITY;
             self.changing += 1;
         }
-        self.bodies = bodies;
         moved
+    }
+
+    /// A body is to be there, if it is not there already.
+    fn put(&mut self, nth: usize, pose: Isometry3<f64>, moved: &mut Vec<usize>) {
+        let Some(body) = self.bodies.get_mut(nth) else {
+            return;
+        };
+        // What stands on a table in truth is never quite level.
+        let least = if self.args.real { 2e-3 } else { 1e-6 };
+        let off = body.pose.inverse() * pose;
+        if off.translation.vector.norm() > least || off.rotation.angle() > 2.0 * least {
+            body.pose = pose;
+            moved.push(nth);
+        }
+    }
+
+    fn take_discs(&mut self, table: &Table, hue: Hue, moved: &mut Vec<usize>) {
+        let first = FIRST + DISCS * usize::from(hue == Hue::Dark);
+        let mut free: Vec<usize> = (first..first + DISCS).collect();
+        let mut missing = Vec::new();
+        for pose in places(table, hue) {
+            let far = |nth: &usize| {
+                let body = self.bodies.get(*nth);
+                body.map_or(f64::INFINITY, |body| {
+                    (body.pose.translation.vector - pose.translation.vector).norm()
+                })
+            };
+            let near = if self.args.real { SAME_M } else { 1e-6 };
+            match free.iter().position(|nth| far(nth) < near) {
+                // It stands as it stands.
+                Some(found) => drop(free.swap_remove(found)),
+                None => missing.push(pose),
+            }
+        }
+        for pose in missing {
+            if let Some(nth) = free.pop() {
+                self.put(nth, pose, moved);
+            }
+        }
+        for nth in free {
+            let body = self.bodies.get(nth);
+            if body.is_some_and(|body| body.pose.translation.z > FLOOR_M) {
+                self.put(nth, hidden(nth), moved);
+            }
+        }
+    }
+
+    fn speck_at(&self, board: &Pose) -> Isometry3<f64> {
+        let Some((_, square)) = self.speck else {
+            return hidden(SPECK);
+        };
+        let eye = Vector3::from(self.args.eye);
+        let [x, y] = board.on_table(centre(square));
+        let way = (Vector3::new(x, y, TABLE_M + BOARD_M) - eye).normalize();
+        Isometry3::from_parts((eye + way * SPECK_M).into(), UnitQuaternion::identity())
     }
 
     /// Where a body is to be.
     #[must_use]
     pub fn body(&self, nth: usize) -> Option<(String, Isometry3<f64>)> {
-        self.bodies.get(nth).cloned()
+        let body = self.bodies.get(nth)?;
+        Some((body.name.clone(), body.pose))
     }
 
     /// The bodies that were to be put elsewhere are there.
@@ -108,50 +197,50 @@ impl Shown {
         }
     }
 
-    fn wanted(&self, table: &Table) -> Vec<(String, Isometry3<f64>)> {
-        let board = table.board;
-        let surface = TABLE_M + BOARD_M;
-        let hand = board.on_table([HAND_AT[0], HAND_AT[1]]);
-        let hand = match table.hand {
-            true => at(hand, surface + HAND_AT[2], board.yaw),
-            false => hidden(0),
-        };
-        let speck = match self.speck {
-            Some((_, square)) => {
-                let eye = Vector3::from(self.args.eye);
-                let [x, y] = board.on_table(centre(square));
-                let way = (Vector3::new(x, y, surface) - eye).normalize();
-                Isometry3::from_parts((eye + way * SPECK_M).into(), UnitQuaternion::identity())
-            }
-            None => hidden(1),
-        };
-        let mut all = vec![
-            (
-                "board".to_owned(),
-                at(board.at, TABLE_M + 0.5 * BOARD_M, board.yaw),
-            ),
-            ("hand".to_owned(), hand),
-            ("speck".to_owned(), speck),
-        ];
-        let mut counts = [0; 2];
-        for stack in &table.stacks {
-            let floor = if stack.on_board { surface } else { TABLE_M };
-            for (height, hue) in stack.discs.iter().enumerate() {
-                let z = floor + DISC_M * (height as f64 + 0.5);
-                let pose = at(table_at(stack, &board), z, 0.0);
-                all.push((name(*hue, &mut counts), pose));
+    /// The table becomes what arm and hand have made of it.
+    pub fn read(&mut self, table: &mut Table, bodies: &[Body], now: f64) {
+        for known in &mut self.bodies {
+            let body = bodies.iter().find(|body| body.name == known.name);
+            let pose = body.map(|body| Matrix4::from_row_slice(&body.world_t_body));
+            if let Some(pose) = pose.and_then(nalgebra::try_convert::<_, Isometry3<f64>>) {
+                known.pose = pose;
             }
         }
-        for hue in [Hue::Light, Hue::Dark] {
-            // In the hand, or nowhere to be seen.
-            while counts[place(hue)] < DISCS {
-                let nth = 2 + all.len();
-                all.push((name(hue, &mut counts), hidden(nth)));
+        if let Some(board) = self.bodies.get(BOARD) {
+            let pose = board.pose;
+            table.board = Pose {
+                at: [pose.translation.x, pose.translation.y],
+                yaw: pose.rotation.euler_angles().2,
+            };
+        }
+        let hues = |nth: usize| if nth < DISCS { Hue::Light } else { Hue::Dark };
+        let discs = self.bodies.iter().skip(FIRST).enumerate();
+        let mut discs: Vec<(Hue, Vector3<f64>)> = discs
+            .map(|(nth, body)| (hues(nth), body.pose.translation.vector))
+            .collect();
+        discs.sort_by(|one, other| one.1.z.total_cmp(&other.1.z));
+        table.stacks.clear();
+        table.away.clear();
+        for (hue, place) in discs {
+            if place.z < FLOOR_M {
+                table.away.push(hue);
+                continue;
+            }
+            let on_board = place.z > TABLE_M + 0.75 * BOARD_M;
+            let xy = [place.x, place.y];
+            let board = table.board;
+            let mut stacks = table.stacks.iter_mut();
+            // A stack beside the board may be higher than the board.
+            match stacks.find(|stack| apart(table_at(stack, &board), xy) < SAME_M) {
+                Some(stack) => stack.discs.push(hue),
+                None => table.stacks.push(Stack {
+                    on_board,
+                    at: if on_board { board.on_board(xy) } else { xy },
+                    discs: vec![hue],
+                }),
             }
         }
-        // By name, so that what has not moved is found again.
-        all.sort_by(|one, other| one.0.cmp(&other.0));
-        all
+        self.changed = now;
     }
 
     /// Holds what was read of a picture against the table, if nothing was changed since.
@@ -160,7 +249,9 @@ impl Shown {
             return;
         }
         let seen = &looked.situation;
-        let (mut wrong, mut unsure) = (table.hand && !seen.hand, seen.hand);
+        // Where things move by themselves a person's hand is not shown.
+        let hand = table.hand && !self.args.real;
+        let (mut wrong, mut unsure) = (hand && !seen.hand, seen.hand);
         for (square, reading) in (0_u8..).zip(&seen.squares) {
             let sure = reading.confidence >= SURE;
             unsure |= !sure;
@@ -187,14 +278,29 @@ impl Shown {
     }
 }
 
-fn place(hue: Hue) -> usize {
-    usize::from(hue == Hue::Dark)
+/// Where a hand is over the board, if there is one.
+fn hand(table: &Table) -> Isometry3<f64> {
+    let [x, y, z] = HAND_AT;
+    match table.hand {
+        true => {
+            let middle = table.board.on_table([x, y]);
+            at(middle, TABLE_M + BOARD_M + z, table.board.yaw)
+        }
+        false => hidden(HAND),
+    }
 }
 
-/// The next body of a colour.
-fn name(hue: Hue, counts: &mut [usize; 2]) -> String {
-    let count = &mut counts[place(hue)];
-    *count += 1;
-    let word = if hue == Hue::Light { "light" } else { "dark" };
-    format!("{word}{count}")
+/// Where the discs of a colour are to be.
+fn places(table: &Table, hue: Hue) -> Vec<Isometry3<f64>> {
+    let mut all = Vec::new();
+    for stack in &table.stacks {
+        let floor = TABLE_M + if stack.on_board { BOARD_M } else { 0.0 };
+        let heights = stack.discs.iter().enumerate();
+        let own = heights.filter(|(_, other)| **other == hue);
+        all.extend(own.map(|(height, _)| {
+            let z = floor + DISC_M * (height as f64 + 0.5);
+            at(table_at(stack, &table.board), z, 0.0)
+        }));
+    }
+    all
 }

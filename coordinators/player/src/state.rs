@@ -15,6 +15,8 @@ use crate::{
 const LOOKS_AGAIN: u32 = 4;
 /// After so many looks the same is said once more.
 const SAID_AGAIN: u32 = 25;
+/// Discs of each colour that are no part of the game at its beginning.
+pub const SPARE: u8 = 12;
 /// What was lost is looked for so often before people are asked for it.
 const SEARCHES: u32 = 3;
 
@@ -66,8 +68,9 @@ pub struct State {
     pub tasks: Vec<Task>,
     /// The squares where White's and Black's discs should stand now.
     pub expected: [u32; 2],
-    /// Discs in each place of the trays of White's and Black's discs.
+    /// Discs in each place of the trays of White's and Black's discs, and those that are no part of the game.
     pub trays: [Vec<u8>; 2],
+    pub spare: [u8; 2],
     /// The errand in work.
     pub errand: Errand,
     /// What is to be said, and the number of it.
@@ -112,6 +115,7 @@ impl Play {
             from: spot,
             to: spot,
             discs: 1,
+            below: [0; 2],
         };
         let position = game.position();
         let state = State {
@@ -121,6 +125,7 @@ impl Play {
             tasks: Vec::new(),
             expected: [position.white, position.black],
             trays: [vec![0; 12], vec![0; 12]],
+            spare: [SPARE; 2],
             errand,
             words: Vec::new(),
             said: 0,
@@ -531,11 +536,26 @@ impl Play {
                 Spot::Tray(task.hue, free.unwrap_or(11))
             }
         };
+        let all = |play: &Self| match from {
+            Spot::Tray(hue, place) => {
+                let [light, dark] = &play.state.trays;
+                let tray = if hue == Hue::Light { light } else { dark };
+                tray.get(usize::from(place)).copied().unwrap_or_default()
+            }
+            Spot::Spare(hue) => play.state.spare[usize::from(hue == Hue::Dark)],
+            Spot::Board(_) => task.discs,
+        };
+        let beneath = |end: End, others: u8| match end {
+            End::Square(_, below) => below,
+            _ => others,
+        };
+        let others = all(self).saturating_sub(task.discs);
         self.state.errand = Errand {
             number: self.state.errand.number + 1,
             from,
             to,
             discs: task.discs,
+            below: [beneath(task.from, others), beneath(task.to, 0)],
         };
         Some(self.state.errand)
     }
@@ -555,11 +575,15 @@ impl Play {
         if let End::Square(square, 0) = task.from {
             self.expect(square, task.hue, false);
         }
-        if let Spot::Tray(hue, place) = self.state.errand.from {
-            let discs = self.state.errand.discs;
-            if let Some(held) = self.tray(hue).get_mut(usize::from(place)) {
-                *held = held.saturating_sub(discs);
-            }
+        let discs = self.state.errand.discs;
+        if let Spot::Spare(hue) = self.state.errand.from {
+            let left = &mut self.state.spare[usize::from(hue == Hue::Dark)];
+            *left = left.saturating_sub(discs);
+        }
+        if let Spot::Tray(hue, place) = self.state.errand.from
+            && let Some(held) = self.tray(hue).get_mut(usize::from(place))
+        {
+            *held = held.saturating_sub(discs);
         }
     }
 

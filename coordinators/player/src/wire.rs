@@ -12,6 +12,11 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 /// Side of a field, m.
 pub const FIELD_M: f64 = 0.06;
 
+/// How high the table is, the board on it, and a disc, m.
+pub const TABLE_M: f64 = 0.4;
+pub const BOARD_M: f64 = 0.02;
+pub const DISC_M: f64 = 0.01;
+
 /// The colour of a disc.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Hue {
@@ -149,8 +154,12 @@ impl Spot {
         };
         match self {
             Self::Board(at) => board.on_table(*at),
-            Self::Tray(hue, place) => [0.2 + 0.05 * f64::from(*place), 0.5 * side(*hue)],
-            Self::Spare(hue) => [0.1, 0.6 * side(*hue)],
+            // Three rows of four, with room for fingers between them, where the arm gets to.
+            Self::Tray(hue, place) => [
+                0.24 + 0.065 * f64::from(*place % 4),
+                (0.48 + 0.065 * f64::from(*place / 4)) * side(*hue),
+            ],
+            Self::Spare(hue) => [0.53, 0.48 * side(*hue)],
         }
     }
 }
@@ -313,6 +322,8 @@ pub struct Errand {
     pub to: Spot,
     /// One disc or two.
     pub discs: u8,
+    /// How many discs stand beneath, at both ends.
+    pub below: [u8; 2],
 }
 
 /// What people are told.

@@ -14,7 +14,7 @@ use ctos::{
     registry::Registry,
     time::Instant,
 };
-use mcs::driver::DriverRegistry;
+use mcs::{control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry};
 use nalgebra::Point3;
 use serde_json::Value;
 use sim::cell::Cell;
@@ -26,6 +26,9 @@ fn registry() -> Registry {
     let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
     sim::register(&mut registry, &mut drivers, &mut sources);
     vss::register(&mut registry, sources);
+    let (mut laws, guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs_hand::register(&mut registry, &mut laws);
+    mcs::register(&mut registry, drivers, laws, guards);
     coordinators::register(&mut registry);
     checkers_player::register(&mut registry);
     pnt::store::keep_states(&mut registry);
@@ -35,9 +38,14 @@ fn registry() -> Registry {
     registry
 }
 
-/// How a game ends, with settings as `--set` takes them.
+/// How a game before cameras ends, with settings as `--set` takes them.
 fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/checkers-seen.toml");
+    play("checkers-seen.toml", seed, sets, faults)
+}
+
+fn play(app: &str, seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+    let file = configs.join(app);
     let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
     sets.push(format!("app.seed={seed}"));
     sets.push("time.mode=\"virtual\"".to_owned());
@@ -55,8 +63,12 @@ fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
 
 /// A file with a game of some half-moves, after which White gives up.
 fn record(folder: &Path) -> String {
+    record_of(folder, 8)
+}
+
+fn record_of(folder: &Path, plies: usize) -> String {
     let mut game = checkers::Game::new(checkers::Variant::Brazilian);
-    for ply in 0..8 {
+    for ply in 0..plies {
         let moves = game.position().moves(game.variant());
         game.make(moves[ply % moves.len()]).unwrap();
     }
@@ -147,4 +159,30 @@ fn a_killed_vision_or_transform_learns_again_and_the_game_goes_on() {
     ];
     let game = game(2, &[&opponent], &kills);
     assert_eq!(game["ok"], true, "{game:#}");
+}
+
+#[test]
+fn whole_games_are_carried_by_an_arm_and_a_gripper() {
+    for seed in 0..hands() {
+        let game = play("checkers-hands.toml", seed, &[], &[]);
+        if let Ok(file) = std::env::var("CTOS_CHECKERS_SEEN_LOG") {
+            std::fs::write(format!("{file}.hands.{seed}"), format!("{game:#}")).unwrap();
+        }
+        assert_eq!(game["ok"], true, "{game:#}");
+    }
+}
+
+/// Seeds of the campaign with hands; none unless `CTOS_CHECKERS_HANDS_SEEDS` says how many: a game takes some minutes of a core.
+fn hands() -> u64 {
+    let given = std::env::var("CTOS_CHECKERS_HANDS_SEEDS").ok();
+    given.map_or(0, |text| text.parse().unwrap())
+}
+
+#[test]
+fn moves_are_carried_by_an_arm_and_a_gripper_in_a_world_with_physics() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 4);
+    let game = play("checkers-hands.toml", 1, &[&opponent], &[]);
+    assert_eq!(game["ok"], true, "{game:#}");
+    assert_eq!(game["plies"], 4);
 }
