@@ -19,6 +19,7 @@ mod shown;
 mod speaker;
 mod state;
 mod table;
+mod thinker;
 mod transform;
 mod vision;
 mod wire;
@@ -36,6 +37,7 @@ pub fn register(registry: &mut Registry) {
     coordinators::handler::register::<people::PeopleArgs>(registry);
     coordinators::handler::register::<speaker::SpeakerArgs>(registry);
     room::register(registry);
+    thinker::register(registry);
     referee::register(registry);
 }
 

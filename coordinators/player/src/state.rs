@@ -1,14 +1,14 @@
 //! What the player knows of a game, and what it makes of a look at the board: pure, and stored as it is.
 
 use checkers::{
-    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Sight, Status, Variant, Verdict,
-    Watch,
+    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Refusal, Sight, Status, Variant,
+    Verdict, Watch,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::{
     referee::{A_DISC, LOST, TWO_DISCS},
-    wire::{Errand, Hue, SURE, Situation, Spot, centre},
+    wire::{Errand, Gaze, Hue, SURE, Situation, Spot, centre},
 };
 
 /// After so many looks from elsewhere people are asked.
@@ -55,11 +55,35 @@ pub enum End {
     Lost,
 }
 
+/// A move as it is stored: from, to, whether crowned, and what was captured.
+pub type Step = (u8, u8, bool, u32);
+
+/// A stored move.
+pub fn step_of((from, to, crowned, captured): Step) -> Move {
+    Move {
+        from,
+        to,
+        crowned,
+        captured,
+    }
+}
+
+/// A game after moves that were stored.
+///
+/// # Errors
+/// One of them is not legal.
+pub fn replayed(variant: Variant, moves: &[Step]) -> Result<Game, Refusal> {
+    let mut game = Game::new(variant);
+    for step in moves {
+        game.make(step_of(*step))?;
+    }
+    Ok(game)
+}
+
 /// A game as it is stored.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
-    /// From, to, whether crowned, and what was captured.
-    pub moves: Vec<(u8, u8, bool, u32)>,
+    pub moves: Vec<Step>,
     /// How it ended otherwise than by the rules: who gave up; `None` inside when both agreed.
     pub ended: Option<Option<Hue>>,
     /// What is expected next.
@@ -82,6 +106,8 @@ pub struct State {
     pub wish: u32,
     /// From which pose it looks, and how often it has looked again.
     pub gaze: u8,
+    /// What vision was told of it last.
+    pub told: Option<Gaze>,
     pub again: u32,
     /// How often what was lost has been looked for, and where it lies.
     pub searched: u32,
@@ -132,6 +158,7 @@ impl Play {
             last: (String::new(), 0),
             wish: 0,
             gaze: 0,
+            told: None,
             again: 0,
             searched: 0,
             found: None,
@@ -152,17 +179,9 @@ impl Play {
 
     /// Goes on with a game that was stored.
     pub fn restore(&mut self, state: State) {
-        self.game = Game::new(self.game.variant());
-        for (from, to, crowned, captured) in &state.moves {
-            let step = Move {
-                from: *from,
-                to: *to,
-                crowned: *crowned,
-                captured: *captured,
-            };
-            if let Err(refusal) = self.game.make(step) {
-                tracing::error!(%refusal, "a stored move is not legal");
-            }
+        match replayed(self.game.variant(), &state.moves) {
+            Ok(game) => self.game = game,
+            Err(refusal) => tracing::error!(%refusal, "a stored move is not legal"),
         }
         match state.ended {
             Some(Some(hue)) => self.game.resign(hue.colour()),
@@ -248,6 +267,19 @@ impl Play {
         match self.state.phase {
             Phase::Person => self.see_move(&look, seen),
             Phase::Setting | Phase::Robot => self.verify(&look, seen),
+        }
+    }
+
+    /// From where vision is to look, and at what.
+    #[must_use]
+    pub fn gaze(&self) -> Gaze {
+        let square = self.state.tasks.first().and_then(|task| match task.from {
+            End::Square(square, _) => Some(square),
+            _ => None,
+        });
+        Gaze {
+            pose: self.state.gaze,
+            square,
         }
     }
 

@@ -16,7 +16,7 @@ use ctos::{
 use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 
-use crate::wire::{self, Marks, Pose};
+use crate::wire::{self, Gaze, Marks, Pose};
 use seen::SeenArgs;
 
 /// A disc so near to the middle of a square stands well, m.
@@ -103,11 +103,12 @@ async fn find(action: Action<Vision>) -> Acted {
 async fn look(action: Action<Vision>) -> Acted {
     let state = state(&action);
     let cx = action.cx();
-    let pose: u8 = wire::fetch(cx, &state.store, wire::GAZE).await?;
+    let gaze: Gaze = wire::fetch(cx, &state.store, wire::GAZE).await?;
     let situation = match &state.args.seen {
-        Some(seen) => seen::look(cx, &state, seen, pose).await?,
+        Some(seen) => seen::look(cx, &state, seen, gaze).await?,
         None => {
             let board: Pose = wire::fetch(cx, &state.store, wire::BOARD).await?;
+            let pose = gaze.pose;
             let picture = wire::ask(cx, &state.args.room, wire::See { pose }).await?;
             dry::read(&picture, &board)
         }

@@ -272,7 +272,7 @@ pub struct Marked {
 pub const MARKS: &str = "marks";
 /// Where the board lies: a [`Pose`], written by the transform.
 pub const BOARD: &str = "board";
-/// From which pose vision looks: a number, written by the player.
+/// [`Gaze`], written by the player.
 pub const GAZE: &str = "gaze";
 /// [`Situation`], written by vision.
 pub const SITUATION: &str = "situation";
@@ -286,6 +286,15 @@ pub const WORDS: &str = "words";
 pub const WISH: &str = "wish";
 /// [`Played`], written by the player at the end.
 pub const PLAYED: &str = "played";
+
+/// From where vision looks, and at what.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gaze {
+    /// From which of several poses.
+    pub pose: u8,
+    /// The square whose disc is grasped next: where it is must be known best.
+    pub square: Option<u8>,
+}
 
 /// What is seen on a square.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

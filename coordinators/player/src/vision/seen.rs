@@ -13,7 +13,9 @@ use sorma::{Method, Transport};
 
 use crate::{
     vision::{MOVED_M, OFF_M, Vision, well},
-    wire::{self, FIELD_M, Hue, Looked, Marked, Marks, Reading, SURE, Situation, apart, centre},
+    wire::{
+        self, FIELD_M, Gaze, Hue, Looked, Marked, Marks, Reading, SURE, Situation, apart, centre,
+    },
 };
 
 /// A hand covers at least this part of the light squares.
@@ -155,19 +157,19 @@ pub async fn find(
     }
 }
 
-/// What the camera of a pose sees on the board.
+/// What the camera of the gaze's pose sees on the board.
 pub async fn look(
     cx: &Context,
     state: &Vision,
     seen: &SeenArgs,
-    pose: u8,
+    gaze: Gaze,
 ) -> Result<Situation, HandlerError> {
     train(cx, state, seen).await?;
     let marks: Marks = wire::fetch(cx, &state.store, wire::MARKS).await?;
     let Marks::Pictures(pictures) = marks else {
         return Err(HandlerError::new("no camera has seen the board yet"));
     };
-    let known = pictures.get(usize::from(pose) % pictures.len().max(1));
+    let known = pictures.get(usize::from(gaze.pose) % pictures.len().max(1));
     let known = known.ok_or_else(|| HandlerError::new("no camera has seen the board yet"))?;
     let text = format!("camera {}", known.camera);
     let read = ask(cx, &seen.board, Method::Exec, &text, &[]).await?;
@@ -193,7 +195,9 @@ pub async fn look(
             confidence: *confidence,
             at: centre(square),
         };
-        if reading.confidence < SURE && left > 0 {
+        // The disc that is grasped next is measured, too (`getDisk` of the report).
+        let closely = gaze.square == Some(square) && reading.disc.is_some();
+        if (reading.confidence < SURE || closely) && left > 0 {
             left -= 1;
             one(cx, seen, square, &mut reading, &mut strays).await?;
         }
