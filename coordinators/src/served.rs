@@ -96,7 +96,7 @@ pub fn check(
         Err(text) => {
             let place = task.args.locate(key);
             findings.push(
-                Finding::error("coordinators::served", text)
+                Finding::error("coordinators::served::name", text)
                     .at(place.unwrap_or_else(|| task.place.clone()))
                     .help(format!("name an object at its daemon, such as `{example}`")),
             );

@@ -304,3 +304,133 @@ fn places(table: &Table, hue: Hue) -> Vec<Isometry3<f64>> {
     }
     all
 }
+
+#[cfg(test)]
+mod tests {
+    use checkers::Colour;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::{
+        table::Chances,
+        wire::{Reading, Situation},
+    };
+
+    fn table() -> Table {
+        Table::new(
+            Chances::default(),
+            Colour::White,
+            ChaCha8Rng::seed_from_u64(1),
+        )
+    }
+
+    fn shown(real: bool) -> Shown {
+        Shown::new(ShownArgs {
+            world: "world".to_owned(),
+            eye: [0.5, -0.25, 2.1],
+            real,
+        })
+    }
+
+    /// What a world tells whose bodies are where they were put.
+    fn told(shown: &Shown) -> Vec<Body> {
+        let bodies = shown.bodies.iter().map(|body| {
+            let matrix = body.pose.to_homogeneous().transpose();
+            Body {
+                name: body.name.clone(),
+                world_t_body: matrix.as_slice().try_into().unwrap(),
+            }
+        });
+        bodies.collect()
+    }
+
+    #[test]
+    fn only_what_has_moved_is_put_elsewhere() {
+        for real in [false, true] {
+            let (mut table, mut shown) = (table(), shown(real));
+            // The board and 24 discs of each colour; nothing else is in sight.
+            assert_eq!(shown.take(&table, 0.0).len(), 49);
+            shown.is_shown(0.1);
+            assert!(shown.take(&table, 1.0).is_empty());
+            let at = table.on(20).unwrap();
+            table.stacks[at].at = centre(16);
+            let moved = shown.take(&table, 2.0);
+            assert_eq!(moved.len(), 1);
+            let (name, pose) = shown.body(moved[0]).unwrap();
+            assert!(name.starts_with("light"), "{name}");
+            let [x, y] = table.board.on_table(centre(16));
+            assert!((pose.translation.vector - Vector3::new(x, y, 0.425)).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_table_that_was_shown_is_read_again_as_it_was_with_kings_and_what_fell_down() {
+        let (mut table, mut shown) = (table(), shown(true));
+        let at = table.on(20).unwrap();
+        table.stacks[at].discs.push(Hue::Light);
+        let spare = table
+            .stacks
+            .iter()
+            .position(|stack| !stack.on_board && stack.discs[0] == Hue::Light);
+        table.stacks[spare.unwrap()].discs.pop();
+        shown.take(&table, 0.0);
+        let (before, mut bodies) = (table.squares(), told(&shown));
+        table.stacks.clear();
+        shown.read(&mut table, &bodies, 1.0);
+        assert_eq!(table.squares(), before);
+        assert_eq!(before[2], 1 << 20, "a king");
+        assert_eq!(table.truth().discs, [24, 24]);
+        assert!(table.away.is_empty());
+        let dark = bodies.iter_mut().find(|body| body.name == "dark3").unwrap();
+        dark.world_t_body[11] = 0.005;
+        shown.read(&mut table, &bodies, 2.0);
+        assert_eq!(
+            (table.away.as_slice(), table.truth().discs),
+            (&[Hue::Dark][..], [24, 24])
+        );
+    }
+
+    #[test]
+    fn a_look_is_right_unsure_or_wrong_and_none_that_is_older_than_the_table() {
+        let (table, mut shown) = (table(), shown(false));
+        shown.take(&table, 0.0);
+        let reading = |square: u8| {
+            let stack = table.on(square).and_then(|at| table.stacks.get(at));
+            Reading {
+                disc: stack.and_then(|stack| stack.discs.last().copied()),
+                confidence: 1.0,
+                at: centre(square),
+            }
+        };
+        let situation = Situation {
+            squares: (0..32).map(reading).collect(),
+            strays: Vec::new(),
+            hand: false,
+            moved: false,
+        };
+        let right = Looked {
+            stamp_ns: 2_000_000_000,
+            situation,
+        };
+        shown.judge(&table, &right);
+        shown.is_shown(1.0);
+        let mut old = right.clone();
+        old.stamp_ns = 900_000_000;
+        shown.judge(&table, &old);
+        assert_eq!(shown.looks, Looks::default());
+        let (mut unsure, mut wrong) = (right.clone(), right.clone());
+        unsure.situation.squares[3].disc = None;
+        unsure.situation.squares[3].confidence = 0.5;
+        wrong.situation.squares[3].disc = None;
+        for look in [&right, &right, &unsure, &wrong] {
+            shown.judge(&table, look);
+        }
+        let Looks {
+            right,
+            unsure,
+            wrong,
+        } = shown.looks;
+        assert_eq!((right, unsure, wrong), (2, 1, 1));
+    }
+}

@@ -1,6 +1,6 @@
 //! Pictures in files, as the classes read them.
 
-use std::{fs, time::Duration};
+use std::{fs, future::poll_fn, task::Poll, time::Duration};
 
 use sorma::{Report, Transport, Waiting};
 use vss_image::{FILE_MOST, Format, Picture};
@@ -55,6 +55,18 @@ pub(super) async fn shot(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<F
             "there is no camera `{camera}` here, for no app runs here: attach to one, or give the name of a file"
         )));
     }
+    // The beginning of a request belongs to the task that serves it, and what waits to a part of its own: a record of the
+    // task says which part asked.
+    let mut begun = false;
+    poll_fn(|cx| {
+        cx.waker().wake_by_ref();
+        if std::mem::replace(&mut begun, true) {
+            Poll::Ready(())
+        } else {
+            Poll::Pending
+        }
+    })
+    .await;
     let request = Snap {
         camera: camera.to_owned(),
     };
