@@ -29,9 +29,12 @@ const REST: Duration = Duration::from_millis(20);
 const LOOK: Duration = Duration::from_millis(200);
 
 /// The arguments that every Coordinator of an arm has.
-pub(crate) struct ArmKeys<'a> {
+pub struct ArmKeys<'a> {
+    /// The client interface of MCS.
     pub mcs: &'a str,
+    /// How long a protective stop is waited out, s.
     pub resume_within_s: f64,
+    /// How long an MCS that is gone is waited for, s.
     pub service_within_s: f64,
     /// Fractions of full speed, by their keys.
     pub speeds: &'a [(&'a str, f64)],
@@ -41,13 +44,7 @@ pub(crate) struct ArmKeys<'a> {
 
 impl ArmKeys<'_> {
     /// Findings where one of them makes no sense; `code` is that of a park position that is none.
-    pub(crate) fn check(
-        &self,
-        task: &TaskConfig,
-        app: &App,
-        code: &'static str,
-        findings: &mut Findings,
-    ) {
+    pub fn check(&self, task: &TaskConfig, app: &App, code: &'static str, findings: &mut Findings) {
         crate::need_task(task, app, "mcs", self.mcs, findings);
         for (key, value) in [
             ("resume_within_s", self.resume_within_s),
@@ -71,7 +68,8 @@ impl ArmKeys<'_> {
 }
 
 /// A target of the tool.
-pub(crate) fn pose(pose: &Isometry3<f64>) -> Target {
+#[must_use]
+pub fn pose(pose: &Isometry3<f64>) -> Target {
     let matrix = pose.to_homogeneous().transpose();
     let mut rows = [0.0; 16];
     rows.copy_from_slice(matrix.as_slice());
@@ -79,12 +77,14 @@ pub(crate) fn pose(pose: &Isometry3<f64>) -> Target {
 }
 
 /// Joint positions of an arm with only joints that turn, from degrees.
-pub(crate) fn radians(degrees: &[f64]) -> Joints {
+#[must_use]
+pub fn radians(degrees: &[f64]) -> Joints {
     Joints::from_fn(degrees.len(), |joint| degrees[joint].to_radians())
 }
 
 /// A motion that no guard watches besides those that always do.
-pub(crate) fn order(target: Target, path: PathKind, speed: f64) -> Move {
+#[must_use]
+pub fn order(target: Target, path: PathKind, speed: f64) -> Move {
     Move {
         target,
         path,
@@ -97,7 +97,8 @@ pub(crate) fn order(target: Target, path: PathKind, speed: f64) -> Move {
 }
 
 /// A manipulator of MCS, as one action asks it.
-pub(crate) struct Arm<'a> {
+pub struct Arm<'a> {
+    /// In whose name.
     pub cx: &'a Context,
     /// The client interface of MCS.
     pub mcs: &'a str,
@@ -107,7 +108,7 @@ pub(crate) struct Arm<'a> {
 
 impl Arm<'_> {
     /// Asks, again while MCS is gone and may be started again: for what may be done twice.
-    pub(crate) async fn ask<T, F: Future<Output = Result<T, MotionError>>>(
+    pub async fn ask<T, F: Future<Output = Result<T, MotionError>>>(
         &self,
         request: impl Fn(Manipulator) -> F,
     ) -> Result<T, Failure> {
@@ -120,19 +121,19 @@ impl Arm<'_> {
     }
 
     /// Reserves the arm, or sees that it is still reserved.
-    pub(crate) async fn acquire(&self) -> Result<(), Failure> {
+    pub async fn acquire(&self) -> Result<(), Failure> {
         self.ask(|arm| async move { arm.acquire().await }).await?;
         Ok(())
     }
 
     /// Gives the arm back.
-    pub(crate) async fn release(&self) -> Result<(), Failure> {
+    pub async fn release(&self) -> Result<(), Failure> {
         self.ask(|arm| async move { arm.release().await }).await?;
         Ok(())
     }
 
     /// `base_t_tool`.
-    pub(crate) async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
+    pub async fn tool(&self) -> Result<Isometry3<f64>, Failure> {
         let position = self.ask(|arm| async move { arm.position().await }).await?;
         let matrix = Matrix4::from_row_slice(&position.base_t_tool);
         nalgebra::try_convert(matrix)
@@ -140,7 +141,7 @@ impl Arm<'_> {
     }
 
     /// Plans a motion from where the arm stands, without going it.
-    pub(crate) async fn plan(
+    pub async fn plan(
         &self,
         target: Target,
         path: PathKind,
@@ -161,21 +162,21 @@ impl Arm<'_> {
     }
 
     /// Plans a motion and goes it.
-    pub(crate) async fn travel(&self, order: Move) -> Result<MoveReport, Failure> {
+    pub async fn travel(&self, order: Move) -> Result<MoveReport, Failure> {
         let planned = self.plan(order.target, order.path, order.speed);
         let planned = planned.await?;
         self.go(order, planned.duration_s).await
     }
 
     /// To where the arm waits, degrees of its joints; there it is given back.
-    pub(crate) async fn park(&self, park_deg: &[f64], speed: f64) -> Result<(), Failure> {
+    pub async fn park(&self, park_deg: &[f64], speed: f64) -> Result<(), Failure> {
         let target = Target::Joints(radians(park_deg));
         self.travel(order(target, PathKind::Joint, speed)).await?;
         self.release().await
     }
 
     /// Moves, and waits until the arm has settled. A motion whose end is not known is cancelled.
-    pub(crate) async fn go(&self, order: Move, planned_s: f64) -> Result<MoveReport, Failure> {
+    pub async fn go(&self, order: Move, planned_s: f64) -> Result<MoveReport, Failure> {
         let arm = Manipulator::find(self.cx, self.mcs).await?;
         let limit = Duration::try_from_secs_f64(planned_s + MOVE_MARGIN_S);
         let limit = limit.map_err(|error| Failure::new(Outcome::Fault, error))?;
@@ -193,7 +194,7 @@ impl Arm<'_> {
     }
 
     /// What the arm's sensors read.
-    pub(crate) async fn sensors(&self) -> Result<SensorReport, Failure> {
+    pub async fn sensors(&self) -> Result<SensorReport, Failure> {
         let read = self.ask(|_| async {
             let mcs = self.cx.task(self.mcs).await?;
             Ok(self.cx.call(&mcs, ReadSensors {}).await?)
@@ -202,7 +203,7 @@ impl Arm<'_> {
     }
 
     /// Sets an output among the arm's slots. The arm must be reserved.
-    pub(crate) async fn output(&self, name: &str, value: f64) -> Result<(), Failure> {
+    pub async fn output(&self, name: &str, value: f64) -> Result<(), Failure> {
         let request = SetOutput {
             name: name.to_owned(),
             value,
@@ -215,14 +216,14 @@ impl Arm<'_> {
     }
 
     /// Whether the guard that ended the latest motion was one of these recipes.
-    pub(crate) async fn was_ended_by(&self, guards: &[impl AsRef<str>]) -> Result<bool, Failure> {
+    pub async fn was_ended_by(&self, guards: &[impl AsRef<str>]) -> Result<bool, Failure> {
         let report = self.ask(|arm| async move { arm.guards().await }).await?;
         let last = report.last.map(|last| last.guard);
         Ok(last.is_some_and(|last| guards.iter().any(|guard| guard.as_ref() == last.as_str())))
     }
 
     /// Takes back what is ordered, and waits until the arm rests.
-    pub(crate) async fn end(&self) -> Result<(), Failure> {
+    pub async fn end(&self) -> Result<(), Failure> {
         self.ask(|arm| async move { arm.cancel().await }).await?;
         let until = self.cx.now() + Duration::from_secs_f64(MOVE_MARGIN_S);
         loop {
@@ -239,7 +240,7 @@ impl Arm<'_> {
     }
 
     /// Waits until somebody ends the protective stop that ended a motion for `reason`, so many seconds at most.
-    pub(crate) async fn resumed(&self, within_s: f64, reason: &str) -> Result<(), Failure> {
+    pub async fn resumed(&self, within_s: f64, reason: &str) -> Result<(), Failure> {
         let within = Duration::try_from_secs_f64(within_s).unwrap_or(Duration::MAX);
         let until = self.cx.now() + within;
         let mut told = false;

@@ -5,7 +5,7 @@
 //! They reach the Execution Level only by messages to the client interface of MCS and the Services
 //! Manager of VSS; no simulator is named here.
 
-mod arm;
+pub mod arm;
 pub mod carry;
 pub mod dispatcher;
 mod dispatching;
@@ -25,6 +25,7 @@ pub mod positions;
 pub mod push;
 pub mod referee;
 mod results;
+pub mod served;
 pub mod services;
 pub mod strategy;
 pub mod vision;

@@ -55,6 +55,8 @@ pub struct Simulation {
     plates: Vec<(PlateSpec, Vector3<f64>)>,
     /// Which of it has cut the power, with how much force, N, and how long ago, s.
     cut: Option<(usize, f64, f64)>,
+    /// Whether nothing moves by itself.
+    still: bool,
     tick: u64,
     stamp: Duration,
 }
@@ -86,6 +88,7 @@ impl Simulation {
                 .map(|plate| (plate.clone(), Vector3::zeros()))
                 .collect(),
             cut: None,
+            still: false,
             tick: 0,
             stamp: Duration::ZERO,
         };
@@ -97,6 +100,13 @@ impl Simulation {
             simulation.feel(Duration::ZERO);
         }
         simulation
+    }
+
+    /// The same world, in which nothing moves by itself if `still`: objects stay where they are put.
+    #[must_use]
+    pub fn still(mut self, still: bool) -> Self {
+        self.still = still;
+        self
     }
 
     /// What there is to see since the last tick. Lamps count at once, also while the world stands still.
@@ -195,6 +205,9 @@ impl Simulation {
     /// The world cannot go on; its drivers are told, too.
     pub fn tick(&mut self, period: Duration, missed: u64, now: Duration) -> Result<(), WorldError> {
         let gone_on = self.listen(period).and_then(|heard| {
+            if self.still {
+                return Ok(());
+            }
             let missed = period * u32::try_from(missed).unwrap_or(u32::MAX);
             let made_up = missed.min(heard.saturating_sub(period)).min(LONGEST);
             self.world.advance(period + made_up)

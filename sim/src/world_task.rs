@@ -9,8 +9,9 @@ use ctos::{
     sync::{CyclicHandle, Tick},
     task::{EventHandler, Handled, HandlerError, Phase},
 };
+pub use mcs_hand::command::PlaceBody;
 use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use vss::command::{NamedCamera, OrderLaser, TrueCameras};
 
@@ -60,17 +61,6 @@ ctos::command! {
         /// What it does; nothing wrong when there is none.
         pub fault: Option<CameraFault>,
     } => (), 0x0504, "fail_camera"
-}
-
-ctos::command! {
-    /// A person puts an object elsewhere: where it is and how it lies, at once and at rest.
-    #[derive(Debug, Clone, PartialEq)]
-    pub struct PlaceBody {
-        /// Its name in the cell.
-        pub body: String,
-        /// `world_T_body`, m. Nobody sees to it that nothing else is there.
-        pub pose: Isometry3<f64>,
-    } => (), 0x0394, "place_body"
 }
 
 /// A hand that holds a link of an arm by a spring.
@@ -128,6 +118,9 @@ pub struct WorldArgs {
     pub period_ms: f64,
     /// The snapshot buffer in which it leaves a scene after every tick; none, when none is named.
     pub scenes: Option<String>,
+    /// Whether nothing moves by itself: objects stay where they are put.
+    #[serde(default)]
+    pub still: bool,
 }
 
 fn period_ms() -> f64 {
@@ -177,7 +170,7 @@ impl WorldTask {
             period: Duration::from_secs_f64(
                 args.period_ms.clamp(PERIODS_MS[0], PERIODS_MS[1]) / 1e3,
             ),
-            simulation: Rc::new(RefCell::new(Simulation::new(&cell, port))),
+            simulation: Rc::new(RefCell::new(Simulation::new(&cell, port).still(args.still))),
             scenes: Rc::default(),
             buffer: args.scenes,
             cell,

@@ -1,7 +1,7 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
-//! The classes here need no running app and no camera: they work on files; in an app `spot` has its cameras take
-//! pictures besides. Their texts and numbers are a
+//! The classes here need no running app and no camera: they work on files; in an app `spot`, `board` and some others have
+//! its cameras take pictures besides. Their texts and numbers are a
 //! fixed interface that other programs lean on: metres, rad, pixels with centres at whole numbers.
 
 mod abg;
@@ -124,12 +124,15 @@ pub fn register(sorm: &Sorm) {
         Class::new("colour", VERSION, |_, _| {
             Ok(Box::new(colour::Colour::default()))
         }),
+        // These two as well.
         Class::new("board", VERSION, |_, _| {
             Ok(Box::new(board::Board::default()))
-        }),
+        })
+        .waits(),
         Class::new("findBrdMarker", VERSION, |_, _| {
             Ok(Box::new(brd::FindBrdMarker::default()))
-        }),
+        })
+        .waits(),
         Class::new("getDisk", VERSION, |_, _| {
             Ok(Box::new(brd::GetDisk::default()))
         }),

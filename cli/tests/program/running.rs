@@ -227,6 +227,9 @@ const WAYS: &[(&str, Then)] = &[
     ("ctos stop", Ends),
     ("ctos boot configs/checkers.toml", ComesUp),
     ("ctos sim configs/checkers.toml --seed 7", Ends),
+    ("ctos boot configs/checkers-seen.toml", ComesUp),
+    ("ctos sim configs/checkers-seen.toml --seed 7", Ends),
+    ("ctos boot configs/checkers-hands.toml", ComesUp),
     (
         "ctos sim configs/checkers.toml --set task.player.args.opponent=program --seeds 0..3 --json",
         Ends,

@@ -2,19 +2,24 @@
 //!
 //! `player` follows the plot, and has Coordinators do the rest: `vision` reads the board, `transform` says where its fields are,
 //! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
-//! `room` without physics is in the place of table, arm and person; `referee` holds the game against it. `wire` has what they exchange.
+//! `room` without physics is in the place of table, arm and person; `shown` puts what is there before
+//! cameras; `real` moves an arm and a gripper of a world with physics. `referee` holds the
+//! game against it. `wire` has what they exchange.
 
 mod coordinator;
 mod hand;
 mod people;
 mod person;
 mod player;
+mod real;
 mod referee;
 mod robot;
 mod room;
+mod shown;
 mod speaker;
 mod state;
 mod table;
+mod thinker;
 mod transform;
 mod vision;
 mod wire;
@@ -25,13 +30,14 @@ use ctos::registry::Registry;
 /// Registers the event handlers.
 pub fn register(registry: &mut Registry) {
     coordinators::handler::register::<player::PlayerArgs>(registry);
-    coordinators::handler::register::<RoomArgs<vision::Vision>>(registry);
-    coordinators::handler::register::<RoomArgs<transform::Transform>>(registry);
+    coordinators::handler::register::<vision::VisionArgs>(registry);
+    coordinators::handler::register::<transform::TransformArgs>(registry);
     coordinators::handler::register::<RoomArgs<robot::Robot>>(registry);
     coordinators::handler::register::<RoomArgs<hand::Hand>>(registry);
     coordinators::handler::register::<people::PeopleArgs>(registry);
     coordinators::handler::register::<speaker::SpeakerArgs>(registry);
     room::register(registry);
+    thinker::register(registry);
     referee::register(registry);
 }
 

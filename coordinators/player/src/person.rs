@@ -130,6 +130,12 @@ impl Person {
         }
     }
 
+    /// Whether the person thinks, and has no hand over the board.
+    #[must_use]
+    pub fn thinks(&self) -> bool {
+        matches!(self.at, At::Thinks(_))
+    }
+
     /// Whether the table is as it was.
     fn stands(&self, table: &Table, before: &Position) -> bool {
         table.squares() == [before.white, before.black, before.kings]

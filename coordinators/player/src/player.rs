@@ -1,6 +1,6 @@
 //! The functions of `nets/checkers/player.net`: the plot of a game (SORMA technical report, section 2.1.2).
 
-use std::{cell::OnceCell, rc::Rc, time::Duration};
+use std::{cell::OnceCell, rc::Rc};
 
 use checkers::{Colour, Limits, Move, Status, Variant, pdn, search};
 use coordinators::{dom::DomStore, handler::NetArgs};
@@ -16,11 +16,9 @@ use serde::Deserialize;
 
 use crate::{
     state::{Phase, Play, State},
+    thinker::Seek,
     wire::{self, Hue, Played, Situation, WISH, Wish, Words},
 };
-
-/// As the class `game` has it: in virtual time a search ends after so many positions a second.
-const POSITIONS_PER_SECOND: f64 = 4e6;
 
 /// A draw is agreed to when the position is worth no more than this, hundredths of a man.
 const FAIR: i32 = 50;
@@ -41,6 +39,9 @@ pub struct PlayerArgs {
     /// The rules.
     #[serde(default = "brazilian")]
     pub variant: String,
+    /// The task that seeks moves.
+    #[serde(default = "thinker")]
+    thinker: String,
     /// How long a move is thought about, s.
     seconds: Option<f64>,
     /// How many positions are looked at for a move, in place of a time.
@@ -52,6 +53,10 @@ pub struct PlayerArgs {
     opening: usize,
     /// Where the game is written as PDN, relative to the configuration's folder.
     pdn: Option<String>,
+}
+
+fn thinker() -> String {
+    "thinker".to_owned()
 }
 
 fn own() -> String {
@@ -134,7 +139,7 @@ impl NetArgs for PlayerArgs {
         let note = |note: fn(&mut Play)| {
             move |action: Act| async move {
                 action.with_state(|player| note(&mut player.play));
-                Ok(())
+                gaze(&action).await
             }
         };
         Library::new(Player {
@@ -170,6 +175,7 @@ impl NetArgs for PlayerArgs {
     }
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        coordinators::need_task(task, app, "thinker", &self.thinker, findings);
         let mut wrong = |key: &str, text: String, help: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
             let finding = Finding::error("checkers::player::args", text);
@@ -208,10 +214,20 @@ async fn begin(action: Act) -> Acted {
     if let Some(word) = action.arguments().first() {
         return Err(HandlerError::new(format!("`play` takes no `{word}`")));
     }
-    wire::keep(action.cx(), &store(&action), wire::GAZE, &0_u8).await?;
     action.with_state(|player| {
         player.play.again();
     });
+    gaze(&action).await
+}
+
+/// Tells vision from where to look, and at what, when that is not what it was told.
+async fn gaze(action: &Act) -> Acted {
+    let (gaze, told) = action.with_state(|player| (player.play.gaze(), player.play.state.told));
+    if told == Some(gaze) {
+        return Ok(());
+    }
+    wire::keep(action.cx(), &store(action), wire::GAZE, &gaze).await?;
+    action.with_state(|player| player.play.state.told = Some(gaze));
     Ok(())
 }
 
@@ -220,9 +236,8 @@ async fn judge(action: Act) -> Acted {
     let seen: Situation = wire::fetch(&cx, &store, wire::SITUATION).await?;
     let record = record(&action)?;
     let wish: Option<Wish> = store.fetch(&cx, WISH).await.ok();
-    let gaze = action.with_state(|player| {
+    action.with_state(|player| {
         let play = &mut player.play;
-        let before = play.state.gaze;
         play.judge(&seen);
         if let Some(wish) = wish
             && wish.number > play.state.wish
@@ -236,12 +251,8 @@ async fn judge(action: Act) -> Acted {
         {
             end_as(play, record);
         }
-        (play.state.gaze != before).then_some(play.state.gaze)
     });
-    match gaze {
-        Some(gaze) => wire::keep(&cx, &store, wire::GAZE, &gaze).await,
-        None => Ok(()),
-    }
+    gaze(&action).await
 }
 
 /// The game of the file, which is read once.
@@ -314,15 +325,24 @@ async fn put_words(action: Act) -> Acted {
 async fn think(action: Act) -> Acted {
     let record = record(&action)?;
     let cx = action.cx().clone();
-    action.with_state(|player| {
+    let (mut step, args, seek) = action.with_state(|player| {
         let game = &player.play.game;
-        let step = recorded(game.moves(), record.as_ref().as_ref())
-            .or_else(|| drawn(&cx, player))
-            .or_else(|| best(&cx, player));
-        let step = step.ok_or("there is no move")?;
-        player.play.think(step);
-        Ok(())
-    })
+        let step = recorded(game.moves(), record.as_ref().as_ref());
+        let step = step.or_else(|| drawn(&cx, player));
+        let seek = Seek {
+            variant: game.variant().name().to_owned(),
+            moves: player.play.state.moves.clone(),
+            nodes: player.args.nodes,
+            seconds: player.args.seconds.unwrap_or(1.0),
+        };
+        (step, player.args.clone(), seek)
+    });
+    if step.is_none() {
+        step = seek.ask(&cx, &args.thinker).await?;
+    }
+    let step = step.ok_or("there is no move")?;
+    action.with_state(|player| player.play.think(step));
+    gaze(&action).await
 }
 
 /// The next move of the record, as long as the game goes as it says.
@@ -348,23 +368,6 @@ fn drawn(cx: &Context, player: &Player) -> Option<Move> {
     };
     let moves = game.position().moves(game.variant());
     moves.get(rng.random_range(0..moves.len().max(1))).copied()
-}
-
-fn best(cx: &Context, player: &Player) -> Option<Move> {
-    let (args, game) = (&player.args, &player.play.game);
-    let begin = cx.now();
-    let seconds = args.seconds.unwrap_or(1.0);
-    let time = Duration::from_secs_f64(seconds);
-    let mut stop = || args.nodes.is_none() && cx.now().since(begin) >= time;
-    let most = (seconds * POSITIONS_PER_SECOND) as u64;
-    let limits = Limits {
-        nodes: Some(args.nodes.unwrap_or(most).max(1)),
-        depth: 99,
-        stop: &mut stop,
-    };
-    let found = search(game.position(), game.variant(), game.before(), None, limits);
-    let moves = game.position().moves(game.variant());
-    found.line.first().or(moves.first()).copied()
 }
 
 async fn aim(action: Act) -> Acted {

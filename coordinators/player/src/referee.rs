@@ -11,7 +11,7 @@ use ctos::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::wire::{self, PLAYED, Played, TrueTable, Truth};
+use crate::wire::{self, Looks, PLAYED, Played, TrueTable, Truth};
 
 /// The handler's name.
 pub const HANDLER: &str = "checkers.referee";
@@ -23,6 +23,9 @@ pub(crate) const TWO_DISCS: &str = "two discs";
 
 /// Discs of each colour in the room.
 const DISCS: u32 = 24;
+
+/// One look in so many may be read wrongly.
+const WRONG_ONE_IN: u32 = 1000;
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -57,6 +60,8 @@ pub struct Verdict {
     pub slipped: u32,
     /// How often the board was moved.
     pub moved: u32,
+    /// Looks of cameras: read right, in part unsure, and wrong.
+    pub looks: Looks,
     /// What was said.
     pub said: Vec<String>,
 }
@@ -106,6 +111,16 @@ impl Referee {
             verdict.slipped,
             verdict.moved
         );
+        let Looks {
+            right,
+            unsure,
+            wrong,
+        } = verdict.looks;
+        if right + unsure + wrong > 0 {
+            text += &format!(
+                "\nof looks at a board at rest {right} were right, {unsure} unsure in part, {wrong} wrong"
+            );
+        }
         for wrong in &verdict.wrong {
             text += &format!("\nnot true: {wrong}");
         }
@@ -153,6 +168,17 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
             truth.slipped
         ));
     }
+    let Looks {
+        right,
+        unsure,
+        wrong: misread,
+    } = truth.looks;
+    if misread * WRONG_ONE_IN > right + unsure + misread {
+        let all = right + unsure + misread;
+        wrong.push(format!(
+            "of {all} looks {misread} were read surely and wrongly"
+        ));
+    }
     if truth.met > 0 {
         wrong.push("arm and hand were over the board at the same time".to_owned());
     }
@@ -166,6 +192,7 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
         errors: truth.errors.clone(),
         slipped: truth.slipped,
         moved: truth.moved,
+        looks: truth.looks,
         said: truth.heard.clone(),
     }
 }

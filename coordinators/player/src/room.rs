@@ -1,5 +1,5 @@
-//! The room of a dry game: the task that has [`Table`] and [`Person`], and answers in modelled time. It has the place of cameras, arm and
-//! hand; who plays there is said by the arguments of the player.
+//! The room of a dry game: the task that has [`Table`] and [`Person`], and answers in modelled time. It has the place of arm and hand, and
+//! of cameras unless it shows its table to some; who plays there is said by the arguments of the player.
 
 use std::{cell::RefCell, rc::Rc, time::Duration};
 
@@ -9,13 +9,16 @@ use ctos::{
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
+use mcs_hand::command::{PlaceBody, ReadBodies};
+use rand::RngExt;
 use serde::Deserialize;
 
 use crate::{
     person::Person,
     player::PlayerArgs,
+    shown::{Shown, ShownArgs},
     table::{Chances, Table},
-    wire::{Close, Go, Hear, Open, See, Truth},
+    wire::{self, Close, Go, Hear, Looked, Open, See, Truth},
 };
 
 /// The handler's name.
@@ -42,6 +45,8 @@ struct RoomArgs {
     bumps: f64,
     #[serde(default)]
     glare: f64,
+    /// The world whose cameras see the table.
+    shown: Option<ShownArgs>,
 }
 
 fn player() -> String {
@@ -53,6 +58,7 @@ struct Inner {
     person: Option<Person>,
     heard: u32,
     starts: checkers::Colour,
+    shown: Option<Shown>,
 }
 
 /// The event handler.
@@ -69,11 +75,15 @@ pub(crate) fn register(registry: &mut Registry) {
         Open::INFO,
         Hear::INFO,
         Truth::INFO,
+        Looked::INFO,
     ];
     registry
         .handler(HANDLER, &commands, Room::new)
         .checked_args::<RoomArgs>(|args, task, app, findings| {
             coordinators::need_task(task, app, "player", &args.player, findings);
+            if let Some(shown) = &args.shown {
+                coordinators::need_task(task, app, "shown.world", &shown.world, findings);
+            }
             let chances = [
                 ("errors", args.errors),
                 ("slips", args.slips),
@@ -110,10 +120,17 @@ impl Room {
             person: side.map(|side| Person::new(side, rules, record)),
             heard: 0,
             starts: rules.starts(),
+            shown: args.shown.map(Shown::new),
         };
         Ok(Self {
             inner: Rc::new(RefCell::new(inner)),
         })
+    }
+
+    /// Whether arm and hand are those of a world that moves by itself.
+    fn is_real(&self) -> bool {
+        let inner = self.inner.borrow();
+        inner.shown.as_ref().is_some_and(|shown| shown.args.real)
     }
 
     /// Answers a request after some time.
@@ -129,6 +146,7 @@ impl Room {
         cx.spawn(async move {
             child.sleep(takes).await;
             let answer = act(&mut inner.borrow_mut().table, request);
+            show(&child, &inner).await;
             // Who asked may be gone.
             let _ = reply.ok(answer);
         });
@@ -141,6 +159,25 @@ impl EventHandler for Room {
         match message.command() {
             See::CODE => {
                 self.after::<See>(cx, message, PICTURE, |table, See { pose }| table.see(pose))
+            }
+            Go::CODE if self.is_real() => {
+                let (Go { to }, reply) = message.open::<Go>()?;
+                let table = &mut self.inner.borrow_mut().table;
+                if to.is_some() {
+                    if !table.hand {
+                        table.arm = to;
+                    }
+                    return reply.ok(!table.hand);
+                }
+                let (child, inner) = (cx.clone(), self.inner.clone());
+                cx.spawn(async move {
+                    let read = read(&child, &inner).await;
+                    let _ = match read {
+                        Ok(()) => reply.ok(true),
+                        Err(error) => reply.fail(error),
+                    };
+                });
+                Ok(())
             }
             Go::CODE => {
                 let (Go { to }, reply) = message.open::<Go>()?;
@@ -155,6 +192,7 @@ impl EventHandler for Room {
                 cx.spawn(async move {
                     child.sleep(Duration::from_secs_f64(seconds)).await;
                     inner.borrow_mut().table.arrived(motion, to);
+                    show(&child, &inner).await;
                     let _ = reply.ok(true);
                 });
                 Ok(())
@@ -184,7 +222,20 @@ impl EventHandler for Room {
             }
             Truth::CODE => {
                 let (Truth {}, reply) = message.open::<Truth>()?;
-                reply.ok(self.inner.borrow().table.truth())
+                let inner = self.inner.borrow();
+                let mut truth = inner.table.truth();
+                if let Some(shown) = &inner.shown {
+                    truth.looks = shown.looks;
+                }
+                reply.ok(truth)
+            }
+            Looked::CODE => {
+                let (looked, reply) = message.open::<Looked>()?;
+                let Inner { table, shown, .. } = &mut *self.inner.borrow_mut();
+                if let Some(shown) = shown {
+                    shown.judge(table, &looked);
+                }
+                reply.ok(())
             }
             _ => cx.default_processing(message),
         }
@@ -195,18 +246,87 @@ impl EventHandler for Room {
             let (child, inner) = (cx.clone(), self.inner.clone());
             cx.spawn(async move {
                 while !child.is_stopping() {
+                    show(&child, &inner).await;
                     child.sleep(TICK).await;
-                    let Inner { table, person, .. } = &mut *inner.borrow_mut();
-                    if let Some(person) = person {
-                        person.tick(table, seconds(&child));
-                    }
-                    if table.hand && (table.moving || table.arm.is_some()) {
-                        table.truth.met += 1;
-                    }
+                    inner.borrow_mut().tick(seconds(&child));
                 }
             });
         }
         Ok(())
+    }
+}
+
+impl Inner {
+    /// Time passes.
+    fn tick(&mut self, now: f64) {
+        let Self {
+            table,
+            person,
+            shown,
+            ..
+        } = self;
+        if let Some(person) = person {
+            person.tick(table, now);
+        }
+        if table.hand && (table.moving || table.arm.is_some()) {
+            table.truth.met += 1;
+        }
+        // Cameras do not say when they look.
+        if let Some(shown) = shown {
+            if person.as_ref().is_some_and(Person::thinks) {
+                table.may_bump();
+            }
+            if table.rng.random_bool(table.chances.glare) {
+                shown.hide(table.rng.random_range(0..32), now);
+            }
+        }
+    }
+}
+
+/// Nobody is at the table any more: it is as arm and hand have left it.
+async fn read(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
+    let world = inner
+        .borrow()
+        .shown
+        .as_ref()
+        .map(|shown| shown.args.world.clone());
+    let world = world.ok_or("there is no world")?;
+    let bodies = wire::ask(cx, &world, ReadBodies {}).await?;
+    let now = seconds(cx);
+    let Inner { table, shown, .. } = &mut *inner.borrow_mut();
+    if let Some(shown) = shown {
+        shown.read(table, &bodies, now);
+    }
+    table.arm = None;
+    table.note();
+    Ok(())
+}
+
+/// Puts the bodies of the world where the table has them.
+async fn show(cx: &Context, inner: &Rc<RefCell<Inner>>) {
+    let now = seconds(cx);
+    let (world, moved) = {
+        let Inner { table, shown, .. } = &mut *inner.borrow_mut();
+        let Some(shown) = shown else { return };
+        (shown.args.world.clone(), shown.take(table, now))
+    };
+    if moved.is_empty() {
+        return;
+    }
+    for nth in moved {
+        // As it is by now: it may have been moved again meanwhile.
+        let body = inner
+            .borrow()
+            .shown
+            .as_ref()
+            .and_then(|shown| shown.body(nth));
+        let Some((body, pose)) = body else { continue };
+        if let Err(error) = wire::ask(cx, &world, PlaceBody { body, pose }).await {
+            tracing::error!(%error, "a disc is not shown");
+        }
+    }
+    if let Some(shown) = &mut inner.borrow_mut().shown {
+        shown.is_shown(seconds(cx));
     }
 }
 

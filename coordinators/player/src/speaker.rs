@@ -1,6 +1,6 @@
 //! The Speaker Coordinator of the checkers player: the functions of `nets/checkers/speaker.net`, which tell people what to know.
 
-use coordinators::{carry::speaker, dom::DomStore, handler::NetArgs};
+use coordinators::{carry::speaker, dom::DomStore, handler::NetArgs, served::Served};
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::Findings,
@@ -62,7 +62,7 @@ async fn say(action: Act) -> Acted {
     let cx = action.cx();
     let Words { number, words } = wire::fetch(cx, &store, wire::WORDS).await?;
     let object = args.speaker.as_deref();
-    let object = object.and_then(|name| speaker::Speaker::named(name).ok());
+    let object = object.and_then(|name| Served::named(name).ok());
     speaker::say(cx, object.as_ref(), &words);
     wire::ask(cx, &args.room, wire::Hear { number, words }).await
 }

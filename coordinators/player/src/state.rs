@@ -1,22 +1,22 @@
 //! What the player knows of a game, and what it makes of a look at the board: pure, and stored as it is.
 
 use checkers::{
-    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Sight, Status, Variant, Verdict,
-    Watch,
+    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Refusal, Sight, Status, Variant,
+    Verdict, Watch,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::{
     referee::{A_DISC, LOST, TWO_DISCS},
-    wire::{Errand, Hue, Situation, Spot, centre},
+    wire::{Errand, Gaze, Hue, SURE, Situation, Spot, centre},
 };
 
-/// A disc that is seen less surely is unknown.
-const SURE: f64 = 0.8;
 /// After so many looks from elsewhere people are asked.
 const LOOKS_AGAIN: u32 = 4;
 /// After so many looks the same is said once more.
 const SAID_AGAIN: u32 = 25;
+/// Discs of each colour that are no part of the game at its beginning.
+pub const SPARE: u8 = 12;
 /// What was lost is looked for so often before people are asked for it.
 const SEARCHES: u32 = 3;
 
@@ -55,11 +55,35 @@ pub enum End {
     Lost,
 }
 
+/// A move as it is stored: from, to, whether crowned, and what was captured.
+pub type Step = (u8, u8, bool, u32);
+
+/// A stored move.
+pub fn step_of((from, to, crowned, captured): Step) -> Move {
+    Move {
+        from,
+        to,
+        crowned,
+        captured,
+    }
+}
+
+/// A game after moves that were stored.
+///
+/// # Errors
+/// One of them is not legal.
+pub fn replayed(variant: Variant, moves: &[Step]) -> Result<Game, Refusal> {
+    let mut game = Game::new(variant);
+    for step in moves {
+        game.make(step_of(*step))?;
+    }
+    Ok(game)
+}
+
 /// A game as it is stored.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
-    /// From, to, whether crowned, and what was captured.
-    pub moves: Vec<(u8, u8, bool, u32)>,
+    pub moves: Vec<Step>,
     /// How it ended otherwise than by the rules: who gave up; `None` inside when both agreed.
     pub ended: Option<Option<Hue>>,
     /// What is expected next.
@@ -68,8 +92,9 @@ pub struct State {
     pub tasks: Vec<Task>,
     /// The squares where White's and Black's discs should stand now.
     pub expected: [u32; 2],
-    /// Discs in each place of the trays of White's and Black's discs.
+    /// Discs in each place of the trays of White's and Black's discs, and those that are no part of the game.
     pub trays: [Vec<u8>; 2],
+    pub spare: [u8; 2],
     /// The errand in work.
     pub errand: Errand,
     /// What is to be said, and the number of it.
@@ -81,6 +106,8 @@ pub struct State {
     pub wish: u32,
     /// From which pose it looks, and how often it has looked again.
     pub gaze: u8,
+    /// What vision was told of it last.
+    pub told: Option<Gaze>,
     pub again: u32,
     /// How often what was lost has been looked for, and where it lies.
     pub searched: u32,
@@ -114,6 +141,7 @@ impl Play {
             from: spot,
             to: spot,
             discs: 1,
+            below: [0; 2],
         };
         let position = game.position();
         let state = State {
@@ -123,12 +151,14 @@ impl Play {
             tasks: Vec::new(),
             expected: [position.white, position.black],
             trays: [vec![0; 12], vec![0; 12]],
+            spare: [SPARE; 2],
             errand,
             words: Vec::new(),
             said: 0,
             last: (String::new(), 0),
             wish: 0,
             gaze: 0,
+            told: None,
             again: 0,
             searched: 0,
             found: None,
@@ -149,17 +179,9 @@ impl Play {
 
     /// Goes on with a game that was stored.
     pub fn restore(&mut self, state: State) {
-        self.game = Game::new(self.game.variant());
-        for (from, to, crowned, captured) in &state.moves {
-            let step = Move {
-                from: *from,
-                to: *to,
-                crowned: *crowned,
-                captured: *captured,
-            };
-            if let Err(refusal) = self.game.make(step) {
-                tracing::error!(%refusal, "a stored move is not legal");
-            }
+        match replayed(self.game.variant(), &state.moves) {
+            Ok(game) => self.game = game,
+            Err(refusal) => tracing::error!(%refusal, "a stored move is not legal"),
         }
         match state.ended {
             Some(Some(hue)) => self.game.resign(hue.colour()),
@@ -245,6 +267,19 @@ impl Play {
         match self.state.phase {
             Phase::Person => self.see_move(&look, seen),
             Phase::Setting | Phase::Robot => self.verify(&look, seen),
+        }
+    }
+
+    /// From where vision is to look, and at what.
+    #[must_use]
+    pub fn gaze(&self) -> Gaze {
+        let square = self.state.tasks.first().and_then(|task| match task.from {
+            End::Square(square, _) => Some(square),
+            _ => None,
+        });
+        Gaze {
+            pose: self.state.gaze,
+            square,
         }
     }
 
@@ -533,11 +568,26 @@ impl Play {
                 Spot::Tray(task.hue, free.unwrap_or(11))
             }
         };
+        let all = |play: &Self| match from {
+            Spot::Tray(hue, place) => {
+                let [light, dark] = &play.state.trays;
+                let tray = if hue == Hue::Light { light } else { dark };
+                tray.get(usize::from(place)).copied().unwrap_or_default()
+            }
+            Spot::Spare(hue) => play.state.spare[usize::from(hue == Hue::Dark)],
+            Spot::Board(_) => task.discs,
+        };
+        let beneath = |end: End, others: u8| match end {
+            End::Square(_, below) => below,
+            _ => others,
+        };
+        let others = all(self).saturating_sub(task.discs);
         self.state.errand = Errand {
             number: self.state.errand.number + 1,
             from,
             to,
             discs: task.discs,
+            below: [beneath(task.from, others), beneath(task.to, 0)],
         };
         Some(self.state.errand)
     }
@@ -557,11 +607,15 @@ impl Play {
         if let End::Square(square, 0) = task.from {
             self.expect(square, task.hue, false);
         }
-        if let Spot::Tray(hue, place) = self.state.errand.from {
-            let discs = self.state.errand.discs;
-            if let Some(held) = self.tray(hue).get_mut(usize::from(place)) {
-                *held = held.saturating_sub(discs);
-            }
+        let discs = self.state.errand.discs;
+        if let Spot::Spare(hue) = self.state.errand.from {
+            let left = &mut self.state.spare[usize::from(hue == Hue::Dark)];
+            *left = left.saturating_sub(discs);
+        }
+        if let Spot::Tray(hue, place) = self.state.errand.from
+            && let Some(held) = self.tray(hue).get_mut(usize::from(place))
+        {
+            *held = held.saturating_sub(discs);
         }
     }
 

@@ -5,7 +5,9 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
-use crate::wire::{ASIDE_M, FIELD_M, Hue, MARKERS, Picture, Pose, Spot, TrueTable, apart, centre};
+use crate::wire::{
+    ASIDE_M, FIELD_M, Hue, Looks, MARKERS, Picture, Pose, Spot, TrueTable, apart, centre,
+};
 
 /// The hand takes what is so near beneath it, m.
 const REACH_M: f64 = 0.024;
@@ -86,6 +88,7 @@ impl Table {
                 moved: 0,
                 errors: Vec::new(),
                 met: 0,
+                looks: Looks::default(),
             },
             chances,
             rng,
@@ -194,10 +197,10 @@ impl Table {
         truth
     }
 
-    /// A picture from a pose; the board may be pushed before.
-    pub fn see(&mut self, pose: u8) -> Picture {
-        let chances = self.chances;
-        if !self.hand && self.arm.is_none() && !self.moving && self.rng.random_bool(chances.bumps) {
+    /// The board may be pushed aside when nobody is at it.
+    pub fn may_bump(&mut self) {
+        let nobody = !self.hand && self.arm.is_none() && !self.moving;
+        if nobody && self.rng.random_bool(self.chances.bumps) {
             self.board.at = [
                 (self.board.at[0] + self.rng.random_range(-0.03..0.03)).clamp(0.44, 0.56),
                 (self.board.at[1] + self.rng.random_range(-0.03..0.03)).clamp(-0.06, 0.06),
@@ -205,6 +208,12 @@ impl Table {
             self.board.yaw = (self.board.yaw + self.rng.random_range(-0.1..0.1)).clamp(-0.4, 0.4);
             self.truth.moved += 1;
         }
+    }
+
+    /// A picture from a pose; the board may be pushed before.
+    pub fn see(&mut self, pose: u8) -> Picture {
+        let chances = self.chances;
+        self.may_bump();
         let noise = |rng: &mut ChaCha8Rng, [x, y]: [f64; 2]| {
             let off = |rng: &mut ChaCha8Rng| rng.random_range(-5e-4..5e-4);
             [x + off(rng), y + off(rng)]
@@ -333,7 +342,7 @@ impl Table {
 }
 
 /// Where a stack is in the table's frame.
-fn table_at(stack: &Stack, board: &Pose) -> [f64; 2] {
+pub fn table_at(stack: &Stack, board: &Pose) -> [f64; 2] {
     if stack.on_board {
         board.on_table(stack.at)
     } else {

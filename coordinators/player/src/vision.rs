@@ -1,23 +1,23 @@
 //! The Vision Coordinator of the checkers player: the functions of `nets/checkers/vision.net`, which find the board and read it.
+//!
+//! In a dry game the room says what a picture shows ([`dry`]). Where cameras are named, VSS finds the board in their pictures and
+//! reads it ([`seen`]).
 
-use pnt::library::{Acted, Action, Library};
+mod dry;
+mod seen;
 
-use crate::{
-    coordinator::{Functions, InRoom},
-    wire::{self, Picture, Pose, Reading, See, Situation, apart},
+use std::{cell::Cell, rc::Rc};
+
+use coordinators::{dom::DomStore, handler::NetArgs};
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::Findings,
 };
+use pnt::library::{Acted, Action, Library};
+use serde::Deserialize;
 
-/// The functions.
-#[derive(Debug, Clone)]
-pub struct Vision;
-
-impl Functions for Vision {
-    const HANDLER: &'static str = "checkers.vision";
-
-    fn add(library: Library<InRoom>) -> Library<InRoom> {
-        library.action("find", find).action("look", look)
-    }
-}
+use crate::wire::{self, Gaze, Marks, Pose};
+use seen::SeenArgs;
 
 /// A disc so near to the middle of a square stands well, m.
 const WELL_M: f64 = 0.008;
@@ -26,63 +26,92 @@ const OFF_M: f64 = 0.021;
 /// Markers that are so far from where they were have been moved, m.
 const MOVED_M: f64 = 0.004;
 
+/// How surely a disc stands on a square, so far from its middle.
+fn well(off: f64) -> f64 {
+    1.0 - ((off - WELL_M) / (OFF_M - WELL_M)).max(0.0)
+}
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VisionArgs {
+    /// The data object manager.
+    #[serde(default = "crate::coordinator::dom")]
+    dom: String,
+    /// The task of the room.
+    #[serde(default = "crate::coordinator::room")]
+    room: String,
+    /// The cameras, and who reads their pictures; the room itself says what there is to see without it.
+    seen: Option<SeenArgs>,
+}
+
+/// What the functions share.
+#[derive(Clone)]
+pub struct Vision {
+    args: Rc<VisionArgs>,
+    store: DomStore,
+    /// Whether colours are trained. Their daemon lives as long as this process.
+    trained: Rc<Cell<bool>>,
+}
+
+impl NetArgs for VisionArgs {
+    const HANDLER: &'static str = "checkers.vision";
+    type State = Vision;
+
+    fn dom(&self) -> &str {
+        &self.dom
+    }
+
+    fn library(self, store: DomStore) -> Library<Vision> {
+        let state = Vision {
+            args: Rc::new(self),
+            store,
+            trained: Rc::default(),
+        };
+        // Between two requests there is nothing to know.
+        let library = Library::new(state).kept(|_| (), |_, ()| ());
+        library.action("find", find).action("look", look)
+    }
+
+    fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        coordinators::need_task(task, app, "room", &self.room, findings);
+        if let Some(seen) = &self.seen {
+            seen.check(task, app, findings);
+        }
+    }
+}
+
+fn state(action: &Action<Vision>) -> Vision {
+    action.with_state(|state| state.clone())
+}
+
 /// Where the markers are (`findBrdMarker` of the report).
-async fn find(action: Action<InRoom>) -> Acted {
-    let InRoom { store, room } = InRoom::of(&action);
+async fn find(action: Action<Vision>) -> Acted {
+    let state = state(&action);
     let cx = action.cx();
-    let picture = wire::ask(cx, &room, See { pose: 0 }).await?;
-    wire::keep(cx, &store, wire::MARKS, &picture.markers).await
+    let marks = match &state.args.seen {
+        Some(seen) => Marks::Pictures(seen::find(cx, &state, seen).await?),
+        None => {
+            let picture = wire::ask(cx, &state.args.room, wire::See { pose: 0 }).await?;
+            Marks::Table(picture.markers)
+        }
+    };
+    wire::keep(cx, &state.store, wire::MARKS, &marks).await
 }
 
 /// The situation on the board (`getBrdSit` of the report).
-async fn look(action: Action<InRoom>) -> Acted {
-    let InRoom { store, room } = InRoom::of(&action);
+async fn look(action: Action<Vision>) -> Acted {
+    let state = state(&action);
     let cx = action.cx();
-    let pose: u8 = wire::fetch(cx, &store, wire::GAZE).await?;
-    let board: Pose = wire::fetch(cx, &store, wire::BOARD).await?;
-    let picture = wire::ask(cx, &room, See { pose }).await?;
-    wire::keep(cx, &store, wire::SITUATION, &read(&picture, &board)).await
-}
-
-/// What a picture says of a board.
-#[must_use]
-pub fn read(picture: &Picture, board: &Pose) -> Situation {
-    let pairs = wire::MARKERS.iter().zip(picture.markers);
-    let moved = pairs.map(|(mark, seen)| apart(board.on_table(*mark), seen));
-    let moved = moved.fold(0.0, f64::max) > MOVED_M;
-    let glare = picture.glare.map(|at| board.on_board(at));
-    let dims = |at: [f64; 2]| match glare {
-        Some(glare) if apart(glare, at) < wire::FIELD_M / 2.0 => 0.5,
-        _ => 1.0,
-    };
-    let empty = |square: u8| Reading {
-        disc: None,
-        confidence: dims(wire::centre(square)),
-        at: wire::centre(square),
-    };
-    let mut squares: Vec<Reading> = (0..32).map(empty).collect();
-    let mut strays = Vec::new();
-    for (hue, at) in &picture.discs {
-        if at[1].abs() > wire::ASIDE_M {
-            continue;
+    let gaze: Gaze = wire::fetch(cx, &state.store, wire::GAZE).await?;
+    let situation = match &state.args.seen {
+        Some(seen) => seen::look(cx, &state, seen, gaze).await?,
+        None => {
+            let board: Pose = wire::fetch(cx, &state.store, wire::BOARD).await?;
+            let pose = gaze.pose;
+            let picture = wire::ask(cx, &state.args.room, wire::See { pose }).await?;
+            dry::read(&picture, &board)
         }
-        let at = board.on_board(*at);
-        let near = (0_u8..).zip(&mut squares);
-        let near = near.map(|(square, reading)| (apart(wire::centre(square), at), reading));
-        match near.min_by(|one, other| one.0.total_cmp(&other.0)) {
-            Some((off, reading)) if off < OFF_M && reading.disc.is_none() => {
-                let well = 1.0 - ((off - WELL_M) / (OFF_M - WELL_M)).max(0.0);
-                reading.disc = Some(*hue);
-                reading.confidence *= well;
-                reading.at = at;
-            }
-            _ => strays.push((*hue, at)),
-        }
-    }
-    Situation {
-        squares,
-        strays,
-        hand: picture.hand,
-        moved,
-    }
+    };
+    wire::keep(cx, &state.store, wire::SITUATION, &situation).await
 }

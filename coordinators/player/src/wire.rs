@@ -12,6 +12,11 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 /// Side of a field, m.
 pub const FIELD_M: f64 = 0.06;
 
+/// How high the table is, the board on it, and a disc, m.
+pub const TABLE_M: f64 = 0.4;
+pub const BOARD_M: f64 = 0.02;
+pub const DISC_M: f64 = 0.01;
+
 /// The colour of a disc.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Hue {
@@ -56,8 +61,19 @@ pub fn apart(one: [f64; 2], other: [f64; 2]) -> f64 {
     (one[0] - other[0]).hypot(one[1] - other[1])
 }
 
-/// The markers of the board in its own frame: the middles of its left and right border.
+/// The markers of the board of a dry game in its own frame: the middles of its left and right border.
 pub const MARKERS: [[f64; 2]; 2] = [[-0.26, 0.0], [0.26, 0.0]];
+
+/// Those of a board that cameras see: on the corners of its border, beside a1, h1, h8 and a8.
+pub const CORNERS: [[f64; 2]; 4] = [
+    [-0.255, -0.255],
+    [0.255, -0.255],
+    [0.255, 0.255],
+    [-0.255, 0.255],
+];
+
+/// A disc that is seen less surely is unknown.
+pub const SURE: f64 = 0.8;
 
 /// Where the board lies on the table.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -69,12 +85,32 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The pose by which the markers are where they are seen.
+    /// The pose by which marks, whose places on the board are known, are where they are seen on the table (least squares).
     #[must_use]
-    pub fn of_markers([left, right]: [[f64; 2]; 2]) -> Self {
+    pub fn of_marks(marks: &[([f64; 2], [f64; 2])]) -> Self {
+        let count = marks.len().max(1) as f64;
+        let (mut on_board, mut on_table) = ([0.0; 2], [0.0; 2]);
+        for (from, to) in marks {
+            for axis in 0..2 {
+                on_board[axis] += from[axis] / count;
+                on_table[axis] += to[axis] / count;
+            }
+        }
+        let (mut cosine, mut sine) = (0.0, 0.0);
+        for (from, to) in marks {
+            let [a, b] = [from[0] - on_board[0], from[1] - on_board[1]];
+            let [x, y] = [to[0] - on_table[0], to[1] - on_table[1]];
+            cosine += a * x + b * y;
+            sine += a * y - b * x;
+        }
+        let turned = Self {
+            at: [0.0; 2],
+            yaw: sine.atan2(cosine),
+        };
+        let [x, y] = turned.on_table(on_board);
         Self {
-            at: [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0],
-            yaw: (right[1] - left[1]).atan2(right[0] - left[0]),
+            at: [on_table[0] - x, on_table[1] - y],
+            ..turned
         }
     }
 
@@ -118,8 +154,12 @@ impl Spot {
         };
         match self {
             Self::Board(at) => board.on_table(*at),
-            Self::Tray(hue, place) => [0.2 + 0.05 * f64::from(*place), 0.5 * side(*hue)],
-            Self::Spare(hue) => [0.1, 0.6 * side(*hue)],
+            // Three rows of four, with room for fingers between them, where the arm gets to.
+            Self::Tray(hue, place) => [
+                0.24 + 0.065 * f64::from(*place % 4),
+                (0.48 + 0.065 * f64::from(*place / 4)) * side(*hue),
+            ],
+            Self::Spare(hue) => [0.53, 0.48 * side(*hue)],
         }
     }
 }
@@ -157,6 +197,11 @@ ctos::command! {
     #[derive(Debug, Clone, PartialEq, Eq)]
     pub struct Truth => TrueTable, 0x0706, "truth"
 }
+ctos::command! {
+    /// What was read of a picture, for the referee only. Its stamp is the app's time, ns.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Looked { pub stamp_ns: i64, pub situation: Situation } => (), 0x0707, "looked"
+}
 
 /// What a picture shows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -188,13 +233,46 @@ pub struct TrueTable {
     pub errors: Vec<String>,
     /// How often arm and person's hand were over the table at the same time.
     pub met: u32,
+    /// Looks of cameras at the board.
+    pub looks: Looks,
 }
 
-/// Where the markers were seen: [`MARKS`].
+/// How well the board was read, by looks at a board that nobody touched meanwhile.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Looks {
+    /// All squares surely, and as they are.
+    pub right: u32,
+    /// What was not read right was unsure, or a hand was seen.
+    pub unsure: u32,
+    /// Something was read surely that is not so.
+    pub wrong: u32,
+}
+
+/// Where the markers of the board were seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Marks {
+    /// On the table: [`MARKERS`].
+    Table([[f64; 2]; 2]),
+    /// In pictures.
+    Pictures(Vec<Marked>),
+}
+
+/// A board in the picture of a camera, px.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Marked {
+    /// The camera.
+    pub camera: String,
+    /// [`CORNERS`].
+    pub markers: [[f64; 2]; 4],
+    /// The corners of the squares a1, h1, h8 and a8.
+    pub corners: [[f64; 2]; 4],
+}
+
+/// [`Marks`], written by vision.
 pub const MARKS: &str = "marks";
 /// Where the board lies: a [`Pose`], written by the transform.
 pub const BOARD: &str = "board";
-/// From which pose vision looks: a number, written by the player.
+/// [`Gaze`], written by the player.
 pub const GAZE: &str = "gaze";
 /// [`Situation`], written by vision.
 pub const SITUATION: &str = "situation";
@@ -208,6 +286,15 @@ pub const WORDS: &str = "words";
 pub const WISH: &str = "wish";
 /// [`Played`], written by the player at the end.
 pub const PLAYED: &str = "played";
+
+/// From where vision looks, and at what.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gaze {
+    /// From which of several poses.
+    pub pose: u8,
+    /// The square whose disc is grasped next: where it is must be known best.
+    pub square: Option<u8>,
+}
 
 /// What is seen on a square.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -244,6 +331,8 @@ pub struct Errand {
     pub to: Spot,
     /// One disc or two.
     pub discs: u8,
+    /// How many discs stand beneath, at both ends.
+    pub below: [u8; 2],
 }
 
 /// What people are told.
@@ -312,4 +401,26 @@ pub(crate) async fn ask<C: ctos::message::Command + Clone>(
         },
     )
     .await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pose_by_marks_is_the_one_that_put_them_there() {
+        let pose = Pose {
+            at: [0.52, -0.04],
+            yaw: 0.31,
+        };
+        for marks in [&MARKERS[..], &CORNERS] {
+            let marks: Vec<_> = marks
+                .iter()
+                .map(|mark| (*mark, pose.on_table(*mark)))
+                .collect();
+            let found = Pose::of_marks(&marks);
+            assert!(apart(found.at, pose.at) < 1e-12, "{found:?}");
+            assert!((found.yaw - pose.yaw).abs() < 1e-12, "{found:?}");
+        }
+    }
 }

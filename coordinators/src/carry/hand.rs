@@ -17,12 +17,13 @@ use serde::Deserialize;
 
 use super::{
     errand::{ERRAND, Errand, HAND_PROBLEMS},
-    speaker::{self, Speaker},
+    speaker,
 };
 use crate::{
     dom::DomStore,
     handler::{self, NetArgs},
     outcome::{Failure, Outcome},
+    served::Served,
 };
 
 /// The handler's name.
@@ -117,7 +118,7 @@ async fn done<F: Future<Output = Result<(), Failure>>>(
     let speaker = args
         .speaker
         .as_deref()
-        .and_then(|name| Speaker::named(name).ok());
+        .and_then(|name| Served::named(name).ok());
     let hand = Hand {
         cx: action.cx().clone(),
         args,

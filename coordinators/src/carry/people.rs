@@ -14,12 +14,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     errand::{ERRAND, Errand, PEOPLE_PROBLEMS, note_problem},
-    speaker::{self, Speaker},
+    speaker,
 };
 use crate::{
     dom::DomStore,
     handler::{self, NetArgs},
     outcome::{Failure, Outcome},
+    served::Served,
 };
 
 /// The handler's name.
@@ -104,7 +105,7 @@ async fn question(action: Act) -> Acted {
         errand.thing.name
     );
     let speaker = args.speaker.as_deref();
-    let speaker = speaker.and_then(|name| Speaker::named(name).ok());
+    let speaker = speaker.and_then(|name| Served::named(name).ok());
     let words = format!("fetch the {} or leave it", errand.thing.name);
     speaker::say(cx, speaker.as_ref(), &words);
     Ok(())

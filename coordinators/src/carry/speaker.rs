@@ -3,82 +3,34 @@
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings},
+    diagnostic::Findings,
     task::Context,
 };
-use sorma::{Comm as _, Location, Method, ObjectName, Request, Transport, daemon::Tasks};
+use sorma::Transport;
 
 use super::board::Field;
-
-/// The service object that speaks, at its daemon.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Speaker(ObjectName);
-
-impl Speaker {
-    /// The object of that name, such as `fork.sound@speaker`.
-    ///
-    /// # Errors
-    /// It is no name, or no daemon is named.
-    pub fn named(name: &str) -> Result<Self, String> {
-        let object: ObjectName = name.parse().map_err(|error| format!("{error}"))?;
-        match object.location() {
-            Location::Alias(_) | Location::Address { .. } => Ok(Self(object)),
-            _ => Err(format!("`{name}` does not say at which daemon")),
-        }
-    }
-
-    /// The task of its daemon, if it is named by that.
-    pub fn daemon(&self) -> Option<&str> {
-        match self.0.location() {
-            Location::Alias(task) => Some(task),
-            _ => None,
-        }
-    }
-
-    /// Has it say something. Nobody waits for it; a speaker that cannot be reached is told in the log.
-    pub fn say(&self, cx: &Context, words: &str) {
-        let (child, object) = (cx.clone(), self.0.clone());
-        let body = Transport::text(words);
-        cx.spawn(async move {
-            let request = Request {
-                name: object.here(),
-                method: Method::Exec,
-                body,
-            };
-            let said = Tasks::of(&child).tell(object.location(), request).await;
-            if let Err(report) = said {
-                tracing::warn!(%object, %report, "nobody speaks");
-            }
-        });
-    }
-}
+use crate::served::{self, Served};
 
 /// Findings where the argument `speaker` names nobody who speaks.
 pub fn check(name: Option<&str>, task: &TaskConfig, app: &App, findings: &mut Findings) {
-    match name.map(Speaker::named) {
-        Some(Ok(speaker)) => {
-            if let Some(daemon) = speaker.daemon() {
-                crate::need_task(task, app, "speaker", daemon, findings);
-            }
-        }
-        Some(Err(text)) => {
-            let place = task.args.locate("speaker");
-            findings.push(
-                Finding::error("coordinators::carry::speaker", text)
-                    .at(place.unwrap_or_else(|| task.place.clone()))
-                    .help("name an object at its daemon, such as `fork.sound@speaker`"),
-            );
-        }
-        None => {}
+    if let Some(name) = name {
+        served::check(("speaker", name), "fork.sound@speaker", task, app, findings);
     }
 }
 
 /// Says something, and writes it in any case.
-pub fn say(cx: &Context, speaker: Option<&Speaker>, words: &str) {
+/// Nobody waits for the speaker; one that cannot be reached is told in the log.
+pub fn say(cx: &Context, speaker: Option<&Served>, words: &str) {
     tracing::info!(task = cx.name(), "said: {words}");
-    if let Some(speaker) = speaker {
-        speaker.say(cx, words);
-    }
+    let Some(speaker) = speaker.cloned() else {
+        return;
+    };
+    let (child, body) = (cx.clone(), Transport::text(words));
+    cx.spawn(async move {
+        if let Err(report) = speaker.tell(&child, body).await {
+            tracing::warn!(object = %speaker, %report, "nobody speaks");
+        }
+    });
 }
 
 /// A field as players name it, `D 4`: the letter of its column and the number of its row.
@@ -105,15 +57,6 @@ mod tests {
             ("30,2", "30 2"),
         ] {
             assert_eq!(field(&text.parse().unwrap()), name, "{text}");
-        }
-    }
-
-    #[test]
-    fn a_speaker_is_an_object_at_a_daemon() {
-        let speaker = Speaker::named("fork.sound@speaker").unwrap();
-        assert_eq!(speaker.daemon(), Some("speaker"));
-        for name in ["fork.sound", "fork.sound@self", "a b@c", ""] {
-            assert!(Speaker::named(name).is_err(), "{name}");
         }
     }
 }

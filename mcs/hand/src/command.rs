@@ -2,6 +2,7 @@
 
 use ctos::command;
 use mcs::{Joints, client::MotionError};
+use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
 /// Whether a gripper holds something.
@@ -157,4 +158,14 @@ command! {
     /// Asks a stand-in for the world where its bodies truly are. For those who judge, and for nobody who plans.
     #[derive(Debug, Clone, PartialEq)]
     pub struct ReadBodies => Vec<Body>, 0x0392, "read_bodies"
+}
+command! {
+    /// A person puts an object elsewhere: where it is and how it lies, at once and at rest.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct PlaceBody {
+        /// Its name in the cell.
+        pub body: String,
+        /// `world_T_body`, m. Nobody sees to it that nothing else is there.
+        pub pose: Isometry3<f64>,
+    } => (), 0x0394, "place_body"
 }

@@ -17,7 +17,7 @@ mod markers;
 mod situation;
 
 pub use disc::{Disc, disc_near};
-pub use situation::{Field, Piece, Roles};
+pub use situation::{Field, Piece, Rest, Roles};
 
 use homography::Homography;
 use lattice::Lattice;

@@ -2,7 +2,8 @@
 
 use std::sync::LazyLock;
 
-use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+use futures_util::future::LocalBoxFuture;
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 use vss_image::{
     Picture,
     board::{Board as Found, BoardError, Roles, Side},
@@ -31,13 +32,25 @@ const FORMS: &[Form] = &[
         help: "the disc near a place of the board",
     },
     Form {
+        text: "rest FILE",
+        floats: 0,
+        takes: "",
+        gives: "1 + 2 n floats: which part of the light squares something covers that is neither disc nor square, 0 to 1; file and \
+                rank of each disc that stands on a light square, or partly on one; n ints: 1 white, 2 black. Needs -train with a \
+                class `light`",
+        results: "",
+        help: "what is on the squares where nothing should be: discs that were lost, hands",
+    },
+    Form {
         text: "FILE",
         floats: 0,
         takes: "",
         gives: "32 ints in the order of PDN (1 is b8, 4 is h8, 29 is a1): 0 empty, 1 and 2 white and black man, 3 and 4 white and \
                 black king, -1 unknown; 32 floats: confidences, 0 to 1",
         results: "",
-        help: "reads the playing squares of a draughts board in a picture (PNG, JPEG, PNM, BMP)",
+        help: "reads the playing squares of a draughts board in a picture (PNG, JPEG, PNM, BMP). In all forms FILE may be \
+               `camera NAME`, which has a camera of the app take the picture, and answers two ints more: its number, and the \
+               middle of its exposure, ns of the app's time; or `last`, the picture that was read last",
     },
 ];
 
@@ -45,6 +58,7 @@ const FORMS: &[Form] = &[
 pub(super) struct Options {
     white: String,
     train: String,
+    tool: String,
 }
 
 impl Default for Options {
@@ -52,6 +66,7 @@ impl Default for Options {
         Self {
             white: "bottom".to_owned(),
             train: String::new(),
+            tool: "toolSnap".to_owned(),
         }
     }
 }
@@ -72,38 +87,50 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
              without it white discs are lighter than dark squares, and black ones darker",
             |options| &mut options.train,
         )
+        .word(
+            "tool",
+            "TASK",
+            "the app's task that takes pictures",
+            |options| &mut options.tool,
+        )
 });
+
+/// A picture, and the board in it.
+struct Read {
+    /// What it is called.
+    name: String,
+    picture: Picture,
+    board: Found,
+}
 
 /// An object of class `board`.
 #[derive(Default)]
 pub(super) struct Board {
     options: Options,
     colours: Option<(Classes, Roles)>,
+    last: Option<Read>,
 }
 
 impl ServiceObject for Board {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = TABLE.form(io).and_then(|form| {
-            let text = io.text.trim().to_owned();
-            let after = |word: &str| {
-                text.strip_prefix(word)
-                    .unwrap_or_default()
-                    .trim()
-                    .to_owned()
-            };
-            match form.text {
-                "marker FILE" => self.marker(&after("marker"), io),
-                "disk FILE" => self.disk(&after("disk"), io),
-                _ => self.situation(&text, io),
-            }
-        });
-        ended(io, outcome)
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = self.job(cx, io).await;
+            ended(io, outcome)
+        }))
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let mut options = self.options.clone();
         let trains = io.text.split_whitespace().any(|word| word == "-train");
         TABLE.ctrl(&mut options, io);
+        if options.white != self.options.white {
+            // Its squares would be those of another side.
+            self.last = None;
+        }
         if trains && !options.train.is_empty() {
             // What was there before stays when the table is no good.
             self.colours = Some(learned(&options.train, io).inspect_err(|_| io.text.clear())?);
@@ -130,56 +157,104 @@ fn learned(path: &str, io: &mut Transport) -> Result<(Classes, Roles), Report> {
     }
 }
 
+/// The word for the picture that was read last.
+const LAST: &str = "last";
+
 impl Board {
-    fn found(&self, path: &str, io: &mut Transport) -> Result<(Picture, Found), Report> {
-        let picture = picture::opened(path, io)?;
+    async fn job(&mut self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        let form = TABLE.form(io)?;
+        let verb = form.text.strip_suffix("FILE").unwrap_or_default().trim();
+        let name = io.text.trim();
+        let name = name.strip_prefix(verb).unwrap_or(name).trim().to_owned();
+        let mut taken = None;
+        if name != LAST {
+            // What was there before is not the last one any more, even if there is no board in this one.
+            self.last = None;
+            let (picture, numbers) = picture::of(cx, &name, &self.options.tool, io).await?;
+            taken = numbers;
+            let board = self.found(&picture).map_err(|why| none(&name, &why))?;
+            self.last = Some(Read {
+                name,
+                picture,
+                board,
+            });
+        }
+        let read = self.last.as_ref().ok_or_else(|| {
+            let text = "no board was read yet: give a file, or `camera NAME`";
+            Report::error(code::BOARD, text)
+        })?;
+        match verb {
+            "marker" => marker(&read.board, io),
+            "disk" => self.disk(read, io)?,
+            "rest" => self.rest(read, io)?,
+            _ => self.situation(read, io),
+        }
+        io.ints.extend(taken.into_iter().flatten());
+        Ok(())
+    }
+
+    fn found(&self, picture: &Picture) -> Result<Found, BoardError> {
         let white = match self.options.white.as_str() {
             "top" => Side::Top,
             "left" => Side::Left,
             "right" => Side::Right,
             _ => Side::Bottom,
         };
-        let found = Found::find(&picture, white).and_then(|board| board.facing(white));
-        let found = found.map_err(|why| none(path, &why))?;
-        Ok((picture, found))
+        Found::find(picture, white).and_then(|board| board.facing(white))
     }
 
-    fn marker(&self, path: &str, io: &mut Transport) -> Outcome {
-        let (_, board) = self.found(path, io)?;
-        io.floats = board.homography().to_vec();
-        for [file, rank] in [[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [0.0, 8.0]] {
-            io.floats.extend(board.pixel(file, rank));
-        }
-        io.floats.push(board.rms);
-        io.ints = vec![i64::try_from(board.corners).unwrap_or(i64::MAX)];
-        Ok(())
+    fn colours(&self) -> Option<(&Classes, &Roles)> {
+        let colours = self.colours.as_ref();
+        colours.map(|(classes, roles)| (classes, roles))
     }
 
-    fn disk(&self, path: &str, io: &mut Transport) -> Outcome {
+    fn disk(&self, read: &Read, io: &mut Transport) -> Outcome {
         let (file, rank) = match io.floats.as_slice() {
             [file, rank] => (*file, *rank),
             _ => (f64::NAN, f64::NAN),
         };
-        let (_, board) = self.found(path, io)?;
-        let disc = board.disc(file, rank).map_err(|why| none(path, &why))?;
+        let disc = read.board.disc(file, rank);
+        let disc = disc.map_err(|why| none(&read.name, &why))?;
+        let mut piece = Some(disc.piece);
+        if let Some(colours) = self.colours() {
+            piece = read.board.coloured(&read.picture, colours, &disc);
+        }
+        let piece = piece.ok_or_else(|| none(&read.name, &BoardError::NoDisc { file, rank }))?;
         io.floats = vec![disc.u, disc.v, disc.radius, disc.file, disc.rank];
-        io.ints = vec![disc.piece.code()];
+        io.ints = vec![piece.code()];
         Ok(())
     }
 
-    fn situation(&self, path: &str, io: &mut Transport) -> Outcome {
-        let (picture, board) = self.found(path, io)?;
-        let colours = self
-            .colours
-            .as_ref()
-            .map(|(classes, roles)| (classes, roles));
-        let fields = board.situation(&picture, colours);
+    fn rest(&self, read: &Read, io: &mut Transport) -> Outcome {
+        let colours = self.colours();
+        let rest = colours.and_then(|colours| read.board.rest(&read.picture, colours));
+        let rest = rest.ok_or_else(|| {
+            let text = "colours say what is on light squares: -train FILE with a class `light`";
+            Report::error(code::COLOURS, text)
+        })?;
+        io.floats = vec![rest.covered];
+        let places = rest.discs.iter().flat_map(|disc| [disc.file, disc.rank]);
+        io.floats.extend(places);
+        io.ints = rest.discs.iter().map(|disc| disc.piece.code()).collect();
+        Ok(())
+    }
+
+    fn situation(&self, read: &Read, io: &mut Transport) {
+        let fields = read.board.situation(&read.picture, self.colours());
         io.ints = fields.iter().map(|field| field.piece.code()).collect();
         io.floats = fields.iter().map(|field| field.confidence).collect();
-        Ok(())
     }
 }
 
-fn none(path: &str, why: &BoardError) -> Report {
-    Report::error(code::BOARD, format!("`{path}`: {why}"))
+fn marker(board: &Found, io: &mut Transport) {
+    io.floats = board.homography().to_vec();
+    for [file, rank] in [[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [0.0, 8.0]] {
+        io.floats.extend(board.pixel(file, rank));
+    }
+    io.floats.push(board.rms);
+    io.ints = vec![i64::try_from(board.corners).unwrap_or(i64::MAX)];
+}
+
+fn none(name: &str, why: &BoardError) -> Report {
+    Report::error(code::BOARD, format!("`{name}`: {why}"))
 }

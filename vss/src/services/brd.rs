@@ -3,10 +3,11 @@
 
 use std::sync::LazyLock;
 
+use futures_util::future::LocalBoxFuture;
 use nalgebra::{Point3, Vector2};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 use vss_image::{
     Picture,
     board::{Board, BoardError, Disc, Side, disc_near},
@@ -37,7 +38,9 @@ const MARKER_FORMS: &[Form] = &[Form {
             the corner of a1, x along rank 1, y along file a, z up, and its lens is undone in that only; 1 int: how many of 49 \
             inner corners were seen",
     results: "",
-    help: "finds a board by four round markers in a picture (PNG, JPEG, PNM, BMP), which the chequer pattern between them confirms",
+    help: "finds a board by four round markers in a picture (PNG, JPEG, PNM, BMP), which the chequer pattern between them confirms. \
+           FILE may be `camera NAME`, which has a camera of the app take it, and answers two ints more: the picture's number, and the \
+           middle of its exposure, ns of the app's time",
 }];
 
 const DISK_FORMS: &[Form] = &[
@@ -75,6 +78,7 @@ pub(super) struct Options {
     square: f64,
     lens: Vec<f64>,
     camera: String,
+    tool: String,
 }
 
 impl Default for Options {
@@ -91,6 +95,7 @@ impl Default for Options {
             square: 0.05,
             lens: Vec::new(),
             camera: String::new(),
+            tool: "toolSnap".to_owned(),
         }
     }
 }
@@ -169,6 +174,12 @@ pub(super) static MARKER: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "the camera's lens as a camera_info file, instead of -lens",
             |options| &mut options.camera,
         )
+        .word(
+            "tool",
+            "TASK",
+            "the app's task that takes pictures",
+            |options| &mut options.tool,
+        )
 });
 
 pub(super) static DISK: LazyLock<OptionTable<Options>> =
@@ -193,9 +204,15 @@ pub(super) struct FindBrdMarker {
 }
 
 impl ServiceObject for FindBrdMarker {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = MARKER.form(io).and_then(|_| self.find(io));
-        ended(io, outcome)
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = self.find(cx, io).await;
+            ended(io, outcome)
+        }))
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
@@ -243,7 +260,8 @@ impl FindBrdMarker {
         Ok(marks.collect())
     }
 
-    fn find(&self, io: &mut Transport) -> Outcome {
+    async fn find(&self, waiting: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        MARKER.form(io)?;
         let path = io.text.trim().to_owned();
         let lens = pose::lens(&self.options.lens, &self.options.camera)?;
         let at = self.options.at.as_slice();
@@ -252,7 +270,7 @@ impl FindBrdMarker {
             return Err(Report::error(sorma::report::code::VALUE, text));
         };
         let places = [[ax, ay], [bx, by], [cx, cy], [dx, dy]];
-        let picture = picture::opened(&path, io)?;
+        let (picture, taken) = picture::of(waiting, &path, &self.options.tool, io).await?;
         let grey = picture.clone().into_grey();
         let mask = self.mask(&picture, &grey)?;
         let (least, most) = match self.options.area.as_slice() {
@@ -292,6 +310,7 @@ impl FindBrdMarker {
             io.floats.extend(numbers(&found));
         }
         io.ints = vec![i64::try_from(board.corners).unwrap_or(i64::MAX)];
+        io.ints.extend(taken.into_iter().flatten());
         Ok(())
     }
 }

@@ -1,12 +1,15 @@
 //! Pictures in files, as the classes read them.
 
-use std::{fs, time::Duration};
+use std::{fs, future::poll_fn, task::Poll, time::Duration};
 
 use sorma::{Report, Transport, Waiting};
 use vss_image::{FILE_MOST, Format, Picture};
 
 use super::{check_file, code};
-use crate::{command::Snap, frame::Frame};
+use crate::{
+    command::Snap,
+    frame::{Frame, PixelFormat},
+};
 
 /// What a class says of the files it reads.
 pub(super) const FORMATS: &str = "PNG, JPEG, PNM, BMP";
@@ -39,14 +42,31 @@ pub(super) const CAMERA: &str = "camera";
 /// A picture is taken when the camera is free.
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// A picture that a camera of the app takes now, through the task `tool`.
+/// A picture that a camera of the app takes now, through the task `tool`, in grey.
 pub(super) async fn taken(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<Frame, Report> {
+    Ok(shot(cx, camera, tool).await?.into_grey())
+}
+
+/// The same with its colours.
+pub(super) async fn shot(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<Frame, Report> {
     let wrong = |text: String| Report::error(code::CAMERA, text);
     if !cx.is_in_app() {
         return Err(wrong(format!(
             "there is no camera `{camera}` here, for no app runs here: attach to one, or give the name of a file"
         )));
     }
+    // The beginning of a request belongs to the task that serves it, and what waits to a part of its own: a record of the
+    // task says which part asked.
+    let mut begun = false;
+    poll_fn(|cx| {
+        cx.waker().wake_by_ref();
+        if std::mem::replace(&mut begun, true) {
+            Poll::Ready(())
+        } else {
+            Poll::Pending
+        }
+    })
+    .await;
     let request = Snap {
         camera: camera.to_owned(),
     };
@@ -54,10 +74,39 @@ pub(super) async fn taken(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<
     let taken = cx.call_task(tool, request, DEADLINE).await;
     let taken = taken.map_err(|report| nothing(&report.text))?;
     let frame = taken.map_err(|error| nothing(&error.reason))?;
-    let whole = frame
-        .fetched()
-        .map_err(|error| nothing(&error.to_string()))?;
-    Ok(whole.into_grey())
+    frame.fetched().map_err(|error| nothing(&error.to_string()))
+}
+
+/// A picture of a file or, where the text is `camera NAME`, of a camera of the app; then also its number and stamp.
+pub(super) async fn of(
+    cx: &Waiting<'_>,
+    text: &str,
+    tool: &str,
+    io: &mut Transport,
+) -> Result<(Picture, Option<[i64; 2]>), Report> {
+    match text.split_once(char::is_whitespace) {
+        Some((CAMERA, name)) => {
+            let frame = shot(cx, name.trim(), tool).await?;
+            let stamp = i64::try_from(frame.stamp.as_nanos()).unwrap_or(i64::MAX);
+            let number = i64::try_from(frame.number).unwrap_or(i64::MAX);
+            Ok((whole(frame), Some([number, stamp])))
+        }
+        _ => Ok((opened(text, io)?, None)),
+    }
+}
+
+/// A frame as a picture of a file.
+fn whole(frame: Frame) -> Picture {
+    Picture {
+        width: frame.width,
+        height: frame.height,
+        format: match frame.format {
+            PixelFormat::Grey8 => Format::Grey8,
+            PixelFormat::Rgb8 => Format::Rgb8,
+        },
+        pixels: frame.pixels.to_vec(),
+        notes: Vec::new(),
+    }
 }
 
 /// A picture that no camera took.

@@ -10,11 +10,7 @@ use super::{
     aside::Aside,
     wishes::{Lost, Wishes},
 };
-use crate::{
-    carry::{board::Board, speaker::Speaker},
-    dom::DomStore,
-    outcome::Failure,
-};
+use crate::{carry::board::Board, dom::DomStore, outcome::Failure, served::Served};
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -80,10 +76,10 @@ pub(in crate::carry) struct Dispatcher {
 }
 
 impl Dispatcher {
-    pub fn speaker(&self) -> Option<Speaker> {
+    pub fn speaker(&self) -> Option<Served> {
         let name = self.wishes.speaker.as_ref();
         let name = name.or(self.args.speaker.as_ref())?;
-        Speaker::named(name).ok()
+        Served::named(name).ok()
     }
 }
 

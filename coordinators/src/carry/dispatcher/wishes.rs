@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::carry::speaker::Speaker;
+use crate::served::Served;
 
 /// More turns are not known.
 pub(super) const MOST_TRIES: u32 = 100;
@@ -62,7 +62,7 @@ impl Wishes {
                 });
             }
             "speaker" => {
-                Speaker::named(value)?;
+                Served::named(value)?;
                 self.speaker = Some(value.to_owned());
             }
             _ => {

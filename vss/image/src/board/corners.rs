@@ -64,9 +64,9 @@ pub(super) fn find(light: &Light) -> Vec<[f64; 2]> {
     found.into_iter().map(|(_, at)| at).collect()
 }
 
-/// The values on the ring about a pixel.
+/// The values on the ring about a pixel, all of which is in the picture.
 fn ring(light: &Light, u: usize, v: usize) -> [f32; 16] {
-    RING.map(|(du, dv)| light.value(u.saturating_add_signed(du), v.saturating_add_signed(dv)))
+    RING.map(|step| light.beside(u, v, step))
 }
 
 /// The difference of the largest and the smallest value.
@@ -81,8 +81,8 @@ fn response(light: &Light, u: usize, v: usize) -> f32 {
     let ring = ring(light, u, v);
     let sums = (0..4).map(|n| (ring[n] + ring[n + 8] - ring[n + 4] - ring[n + 12]).abs());
     let differences = (0..8).map(|n| (ring[n] - ring[n + 8]).abs());
-    let middle = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
-        .map(|(du, dv)| light.value(u.saturating_add_signed(du), v.saturating_add_signed(dv)));
+    let middle = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
+    let middle = middle.map(|step| light.beside(u, v, step));
     let middle = middle.iter().sum::<f32>() / 5.0;
     let mean = ring.iter().sum::<f32>() / 16.0;
     sums.sum::<f32>() - differences.sum::<f32>() - 16.0 * (mean - middle).abs()

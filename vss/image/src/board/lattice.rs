@@ -81,7 +81,7 @@ fn plus(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 }
 
 fn length(a: [f64; 2]) -> f64 {
-    a[0].hypot(a[1])
+    a[0].mul_add(a[0], a[1] * a[1]).sqrt()
 }
 
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -94,6 +94,13 @@ impl Light {
             .unwrap_or_default()
     }
 
+    /// The value some pixels beside one, which must be in the picture: what reads most of all pixels.
+    pub(super) fn beside(&self, u: usize, v: usize, (du, dv): (isize, isize)) -> f32 {
+        let row = (v * self.width + u).wrapping_add_signed(dv * self.width.cast_signed());
+        let value = self.values.get(row.wrapping_add_signed(du));
+        value.copied().unwrap_or_default()
+    }
+
     /// Between pixels, or nothing outside the picture.
     pub(super) fn at(&self, [u, v]: [f64; 2]) -> Option<f64> {
         let inside = |at: f64, length: usize| (0.0..=(length - 1) as f64).contains(&at);

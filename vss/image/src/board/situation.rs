@@ -1,6 +1,6 @@
 //! What stands on the 32 playing squares, from what each looks like inside the circle that a disc covers.
 
-use super::{Board, PATCH, SQUARES};
+use super::{Board, Disc, PATCH, SQUARES};
 use crate::{Picture, colour::Classes};
 
 /// Playing squares.
@@ -87,10 +87,30 @@ pub struct Roles {
     white: usize,
     black: usize,
     dark: usize,
+    /// Of light squares, if there is one.
+    light: Option<usize>,
 }
 
+/// What is on the light squares.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rest {
+    /// Discs that stand there, or partly there.
+    pub discs: Vec<Disc>,
+    /// Which part of them something covers that is neither disc nor square, 0 to 1.
+    pub covered: f64,
+}
+
+/// Discs on the light squares are no more.
+const REST_MOST: usize = 16;
+
+/// Two discs are not so near to one another, squares.
+const DISC: f64 = 0.5;
+
+/// Within this part of its radius a disc shows its colour, and this part of the places does.
+const WITHIN: f64 = 0.7;
+
 impl Roles {
-    /// The classes `white`, `black` and `dark` (squares). All others are neither: light squares, hands, background.
+    /// The classes `white`, `black` and `dark` (squares), and `light` (squares) if it is there. All others are neither: hands, background.
     ///
     /// # Errors
     /// The name of the one that is missing.
@@ -103,7 +123,13 @@ impl Roles {
             white: named("white")?,
             black: named("black")?,
             dark: named("dark")?,
+            light: named("light").ok(),
         })
+    }
+
+    fn disc(&self, class: Option<usize>) -> Option<bool> {
+        let white = class == Some(self.white);
+        (white || class == Some(self.black)).then_some(white)
     }
 }
 
@@ -191,6 +217,101 @@ impl Board {
             }
         }
         Some(mean)
+    }
+
+    /// What a disc is by the colour that most of it has; nothing where that is no disc's.
+    #[must_use]
+    pub fn coloured(
+        &self,
+        picture: &Picture,
+        (classes, roles): (&Classes, &Roles),
+        disc: &Disc,
+    ) -> Option<Piece> {
+        let (mut white, mut black, mut all) = (0, 0, 0);
+        for (x, y) in (-4..=4).flat_map(|x| (-4..=4).map(move |y| (x, y))) {
+            let [dx, dy] = [x, y].map(|step| f64::from(step) / 4.0);
+            if dx.hypot(dy) > 1.0 {
+                continue;
+            }
+            let step = WITHIN * disc.radius;
+            let [u, v] = [disc.u + step * dx, disc.v + step * dy].map(f64::round);
+            if u < 0.0 || v < 0.0 {
+                continue;
+            }
+            all += 1;
+            let class = classes.of(picture.rgb(u as usize, v as usize)?).class;
+            match roles.disc(class) {
+                Some(true) => white += 1,
+                Some(false) => black += 1,
+                None => {}
+            }
+        }
+        let most = f64::from(white.max(black)) >= ALIKE * f64::from(all);
+        most.then(|| piece(white > black, false))
+    }
+
+    /// What is on the light squares, where nothing should be. Nothing is told without a class `light`.
+    #[must_use]
+    pub fn rest(&self, picture: &Picture, (classes, roles): (&Classes, &Roles)) -> Option<Rest> {
+        let light = roles.light?;
+        let (mut all, mut strange, mut places) = (0, 0, Vec::new());
+        let squares = (0..SQUARES).flat_map(|x| (0..SQUARES).map(move |y| (x, y)));
+        for (file, rank) in squares.filter(|(x, y)| (x + y) % 2 != 0) {
+            for ([x, y], _) in Self::places(file, rank) {
+                let at = self.pixel(x, y).map(f64::round);
+                if at[0] < 0.0 || at[1] < 0.0 {
+                    continue;
+                }
+                let Some(rgb) = picture.rgb(at[0] as usize, at[1] as usize) else {
+                    continue;
+                };
+                let class = classes.of(rgb).class;
+                all += 1;
+                if roles.disc(class).is_some() {
+                    places.push([x, y]);
+                } else if class != Some(light) && class != Some(roles.dark) {
+                    strange += 1;
+                }
+            }
+        }
+        Some(Rest {
+            discs: self.discs(picture, (classes, roles), places),
+            covered: f64::from(strange) / f64::from(all.max(1)),
+        })
+    }
+
+    /// The discs that cover places.
+    fn discs(
+        &self,
+        picture: &Picture,
+        colours: (&Classes, &Roles),
+        mut places: Vec<[f64; 2]>,
+    ) -> Vec<Disc> {
+        let mut discs: Vec<Disc> = Vec::new();
+        for _ in 0..REST_MOST {
+            let Some([x, y]) = places.first().copied() else {
+                break;
+            };
+            let apart = |one: &[f64; 2], [x, y]: [f64; 2]| (one[0] - x).hypot(one[1] - y);
+            let found = self.disc(x, y).ok();
+            let found = found.and_then(|disc| {
+                let piece = self.coloured(picture, colours, &disc)?;
+                Some(Disc { piece, ..disc })
+            });
+            let (middle, reach) = match &found {
+                Some(disc) => ([disc.file, disc.rank], DISC),
+                None => ([x, y], 0.5 * DISC),
+            };
+            places.retain(|place| apart(place, middle) > reach && *place != [x, y]);
+            let known = |disc: &Disc| {
+                let mut others = discs.iter();
+                others.any(|other| apart(&[other.file, other.rank], [disc.file, disc.rank]) < DISC)
+            };
+            if let Some(disc) = found.filter(|disc| !known(disc)) {
+                discs.push(disc);
+            }
+        }
+        discs
     }
 
     fn by_light(&self, picture: &Picture, file: i32, rank: i32) -> Option<Field> {

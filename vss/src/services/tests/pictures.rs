@@ -352,6 +352,83 @@ fn board_answers_the_playing_squares_in_the_order_of_pdn() {
     assert!(text.contains("no disc is seen near 4.50, 2.50"), "{text}");
 }
 
+/// The same board in colours, with a disc across squares and a hand over some of them.
+fn coloured_board(stray: bool, hand: bool) -> Vec<u8> {
+    let grey = board(&[(1, 'b'), (14, 'b'), (22, 'w'), (29, 'w')]);
+    let mut bytes = b"P6 380 380 255\n".to_vec();
+    for (at, grey) in grey[15..].iter().enumerate() {
+        let (u, v) = ((at % 380) as f64, (at / 380) as f64);
+        let is_stray = stray && (u - 190.0).hypot(v - 210.0) < 15.0;
+        let is_hand = hand && (200.0..300.0).contains(&u) && (60.0..160.0).contains(&v);
+        bytes.extend(match grey {
+            _ if is_hand => [215, 165, 135],
+            _ if is_stray => [140, 25, 20],
+            20 => [140, 25, 20],
+            90 => [70, 90, 75],
+            200 => [150, 140, 120],
+            240 => [235, 205, 70],
+            _ => [42, 42, 42],
+        });
+    }
+    bytes
+}
+
+#[test]
+fn what_is_on_light_squares_and_the_picture_read_last_are_told_by_the_same_object() {
+    let sorm = manager();
+    let (number, text) = refused(&sorm, "board EXEC marker last");
+    assert_eq!(number, code::BOARD);
+    assert!(text.contains("no board was read yet"), "{text}");
+    let (_folder, path) = file("clear.ppm", &coloured_board(false, false));
+    let (number, text) = refused(&sorm, &format!("board EXEC rest {path}"));
+    assert_eq!(number, code::COLOURS);
+    assert!(text.contains("`light`"), "{text}");
+    let mut samples = "class,r,g,b\n".to_owned();
+    for (class, rgb) in [
+        ("white", [235, 205, 70]),
+        ("black", [140, 25, 20]),
+        ("dark", [70, 90, 75]),
+        ("light", [150, 140, 120]),
+        ("table", [42, 42, 42]),
+    ] {
+        for less in [0, 6, 12] {
+            let [r, g, b] = rgb.map(|sample| sample - less);
+            samples += &format!("{class},{r},{g},{b}\n");
+        }
+    }
+    let (_samples, samples) = file("samples.csv", samples.as_bytes());
+    assert!(ask(&sorm, &format!("board CTRL -train {samples}")).is_ok());
+    let clear = ask(&sorm, &format!("board EXEC rest {path}"));
+    assert_eq!((&clear.floats[..], &clear.ints[..]), (&[0.0][..], &[][..]));
+    let marker = ask(&sorm, "board EXEC marker last");
+    assert_eq!(marker, ask(&sorm, &format!("board EXEC marker {path}")));
+    // 22 is c3.
+    let disk = ask(&sorm, "board EXEC disk last FMSG 2 2.5 2.5");
+    assert_eq!(disk.ints, [1], "{:?}", disk.reports);
+
+    let (_folder, path) = file("stray.ppm", &coloured_board(true, false));
+    let read = ask(&sorm, &format!("board EXEC {path}"));
+    assert_eq!(read.ints.iter().filter(|piece| **piece == 2).count(), 2);
+    let stray = ask(&sorm, "board EXEC rest last");
+    assert_eq!(stray.ints, [2], "{stray:?}");
+    assert!(stray.floats[0] < 0.01, "{stray:?}");
+    for (found, expected) in stray.floats[1..].iter().zip([4.01, 3.49]) {
+        assert!((found - expected).abs() < 0.05, "{stray:?}");
+    }
+
+    let (_folder, path) = file("hand.ppm", &coloured_board(false, true));
+    let hand = ask(&sorm, &format!("board EXEC rest {path}"));
+    assert!((0.05..0.2).contains(&hand.floats[0]), "{hand:?}");
+    // What is under it is not known.
+    let read = ask(&sorm, "board EXEC last");
+    assert!(read.ints.contains(&-1), "{read:?}");
+    // A file without a board is not the last picture, and neither is the one before.
+    let (_folder, path) = file("stripes.ppm", &stripes([5, 7, 20, 3]));
+    refused(&sorm, &format!("board EXEC {path}"));
+    let (_, text) = refused(&sorm, "board EXEC last");
+    assert!(text.contains("no board was read yet"), "{text}");
+}
+
 #[test]
 fn a_picture_without_a_board_is_refused_with_the_reason() {
     let sorm = manager();

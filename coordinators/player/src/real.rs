@@ -1,0 +1,344 @@
+//! Arm and gripper of a world that moves by itself, as MCS moves them: above a disc, down around it, up, across, and down again.
+
+use std::time::Duration;
+
+use coordinators::{
+    arm::{self, Arm, ArmKeys},
+    outcome::{Failure, Outcome},
+};
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::Findings,
+    message::Command,
+    task::{Context, HandlerError},
+};
+use mcs::client::{MotionError, Move, PathKind};
+use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+use crate::wire::{DISC_M, Errand, Spot, TABLE_M};
+
+/// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
+const PADS_M: f64 = 0.016;
+/// So high, in the arm's base frame, the tool goes to and fro, m.
+const TRAVEL_M: f64 = 0.6;
+/// The last of the ways down is gone gently, m.
+const GENTLE_M: f64 = 0.015;
+/// What is felt so little above where a disc should stand is that it stands, m.
+const EARLY_M: f64 = 0.006;
+/// Turns of the gripper about the vertical: the first with which the arm gets there, degrees.
+const TURNS_DEG: [f64; 4] = [0.0, 90.0, 45.0, -45.0];
+/// Diameter of a disc, and by how much what is held may differ, m.
+const DISC_WIDTH_M: f64 = 0.04;
+const TOLERANCE_M: f64 = 0.004;
+/// How long the jaws may take.
+const JAWS: Duration = Duration::from_secs(60);
+
+/// Arguments of the Robot Coordinator whose arm is real.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArmArgs {
+    /// The client interface of MCS.
+    #[serde(default = "mcs_task")]
+    mcs: String,
+    /// Its gripper, which is opened before the arm goes down.
+    #[serde(default)]
+    gripper: GripperArgs,
+    /// Fractions of full speed: to and fro, up and down, and on the last of the ways down.
+    #[serde(default = "speed")]
+    speed: f64,
+    #[serde(default = "slow")]
+    slow: f64,
+    #[serde(default = "gentle")]
+    gentle: f64,
+    /// Recipes of guards that end a way down.
+    #[serde(default)]
+    touch: Vec<String>,
+    /// Where the arm waits, degrees of its joints.
+    park_deg: Vec<f64>,
+    /// How long an MCS that is gone, and may be started again, is waited for, s.
+    #[serde(default = "within_s")]
+    service_within_s: f64,
+}
+
+/// Arguments of the Hand Coordinator whose gripper is real.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GripperArgs {
+    /// The task of the gripper.
+    task: String,
+    /// How hard each jaw presses, N.
+    force_n: f64,
+    /// How far the pads are apart on the way down, m.
+    open_m: f64,
+    /// Fraction of full speed of the jaws.
+    speed: f64,
+}
+
+impl Default for GripperArgs {
+    fn default() -> Self {
+        Self {
+            task: "gripper".to_owned(),
+            force_n: 15.0,
+            open_m: 0.06,
+            speed: 0.5,
+        }
+    }
+}
+
+fn mcs_task() -> String {
+    "mcs".to_owned()
+}
+
+const fn speed() -> f64 {
+    0.6
+}
+
+const fn slow() -> f64 {
+    0.3
+}
+
+const fn gentle() -> f64 {
+    0.05
+}
+
+const fn within_s() -> f64 {
+    30.0
+}
+
+/// Where discs stand, or are to stand.
+#[derive(Debug, Clone, Copy)]
+pub struct Stand {
+    /// In the arm's base frame, m.
+    at: [f64; 2],
+    /// The lower side of the lowest of them, m.
+    bottom: f64,
+}
+
+impl Stand {
+    /// An end of an errand (0: from, 1: to), whose places the transform has found.
+    #[must_use]
+    pub fn of(errand: &Errand, points: &[[f64; 2]; 2], end: usize) -> Option<Self> {
+        let spot = [errand.from, errand.to].get(end).copied()?;
+        let below = errand.below.get(end).copied()?;
+        let floor = match spot {
+            Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
+            _ => TABLE_M,
+        };
+        Some(Self {
+            at: *points.get(end)?,
+            bottom: floor + f64::from(below) * DISC_M,
+        })
+    }
+
+    /// `base_t_tool` with the pads around them.
+    fn pose(&self, turn_deg: f64) -> Isometry3<f64> {
+        let [x, y] = self.at;
+        let down = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_deg.to_radians());
+        Isometry3::from_parts(Translation3::new(x, y, self.bottom + PADS_M), turn * down)
+    }
+}
+
+/// The same pose at another height.
+fn at_height(mut pose: Isometry3<f64>, z: f64) -> Isometry3<f64> {
+    pose.translation.z = z;
+    pose
+}
+
+impl ArmArgs {
+    /// Findings where the arguments make no sense.
+    pub fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        let keys = ArmKeys {
+            mcs: &self.mcs,
+            resume_within_s: 0.0,
+            service_within_s: self.service_within_s,
+            speeds: &[
+                ("real.speed", self.speed),
+                ("real.slow", self.slow),
+                ("real.gentle", self.gentle),
+            ],
+            park_deg: Some(&self.park_deg),
+        };
+        keys.check(task, app, "checkers::player::args", findings);
+        self.gripper.check(task, app, findings);
+    }
+
+    fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
+        Arm {
+            cx,
+            mcs: &self.mcs,
+            within_s: self.service_within_s,
+        }
+    }
+
+    /// With open jaws around what stands there.
+    pub async fn reach(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        self.above(cx, stand).await?;
+        self.gripper.open(cx).await?;
+        self.down(cx, stand).await.map_err(|failure| {
+            let text = format!("something is in the way down: {}", failure.reason);
+            Failure::new(failure.outcome, text)
+        })
+    }
+
+    /// Up with what is held, and down with it until it stands there.
+    pub async fn transfer(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        self.above(cx, stand).await?;
+        let arm = self.arm(cx);
+        match self.down(cx, stand).await {
+            Err(failure)
+                if failure.outcome == Outcome::Guard && arm.was_ended_by(&self.touch).await? =>
+            {
+                let early = arm.tool().await?.translation.z - stand.pose(0.0).translation.z;
+                if early <= EARLY_M {
+                    return Ok(());
+                }
+                let text = format!("something stands there already, {:.0} mm high", early * 1e3);
+                Err(Failure::new(Outcome::Occupied, text))
+            }
+            ended => ended,
+        }
+    }
+
+    /// Up, and to where the arm waits; there it is given back.
+    pub async fn park(&self, cx: &Context) -> Result<(), Failure> {
+        let arm = self.arm(cx);
+        arm.acquire().await?;
+        self.up(&arm).await?;
+        arm.park(&self.park_deg, self.speed).await
+    }
+
+    async fn go(
+        &self,
+        arm: &Arm<'_>,
+        (pose, path): (Isometry3<f64>, PathKind),
+        speed: f64,
+        guards: &[String],
+    ) -> Result<(), Failure> {
+        let order = Move {
+            // What goes gently stops as soon as anything else.
+            acceleration: Some(speed.max(self.slow)),
+            guards: guards.to_vec(),
+            ..arm::order(arm::pose(&pose), path, speed)
+        };
+        arm.travel(order).await.map(|_| ())
+    }
+
+    /// Straight up to where the arm goes to and fro.
+    async fn up(&self, arm: &Arm<'_>) -> Result<(), Failure> {
+        let now = arm.tool().await?;
+        if now.translation.z >= TRAVEL_M - 0.01 {
+            return Ok(());
+        }
+        let up = at_height(now, TRAVEL_M);
+        self.go(arm, (up, PathKind::StraightLine), self.slow, &[])
+            .await
+    }
+
+    /// To above a place, turned so that the arm gets down there.
+    async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        let arm = self.arm(cx);
+        arm.acquire().await?;
+        self.up(&arm).await?;
+        let mut first = None;
+        for turn in TURNS_DEG {
+            let down = stand.pose(turn);
+            let above = at_height(down, TRAVEL_M);
+            let reached = arm
+                .plan(arm::pose(&down), PathKind::Joint, self.speed)
+                .await;
+            if let Err(failure) = reached {
+                first.get_or_insert(failure);
+                continue;
+            }
+            for path in [PathKind::StraightLine, PathKind::Joint] {
+                match self.go(&arm, (above, path), self.speed, &[]).await {
+                    Ok(()) => return Ok(()),
+                    Err(failure) => first.get_or_insert(failure),
+                };
+            }
+        }
+        let [x, y] = stand.at;
+        let text = format!("{x:.3}, {y:.3} cannot be reached");
+        let failure = first.unwrap_or_else(|| Failure::new(Outcome::Unreachable, "no way"));
+        Err(Failure::new(
+            failure.outcome,
+            format!("{text}: {}", failure.reason),
+        ))
+    }
+
+    /// Straight down, the last of it gently.
+    async fn down(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        let arm = self.arm(cx);
+        let now = arm.tool().await?;
+        let bottom = stand.bottom + PADS_M;
+        let line = PathKind::StraightLine;
+        let near = at_height(now, bottom + GENTLE_M);
+        if now.translation.z > near.translation.z {
+            self.go(&arm, (near, line), self.slow, &self.touch).await?;
+        }
+        let down = (at_height(now, bottom), line);
+        self.go(&arm, down, self.gentle, &self.touch).await
+    }
+}
+
+impl GripperArgs {
+    /// Findings where the arguments make no sense.
+    pub fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        coordinators::need_task(task, app, "real", &self.task, findings);
+    }
+
+    /// Asks, again while the gripper's task is gone and may be started again: each request may be made twice.
+    async fn ask<C>(&self, cx: &Context, request: C) -> Result<Held, Failure>
+    where
+        C: Command<Reply = Result<Held, MotionError>> + Clone,
+    {
+        let is_lost = |error: &MotionError| error.outcome == mcs::client::Outcome::Lost;
+        let asked = coordinators::patiently(cx, crate::wire::PATIENCE, is_lost, || async {
+            let gripper = cx.task(&self.task).await?;
+            cx.call(&gripper, request.clone()).deadline(JAWS).await?
+        });
+        Ok(asked.await?)
+    }
+
+    async fn open(&self, cx: &Context) -> Result<(), Failure> {
+        let open = Open {
+            width_m: Some(self.open_m),
+            speed: self.speed,
+        };
+        self.ask(cx, open).await.map(|_| ())
+    }
+
+    /// Closes, and sees that a disc is between the jaws.
+    pub async fn grasp(&self, cx: &Context) -> Result<(), HandlerError> {
+        let close = Grasp {
+            force_n: Some(self.force_n),
+            speed: self.speed,
+        };
+        is_disc(&self.ask(cx, close).await?)
+    }
+
+    /// Opens, and tells whether it held something until then.
+    pub async fn release(&self, cx: &Context) -> Result<(), HandlerError> {
+        let held = is_disc(&self.ask(cx, ReadHeld {}).await?);
+        self.open(cx).await?;
+        held
+    }
+}
+
+fn is_disc(held: &Held) -> Result<(), HandlerError> {
+    let off = (held.width_m - DISC_WIDTH_M).abs();
+    if held.holds && off <= TOLERANCE_M {
+        return Ok(());
+    }
+    let text = match held.holds {
+        true => format!(
+            "what is held is {:.0} mm wide, and no disc",
+            held.width_m * 1e3
+        ),
+        false => "there is nothing between the fingers".to_owned(),
+    };
+    Err(HandlerError::new(text))
+}
