@@ -115,6 +115,10 @@ impl EventHandler for Last {
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
             let (size, clock) = (self.0.size, Clock::real());
+            if let Work::LookUp = self.0.work {
+                // The others enter their phase meanwhile, which is no part of a question for a name.
+                cx.sleep(AFTER).await;
+            }
             let begun = clock.now();
             match self.0.work {
                 Work::End => {}
