@@ -11,7 +11,7 @@ use ctos_core::{
 use ctos_message::Tid;
 use ctos_time::{Instant, lock::lock};
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::{BTreeMap, VecDeque},
     fmt,
     sync::{Arc, Mutex},
     time::Duration,
@@ -133,15 +133,12 @@ impl Watch {
         let mut state = lock(&self.0);
         state.last = now;
         let tasks = chassis.tasks();
-        let present: BTreeSet<Tid> = tasks.iter().map(|task| task.tid).collect();
-        state.seen.retain(|tid, _| present.contains(tid));
-        let configs = chassis.app.tasks.iter();
-        let configs: BTreeMap<&str, &TaskConfig> = configs
-            .map(|config| (config.name.as_str(), config))
-            .collect();
+        // They come in the order of their ids.
+        let is_present = |tid: &Tid| tasks.binary_search_by_key(tid, |task| task.tid).is_ok();
+        state.seen.retain(|tid, _| is_present(tid));
         for task in &tasks {
             // The tasks of the runtime wait for others by their nature.
-            if let Some(config) = configs.get(&*task.name) {
+            if let Some(config) = chassis.app.task(&task.name) {
                 let seen = state.seen.entry(task.tid).or_default();
                 look.handler(seen, task, config);
                 look.queue(seen, task);
