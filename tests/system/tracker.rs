@@ -184,7 +184,12 @@ fn the_arm_learns_its_map_by_one_command() {
 #[test]
 fn a_ball_that_is_covered_for_a_tenth_or_for_five_seconds_is_followed_again_when_it_is_seen() {
     let covered = "task.ball.args.hidden_s=[[3.5, 3.6], [4.5, 4.8], [6.0, 7.5], [9.0, 14.0]]";
-    let ended = Rig::new("covered", 16.0).set(covered).run();
+    let ended = Rig::new("covered", 16.0)
+        .set(covered)
+        // Wherever it is uncovered, a hand that has come to rest sees the whole of it.
+        .set("task.ball.args.reach=[0.02, 0.06, 0.02]")
+        .set("task.ball.args.speed=0.1")
+        .run();
     ended.must_be_smooth();
     let states: Vec<&str> = ended.states.iter().map(|(_, state)| &**state).collect();
     let expected = [
@@ -508,6 +513,31 @@ fn a_ball_that_leads_to_a_singular_pose_is_followed_as_far_as_that_goes_and_back
 }
 
 #[test]
+fn a_ball_that_leads_the_hand_through_a_singularity_costs_no_step_and_is_followed_on() {
+    // Joint 5 is nearly straight: sideways the hand goes only as joints 4 and 6 turn against each other.
+    let ended = Rig::new("singular", 14.0)
+        .swap(
+            "start = [0.0, 39.0, -159.0, 0.0, -60.0, 0.0]",
+            "start = [0.0, 39.0, -159.0, 0.0, -2.0, 0.0]",
+        )
+        .set("task.ball.args.home=[1.046, -0.145, 0.435]")
+        .set("task.ball.args.reach=[0.02, 0.06, 0.03]")
+        .set("task.ball.args.speed=0.1")
+        .run();
+    ended.must_be_smooth();
+    let tracked = ended.states.iter().filter(|(_, state)| state == "track");
+    assert!(tracked.count() >= 1, "{:?}", ended.states);
+    // Where the joints cannot turn as fast, the stream ends with its reason, and the arm begins again by itself.
+    let stopped = ended.result["stopped"].as_str();
+    assert_eq!(stopped.is_some(), ended.result["stops"] != 0);
+    assert!(
+        ["track", "acquire"].contains(&ended.state(13.9)),
+        "{:?}",
+        ended.states
+    );
+}
+
+#[test]
 fn a_person_drags_the_ball_pushes_the_hand_and_steers_the_mouse_by_one_net() {
     let ended = Rig::new("person", 13.0)
         .set("task.ball.args.motion=\"rest\"")
@@ -585,6 +615,20 @@ fn a_ball_that_leads_the_hand_into_a_wall_makes_it_press_with_less_than_15_n() {
     assert!(most < 15.0, "{most} N, {}", ended.result);
     assert_eq!(ended.result["stops"], 0, "{}", ended.result);
     assert_eq!(ended.state(11.9), "track", "{:?}", ended.states);
+}
+
+#[test]
+fn half_a_metre_a_second_into_a_wall_is_smooth_and_softer_than_what_stops_the_arm() {
+    let ended = Rig::new("fast", 12.0)
+        .cell(&WALL.replace("cuts_n = 25.0", "cuts_n = 900.0"))
+        .set("task.ball.args.motion=\"sweep\"")
+        .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
+        .set("task.ball.args.speed=0.5")
+        .run();
+    ended.must_be_smooth();
+    let most = ended.pressed(0.0, 12.0)[1];
+    assert!((15.0..40.0).contains(&most), "{most} N");
+    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
 }
 
 #[test]

@@ -169,7 +169,7 @@ fn seeds() -> std::ops::Range<u64> {
 }
 
 /// The tasks of the shipped apps that share memory with others, or are called in time: what they read is in no record.
-const REFUSED: [&str; 15] = [
+const REFUSED: [&str; 16] = [
     "argus",
     "ball",
     "client",
@@ -182,6 +182,7 @@ const REFUSED: [&str; 15] = [
     "servo",
     "state",
     "tracker",
+    "truth",
     "vmImageDisp",
     "vmSpotDisp",
     "world",

@@ -35,9 +35,6 @@ const SLOTS: usize = 256;
 /// Draws beyond so many standard deviations are drawn in: no picture is analysed before it is exposed.
 const FURTHEST: f64 = 2.5;
 
-/// A camera that gives no picture is asked again after this.
-const ASK_AGAIN: Duration = Duration::from_millis(100);
-
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -231,7 +228,6 @@ impl Looking {
                         tracing::warn!(camera = self.args.camera, "no picture: {error}");
                         failing = Some(error);
                     }
-                    self.cx.sleep(ASK_AGAIN).await;
                 }
             }
         }
