@@ -153,10 +153,12 @@ impl Shown {
                 })
             };
             let near = if self.args.real { SAME_M } else { 1e-6 };
-            match free.iter().position(|nth| far(nth) < near) {
+            // The nearest: in a stack others are about as near.
+            let nearest = (0..free.len()).map(|place| (place, far(&free[place])));
+            match nearest.min_by(|one, other| one.1.total_cmp(&other.1)) {
                 // It stands as it stands.
-                Some(found) => drop(free.swap_remove(found)),
-                None => missing.push(pose),
+                Some((place, off)) if off < near => drop(free.swap_remove(place)),
+                _ => missing.push(pose),
             }
         }
         for pose in missing {

@@ -65,12 +65,7 @@ pub fn apart(one: [f64; 2], other: [f64; 2]) -> f64 {
 pub const MARKERS: [[f64; 2]; 2] = [[-0.26, 0.0], [0.26, 0.0]];
 
 /// Those of a board that cameras see: on the corners of its border, beside a1, h1, h8 and a8.
-pub const CORNERS: [[f64; 2]; 4] = [
-    [-0.255, -0.255],
-    [0.255, -0.255],
-    [0.255, 0.255],
-    [-0.255, 0.255],
-];
+pub const CORNERS: [[f64; 2]; 4] = [[-0.27, -0.27], [0.27, -0.27], [0.27, 0.27], [-0.27, 0.27]];
 
 /// A disc that is seen less surely is unknown.
 pub const SURE: f64 = 0.8;
@@ -157,9 +152,9 @@ impl Spot {
             // Three rows of four, with room for fingers between them, where the arm gets to.
             Self::Tray(hue, place) => [
                 0.24 + 0.065 * f64::from(*place % 4),
-                (0.48 + 0.065 * f64::from(*place / 4)) * side(*hue),
+                (0.51 + 0.065 * f64::from(*place / 4)) * side(*hue),
             ],
-            Self::Spare(hue) => [0.53, 0.48 * side(*hue)],
+            Self::Spare(hue) => [0.53, 0.51 * side(*hue)],
         }
     }
 }
