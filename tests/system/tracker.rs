@@ -184,12 +184,7 @@ fn the_arm_learns_its_map_by_one_command() {
 #[test]
 fn a_ball_that_is_covered_for_a_tenth_or_for_five_seconds_is_followed_again_when_it_is_seen() {
     let covered = "task.ball.args.hidden_s=[[3.5, 3.6], [4.5, 4.8], [6.0, 7.5], [9.0, 14.0]]";
-    let ended = Rig::new("covered", 16.0)
-        .set(covered)
-        // Wherever it is uncovered, a hand that has come to rest sees the whole of it.
-        .set("task.ball.args.reach=[0.02, 0.06, 0.02]")
-        .set("task.ball.args.speed=0.1")
-        .run();
+    let ended = Rig::new("covered", 16.0).set(covered).run();
     ended.must_be_smooth();
     let states: Vec<&str> = ended.states.iter().map(|(_, state)| &**state).collect();
     let expected = [
@@ -456,7 +451,7 @@ fn the_net_hands_over_when_the_ball_rests_and_answers_every_order() {
 
 #[test]
 fn a_ball_that_leads_to_where_the_arm_does_not_reach_is_followed_as_far_as_that_goes_and_back() {
-    // The arm is nearly folded or stretched in one run; in the other its wrist comes to the limit of joint 5.
+    // The arm is nearly folded or stretched in one run, also quicker and farther; in the last its wrist comes to the limit of joint 5.
     let ends = [
         (
             "reach",
@@ -464,6 +459,13 @@ fn a_ball_that_leads_to_where_the_arm_does_not_reach_is_followed_as_far_as_that_
             "[0.649, -0.145, 0.27]",
             "[0.4, 0.0, 0.2]",
             "singular",
+        ),
+        (
+            "far",
+            -60,
+            "[0.649, -0.145, 0.27]",
+            "[0.6, 0.0, 0.2]",
+            "joint",
         ),
         (
             "limit",
@@ -481,7 +483,7 @@ fn a_ball_that_leads_to_where_the_arm_does_not_reach_is_followed_as_far_as_that_
             .set("task.ball.args.motion=\"sweep\"")
             .set(&format!("task.ball.args.home={home}"))
             .set(&format!("task.ball.args.reach={reach}"))
-            .set("task.ball.args.speed=0.2")
+            .set("task.ball.args.speed=0.3")
             .run();
         ended.must_be_smooth();
         assert_eq!(ended.result["stops"], 0, "{}", ended.result);

@@ -289,7 +289,7 @@ fn breakpoints_of_the_boot_are_marked_and_the_clock_is_that_of_the_app_whoever_c
     late.wait(&format!("{DISPATCHER}?.head.paused"));
     assert_eq!(late.ask(&format!("{waited} > 2e9")), true);
     // Another run of the app has another clock.
-    late.ask("nets.take({ kind: 'hello', app: 'again', mode: 'live', control: false, displays: [], nets: [], tasks: [] })");
+    late.ask("nets.take({ kind: 'hello', app: 'again', mode: 'live', control: false, displays: [], nets: [], tasks: [], handles: [] })");
     assert_eq!(late.ask("nets.offset === null"), true);
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
