@@ -8,7 +8,7 @@ const MOST_STEPS: usize = 100;
 const STILL: f64 = 1e-12;
 
 /// A problem of least squares at one place.
-pub(crate) trait Adjustable: Sized {
+pub trait Adjustable: Sized {
     /// Sum of squared residuals; `None` where there are none.
     fn squares(&self) -> Option<f64>;
 
@@ -20,12 +20,12 @@ pub(crate) trait Adjustable: Sized {
 }
 
 /// The place of least squares, by Levenberg's and Marquardt's method; `None` where it breaks down.
-pub(crate) fn adjusted<P: Adjustable>(problem: P) -> Option<P> {
+pub fn adjusted<P: Adjustable>(problem: P) -> Option<P> {
     adjusted_until(problem, STILL)
 }
 
 /// The same; it ends when a step lowers the sum of squares by less than the part `still`.
-pub(crate) fn adjusted_until<P: Adjustable>(mut problem: P, still: f64) -> Option<P> {
+pub fn adjusted_until<P: Adjustable>(mut problem: P, still: f64) -> Option<P> {
     let mut squares = problem.squares().filter(|squares| squares.is_finite())?;
     let mut damping = 1e-3;
     for _ in 0..MOST_STEPS {
@@ -57,8 +57,26 @@ pub(crate) fn adjusted_until<P: Adjustable>(mut problem: P, still: f64) -> Optio
     Some(problem)
 }
 
+/// [`Adjustable::equations`] with derivatives by central differences: `residuals` takes a step of one of the `unknown`
+/// parameters and gives the residuals there.
+pub fn by_differences(
+    unknown: usize,
+    residuals: impl Fn(&DVector<f64>) -> Option<DVector<f64>>,
+) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    const STEP: f64 = 1e-6;
+    let here = residuals(&DVector::zeros(unknown))?;
+    let mut jacobian = DMatrix::zeros(here.len(), unknown);
+    for column in 0..unknown {
+        let mut by = DVector::zeros(unknown);
+        by[column] = STEP;
+        let slope = (residuals(&by)? - residuals(&-by)?) / (2.0 * STEP);
+        jacobian.set_column(column, &slope);
+    }
+    Some((jacobian.tr_mul(&jacobian), -jacobian.tr_mul(&here)))
+}
+
 /// The inverse of a normal matrix, and its condition number with columns scaled; `None` if it has none.
-pub(crate) fn inverse(normal: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)> {
+pub fn inverse(normal: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)> {
     let free = normal.nrows();
     let scale = normal.diagonal().map(|entry| 1.0 / entry.sqrt());
     let scaled = DMatrix::from_fn(free, free, |i, j| normal[(i, j)] * scale[i] * scale[j]);

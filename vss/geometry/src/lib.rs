@@ -5,6 +5,7 @@
 //! one sits on a tool ([`handeye`]). Known objects have poses before a camera: targets of lights ([`pose`]), and any model ([`perspective`]).
 //! Knows no picture, no task and no service object.
 
+pub mod adjust;
 pub mod bundle;
 pub mod calibrate;
 pub mod camera;
@@ -14,5 +15,3 @@ pub mod perspective;
 pub mod plane;
 pub mod pose;
 pub mod stereo;
-
-mod adjust;

@@ -10,7 +10,10 @@ use nalgebra::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::camera::{Camera, Distortion, Intrinsics};
+use crate::{
+    adjust::{Adjustable, adjusted, by_differences},
+    camera::{Camera, Distortion, Intrinsics},
+};
 
 /// Fewest lights: with four every choice fits.
 pub const FEWEST_LIGHTS: usize = 5;
@@ -214,6 +217,58 @@ fn starts(map: &Matrix3<f64>) -> Vec<Isometry3<f64>> {
     all
 }
 
+/// The pixels of known lights, and a pose that explains them.
+#[derive(Clone)]
+struct Fit<'p> {
+    lights: &'p [Point3<f64>],
+    seen: &'p [Vector2<f64>],
+    intrinsics: &'p Intrinsics,
+    distortion: &'p Distortion,
+    pose: Isometry3<f64>,
+}
+
+impl Fit<'_> {
+    /// In px; `None` where a light is behind the camera.
+    fn residuals(&self) -> Option<DVector<f64>> {
+        let camera = Camera {
+            rotation: self.pose.rotation,
+            centre: (self.pose.inverse() * Point3::origin()).coords.into(),
+            intrinsics: *self.intrinsics,
+            distortion: *self.distortion,
+        };
+        let mut all = Vec::with_capacity(2 * self.lights.len());
+        for (light, seen) in self.lights.iter().zip(self.seen) {
+            let off = camera.project(light)? - seen;
+            all.extend([off.x, off.y]);
+        }
+        Some(DVector::from_vec(all))
+    }
+}
+
+impl Adjustable for Fit<'_> {
+    fn squares(&self) -> Option<f64> {
+        Some(self.residuals()?.norm_squared())
+    }
+
+    fn equations(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        by_differences(6, |by| self.moved(by).residuals())
+    }
+
+    fn moved(&self, step: &DVector<f64>) -> Self {
+        Self {
+            pose: turned_and_shifted(&self.pose, step),
+            ..self.clone()
+        }
+    }
+}
+
+/// A pose after a turn (its first three components, rad) and a shift (the next three, m) in the outer frame.
+pub fn turned_and_shifted(pose: &Isometry3<f64>, by: &DVector<f64>) -> Isometry3<f64> {
+    let turn = UnitQuaternion::new(by.fixed_rows::<3>(0).into_owned());
+    let shift = pose.translation.vector + by.fixed_rows::<3>(3);
+    Isometry3::from_parts(Translation3::from(shift), turn * pose.rotation)
+}
+
 /// Least squares of the pixels, with the standard deviations that the residuals tell, and the residuals' root mean square.
 fn fit(
     lights: &[Point3<f64>],
@@ -222,65 +277,21 @@ fn fit(
     intrinsics: &Intrinsics,
     distortion: &Distortion,
 ) -> Option<(Isometry3<f64>, [f64; 6], f64)> {
-    const STEP: f64 = 1e-6;
-    let residuals = |pose: &Isometry3<f64>| -> Option<DVector<f64>> {
-        let camera = Camera {
-            rotation: pose.rotation,
-            centre: (pose.inverse() * Point3::origin()).coords.into(),
-            intrinsics: *intrinsics,
-            distortion: *distortion,
-        };
-        let mut all = Vec::with_capacity(2 * lights.len());
-        for (light, seen) in lights.iter().zip(seen) {
-            let off = camera.project(light)? - seen;
-            all.extend([off.x, off.y]);
-        }
-        Some(DVector::from_vec(all))
-    };
-    let moved = |pose: &Isometry3<f64>, by: &SVector<f64, 6>| {
-        let turn = UnitQuaternion::new(by.fixed_rows::<3>(0).into_owned());
-        let shift = pose.translation.vector + by.fixed_rows::<3>(3);
-        Isometry3::from_parts(Translation3::from(shift), turn * pose.rotation)
-    };
-    let slopes = |pose: &Isometry3<f64>| -> Option<DMatrix<f64>> {
-        let mut jacobian = DMatrix::zeros(2 * lights.len(), 6);
-        for column in 0..6 {
-            let mut by = SVector::zeros();
-            by[column] = STEP;
-            let (up, down) = (
-                residuals(&moved(pose, &by))?,
-                residuals(&moved(pose, &-by))?,
-            );
-            jacobian.set_column(column, &((up - down) / (2.0 * STEP)));
-        }
-        Some(jacobian)
-    };
-    let (mut pose, mut damping) = (*start, 1e-3);
-    let mut off = residuals(&pose)?;
-    for _ in 0..60 {
-        let jacobian = slopes(&pose)?;
-        let mut normal = jacobian.tr_mul(&jacobian);
-        for k in 0..6 {
-            normal[(k, k)] *= 1.0 + damping;
-        }
-        let step = normal.cholesky()?.solve(&-jacobian.tr_mul(&off));
-        let step = SVector::<f64, 6>::from_iterator(step.iter().copied());
-        let there = moved(&pose, &step);
-        match residuals(&there).filter(|next| next.norm() <= off.norm()) {
-            Some(next) => (pose, off, damping) = (there, next, damping * 0.1),
-            None => damping *= 10.0,
-        }
-        if step.amax() < 1e-11 || damping > 1e9 {
-            break;
-        }
-    }
-    let spare = (off.len() - 6) as f64;
-    let noise = (off.norm_squared() / spare).sqrt().max(LEAST_NOISE_PX);
-    let jacobian = slopes(&pose)?;
-    let covariance = jacobian.tr_mul(&jacobian).try_inverse()? * (noise * noise);
+    let found = adjusted(Fit {
+        lights,
+        seen,
+        intrinsics,
+        distortion,
+        pose: *start,
+    })?;
+    let squares = found.squares()?;
+    let spare = (2 * lights.len() - 6) as f64;
+    let noise = (squares / spare).sqrt().max(LEAST_NOISE_PX);
+    let (normal, _) = found.equations()?;
+    let covariance = normal.try_inverse()? * (noise * noise);
     let sd = std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt());
-    let rms = (off.norm_squared() / lights.len() as f64).sqrt();
-    Some((pose, sd, rms))
+    let rms = (squares / lights.len() as f64).sqrt();
+    Some((found.pose, sd, rms))
 }
 
 #[cfg(test)]

@@ -5,11 +5,13 @@
 //! one, `offset` behind it on the way of the light, by b towards y. So the beam leaves from (offset tan a, 0, 0) along
 //! (sin a, cos a sin b, cos a cos b). The angles are those of the light, twice those of the mirrors. m, rad, px.
 
-use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix3, Point3, SVector, Translation3, Unit, UnitQuaternion,
-    Vector2, Vector3,
-};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point3, Unit, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
+
+use vss_geometry::{
+    adjust::{Adjustable, adjusted, by_differences, inverse},
+    pose::turned_and_shifted,
+};
 
 use crate::camera::Camera;
 
@@ -327,11 +329,56 @@ pub struct Fitted {
     pub sd: [f64; UNKNOWN],
 }
 
+/// Points that determine a scanner worse than this leave something of it open.
+const MOST_CONDITION: f64 = 1e5;
+
 /// Unknowns of a scanner: turn and shift of its frame, offset, gains, zero of the first mirror.
 const UNKNOWN: usize = 10;
 
 /// Fewest points of a calibration.
 pub const FEWEST_POINTS: usize = 8;
+
+/// The points that the beam of a scanner met, by command.
+struct Fit<'m> {
+    met: &'m [([f64; 2], Point3<f64>)],
+    scanner: Scanner,
+}
+
+impl Fit<'_> {
+    /// How far each point is beside its beam, in two directions across it, m.
+    fn residuals(&self) -> DVector<f64> {
+        let all = self.met.iter().flat_map(|(command, point)| {
+            let beam = self.scanner.beam(*command);
+            let across = self.scanner.world_t_scanner * Vector3::x();
+            let one = beam.direction.cross(&across).normalize();
+            let other = beam.direction.cross(&one);
+            let off = point - beam.origin;
+            [off.dot(&one), off.dot(&other)]
+        });
+        DVector::from_iterator(2 * self.met.len(), all)
+    }
+}
+
+impl Adjustable for Fit<'_> {
+    fn squares(&self) -> Option<f64> {
+        Some(self.residuals().norm_squared())
+    }
+
+    fn equations(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        by_differences(UNKNOWN, |by| Some(self.moved(by).residuals()))
+    }
+
+    fn moved(&self, by: &DVector<f64>) -> Self {
+        let old = &self.scanner;
+        let scanner = Scanner {
+            world_t_scanner: turned_and_shifted(&old.world_t_scanner, by),
+            offset: old.offset + by[6],
+            gain: [old.gain[0] + by[7], old.gain[1] + by[8]],
+            zero: [old.zero[0] + by[9], old.zero[1]],
+        };
+        Self { scanner, ..*self }
+    }
+}
 
 /// Fits a scanner to commands and the points (world, m) that its beam met at them; `start` is what is known of it, within
 /// some degrees and centimetres. The points must be on two planes or more.
@@ -339,7 +386,6 @@ pub const FEWEST_POINTS: usize = 8;
 /// # Errors
 /// Too few points, or points that do not determine it.
 pub fn calibrate(met: &[([f64; 2], Point3<f64>)], start: &Scanner) -> Result<Fitted, NoLaser> {
-    const STEPS: [f64; UNKNOWN] = [1e-6; UNKNOWN];
     if met.len() < FEWEST_POINTS {
         return Err(NoLaser::TooFew(met.len(), FEWEST_POINTS));
     }
@@ -347,67 +393,21 @@ pub fn calibrate(met: &[([f64; 2], Point3<f64>)], start: &Scanner) -> Result<Fit
         start.angles(*command)?;
     }
     check_size(met.iter().map(|(_, point)| *point))?;
-    // How far each point is beside its beam, in two directions across it.
-    let residuals = |scanner: &Scanner| {
-        let all = met.iter().flat_map(|(command, point)| {
-            let beam = scanner.beam(*command);
-            let across = scanner.world_t_scanner * Vector3::x();
-            let one = beam.direction.cross(&across).normalize();
-            let other = beam.direction.cross(&one);
-            let off = point - beam.origin;
-            [off.dot(&one), off.dot(&other)]
-        });
-        DVector::from_iterator(2 * met.len(), all)
+    let start = Fit {
+        met,
+        scanner: *start,
     };
-    let moved = |scanner: &Scanner, by: &SVector<f64, UNKNOWN>| {
-        let pose = scanner.world_t_scanner;
-        let turn = UnitQuaternion::new(by.fixed_rows::<3>(0).into_owned());
-        let shift = pose.translation.vector + by.fixed_rows::<3>(3);
-        Scanner {
-            world_t_scanner: Isometry3::from_parts(Translation3::from(shift), turn * pose.rotation),
-            offset: scanner.offset + by[6],
-            gain: [scanner.gain[0] + by[7], scanner.gain[1] + by[8]],
-            zero: [scanner.zero[0] + by[9], scanner.zero[1]],
-        }
-    };
-    let jacobian_at = |scanner: &Scanner| {
-        let mut jacobian = DMatrix::zeros(2 * met.len(), UNKNOWN);
-        for (column, step) in STEPS.iter().enumerate() {
-            let mut by = SVector::zeros();
-            by[column] = *step;
-            let slope =
-                (residuals(&moved(scanner, &by)) - residuals(&moved(scanner, &-by))) / (2.0 * step);
-            jacobian.set_column(column, &slope);
-        }
-        jacobian
-    };
-    let (mut scanner, mut damping) = (*start, 1e-3);
-    let mut off = residuals(&scanner);
-    for _ in 0..100 {
-        let jacobian = jacobian_at(&scanner);
-        let mut normal = jacobian.tr_mul(&jacobian);
-        for k in 0..UNKNOWN {
-            normal[(k, k)] *= 1.0 + damping;
-        }
-        let step = normal.cholesky().ok_or(NoLaser::Undetermined)?;
-        let step = step.solve(&-jacobian.tr_mul(&off));
-        let step = SVector::<f64, UNKNOWN>::from_iterator(step.iter().copied());
-        let there = moved(&scanner, &step);
-        let next = residuals(&there);
-        if next.norm() <= off.norm() {
-            (scanner, off, damping) = (there, next, damping * 0.1);
-        } else {
-            damping *= 10.0;
-        }
-        if step.amax() < 1e-12 || damping > 1e9 {
-            break;
-        }
-    }
+    let fit = adjusted(start).ok_or(NoLaser::Undetermined)?;
+    let (scanner, off) = (fit.scanner, fit.residuals());
     let rms_m = (off.norm_squared() / met.len() as f64).sqrt();
     if !rms_m.is_finite() {
         return Err(NoLaser::Undetermined);
     }
-    let unit = unit_covariance(&jacobian_at(&scanner)).ok_or(NoLaser::Undetermined)?;
+    let found = fit.equations().and_then(|(normal, _)| inverse(&normal));
+    // Points that leave an unknown open make the condition infinite, up to rounding.
+    let (unit, _) = found
+        .filter(|(_, condition)| *condition < MOST_CONDITION)
+        .ok_or(NoLaser::Undetermined)?;
     // Two distances of each point, less what was fitted.
     let noise = off.norm_squared() / (2 * met.len() - UNKNOWN) as f64;
     let sd = std::array::from_fn(|k| (noise * unit[(k, k)]).max(0.0).sqrt());
@@ -433,30 +433,6 @@ pub fn beside(scanner: &Scanner, met: &[([f64; 2], Point3<f64>)]) -> Vec<f64> {
         beam.direction.cross(&(point - beam.origin)).norm()
     };
     met.iter().map(one).collect()
-}
-
-/// The covariance of the unknowns for noise of 1 m; `None` when the points leave one of them open.
-fn unit_covariance(jacobian: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    const LEAST: f64 = 1e-10;
-    let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
-    let mut scaled = jacobian.clone();
-    for (mut column, length) in scaled.column_iter_mut().zip(&lengths) {
-        column /= *length;
-    }
-    let parts = (scaled.transpose() * &scaled).symmetric_eigen();
-    let (least, most) = (parts.eigenvalues.min(), parts.eigenvalues.max());
-    if least.is_nan() || least <= LEAST * most {
-        return None;
-    }
-    let inverse = parts.eigenvalues.map(|value| 1.0 / value);
-    let mut unit =
-        &parts.eigenvectors * DMatrix::from_diagonal(&inverse) * parts.eigenvectors.transpose();
-    for (row, first) in lengths.iter().enumerate() {
-        for (column, second) in lengths.iter().enumerate() {
-            unit[(row, column)] /= first * second;
-        }
-    }
-    Some(unit)
 }
 
 #[cfg(test)]

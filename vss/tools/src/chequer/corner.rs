@@ -1,7 +1,7 @@
 //! One corner: where the picture has a saddle, and where exactly two edges cross.
 
-use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
-use nalgebra::{Dyn, OMatrix, OVector, SMatrix, SVector, U7, storage::Owned};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+use vss_geometry::adjust::{Adjustable, adjusted};
 
 use super::InnerCorner;
 
@@ -178,14 +178,15 @@ fn examined(smooth: &Smooth, u: usize, v: usize, strength: f64) -> Option<Saddle
 
 type Parameters = SVector<f64, 7>;
 
-/// u, v, the directions of the edges, the mean grey value, half the contrast, the logarithm of the blur.
-struct Problem {
+#[derive(Clone)]
+struct Problem<'p> {
+    /// u, v, the directions of the edges, the mean grey value, half the contrast, the logarithm of the blur.
     parameters: Parameters,
     /// Column, row, grey value.
-    pixels: Vec<[f64; 3]>,
+    pixels: &'p [[f64; 3]],
 }
 
-impl Problem {
+impl Problem<'_> {
     fn for_each(&self, mut each: impl FnMut(f64, f64, [f64; 7])) {
         let [u, v, first, second, mean, half, log] = self.parameters.into();
         let blur = log.exp();
@@ -193,7 +194,7 @@ impl Problem {
         let steep = (2.0 / std::f64::consts::PI).sqrt();
         let (sine_a, cosine_a) = first.sin_cos();
         let (sine_b, cosine_b) = second.sin_cos();
-        for [column, row, grey] in &self.pixels {
+        for [column, row, grey] in self.pixels {
             let (x, y) = (column - u, row - v);
             let (p, q) = (
                 (y * cosine_a - x * sine_a) / blur,
@@ -221,31 +222,30 @@ impl Problem {
     }
 }
 
-impl LeastSquaresProblem<f64, Dyn, U7> for Problem {
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, U7>;
-    type ParameterStorage = Owned<f64, U7>;
-
-    fn set_params(&mut self, x: &Parameters) {
-        self.parameters = *x;
+impl Adjustable for Problem<'_> {
+    fn squares(&self) -> Option<f64> {
+        let mut squares = 0.0;
+        self.for_each(|grey, model, _| squares += (grey - model).powi(2));
+        squares.is_finite().then_some(squares)
     }
 
-    fn params(&self) -> Parameters {
-        self.parameters
+    fn equations(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let (mut normal, mut right) = (SMatrix::<f64, 7, 7>::zeros(), Parameters::zeros());
+        self.for_each(|grey, model, slope| {
+            let slope = Parameters::from(slope);
+            normal += slope * slope.transpose();
+            right += (grey - model) * slope;
+        });
+        Some((
+            DMatrix::from_column_slice(7, 7, normal.as_slice()),
+            DVector::from_column_slice(right.as_slice()),
+        ))
     }
 
-    fn residuals(&self) -> Option<OVector<f64, Dyn>> {
-        let mut residuals = Vec::with_capacity(self.pixels.len());
-        self.for_each(|grey, model, _| residuals.push(model - grey));
-        let finite = residuals.iter().all(|r| r.is_finite());
-        finite.then(|| OVector::<f64, Dyn>::from_vec(residuals))
-    }
-
-    fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U7>> {
-        let mut rows = Vec::with_capacity(7 * self.pixels.len());
-        self.for_each(|_, _, slope| rows.extend(slope));
-        let finite = rows.iter().all(|r| r.is_finite());
-        finite.then(|| OMatrix::<f64, Dyn, U7>::from_row_slice(&rows))
+    fn moved(&self, step: &DVector<f64>) -> Self {
+        let mut moved = self.clone();
+        moved.parameters += step;
+        moved
     }
 }
 
@@ -291,24 +291,16 @@ pub(super) fn refined(
             0.5 * (high - low),
             0.0,
         ]),
-        pixels: near,
+        pixels: &near,
     };
     // Which fields are bright is in the sign of the contrast.
     let mut sign = 0.0;
     start.for_each(|grey, _, slope| sign += (grey - 0.5 * (low + high)) * slope[5]);
     start.parameters[5] *= sign.signum();
-    let method = LevenbergMarquardt::new()
-        .with_patience(20)
-        .with_ftol(1e-10)
-        .with_xtol(1e-8);
-    let (problem, _) = method.minimize(start);
+    let problem = adjusted(start)?;
     let [u, v, _, _, _, half, _] = problem.parameters.into();
-    let (mut normal, mut squares) = (SMatrix::<f64, 7, 7>::zeros(), 0.0);
-    problem.for_each(|grey, model, slope| {
-        let slope = Parameters::from(slope);
-        normal += slope * slope.transpose();
-        squares += (grey - model).powi(2);
-    });
+    let (normal, _) = problem.equations()?;
+    let squares = problem.squares()?;
     let spare = problem.pixels.len().saturating_sub(7).max(1) as f64;
     let left = (squares / spare).sqrt();
     let covariance = normal.try_inverse()? * noise.max(left).powi(2);
