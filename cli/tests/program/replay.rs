@@ -113,11 +113,12 @@ struct Replayed {
 
 fn replay_all(file: &Path, seed: u64, record: &Record) -> Replayed {
     let mut replayed = Replayed::default();
-    let listed = replayable(&app(file, seed), record);
+    let app = app(file, seed);
+    let listed = replayable(&app, record);
     let listed: BTreeMap<String, Result<(), ReplayError>> = listed.into_iter().collect();
-    for task in app(file, seed).tasks {
+    for task in app.tasks.clone() {
         let listed = &listed[&task.name];
-        match replay(app(file, seed), registry(), &task.name, record) {
+        match replay(app.clone(), registry(), &task.name, record) {
             Ok(report) => {
                 assert!(
                     report.is_same(),

@@ -3,6 +3,7 @@
 use std::{
     ffi::OsString,
     fmt::Write as _,
+    future::IntoFuture as _,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
@@ -10,6 +11,7 @@ use std::{
 
 use ctos::{
     boot::{BootEvent, End, Launcher, Observer, boot, run_chassis, simulate},
+    call::CallError,
     config::{App, load_texts},
     message::{Command as _, Message, Replier},
     record::{Filter, scan_only},
@@ -18,7 +20,11 @@ use ctos::{
     task::{Context, EventHandler, Handled, Phase},
     time::{Clock, Instant},
 };
-use futures_util::future::join_all;
+use futures_util::future::{join, join_all};
+use pnt::{
+    stream::{Follow, Mark},
+    task::PutTape,
+};
 use serde::Deserialize;
 
 use crate::{
@@ -34,6 +40,9 @@ const LOOKED_UP: u64 = 1_000;
 
 /// The tasks of one processor, whose ids have 16 bits.
 const ON_ONE: u64 = 50_000;
+
+/// So many firings does each display see.
+const SHOWN: u16 = 20;
 
 /// Long enough for everything.
 const HOUR: Duration = Duration::from_secs(3600);
@@ -95,6 +104,8 @@ enum Work {
     Call,
     /// The same, one call each millisecond.
     CallInTime,
+    /// Follows a net with so many displays while it fires.
+    Follow,
 }
 
 #[derive(Deserialize)]
@@ -134,6 +145,7 @@ impl EventHandler for Last {
                         answer?;
                     }
                 }
+                Work::Follow => follow(cx, size).await?,
                 work @ (Work::Call | Work::CallInTime) => {
                     let to = cx.task("t0").await?;
                     for number in 0..size {
@@ -160,6 +172,32 @@ impl EventHandler for Last {
         }
         Ok(())
     }
+}
+
+/// Has so many displays see each of [`SHOWN`] firings.
+async fn follow(cx: &Context, displays: u64) -> Handled {
+    let net = cx.task("n0").await?;
+    let look = |after, patience_ms| {
+        let follow = Follow { after, patience_ms };
+        cx.call(&net, follow).into_future()
+    };
+    let mut seen = join_all((0..displays).map(|_| look(None, 0))).await;
+    for _ in 0..SHOWN {
+        let marks = seen.into_iter().map(|one| Ok(one?.mark));
+        let marks: Vec<Mark> = marks.collect::<Result<_, CallError>>()?;
+        let next = marks.into_iter().map(|mark| look(Some(mark), 10_000));
+        let fire = PutTape {
+            symbol: "go".to_owned(),
+            arguments: Vec::new(),
+        };
+        let (next, fired) = join(join_all(next), cx.call(&net, fire).into_future()).await;
+        fired?;
+        if next.iter().flatten().any(|batch| batch.events.is_empty()) {
+            return Err("a display did not see a firing".into());
+        }
+        seen = next;
+    }
+    Ok(())
 }
 
 /// The memory of all processes of this one's group of brothers and sisters, bytes; what several share counts once.
@@ -326,24 +364,40 @@ pub fn calls(size: u64) -> Result<Cost, Failed> {
     Ok(Cost { seconds, bytes })
 }
 
-/// Tasks that run a net each, of one file.
-pub fn net_tasks(size: u64) -> Result<Cost, Failed> {
-    let folder = tempfile::tempdir()?;
+/// An app of tasks that run a net each, of one file in a folder.
+fn turning(folder: &Path, nets: u64, work: &str, size: u64) -> Result<App, Failed> {
     let net = "net turn\nplace rest = 1\ncommand go -> gone\ntransition turn\n  in rest\n  tape go\n  out rest\n  write gone\n";
-    std::fs::write(folder.path().join("turn.net"), net)?;
-    let mut text = String::from(
-        "[app]\nuntil = \"last\"\n[chassis.a]\n[task.last]\nhandler = \"last\"\non = \"a\"\nargs = { work = \"end\", size = 0 }\n",
+    std::fs::write(folder.join("turn.net"), net)?;
+    let mut text = format!(
+        "[app]\nuntil = \"last\"\n[chassis.a]\n[task.last]\nhandler = \"last\"\non = \"a\"\nargs = {{ work = \"{work}\", size = {size} }}\n"
     );
-    for at in 0..size {
+    for at in 0..nets {
         writeln!(
             text,
             "[task.n{at}]\nhandler = \"pnt.net\"\non = \"a\"\nargs.net = \"turn.net\""
         )?;
     }
-    let file = folder.path().join("growth.toml");
-    let app = load_texts(&[(&file.display().to_string(), &text)], &[], &[]);
-    let app = app.map_err(|findings| format!("{:?}", findings.into_sorted()))?;
+    let file = folder.join("growth.toml").display().to_string();
+    let app = load_texts(&[(&file, &text)], &[], &[]);
+    Ok(app.map_err(|findings| format!("{:?}", findings.into_sorted()))?)
+}
+
+/// Tasks that run a net each.
+pub fn net_tasks(size: u64) -> Result<Cost, Failed> {
+    let folder = tempfile::tempdir()?;
+    let app = turning(folder.path(), size, "end", 0)?;
     Ok(cost(|| simulated(app))?.0)
+}
+
+/// Displays that follow one net, for each firing.
+pub fn displays(size: u64) -> Result<Cost, Failed> {
+    let folder = tempfile::tempdir()?;
+    let app = turning(folder.path(), 1, "follow", size)?;
+    let (Cost { bytes, .. }, seconds) = cost(|| simulated(app))?;
+    Ok(Cost {
+        seconds: seconds / f64::from(SHOWN),
+        bytes,
+    })
 }
 
 /// A record of an app with so many calls, in a folder that ends with it.

@@ -96,6 +96,14 @@ pub const AREAS: &[Area] = &[
         measure: apps::net_tasks,
     },
     Area {
+        name: "displays",
+        what: "a firing shown to displays",
+        whole: true,
+        // A net is followed by no more than 256; a display task shows it to all its pages.
+        sizes: (1, 200),
+        measure: apps::displays,
+    },
+    Area {
         name: "record",
         what: "recording messages",
         whole: true,
