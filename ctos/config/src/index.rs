@@ -1,13 +1,28 @@
 //! Where the tasks and chassis of an app stand in its lists, by their names. Made once, with the app.
 
+use super::app::{ChassisConfig, TaskConfig};
 use std::collections::BTreeMap;
 
-/// The places of names in two lists; of a name that stands twice the first. And those of each handler's tasks.
+/// The places of names in two lists; of a name that stands twice the first. And those of the tasks of each handler and
+/// of each chassis.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Index {
     tasks: BTreeMap<String, usize>,
     chassis: BTreeMap<String, usize>,
     handlers: BTreeMap<String, Vec<usize>>,
+    homes: BTreeMap<String, Vec<usize>>,
+}
+
+/// The places of those that have a word in common, by that word.
+fn grouped<'n>(words: impl Iterator<Item = &'n str>) -> BTreeMap<String, Vec<usize>> {
+    let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for (place, word) in words.enumerate() {
+        match groups.get_mut(word) {
+            Some(places) => places.push(place),
+            None => drop(groups.insert(word.to_owned(), vec![place])),
+        }
+    }
+    groups
 }
 
 /// Each name with its place.
@@ -20,22 +35,13 @@ fn places<'n>(names: impl Iterator<Item = &'n str>) -> BTreeMap<String, usize> {
 }
 
 impl Index {
-    /// The names of all chassis, and those of all tasks with their handlers, in declared order.
-    pub(super) fn of<'n>(
-        chassis: impl Iterator<Item = &'n str>,
-        tasks: impl Iterator<Item = (&'n str, &'n str)> + Clone,
-    ) -> Self {
-        let mut handlers: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-        for (place, (_, handler)) in tasks.clone().enumerate() {
-            match handlers.get_mut(handler) {
-                Some(places) => places.push(place),
-                None => drop(handlers.insert(handler.to_owned(), vec![place])),
-            }
-        }
+    /// Of all chassis and all tasks, in declared order.
+    pub(super) fn of(chassis: &[ChassisConfig], tasks: &[TaskConfig]) -> Self {
         Self {
-            handlers,
-            tasks: places(tasks.map(|(name, _)| name)),
-            chassis: places(chassis),
+            handlers: grouped(tasks.iter().map(|one| one.handler.as_str())),
+            homes: grouped(tasks.iter().map(|one| one.chassis.as_str())),
+            tasks: places(tasks.iter().map(|one| one.name.as_str())),
+            chassis: places(chassis.iter().map(|one| one.name.as_str())),
         }
     }
 
@@ -45,6 +51,10 @@ impl Index {
 
     pub(super) fn of_handler(&self, handler: &str) -> &[usize] {
         self.handlers.get(handler).map_or(&[], Vec::as_slice)
+    }
+
+    pub(super) fn of_chassis(&self, chassis: &str) -> &[usize] {
+        self.homes.get(chassis).map_or(&[], Vec::as_slice)
     }
 
     pub(super) fn chassis(&self, name: &str) -> Option<usize> {

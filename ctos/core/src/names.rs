@@ -29,7 +29,7 @@ use crate::{
         MoveTask, MovedTasks, NamesOf, Place, Rebound, RegisterTid, TaskChanged, WhoWaits,
     },
 };
-use ctos_message::{CommandInfo, Tid};
+use ctos_message::{ChassisNumber, CommandInfo, Tid};
 
 /// What the service takes.
 pub const COMMANDS: [CommandInfo; 13] = TidServer::COMMANDS;
@@ -62,7 +62,7 @@ pub struct Names {
     /// Chassis that are not there, and who waits for them.
     presence: Presence,
     /// Tasks that have moved, with their old id and the chassis that still send by the old place.
-    turning: BTreeMap<String, (Tid, BTreeSet<u8>)>,
+    turning: BTreeMap<String, (Tid, BTreeSet<ChassisNumber>)>,
 }
 
 /// The service's state.
@@ -164,11 +164,11 @@ impl TidServer {
 
     /// By the number of the processor.
     #[command]
-    fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u16> {
+    fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u32> {
         let state = self.state.borrow();
         let (first, last) = (
             Tid::new(chassis, 0, 0),
-            Tid::new(chassis, u8::MAX, u16::MAX),
+            Tid::new(chassis, u8::MAX, Tid::LAST_SLOT),
         );
         let used = state.used.range(first..=last);
         // In the order of their slots: the last of each processor counts.
@@ -244,7 +244,7 @@ impl TidServer {
 impl Names {
     /// The id under which `chassis` is to send to a task. It is the old one until the chassis is
     /// redirected to the new place, so that its messages take one way.
-    fn seen_from(&self, chassis: u8, name: &str) -> Option<Tid> {
+    fn seen_from(&self, chassis: ChassisNumber, name: &str) -> Option<Tid> {
         match self.turning.get(name) {
             Some((old, slow)) if slow.contains(&chassis) => Some(*old),
             _ => self.names.get(name).copied(),

@@ -15,6 +15,7 @@ use std::{
 use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
+use ctos_message::ChassisNumber;
 use ctos_message::frame::{Frame, Full, Link};
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
@@ -43,8 +44,8 @@ pub(crate) enum Arrival {
 
 /// What is on its way from one chassis to another.
 pub(crate) struct InFlight {
-    pub(crate) from: u8,
-    pub(crate) to: u8,
+    pub(crate) from: ChassisNumber,
+    pub(crate) to: ChassisNumber,
     pub(crate) arrival: Arrival,
 }
 
@@ -69,7 +70,7 @@ struct Direction {
 
 struct State {
     flights: BTreeMap<(Instant, u64), InFlight>,
-    directions: BTreeMap<(u8, u8), Direction>,
+    directions: BTreeMap<(ChassisNumber, ChassisNumber), Direction>,
     next: u64,
     rng: ChaCha8Rng,
     tamper: Option<Tamper>,
@@ -106,7 +107,7 @@ impl Network {
     }
 
     /// A new link that chassis `from` has to chassis `to`; of an earlier one nothing is left.
-    pub(crate) fn link(&self, from: u8, to: u8) -> Arc<dyn Link> {
+    pub(crate) fn link(&self, from: ChassisNumber, to: ChassisNumber) -> Arc<dyn Link> {
         let mut state = lock(&self.state);
         state
             .flights
@@ -133,7 +134,7 @@ impl Network {
         (first.key().0 <= now).then(|| first.remove())
     }
 
-    fn put(&self, from: u8, to: u8, arrival: Arrival) {
+    fn put(&self, from: ChassisNumber, to: ChassisNumber, arrival: Arrival) {
         let mut state = lock(&self.state);
         let now = self.clock.now();
         let spread = Duration::from_nanos(state.rng.random_range(0..DELAY_SPREAD_NS));
@@ -148,18 +149,18 @@ impl Network {
         state.insert(moment, from, to, arrival);
     }
 
-    fn direction_rng(&self, from: u8, to: u8) -> ChaCha8Rng {
+    fn direction_rng(&self, from: ChassisNumber, to: ChassisNumber) -> ChaCha8Rng {
         let ends = [from.to_string(), to.to_string()];
         ChaCha8Rng::seed_from_u64(mix(self.seed, &["link faults", &ends[0], &ends[1]]))
     }
 
     /// Chassis `from` closed its end of the link to `to`; what it sent before still arrives.
-    pub(crate) fn hang_up(&self, from: u8, to: u8) {
+    pub(crate) fn hang_up(&self, from: ChassisNumber, to: ChassisNumber) {
         self.put(from, to, Arrival::Closed);
     }
 
     /// Ends a link: what is under way in either direction is lost, and nothing follows.
-    pub(crate) fn cut(&self, one: u8, other: u8) {
+    pub(crate) fn cut(&self, one: ChassisNumber, other: ChassisNumber) {
         let mut state = lock(&self.state);
         state.close(one, other);
         state.close(other, one);
@@ -169,8 +170,8 @@ impl Network {
     /// either when the link `breaks`. `clocks` are those of the two ends.
     pub(crate) fn silence(
         &self,
-        (one, one_clock): (u8, &Clock),
-        (other, other_clock): (u8, &Clock),
+        (one, one_clock): (ChassisNumber, &Clock),
+        (other, other_clock): (ChassisNumber, &Clock),
         until: Instant,
         breaks: bool,
     ) {
@@ -189,7 +190,12 @@ impl Network {
 
     /// Chassis `frozen` stands still until `until`: what is sent to it waits, and chassis `other`,
     /// whose clock is given, hears nothing of it.
-    pub(crate) fn freeze(&self, frozen: u8, (other, clock): (u8, &Clock), until: Instant) {
+    pub(crate) fn freeze(
+        &self,
+        frozen: ChassisNumber,
+        (other, clock): (ChassisNumber, &Clock),
+        until: Instant,
+    ) {
         let now = self.clock.now();
         let mut state = lock(&self.state);
         state.hold(other, frozen, until);
@@ -204,7 +210,7 @@ impl Network {
 
     /// Chassis `to`, which would have given `from` up, stands still until `until`: it does so then, if
     /// there is still nothing to hear.
-    pub(crate) fn listen_again(&self, from: u8, to: u8, until: Instant) {
+    pub(crate) fn listen_again(&self, from: ChassisNumber, to: ChassisNumber, until: Instant) {
         let mut state = lock(&self.state);
         let direction = state.directions.entry((from, to)).or_default();
         direction.given_up = direction.quiet.is_some_and(|(_, end)| end > until);
@@ -215,7 +221,7 @@ impl Network {
 
     /// Chassis `to` gives `from` up: what is between them is lost, and `from` learns so when it can
     /// be reached.
-    pub(crate) fn give_up(&self, from: u8, to: u8) {
+    pub(crate) fn give_up(&self, from: ChassisNumber, to: ChassisNumber) {
         let now = self.clock.now();
         let mut state = lock(&self.state);
         let back = state.directions.entry((to, from)).or_default();
@@ -228,7 +234,7 @@ impl Network {
     /// Until `until` a share of what is sent is lost and sent again, and takes up to `extra` longer.
     pub(crate) fn disturb(
         &self,
-        (one, other): (u8, u8),
+        (one, other): (ChassisNumber, ChassisNumber),
         until: Instant,
         share_ppm: u32,
         extra: Duration,
@@ -267,7 +273,13 @@ impl Direction {
 }
 
 impl State {
-    fn insert(&mut self, moment: Instant, from: u8, to: u8, arrival: Arrival) {
+    fn insert(
+        &mut self,
+        moment: Instant,
+        from: ChassisNumber,
+        to: ChassisNumber,
+        arrival: Arrival,
+    ) {
         let arrivals = match (arrival, &mut self.tamper) {
             (Arrival::Frame(frame), Some(tamper)) => {
                 tamper(frame).into_iter().map(Arrival::Frame).collect()
@@ -282,7 +294,7 @@ impl State {
     }
 
     /// Makes what is under way in one direction arrive at `until` or later, in its order.
-    fn hold(&mut self, from: u8, to: u8, until: Instant) {
+    fn hold(&mut self, from: ChassisNumber, to: ChassisNumber, until: Instant) {
         let direction = self.directions.entry((from, to)).or_default();
         direction.clear_from = direction.clear_from.max(until);
         direction.last = direction.last.max(until);
@@ -304,8 +316,8 @@ impl State {
     /// `to` hears nothing of `from` until `until`, which makes it give `from` up if that is too long.
     fn quiet(
         &mut self,
-        from: u8,
-        to: u8,
+        from: ChassisNumber,
+        to: ChassisNumber,
         now: Instant,
         until: Instant,
         gives_up_at: impl Fn(Instant) -> Instant,
@@ -323,7 +335,7 @@ impl State {
         }
     }
 
-    fn close(&mut self, from: u8, to: u8) {
+    fn close(&mut self, from: ChassisNumber, to: ChassisNumber) {
         self.flights
             .retain(|_, flight| (flight.from, flight.to) != (from, to));
         let direction = self.directions.entry((from, to)).or_default();
@@ -334,8 +346,8 @@ impl State {
 
 struct SimulatedLink {
     network: Network,
-    from: u8,
-    to: u8,
+    from: ChassisNumber,
+    to: ChassisNumber,
 }
 
 impl Link for SimulatedLink {

@@ -12,14 +12,14 @@ use rand::RngExt;
 use crate::{injured, machine::Machine, run::Simulation};
 use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
-use ctos_message::Command;
+use ctos_message::{ChassisNumber, Command};
 use ctos_time::{Instant, lock::lock};
 
 /// How long the process of a chassis takes to start, ns.
 const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
 
 /// The exits that chassis asked for: number, incarnation and exit code.
-pub(super) type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
+pub(super) type Exits = Arc<Mutex<VecDeque<(ChassisNumber, u32, i32)>>>;
 
 pub(super) fn watch_exit(chassis: &Arc<Chassis>, incarnation: u32, exits: &Exits) {
     let (exits, index) = (exits.clone(), chassis.index());
@@ -83,16 +83,16 @@ impl Simulation {
     }
 
     /// Which process of chassis `index` is the last that was wanted.
-    pub(super) fn incarnation(&self, index: u8) -> u32 {
+    pub(super) fn incarnation(&self, index: ChassisNumber) -> u32 {
         self.incarnations.get(&index).copied().unwrap_or(1)
     }
 
-    pub(super) fn kill(&mut self, index: u8) {
+    pub(super) fn kill(&mut self, index: ChassisNumber) {
         self.end_chassis(index, KILLED, None, true);
     }
 
     /// A process ends: nothing of it runs any more, and the others see its links close.
-    fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
+    fn end_chassis(&mut self, index: ChassisNumber, how: &str, code: Option<i32>, casualty: bool) {
         let incarnation = self.incarnation(index);
         // Also of one that has not started yet: it never will.
         self.tell_boot(system::ProcessEnded {
@@ -125,7 +125,7 @@ impl Simulation {
     }
 
     /// A process starts in place of the one that ended, and is connected to those that live.
-    pub(super) fn start_chassis(&mut self, index: u8, incarnation: u32) {
+    pub(super) fn start_chassis(&mut self, index: ChassisNumber, incarnation: u32) {
         let Some(old) = self.machines.get(usize::from(index)) else {
             return;
         };

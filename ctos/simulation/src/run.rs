@@ -20,6 +20,7 @@ use ctos_core::{
     registry::Registry,
     system,
 };
+use ctos_message::ChassisNumber;
 use ctos_record as record;
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
@@ -124,12 +125,12 @@ pub(super) struct Simulation {
     /// Processes that would have ended by themselves now.
     pub(super) exits: Exits,
     /// How the last process of a chassis ended, if otherwise than it should have.
-    pub(super) casualties: BTreeMap<u8, String>,
+    pub(super) casualties: BTreeMap<ChassisNumber, String>,
     /// Which process of each chassis is the last that was wanted, from 1.
-    pub(super) incarnations: BTreeMap<u8, u32>,
+    pub(super) incarnations: BTreeMap<ChassisNumber, u32>,
     pub(super) orders: ProcessOrders,
     /// Processes on their way up, by the moment at which they are there.
-    pub(super) starts: BTreeMap<(Instant, u8), u32>,
+    pub(super) starts: BTreeMap<(Instant, ChassisNumber), u32>,
     pub(super) events: EventLog,
     pub(super) recording: Option<record::Recording>,
     pub(super) observer: Observer,
@@ -163,7 +164,7 @@ impl Simulation {
         }
         let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.tamper);
         let events = EventLog::new(setup.events, clock.clone());
-        let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
+        let count = ChassisNumber::try_from(app.chassis.len()).unwrap_or(ChassisNumber::MAX - 1);
         let disk = Arc::new(Disk::default());
         let chassis: Vec<Arc<Chassis>> = (0..=count)
             .zip(&names)
@@ -456,7 +457,7 @@ impl Simulation {
         }
     }
 
-    fn link_down(&self, chassis: &Arc<Chassis>, peer: u8) {
+    fn link_down(&self, chassis: &Arc<Chassis>, peer: ChassisNumber) {
         if chassis.is_linked(peer) {
             let name = chassis.name_of(peer);
             self.events

@@ -32,7 +32,7 @@ pub const CHASSIS: &str = "growth-chassis";
 /// So many names are looked up: fewer than are asked for between two looks of a chassis at its tasks.
 const LOOKED_UP: u64 = 1_000;
 
-/// The tasks of one processor, whose ids have 16 bits.
+/// The tasks of one processor.
 const ON_ONE: u64 = 50_000;
 
 /// Long enough for everything.

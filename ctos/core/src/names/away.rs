@@ -11,13 +11,13 @@ use crate::{
     system::{BOOTSTRAP, ChassisWanted, FindTid, Missing, News},
 };
 use ctos_config::ChassisRestart;
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 
 /// Chassis that are not as they should be, by number.
 #[derive(Default)]
 pub(super) struct Presence {
     /// Those that may be started again, until their tasks have passed all phases; and those that are not, with why.
-    absent: BTreeMap<u8, Option<String>>,
+    absent: BTreeMap<ChassisNumber, Option<String>>,
     /// Whether the app has been up. Before, tasks find each other as soon as they exist.
     up: bool,
     stopping: bool,
@@ -27,7 +27,7 @@ pub(super) struct Presence {
 
 impl Presence {
     /// A chassis is not linked any more.
-    pub(super) fn lost(&mut self, cx: &Context, index: u8) {
+    pub(super) fn lost(&mut self, cx: &Context, index: ChassisNumber) {
         let config = cx.chassis().config_of(index);
         let may_return =
             config.is_some_and(|it| it.supervision.restart.when != ChassisRestart::Never);
@@ -36,7 +36,7 @@ impl Presence {
         self.absent.entry(index).or_insert(why);
     }
 
-    fn is_away(&self, index: u8) -> bool {
+    fn is_away(&self, index: ChassisNumber) -> bool {
         self.absent.get(&index) == Some(&None)
     }
 }

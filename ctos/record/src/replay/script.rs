@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{DRIFT, POLLS};
 use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
-use ctos_message::{Command, Flags, Tid, fault::Fault};
+use ctos_message::{ChassisNumber, Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
 
 /// A message that the task was given, or sent.
@@ -219,7 +219,7 @@ impl Reader<'_> {
 
     fn sent(
         &self,
-        chassis: u8,
+        chassis: ChassisNumber,
         key: Key,
         flags: u16,
         deadline: Option<u64>,
