@@ -49,19 +49,14 @@ impl Simulation {
             FaultKind::Freeze if !machine.gone => {
                 machine.freeze(until);
                 self.rouse(index);
-                for other in self.machines.iter().filter(|other| !other.gone) {
-                    let peer = other.chassis.index();
-                    if peer != number {
-                        self.network.freeze(number, (peer, other.clock()), until);
-                    }
-                }
+                self.network.freeze(number, until);
             }
             FaultKind::Slow { per_step } => machine.slow(until, per_step),
             _ => {}
         }
     }
 
-    pub(super) fn happen_between(&self, one: usize, other: usize, fault: &Fault) {
+    fn happen_between(&self, one: usize, other: usize, fault: &Fault) {
         let (Some(first), Some(second)) = (self.machines.get(one), self.machines.get(other)) else {
             return;
         };

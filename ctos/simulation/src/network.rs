@@ -5,16 +5,22 @@
 //! where it was. Only a chassis that hears nothing of another one for longer than the peer time-out
 //! gives it up, and tells it so when it can. Frames between different chassis overtake each other
 //! freely.
+//!
+//! Two chassis are linked when one of them first needs to reach the other. What happened to the way between
+//! them before then holds for the link.
 
 use std::{
     collections::BTreeMap,
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, Weak},
     time::Duration,
 };
 
 use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
+use crate::injured;
+use ctos_config::App;
+use ctos_core::chassis::Chassis;
 use ctos_message::ChassisNumber;
 use ctos_message::frame::{Frame, Full, Link};
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
@@ -49,6 +55,9 @@ pub(crate) struct InFlight {
     pub(crate) arrival: Arrival,
 }
 
+/// Until when which share of the frames is lost, of 10^6, and how much longer each takes at most.
+pub(crate) type Disturbance = (Instant, u32, Duration);
+
 /// One direction of a link.
 #[derive(Default)]
 struct Direction {
@@ -60,15 +69,19 @@ struct Direction {
     quiet: Option<(Instant, Instant)>,
     /// The receiver has, or will have, given the sender up.
     given_up: bool,
+    /// There is a link; without one nobody listens.
+    linked: bool,
     /// Nothing gets through any more.
     closed: bool,
-    /// Until when which share of the frames is lost, of 10^6, and how much longer each takes at most.
-    disturbances: Vec<(Instant, u32, Duration)>,
+    disturbances: Vec<Disturbance>,
     /// Draws losses and delays; made when the first one is needed.
-    rng: Option<ChaCha8Rng>,
+    rng: Option<Box<ChaCha8Rng>>,
 }
 
 struct State {
+    /// Those that are there, and until when those stand still that do.
+    ends: BTreeMap<ChassisNumber, Weak<Chassis>>,
+    frozen: BTreeMap<ChassisNumber, Instant>,
     flights: BTreeMap<(Instant, u64), InFlight>,
     directions: BTreeMap<(ChassisNumber, ChassisNumber), Direction>,
     next: u64,
@@ -83,17 +96,18 @@ pub(crate) struct Network {
     clock: Clock,
     seed: u64,
     peer_timeout: Duration,
+    /// What disturbs each link from its beginning.
+    injuries: Arc<[Disturbance]>,
 }
 
 impl Network {
-    pub(crate) fn new(
-        clock: Clock,
-        seed: u64,
-        peer_timeout: Duration,
-        tamper: Option<Tamper>,
-    ) -> Self {
+    pub(crate) fn new(clock: Clock, app: &App, tamper: Option<Tamper>) -> Self {
+        let (seed, peer_timeout) = (app.seed, app.links.peer_timeout);
         Self {
+            injuries: injured::lasting(&app.links.injury).into(),
             state: Arc::new(Mutex::new(State {
+                ends: BTreeMap::new(),
+                frozen: BTreeMap::new(),
                 flights: BTreeMap::new(),
                 directions: BTreeMap::new(),
                 next: 0,
@@ -106,19 +120,55 @@ impl Network {
         }
     }
 
-    /// A new link that chassis `from` has to chassis `to`; of an earlier one nothing is left.
-    pub(crate) fn link(&self, from: ChassisNumber, to: ChassisNumber) -> Arc<dyn Link> {
+    /// `chassis` is there; of an earlier one of its number nothing is left.
+    pub(crate) fn join(&self, chassis: &Arc<Chassis>) {
+        let (index, weak) = (chassis.index(), Arc::downgrade(chassis));
         let mut state = lock(&self.state);
-        state
-            .flights
-            .retain(|_, flight| (flight.from, flight.to) != (from, to));
-        state.directions.insert((from, to), Direction::default());
+        let others = |from: ChassisNumber, to: ChassisNumber| from != index && to != index;
+        state.flights.retain(|_, one| others(one.from, one.to));
+        state.directions.retain(|(from, to), _| others(*from, *to));
+        state.frozen.remove(&index);
+        state.ends.insert(index, weak.clone());
+        let network = self.clone();
+        chassis.connect_by(move |peer| {
+            if let Some(chassis) = weak.upgrade() {
+                network.connect(&chassis, peer);
+            }
+        });
+    }
+
+    /// Links `chassis` with chassis `peer`, if both are there and nothing has cut them off.
+    fn connect(&self, chassis: &Arc<Chassis>, peer: ChassisNumber) {
+        let (index, now) = (chassis.index(), self.clock.now());
+        let mut state = lock(&self.state);
+        let other = state.ends.get(&peer).and_then(Weak::upgrade);
+        let both = [(index, peer), (peer, index)];
+        let is_cut = |ends| state.directions.get(ends).is_some_and(|way| way.closed);
+        let Some(other) = other.filter(|_| state.ends.contains_key(&index)) else {
+            return;
+        };
+        if both.iter().any(is_cut) {
+            return;
+        }
+        for ((from, to), hears) in both.into_iter().zip([&other, chassis]) {
+            let frozen = state.frozen.get(&from).copied();
+            if let Some(until) = state.frozen.get(&to).copied() {
+                state.hold(from, to, until);
+            }
+            let direction = state.directions.entry((from, to)).or_default();
+            direction.linked = true;
+            direction.disturbances.extend_from_slice(&self.injuries);
+            // Who hears nothing from the beginning has listened since then.
+            let quiet = direction.quiet.take().map(|(_, until)| until);
+            if let Some(until) = quiet.max(frozen).filter(|until| *until > now) {
+                state.quiet(from, to, now, until, self.gives_up_at(now, &hears.clock));
+            }
+        }
         drop(state);
-        Arc::new(SimulatedLink {
-            network: self.clone(),
-            from,
-            to,
-        })
+        for (one, (from, to)) in [chassis, &other].into_iter().zip(both) {
+            let network = self.clone();
+            one.link_up(to, Arc::new(SimulatedLink { network, from, to }));
+        }
     }
 
     /// When the next of what is under way arrives.
@@ -149,14 +199,21 @@ impl Network {
         state.insert(moment, from, to, arrival);
     }
 
-    fn direction_rng(&self, from: ChassisNumber, to: ChassisNumber) -> ChaCha8Rng {
+    fn direction_rng(&self, from: ChassisNumber, to: ChassisNumber) -> Box<ChaCha8Rng> {
         let ends = [from.to_string(), to.to_string()];
-        ChaCha8Rng::seed_from_u64(mix(self.seed, &["link faults", &ends[0], &ends[1]]))
+        let seed = mix(self.seed, &["link faults", &ends[0], &ends[1]]);
+        Box::new(ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// Chassis `from` closed its end of the link to `to`; what it sent before still arrives.
-    pub(crate) fn hang_up(&self, from: ChassisNumber, to: ChassisNumber) {
-        self.put(from, to, Arrival::Closed);
+    /// Chassis `index` closed its end of all its links; what it sent before still arrives.
+    pub(crate) fn leave(&self, index: ChassisNumber) {
+        let mut state = lock(&self.state);
+        state.ends.remove(&index);
+        let peers = state.peers(index);
+        drop(state);
+        for peer in peers {
+            self.put(index, peer, Arrival::Closed);
+        }
     }
 
     /// Ends a link: what is under way in either direction is lost, and nothing follows.
@@ -188,18 +245,20 @@ impl Network {
         }
     }
 
-    /// Chassis `frozen` stands still until `until`: what is sent to it waits, and chassis `other`,
-    /// whose clock is given, hears nothing of it.
-    pub(crate) fn freeze(
-        &self,
-        frozen: ChassisNumber,
-        (other, clock): (ChassisNumber, &Clock),
-        until: Instant,
-    ) {
+    /// Chassis `frozen` stands still until `until`: what is sent to it waits, and nobody hears anything of it.
+    pub(crate) fn freeze(&self, frozen: ChassisNumber, until: Instant) {
         let now = self.clock.now();
         let mut state = lock(&self.state);
-        state.hold(other, frozen, until);
-        state.quiet(frozen, other, now, until, self.gives_up_at(now, clock));
+        let still = state.frozen.entry(frozen).or_default();
+        *still = until.max(*still);
+        for peer in state.peers(frozen) {
+            let Some(other) = state.ends.get(&peer).and_then(Weak::upgrade) else {
+                continue;
+            };
+            state.hold(peer, frozen, until);
+            let gives_up_at = self.gives_up_at(now, &other.clock);
+            state.quiet(frozen, peer, now, until, gives_up_at);
+        }
     }
 
     /// When a chassis with this clock gives up a peer that it has not heard since a moment.
@@ -249,7 +308,7 @@ impl Network {
 
 impl Direction {
     /// How much longer than usual the next frame takes.
-    fn lateness(&mut self, now: Instant, seeded: impl FnOnce() -> ChaCha8Rng) -> Duration {
+    fn lateness(&mut self, now: Instant, seeded: impl FnOnce() -> Box<ChaCha8Rng>) -> Duration {
         if self.disturbances.is_empty() {
             return Duration::ZERO;
         }
@@ -273,6 +332,15 @@ impl Direction {
 }
 
 impl State {
+    /// To whom chassis `index` is or was linked.
+    fn peers(&self, index: ChassisNumber) -> Vec<ChassisNumber> {
+        let all = self
+            .directions
+            .range((index, 0)..=(index, ChassisNumber::MAX));
+        let linked = all.filter(|(_, direction)| direction.linked);
+        linked.map(|((_, peer), _)| *peer).collect()
+    }
+
     fn insert(
         &mut self,
         moment: Instant,
@@ -329,7 +397,7 @@ impl State {
         };
         direction.quiet = Some((since, until));
         let moment = gives_up_at(since);
-        if moment < until && !direction.given_up && !direction.closed {
+        if direction.linked && moment < until && !direction.given_up && !direction.closed {
             direction.given_up = true;
             self.insert(moment, from, to, Arrival::Silence);
         }

@@ -9,7 +9,7 @@ use std::{
 
 use rand::RngExt;
 
-use crate::{injured, machine::Machine, run::Simulation};
+use crate::{machine::Machine, run::Simulation};
 use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
 use ctos_message::{ChassisNumber, Command};
@@ -36,9 +36,7 @@ impl Simulation {
             return;
         };
         boot.drop_links();
-        for other in boot.others() {
-            self.network.hang_up(0, other);
-        }
+        self.network.leave(0);
         let deadline = self.clock.now() + boot.app.stop_timeout;
         let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
         while !ended(&self.machines) && self.step(Some(deadline)) {}
@@ -118,13 +116,11 @@ impl Simulation {
         chassis.drop_links();
         machine.clear();
         self.rouse(usize::from(index));
-        for other in self.machines.iter().filter(|machine| !machine.gone) {
-            self.network.hang_up(index, other.chassis.index());
-        }
+        self.network.leave(index);
         chassis.close();
     }
 
-    /// A process starts in place of the one that ended, and is connected to those that live.
+    /// A process starts in place of the one that ended, and is connected to the boot.
     pub(super) fn start_chassis(&mut self, index: ChassisNumber, incarnation: u32) {
         let Some(old) = self.machines.get(usize::from(index)) else {
             return;
@@ -137,18 +133,12 @@ impl Simulation {
         }
         self.events
             .note(|| format!("chassis {} starts again", new.name()));
+        // Nothing of the old process may come out of the links of the new one.
         for machine in self.machines.iter().filter(|machine| !machine.gone) {
-            let peer = &machine.chassis;
-            // Nothing of the old process may come out of the links of the new one.
-            peer.link_down(index);
-            peer.link_up(index, self.network.link(peer.index(), index));
-            new.link_up(peer.index(), self.network.link(index, peer.index()));
-            let ends = (usize::from(index), usize::from(peer.index()));
-            let injury = &peer.app.links.injury;
-            for fault in injured::lasting(injury, new.name(), peer.name()) {
-                self.happen_between(ends.0, ends.1, &fault);
-            }
+            machine.chassis.link_down(index);
         }
+        self.network.join(&new);
+        new.reach(0);
         watch_exit(&new, incarnation, &self.exits);
         if let Some(recording) = &self.recording {
             recording.add(&new);
