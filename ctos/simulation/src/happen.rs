@@ -1,9 +1,10 @@
 //! What a fault does to the machines and links of a simulated app, and when the given ones happen.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
 use crate::{
     fault::{Fault, FaultKind, Site},
+    injured,
     run::Simulation,
 };
 use ctos_bootstrap::bootstrap::BootError;
@@ -64,21 +65,19 @@ impl Simulation {
         let until = fault.until.unwrap_or(Instant::LAST);
         match fault.kind {
             FaultKind::Cut => {
-                self.network.cut(ends.0, ends.1);
+                self.network.cut(ends);
                 first.chassis.link_down(ends.1);
                 second.chassis.link_down(ends.0);
             }
             FaultKind::Break | FaultKind::Stall => {
-                let (one, other) = ((ends.0, first.clock()), (ends.1, second.clock()));
                 let breaks = fault.kind == FaultKind::Break;
-                self.network.silence(one, other, until, breaks);
+                self.network.silence(ends, until, breaks);
             }
-            FaultKind::Loss { share_ppm } => {
-                let network = &self.network;
-                network.disturb(ends, until, share_ppm, Duration::ZERO);
+            kind => {
+                if let Some(disturbance) = injured::disturbance(kind, until) {
+                    self.network.disturb(ends, disturbance);
+                }
             }
-            FaultKind::Delay { extra } => self.network.disturb(ends, until, 0, extra),
-            _ => {}
         }
     }
 }

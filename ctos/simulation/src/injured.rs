@@ -27,12 +27,19 @@ pub(super) fn lasting(config: &InjuryConfig) -> Vec<Disturbance> {
         ("delay", config.delay.1.as_secs_f64()),
     ];
     let there = extents.into_iter().filter(|(_, extent)| *extent > 0.0);
-    let disturbances = there.filter_map(|(kind, extent)| match FaultKind::of(kind, extent)? {
-        FaultKind::Loss { share_ppm } => Some((Instant::LAST, share_ppm, Duration::ZERO)),
-        FaultKind::Delay { extra } => Some((Instant::LAST, 0, extra)),
+    let kinds = there.filter_map(|(kind, extent)| FaultKind::of(kind, extent));
+    kinds
+        .filter_map(|kind| disturbance(kind, Instant::LAST))
+        .collect()
+}
+
+/// What a fault does to the frames of a link until `until`, if it loses or delays them.
+pub(super) fn disturbance(kind: FaultKind, until: Instant) -> Option<Disturbance> {
+    match kind {
+        FaultKind::Loss { share_ppm } => Some((until, share_ppm, Duration::ZERO)),
+        FaultKind::Delay { extra } => Some((until, 0, extra)),
         _ => None,
-    });
-    disturbances.collect()
+    }
 }
 
 #[cfg(test)]

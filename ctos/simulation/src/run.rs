@@ -436,7 +436,8 @@ impl Simulation {
     }
 
     fn land(&self, flight: InFlight, now: Instant) {
-        let InFlight { from, to, arrival } = flight;
+        let InFlight { way, arrival } = flight;
+        let (from, to) = way;
         let Some(machine) = self.machines.get(usize::from(to)) else {
             return;
         };
@@ -455,9 +456,9 @@ impl Simulation {
             Arrival::Closed => self.link_down(chassis, from),
             Arrival::Silence => match machine.frozen(now) {
                 // Who stands still itself listens first when it goes on.
-                Some(until) => self.network.listen_again(from, to, until),
+                Some(until) => self.network.listen_again(way, until),
                 None => {
-                    self.network.give_up(from, to);
+                    self.network.give_up(way);
                     self.link_down(chassis, from);
                 }
             },

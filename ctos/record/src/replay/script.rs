@@ -10,7 +10,7 @@ use super::{
     },
     ReplayError,
 };
-use crate::{DRIFT, POLLS};
+use crate::DRIFT;
 use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
 use ctos_message::{ChassisNumber, Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
@@ -114,11 +114,6 @@ impl Script {
         if seeds.len() > 1 {
             let why = "the files are of different runs: their seeds differ";
             return Err(incomplete(why));
-        }
-        if noted(POLLS).any(|polls| polls.is_none()) {
-            return Err(incomplete(
-                "it was made by an earlier version of ctos, which did not note all that a task reads; record the app anew",
-            ));
         }
         let tid = parsed(first)?.0.key.task;
         let drift = format!("{DRIFT}{}", tid.chassis());
