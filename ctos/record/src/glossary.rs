@@ -65,9 +65,8 @@ impl Glossary {
         }
         for (number, chassis) in (1..).zip(&app.chassis) {
             for (place, processor) in (1_u8..).zip(&chassis.processors) {
-                let here = app.tasks.iter().filter(|task| {
-                    task.chassis == chassis.name && task.processor == processor.name
-                });
+                let tasks = app.tasks_on(&chassis.name);
+                let here = tasks.filter(|task| task.processor == processor.name);
                 for (slot, task) in (0..).zip(here) {
                     all.name(Tid::new(number, place, slot), &task.name);
                 }
