@@ -166,11 +166,7 @@ impl TidServer {
     #[command]
     fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u32> {
         let state = self.state.borrow();
-        let (first, last) = (
-            Tid::new(chassis, 0, 0),
-            Tid::new(chassis, u8::MAX, Tid::LAST_SLOT),
-        );
-        let used = state.used.range(first..=last);
+        let used = state.used_on(chassis);
         // In the order of their slots: the last of each processor counts.
         used.map(|(tid, _)| (tid.processor(), tid.slot().saturating_add(1)))
             .collect()
@@ -219,21 +215,15 @@ impl TidServer {
     #[chassis_down]
     fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
         let here = cx.chassis();
-        let gone: Vec<TaskRef> = {
-            let state = self.state.borrow();
-            let all = state.names.iter();
-            let lost = here.number_of(chassis);
-            all.filter(|(_, tid)| Some(tid.chassis()) == lost)
-                .map(|(name, tid)| TaskRef::new(name.as_str(), *tid))
-                .collect()
-        };
-        for task in gone {
+        let lost = here.number_of(chassis);
+        let gone = lost.map(|index| self.state.borrow().tasks_on(index));
+        for task in gone.into_iter().flatten() {
             let reason = format!("its chassis `{chassis}` is gone");
             self.state.borrow_mut().free(&task);
             self.notify(cx, &task, &Change::Ended { reason });
         }
         let mut state = self.state.borrow_mut();
-        if let Some(index) = here.number_of(chassis) {
+        if let Some(index) = lost {
             state.presence.lost(cx, index);
         }
         state.answer_waiting(cx);
@@ -249,6 +239,22 @@ impl Names {
             Some((old, slow)) if slow.contains(&chassis) => Some(*old),
             _ => self.names.get(name).copied(),
         }
+    }
+
+    /// Every id that a task of a chassis ever had, with its name. The others are not looked at.
+    fn used_on(&self, chassis: ChassisNumber) -> impl Iterator<Item = (&Tid, &String)> {
+        let last = Tid::new(chassis, u8::MAX, Tid::LAST_SLOT);
+        self.used.range(Tid::new(chassis, 0, 0)..=last)
+    }
+
+    /// The tasks of a chassis, by name.
+    fn tasks_on(&self, chassis: ChassisNumber) -> Vec<TaskRef> {
+        let used = self.used_on(chassis);
+        let there = used.filter(|(tid, name)| self.names.get(*name) == Some(tid));
+        let tasks = there.map(|(tid, name)| TaskRef::new(name.as_str(), *tid));
+        let mut tasks: Vec<_> = tasks.collect();
+        tasks.sort_by(|one, other| one.name().cmp(other.name()));
+        tasks
     }
 
     /// The name has no task any more.

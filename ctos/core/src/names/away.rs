@@ -147,16 +147,14 @@ impl TidServer {
     /// Something has become of a chassis, or of the app.
     pub(super) fn heard(&self, cx: &Context, news: News) {
         let mut state = self.state.borrow_mut();
-        let Names {
-            presence, names, ..
-        } = &mut *state;
+        let presence = &mut state.presence;
         match news {
             News::AppUp => presence.up = true,
             News::Away(index) => {
                 presence.absent.insert(index, None);
                 // Who has found its tasks before asks again, and waits.
-                for (name, tid) in names.iter().filter(|(_, tid)| tid.chassis() == index) {
-                    broadcast(cx, name, *tid, None);
+                for task in state.tasks_on(index) {
+                    broadcast(cx, task.name(), task.tid(), None);
                 }
             }
             News::Back(index) => {
