@@ -85,7 +85,12 @@ pub(super) fn build(
         hosts: hosts::hosts(&root, builder.findings),
         semaphores: shared("semaphore", "permits"),
         barriers: shared("barrier", "parties"),
-        index: Index::of(&chassis, &tasks),
+        index: Index::of(
+            chassis.iter().map(|one| one.name.as_str()),
+            tasks
+                .iter()
+                .map(|one| [&one.name, &one.handler, &one.chassis].map(String::as_str)),
+        ),
         chassis,
         tasks,
         folder: folder.map_or_else(|| PathBuf::from("."), PathBuf::from),

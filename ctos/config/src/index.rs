@@ -1,6 +1,5 @@
 //! Where the tasks and chassis of an app stand in its lists, by their names. Made once, with the app.
 
-use super::app::{ChassisConfig, TaskConfig};
 use std::collections::BTreeMap;
 
 /// The places of names in two lists; of a name that stands twice the first. And those of the tasks of each handler and
@@ -35,13 +34,16 @@ fn places<'n>(names: impl Iterator<Item = &'n str>) -> BTreeMap<String, usize> {
 }
 
 impl Index {
-    /// Of all chassis and all tasks, in declared order.
-    pub(super) fn of(chassis: &[ChassisConfig], tasks: &[TaskConfig]) -> Self {
+    /// The names of all chassis, and those of all tasks with their handlers and their chassis, in declared order.
+    pub(super) fn of<'n>(
+        chassis: impl Iterator<Item = &'n str>,
+        tasks: impl Iterator<Item = [&'n str; 3]> + Clone,
+    ) -> Self {
         Self {
-            handlers: grouped(tasks.iter().map(|one| one.handler.as_str())),
-            homes: grouped(tasks.iter().map(|one| one.chassis.as_str())),
-            tasks: places(tasks.iter().map(|one| one.name.as_str())),
-            chassis: places(chassis.iter().map(|one| one.name.as_str())),
+            handlers: grouped(tasks.clone().map(|[_, handler, _]| handler)),
+            homes: grouped(tasks.clone().map(|[.., home]| home)),
+            tasks: places(tasks.map(|[name, ..]| name)),
+            chassis: places(chassis),
         }
     }
 

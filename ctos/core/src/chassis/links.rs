@@ -294,11 +294,14 @@ impl Chassis {
 
     /// Whether there is a way to chassis `peer`; it is made if that can be. Who is linked is told that the other is gone.
     pub fn reach(&self, peer: ChassisNumber) -> bool {
-        let connect = lock(&self.links).connect.clone();
-        if let Some(connect) = connect.filter(|_| !self.is_linked(peer)) {
-            connect(peer);
+        if self.is_linked(peer) {
+            return true;
         }
-        self.is_linked(peer)
+        let connect = lock(&self.links).connect.clone();
+        connect.is_some_and(|connect| {
+            connect(peer);
+            self.is_linked(peer)
+        })
     }
 
     /// Gives up all links without telling anybody, so that their writers end, and makes no others.
