@@ -6,7 +6,7 @@ mod arbiter;
 use std::{cell::RefCell, collections::BTreeMap, rc::Rc, time::Duration};
 
 use ctos::{
-    message::{Command, CommandInfo, Message, Replier, Tid},
+    message::{ChassisNumber, Command, CommandInfo, Message, Replier, Tid},
     task::{Context, EventHandler, Handled, HandlerError},
 };
 use serde::Deserialize;
@@ -92,7 +92,7 @@ impl ModuleManager {
         });
     }
 
-    fn revoke(&self, chassis: u8) {
+    fn revoke(&self, chassis: ChassisNumber) {
         let turns = self
             .arbiter
             .borrow_mut()
@@ -107,11 +107,11 @@ fn grant(turn: Turn<Waiter>) {
 }
 
 /// The number of a chassis in task ids.
-pub(crate) fn number_of(cx: &Context, chassis: &str) -> Option<u8> {
+pub(crate) fn number_of(cx: &Context, chassis: &str) -> Option<ChassisNumber> {
     // Chassis 0 is the boot itself; the app's own count from 1 in the order of the configuration.
     let mut all = cx.app().chassis.iter();
     let position = all.position(|config| config.name == chassis)?;
-    u8::try_from(position + 1).ok()
+    ChassisNumber::try_from(position + 1).ok()
 }
 
 impl arbiter::Waits for Waiter {

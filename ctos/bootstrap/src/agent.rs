@@ -188,7 +188,7 @@ impl Agent {
         Ok(())
     }
 
-    /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
+    /// Creates this chassis's tasks, in the order of the configuration, those that have moved here after them, and registers their names.
     async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
         let mut failed: Vec<_> = chassis
@@ -199,8 +199,11 @@ impl Agent {
         // None before the first move; asked because this chassis may be one that was started again.
         let moved = cx.call(&Context::server(), MovedTasks {}).await?;
         let moved: BTreeMap<String, Place> = moved.into_iter().collect();
-        let tasks = chassis.app.tasks.iter();
-        for config in tasks.filter_map(|config| placed_here(&chassis, config, &moved)) {
+        let own = chassis.app.tasks_on(chassis.name());
+        let come = moved.keys().filter_map(|name| chassis.app.task(name));
+        let come = come.filter(|config| config.chassis != chassis.name());
+        let here = own.chain(come);
+        for config in here.filter_map(|config| placed_here(&chassis, config, &moved)) {
             if let Err(reason) = self.create_and_register(cx, &config).await {
                 failed.push((config.name, reason));
             }
@@ -235,9 +238,10 @@ impl Agent {
                 for chassis in gone {
                     record.mailbox.open_gate(chassis);
                 }
-                // Nobody here has heard of the chassis that went while the place was made ready.
+                // Nobody here has heard of the chassis that went while the place was made ready. Of those that go
+                // from now on this one must hear, as the place awaits the fence of each.
                 let chassis = cx.chassis();
-                for other in chassis.others().filter(|other| !chassis.is_linked(*other)) {
+                for other in chassis.others().filter(|other| !chassis.reach(*other)) {
                     record.mailbox.forget_gate(other);
                 }
                 self.arrivals.settle(place, true);

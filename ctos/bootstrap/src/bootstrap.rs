@@ -30,6 +30,7 @@ use ctos_core::{
         ProcessEnded, RestartChassis, TaskFailed, TaskMoved,
     },
 };
+use ctos_message::ChassisNumber;
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 
@@ -303,9 +304,9 @@ pub type EndSlot = Arc<Mutex<Option<End>>>;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProcessOrder {
     /// Start the process of chassis `index` with this incarnation. The one before it is dead.
-    Start(u8, u32),
+    Start(ChassisNumber, u32),
     /// End the process of chassis `index` at once.
-    Kill(u8),
+    Kill(ChassisNumber),
 }
 
 /// What the service wants, for the code that carries it out.

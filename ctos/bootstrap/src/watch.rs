@@ -7,7 +7,7 @@
 mod lint;
 mod metrics;
 
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use crate::bootstrap::Overview;
 use ctos_core::{chassis::Chassis, context::Context};
@@ -49,19 +49,19 @@ pub fn look_until<'a>(
     chassis: impl Iterator<Item = &'a std::sync::Arc<Chassis>>,
     moment: Instant,
 ) {
-    let mut looks: Vec<_> = chassis
-        .map(|one| {
-            let step = (moment.since(Watch::of(one).last_look()) / LOOKS).max(INTERVAL);
-            (Watch::of(one).last_look() + step, step, one)
-        })
-        .collect();
-    while let Some((due, step, one)) = looks.iter_mut().min_by_key(|(due, _, _)| *due) {
-        if *due >= moment {
-            return;
+    let all: Vec<_> = chassis.collect();
+    let first = all.iter().enumerate().map(|(place, one)| {
+        let last = Watch::of(one).last_look();
+        let step = (moment.since(last) / LOOKS).max(INTERVAL);
+        (last + step, place, step)
+    });
+    let mut looks: BTreeSet<_> = first.collect();
+    while let Some((due, place, step)) = looks.pop_first().filter(|(due, ..)| *due < moment) {
+        clock.advance_to(due);
+        if let Some(one) = all.get(place) {
+            Watch::of(one).look(one, due);
         }
-        clock.advance_to(*due);
-        Watch::of(one).look(one, *due);
-        *due = *due + *step;
+        looks.insert((due + step, place, step));
     }
 }
 

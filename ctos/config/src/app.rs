@@ -296,6 +296,13 @@ impl App {
         tasks.filter(move |task| task.handler == handler)
     }
 
+    /// The tasks of a chassis, in declared order. Those of others are not looked at.
+    pub fn tasks_on<'a>(&'a self, chassis: &'a str) -> impl Iterator<Item = &'a TaskConfig> {
+        let places = self.index.of_chassis(chassis).iter();
+        let tasks = places.filter_map(|place| self.tasks.get(*place));
+        tasks.filter(move |task| task.chassis == chassis)
+    }
+
     /// The place of the chassis of that name in [`App::chassis`].
     #[must_use]
     pub fn place_of_chassis(&self, name: &str) -> Option<usize> {

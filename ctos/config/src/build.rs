@@ -20,8 +20,8 @@ use crate::diagnostic::{Finding, Findings, Place, Source};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// A task id has 8 bits for the chassis; 0 is the one that boots, 255 is kept for the runtime.
-const MOST_CHASSIS: usize = 254;
+/// A task id has 16 bits for the chassis; 0 is the one that boots, 65535 is kept for the runtime.
+const MOST_CHASSIS: usize = 65_534;
 /// A task id has 8 bits for the processor; 0 is the runtime's own.
 const MOST_PROCESSORS: usize = 255;
 
@@ -89,7 +89,7 @@ pub(super) fn build(
             chassis.iter().map(|one| one.name.as_str()),
             tasks
                 .iter()
-                .map(|one| (one.name.as_str(), one.handler.as_str())),
+                .map(|one| [&one.name, &one.handler, &one.chassis].map(String::as_str)),
         ),
         chassis,
         tasks,

@@ -2,12 +2,26 @@
 
 use std::collections::BTreeMap;
 
-/// The places of names in two lists; of a name that stands twice the first. And those of each handler's tasks.
+/// The places of names in two lists; of a name that stands twice the first. And those of the tasks of each handler and
+/// of each chassis.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Index {
     tasks: BTreeMap<String, usize>,
     chassis: BTreeMap<String, usize>,
     handlers: BTreeMap<String, Vec<usize>>,
+    homes: BTreeMap<String, Vec<usize>>,
+}
+
+/// The places of those that have a word in common, by that word.
+fn grouped<'n>(words: impl Iterator<Item = &'n str>) -> BTreeMap<String, Vec<usize>> {
+    let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for (place, word) in words.enumerate() {
+        match groups.get_mut(word) {
+            Some(places) => places.push(place),
+            None => drop(groups.insert(word.to_owned(), vec![place])),
+        }
+    }
+    groups
 }
 
 /// Each name with its place.
@@ -20,21 +34,15 @@ fn places<'n>(names: impl Iterator<Item = &'n str>) -> BTreeMap<String, usize> {
 }
 
 impl Index {
-    /// The names of all chassis, and those of all tasks with their handlers, in declared order.
+    /// The names of all chassis, and those of all tasks with their handlers and their chassis, in declared order.
     pub(super) fn of<'n>(
         chassis: impl Iterator<Item = &'n str>,
-        tasks: impl Iterator<Item = (&'n str, &'n str)> + Clone,
+        tasks: impl Iterator<Item = [&'n str; 3]> + Clone,
     ) -> Self {
-        let mut handlers: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-        for (place, (_, handler)) in tasks.clone().enumerate() {
-            match handlers.get_mut(handler) {
-                Some(places) => places.push(place),
-                None => drop(handlers.insert(handler.to_owned(), vec![place])),
-            }
-        }
         Self {
-            handlers,
-            tasks: places(tasks.map(|(name, _)| name)),
+            handlers: grouped(tasks.clone().map(|[_, handler, _]| handler)),
+            homes: grouped(tasks.clone().map(|[.., home]| home)),
+            tasks: places(tasks.map(|[name, ..]| name)),
             chassis: places(chassis),
         }
     }
@@ -45,6 +53,10 @@ impl Index {
 
     pub(super) fn of_handler(&self, handler: &str) -> &[usize] {
         self.handlers.get(handler).map_or(&[], Vec::as_slice)
+    }
+
+    pub(super) fn of_chassis(&self, chassis: &str) -> &[usize] {
+        self.homes.get(chassis).map_or(&[], Vec::as_slice)
     }
 
     pub(super) fn chassis(&self, name: &str) -> Option<usize> {

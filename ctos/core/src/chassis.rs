@@ -31,7 +31,7 @@ use crate::{
     task_record::TaskRecord,
 };
 use ctos_config::{App, ChassisConfig, ProcessorConfig, Start};
-use ctos_message::{Tid, fault::Fault};
+use ctos_message::{ChassisNumber, Tid, fault::Fault};
 use ctos_time::{Clock, lock::lock, park::Park};
 
 pub use self::extension::Extension;
@@ -47,7 +47,7 @@ pub(crate) type MakePark = Box<dyn Fn() -> Arc<dyn Park> + Send + Sync>;
 pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
 
 /// Chassis count from 1: 0 is the one that boots.
-fn configured(app: &App, index: u8) -> Option<&ChassisConfig> {
+fn configured(app: &App, index: ChassisNumber) -> Option<&ChassisConfig> {
     app.chassis.get(usize::from(index).checked_sub(1)?)
 }
 
@@ -55,7 +55,7 @@ fn configured(app: &App, index: u8) -> Option<&ChassisConfig> {
 #[derive(derive_more::Debug)]
 #[debug("Chassis({} `{}`)", self.index, self.name())]
 pub struct Chassis {
-    index: u8,
+    index: ChassisNumber,
     #[doc(hidden)]
     pub clock: Clock,
     #[doc(hidden)]
@@ -88,7 +88,7 @@ pub struct Chassis {
 
 impl Chassis {
     /// Chassis number `index` of `app`; its processors' threads are started elsewhere.
-    pub(crate) fn bare(index: u8, app: Arc<App>, clock: Clock) -> Arc<Self> {
+    pub(crate) fn bare(index: ChassisNumber, app: Arc<App>, clock: Clock) -> Arc<Self> {
         let configured = configured(&app, index).map_or(&[][..], |one| &one.processors);
         let processors = std::iter::once("system".to_owned())
             .chain(configured.iter().map(|one| one.name.clone()))
@@ -118,13 +118,13 @@ impl Chassis {
 
     /// Its number; 0 is the chassis that booted the app.
     #[must_use]
-    pub fn index(&self) -> u8 {
+    pub fn index(&self) -> ChassisNumber {
         self.index
     }
 
     /// The name of chassis number `index`.
     #[must_use]
-    pub fn name_of(&self, index: u8) -> &str {
+    pub fn name_of(&self, index: ChassisNumber) -> &str {
         match (index, self.config_of(index)) {
             (0, _) => BOOT_CHASSIS,
             (_, Some(config)) => &config.name,
@@ -134,24 +134,24 @@ impl Chassis {
 
     /// The number of the chassis of that name.
     #[must_use]
-    pub fn number_of(&self, name: &str) -> Option<u8> {
+    pub fn number_of(&self, name: &str) -> Option<ChassisNumber> {
         if name == BOOT_CHASSIS {
             return Some(0);
         }
         let place = self.app.place_of_chassis(name)?;
-        u8::try_from(place + 1).ok()
+        ChassisNumber::try_from(place + 1).ok()
     }
 
     /// What the configuration says of chassis number `index`; nothing of the one that boots, 0.
     #[must_use]
-    pub fn config_of(&self, index: u8) -> Option<&ChassisConfig> {
+    pub fn config_of(&self, index: ChassisNumber) -> Option<&ChassisConfig> {
         configured(&self.app, index)
     }
 
     /// Whether the process of chassis `index` starts when somebody looks for one of its tasks.
     #[doc(hidden)]
     #[must_use]
-    pub fn starts_on_demand(&self, index: u8) -> bool {
+    pub fn starts_on_demand(&self, index: ChassisNumber) -> bool {
         self.config_of(index)
             .is_some_and(|config| config.start == Start::OnDemand)
     }
@@ -221,7 +221,7 @@ impl Chassis {
         }
     }
 
-    pub(crate) fn peer_down_fault(&self, peer: u8) -> Fault {
+    pub(crate) fn peer_down_fault(&self, peer: ChassisNumber) -> Fault {
         Fault::PeerDown {
             chassis: self.name_of(peer).to_owned(),
         }
@@ -249,8 +249,8 @@ impl Chassis {
 #[doc(hidden)]
 impl Chassis {
     /// The numbers of all chassis of the app but this one.
-    pub fn others(&self) -> impl Iterator<Item = u8> + '_ {
-        (0..=u8::MAX)
+    pub fn others(&self) -> impl Iterator<Item = ChassisNumber> + '_ {
+        (0..=ChassisNumber::MAX)
             .take(self.app.chassis.len() + 1)
             .filter(|index| *index != self.index)
     }
@@ -312,8 +312,8 @@ impl Chassis {
 
     /// A trace id that no other message of the run has.
     pub fn fresh_trace(&self) -> u64 {
-        // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
-        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
+        // The highest 16 bits keep the chassis apart; 2^48 messages of one chassis do not come about.
+        (u64::from(self.index) << 48) | self.next_trace.fetch_add(1, Ordering::Relaxed)
     }
 
     /// This chassis has been told to end: that another is gone is no news from here on, not even of the boot.

@@ -104,7 +104,7 @@ impl Context {
         })?;
         let processor = self.tid().processor();
         let slot = self.chassis().directory.free_slot(processor);
-        let slot = slot.ok_or("its processor has had 65535 tasks in this run")?;
+        let slot = slot.ok_or("its processor has had 16777216 tasks in this run")?;
         let tid = Tid::new(self.chassis().index(), processor, slot);
         let config = self.config().cloned();
         let mut config = config.ok_or("a task of the runtime starts no others")?;

@@ -1,7 +1,7 @@
 //! What comes to the queue of a task, and what becomes of it there.
 
 use crate::envelope::Message;
-use ctos_message::{Flags, SYSTEM_COMMANDS, fault::Fault};
+use ctos_message::{ChassisNumber, Flags, SYSTEM_COMMANDS, fault::Fault};
 
 /// A message that was not taken.
 pub enum NotTaken {
@@ -25,9 +25,9 @@ pub enum Delivery {
     /// One that waits for a credit.
     Waits(Message),
     /// See [`crate::mailbox::Mailbox::open_gate`].
-    OpenGate(u8),
+    OpenGate(ChassisNumber),
     /// See [`crate::mailbox::Mailbox::forget_gate`].
-    ForgetGate(u8),
+    ForgetGate(ChassisNumber),
 }
 
 impl Delivery {

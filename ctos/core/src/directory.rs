@@ -13,7 +13,7 @@ use std::{
     },
 };
 
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 use ctos_time::lock::lock;
 
 /// The directory of one chassis. Shared by its threads.
@@ -26,7 +26,7 @@ pub struct TaskDirectory {
     /// one load.
     any: AtomicBool,
     /// The next free slot of each processor, by its number.
-    slots: Mutex<BTreeMap<u8, u16>>,
+    slots: Mutex<BTreeMap<u8, u32>>,
 }
 
 impl TaskDirectory {
@@ -83,12 +83,12 @@ impl TaskDirectory {
     }
 
     /// Chassis `peer` is gone, and with it what was known of its tasks.
-    pub(crate) fn forget_chassis(&self, peer: u8) {
+    pub(crate) fn forget_chassis(&self, peer: ChassisNumber) {
         lock(&self.known).retain(|_, tid| tid.chassis() != peer);
     }
 
     /// Slots below these were given away before; by the number of the processor.
-    pub fn start_slots_at(&self, first: &BTreeMap<u8, u16>) {
+    pub fn start_slots_at(&self, first: &BTreeMap<u8, u32>) {
         let mut slots = lock(&self.slots);
         for (processor, first) in first {
             let slot = slots.entry(*processor).or_default();
@@ -97,12 +97,13 @@ impl TaskDirectory {
     }
 
     /// A slot of `processor` that no task of this run ever had; `None` when there is none left.
-    pub fn free_slot(&self, processor: u8) -> Option<u16> {
+    pub fn free_slot(&self, processor: u8) -> Option<u32> {
         let mut slots = lock(&self.slots);
         let slot = slots.entry(processor).or_default();
         let free = *slot;
-        *slot = free.checked_add(1)?;
-        Some(free)
+        let is_one = free <= Tid::LAST_SLOT;
+        *slot += u32::from(is_one);
+        is_one.then_some(free)
     }
 }
 
@@ -139,13 +140,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_id_that_a_task_ever_had_leads_to_the_one_it_has(places in proptest::collection::vec((0_u8..4, 0_u8..3), 1..40)) {
+        fn every_id_that_a_task_ever_had_leads_to_the_one_it_has(places in proptest::collection::vec((0_u16..4, 0_u8..3), 1..40)) {
             let directory = TaskDirectory::default();
             let other = Tid::new(9, 9, 9);
             let ids: Vec<Tid> = places
                 .iter()
                 .enumerate()
-                .map(|(slot, (chassis, processor))| Tid::new(*chassis, *processor, slot as u16))
+                .map(|(slot, (chassis, processor))| Tid::new(*chassis, *processor, slot as u32))
                 .collect();
             for pair in ids.windows(2) {
                 directory.rebind("arm", pair[0], Some(pair[1]));
@@ -157,7 +158,7 @@ mod tests {
         }
 
         #[test]
-        fn no_slot_is_given_away_twice(first in proptest::collection::btree_map(0_u8..4, 0_u16..50, 0..4), draws in proptest::collection::vec(0_u8..4, 0..60)) {
+        fn no_slot_is_given_away_twice(first in proptest::collection::btree_map(0_u8..4, 0_u32..50, 0..4), draws in proptest::collection::vec(0_u8..4, 0..60)) {
             let directory = TaskDirectory::default();
             directory.start_slots_at(&first);
             let mut given = std::collections::BTreeSet::new();
@@ -172,7 +173,8 @@ mod tests {
     #[test]
     fn a_processor_whose_slots_are_used_up_says_so() {
         let directory = TaskDirectory::default();
-        directory.start_slots_at(&BTreeMap::from([(1, u16::MAX)]));
+        directory.start_slots_at(&BTreeMap::from([(1, Tid::LAST_SLOT)]));
+        assert_eq!(directory.free_slot(1), Some(Tid::LAST_SLOT));
         assert_eq!(directory.free_slot(1), None);
         assert_eq!(directory.free_slot(0), Some(0));
     }

@@ -121,10 +121,10 @@ pub mod time {
     pub use ctos_time::{Clock, Instant};
 }
 
-/// Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
+/// Messages: a 20-byte header (receiver, sender, command, flags, data size) and data.
 pub mod message {
     pub use ctos_message::{
-        Command, CommandInfo, Data, DataType, Flags, Header, Payload, PayloadError,
+        ChassisNumber, Command, CommandInfo, Data, DataType, Flags, Header, Payload, PayloadError,
         SYSTEM_COMMANDS, Shape, ShapeKind, Tid, trimmed,
     };
 

@@ -23,14 +23,14 @@ use crate::{
     processor::{Item, Processor, ProcessorHandle},
     reply::ReplySlot,
 };
-use ctos_message::fault::Fault;
+use ctos_message::{ChassisNumber, fault::Fault};
 
 /// The queue of one task, for everybody.
 pub struct Mailbox {
     /// Of each priority.
     capacity: u32,
     home: Arc<ProcessorHandle>,
-    slot: u16,
+    slot: u32,
     closed: AtomicBool,
     credits: LaneCredits,
 }
@@ -47,7 +47,7 @@ struct LaneCredits {
 impl Mailbox {
     /// The queue of the task in `slot` of the processor `home`, with credits for `capacity` messages of
     /// each priority.
-    pub(crate) fn new(capacity: usize, home: Arc<ProcessorHandle>, slot: u16) -> Self {
+    pub(crate) fn new(capacity: usize, home: Arc<ProcessorHandle>, slot: u32) -> Self {
         Self {
             // More messages than that have no memory to be in.
             capacity: u32::try_from(capacity.max(1)).unwrap_or(u32::MAX),
@@ -169,12 +169,12 @@ impl Mailbox {
     }
 
     /// Lets in what came straight from `chassis`, in its order, and whatever comes from there later.
-    pub fn open_gate(&self, chassis: u8) {
+    pub fn open_gate(&self, chassis: ChassisNumber) {
         self.bring(Delivery::OpenGate(chassis));
     }
 
     /// Drops what came straight from `chassis`, which is gone: no sender has heard that it was taken.
-    pub fn forget_gate(&self, chassis: u8) {
+    pub fn forget_gate(&self, chassis: ChassisNumber) {
         self.bring(Delivery::ForgetGate(chassis));
     }
 

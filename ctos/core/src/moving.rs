@@ -29,7 +29,7 @@ use crate::{
     handled::Handled,
     system::{self, Delivered, Fence, Load, MoveTask, Rebound, Transfer},
 };
-use ctos_message::{Tid, fault::CallError};
+use ctos_message::{ChassisNumber, Tid, fault::CallError};
 
 pub use arrive::{Arrival, Arrivals, arrive, deliver};
 pub(crate) use depart::{Departed, depart, forward};
@@ -64,7 +64,7 @@ impl Context {
     }
 }
 
-fn agent_of(chassis: u8) -> TaskRef {
+fn agent_of(chassis: ChassisNumber) -> TaskRef {
     TaskRef::new("agent", system::agent_tid(chassis))
 }
 
@@ -85,7 +85,12 @@ pub async fn redirect(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
 
 /// Fences off a chassis that cannot reach the old place of a task any more, or whose fence cannot reach
 /// the new one. The chassis that boots does it, because it reaches all that are left.
-pub(crate) async fn redirect_for(cx: &Context, rebound: &Rebound, new: Tid, chassis: u8) -> bool {
+pub(crate) async fn redirect_for(
+    cx: &Context,
+    rebound: &Rebound,
+    new: Tid,
+    chassis: ChassisNumber,
+) -> bool {
     let old = TaskRef::new(rebound.name.as_str(), rebound.old);
     let agent = agent_of(new.chassis());
     let began = cx.now();

@@ -29,7 +29,7 @@ use crate::{
         MoveTask, MovedTasks, NamesOf, Place, Rebound, RegisterTid, TaskChanged, WhoWaits,
     },
 };
-use ctos_message::{CommandInfo, Tid};
+use ctos_message::{ChassisNumber, CommandInfo, Tid};
 
 /// What the service takes.
 pub const COMMANDS: [CommandInfo; 13] = TidServer::COMMANDS;
@@ -62,7 +62,7 @@ pub struct Names {
     /// Chassis that are not there, and who waits for them.
     presence: Presence,
     /// Tasks that have moved, with their old id and the chassis that still send by the old place.
-    turning: BTreeMap<String, (Tid, BTreeSet<u8>)>,
+    turning: BTreeMap<String, (Tid, BTreeSet<ChassisNumber>)>,
 }
 
 /// The service's state.
@@ -164,13 +164,9 @@ impl TidServer {
 
     /// By the number of the processor.
     #[command]
-    fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u16> {
+    fn first_slots(&self, FirstSlots { chassis }: FirstSlots) -> BTreeMap<u8, u32> {
         let state = self.state.borrow();
-        let (first, last) = (
-            Tid::new(chassis, 0, 0),
-            Tid::new(chassis, u8::MAX, u16::MAX),
-        );
-        let used = state.used.range(first..=last);
+        let used = state.used_on(chassis);
         // In the order of their slots: the last of each processor counts.
         used.map(|(tid, _)| (tid.processor(), tid.slot().saturating_add(1)))
             .collect()
@@ -219,21 +215,15 @@ impl TidServer {
     #[chassis_down]
     fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
         let here = cx.chassis();
-        let gone: Vec<TaskRef> = {
-            let state = self.state.borrow();
-            let all = state.names.iter();
-            let lost = here.number_of(chassis);
-            all.filter(|(_, tid)| Some(tid.chassis()) == lost)
-                .map(|(name, tid)| TaskRef::new(name.as_str(), *tid))
-                .collect()
-        };
-        for task in gone {
+        let lost = here.number_of(chassis);
+        let gone = lost.map(|index| self.state.borrow().tasks_on(index));
+        for task in gone.into_iter().flatten() {
             let reason = format!("its chassis `{chassis}` is gone");
             self.state.borrow_mut().free(&task);
             self.notify(cx, &task, &Change::Ended { reason });
         }
         let mut state = self.state.borrow_mut();
-        if let Some(index) = here.number_of(chassis) {
+        if let Some(index) = lost {
             state.presence.lost(cx, index);
         }
         state.answer_waiting(cx);
@@ -244,11 +234,27 @@ impl TidServer {
 impl Names {
     /// The id under which `chassis` is to send to a task. It is the old one until the chassis is
     /// redirected to the new place, so that its messages take one way.
-    fn seen_from(&self, chassis: u8, name: &str) -> Option<Tid> {
+    fn seen_from(&self, chassis: ChassisNumber, name: &str) -> Option<Tid> {
         match self.turning.get(name) {
             Some((old, slow)) if slow.contains(&chassis) => Some(*old),
             _ => self.names.get(name).copied(),
         }
+    }
+
+    /// Every id that a task of a chassis ever had, with its name. The others are not looked at.
+    fn used_on(&self, chassis: ChassisNumber) -> impl Iterator<Item = (&Tid, &String)> {
+        let last = Tid::new(chassis, u8::MAX, Tid::LAST_SLOT);
+        self.used.range(Tid::new(chassis, 0, 0)..=last)
+    }
+
+    /// The tasks of a chassis, by name.
+    fn tasks_on(&self, chassis: ChassisNumber) -> Vec<TaskRef> {
+        let used = self.used_on(chassis);
+        let there = used.filter(|(tid, name)| self.names.get(*name) == Some(tid));
+        let tasks = there.map(|(tid, name)| TaskRef::new(name.as_str(), *tid));
+        let mut tasks: Vec<_> = tasks.collect();
+        tasks.sort_by(|one, other| one.name().cmp(other.name()));
+        tasks
     }
 
     /// The name has no task any more.

@@ -25,7 +25,7 @@ use ctos_config::{
     App, Entry, Node, TaskConfig,
     diagnostic::{Finding, Findings, Place},
 };
-use ctos_message::{Command, CommandInfo};
+use ctos_message::{ChassisNumber, Command, CommandInfo};
 use ctos_time::Clock;
 use serde::de::DeserializeOwned;
 
@@ -546,7 +546,12 @@ impl Chassis {
 impl Chassis {
     /// Chassis number `index` of `app`, whose event handlers are those of `registry`; its processors' threads are
     /// started elsewhere.
-    pub fn new(index: u8, app: Arc<App>, registry: Arc<Registry>, clock: Clock) -> Arc<Self> {
+    pub fn new(
+        index: ChassisNumber,
+        app: Arc<App>,
+        registry: Arc<Registry>,
+        clock: Clock,
+    ) -> Arc<Self> {
         let chassis = Self::bare(index, app, clock);
         chassis.extend(registry);
         chassis

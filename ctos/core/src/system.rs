@@ -10,10 +10,10 @@ use crate::{
     report::{ChassisReport, TaskCounters},
     task_ref::TaskRef,
 };
-use ctos_message::{Command, Tid, command};
+use ctos_message::{ChassisNumber, Command, Tid, command};
 
 /// The task that starts and stops the tasks of chassis `index`.
-pub const fn agent_tid(index: u8) -> Tid {
+pub const fn agent_tid(index: ChassisNumber) -> Tid {
     Tid::new(index, 0, 0)
 }
 
@@ -74,7 +74,7 @@ command! {
 
     /// Comes to an orderly stop. With a chassis, the task only if it is there: one that has just moved
     /// away goes on.
-    pub struct StopTask { pub reason: StopReason, pub on: Option<u8> } => (), 0xff03, "stop";
+    pub struct StopTask { pub reason: StopReason, pub on: Option<ChassisNumber> } => (), 0xff03, "stop";
 
     /// Comes to rest, before any task is stopped; answered when it has.
     pub struct Quiesce { pub reason: StopReason } => (), 0xff06, "quiesce";
@@ -101,7 +101,7 @@ command! {
 
     /// Creates the tasks of this chassis. No task of an earlier incarnation has a slot from
     /// `first_slots` on, by the number of the processor.
-    pub struct CreateTasks { pub first_slots: BTreeMap<u8, u16> } => Created, 0xff20, "create_tasks";
+    pub struct CreateTasks { pub first_slots: BTreeMap<u8, u32> } => Created, 0xff20, "create_tasks";
 
     /// Ends the process.
     pub struct Exit { pub code: i32 } => (), 0xff21, "exit";
@@ -125,7 +125,7 @@ command! {
     pub struct Finish { pub task: String, pub result: AppResult } => (), 0xff31, "finish";
 
     /// Tells that a task failed for good.
-    pub struct TaskFailed { pub task: String, pub chassis: u8, pub reason: String } => (), 0xff32, "task_failed";
+    pub struct TaskFailed { pub task: String, pub chassis: ChassisNumber, pub reason: String } => (), 0xff32, "task_failed";
 
     /// Tells that a task is at a breakpoint at which the app shall end.
     pub struct AtBreakpoint { pub task: String, pub reason: String } => (), 0xff3f, "at_breakpoint";
@@ -147,21 +147,21 @@ command! {
 
     /// Tells the bootstrap service that the process of a chassis is dead, and how it died.
     pub struct ProcessEnded {
-        pub chassis: u8,
+        pub chassis: ChassisNumber,
         pub incarnation: u32,
         pub how: String,
         pub code: Option<i32>,
     } => (), 0xff54, "process_ended";
 
     /// Tells the bootstrap service that a chassis that was started anew is connected to all others.
-    pub struct ChassisLinked { pub chassis: u8, pub incarnation: u32 } => (), 0xff55, "chassis_linked";
+    pub struct ChassisLinked { pub chassis: ChassisNumber, pub incarnation: u32 } => (), 0xff55, "chassis_linked";
 
     /// Restarts a chassis whatever its policy; answered when its tasks have passed all phases.
-    pub struct RestartChassis { pub chassis: u8 } => (), 0xff56, "restart_chassis";
+    pub struct RestartChassis { pub chassis: ChassisNumber } => (), 0xff56, "restart_chassis";
 
     /// Tells the bootstrap service that somebody looks for a task of a chassis that starts on demand.
     pub struct ChassisWanted {
-        pub chassis: u8,
+        pub chassis: ChassisNumber,
         /// The task looked for.
         pub task: String,
         /// The task that looks for it; not known of a tool, which is none.
@@ -223,7 +223,7 @@ command! {
     } => (), 0xff69, "rebound";
 
     /// Goes to the old place of a task, behind everything that a chassis sent there.
-    pub struct Fence { pub chassis: u8 } => (), ctos_message::FENCE, "fence";
+    pub struct Fence { pub chassis: ChassisNumber } => (), ctos_message::FENCE, "fence";
 
     /// Waits until a name is known.
     pub struct AwaitTid { pub name: String, pub waiter: String } => Result<Tid, String>, 0xff6b, "await_tid";
@@ -238,7 +238,7 @@ command! {
     pub struct WaitsFor { pub task: Tid } => Option<Waits>, 0xff6e, "waits_for";
 
     /// Asks for the first slot of each processor of a chassis that no task of this run ever had.
-    pub struct FirstSlots { pub chassis: u8 } => BTreeMap<u8, u16>, 0xff6f, "first_slots";
+    pub struct FirstSlots { pub chassis: ChassisNumber } => BTreeMap<u8, u32>, 0xff6f, "first_slots";
 
     /// Says in words who waits for a name and for whom.
     pub struct WhoWaits { pub name: String } => String, 0xff12, "who_waits";
@@ -270,11 +270,11 @@ pub enum News {
     /// Every task of the app has passed all phases for the first time.
     AppUp,
     /// It is gone or must go, and may be started again.
-    Away(u8),
+    Away(ChassisNumber),
     /// Its tasks have passed all phases.
-    Back(u8),
+    Back(ChassisNumber),
     /// It is gone, and is not started again.
-    Gone(u8, String),
+    Gone(ChassisNumber, String),
     /// The app is being stopped: nothing is started again.
     Stopping,
 }
@@ -282,7 +282,7 @@ pub enum News {
 /// A processor of a chassis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
-    pub chassis: u8,
+    pub chassis: ChassisNumber,
     pub processor: u8,
 }
 
@@ -292,9 +292,12 @@ pub enum Load {
     /// A message, as it was sent.
     Message(Forwarded),
     /// Everything that this chassis sent to the old place is there: its direct messages may come in.
-    Gate(u8),
+    Gate(ChassisNumber),
     /// The old place is gone, so nothing of `chassis` comes from there any more.
-    Without { chassis: u8, old: u8 },
+    Without {
+        chassis: ChassisNumber,
+        old: ChassisNumber,
+    },
     /// The sender wants to know that everything before this has been taken.
     Sync,
 }
@@ -320,7 +323,7 @@ pub type Delivered = Result<Vec<u8>, ctos_message::fault::Fault>;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Settled {
     /// It is the task's; these chassis send nothing by the old place any more.
-    Go { gone: Vec<u8> },
+    Go { gone: Vec<ChassisNumber> },
     /// It is not; nothing may have begun there.
     Drop,
     /// Nobody sends to it any more.

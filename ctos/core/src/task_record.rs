@@ -50,7 +50,7 @@ impl TaskRecord {
     pub(crate) fn with_capacity(
         capacity: usize,
         home: Arc<crate::processor::ProcessorHandle>,
-        slot: u16,
+        slot: u32,
     ) -> Arc<Self> {
         Arc::new(Self {
             name: "t".into(),

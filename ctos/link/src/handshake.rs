@@ -10,9 +10,10 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
 use crate::{address::Address, noise};
+use ctos_message::ChassisNumber;
 
 /// The first bytes of a caller: the protocol, and its version.
-pub const GREETING: [u8; 8] = *b"ctos\0\0\0\x06";
+pub const GREETING: [u8; 8] = *b"ctos\0\0\0\x07";
 
 /// The most that is read before both ends know each other, bytes.
 pub const HANDSHAKE_LIMIT: usize = 16 * 1024;
@@ -79,7 +80,7 @@ impl Process {
 /// A chassis that others can call.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
-    pub chassis: u8,
+    pub chassis: ChassisNumber,
     /// How often the chassis was started; the first time is 1.
     pub incarnation: u32,
     pub process: Process,
@@ -105,7 +106,7 @@ pub enum Greeting {
     /// It belongs to the run, and cannot start.
     Unable {
         token: Token,
-        chassis: u8,
+        chassis: ChassisNumber,
         reason: String,
     },
 }
@@ -123,7 +124,7 @@ impl Greeting {
 pub enum Answer {
     /// Frames from here on.
     Welcome {
-        chassis: u8,
+        chassis: ChassisNumber,
         incarnation: u32,
         process: Process,
         /// The number up to which it has received everything of the session.
@@ -140,8 +141,12 @@ pub enum Answer {
 pub enum HandshakeError {
     #[error("the connection failed: {0}")]
     Io(#[from] io::Error),
-    #[error("the other end does not speak this protocol, or another version of it")]
-    Version,
+    #[error("the other end does not speak this protocol")]
+    Foreign,
+    #[error(
+        "the other end speaks version {theirs} of the protocol, and this program version {ours}: run the same program at both"
+    )]
+    Version { theirs: u8, ours: u8 },
     #[error("the other end does not speak this protocol: {0}")]
     Garbled(#[from] postcard::Error),
     #[error("the other end announced {0} bytes where at most {HANDSHAKE_LIMIT} are allowed")]
@@ -149,7 +154,7 @@ pub enum HandshakeError {
     #[error("the other end does not know the secret of this run")]
     Stranger,
     #[error("it calls itself chassis {0}, which cannot be")]
-    Nobody(u8),
+    Nobody(ChassisNumber),
     #[error("its key has the role `{role}`, and a chassis needs `boot`")]
     Role { role: crate::security::Role },
     #[error("it said nothing in time")]
@@ -179,10 +184,12 @@ pub async fn hear_greeting<T: DeserializeOwned>(
 ) -> Result<T, HandshakeError> {
     let mut said = protocol;
     stream.read_exact(&mut said).await?;
-    if said != protocol {
-        return Err(HandshakeError::Version);
+    let ([name @ .., theirs], [own_name @ .., ours]) = (said, protocol);
+    match said == protocol {
+        true => hear(stream).await,
+        false if name == own_name => Err(HandshakeError::Version { theirs, ours }),
+        false => Err(HandshakeError::Foreign),
     }
-    hear(stream).await
 }
 
 /// Says one thing, behind its length.
@@ -253,6 +260,23 @@ mod tests {
                 unable()
             );
             assert_eq!(stream, b"frames");
+        });
+    }
+
+    #[test]
+    fn another_version_is_refused_with_both_and_another_protocol_as_such() {
+        run(async {
+            let says = async |mut said: &[u8]| {
+                let heard = hear_greeting::<Greeting>(&mut said, GREETING).await;
+                heard.unwrap_err().to_string()
+            };
+            let older = says(b"ctos\0\0\0\x06 and what it has to say").await;
+            assert!(
+                older.contains("version 6") && older.contains("version 7"),
+                "{older}"
+            );
+            let foreign = says(b"GET / HTTP/1.1").await;
+            assert_eq!(foreign, "the other end does not speak this protocol");
         });
     }
 

@@ -13,7 +13,7 @@ pub const FRAME_FIXED: usize = Header::BYTES + 3 * 8;
 /// The most data that one message carries between chassis, bytes.
 pub const BODY_LIMIT: usize = FRAME_LIMIT - FRAME_FIXED;
 
-/// A message on its way between two chassis: the 16-byte header and the data. It also has what a
+/// A message on its way between two chassis: the 20-byte header and the data. It also has what a
 /// message needs to be answered, followed and given up in time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
@@ -144,7 +144,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_frame_survives_the_wire(
-            to: u32, from: u32, command: u16, flags: u16, call: u64, trace: u64, left_ns: u64,
+            to: u64, from: u64, command: u16, flags: u16, call: u64, trace: u64, left_ns: u64,
             body in proptest::collection::vec(any::<u8>(), 0..200)
         ) {
             let frame = Frame {

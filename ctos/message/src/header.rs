@@ -1,51 +1,58 @@
-//! The 16 bytes in front of every message: receiver, sender, command, flags, data size.
+//! The 20 bytes in front of every message: receiver, sender, command, flags, data size.
 
 use std::fmt;
 
 use bitflags::bitflags;
 use serde::Serialize;
 
-/// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
+/// The number of a chassis in its app. Processors (8 bits) and slots (24) have other types, so that none is taken for another.
+pub type ChassisNumber = u16;
+
+/// Task id: 48 bits that route a message. Chassis, processor on it, slot on the processor. JSON holds it as a number.
 #[derive(
     Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, serde::Deserialize, Default,
 )]
-pub struct Tid(u32);
+pub struct Tid(u64);
 
 impl Tid {
-    /// The task in `slot` of `processor` of `chassis`.
+    /// The last slot of a processor.
+    pub const LAST_SLOT: u32 = 0xff_ffff;
+
+    /// The task in `slot`, of which 24 bits count, of `processor` of `chassis`.
     #[must_use]
-    pub const fn new(chassis: u8, processor: u8, slot: u16) -> Self {
-        Self(((chassis as u32) << 24) | ((processor as u32) << 16) | slot as u32)
+    pub const fn new(chassis: ChassisNumber, processor: u8, slot: u32) -> Self {
+        let slot = (slot & Self::LAST_SLOT) as u64;
+        Self(((chassis as u64) << 32) | ((processor as u64) << 24) | slot)
     }
 
-    /// From the 32 bits of the header.
+    /// From the 48 low bits.
     #[must_use]
-    pub const fn from_bits(bits: u32) -> Self {
-        Self(bits)
+    pub const fn from_bits(bits: u64) -> Self {
+        Self(bits & 0xffff_ffff_ffff)
     }
 
-    /// The 32 bits as they stand in the header.
+    /// The 48 bits as they stand in the header.
     #[must_use]
-    pub const fn bits(self) -> u32 {
+    pub const fn bits(self) -> u64 {
         self.0
     }
 
     /// Which chassis.
     #[must_use]
-    pub const fn chassis(self) -> u8 {
-        (self.0 >> 24) as u8
+    pub const fn chassis(self) -> ChassisNumber {
+        (self.0 >> 32) as ChassisNumber
     }
 
     /// Which processor of the chassis.
     #[must_use]
     pub const fn processor(self) -> u8 {
-        (self.0 >> 16) as u8
+        (self.0 >> 24) as u8
     }
 
     /// Which slot of the processor.
     #[must_use]
-    pub const fn slot(self) -> u16 {
-        self.0 as u16
+    pub const fn slot(self) -> u32 {
+        self.0 as u32 & Self::LAST_SLOT
     }
 }
 
@@ -86,7 +93,7 @@ bitflags! {
     }
 }
 
-/// The 16 bytes in front of every message.
+/// The 20 bytes in front of every message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Header {
     /// Receiver.
@@ -103,30 +110,33 @@ pub struct Header {
 
 impl Header {
     /// Length on the wire.
-    pub const BYTES: usize = 16;
+    pub const BYTES: usize = 20;
 
-    /// The 16 bytes, little-endian.
+    /// The 20 bytes, little-endian: the two ids with 6 each, command and flags with 2, the size with 4.
     #[must_use]
     pub fn encode(&self) -> [u8; Self::BYTES] {
+        let route = u128::from(self.to.bits()) | u128::from(self.from.bits()) << 48;
+        let flags = u128::from(self.flags.bits()) << 112;
+        let most = route | u128::from(self.command) << 96 | flags;
         let mut bytes = [0; Self::BYTES];
-        bytes[0..4].copy_from_slice(&self.to.bits().to_le_bytes());
-        bytes[4..8].copy_from_slice(&self.from.bits().to_le_bytes());
-        bytes[8..10].copy_from_slice(&self.command.to_le_bytes());
-        bytes[10..12].copy_from_slice(&self.flags.bits().to_le_bytes());
-        bytes[12..16].copy_from_slice(&self.size.to_le_bytes());
+        bytes[..16].copy_from_slice(&most.to_le_bytes());
+        bytes[16..].copy_from_slice(&self.size.to_le_bytes());
         bytes
     }
 
-    /// Reads 16 bytes.
+    /// Reads 20 bytes.
     #[must_use]
     pub fn decode(bytes: &[u8; Self::BYTES]) -> Self {
-        let all = u128::from_le_bytes(*bytes);
+        let (mut most, mut size) = ([0; 16], [0; 4]);
+        most.copy_from_slice(&bytes[..16]);
+        size.copy_from_slice(&bytes[16..]);
+        let most = u128::from_le_bytes(most);
         Self {
-            to: Tid::from_bits(all as u32),
-            from: Tid::from_bits((all >> 32) as u32),
-            command: (all >> 64) as u16,
-            flags: Flags::from_bits_retain((all >> 80) as u16),
-            size: (all >> 96) as u32,
+            to: Tid::from_bits(most as u64),
+            from: Tid::from_bits((most >> 48) as u64),
+            command: (most >> 96) as u16,
+            flags: Flags::from_bits_retain((most >> 112) as u16),
+            size: u32::from_le_bytes(size),
         }
     }
 }
@@ -140,8 +150,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_header_is_sixteen_bytes_and_survives_them(
-            to: u32, from: u32, command: u16, flags: u16, size: u32
+        fn a_header_is_twenty_bytes_and_survives_them(
+            to: u64, from: u64, command: u16, flags: u16, size: u32
         ) {
             let header = Header {
                 to: Tid::from_bits(to),
@@ -154,7 +164,32 @@ mod tests {
         }
 
         #[test]
-        fn a_task_id_keeps_its_three_parts(chassis: u8, processor: u8, slot: u16) {
+        fn any_twenty_bytes_are_those_of_the_header_that_they_are_read_as(bytes: [u8; Header::BYTES]) {
+            prop_assert_eq!(Header::decode(&bytes).encode(), bytes);
+        }
+
+        #[test]
+        fn a_task_id_survives_its_bits_its_encoding_and_json(bits: u64) {
+            let tid = Tid::from_bits(bits);
+            prop_assert_eq!(tid.bits(), bits & ((1 << 48) - 1));
+            prop_assert_eq!(Tid::new(tid.chassis(), tid.processor(), tid.slot()), tid);
+            let bytes = postcard::to_stdvec(&tid).unwrap();
+            prop_assert_eq!(postcard::from_bytes::<Tid>(&bytes).unwrap(), tid);
+            // Every such number is one of the floats that JSON means.
+            prop_assert_eq!(tid.bits() as f64 as u64, tid.bits());
+        }
+
+        #[test]
+        fn ids_stand_in_the_order_of_chassis_processor_and_slot(
+            one: (ChassisNumber, u8, u32), other: (ChassisNumber, u8, u32)
+        ) {
+            let part = |(chassis, processor, slot)| (chassis, processor, slot & Tid::LAST_SLOT);
+            let tid = |(chassis, processor, slot)| Tid::new(chassis, processor, slot);
+            prop_assert_eq!(tid(one).cmp(&tid(other)), part(one).cmp(&part(other)));
+        }
+
+        #[test]
+        fn a_task_id_keeps_its_three_parts(chassis: u16, processor: u8, slot in 0..=Tid::LAST_SLOT) {
             let tid = Tid::new(chassis, processor, slot);
             prop_assert_eq!(
                 (tid.chassis(), tid.processor(), tid.slot()),

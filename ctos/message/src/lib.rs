@@ -1,4 +1,4 @@
-//! Messages: a 16-byte header (receiver, sender, command, flags, data size) and data; what becomes of them.
+//! Messages: a 20-byte header (receiver, sender, command, flags, data size) and data; what becomes of them.
 //!
 //! The header is the report's (CIRSSE report 108, section 3). Inside a chassis the data moves as a
 //! typed pointer and is never encoded; between chassis it is postcard behind the header. Knows nothing of who
@@ -24,5 +24,5 @@ mod trace;
 
 pub use command::{Command, CommandInfo, DataType, FENCE, SYSTEM_COMMANDS, trimmed};
 pub use data::{Data, Payload, PayloadError, append};
-pub use header::{Flags, Header, Tid};
+pub use header::{ChassisNumber, Flags, Header, Tid};
 pub use shape::{Kind as ShapeKind, Shape};

@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use ctos_core::{report::Ending, tap::Came};
-use ctos_message::{Tid, fault::Fault};
+use ctos_message::{ChassisNumber, Tid, fault::Fault};
 
 /// On which chassis, seen from the message, something was noted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,7 +80,7 @@ impl Step {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Traffic {
     pub(crate) at: u64,
-    pub(crate) chassis: u8,
+    pub(crate) chassis: ChassisNumber,
     pub(crate) key: Key,
     pub(crate) step: Step,
 }

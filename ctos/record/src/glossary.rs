@@ -60,15 +60,14 @@ impl Glossary {
             all.put(News::Task(system::agent_tid(number), name));
         };
         agent(0, BOOT_CHASSIS);
-        for (number, chassis) in (1_u8..).zip(&app.chassis) {
+        for (number, chassis) in (1..).zip(&app.chassis) {
             agent(number, &chassis.name);
         }
-        for (number, chassis) in (1_u8..).zip(&app.chassis) {
+        for (number, chassis) in (1..).zip(&app.chassis) {
             for (place, processor) in (1_u8..).zip(&chassis.processors) {
-                let here = app.tasks.iter().filter(|task| {
-                    task.chassis == chassis.name && task.processor == processor.name
-                });
-                for (slot, task) in (0_u16..).zip(here) {
+                let tasks = app.tasks_on(&chassis.name);
+                let here = tasks.filter(|task| task.processor == processor.name);
+                for (slot, task) in (0..).zip(here) {
                     all.name(Tid::new(number, place, slot), &task.name);
                 }
             }

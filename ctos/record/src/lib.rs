@@ -46,8 +46,6 @@ use parts::{Parts, Place, suffixed};
 use recorder::Recorder;
 use writer::Writer;
 
-/// Under which name a file says that it notes the polls of tasks, without which nothing can be replayed.
-const POLLS: &str = "polls";
 /// Under which names it says how the clock of each chassis was wrong: offset, ns, and rate, ns per s.
 const DRIFT: &str = "drift.";
 
@@ -148,7 +146,6 @@ fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
     let mut run = BTreeMap::from([
         ("app".to_owned(), app.name.clone()),
         ("seed".to_owned(), app.seed.to_string()),
-        (POLLS.to_owned(), "1".to_owned()),
     ]);
     if let Some(origin) = chassis.clock.origin_ns() {
         run.insert("chassis".to_owned(), chassis.name().to_owned());

@@ -19,7 +19,7 @@ use ctos_core::{
     report::Ending,
     tap::{Came, ChannelSchema},
 };
-use ctos_message::{Flags, Shape};
+use ctos_message::{ChassisNumber, Flags, Shape};
 
 /// Data of more bytes than this is not shown as JSON: it is a picture, not something to read.
 const SHOWN: usize = 4096;
@@ -80,18 +80,18 @@ impl Schema {
 #[display("{chassis}.{number}")]
 pub struct Number {
     /// The chassis that gave it.
-    pub chassis: u8,
+    pub chassis: ChassisNumber,
     /// Its number there; 0 stands for none.
     pub number: u64,
 }
 
 impl Number {
-    /// A trace id, which has its chassis in the highest byte.
+    /// A trace id, which has its chassis in the highest 16 bits.
     #[must_use]
     pub fn of_trace(trace: u64) -> Self {
         Self {
-            chassis: (trace >> 56) as u8,
-            number: trace & (u64::MAX >> 8),
+            chassis: (trace >> 48) as ChassisNumber,
+            number: trace & (u64::MAX >> 16),
         }
     }
 }

@@ -9,13 +9,13 @@ use tracing_serde::fields::AsMap;
 use tracing_subscriber::layer::{Context, Layer};
 
 use super::{lines::Schema, recorder::Recorder};
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 use ctos_time::lock::lock;
 
 #[derive(Clone)]
 struct Attached {
     recorder: Arc<Recorder>,
-    chassis: u8,
+    chassis: ChassisNumber,
 }
 
 /// Puts log lines into the records of this process, while there are any. Filter it like any other layer.
@@ -34,7 +34,7 @@ impl RecordLayer {
 
 /// Lets the log of this thread's subscriber go to `recorder` too, if it has a [`RecordLayer`], until it is
 /// detached.
-pub(crate) fn attach(recorder: &Arc<Recorder>, chassis: u8) {
+pub(crate) fn attach(recorder: &Arc<Recorder>, chassis: ChassisNumber) {
     change(|attached| {
         let recorder = recorder.clone();
         attached.push(Attached { recorder, chassis });

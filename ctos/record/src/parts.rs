@@ -35,6 +35,10 @@ const RETRY_NS: u64 = 5_000_000_000;
 const OVERHEAD: u64 = 47;
 /// The metadata record that says what a file is a record of.
 pub(crate) const RUN: &str = "ctos.run";
+/// What says in which format a file is; the first did not say so.
+pub(crate) const FORMAT: &str = "format";
+/// The format that is written and read: its task ids have 48 bits.
+pub(crate) const FORMAT_NOW: &str = "2";
 /// The part with which the record begins that a part belongs to.
 const FIRST: &str = "first";
 /// The metadata record that says what a file lacks.
@@ -449,6 +453,7 @@ impl Part {
         };
         let mut run = run.clone();
         run.insert("part".to_owned(), number.to_string());
+        run.insert(FORMAT.to_owned(), FORMAT_NOW.to_owned());
         run.entry(FIRST.to_owned())
             .or_insert_with(|| number.to_string());
         let begun = part.writer.metadata(RUN, run).map_err(io::Error::other);

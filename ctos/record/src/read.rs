@@ -21,7 +21,7 @@ use mcap::{
 use super::{
     glossary::Glossary,
     lines::{self, EVENTS},
-    parts::{LOST, LineWriter, NAMES, RUN},
+    parts::{FORMAT, FORMAT_NOW, LOST, LineWriter, NAMES, RUN},
     summary::{Contents, Without},
     traffic::Events,
 };
@@ -49,6 +49,16 @@ pub enum ReadError {
         path: PathBuf,
         /// What is wrong with its beginning.
         reason: String,
+    },
+    /// Another version of the program wrote it.
+    #[error(
+        "{path} is a record of format {found}, and this program reads format {FORMAT_NOW}: read it with the program that wrote it, or record anew"
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its format.
+        found: String,
     },
 }
 
@@ -225,6 +235,8 @@ pub(crate) struct Scan<'a> {
     /// The end of the file has told what is in it.
     counted: bool,
     closed: bool,
+    /// The format that it has, if that is another one.
+    foreign: Option<String>,
 }
 
 impl<'a> Scan<'a> {
@@ -241,6 +253,7 @@ impl<'a> Scan<'a> {
             },
             counted: false,
             closed: false,
+            foreign: None,
         }
     }
 
@@ -296,6 +309,8 @@ impl<'a> Scan<'a> {
                 }
             }
             Part::Metadata(metadata) if metadata.name == RUN => {
+                let format = metadata.metadata.get(FORMAT).map_or("1", String::as_str);
+                self.foreign = (format != FORMAT_NOW).then(|| format.to_owned());
                 self.run.noted.extend(metadata.metadata);
             }
             Part::Metadata(metadata) if metadata.name == LOST => {
@@ -454,6 +469,9 @@ impl Scan<'_> {
             if let Err(error) = read {
                 self.tear(&error.to_string());
             }
+            if let Some(found) = self.foreign {
+                return Err(ReadError::Version { path, found });
+            }
             if self.closed || self.run.torn.is_some() {
                 break;
             }
@@ -493,6 +511,28 @@ mod tests {
         ];
         for (pattern, text, expected) in cases {
             assert_eq!(matches(pattern, text), expected, "{pattern} {text}");
+        }
+    }
+
+    #[test]
+    fn a_record_of_another_format_is_refused_with_both() {
+        let folder = tempfile::tempdir().unwrap();
+        for format in ["1", "3"] {
+            let path = folder.path().join(format);
+            let mut writer = LineWriter::new(WriteOptions::new(), File::create(&path).unwrap());
+            let writer = writer.as_mut().unwrap();
+            // The first format did not say so.
+            let said = (format != "1").then(|| (FORMAT.to_owned(), format.to_owned()));
+            let noted = [("app".to_owned(), "cell".to_owned())]
+                .into_iter()
+                .chain(said);
+            writer.metadata(RUN, noted.collect()).unwrap();
+            writer.finish().unwrap();
+            let error = Record::read(&[path], &Filter::default())
+                .unwrap_err()
+                .to_string();
+            let both = [format!("format {format}"), format!("format {FORMAT_NOW}")];
+            assert!(both.iter().all(|one| error.contains(one)), "{error}");
         }
     }
 

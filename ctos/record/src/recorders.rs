@@ -22,7 +22,7 @@ use ctos_core::{
     report::{Ending, RecordReport},
     tap::{Asked, AtHand, Came, ChannelSchema, Observer, WaitFor, WriteData},
 };
-use ctos_message::{CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
+use ctos_message::{ChassisNumber, CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
 use ctos_time::Instant;
 use serde_json::json;
 
@@ -30,7 +30,7 @@ use serde_json::json;
 #[derive(Default)]
 pub struct Recorders {
     /// The chassis.
-    index: u8,
+    index: ChassisNumber,
     /// Whether its clock goes on by itself.
     real: bool,
     /// The recorder that was there when the chassis began. Set once.

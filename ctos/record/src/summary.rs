@@ -223,7 +223,7 @@ mod tests {
         let run = [("app".to_owned(), "app".to_owned())].into();
         let mut writer = Writer::new(names, Parts::open(place, run).unwrap(), Vec::new());
         for id in 1..=messages {
-            let task = Tid::new(1, 1, u16::from(id % 3 == 0));
+            let task = Tid::new(1, 1, u32::from(id % 3 == 0));
             let mut batch = Batch::default();
             let key = Key {
                 id,

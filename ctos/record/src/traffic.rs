@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use ctos_message::{Tid, append};
+use ctos_message::{ChassisNumber, Tid, append};
 
 use super::event::{Key, Step, Traffic};
 
@@ -24,7 +24,7 @@ struct Packed {
     length: usize,
 }
 
-type Ends = (u8, Tid, Tid, u16);
+type Ends = (ChassisNumber, Tid, Tid, u16);
 
 /// What writer and reader of a sequence know of what came before.
 #[derive(Clone, Default)]
@@ -203,7 +203,7 @@ mod tests {
     fn event() -> impl Strategy<Value = (Traffic, Vec<u8>)> {
         let key = (number(), number(), number(), 0..3_u16, number());
         let data = proptest::collection::vec(any::<u8>(), 0..600);
-        (number(), 0..3_u8, key, step(), data).prop_map(|(at, chassis, key, step, mut data)| {
+        (number(), 0..3_u16, key, step(), data).prop_map(|(at, chassis, key, step, mut data)| {
             let (id, task, peer, command, trace) = key;
             let carries = match &step {
                 Step::Sent { .. } => true,
@@ -221,8 +221,8 @@ mod tests {
             }
             let key = Key {
                 id,
-                task: Tid::from_bits(task as u32),
-                peer: Tid::from_bits(peer as u32),
+                task: Tid::from_bits(task),
+                peer: Tid::from_bits(peer),
                 command,
                 trace,
             };

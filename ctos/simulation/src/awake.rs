@@ -16,10 +16,14 @@ pub(crate) type Place = (usize, usize);
 #[derive(Default)]
 pub(crate) struct Awake {
     places: BTreeSet<Place>,
+    /// Of these, where something may have been brought or become ready since it was counted.
+    stale: BTreeSet<Place>,
+    /// How much is ready at each place.
+    pub(crate) counts: Counts,
     /// Of those who sleep.
     due_of: BTreeMap<Place, Instant>,
     due: BTreeSet<(Instant, Place)>,
-    /// To whom something was brought while they slept.
+    /// To whom something was brought.
     woken: Arc<Mutex<Vec<Place>>>,
     /// How often anybody was looked at.
     #[cfg(test)]
@@ -56,6 +60,7 @@ impl Awake {
             self.due.remove(&(due, place));
         }
         self.places.insert(place);
+        self.stale.insert(place);
     }
 
     /// Rouses those for whom something is due at `now`.
@@ -70,16 +75,25 @@ impl Awake {
 
     /// The first who is awake of those behind `place`, or of all.
     pub(crate) fn next(&mut self, behind: Option<Place>) -> Option<Place> {
+        self.hear();
+        self.places.range(after(behind)..).next().copied()
+    }
+
+    /// The same of those where something has to be run or counted.
+    pub(crate) fn next_stale(&mut self, behind: Option<Place>) -> Option<Place> {
+        self.hear();
+        let next = self.stale.range(after(behind)..).next().copied()?;
+        self.stale.take(&next)
+    }
+
+    /// Rouses those to whom something was brought.
+    fn hear(&mut self) {
         let woken = std::mem::take(&mut *lock(&self.woken));
-        for place in woken {
-            self.rouse(place);
-        }
+        woken.into_iter().for_each(|place| self.rouse(place));
         #[cfg(test)]
         {
             self.visits += 1;
         }
-        let from = behind.map_or((0, 0), |(machine, processor)| (machine, processor + 1));
-        self.places.range(from..).next().copied()
     }
 
     /// A processor sleeps until something is brought, or until `due`.
@@ -94,5 +108,76 @@ impl Awake {
     /// When the first of those who sleep has something to do.
     pub(crate) fn next_due(&self) -> Option<Instant> {
         self.due.first().map(|(due, _)| *due)
+    }
+}
+
+fn after(behind: Option<Place>) -> Place {
+    behind.map_or((0, 0), |(machine, processor)| (machine, processor + 1))
+}
+
+/// So many machines stand in a row.
+const ROW: usize = 64;
+
+/// How much is ready at each place, and in each row: one of all that is ready is found in few steps.
+#[derive(Default)]
+pub(crate) struct Counts {
+    ready: BTreeMap<Place, usize>,
+    rows: BTreeMap<usize, usize>,
+    pub(crate) total: usize,
+}
+
+impl Counts {
+    pub(crate) fn set(&mut self, place: Place, ready: usize) {
+        let old = self.ready.insert(place, ready).unwrap_or(0);
+        let row = self.rows.entry(place.0 / ROW).or_default();
+        *row = *row + ready - old;
+        self.total = self.total + ready - old;
+    }
+
+    /// Where the one at `index` of all stands, in the order of places, and its number there.
+    pub(crate) fn find(&self, mut index: usize) -> Option<(Place, usize)> {
+        let mut is_here = |count: &usize| {
+            let here = index < *count;
+            index -= if here { 0 } else { *count };
+            here
+        };
+        let (row, _) = self.rows.iter().find(|(_, count)| is_here(count))?;
+        let mut places = self.ready.range((row * ROW, 0)..);
+        let (place, _) = places.find(|(_, count)| is_here(count))?;
+        Some((*place, index))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn what_is_ready_is_found_as_by_going_through_all_places(
+            numbers in proptest::collection::vec(0..5_usize, 1..200),
+            changes in proptest::collection::vec((any::<prop::sample::Index>(), 0..5_usize), 0..60),
+        ) {
+            let (mut counts, mut model) = (Counts::default(), Vec::new());
+            for (number, ready) in numbers.into_iter().enumerate() {
+                counts.set((number, 0), ready);
+                model.push(ready);
+            }
+            for (number, ready) in changes {
+                let number = number.index(model.len());
+                counts.set((number, 0), ready);
+                model[number] = ready;
+            }
+            let all: Vec<_> = model
+                .iter()
+                .enumerate()
+                .flat_map(|(number, ready)| (0..*ready).map(move |at| ((number, 0), at)))
+                .collect();
+            prop_assert_eq!(counts.total, all.len());
+            let found: Vec<_> = (0..all.len()).map(|index| counts.find(index).unwrap()).collect();
+            prop_assert_eq!(found, all);
+        }
     }
 }

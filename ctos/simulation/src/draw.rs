@@ -3,7 +3,7 @@
 //! Each kind of fault at each place is a Poisson process with a generator of its own. Neither the
 //! app nor other faults change it.
 
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -76,6 +76,8 @@ fn drawn(rng: &mut ChaCha8Rng, (least, most): (f64, f64)) -> f64 {
 /// The faults of a profile for one app and one seed.
 pub(crate) struct Drawn {
     streams: Vec<Stream>,
+    /// When the next of each happens, and its place.
+    next: BTreeSet<(Instant, usize)>,
 }
 
 impl Drawn {
@@ -91,13 +93,26 @@ impl Drawn {
                 streams.extend(rate.map(stream));
             }
         };
+        let is_wanted = |kind: &Kind| kind.on_link && faults.rates.contains_key(kind.word);
+        // All pairs are many.
+        let pairs = if KINDS.iter().any(is_wanted) {
+            names.len()
+        } else {
+            0
+        };
         for (index, one) in names.iter().enumerate() {
-            for other in names.iter().skip(index + 1) {
+            for other in names.iter().take(pairs).skip(index + 1) {
                 add(Site::Link(one.clone(), other.clone()), false);
             }
             add(Site::Chassis(one.clone()), index == 0);
         }
-        Self { streams }
+        let next = streams.iter().enumerate();
+        Self {
+            next: next
+                .filter_map(|(place, one)| Some((one.next?, place)))
+                .collect(),
+            streams,
+        }
     }
 
     /// How wrong each clock is.
@@ -118,13 +133,16 @@ impl Drawn {
 
     /// When the next one happens.
     pub(crate) fn next(&self) -> Option<Instant> {
-        self.streams.iter().filter_map(|stream| stream.next).min()
+        self.next.first().map(|(at, _)| *at)
     }
 
     /// The next one that happens until `now`.
     pub(crate) fn pop(&mut self, now: Instant) -> Option<Fault> {
-        let next = self.next().filter(|next| *next <= now)?;
-        let mut streams = self.streams.iter_mut();
-        streams.find(|stream| stream.next == Some(next))?.pop()
+        self.next().filter(|next| *next <= now)?;
+        let (_, place) = self.next.pop_first()?;
+        let stream = self.streams.get_mut(place)?;
+        let fault = stream.pop();
+        self.next.extend(stream.next.map(|at| (at, place)));
+        fault
     }
 }

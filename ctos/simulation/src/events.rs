@@ -6,7 +6,7 @@ use std::{
 };
 
 use ctos_core::{chassis::Chassis, envelope::Message, task_record::TaskRecord};
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 use ctos_time::{Clock, Instant, lock::lock};
 
 /// Takes the lines of an event log, without their ends.
@@ -18,7 +18,7 @@ pub(crate) struct EventLog {
     sink: Option<EventSink>,
     clock: Clock,
     /// The chassis that are watched: weak, because each owns what tells of it.
-    all: Arc<Mutex<BTreeMap<u8, Weak<Chassis>>>>,
+    all: Arc<Mutex<BTreeMap<ChassisNumber, Weak<Chassis>>>>,
 }
 
 impl EventLog {

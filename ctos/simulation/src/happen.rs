@@ -1,9 +1,10 @@
 //! What a fault does to the machines and links of a simulated app, and when the given ones happen.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
 use crate::{
     fault::{Fault, FaultKind, Site},
+    injured,
     run::Simulation,
 };
 use ctos_bootstrap::bootstrap::BootError;
@@ -49,19 +50,14 @@ impl Simulation {
             FaultKind::Freeze if !machine.gone => {
                 machine.freeze(until);
                 self.rouse(index);
-                for other in self.machines.iter().filter(|other| !other.gone) {
-                    let peer = other.chassis.index();
-                    if peer != number {
-                        self.network.freeze(number, (peer, other.clock()), until);
-                    }
-                }
+                self.network.freeze(number, until);
             }
             FaultKind::Slow { per_step } => machine.slow(until, per_step),
             _ => {}
         }
     }
 
-    pub(super) fn happen_between(&self, one: usize, other: usize, fault: &Fault) {
+    fn happen_between(&self, one: usize, other: usize, fault: &Fault) {
         let (Some(first), Some(second)) = (self.machines.get(one), self.machines.get(other)) else {
             return;
         };
@@ -69,21 +65,19 @@ impl Simulation {
         let until = fault.until.unwrap_or(Instant::LAST);
         match fault.kind {
             FaultKind::Cut => {
-                self.network.cut(ends.0, ends.1);
+                self.network.cut(ends);
                 first.chassis.link_down(ends.1);
                 second.chassis.link_down(ends.0);
             }
             FaultKind::Break | FaultKind::Stall => {
-                let (one, other) = ((ends.0, first.clock()), (ends.1, second.clock()));
                 let breaks = fault.kind == FaultKind::Break;
-                self.network.silence(one, other, until, breaks);
+                self.network.silence(ends, until, breaks);
             }
-            FaultKind::Loss { share_ppm } => {
-                let network = &self.network;
-                network.disturb(ends, until, share_ppm, Duration::ZERO);
+            kind => {
+                if let Some(disturbance) = injured::disturbance(kind, until) {
+                    self.network.disturb(ends, disturbance);
+                }
             }
-            FaultKind::Delay { extra } => self.network.disturb(ends, until, 0, extra),
-            _ => {}
         }
     }
 }

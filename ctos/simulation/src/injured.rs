@@ -1,42 +1,45 @@
 //! The injuries of an app's configuration as faults of a simulated run. A lost packet is sent again
 //! and comes late; a cut link breaks and heals.
 
-use crate::fault::{Fault, FaultKind};
+use std::time::Duration;
+
+use crate::{
+    fault::{Fault, FaultKind},
+    network::Disturbance,
+};
 use ctos_config::InjuryConfig;
 use ctos_time::Instant;
 
-/// What `config` does to the links between the chassis of these names, from the start and later.
+/// What `config` does at some moments to links between chassis.
 /// Streams have no bytes here after which they could break; that they do and are had anew is time only.
-pub(super) fn faults(config: &InjuryConfig, names: &[String]) -> Vec<Fault> {
-    let mut all = Vec::new();
-    for (index, one) in names.iter().enumerate() {
-        for other in names.iter().skip(index + 1) {
-            all.extend(lasting(config, one, other));
-        }
-    }
-    all.extend(config.cuts.iter().map(|cut| {
+pub(super) fn faults(config: &InjuryConfig) -> Vec<Fault> {
+    let cuts = config.cuts.iter().map(|cut| {
         let (at, until) = (Instant::START + cut.at, Instant::START + cut.until);
         Fault::between(&cut.one, &cut.other, FaultKind::Break, at).until(until)
-    }));
-    all
+    });
+    cuts.collect()
 }
 
-/// What it does to one link from its beginning to its end.
-pub(super) fn lasting<'a>(
-    config: &InjuryConfig,
-    one: &'a str,
-    other: &'a str,
-) -> impl Iterator<Item = Fault> + use<'a> {
+/// What it does to each link from its beginning to its end.
+pub(super) fn lasting(config: &InjuryConfig) -> Vec<Disturbance> {
     let extents = [
         ("loss", config.drop),
         ("delay", config.delay.1.as_secs_f64()),
     ];
     let there = extents.into_iter().filter(|(_, extent)| *extent > 0.0);
-    there.filter_map(move |(kind, extent)| {
-        let kind = FaultKind::of(kind, extent)?;
-        // Its end is shown: it lasts to the end of time.
-        Some(Fault::between(one, other, kind, Instant::START).until(Instant::LAST))
-    })
+    let kinds = there.filter_map(|(kind, extent)| FaultKind::of(kind, extent));
+    kinds
+        .filter_map(|kind| disturbance(kind, Instant::LAST))
+        .collect()
+}
+
+/// What a fault does to the frames of a link until `until`, if it loses or delays them.
+pub(super) fn disturbance(kind: FaultKind, until: Instant) -> Option<Disturbance> {
+    match kind {
+        FaultKind::Loss { share_ppm } => Some((until, share_ppm, Duration::ZERO)),
+        FaultKind::Delay { extra } => Some((until, 0, extra)),
+        _ => None,
+    }
 }
 
 #[cfg(test)]

@@ -119,6 +119,12 @@ impl Machine {
         })
     }
 
+    /// A processor tells when something is brought to it. False when something has been brought.
+    pub(crate) fn listens(&self, processor: usize) -> bool {
+        let slot = self.slots.get(processor);
+        slot.is_none_or(|slot| slot.processor.falls_asleep())
+    }
+
     /// Lets the timers and synchronous functions of a processor run that are due.
     pub(crate) fn run_due(&self, processor: usize, now: Instant) {
         if let Some(slot) = self.slots.get(processor).filter(|slot| slot.free_at <= now) {

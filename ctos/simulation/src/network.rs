@@ -5,16 +5,23 @@
 //! where it was. Only a chassis that hears nothing of another one for longer than the peer time-out
 //! gives it up, and tells it so when it can. Frames between different chassis overtake each other
 //! freely.
+//!
+//! Two chassis are linked when one of them first needs to reach the other. What happened to the way between
+//! them before then holds for the link.
 
 use std::{
     collections::BTreeMap,
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, Weak},
     time::Duration,
 };
 
 use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
+use crate::injured;
+use ctos_config::App;
+use ctos_core::chassis::Chassis;
+use ctos_message::ChassisNumber;
 use ctos_message::frame::{Frame, Full, Link};
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
@@ -41,12 +48,17 @@ pub(crate) enum Arrival {
     Silence,
 }
 
+/// From one chassis to another.
+pub(crate) type Way = (ChassisNumber, ChassisNumber);
+
 /// What is on its way from one chassis to another.
 pub(crate) struct InFlight {
-    pub(crate) from: u8,
-    pub(crate) to: u8,
+    pub(crate) way: Way,
     pub(crate) arrival: Arrival,
 }
+
+/// Until when which share of the frames is lost, of 10^6, and how much longer each takes at most.
+pub(crate) type Disturbance = (Instant, u32, Duration);
 
 /// One direction of a link.
 #[derive(Default)]
@@ -59,20 +71,25 @@ struct Direction {
     quiet: Option<(Instant, Instant)>,
     /// The receiver has, or will have, given the sender up.
     given_up: bool,
+    /// There is a link; without one nobody listens.
+    linked: bool,
     /// Nothing gets through any more.
     closed: bool,
-    /// Until when which share of the frames is lost, of 10^6, and how much longer each takes at most.
-    disturbances: Vec<(Instant, u32, Duration)>,
+    disturbances: Vec<Disturbance>,
     /// Draws losses and delays; made when the first one is needed.
-    rng: Option<ChaCha8Rng>,
+    rng: Option<Box<ChaCha8Rng>>,
 }
 
 struct State {
+    /// Those that are there, and until when those stand still that do.
+    ends: BTreeMap<ChassisNumber, Weak<Chassis>>,
+    frozen: BTreeMap<ChassisNumber, Instant>,
     flights: BTreeMap<(Instant, u64), InFlight>,
-    directions: BTreeMap<(u8, u8), Direction>,
+    directions: BTreeMap<Way, Direction>,
     next: u64,
     rng: ChaCha8Rng,
     tamper: Option<Tamper>,
+    peer_timeout: Duration,
 }
 
 /// All the links of one simulated app.
@@ -81,43 +98,76 @@ pub(crate) struct Network {
     state: Arc<Mutex<State>>,
     clock: Clock,
     seed: u64,
-    peer_timeout: Duration,
+    /// What disturbs each link from its beginning.
+    injuries: Arc<[Disturbance]>,
 }
 
 impl Network {
-    pub(crate) fn new(
-        clock: Clock,
-        seed: u64,
-        peer_timeout: Duration,
-        tamper: Option<Tamper>,
-    ) -> Self {
+    pub(crate) fn new(clock: Clock, app: &App, tamper: Option<Tamper>) -> Self {
         Self {
             state: Arc::new(Mutex::new(State {
+                ends: BTreeMap::new(),
+                frozen: BTreeMap::new(),
                 flights: BTreeMap::new(),
                 directions: BTreeMap::new(),
                 next: 0,
-                rng: ChaCha8Rng::seed_from_u64(mix(seed, &["simulated links"])),
+                rng: ChaCha8Rng::seed_from_u64(mix(app.seed, &["simulated links"])),
                 tamper,
+                peer_timeout: app.links.peer_timeout,
             })),
             clock,
-            seed,
-            peer_timeout,
+            seed: app.seed,
+            injuries: injured::lasting(&app.links.injury).into(),
         }
     }
 
-    /// A new link that chassis `from` has to chassis `to`; of an earlier one nothing is left.
-    pub(crate) fn link(&self, from: u8, to: u8) -> Arc<dyn Link> {
+    /// `chassis` is there; of an earlier one of its number nothing is left.
+    pub(crate) fn join(&self, chassis: &Arc<Chassis>) {
+        let (index, weak) = (chassis.index(), Arc::downgrade(chassis));
         let mut state = lock(&self.state);
-        state
-            .flights
-            .retain(|_, flight| (flight.from, flight.to) != (from, to));
-        state.directions.insert((from, to), Direction::default());
+        let others = |(from, to): Way| from != index && to != index;
+        state.flights.retain(|_, flight| others(flight.way));
+        state.directions.retain(|way, _| others(*way));
+        state.frozen.remove(&index);
+        state.ends.insert(index, weak.clone());
+        let network = self.clone();
+        chassis.connect_by(move |peer| {
+            if let Some(chassis) = weak.upgrade() {
+                network.connect(&chassis, peer);
+            }
+        });
+    }
+
+    /// Links `chassis` with chassis `peer`, if both are there and nothing has cut them off.
+    fn connect(&self, chassis: &Arc<Chassis>, peer: ChassisNumber) {
+        let (index, now) = (chassis.index(), self.clock.now());
+        let mut state = lock(&self.state);
+        let other = state.ends.get(&peer).and_then(Weak::upgrade);
+        let both = [(index, peer), (peer, index)];
+        let is_cut = |way| state.directions.get(way).is_some_and(|one| one.closed);
+        let is_here = state.ends.contains_key(&index) && !both.iter().any(is_cut);
+        let Some(other) = other.filter(|_| is_here) else {
+            return;
+        };
+        for way in both {
+            let frozen = [way.0, way.1].map(|end| state.frozen.get(&end).copied());
+            if let Some(until) = frozen[1] {
+                state.hold(way, until);
+            }
+            let direction = state.direction(way);
+            direction.linked = true;
+            direction.disturbances.extend_from_slice(&self.injuries);
+            // Who hears nothing from the beginning has listened since then.
+            let quiet = direction.quiet.take().map(|(_, until)| until);
+            if let Some(until) = quiet.max(frozen[0]).filter(|until| *until > now) {
+                state.quiet(way, now, until);
+            }
+        }
         drop(state);
-        Arc::new(SimulatedLink {
-            network: self.clone(),
-            from,
-            to,
-        })
+        for (one, way) in [chassis, &other].into_iter().zip(both) {
+            let network = self.clone();
+            one.link_up(way.1, Arc::new(SimulatedLink { network, way }));
+        }
     }
 
     /// When the next of what is under way arrives.
@@ -133,117 +183,106 @@ impl Network {
         (first.key().0 <= now).then(|| first.remove())
     }
 
-    fn put(&self, from: u8, to: u8, arrival: Arrival) {
+    fn put(&self, way: Way, arrival: Arrival) {
         let mut state = lock(&self.state);
         let now = self.clock.now();
         let spread = Duration::from_nanos(state.rng.random_range(0..DELAY_SPREAD_NS));
-        let direction = state.directions.entry((from, to)).or_default();
+        let direction = state.direction(way);
         if direction.closed {
             return;
         }
-        let late = direction.lateness(now, || self.direction_rng(from, to));
+        let late = direction.lateness(now, || self.direction_rng(way));
         let wanted = direction.clear_from.max(now) + DELAY_MIN + spread + late;
         direction.last = direction.last.max(wanted);
         let moment = direction.last;
-        state.insert(moment, from, to, arrival);
+        state.insert(moment, way, arrival);
     }
 
-    fn direction_rng(&self, from: u8, to: u8) -> ChaCha8Rng {
+    fn direction_rng(&self, (from, to): Way) -> Box<ChaCha8Rng> {
         let ends = [from.to_string(), to.to_string()];
-        ChaCha8Rng::seed_from_u64(mix(self.seed, &["link faults", &ends[0], &ends[1]]))
+        let seed = mix(self.seed, &["link faults", &ends[0], &ends[1]]);
+        Box::new(ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// Chassis `from` closed its end of the link to `to`; what it sent before still arrives.
-    pub(crate) fn hang_up(&self, from: u8, to: u8) {
-        self.put(from, to, Arrival::Closed);
+    /// Chassis `index` closed its end of all its links; what it sent before still arrives.
+    pub(crate) fn leave(&self, index: ChassisNumber) {
+        let mut state = lock(&self.state);
+        state.ends.remove(&index);
+        let peers = state.peers(index);
+        drop(state);
+        for peer in peers {
+            self.put((index, peer), Arrival::Closed);
+        }
     }
 
     /// Ends a link: what is under way in either direction is lost, and nothing follows.
-    pub(crate) fn cut(&self, one: u8, other: u8) {
+    pub(crate) fn cut(&self, (one, other): Way) {
         let mut state = lock(&self.state);
-        state.close(one, other);
-        state.close(other, one);
+        state.close((one, other));
+        state.close((other, one));
     }
 
     /// From now until `until` nothing that is posted on a link arrives, and nothing that is under way
-    /// either when the link `breaks`. `clocks` are those of the two ends.
-    pub(crate) fn silence(
-        &self,
-        (one, one_clock): (u8, &Clock),
-        (other, other_clock): (u8, &Clock),
-        until: Instant,
-        breaks: bool,
-    ) {
+    /// either when the link `breaks`.
+    pub(crate) fn silence(&self, (one, other): Way, until: Instant, breaks: bool) {
         let now = self.clock.now();
         let mut state = lock(&self.state);
-        for (from, to, clock) in [(one, other, other_clock), (other, one, one_clock)] {
+        for way in [(one, other), (other, one)] {
             if breaks {
-                state.hold(from, to, until);
+                state.hold(way, until);
             } else {
-                let direction = state.directions.entry((from, to)).or_default();
+                let direction = state.direction(way);
                 direction.clear_from = direction.clear_from.max(until);
             }
-            state.quiet(from, to, now, until, self.gives_up_at(now, clock));
+            state.quiet(way, now, until);
         }
     }
 
-    /// Chassis `frozen` stands still until `until`: what is sent to it waits, and chassis `other`,
-    /// whose clock is given, hears nothing of it.
-    pub(crate) fn freeze(&self, frozen: u8, (other, clock): (u8, &Clock), until: Instant) {
+    /// Chassis `frozen` stands still until `until`: what is sent to it waits, and nobody hears anything of it.
+    pub(crate) fn freeze(&self, frozen: ChassisNumber, until: Instant) {
         let now = self.clock.now();
         let mut state = lock(&self.state);
-        state.hold(other, frozen, until);
-        state.quiet(frozen, other, now, until, self.gives_up_at(now, clock));
+        let still = state.frozen.entry(frozen).or_default();
+        *still = until.max(*still);
+        for peer in state.peers(frozen) {
+            state.hold((peer, frozen), until);
+            state.quiet((frozen, peer), now, until);
+        }
     }
 
-    /// When a chassis with this clock gives up a peer that it has not heard since a moment.
-    fn gives_up_at(&self, now: Instant, clock: &Clock) -> impl Fn(Instant) -> Instant {
-        let timeout = self.peer_timeout;
-        move |since| clock.true_at(clock.shown_at(since) + timeout).max(now)
-    }
-
-    /// Chassis `to`, which would have given `from` up, stands still until `until`: it does so then, if
+    /// The receiver, which would have given the sender up, stands still until `until`: it does so then, if
     /// there is still nothing to hear.
-    pub(crate) fn listen_again(&self, from: u8, to: u8, until: Instant) {
+    pub(crate) fn listen_again(&self, way: Way, until: Instant) {
         let mut state = lock(&self.state);
-        let direction = state.directions.entry((from, to)).or_default();
+        let direction = state.direction(way);
         direction.given_up = direction.quiet.is_some_and(|(_, end)| end > until);
         if direction.given_up {
-            state.insert(until, from, to, Arrival::Silence);
+            state.insert(until, way, Arrival::Silence);
         }
     }
 
-    /// Chassis `to` gives `from` up: what is between them is lost, and `from` learns so when it can
+    /// The receiver gives the sender up: what is between them is lost, and the sender learns so when it can
     /// be reached.
-    pub(crate) fn give_up(&self, from: u8, to: u8) {
-        let now = self.clock.now();
+    pub(crate) fn give_up(&self, (from, to): Way) {
         let mut state = lock(&self.state);
-        let back = state.directions.entry((to, from)).or_default();
-        let told = back.clear_from.max(now) + DELAY_MIN;
-        state.close(from, to);
-        state.close(to, from);
-        state.insert(told, to, from, Arrival::Closed);
+        let told = state.direction((to, from)).clear_from.max(self.clock.now()) + DELAY_MIN;
+        state.close((from, to));
+        state.close((to, from));
+        state.insert(told, (to, from), Arrival::Closed);
     }
 
     /// Until `until` a share of what is sent is lost and sent again, and takes up to `extra` longer.
-    pub(crate) fn disturb(
-        &self,
-        (one, other): (u8, u8),
-        until: Instant,
-        share_ppm: u32,
-        extra: Duration,
-    ) {
+    pub(crate) fn disturb(&self, (one, other): Way, disturbance: Disturbance) {
         let mut state = lock(&self.state);
-        for ends in [(one, other), (other, one)] {
-            let direction = state.directions.entry(ends).or_default();
-            direction.disturbances.push((until, share_ppm, extra));
+        for way in [(one, other), (other, one)] {
+            state.direction(way).disturbances.push(disturbance);
         }
     }
 }
 
 impl Direction {
     /// How much longer than usual the next frame takes.
-    fn lateness(&mut self, now: Instant, seeded: impl FnOnce() -> ChaCha8Rng) -> Duration {
+    fn lateness(&mut self, now: Instant, seeded: impl FnOnce() -> Box<ChaCha8Rng>) -> Duration {
         if self.disturbances.is_empty() {
             return Duration::ZERO;
         }
@@ -267,7 +306,20 @@ impl Direction {
 }
 
 impl State {
-    fn insert(&mut self, moment: Instant, from: u8, to: u8, arrival: Arrival) {
+    fn direction(&mut self, way: Way) -> &mut Direction {
+        self.directions.entry(way).or_default()
+    }
+
+    /// To whom chassis `index` is or was linked.
+    fn peers(&self, index: ChassisNumber) -> Vec<ChassisNumber> {
+        let all = self
+            .directions
+            .range((index, 0)..=(index, ChassisNumber::MAX));
+        let linked = all.filter(|(_, direction)| direction.linked);
+        linked.map(|((_, peer), _)| *peer).collect()
+    }
+
+    fn insert(&mut self, moment: Instant, way: Way, arrival: Arrival) {
         let arrivals = match (arrival, &mut self.tamper) {
             (Arrival::Frame(frame), Some(tamper)) => {
                 tamper(frame).into_iter().map(Arrival::Frame).collect()
@@ -275,23 +327,22 @@ impl State {
             (arrival, _) => vec![arrival],
         };
         for arrival in arrivals {
-            let flight = InFlight { from, to, arrival };
+            let flight = InFlight { way, arrival };
             self.flights.insert((moment, self.next), flight);
             self.next += 1;
         }
     }
 
     /// Makes what is under way in one direction arrive at `until` or later, in its order.
-    fn hold(&mut self, from: u8, to: u8, until: Instant) {
-        let direction = self.directions.entry((from, to)).or_default();
+    fn hold(&mut self, way: Way, until: Instant) {
+        let direction = self.direction(way);
         direction.clear_from = direction.clear_from.max(until);
         direction.last = direction.last.max(until);
         let early: Vec<(Instant, u64)> = self
             .flights
             .range(..(until, 0))
-            .filter(|(_, flight)| (flight.from, flight.to) == (from, to))
             // Silence is noticed by the clock: nothing has to come for it.
-            .filter(|(_, flight)| !matches!(flight.arrival, Arrival::Silence))
+            .filter(|(_, one)| one.way == way && !matches!(one.arrival, Arrival::Silence))
             .map(|(key, _)| *key)
             .collect();
         for key in early {
@@ -301,32 +352,28 @@ impl State {
         }
     }
 
-    /// `to` hears nothing of `from` until `until`, which makes it give `from` up if that is too long.
-    fn quiet(
-        &mut self,
-        from: u8,
-        to: u8,
-        now: Instant,
-        until: Instant,
-        gives_up_at: impl Fn(Instant) -> Instant,
-    ) {
-        let direction = self.directions.entry((from, to)).or_default();
+    /// The receiver hears nothing of the sender until `until`. It gives the sender up if that is too long by its clock.
+    fn quiet(&mut self, way: Way, now: Instant, until: Instant) {
+        let direction = self.directions.entry(way).or_default();
         let (since, until) = match direction.quiet {
             Some((since, end)) if end >= now => (since, end.max(until)),
             _ => (now, until),
         };
         direction.quiet = Some((since, until));
-        let moment = gives_up_at(since);
-        if moment < until && !direction.given_up && !direction.closed {
+        let Some(hears) = self.ends.get(&way.1).and_then(Weak::upgrade) else {
+            return;
+        };
+        let gives_up_at = hears.clock.shown_at(since) + self.peer_timeout;
+        let moment = hears.clock.true_at(gives_up_at).max(now);
+        if direction.linked && moment < until && !direction.given_up && !direction.closed {
             direction.given_up = true;
-            self.insert(moment, from, to, Arrival::Silence);
+            self.insert(moment, way, Arrival::Silence);
         }
     }
 
-    fn close(&mut self, from: u8, to: u8) {
-        self.flights
-            .retain(|_, flight| (flight.from, flight.to) != (from, to));
-        let direction = self.directions.entry((from, to)).or_default();
+    fn close(&mut self, way: Way) {
+        self.flights.retain(|_, flight| flight.way != way);
+        let direction = self.direction(way);
         direction.closed = true;
         direction.given_up = true;
     }
@@ -334,13 +381,12 @@ impl State {
 
 struct SimulatedLink {
     network: Network,
-    from: u8,
-    to: u8,
+    way: Way,
 }
 
 impl Link for SimulatedLink {
     fn post(&self, frame: Frame) -> Result<(), Full> {
-        self.network.put(self.from, self.to, Arrival::Frame(frame));
+        self.network.put(self.way, Arrival::Frame(frame));
         Ok(())
     }
 }

@@ -9,17 +9,17 @@ use std::{
 
 use rand::RngExt;
 
-use crate::{injured, machine::Machine, run::Simulation};
+use crate::{machine::Machine, run::Simulation};
 use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
-use ctos_message::Command;
+use ctos_message::{ChassisNumber, Command};
 use ctos_time::{Instant, lock::lock};
 
 /// How long the process of a chassis takes to start, ns.
 const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
 
 /// The exits that chassis asked for: number, incarnation and exit code.
-pub(super) type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
+pub(super) type Exits = Arc<Mutex<VecDeque<(ChassisNumber, u32, i32)>>>;
 
 pub(super) fn watch_exit(chassis: &Arc<Chassis>, incarnation: u32, exits: &Exits) {
     let (exits, index) = (exits.clone(), chassis.index());
@@ -36,9 +36,7 @@ impl Simulation {
             return;
         };
         boot.drop_links();
-        for other in boot.others() {
-            self.network.hang_up(0, other);
-        }
+        self.network.leave(0);
         let deadline = self.clock.now() + boot.app.stop_timeout;
         let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
         while !ended(&self.machines) && self.step(Some(deadline)) {}
@@ -83,16 +81,16 @@ impl Simulation {
     }
 
     /// Which process of chassis `index` is the last that was wanted.
-    pub(super) fn incarnation(&self, index: u8) -> u32 {
+    pub(super) fn incarnation(&self, index: ChassisNumber) -> u32 {
         self.incarnations.get(&index).copied().unwrap_or(1)
     }
 
-    pub(super) fn kill(&mut self, index: u8) {
+    pub(super) fn kill(&mut self, index: ChassisNumber) {
         self.end_chassis(index, KILLED, None, true);
     }
 
     /// A process ends: nothing of it runs any more, and the others see its links close.
-    fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
+    fn end_chassis(&mut self, index: ChassisNumber, how: &str, code: Option<i32>, casualty: bool) {
         let incarnation = self.incarnation(index);
         // Also of one that has not started yet: it never will.
         self.tell_boot(system::ProcessEnded {
@@ -118,14 +116,12 @@ impl Simulation {
         chassis.drop_links();
         machine.clear();
         self.rouse(usize::from(index));
-        for other in self.machines.iter().filter(|machine| !machine.gone) {
-            self.network.hang_up(index, other.chassis.index());
-        }
+        self.network.leave(index);
         chassis.close();
     }
 
-    /// A process starts in place of the one that ended, and is connected to those that live.
-    pub(super) fn start_chassis(&mut self, index: u8, incarnation: u32) {
+    /// A process starts in place of the one that ended, and is connected to the boot.
+    pub(super) fn start_chassis(&mut self, index: ChassisNumber, incarnation: u32) {
         let Some(old) = self.machines.get(usize::from(index)) else {
             return;
         };
@@ -137,18 +133,12 @@ impl Simulation {
         }
         self.events
             .note(|| format!("chassis {} starts again", new.name()));
+        // Nothing of the old process may come out of the links of the new one.
         for machine in self.machines.iter().filter(|machine| !machine.gone) {
-            let peer = &machine.chassis;
-            // Nothing of the old process may come out of the links of the new one.
-            peer.link_down(index);
-            peer.link_up(index, self.network.link(peer.index(), index));
-            new.link_up(peer.index(), self.network.link(index, peer.index()));
-            let ends = (usize::from(index), usize::from(peer.index()));
-            let injury = &peer.app.links.injury;
-            for fault in injured::lasting(injury, new.name(), peer.name()) {
-                self.happen_between(ends.0, ends.1, &fault);
-            }
+            machine.chassis.link_down(index);
         }
+        self.network.join(&new);
+        new.reach(0);
         watch_exit(&new, incarnation, &self.exits);
         if let Some(recording) = &self.recording {
             recording.add(&new);

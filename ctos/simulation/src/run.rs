@@ -20,6 +20,7 @@ use ctos_core::{
     registry::Registry,
     system,
 };
+use ctos_message::ChassisNumber;
 use ctos_record as record;
 use ctos_time::{Clock, Instant, lock::lock, seed::mix};
 
@@ -124,12 +125,12 @@ pub(super) struct Simulation {
     /// Processes that would have ended by themselves now.
     pub(super) exits: Exits,
     /// How the last process of a chassis ended, if otherwise than it should have.
-    pub(super) casualties: BTreeMap<u8, String>,
+    pub(super) casualties: BTreeMap<ChassisNumber, String>,
     /// Which process of each chassis is the last that was wanted, from 1.
-    pub(super) incarnations: BTreeMap<u8, u32>,
+    pub(super) incarnations: BTreeMap<ChassisNumber, u32>,
     pub(super) orders: ProcessOrders,
     /// Processes on their way up, by the moment at which they are there.
-    pub(super) starts: BTreeMap<(Instant, u8), u32>,
+    pub(super) starts: BTreeMap<(Instant, ChassisNumber), u32>,
     pub(super) events: EventLog,
     pub(super) recording: Option<record::Recording>,
     pub(super) observer: Observer,
@@ -137,8 +138,8 @@ pub(super) struct Simulation {
     pub(super) awake: Awake,
     /// Before then no chassis looks at itself.
     pub(super) next_look: Instant,
-    /// Kept between steps for its space.
-    pub(super) counts: Vec<(Place, usize)>,
+    /// The processor whose code ran last: what comes to it need not be brought.
+    here: Option<Place>,
 }
 
 impl Simulation {
@@ -156,14 +157,14 @@ impl Simulation {
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
         let mut script = schedule(&names, faults.script, &mut happened)?;
-        let injuries = injured::faults(&app.links.injury, &names);
+        let injuries = injured::faults(&app.links.injury);
         for injury in &injuries {
             let at = script.entry(injury.at).or_default();
             at.push(injury.clone());
         }
-        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, setup.tamper);
+        let network = Network::new(clock.clone(), &app, setup.tamper);
         let events = EventLog::new(setup.events, clock.clone());
-        let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
+        let count = ChassisNumber::try_from(app.chassis.len()).unwrap_or(ChassisNumber::MAX - 1);
         let disk = Arc::new(Disk::default());
         let chassis: Vec<Arc<Chassis>> = (0..=count)
             .zip(&names)
@@ -177,22 +178,21 @@ impl Simulation {
         let recording = record::start(&chassis, watch::COMMANDS)
             .map_err(ctos_bootstrap::bootstrap::io_error("cannot record"))?;
         let exits = Exits::default();
-        // The others start when they are asked for.
-        for from in &chassis {
-            events.watch(from);
-            if from.starts_on_demand(from.index()) {
+        for one in &chassis {
+            events.watch(one);
+            // The others start when they are asked for.
+            if one.starts_on_demand(one.index()) {
                 continue;
             }
-            for to in from.others().filter(|to| !from.starts_on_demand(*to)) {
-                from.link_up(to, network.link(from.index(), to));
-            }
-            if from.index() > 0 {
+            network.join(one);
+            if one.index() > 0 {
+                one.reach(0);
                 observer(&BootEvent::Started {
                     host: None,
-                    chassis: from.name().to_owned(),
+                    chassis: one.name().to_owned(),
                     pid: None,
                 });
-                watch_exit(from, 1, &exits);
+                watch_exit(one, 1, &exits);
             }
         }
         for fault in &happened {
@@ -240,7 +240,7 @@ impl Simulation {
             steps_at_once: 0,
             awake,
             next_look: Instant::START,
-            counts: Vec::new(),
+            here: None,
         })
     }
 
@@ -310,38 +310,45 @@ impl Simulation {
     /// Runs what was brought to processors, in their order. What one brings to a later one is run at once.
     fn run_jobs(&mut self) -> bool {
         let (mut any, mut behind) = (false, None);
-        while let Some(place) = self.awake.next(behind) {
+        self.here
+            .into_iter()
+            .for_each(|here| self.awake.rouse(here));
+        while let Some(place) = self.awake.next_stale(behind) {
             let machine = self.machines.get(place.0);
-            any |= machine.is_some_and(|machine| machine.run_jobs(place.1));
+            if machine.is_some_and(|machine| machine.run_jobs(place.1)) {
+                any = true;
+                self.here = Some(place);
+            }
+            self.count(place);
             behind = Some(place);
         }
         any
     }
 
+    /// Counts what is ready at a processor. It is looked at again when something is brought.
+    fn count(&mut self, place: Place) {
+        let (machine, now) = (self.machines.get(place.0), self.clock.now());
+        let ready = machine.map_or(0, |machine| machine.count_ready(place.1, now));
+        self.awake.counts.set(place, ready);
+        if !machine.is_some_and(|machine| machine.listens(place.1)) {
+            self.awake.rouse(place);
+        }
+    }
+
     /// Polls one of the futures that are ready, drawn from the seed.
     fn poll_one(&mut self) -> bool {
-        let now = self.clock.now();
-        self.counts.clear();
-        let (mut total, mut behind) = (0, None);
-        while let Some(place) = self.awake.next(behind) {
-            let machine = self.machines.get(place.0);
-            let count = machine.map_or(0, |machine| machine.count_ready(place.1, now));
-            self.counts.push((place, count));
-            total += count;
-            behind = Some(place);
-        }
-        if total == 0 {
+        let (now, counts) = (self.clock.now(), &self.awake.counts);
+        if counts.total == 0 {
             return false;
         }
-        let mut drawn = below(&mut self.rng, total);
-        for ((number, processor), count) in &self.counts {
-            if drawn < *count {
-                let machine = self.machines.get_mut(*number);
-                return machine.is_some_and(|machine| machine.poll(*processor, drawn, now));
-            }
-            drawn -= count;
-        }
-        false
+        let Some((place, index)) = counts.find(below(&mut self.rng, counts.total)) else {
+            return false;
+        };
+        let machine = self.machines.get_mut(place.0);
+        let polled = machine.is_some_and(|machine| machine.poll(place.1, index, now));
+        self.here = Some(place);
+        self.count(place);
+        polled
     }
 
     /// When the first processor has something to do. Those that have nothing to do now fall asleep.
@@ -416,6 +423,7 @@ impl Simulation {
             if let Some(machine) = self.machines.get(place.0) {
                 machine.run_due(place.1, moment);
             }
+            self.awake.rouse(place);
             behind = Some(place);
         }
     }
@@ -428,7 +436,8 @@ impl Simulation {
     }
 
     fn land(&self, flight: InFlight, now: Instant) {
-        let InFlight { from, to, arrival } = flight;
+        let InFlight { way, arrival } = flight;
+        let (from, to) = way;
         let Some(machine) = self.machines.get(usize::from(to)) else {
             return;
         };
@@ -447,16 +456,16 @@ impl Simulation {
             Arrival::Closed => self.link_down(chassis, from),
             Arrival::Silence => match machine.frozen(now) {
                 // Who stands still itself listens first when it goes on.
-                Some(until) => self.network.listen_again(from, to, until),
+                Some(until) => self.network.listen_again(way, until),
                 None => {
-                    self.network.give_up(from, to);
+                    self.network.give_up(way);
                     self.link_down(chassis, from);
                 }
             },
         }
     }
 
-    fn link_down(&self, chassis: &Arc<Chassis>, peer: u8) {
+    fn link_down(&self, chassis: &Arc<Chassis>, peer: ChassisNumber) {
         if chassis.is_linked(peer) {
             let name = chassis.name_of(peer);
             self.events

@@ -11,6 +11,7 @@ mod boot;
 mod compile;
 mod durable;
 mod finding;
+mod links;
 mod moving;
 mod record;
 mod semaphore;

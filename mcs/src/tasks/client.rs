@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use ctos::call::CallError;
-use ctos::message::{Command, Message};
+use ctos::message::{ChassisNumber, Command, Message};
 use ctos::registry::Registry;
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, TaskRef};
 
@@ -142,7 +142,7 @@ impl ClientTask {
     async fn stream(
         &self,
         cx: &Context,
-        (by, chassis): (String, u8),
+        (by, chassis): (String, ChassisNumber),
         request: StreamSetpoints,
     ) -> Result<StreamReport, MotionError> {
         let parts = self.parts();

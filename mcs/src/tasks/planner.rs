@@ -8,7 +8,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ctos::message::{Command, Message, Replier};
+use ctos::message::{ChassisNumber, Command, Message, Replier};
 use ctos::registry::Registry;
 use ctos::survey::AtReport;
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
@@ -65,7 +65,7 @@ struct PlannerTask {
     last: Option<Last>,
     last_id: u64,
     /// The number of the chassis from which the latest move was asked for.
-    asked_from: u8,
+    asked_from: ChassisNumber,
     /// Why nothing moves any more: the app is being stopped.
     ending: Option<String>,
 }

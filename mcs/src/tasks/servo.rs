@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
 use ctos::diagnostic::{Finding, Findings, Place};
-use ctos::message::{Command, CommandInfo, Message, Replier};
+use ctos::message::{ChassisNumber, Command, CommandInfo, Message, Replier};
 use ctos::registry::Registry;
 use ctos::sync::{CyclicHandle, Tick};
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
@@ -277,7 +277,7 @@ struct ServoTask {
     args: ServoArgs,
     streams: Streams,
     /// The number of the chassis of the client interface that last asked for a stream.
-    streamed_from: Option<u8>,
+    streamed_from: Option<ChassisNumber>,
     last_stop: LastStop,
 }
 

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use ctos::message::{Command, Message};
+use ctos::message::{ChassisNumber, Command, Message};
 use ctos::registry::Registry;
 use ctos::task::{Context, EventHandler, Handled, Phase};
 use scene::{FollowScene, Stage};
@@ -34,7 +34,7 @@ ctos::command! {
         /// The task's name.
         pub by: String,
         /// The number of the chassis that it asks from.
-        pub chassis: u8,
+        pub chassis: ChassisNumber,
     } => Result<State, MotionError>, 0x0341, "reserve"
 }
 ctos::command! {
@@ -44,7 +44,7 @@ ctos::command! {
         /// The task's name.
         pub by: String,
         /// The number of the chassis that it asks from.
-        pub chassis: u8,
+        pub chassis: ChassisNumber,
     } => Result<State, MotionError>, 0x0342, "enable_motion"
 }
 ctos::command! {
@@ -101,7 +101,7 @@ struct StateTask {
     stage: Option<Stage>,
     manager: StateManager,
     /// The number of the chassis from which the holder last asked.
-    holders_chassis: Option<u8>,
+    holders_chassis: Option<ChassisNumber>,
 }
 
 type Changed = Result<State, MotionError>;
@@ -180,7 +180,7 @@ impl StateTask {
         Ok(link)
     }
 
-    async fn reserve(&mut self, cx: &Context, by: &str, chassis: u8) -> Changed {
+    async fn reserve(&mut self, cx: &Context, by: &str, chassis: ChassisNumber) -> Changed {
         let link = self.in_step()?;
         let own = self.manager.holder() == Some(by);
         let changed = match self.manager.state() {
@@ -204,7 +204,7 @@ impl StateTask {
         changed
     }
 
-    async fn enable(&mut self, cx: &Context, by: &str, chassis: u8) -> Changed {
+    async fn enable(&mut self, cx: &Context, by: &str, chassis: ChassisNumber) -> Changed {
         self.in_step()?;
         let enabled = if self.manager.state() == State::Motion && self.manager.holder() == Some(by)
         {

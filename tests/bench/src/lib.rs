@@ -24,7 +24,7 @@ use ctos_time::Clock;
 use tokio::sync::oneshot;
 
 /// The slot that work runs as; tasks take those below.
-const WORK: u16 = u16::MAX;
+const WORK: u32 = u16::MAX as u32;
 
 /// The first chassis of an app, running.
 pub struct Bench {
@@ -52,8 +52,8 @@ impl Bench {
         &self,
         kind: &str,
         processor: u8,
-        first: u16,
-        count: u16,
+        first: u32,
+        count: u32,
     ) -> Result<Vec<TaskRef>, HandlerError> {
         let (kind, chassis) = (kind.to_owned(), self.chassis.clone());
         self.on(processor, move |here| {
@@ -123,7 +123,7 @@ fn start_row(
     chassis: &Arc<Chassis>,
     processor: &Rc<Processor>,
     (number, kind): (u8, &str),
-    slots: Range<u16>,
+    slots: Range<u32>,
 ) -> Result<Vec<TaskRef>, HandlerError> {
     let registry = chassis.registry();
     let registered = registry.kind(kind).ok_or("no such kind of handler")?;

@@ -38,7 +38,7 @@ pub const CHASSIS: &str = "growth-chassis";
 /// So many names are looked up: fewer than are asked for between two looks of a chassis at its tasks.
 const LOOKED_UP: u64 = 1_000;
 
-/// The tasks of one processor, whose ids have 16 bits.
+/// The tasks of one processor.
 const ON_ONE: u64 = 50_000;
 
 /// So many firings does each display see.
@@ -275,29 +275,38 @@ pub fn tasks(size: u64) -> Result<Cost, Failed> {
     Ok(cost(|| simulated(app))?.0)
 }
 
-/// An app of chassis with one task each.
-fn chassis_text(size: u64) -> Result<String, Failed> {
+/// An app of chassis with so many tasks each, the first of which ends it.
+fn chassis_text(size: u64, tasks: u64) -> Result<String, Failed> {
     let mut text = String::from(
         "[app]\nuntil = \"last\"\nphase_timeout_s = 600\n[chassis.c0]\n[task.last]\nhandler = \"last\"\non = \"c0\"\nargs = { work = \"end\", size = 0 }\n",
     );
-    for at in 1..size {
-        writeln!(
-            text,
-            "[chassis.c{at}]\n[task.t{at}]\nhandler = \"idle\"\non = \"c{at}\""
-        )?;
+    for at in 0..size * tasks {
+        let on = at / tasks;
+        if at % tasks == 0 && on > 0 {
+            writeln!(text, "[chassis.c{on}]")?;
+        }
+        if at > 0 {
+            writeln!(text, "[task.t{at}]\nhandler = \"idle\"\non = \"c{on}\"")?;
+        }
     }
     Ok(text)
 }
 
 /// Chassis in virtual time.
 pub fn chassis(size: u64) -> Result<Cost, Failed> {
-    let app = loaded(&chassis_text(size)?, &[])?;
+    let app = loaded(&chassis_text(size, 1)?, &[])?;
+    Ok(cost(|| simulated(app))?.0)
+}
+
+/// Cells of three chassis with twenty tasks each, in virtual time.
+pub fn fleet(size: u64) -> Result<Cost, Failed> {
+    let app = loaded(&chassis_text(3 * size, 20)?, &[])?;
     Ok(cost(|| simulated(app))?.0)
 }
 
 /// Chassis as processes, until all of them run; the memory is theirs.
 pub fn processes(size: u64) -> Result<Cost, Failed> {
-    let app = loaded(&chassis_text(size)?, &[])?;
+    let app = loaded(&chassis_text(size, 1)?, &[])?;
     let launcher = Launcher {
         program: std::env::current_exe()?,
         arguments: [CHASSIS, &size.to_string()].map(OsString::from).to_vec(),
@@ -333,7 +342,7 @@ pub fn be_chassis(arguments: &[String]) -> Result<(), Failed> {
     let [size, _, name, _, address, _, origin] = arguments else {
         return Err("a chassis is started by a boot".into());
     };
-    let app = loaded(&chassis_text(size.parse()?)?, &[])?;
+    let app = loaded(&chassis_text(size.parse()?, 1)?, &[])?;
     run_chassis(app, registry(), name, &address.parse()?, origin.parse()?)?;
     Ok(())
 }

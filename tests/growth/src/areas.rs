@@ -43,8 +43,15 @@ pub const AREAS: &[Area] = &[
         name: "chassis",
         what: "booting chassis, virtual time",
         whole: true,
-        sizes: (2, 250),
+        sizes: (2, 5_000),
         measure: apps::chassis,
+    },
+    Area {
+        name: "fleet",
+        what: "booting cells of 3 chassis with 20 tasks each, virtual time",
+        whole: true,
+        sizes: (1, 1_000),
+        measure: apps::fleet,
     },
     Area {
         name: "processes",

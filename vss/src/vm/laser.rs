@@ -4,7 +4,7 @@
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    message::{Command, CommandInfo, Message},
+    message::{ChassisNumber, Command, CommandInfo, Message},
     task::{Context, EventHandler, Handled, HandlerError},
 };
 use serde::Deserialize;
@@ -57,7 +57,7 @@ pub struct LaserModule {
     /// The last grant under which it was steered.
     grant: u64,
     /// The chassis of whoever has it lit.
-    lit_by: Option<u8>,
+    lit_by: Option<ChassisNumber>,
 }
 
 impl LaserModule {

@@ -109,7 +109,7 @@ mod tests {
         }
     }
 
-    fn task(chassis: u8) -> Tid {
+    fn task(chassis: u16) -> Tid {
         Tid::new(chassis, 0, 1)
     }
 

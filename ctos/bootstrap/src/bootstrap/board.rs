@@ -21,7 +21,7 @@ use ctos_core::{
     sync::Signal,
     system::{self, ChassisNews, ChassisWanted, News, ProcessEnded, RestartChassis},
 };
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 use ctos_time::{Instant, seed::mix};
 
 /// An event for the supervisor of a chassis.
@@ -85,7 +85,7 @@ impl<T> Inbox<T> {
 
 /// A chassis, seen by its supervisor.
 pub(super) struct Member {
-    pub(super) index: u8,
+    pub(super) index: ChassisNumber,
     /// What the boot reports of it.
     pub(super) report: RefCell<MemberReport>,
     pub(super) policy: ChassisSupervision,
@@ -108,7 +108,7 @@ pub(super) struct Member {
 }
 
 impl Member {
-    fn new(cx: &Context, index: u8, config: &ChassisConfig) -> Self {
+    fn new(cx: &Context, index: ChassisNumber, config: &ChassisConfig) -> Self {
         let seed = mix(cx.app().seed, &["restarts of", &config.name]);
         Self {
             index,
@@ -246,7 +246,7 @@ impl Board {
 
     // -- all chassis --------------------------------------------------------------------------
 
-    fn member(&self, index: u8) -> Option<&Rc<Member>> {
+    fn member(&self, index: ChassisNumber) -> Option<&Rc<Member>> {
         // They are numbered from 1.
         self.members.get(usize::from(index).checked_sub(1)?)
     }
@@ -308,7 +308,7 @@ impl Board {
     // -- one chassis --------------------------------------------------------------------------
 
     /// Tells the supervisor of chassis `index`, if the process that it is about is not an earlier one.
-    pub(super) fn tell_incarnation(&self, index: u8, incarnation: u32, event: Event) {
+    pub(super) fn tell_incarnation(&self, index: ChassisNumber, incarnation: u32, event: Event) {
         let member = self.member(index);
         if let Some(member) = member.filter(|one| one.report.borrow().incarnation == incarnation) {
             member.tell(event);
@@ -341,7 +341,7 @@ impl Board {
 
     /// A task of chassis `index` failed for good. That is a failure of the app or, if the
     /// configuration says so and the app has been up, of that chassis alone.
-    pub(super) fn task_failed(&self, index: u8, task: String, reason: String) {
+    pub(super) fn task_failed(&self, index: ChassisNumber, task: String, reason: String) {
         let contains = |one: &&Rc<Member>| {
             self.is_up() && one.policy.on_task_failure == OnTaskFailure::RestartChassis
         };
@@ -355,7 +355,7 @@ impl Board {
     }
 
     /// A person wants chassis `index` anew.
-    pub(super) fn restart(&self, index: u8, reply: Replier<RestartChassis>) -> Handled {
+    pub(super) fn restart(&self, index: ChassisNumber, reply: Replier<RestartChassis>) -> Handled {
         if !self.is_up() {
             let state = self.state.get();
             return reply.fail(format!("the app is not up but in state `{state}`"));

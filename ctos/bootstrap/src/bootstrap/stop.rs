@@ -9,18 +9,29 @@ use ctos_core::{
     phase::StopReason,
     system::{self, Exit, StopTask},
 };
+use ctos_message::ChassisNumber;
 use ctos_message::fault::{CallError, Fault};
 
 impl Board {
     /// Stops one task of chassis `index`, unless it has moved away.
-    pub(super) async fn stop_task_of(&self, index: u8, task: &TaskRef, reason: &StopReason) {
+    pub(super) async fn stop_task_of(
+        &self,
+        index: ChassisNumber,
+        task: &TaskRef,
+        reason: &StopReason,
+    ) {
         if self.place_of(task) == index {
             self.order_stop(task, reason, Some(index)).await;
         }
     }
 
     /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
-    async fn order_stop(&self, task: &TaskRef, reason: &StopReason, on: Option<u8>) -> bool {
+    async fn order_stop(
+        &self,
+        task: &TaskRef,
+        reason: &StopReason,
+        on: Option<ChassisNumber>,
+    ) -> bool {
         if !self.cx.chassis().is_linked(self.place_of(task)) {
             return false;
         }
@@ -55,7 +66,7 @@ impl Board {
     }
 
     /// Tells chassis `index` to end its process. One that does not answer is ended from outside.
-    pub(super) async fn exit_chassis(&self, index: u8, code: i32) {
+    pub(super) async fn exit_chassis(&self, index: ChassisNumber, code: i32) {
         if self.cx.chassis().is_linked(index) {
             let agent = TaskRef::new("agent", system::agent_tid(index));
             let timeout = self.cx.app().stop_timeout;
@@ -64,7 +75,7 @@ impl Board {
     }
 
     /// The chassis that a task is on now: it may have moved.
-    pub(super) fn place_of(&self, task: &TaskRef) -> u8 {
+    pub(super) fn place_of(&self, task: &TaskRef) -> ChassisNumber {
         self.cx.chassis().directory.current(task.tid()).chassis()
     }
 

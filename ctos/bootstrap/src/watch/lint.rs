@@ -70,14 +70,28 @@ pub struct Lint {
     pub text: String,
 }
 
-/// What was seen of a task at earlier looks.
-#[derive(Default)]
+/// What was seen of a task that is not at rest, at the looks since it was.
 struct Seen {
     /// A poll of its handler, and when it was seen first.
     poll: Option<(u64, Instant)>,
     depths: VecDeque<usize>,
     /// Since when the queue grows.
     growing: Option<Instant>,
+}
+
+impl Default for Seen {
+    fn default() -> Self {
+        Self {
+            poll: None,
+            depths: VecDeque::from([0]),
+            growing: None,
+        }
+    }
+}
+
+/// Of very many tasks most may have nothing to do: these are looked at no closer.
+fn is_at_rest(task: &TaskRecord) -> bool {
+    task.mailbox.depth().0 == 0 && task.statistics.read().began.is_none()
 }
 
 /// What was seen of a synchronous function at earlier looks.
@@ -132,16 +146,15 @@ impl Watch {
         };
         let mut state = lock(&self.0);
         state.last = now;
+        let mut before = std::mem::take(&mut state.seen);
         let tasks = chassis.tasks();
-        // They come in the order of their ids.
-        let is_present = |tid: &Tid| tasks.binary_search_by_key(tid, |task| task.tid).is_ok();
-        state.seen.retain(|tid, _| is_present(tid));
-        for task in &tasks {
+        for task in tasks.iter().filter(|task| !is_at_rest(task)) {
             // The tasks of the runtime wait for others by their nature.
             if let Some(config) = chassis.app.task(&task.name) {
-                let seen = state.seen.entry(task.tid).or_default();
-                look.handler(seen, task, config);
-                look.queue(seen, task);
+                let mut seen = before.remove(&task.tid).unwrap_or_default();
+                look.handler(&mut seen, task, config);
+                look.queue(&mut seen, task);
+                state.seen.insert(task.tid, seen);
             }
         }
         look.semaphores();

@@ -21,7 +21,7 @@ use crate::{
     tap::{Asked, WaitFor},
 };
 use ctos_message::{
-    Data, Flags, Header,
+    ChassisNumber, Data, Flags, Header,
     blob::Body,
     fault::Fault,
     frame::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
@@ -91,6 +91,11 @@ impl Chassis {
         header.flags |= wait.flags() | Flags::OWNED;
         header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
         let mut links = lock(&self.links);
+        if !links.up.contains_key(&peer) {
+            drop(links);
+            self.reach(peer);
+            links = lock(&self.links);
+        }
         let Some(link) = links.up.get(&peer).cloned() else {
             drop(links);
             return Outcome::Failed(self.peer_down_fault(peer));
@@ -177,7 +182,7 @@ impl Chassis {
         });
     }
 
-    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Body) {
+    fn receive_reply(&self, peer: ChassisNumber, call: u64, flags: Flags, body: Body) {
         let pending = {
             let mut links = lock(&self.links);
             // A reply counts only when it comes from the chassis that was asked.
@@ -211,7 +216,7 @@ impl Chassis {
 
     /// Whether it is news to the tasks here that `peer` is gone. While the app is taken down the others go
     /// in order, and the boot once this chassis has been told to end.
-    fn tells_of(&self, peer: u8) -> bool {
+    fn tells_of(&self, peer: ChassisNumber) -> bool {
         let leaving = self.leaving.load(Ordering::Acquire);
         !leaving && (peer == 0 || !self.is_stopping())
     }
@@ -220,7 +225,7 @@ impl Chassis {
 #[doc(hidden)]
 impl Chassis {
     /// Takes a frame that came from chassis `peer` at `now`.
-    pub fn receive(self: &Arc<Self>, peer: u8, frame: Frame, now: Instant) {
+    pub fn receive(self: &Arc<Self>, peer: ChassisNumber, frame: Frame, now: Instant) {
         let Frame {
             header,
             call,
@@ -278,23 +283,42 @@ impl Chassis {
     }
 
     /// Connects chassis `peer`.
-    pub fn link_up(&self, peer: u8, link: Arc<dyn Link>) {
+    pub fn link_up(&self, peer: ChassisNumber, link: Arc<dyn Link>) {
         lock(&self.links).up.insert(peer, link);
     }
 
-    /// Gives up all links without telling anybody, so that their writers end.
+    /// From now on `connect` makes each link on its first use.
+    pub fn connect_by(&self, connect: impl Fn(ChassisNumber) + Send + Sync + 'static) {
+        lock(&self.links).connect = Some(Arc::new(connect));
+    }
+
+    /// Whether there is a way to chassis `peer`; it is made if that can be. Who is linked is told that the other is gone.
+    pub fn reach(&self, peer: ChassisNumber) -> bool {
+        if self.is_linked(peer) {
+            return true;
+        }
+        let connect = lock(&self.links).connect.clone();
+        connect.is_some_and(|connect| {
+            connect(peer);
+            self.is_linked(peer)
+        })
+    }
+
+    /// Gives up all links without telling anybody, so that their writers end, and makes no others.
     pub fn drop_links(&self) {
-        lock(&self.links).up.clear();
+        let mut links = lock(&self.links);
+        links.connect = None;
+        links.up.clear();
     }
 
     /// Whether chassis `peer` is connected.
-    pub fn is_linked(&self, peer: u8) -> bool {
+    pub fn is_linked(&self, peer: ChassisNumber) -> bool {
         lock(&self.links).up.contains_key(&peer)
     }
 
     /// Chassis `peer` is gone: every call that waits for it ends. What it asked and nobody has begun is
     /// dropped, and every task here is told.
-    pub fn link_down(self: &Arc<Self>, peer: u8) {
+    pub fn link_down(self: &Arc<Self>, peer: ChassisNumber) {
         let ended: Vec<(u64, Pending)> = {
             let mut links = lock(&self.links);
             if links.up.remove(&peer).is_none() {

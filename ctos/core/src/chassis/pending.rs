@@ -10,7 +10,7 @@ use std::{
 
 use super::Chassis;
 use crate::reply::{Answer, ReplySlot};
-use ctos_message::{Header, frame::Link};
+use ctos_message::{ChassisNumber, Header, frame::Link};
 
 pub(super) struct Pending {
     /// Who waits for the answer.
@@ -22,7 +22,7 @@ pub(super) struct Pending {
 
 impl Pending {
     /// The chassis that was asked.
-    pub(super) fn peer(&self) -> u8 {
+    pub(super) fn peer(&self) -> ChassisNumber {
         self.header.to.chassis()
     }
 
@@ -31,14 +31,19 @@ impl Pending {
     }
 }
 
+/// Makes the link to a chassis, if that is there.
+pub(crate) type Connect = Arc<dyn Fn(ChassisNumber) + Send + Sync>;
+
 #[derive(Default)]
 pub(super) struct Links {
-    pub(super) up: BTreeMap<u8, Arc<dyn Link>>,
+    pub(super) up: BTreeMap<ChassisNumber, Arc<dyn Link>>,
+    /// Where links are made on their first use.
+    pub(super) connect: Option<Connect>,
     /// What this chassis asked others and has no answer to yet.
     pub(super) pending: BTreeMap<u64, Pending>,
     pub(super) next_call: u64,
     /// What others asked this chassis, by chassis and its number for the call.
-    pub(super) inbound: BTreeMap<(u8, u64), Arc<Inbound>>,
+    pub(super) inbound: BTreeMap<(ChassisNumber, u64), Arc<Inbound>>,
 }
 
 /// A request that came over a link and waits for its answer.
@@ -61,7 +66,7 @@ impl Inbound {
 impl Links {
     /// `request` is no longer under way: whether it still was. A chassis that comes back counts its calls from
     /// the beginning again. A request of its new life may then have the number of one of an earlier life.
-    pub(super) fn close_inbound(&mut self, peer: u8, request: &Inbound) -> bool {
+    pub(super) fn close_inbound(&mut self, peer: ChassisNumber, request: &Inbound) -> bool {
         let Entry::Occupied(entry) = self.inbound.entry((peer, request.call)) else {
             return false;
         };

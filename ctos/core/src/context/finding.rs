@@ -157,7 +157,7 @@ impl Context {
 
     fn is_near(&self, tid: Tid) -> bool {
         let chassis = &self.inner.chassis;
-        tid.chassis() == chassis.index() || chassis.is_linked(tid.chassis())
+        tid.chassis() == chassis.index() || chassis.reach(tid.chassis())
     }
 
     /// Whether there is a way to the chassis of a task.
@@ -241,7 +241,11 @@ impl Context {
             waiter: self.name().to_owned(),
         };
         match self.call(&Self::server(), request).deadline(deadline).await {
-            Ok(Ok(tid)) => Ok(TaskRef::new(name, directory.learn(name, tid))),
+            Ok(Ok(tid)) => {
+                // Who holds a name is told when its chassis goes.
+                self.is_near(tid);
+                Ok(TaskRef::new(name, directory.learn(name, tid)))
+            }
             Ok(Err(circle)) => Err(NameError::Circle { circle }),
             Err(error) if matches!(error.fault, Fault::Deadline { .. }) => {
                 let query = system::WhoWaits {

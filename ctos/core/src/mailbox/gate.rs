@@ -14,12 +14,12 @@ use crate::{
     processor::Processor,
     system::{Broke, interrupts},
 };
-use ctos_message::{Command, Flags, SYSTEM_COMMANDS};
+use ctos_message::{ChassisNumber, Command, Flags, SYSTEM_COMMANDS};
 
 /// Messages that came straight to a task's new place before everything that their chassis had sent to
 /// the old one.
 pub(super) struct Gate {
-    pub(super) closed: BTreeSet<u8>,
+    pub(super) closed: BTreeSet<ChassisNumber>,
     pub(super) held: Vec<Message>,
 }
 
@@ -32,7 +32,7 @@ impl Gate {
     }
 
     /// Takes out what came from `chassis`, whose gate is open now.
-    pub(super) fn take_out(&mut self, chassis: u8) -> Vec<Message> {
+    pub(super) fn take_out(&mut self, chassis: ChassisNumber) -> Vec<Message> {
         self.closed.remove(&chassis);
         let of_chassis = |message: &mut Message| message.from().chassis() == chassis;
         self.held.extract_if(.., of_chassis).collect()
@@ -132,7 +132,7 @@ impl TaskQueue {
     }
 
     /// What came from `chassis` waits for credits now. It is bounded: the gate holds no more than may wait.
-    pub(super) fn open_gate(&self, processor: &Processor, chassis: u8) {
+    pub(super) fn open_gate(&self, processor: &Processor, chassis: ChassisNumber) {
         let mut lanes = self.lanes();
         let Some(gate) = lanes.gate.as_mut() else {
             return;

@@ -19,7 +19,7 @@ use crate::{
     system::{Broke, StopTask, interrupts},
     task_record::TaskRecord,
 };
-use ctos_message::{Command, fault::Fault};
+use ctos_message::{ChassisNumber, Command, fault::Fault};
 
 #[derive(Default)]
 pub(super) struct Lane {
@@ -91,7 +91,7 @@ pub(crate) struct TaskQueue {
 impl TaskQueue {
     /// The queue behind the mailbox of `task`, which keeps what comes straight from the chassis `closed` until their gates
     /// are opened.
-    pub(crate) fn gated(task: Arc<TaskRecord>, closed: BTreeSet<u8>) -> Rc<Self> {
+    pub(crate) fn gated(task: Arc<TaskRecord>, closed: BTreeSet<ChassisNumber>) -> Rc<Self> {
         let gate = Gate {
             closed,
             held: Vec::new(),

@@ -19,7 +19,7 @@ use crate::{
     system::{AbortMove, Forwarded, MoveIn, Transfer},
     tap::WaitFor,
 };
-use ctos_message::{Data, Flags, Tid};
+use ctos_message::{ChassisNumber, Data, Flags, Tid};
 
 /// What a task that comes from another place brings, and how it learns whether it stays.
 pub struct Arrival {
@@ -90,7 +90,7 @@ impl Arrivals {
     }
 
     /// Chassis `peer` is gone: what comes from there is settled by what was decided before.
-    pub fn lost(&self, cx: &Context, peer: u8) {
+    pub fn lost(&self, cx: &Context, peer: ChassisNumber) {
         let expected = self.0.borrow();
         let from_peer = expected
             .iter()

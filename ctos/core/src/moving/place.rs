@@ -1,6 +1,7 @@
 //! The places of an app that a task can move to: as a person writes them, and as the runtime counts them.
 
 use crate::{chassis::Chassis, system::Place};
+use ctos_message::ChassisNumber;
 
 /// The text names no place of the app.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -45,7 +46,7 @@ pub fn find_place(chassis: &Chassis, text: &str) -> Result<Place, NoPlace> {
         });
     };
     // Both count from 1: 0 is the chassis that boots, and the processor of the runtime.
-    match (u8::try_from(index + 1), u8::try_from(found + 1)) {
+    match (ChassisNumber::try_from(index + 1), u8::try_from(found + 1)) {
         (Ok(chassis), Ok(processor)) => Ok(Place { chassis, processor }),
         _ => Err(NoPlace {
             message: format!("`{text}` has too high a number"),

@@ -11,13 +11,13 @@ use crate::{
     system::{BOOTSTRAP, ChassisWanted, FindTid, Missing, News},
 };
 use ctos_config::ChassisRestart;
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 
 /// Chassis that are not as they should be, by number.
 #[derive(Default)]
 pub(super) struct Presence {
     /// Those that may be started again, until their tasks have passed all phases; and those that are not, with why.
-    absent: BTreeMap<u8, Option<String>>,
+    absent: BTreeMap<ChassisNumber, Option<String>>,
     /// Whether the app has been up. Before, tasks find each other as soon as they exist.
     up: bool,
     stopping: bool,
@@ -27,7 +27,7 @@ pub(super) struct Presence {
 
 impl Presence {
     /// A chassis is not linked any more.
-    pub(super) fn lost(&mut self, cx: &Context, index: u8) {
+    pub(super) fn lost(&mut self, cx: &Context, index: ChassisNumber) {
         let config = cx.chassis().config_of(index);
         let may_return =
             config.is_some_and(|it| it.supervision.restart.when != ChassisRestart::Never);
@@ -36,7 +36,7 @@ impl Presence {
         self.absent.entry(index).or_insert(why);
     }
 
-    fn is_away(&self, index: u8) -> bool {
+    fn is_away(&self, index: ChassisNumber) -> bool {
         self.absent.get(&index) == Some(&None)
     }
 }
@@ -147,16 +147,14 @@ impl TidServer {
     /// Something has become of a chassis, or of the app.
     pub(super) fn heard(&self, cx: &Context, news: News) {
         let mut state = self.state.borrow_mut();
-        let Names {
-            presence, names, ..
-        } = &mut *state;
+        let presence = &mut state.presence;
         match news {
             News::AppUp => presence.up = true,
             News::Away(index) => {
                 presence.absent.insert(index, None);
                 // Who has found its tasks before asks again, and waits.
-                for (name, tid) in names.iter().filter(|(_, tid)| tid.chassis() == index) {
-                    broadcast(cx, name, *tid, None);
+                for task in state.tasks_on(index) {
+                    broadcast(cx, task.name(), task.tid(), None);
                 }
             }
             News::Back(index) => {

@@ -14,7 +14,7 @@ use crate::{
     moving::{find_place, place_text, redirect_for},
     system::{self, CommitMove, MoveOut, MoveTask, Place, Rebound, Settle, Settled, TaskMoved},
 };
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 
 /// How long a chassis may take to redirect to a task's new place.
 const REDIRECT_DEADLINE: Duration = Duration::from_secs(180);
@@ -83,7 +83,7 @@ impl TidServer {
         if state.names.get(&name) != Some(&old) || !state.moves.contains_key(&name) {
             return Err("nobody moves it".to_owned());
         }
-        let linked = |chassis: u8| chassis == here.index() || here.is_linked(chassis);
+        let linked = |chassis: ChassisNumber| chassis == here.index() || here.is_linked(chassis);
         let (there, here_before) = (here.name_of(new.chassis()), here.name_of(old.chassis()));
         if !linked(new.chassis()) {
             return Err(format!("chassis `{there}` is gone"));
@@ -94,7 +94,8 @@ impl TidServer {
             ));
         }
         let everybody = here.others().chain([here.index()]);
-        let (slow, gone): (Vec<u8>, Vec<u8>) = everybody.partition(|chassis| linked(*chassis));
+        let (slow, gone): (Vec<ChassisNumber>, Vec<ChassisNumber>) =
+            everybody.partition(|chassis| linked(*chassis));
         state.names.insert(name.clone(), new);
         state.used.insert(new, name.clone());
         let home = Place {
@@ -137,7 +138,7 @@ impl TidServer {
     }
 
     /// Redirects every chassis to the new place of a task, and then gives up the old one.
-    async fn turn_all(&self, cx: &Context, rebound: &Rebound, new: Tid, chassis: &[u8]) {
+    async fn turn_all(&self, cx: &Context, rebound: &Rebound, new: Tid, chassis: &[ChassisNumber]) {
         let turning = chassis.iter().map(|index| async move {
             let agent = TaskRef::new("agent", system::agent_tid(*index));
             let turned = cx.call(&agent, rebound.clone()).deadline(REDIRECT_DEADLINE).await;

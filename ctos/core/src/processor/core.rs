@@ -179,9 +179,9 @@ impl Processor {
     // -- queues of tasks --------------------------------------------------------------------
 
     /// Makes the queue of the task in `slot` known.
-    pub(crate) fn add_queue(&self, slot: u16, queue: Rc<dyn Inlet>) {
+    pub(crate) fn add_queue(&self, slot: u32, queue: Rc<dyn Inlet>) {
         let mut queues = self.queues.borrow_mut();
-        let slot = usize::from(slot);
+        let slot = slot as usize;
         if queues.len() <= slot {
             queues.resize_with(slot + 1, || None);
         }
@@ -191,12 +191,12 @@ impl Processor {
     }
 
     /// The queue of the task in `slot`.
-    pub(crate) fn queue(&self, slot: u16) -> Option<Rc<dyn Inlet>> {
-        self.queues.borrow().get(usize::from(slot))?.clone()
+    pub(crate) fn queue(&self, slot: u32) -> Option<Rc<dyn Inlet>> {
+        self.queues.borrow().get(slot as usize)?.clone()
     }
 
     /// Brings something to the queue of the task in `slot`.
-    pub(crate) fn deliver(&self, slot: u16, delivery: Delivery) {
+    pub(crate) fn deliver(&self, slot: u32, delivery: Delivery) {
         match self.queue(slot) {
             Some(queue) => queue.accept(self, delivery),
             None => delivery.refuse(),
@@ -204,9 +204,9 @@ impl Processor {
     }
 
     /// Forgets the queue of the task in `slot` and refuses what is in it.
-    pub(crate) fn close_queue(&self, slot: u16) {
+    pub(crate) fn close_queue(&self, slot: u32) {
         let mut queues = self.queues.borrow_mut();
-        let queue = queues.get_mut(usize::from(slot)).and_then(Option::take);
+        let queue = queues.get_mut(slot as usize).and_then(Option::take);
         drop(queues);
         if let Some(queue) = queue {
             queue.close(self);

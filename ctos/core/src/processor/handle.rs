@@ -27,13 +27,13 @@ pub(crate) type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
 /// What other threads bring to a processor.
 pub(crate) enum Item {
     /// Something for the queue of the task in a slot.
-    Delivery(u16, Delivery),
+    Delivery(u32, Delivery),
     /// The answer to a call that a task of the processor waits for.
     Answer(CallKey, Returned),
     /// A future is ready.
     Wake(FutureId),
     /// The task in a slot takes nothing more.
-    Close(u16),
+    Close(u32),
     Job(Job),
     /// Nothing but a reason to look up.
     Nudge,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use super::{Holder, Passage};
-use ctos_message::Tid;
+use ctos_message::{ChassisNumber, Tid};
 use ctos_time::Instant;
 
 /// What a task can wait for.
@@ -23,7 +23,7 @@ pub enum Kind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Hold {
     /// The chassis of the task.
-    pub(crate) chassis: u8,
+    pub(crate) chassis: ChassisNumber,
     /// Counted by that chassis.
     pub(crate) number: u64,
 }
@@ -186,7 +186,7 @@ mod tests {
         Claim {
             hold: Hold { chassis: 0, number },
             task: format!("t{number}").into(),
-            tid: Tid::new(0, 0, number as u16),
+            tid: Tid::new(0, 0, number as u32),
         }
     }
 

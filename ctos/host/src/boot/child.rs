@@ -17,6 +17,7 @@ use ctos_bootstrap::watch;
 use ctos_config::App;
 use ctos_core::{chassis::Chassis, registry::Registry};
 use ctos_link::{handshake::Token, transport::Address};
+use ctos_message::ChassisNumber;
 use ctos_time::{Clock, Lease};
 
 /// Why a chassis could not start.
@@ -59,7 +60,7 @@ pub fn run_chassis(
     let app = Arc::new(app);
     let index = app
         .place_of_chassis(name)
-        .and_then(|position| u8::try_from(position + 1).ok())
+        .and_then(|position| ChassisNumber::try_from(position + 1).ok())
         .ok_or_else(|| ChildError::Unknown(name.to_owned()))?;
     let token = Token(std::env::var(crate::boot::launcher::TOKEN_VARIABLE).unwrap_or_default());
     let clock = Clock::real_from(origin_ns).leased(lease(app.links.peer_timeout));

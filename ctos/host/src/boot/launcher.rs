@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use tokio::process::Command;
 
 use ctos_link::{handshake::Token, transport::Address};
+use ctos_message::ChassisNumber;
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
 pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
@@ -31,7 +32,7 @@ pub struct Launcher {
 /// Which process of which chassis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ProcessId {
-    pub(crate) chassis: u8,
+    pub(crate) chassis: ChassisNumber,
     pub(crate) incarnation: u32,
 }
 

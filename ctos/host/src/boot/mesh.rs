@@ -42,7 +42,7 @@ use ctos_link::{
     transport::{Address, Listener},
     zenoh::Fabric,
 };
-use ctos_message::fault::Fault;
+use ctos_message::{ChassisNumber, fault::Fault};
 use ctos_time::lock::lock;
 
 /// How long the last frames may take when a process ends.
@@ -61,18 +61,27 @@ enum Notice {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum MeshEvent {
     /// A chassis is connected to this one.
-    Up { chassis: u8, incarnation: u32 },
+    Up {
+        chassis: ChassisNumber,
+        incarnation: u32,
+    },
     /// At the boot: a chassis is connected to every other one. Elsewhere: this one (and `chassis` is its
     /// number).
-    Joined { chassis: u8, incarnation: u32 },
+    Joined {
+        chassis: ChassisNumber,
+        incarnation: u32,
+    },
     /// A chassis is gone.
     Down {
-        chassis: u8,
+        chassis: ChassisNumber,
         incarnation: u32,
         reason: DownReason,
     },
     /// A chassis that was started cannot take part.
-    Unable { chassis: u8, reason: String },
+    Unable {
+        chassis: ChassisNumber,
+        reason: String,
+    },
 }
 
 /// Why a mesh could not be made.
@@ -114,14 +123,14 @@ struct Peer {
 
 #[derive(Default)]
 struct Roll {
-    peers: BTreeMap<u8, Peer>,
+    peers: BTreeMap<ChassisNumber, Peer>,
     /// At the boot: of the last announcement. Elsewhere: of the last one heard.
     round: u32,
     /// Elsewhere: the members of that round, until they are all connected.
     awaited: Option<Vec<Member>>,
     /// At the boot: who of the last announcement is still there, with the incarnation, and who is connected to all.
-    announced: BTreeMap<u8, u32>,
-    ready: BTreeSet<u8>,
+    announced: BTreeMap<ChassisNumber, u32>,
+    ready: BTreeSet<ChassisNumber>,
 }
 
 /// What the tasks of a mesh share.
@@ -139,7 +148,7 @@ struct Inner {
     listen: Vec<Address>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
-    live: Mutex<BTreeMap<u8, u32>>,
+    live: Mutex<BTreeMap<ChassisNumber, u32>>,
     events: mpsc::UnboundedSender<MeshEvent>,
 }
 
@@ -152,7 +161,7 @@ pub(crate) struct Mesh {
 
 /// Whether chassis `ours` calls chassis `theirs` (number and incarnation). The one that came later does;
 /// of two that came together, the one with the higher number.
-fn calls(ours: (u8, u32), theirs: (u8, u32)) -> bool {
+fn calls(ours: (ChassisNumber, u32), theirs: (ChassisNumber, u32)) -> bool {
     (ours.1, ours.0) > (theirs.1, theirs.0)
 }
 
@@ -225,12 +234,12 @@ impl Mesh {
 
     /// At the boot: from now on only this incarnation of `chassis`, or a later one, may call; the link
     /// of an earlier one goes down.
-    pub(crate) fn expect(&self, chassis: u8, incarnation: u32) {
+    pub(crate) fn expect(&self, chassis: ChassisNumber, incarnation: u32) {
         self.inner.supersede(chassis, incarnation);
     }
 
     /// At the boot: nobody need wait for `chassis`, which ended before it called.
-    pub(crate) fn miss(&self, chassis: u8) {
+    pub(crate) fn miss(&self, chassis: ChassisNumber) {
         lock(&self.inner.state).peers.remove(&chassis);
         self.inner.changed();
     }
@@ -356,7 +365,7 @@ async fn listeners(
 
 impl Inner {
     #[cfg(test)]
-    fn session(&self, chassis: u8) -> Option<Arc<Session>> {
+    fn session(&self, chassis: ChassisNumber) -> Option<Arc<Session>> {
         lock(&self.state).peers.get(&chassis)?.session.clone()
     }
 
@@ -366,7 +375,7 @@ impl Inner {
     }
 
     /// Ends the session of an earlier incarnation than `incarnation`. False when there is a later one.
-    fn supersede(&self, chassis: u8, incarnation: u32) -> bool {
+    fn supersede(&self, chassis: ChassisNumber, incarnation: u32) -> bool {
         let old = {
             let mut state = lock(&self.state);
             let peer = state.peers.entry(chassis).or_default();
@@ -390,7 +399,7 @@ impl Inner {
     /// incarnation is known.
     fn session_with(
         self: &Arc<Self>,
-        chassis: u8,
+        chassis: ChassisNumber,
         incarnation: u32,
         process: &Process,
     ) -> Option<Arc<Session>> {
@@ -427,7 +436,7 @@ impl Inner {
         Some(session)
     }
 
-    fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
+    fn injury(&self, config: &InjuryConfig, peer: ChassisNumber) -> Option<Injury> {
         let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
         Injury::of(config, self.chassis.app.seed, from, to)
     }

@@ -34,6 +34,7 @@ use ctos_link::{
     security::Keys,
     transport::{Address, Listener},
 };
+use ctos_message::ChassisNumber;
 use ctos_time::{Clock, lock::lock};
 
 /// How chassis are started, and who watches.
@@ -152,7 +153,7 @@ async fn run_processes(
         hosts: started.hosts.clone(),
     };
     // The others start when they are asked for.
-    let starts = |index: &u8| !chassis.starts_on_demand(*index);
+    let starts = |index: &ChassisNumber| !chassis.starts_on_demand(*index);
     for index in chassis.others().filter(starts) {
         let id = ProcessId {
             chassis: index,
@@ -161,7 +162,7 @@ async fn run_processes(
         processes.push(starter.start(id)?);
     }
     let timeout = chassis.app.phase_timeout;
-    let mut missing: BTreeSet<u8> = chassis.others().filter(starts).collect();
+    let mut missing: BTreeSet<ChassisNumber> = chassis.others().filter(starts).collect();
     let killed = tokio::select! {
         connected = tokio::time::timeout(timeout, connect(&starter, &mut mesh, processes, &mut missing)) => {
             match connected {
@@ -229,7 +230,7 @@ fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
     }
 }
 
-fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, timeout: Duration) -> BootError {
+fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<ChassisNumber>, timeout: Duration) -> BootError {
     let missing = missing
         .iter()
         .map(|index| format!("`{}`", chassis.name_of(*index)));
@@ -241,7 +242,7 @@ fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, timeout: Duration) -> Bo
 
 /// The processes that joined the running app, by chassis.
 #[derive(Default)]
-struct Newcomers(BTreeMap<u8, u32>);
+struct Newcomers(BTreeMap<ChassisNumber, u32>);
 
 impl Newcomers {
     /// Tells the bootstrap service of a process that has just been connected to all the others. The mesh
@@ -278,7 +279,7 @@ async fn connect(
     starter: &Starter,
     mesh: &mut Mesh,
     processes: &mut [Process],
-    missing: &mut BTreeSet<u8>,
+    missing: &mut BTreeSet<ChassisNumber>,
 ) -> Result<Vec<Exit>, BootError> {
     for index in missing.iter() {
         mesh.expect(*index, 1);
@@ -347,7 +348,7 @@ async fn first_exit(processes: &mut [&mut Process]) -> Exit {
     futures_util::future::select_all(waits).await.0
 }
 
-fn unable(starter: &Starter, chassis: u8, reason: String) -> BootError {
+fn unable(starter: &Starter, chassis: ChassisNumber, reason: String) -> BootError {
     BootError::Chassis {
         chassis: starter.chassis.name_of(chassis).to_owned(),
         reason,
@@ -355,7 +356,7 @@ fn unable(starter: &Starter, chassis: u8, reason: String) -> BootError {
 }
 
 /// Why a process that has ended ends the boot, with what it said last.
-fn ended(starter: &Starter, chassis: u8, how: &str) -> BootError {
+fn ended(starter: &Starter, chassis: ChassisNumber, how: &str) -> BootError {
     let lines = starter.logs.last_words(starter.chassis.name_of(chassis));
     let reason = if lines.is_empty() {
         format!("it {how}")

@@ -22,6 +22,7 @@ use crate::{
 use ctos_bootstrap::bootstrap::{BootError, BootEvent, End, Observer, ProcessOrder, ProcessOrders};
 use ctos_core::{chassis::Chassis, system};
 use ctos_link::{handshake::Token, transport::Address};
+use ctos_message::ChassisNumber;
 use ctos_time::lock::lock;
 
 /// A chassis's process.
@@ -209,7 +210,7 @@ pub(super) fn tell_ended(chassis: &Arc<Chassis>, id: ProcessId, ending: &Ending)
 pub(super) struct Keeper {
     starter: Starter,
     orders: ProcessOrders,
-    processes: BTreeMap<u8, Process>,
+    processes: BTreeMap<ChassisNumber, Process>,
 }
 
 impl Keeper {

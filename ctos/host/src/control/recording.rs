@@ -20,7 +20,7 @@ use super::{
     view,
 };
 use ctos_core::{chassis::Chassis, context::TaskRef, report::RecordReport, system};
-use ctos_message::{Command, fault::Fault};
+use ctos_message::{ChassisNumber, Command, fault::Fault};
 use ctos_record::{BeginRecord, EndRecord, ReadRecord};
 use ctos_time::{Instant, lock::lock};
 
@@ -62,7 +62,7 @@ impl Service {
                 () = stop.notified() => break,
                 name = restarted(&mut news) => match name {
                     Some(name) => {
-                        let is_it = |index: &u8| chassis.name_of(*index) == name;
+                        let is_it = |index: &ChassisNumber| chassis.name_of(*index) == name;
                         recording.begin_on(chassis.others().filter(is_it)).await;
                     }
                     None => {
@@ -97,7 +97,7 @@ struct Recording {
     stop: Arc<Notify>,
     began: Instant,
     /// The last that is known of each chassis.
-    files: BTreeMap<u8, RecordReport>,
+    files: BTreeMap<ChassisNumber, RecordReport>,
     over: bool,
 }
 
@@ -134,7 +134,7 @@ impl Recording {
         Err(ErrorView::new(ErrorCode::Failed, reasons.join("; ")))
     }
 
-    async fn begin_on(&mut self, members: impl Iterator<Item = u8>) {
+    async fn begin_on(&mut self, members: impl Iterator<Item = ChassisNumber>) {
         let surveys = view::surveys(&self.chassis).await;
         let tasks = surveys.into_iter().flatten().flat_map(|one| one.tasks);
         let names: Vec<TaskRef> = tasks
@@ -178,7 +178,7 @@ impl Recording {
     }
 
     fn view(&self) -> RecordView {
-        let file = |(index, record): (&u8, &RecordReport)| RecordFile {
+        let file = |(index, record): (&ChassisNumber, &RecordReport)| RecordFile {
             chassis: self.chassis.name_of(*index).to_owned(),
             record: record.clone(),
         };
@@ -206,10 +206,10 @@ impl Drop for Recording {
 /// Asks the agents of `members`.
 async fn ask_all<C: Command>(
     chassis: &Arc<Chassis>,
-    members: impl Iterator<Item = u8>,
+    members: impl Iterator<Item = ChassisNumber>,
     order: impl Fn() -> C,
     timeout: Duration,
-) -> Vec<(u8, Result<C::Reply, Fault>)> {
+) -> Vec<(ChassisNumber, Result<C::Reply, Fault>)> {
     let asked = members.map(|index| {
         let told = view::ask(chassis, system::agent_tid(index), order(), timeout);
         async move { (index, told.await) }

@@ -29,6 +29,7 @@ use ctos_bootstrap::bootstrap::HostError;
 use ctos_config::HostConfig;
 use ctos_core::chassis::Chassis;
 use ctos_link::{handshake::Token, security::Keys, transport::Address};
+use ctos_message::ChassisNumber;
 use ctos_time::{Clock, Instant};
 
 /// The pause before an attempt to have a broken connection anew.
@@ -181,7 +182,7 @@ pub(super) struct Link {
     pub(super) silence: Duration,
     pub(super) files: Arc<AppFiles>,
     pub(super) outbox: Arc<Outbox<ToAgent>>,
-    live: BTreeMap<u8, Live>,
+    live: BTreeMap<ChassisNumber, Live>,
     pub(super) compared: Option<Compared>,
     pub(super) pings: u64,
     pub(super) pinged: Option<(u64, Instant)>,

@@ -29,6 +29,7 @@ use crate::boot::{
     spawn::{self, Ending, LAST_WORDS, Spawned},
 };
 use ctos_core::registry::Registry;
+use ctos_message::ChassisNumber;
 use ctos_time::Clock;
 
 /// What all runs of an agent have in common.
@@ -74,7 +75,7 @@ pub(super) struct Run {
     about: About,
     outbox: Arc<Outbox<ToBoot>>,
     unpacked: Option<Unpacked>,
-    children: BTreeMap<u8, Child>,
+    children: BTreeMap<ChassisNumber, Child>,
     gone: (mpsc::UnboundedSender<Gone>, mpsc::UnboundedReceiver<Gone>),
 }
 
@@ -224,7 +225,7 @@ impl Run {
     }
 
     /// Starts a process, unless that was done.
-    fn start(&mut self, chassis: u8, briefing: &Briefing) {
+    fn start(&mut self, chassis: ChassisNumber, briefing: &Briefing) {
         let incarnation = briefing.incarnation;
         if let Some(child) = self.children.get(&chassis)
             && child.id.incarnation >= incarnation

@@ -27,6 +27,7 @@ use ctos_link::{
     handshake::{self, Token},
     transport::Address,
 };
+use ctos_message::ChassisNumber;
 
 /// A test that takes longer hangs; none takes a fraction of it.
 const WATCHDOG: Duration = Duration::from_secs(60);
@@ -197,7 +198,7 @@ impl Boot {
         self.connection.hear().await.unwrap()
     }
 
-    fn start(&self, chassis: u8, incarnation: u32) {
+    fn start(&self, chassis: ChassisNumber, incarnation: u32) {
         let briefing = Briefing {
             name: format!("c{chassis}"),
             incarnation,

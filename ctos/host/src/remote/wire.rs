@@ -36,13 +36,14 @@ use ctos_link::{
     handshake::{Process, Token},
     transport::{Stream, hang_up},
 };
+use ctos_message::ChassisNumber;
 use ctos_time::{Clock, Instant};
 
 /// The first bytes of a boot that calls an agent: the protocol.
 pub(crate) const GREETING: [u8; 8] = *b"ctosagt\0";
 
 /// The version of what follows; both ends must have the same.
-pub(crate) const PROTOCOL: u32 = 4;
+pub(crate) const PROTOCOL: u32 = 5;
 
 /// How much the files of an app may come to, bytes.
 pub(crate) const BUNDLE_LIMIT: usize = 64 << 20;
@@ -111,7 +112,7 @@ pub(crate) enum ToAgent {
     /// First, in a new run.
     App(Box<AppFiles>),
     /// Start the process of a chassis; nothing happens if it was started.
-    Start(u8, Briefing),
+    Start(ChassisNumber, Briefing),
     /// Send a process a signal.
     Signal(ProcessId, Asked),
     /// Say that you live.

@@ -1,7 +1,7 @@
 //! Packets: what a session writes on a stream, and how they are read from one.
 //!
 //! A packet is its length (4 bytes, little-endian, of all that follows), its kind (1 byte), two
-//! numbers (8 bytes each) and possibly a frame. A frame is the 16-byte header exactly as it is, the
+//! numbers (8 bytes each) and possibly a frame. A frame is the 20-byte header exactly as it is, the
 //! call number and whatever else travels with it, and the data. Lengths are believed only up to the
 //! limit, and memory is reserved only as bytes arrive.
 

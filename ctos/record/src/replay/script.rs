@@ -10,9 +10,9 @@ use super::{
     },
     ReplayError,
 };
-use crate::{DRIFT, POLLS};
+use crate::DRIFT;
 use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
-use ctos_message::{Command, Flags, Tid, fault::Fault};
+use ctos_message::{ChassisNumber, Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
 
 /// A message that the task was given, or sent.
@@ -115,11 +115,6 @@ impl Script {
             let why = "the files are of different runs: their seeds differ";
             return Err(incomplete(why));
         }
-        if noted(POLLS).any(|polls| polls.is_none()) {
-            return Err(incomplete(
-                "it was made by an earlier version of ctos, which did not note all that a task reads; record the app anew",
-            ));
-        }
         let tid = parsed(first)?.0.key.task;
         let drift = format!("{DRIFT}{}", tid.chassis());
         let mut reader = Reader {
@@ -219,7 +214,7 @@ impl Reader<'_> {
 
     fn sent(
         &self,
-        chassis: u8,
+        chassis: ChassisNumber,
         key: Key,
         flags: u16,
         deadline: Option<u64>,

@@ -17,6 +17,7 @@ use ctos_link::{
     shm,
     transport::{Call, Listener, Stream, is},
 };
+use ctos_message::ChassisNumber;
 
 /// Why a caller was not let in.
 #[derive(Debug, thiserror::Error)]
@@ -30,7 +31,10 @@ enum RefusedError {
     #[error(transparent)]
     Turned(#[from] Turned),
     #[error("chassis {chassis} of incarnation {incarnation} was given up")]
-    GivenUp { chassis: u8, incarnation: u32 },
+    GivenUp {
+        chassis: ChassisNumber,
+        incarnation: u32,
+    },
 }
 
 impl RefusedError {
@@ -73,7 +77,7 @@ async fn hear(mesh: &Arc<Inner>, call: Call) -> Result<Option<(Stream, Hello)>, 
     if *greeting.token() != mesh.who.token {
         return Err(HandshakeError::Stranger.into());
     }
-    let known = |chassis: u8| {
+    let known = |chassis: ChassisNumber| {
         let mut others = mesh.chassis.others();
         others.any(|other| other == chassis && chassis != 0)
     };

@@ -7,6 +7,7 @@ use ctos_link::{
     handshake::Member,
     session::{Session, state::State},
 };
+use ctos_message::ChassisNumber;
 use ctos_time::lock::lock;
 
 impl Inner {
@@ -40,7 +41,7 @@ impl Inner {
             let up = || state.peers.values().filter(|peer| is_up(peer));
             let there = up().filter_map(|peer| peer.member.as_ref());
             let there = there.map(|member| (member.chassis, member.incarnation));
-            let there: BTreeMap<u8, u32> = there.collect();
+            let there: BTreeMap<ChassisNumber, u32> = there.collect();
             let before = &state.announced;
             let has_come = there
                 .iter()
@@ -100,7 +101,7 @@ impl Inner {
     }
 
     /// What the mesh of `chassis` says.
-    pub(super) fn heard(self: &Arc<Self>, chassis: u8, notice: Notice) {
+    pub(super) fn heard(self: &Arc<Self>, chassis: ChassisNumber, notice: Notice) {
         match notice {
             Notice::Members { round, members } if chassis == 0 => {
                 let ours = (self.chassis.index(), self.who.incarnation);

@@ -11,7 +11,7 @@ use ctos_link::session::{
     DownReason, Receiver, Session,
     state::{Event, State},
 };
-use ctos_message::frame::Frame;
+use ctos_message::{ChassisNumber, frame::Frame};
 use ctos_time::{Clock, Instant, lock::lock};
 
 /// Exit code of a chassis that the boot has given up: it was silent for too long.
@@ -65,7 +65,7 @@ pub(super) async fn watch(session: Arc<Session>, pid: u32) {
 /// Takes what one session brings.
 pub(super) struct PeerReceiver {
     pub(super) mesh: Weak<Inner>,
-    pub(super) chassis: u8,
+    pub(super) chassis: ChassisNumber,
     pub(super) incarnation: u32,
 }
 

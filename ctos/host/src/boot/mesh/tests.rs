@@ -16,7 +16,7 @@ use ctos_link::{
     security::{Role, make_key},
     transport::{Stream, connect},
 };
-use ctos_message::{Tid, fault::Fault};
+use ctos_message::{ChassisNumber, Tid, fault::Fault};
 use ctos_time::Clock;
 
 #[cfg(feature = "zenoh")]
@@ -38,7 +38,7 @@ fn token() -> Token {
 }
 
 /// Chassis number `index` of an app of three besides the boot.
-fn chassis(index: u8, sets: &[&str]) -> Arc<Chassis> {
+fn chassis(index: ChassisNumber, sets: &[&str]) -> Arc<Chassis> {
     let text = "[chassis.a]\n[chassis.b]\n[chassis.c]\n[task.one]\nhandler = \"none\"\non = \"a\"";
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
     let app = load_texts(&[("mesh.toml", text)], &sets, &[]);
@@ -58,7 +58,7 @@ struct Node {
 }
 
 impl Node {
-    async fn start(index: u8, incarnation: u32, sets: &[&str]) -> Self {
+    async fn start(index: ChassisNumber, incarnation: u32, sets: &[&str]) -> Self {
         let chassis = chassis(index, sets);
         let token = token();
         let who = Identification { token, incarnation };
@@ -67,7 +67,7 @@ impl Node {
     }
 
     /// The boot, which expects so many chassis.
-    async fn boot(count: u8, sets: &[&str]) -> Self {
+    async fn boot(count: ChassisNumber, sets: &[&str]) -> Self {
         let boot = Self::start(0, 1, sets).await;
         for index in 1..=count {
             boot.mesh.expect(index, 1);
@@ -90,7 +90,7 @@ impl Node {
     }
 
     /// Waits until a chassis is connected to this one.
-    async fn linked(&mut self, chassis: u8) {
+    async fn linked(&mut self, chassis: ChassisNumber) {
         while !self.chassis.is_linked(chassis) {
             self.mesh.next().await;
         }
@@ -107,7 +107,7 @@ impl Node {
         }
     }
 
-    async fn went_down(&mut self, chassis: u8) -> DownReason {
+    async fn went_down(&mut self, chassis: ChassisNumber) -> DownReason {
         loop {
             if let MeshEvent::Down {
                 chassis: gone,
@@ -123,7 +123,7 @@ impl Node {
 }
 
 /// A boot and `count` chassis that have joined it.
-async fn app(count: u8, sets: &[&str]) -> (Node, Vec<Node>) {
+async fn app(count: ChassisNumber, sets: &[&str]) -> (Node, Vec<Node>) {
     let mut boot = Node::boot(count, sets).await;
     let mut others = Vec::new();
     for index in 1..=count {
@@ -137,7 +137,7 @@ async fn app(count: u8, sets: &[&str]) -> (Node, Vec<Node>) {
 
 /// A call from the first chassis to a task that the other one has not. That the error comes back shows
 /// that the link carries both ways.
-async fn asks(from: &Arc<Chassis>, to: u8) -> Fault {
+async fn asks(from: &Arc<Chassis>, to: ChassisNumber) -> Fault {
     let (to, sender) = (Tid::new(to, 1, 0), Tid::new(from.index(), 0, 0));
     let message = Message::request(to, sender, 1, 7_u8);
     from.dispatch(message, WaitFor::Reply).await.unwrap_err()
@@ -256,7 +256,7 @@ fn a_browser_at_the_door_of_a_mesh_is_told_that_it_is_no_page() {
     });
 }
 
-fn hello(chassis: u8, incarnation: u32) -> Hello {
+fn hello(chassis: ChassisNumber, incarnation: u32) -> Hello {
     Hello {
         member: Member {
             chassis,
@@ -408,7 +408,7 @@ fn a_goodbye_is_heard_by_all_and_the_end_of_a_process_only_after_its_last_words(
     });
 }
 
-async fn impostor_of(node: &Node, chassis: u8) -> Stream {
+async fn impostor_of(node: &Node, chassis: ChassisNumber) -> Stream {
     let mut stream = connect(&node.address(), None, None).await.unwrap().0;
     say_hello(&mut stream, hello(chassis, 1)).await;
     hear::<Answer>(&mut stream).await.unwrap();
