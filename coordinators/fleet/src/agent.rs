@@ -173,7 +173,7 @@ impl Agent {
     }
 
     #[command]
-    fn lend(&mut self, cx: &Context, lend: Lend) -> bool {
+    async fn lend(&mut self, cx: &Context, lend: Lend) -> Result<bool, HandlerError> {
         let Lend {
             job,
             epoch,
@@ -182,7 +182,7 @@ impl Agent {
         {
             let mut state = self.cell.state.borrow_mut();
             if epoch <= state.seen || !state.is_free() || self.cell.installing.get() {
-                return false;
+                return Ok(false);
             }
             let until = cx.now() + Duration::from_millis(lease_ms);
             state.seen = epoch;
@@ -192,8 +192,11 @@ impl Agent {
                 until_ns: ns(until),
             });
         }
+        // The net hears of nothing that a kill could make the agent forget.
+        let state = self.cell.state.borrow().clone();
+        cx.keep(&state).await?;
         self.go_on(cx);
-        true
+        Ok(true)
     }
 
     #[command]

@@ -86,6 +86,28 @@ impl Expander for FleetExpander {
     }
 }
 
+/// Findings without those that differ from an earlier one at the same place in numbers only: what is written once for many
+/// replicas is told once.
+#[must_use]
+pub fn told_once(findings: Findings) -> Findings {
+    let mut told: Vec<(&'static str, Place, String)> = Vec::new();
+    let mut once = Findings::new();
+    for finding in findings.into_sorted() {
+        if let Some(place) = &finding.place {
+            let words = finding
+                .message
+                .replace(|letter: char| letter.is_ascii_digit(), "");
+            let said = (finding.code, place.clone(), words);
+            if told.contains(&said) {
+                continue;
+            }
+            told.push(said);
+        }
+        once.push(finding);
+    }
+    once
+}
+
 /// What was made so far.
 #[derive(Default)]
 struct Made {
@@ -194,7 +216,7 @@ on = \"desk\"
         let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
         let expanders: [(&'static str, &dyn Expander); 1] = [("fleet", &FleetExpander)];
         config::load_texts(&files, &sets, &expanders).map_err(|found| {
-            found
+            told_once(found)
                 .into_sorted()
                 .iter()
                 .map(ToString::to_string)
@@ -275,6 +297,11 @@ on = \"desk\"
             unknown.starts_with("app.toml:5:11: error: nothing stands for `{cel}` here"),
             "{unknown}"
         );
+        let repeated = load(
+            "[fleet]\nsites = 1\ncells = 9\n[fleet.cell.chassis.x]\nrestrat = 1\n",
+            &[],
+        );
+        assert_eq!(repeated.unwrap_err().len(), 1);
         let key = first("[fleet]\nsites = 1\ncells = 1\nsells = 2\n");
         assert!(
             key.starts_with("app.toml:4:1: error: unknown key `sells`"),
