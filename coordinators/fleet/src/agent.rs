@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     wire::{Attempt, Begin, Holds, Install, Job, Lend, MayBegin, Offer, Outcome, Report},
-    world::Truth,
+    world::{self, World},
 };
 
 /// The handler's name.
@@ -257,9 +257,7 @@ pub(crate) async fn ask<C: Command>(
     request: C,
     within: Duration,
 ) -> Result<C::Reply, HandlerError> {
-    if let Ok(truth) = Truth::of(cx) {
-        truth.lock().message();
-    }
+    world::note(cx, World::message);
     let to = cx.task(task).deadline(within).await?;
     let answer: Result<C::Reply, CallError> = cx.call(&to, request).deadline(within).await;
     Ok(answer?)

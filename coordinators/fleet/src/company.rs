@@ -24,7 +24,7 @@ use crate::{
     wire::{
         Attempt, Counts, Ended, Install, Job, JobNumber, Look, Outcome, Overview, Seek, Take, Turn,
     },
-    world::Truth,
+    world,
 };
 
 /// The handler's name.
@@ -197,7 +197,7 @@ impl Company {
 
     #[command]
     async fn turn(&mut self, cx: &Context, _: Turn) -> Result<(), HandlerError> {
-        self.desk.issue(cx)?;
+        self.desk.issue(cx);
         let state = self.desk.state.borrow().clone();
         cx.keep(&state).await?;
         self.desk.give(cx);
@@ -241,8 +241,7 @@ impl Desk {
     }
 
     /// Issues jobs to sites that have room.
-    fn issue(&self, cx: &Context) -> Handled {
-        let truth = Truth::of(cx)?;
+    fn issue(&self, cx: &Context) {
         let (mut state, seen) = (self.state.borrow_mut(), self.seen.borrow());
         let mut has: BTreeMap<String, u64> = BTreeMap::new();
         for open in state.open.values() {
@@ -259,7 +258,7 @@ impl Desk {
             let room = (cells + spare).saturating_sub(has.get(site).copied().unwrap_or(0));
             for _ in 0..room {
                 if !self.is_open(&state) {
-                    return Ok(());
+                    return;
                 }
                 state.issued += 1;
                 let (number, given) = (state.issued, state.given.entry(site.clone()).or_default());
@@ -270,11 +269,10 @@ impl Desk {
                     number: *given,
                     taken: false,
                 };
-                truth.lock().issue(number);
+                world::note(cx, |world| world.issue(number));
                 state.open.insert(number, open);
             }
         }
-        Ok(())
     }
 
     /// Gives each site the jobs that it has not taken, in order, each until it has.
@@ -329,9 +327,7 @@ impl Desk {
                 .iter()
                 .for_each(|one: &Attempt| rollout.saw(one));
         }
-        if let Ok(truth) = Truth::of(cx) {
-            truth.lock().report(ended.job, ended.outcome);
-        }
+        world::note(cx, |world| world.report(ended.job, ended.outcome));
     }
 
     /// Learns again and again which sites there are, and how their cells stand.
@@ -435,15 +431,14 @@ impl Desk {
             return Ok(());
         }
         self.seen.borrow_mut().finished = true;
-        let truth = Truth::of(cx)?;
-        let world = truth.lock();
-        let count = world.count();
+        let (count, moved, messages) = world::see(cx, "what the referee counts", |world| {
+            (world.count(), world.moved(), world.messages())
+        })?;
         let told = state.carried + state.failed;
         let ok = count.is_clean() && told == state.issued && count.carried as u64 == state.carried;
         let hours = cx.now().since_start().as_secs_f64() / 3600.0;
-        let moved = world.moved();
         #[expect(clippy::cast_precision_loss, reason = "counts are small")]
-        let (jobs, messages) = (state.issued as f64, world.messages() as f64);
+        let (jobs, messages) = (state.issued as f64, messages as f64);
         let moved_s = |share: usize| {
             let place = moved.len().saturating_sub(1) * share / 100;
             moved.get(place).map(Duration::as_secs_f64)

@@ -22,7 +22,7 @@ use crate::{
         Begin, Counts, Ended, Install, JobNumber, Lend, Look, Offer, Overview, Report, Seek, Take,
         Turn,
     },
-    world::Truth,
+    world,
 };
 
 /// The handler's name.
@@ -188,9 +188,8 @@ impl Operator {
             .cells
             .insert(task.to_owned(), false);
         let jobs = self.site.book.borrow_mut().gone(task);
-        if let Ok(truth) = Truth::of(cx) {
-            truth.lock().died(task, &jobs, cx.now());
-        }
+        let now = cx.now();
+        world::note(cx, |world| world.died(task, &jobs, now));
         turn(cx);
         Ok(())
     }
@@ -276,9 +275,8 @@ impl Site {
             let (site, here) = (self.clone(), cx.clone());
             cx.spawn(async move {
                 let number = job.number;
-                if let Ok(truth) = Truth::of(&here) {
-                    truth.lock().lend(number, &cell, here.now());
-                }
+                let now = here.now();
+                world::note(&here, |world| world.lend(number, &cell, now));
                 let lend = Lend {
                     job,
                     epoch,

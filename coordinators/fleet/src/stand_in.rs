@@ -19,7 +19,7 @@ use serde::Deserialize;
 
 use crate::{
     wire::{Do, Settle},
-    world::Truth,
+    world::{self, World},
 };
 
 /// The handler's name.
@@ -160,13 +160,12 @@ impl StandIn {
         if known.is_none() && !step.is_empty() {
             return reply.fail(format!("no time was recorded for the step `{step}`"));
         }
-        let truth = Truth::of(cx)?;
         let (here, args) = (cx.clone(), self.args.clone());
         cx.spawn(async move {
-            let done = async {
+            let done: Result<bool, HandlerError> = async {
                 for asked in &args.asks {
                     let to = here.task(asked).await?;
-                    truth.lock().message();
+                    world::note(&here, World::message);
                     let asking = Do {
                         step: String::new(),
                         job,
@@ -180,11 +179,16 @@ impl StandIn {
                 let mut rng = here.rng(&format!("{step} {job} {epoch}"));
                 let (lasts, succeeds) = known.draw(&mut rng);
                 here.sleep(lasts).await;
-                let set = |truth: &Truth| truth.lock().set_down(&args.cell, job, epoch);
-                Ok::<bool, HandlerError>(succeeds && (!known.sets_down || set(&truth)))
-            };
+                if !(succeeds && known.sets_down) {
+                    return Ok(succeeds);
+                }
+                world::see(&here, "whether the disc was set down", |world| {
+                    world.set_down(&args.cell, job, epoch)
+                })
+            }
+            .await;
             // Answering never fails; who is gone needs no answer.
-            let _ = match done.await {
+            let _ = match done {
                 Ok(done) => reply.ok(done),
                 Err(error) => reply.fail(error.to_string()),
             };
@@ -195,9 +199,9 @@ impl StandIn {
     #[command]
     fn settle(&mut self, cx: &Context, settle: Settle) -> Result<bool, HandlerError> {
         let Settle { job, epoch } = settle;
-        let truth = Truth::of(cx)?;
-        let there = truth.lock().settle(&self.args.cell, job, epoch);
-        Ok(there)
+        world::see(cx, "whether the disc lies where it shall", |world| {
+            world.settle(&self.args.cell, job, epoch)
+        })
     }
 }
 

@@ -14,6 +14,7 @@ use ctos::{
     task::{Context, HandlerError},
     time::Instant,
 };
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::wire::{JobNumber, Outcome};
 
@@ -43,7 +44,7 @@ pub struct World {
 }
 
 /// What a referee counts.
-#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
     /// Jobs that were issued.
     pub issued: usize,
@@ -161,27 +162,38 @@ impl World {
     }
 }
 
-/// The world of a run, for all its tasks.
-#[derive(Clone)]
-pub struct Truth(Arc<Mutex<World>>);
+/// The world of the app's run, for all its tasks; a replay has none.
+fn of(cx: &Context) -> Result<Arc<Mutex<World>>, &'static str> {
+    let disk = cx.disk().and_then(|disk| disk.open(Path::new("fleet")));
+    disk.ok_or("stand-ins stand in a simulated world only: run the app with `ctos sim`")
+}
 
-impl Truth {
-    /// That of the app's run.
-    ///
-    /// # Errors
-    /// The app is not simulated.
-    pub fn of(cx: &Context) -> Result<Self, HandlerError> {
-        let disk = cx.disk().and_then(|disk| disk.open(Path::new("fleet")));
-        disk.map(Self).ok_or_else(|| {
-            HandlerError::new(
-                "stand-ins stand in a simulated world only: run the app with `ctos sim`",
-            )
-        })
-    }
+fn lock(world: &Mutex<World>) -> MutexGuard<'_, World> {
+    world.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
-    /// Looks, or changes something, in one step.
-    pub fn lock(&self) -> MutexGuard<'_, World> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+/// Looks at the world, or changes something in one step. A record holds what is seen; `what` names it there.
+///
+/// # Errors
+/// The app is not simulated.
+pub fn see<T: Serialize + DeserializeOwned>(
+    cx: &Context,
+    what: &str,
+    look: impl FnOnce(&mut World) -> T,
+) -> Result<T, HandlerError> {
+    let seen = cx.outside(what, || match of(cx) {
+        Ok(world) => Ok(look(&mut lock(&world))),
+        Err(why) => Err(why.to_owned()),
+    });
+    Ok(seen?)
+}
+
+/// Changes something of which the task sees nothing.
+pub fn note(cx: &Context, change: impl FnOnce(&mut World)) {
+    if !cx.is_replay()
+        && let Ok(world) = of(cx)
+    {
+        change(&mut lock(&world));
     }
 }
 

@@ -127,9 +127,9 @@ fn no_job_is_lost_or_doubled_whoever_dies_or_is_cut_off() {
 fn what_a_dead_cell_has_not_begun_is_soon_lent_to_another_one() {
     let app = app(4, &[], &["fleet.cell.chassis.ws.restart_backoff_s=60.0"]);
     let mut moved = 0;
-    for moment in 0..24 {
+    for moment in 0..40 {
         // A carry takes some 13 s, and it begins half a second after the job came.
-        let when = at(10.0 + f64::from(moment) * 0.5);
+        let when = at(10.0 + f64::from(moment) * 0.35);
         let kill = Fault::on("cell1.ws", FaultKind::Kill, when);
         let faults = Faults::of_script("one dies", vec![kill]);
         let (ok, said) = ends(app.clone(), 1, faults, Leases::Kept);
