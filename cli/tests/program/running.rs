@@ -244,7 +244,7 @@ const WAYS: &[(&str, Then)] = &[
         Ends,
     ),
     (
-        "ctos sim configs/fleet.toml --seeds 0..20 --faults configs/fleet/rough.toml",
+        "ctos sim configs/fleet.toml --seeds 0..5 --faults configs/fleet/rough.toml",
         Ends,
     ),
 ];

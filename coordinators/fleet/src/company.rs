@@ -110,7 +110,11 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
     crate::need_task(task, app, "trader", &args.trader, findings);
     let mut wrong = |key: &str, text: String, help: &str| {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-        findings.push(Finding::error("fleet::company", text).at(place).help(help));
+        findings.push(
+            Finding::error("coordinators::fleet::company", text)
+                .at(place)
+                .help(help),
+        );
     };
     if args.jobs_per_cell == 0 {
         wrong(

@@ -85,7 +85,7 @@ impl Times {
             if !ordered || !(0.0..=1.0).contains(&step.succeeds) {
                 let text = format!("the times of step `{name}` make no sense");
                 let help = "write 0 <= least_s <= mean_s <= most_s <= 3600, sd_s >= 0 and 0 <= succeeds <= 1";
-                let finding = Finding::error("fleet::times", text).help(help);
+                let finding = Finding::error("coordinators::fleet::times", text).help(help);
                 findings.push(finding.at(root.locate(&format!("step.{name}"))));
             }
         }

@@ -58,14 +58,16 @@ impl Expander for FleetExpander {
         for (key, count, most) in most {
             if count == 0 || count > most {
                 let text = format!("[fleet]: `{key}` is {count}");
-                let finding = Finding::error("fleet::replicas", text).at(table.locate(key));
+                let finding =
+                    Finding::error("coordinators::fleet::replicas", text).at(table.locate(key));
                 findings.push(finding.help(format!("give from 1 to {most}")));
                 return Node::table();
             }
         }
         if sites > cells {
             let text = format!("[fleet]: {sites} sites have {cells} cells");
-            let finding = Finding::error("fleet::replicas", text).at(table.locate("sites"));
+            let finding =
+                Finding::error("coordinators::fleet::replicas", text).at(table.locate("sites"));
             findings.push(finding.help("give at least as many cells as sites"));
             return Node::table();
         }
@@ -180,7 +182,7 @@ fn filled(
     {
         let said = format!("nothing stands for `{{{word}}}` here");
         let known = names.iter().map(|(word, _)| *word);
-        let finding = Finding::error("fleet::placeholder", said).at(place.cloned());
+        let finding = Finding::error("coordinators::fleet::placeholder", said).at(place.cloned());
         findings.push(finding.suggest(word, known));
     }
     Some(whole)
