@@ -7,6 +7,7 @@ use ctos::{
     diagnostic::{Finding, Findings},
     registry::Registry,
 };
+use fleet::table::{FleetExpander, told_once};
 use mcs::{
     control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry, partition::McsExpander,
 };
@@ -30,6 +31,7 @@ pub fn registry() -> Registry {
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     tracker::register(&mut registry);
+    fleet::register(&mut registry);
     checkers_player::register(&mut registry);
     cli_display::register(&mut registry);
     scene_viewers::register(&mut registry);
@@ -48,8 +50,9 @@ pub fn registry() -> Registry {
 }
 
 /// The top-level tables of a configuration that this program turns into tasks.
-pub const EXPANDERS: [(&str, &dyn Expander); 3] = [
+pub const EXPANDERS: [(&str, &dyn Expander); 4] = [
     ("bridge", &BridgeExpander),
+    ("fleet", &FleetExpander),
     ("mcs", &McsExpander),
     ("vss", &VssExpander),
 ];
@@ -90,10 +93,12 @@ pub fn checked(selection: &Selection, registry: &Registry) -> Result<(App, Findi
                 .for_each(|one| named.push(named_by_hand(one)));
             Err(named)
         }
-        (Some(app), found) if found.has_errors() => Err(registry.check_beside(&app, found)),
+        (Some(app), found) if found.has_errors() => {
+            Err(told_once(registry.check_beside(&app, found)))
+        }
         (Some(mut app), found) => {
             app.warnings = found;
-            let findings = registry.check(&app);
+            let findings = told_once(registry.check(&app));
             match findings.has_errors() {
                 true => Err(findings),
                 false => Ok((app, findings)),

@@ -82,6 +82,9 @@ pub struct SimArgs {
     /// Print one JSON object per run
     #[arg(long)]
     pub json: bool,
+    /// Tell how long each run has computed, which differs from run to run
+    #[arg(long)]
+    pub cpu: bool,
     /// Print the built-in fault profiles
     #[arg(long, exclusive = true)]
     pub profiles: bool,
@@ -254,6 +257,7 @@ impl Lab<'_> {
             Some(Ok(events)) => Some(events),
             Some(Err(code)) => return code,
         };
+        let before = cpu();
         let display = Arc::new(Display::new(&self.app, self.args.log.quiet));
         let shown = display.clone();
         let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
@@ -261,6 +265,7 @@ impl Lab<'_> {
         let record = self.recorded.as_ref();
         let run = self.simulate(seed, self.faults.clone(), clock, sink, record, &observer);
         display.finish();
+        let cpu = cpu().saturating_sub(before);
         let run = match run {
             Ok(run) => run,
             Err(code) => return code,
@@ -275,11 +280,11 @@ impl Lab<'_> {
             }
         }
         if !self.args.log.quiet {
-            show::say(&self.summary(seed, &run));
+            show::say(&self.summary(seed, &run, cpu));
         }
         // A reader that went away has what it wanted.
         let _ = if self.args.json {
-            show::data(&self.json(seed, &run))
+            show::data(&self.json(seed, &run, cpu))
         } else if let (End::Finished(result), None) = (&run.outcome.end, &failure) {
             show::data(&result.text)
         } else {
@@ -330,6 +335,7 @@ impl Lab<'_> {
         let (mut failed, mut count) = (Vec::new(), 0_u64);
         for seed in seeds {
             let clock = Clock::virtual_clock();
+            let before = cpu();
             let record = self.recorded.as_ref();
             let run = match self.simulate(seed, self.faults.clone(), clock, None, record, &observer)
             {
@@ -337,7 +343,8 @@ impl Lab<'_> {
                 Err(code) => return code,
             };
             count += 1;
-            if self.args.json && show::data(&self.json(seed, &run)).is_err() {
+            let cpu = cpu().saturating_sub(before);
+            if self.args.json && show::data(&self.json(seed, &run, cpu)).is_err() {
                 return exit::OK;
             }
             if let Some(reason) = self.failure(&run.outcome) {
@@ -400,16 +407,20 @@ impl Lab<'_> {
         })
     }
 
-    fn summary(&self, seed: u64, run: &Run) -> String {
+    fn summary(&self, seed: u64, run: &Run, cpu: Duration) -> String {
+        let computed = match self.args.cpu {
+            true => format!(" in {:.1} s of computing", cpu.as_secs_f64()),
+            false => String::new(),
+        };
         format!(
-            "sim      seed {seed}, faults `{}`: {:.3} s of the app's time, {} faults",
+            "sim      seed {seed}, faults `{}`: {:.3} s of the app's time{computed}, {} faults",
             self.args.faults,
             run.outcome.took.as_secs_f64(),
             run.faults.len()
         )
     }
 
-    fn json(&self, seed: u64, run: &Run) -> String {
+    fn json(&self, seed: u64, run: &Run, cpu: Duration) -> String {
         let reason = self.failure(&run.outcome);
         let result = match &run.outcome.end {
             // What an app says is JSON, or else a text.
@@ -418,15 +429,18 @@ impl Lab<'_> {
             _ => serde_json::Value::Null,
         };
         let faults: Vec<String> = run.faults.iter().map(ToString::to_string).collect();
-        serde_json::json!({
+        let mut json = serde_json::json!({
             "seed": seed,
             "ok": reason.is_none(),
             "reason": reason,
             "took_s": run.outcome.took.as_secs_f64(),
             "faults": faults,
             "result": result,
-        })
-        .to_string()
+        });
+        if self.args.cpu {
+            json["cpu_s"] = cpu.as_secs_f64().into();
+        }
+        json.to_string()
     }
 
     /// The command that runs `seed` with `faults` again.
@@ -498,6 +512,13 @@ impl Lab<'_> {
         show::say(&format!("repeat   {}", self.command(seed, &path)));
         Ok(())
     }
+}
+
+/// How long this process has computed.
+fn cpu() -> Duration {
+    let used = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    let seconds = u64::try_from(used.tv_sec).unwrap_or(0);
+    Duration::new(seconds, u32::try_from(used.tv_nsec).unwrap_or(0))
 }
 
 /// What makes two failures the same one: how the app ended, and where.

@@ -91,6 +91,11 @@ fn app(file: &Path, seed: u64) -> App {
         "time.mode=\"virtual\"".to_owned(),
         "record.file=\"run.mcap\"".to_owned(),
     ];
+    if file.ends_with("fleet.toml") {
+        // All cells are alike.
+        let one = ["fleet.sites=1", "fleet.cells=1"];
+        selection.sets.extend(one.map(str::to_owned));
+    }
     // The client for Python lies beside the folder of configurations.
     let client = root().join("clients/python/src").display().to_string();
     let programs = match file.file_name().and_then(|name| name.to_str()) {

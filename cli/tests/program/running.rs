@@ -239,6 +239,14 @@ const WAYS: &[(&str, Then)] = &[
         Ends,
     ),
     ("ctos sim configs/guide.toml", Ends),
+    (
+        "ctos sim configs/fleet.toml --set fleet.cells=4 --set fleet.sites=2",
+        Ends,
+    ),
+    (
+        "ctos sim configs/fleet.toml --seeds 0..5 --faults configs/fleet/rough.toml",
+        Ends,
+    ),
 ];
 
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.

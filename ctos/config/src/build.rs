@@ -35,7 +35,7 @@ pub(super) fn build(
 ) -> App {
     let was_whole = !findings.has_errors();
     let extra: Vec<&str> = expanders.iter().map(|(table, _)| *table).collect();
-    let mut root = checked(root, &extra, findings);
+    let mut root = checked(with_tables(root, expanders, findings), &extra, findings);
     // Under a table of another name may stand what is missing below.
     let known = |entry: &Entry| {
         extra.contains(&entry.key.as_str()) || keys::names(TOP).any(|name| name == entry.key)
@@ -106,6 +106,23 @@ pub(super) fn build(
     app.check_tasks(whole, builder.findings);
     hosts::check(&app, builder.findings);
     app
+}
+
+/// The tree over the tables that others stand for.
+fn with_tables(
+    mut root: Node,
+    expanders: &[(&'static str, &dyn Expander)],
+    findings: &mut Findings,
+) -> Node {
+    for (table, expander) in expanders {
+        if let Some(entry) = root.entry(table) {
+            let mut under = expander.tables(&entry.value, findings);
+            under.place.clone_from(&root.place);
+            under.merge(root);
+            root = under;
+        }
+    }
+    root
 }
 
 struct Builder<'a> {

@@ -10,6 +10,12 @@ use crate::{
 pub trait Expander {
     /// Checks the table and returns its tasks; whatever is wrong goes to `findings`.
     fn expand(&self, table: &Node, findings: &mut Findings) -> Vec<GeneratedTask>;
+
+    /// Tables that the table stands for, chassis and tasks for example. They are read and checked as if a file had
+    /// them, and what the app itself says lies over them.
+    fn tables(&self, _table: &Node, _findings: &mut Findings) -> Node {
+        Node::table()
+    }
 }
 
 /// A task made by an [`Expander`].

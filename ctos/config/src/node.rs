@@ -94,6 +94,24 @@ impl Node {
         node
     }
 
+    /// The same with other texts where `change` has one, here and in all below; it is told where each stands. Places
+    /// stay.
+    #[must_use]
+    pub fn with_texts(
+        &self,
+        change: &mut dyn FnMut(&str, Option<&Place>) -> Option<String>,
+    ) -> Self {
+        let mut copy = self.clone();
+        copy.visit(&mut |node| {
+            if let Value::String(text) = &mut node.value
+                && let Some(other) = change(text, node.place.as_ref())
+            {
+                *text = other;
+            }
+        });
+        copy
+    }
+
     /// What the node holds.
     #[must_use]
     pub fn value(&self) -> &Value {

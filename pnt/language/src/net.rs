@@ -374,6 +374,15 @@ impl Net {
         &self.name
     }
 
+    /// The same net under another name.
+    #[must_use]
+    pub fn named(&self, name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            ..self.clone()
+        }
+    }
+
     /// Where its name stands.
     #[must_use]
     pub fn at(&self) -> &At {

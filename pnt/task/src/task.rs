@@ -219,7 +219,10 @@ impl NetTask {
             Some(store) => store.load(cx)?,
             None => Contents::new(),
         };
-        let net = durable::replaced_net(&contents)?.map_or(net, Arc::new);
+        let net = match durable::replaced_net(&contents)? {
+            Some(new) => load::of_copy(Arc::new(new), cx.name()),
+            None => net,
+        };
         let with = (settings, store);
         let mut engine = Engine::new(cx.clone(), net, library, conflicts, data, with);
         engine.resume(&contents)?;

@@ -106,6 +106,7 @@ fn in_virtual_time(file: PathBuf, log: LogArgs) -> SimArgs {
         shrink: None,
         json: false,
         profiles: false,
+        cpu: false,
         log,
         // The seed is in the arguments, or it is the first one of all.
         repeated_by: Some(

@@ -87,7 +87,7 @@ pub fn net_of(task: &TaskConfig, app: &App) -> Result<Arc<Net>, Findings> {
         let mut texts = texts.iter();
         let own = texts.next();
         if own.is_some_and(|(_, own)| own.text() == source.text()) && texts.all(same) {
-            return Ok(net);
+            return Ok(of_copy(net, &task.name));
         }
     }
     let folder = Path::new(&file).parent().unwrap_or(Path::new(""));
@@ -109,7 +109,15 @@ pub fn net_of(task: &TaskConfig, app: &App) -> Result<Arc<Net>, Findings> {
         compiled.clear();
     }
     compiled.insert(path, known);
-    Ok(net)
+    Ok(of_copy(net, &task.name))
+}
+
+/// The net of a task; a copy `cell7.dispatcher` runs the net `dispatcher` under its own name.
+pub(super) fn of_copy(net: Arc<Net>, task: &str) -> Arc<Net> {
+    match task.rsplit_once('.') {
+        Some((_, name)) if name == net.name() => Arc::new(net.named(task)),
+        _ => net,
+    }
 }
 
 /// Checks one net task: its arguments, its net by itself, and that its library has every function

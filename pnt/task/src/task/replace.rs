@@ -36,7 +36,7 @@ impl Engine {
         reply: Replier<Control>,
     ) -> Handled {
         let net = match self.checked(cx, &file, &text) {
-            Ok(net) => Arc::new(net),
+            Ok(net) => net,
             Err(findings) => {
                 return reply.fail(format!("the net is refused:\n{findings}"));
             }
@@ -68,8 +68,9 @@ impl Engine {
 
     /// Reads a net and checks it as the boot does: by itself, against the library, and together with the
     /// nets that the app runs now.
-    fn checked(&self, cx: &Context, file: &str, text: &str) -> Result<Net, Findings> {
-        let net = compile::net(&Source::new(file, text))?;
+    fn checked(&self, cx: &Context, file: &str, text: &str) -> Result<Arc<Net>, Findings> {
+        let net = Arc::new(compile::net(&Source::new(file, text))?);
+        let net = load::of_copy(net, cx.name());
         let mut findings = Findings::new();
         check::functions(&net, &self.library.names(), &mut findings);
         if net.name() != cx.name() {
