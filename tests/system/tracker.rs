@@ -633,6 +633,66 @@ fn half_a_metre_a_second_into_a_wall_is_smooth_and_softer_than_what_stops_the_ar
     assert_eq!(ended.result["stops"], 0, "{}", ended.result);
 }
 
+/// The same wall, as druide is told of it. The foam touches it 0.1 m from the tool.
+const STATED: &str = r#"
+[[task.druide.args.walls]]
+name = "wall"
+box = { low = [0.55, 0.005, 0.6], high = [0.85, 0.105, 0.9] }
+stand_off_m = 0.11
+"#;
+
+#[test]
+fn half_a_metre_a_second_into_a_wall_that_is_stated_presses_with_less_than_15_n_and_evenly() {
+    // Somebody leads the ball so far behind the wall, along it, and back.
+    let ended = Rig::new("stated", 12.0)
+        .cell(WALL)
+        .app(STATED)
+        .set("task.ball.args.motion=\"rest\"")
+        .set("task.ball.args.speed=0.5")
+        .act(4.0, Act::Person("drag", &[0.0, 0.15, 0.0]))
+        .act(8.0, Act::Person("drag", &[0.05, 0.0, 0.0]))
+        .act(10.0, Act::Person("drag", &[0.0, -0.15, 0.0]))
+        .run();
+    ended.must_be_smooth();
+    let most = ended.pressed(0.0, 12.0)[1];
+    assert!(most > 3.0, "the wall was not touched: {most} N");
+    assert!(most < 15.0, "{most} N, {}", ended.result);
+    let [low, high] = ended.pressed(6.0, 8.0);
+    assert!(low > 1.0 && high - low < 1.0, "{low} to {high} N");
+    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+    assert!(ended.number("last_error_m") < 0.003, "{}", ended.result);
+}
+
+#[test]
+fn a_ball_that_sweeps_into_a_stated_wall_at_half_a_metre_a_second_costs_less_than_15_n_each_time() {
+    let ended = Rig::new("swept", 12.0)
+        .cell(WALL)
+        .app(STATED)
+        .set("task.ball.args.motion=\"sweep\"")
+        .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
+        .set("task.ball.args.speed=0.5")
+        .run();
+    ended.must_be_smooth();
+    let most = ended.pressed(0.0, 12.0)[1];
+    assert!((2.0..15.0).contains(&most), "{most} N");
+    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+}
+
+#[test]
+fn along_a_stated_wall_the_hand_is_no_slower() {
+    let errors = ["", STATED].map(|walls| {
+        let ended = Rig::new("along", 9.0)
+            .app(walls)
+            .set("task.ball.args.motion=\"sweep\"")
+            .set("task.ball.args.reach=[0.12, 0.0, 0.0]")
+            .set("task.ball.args.speed=0.5")
+            .run();
+        ended.must_be_smooth();
+        ended.number("rms_m")
+    });
+    assert!((errors[1] / errors[0] - 1.0).abs() < 0.02, "{errors:?} m");
+}
+
 #[test]
 fn a_hand_that_is_pushed_against_a_wall_presses_evenly() {
     let rig = Rig::new("pushed", 9.0)

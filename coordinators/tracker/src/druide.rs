@@ -33,6 +33,7 @@ use crate::{
     control::{self, ControlArgs},
     coordination::{ask, net_task},
     learning::{LearnArgs, Learner, Learning},
+    walls::Wall,
     wire::{
         ClockTruth, CompareClocks, ReadTracker, ResumeTracking, STATES, StartLearning,
         StartTracking, StopTracking, TargetSeen, TrackerReport, TrueClock, seconds,
@@ -105,6 +106,9 @@ struct DruideArgs {
     /// How the hand follows.
     #[serde(default)]
     control: ControlArgs,
+    /// Walls before which the hand slows down.
+    #[serde(default)]
+    walls: Vec<Wall>,
 }
 
 fn mcs_task() -> String {
@@ -194,6 +198,11 @@ pub(crate) fn register(registry: &mut Registry) {
             let at = place(&key);
             let finding = Finding::error("coordinators::tracker::druide", text).at(at);
             findings.push(finding.help("`docs/tracker.md` says what it may be"));
+        }
+        for text in args.walls.iter().filter_map(Wall::wrong) {
+            let finding = Finding::error("coordinators::tracker::druide", text);
+            let help = "`docs/tracker.md` says what a wall may be";
+            findings.push(finding.at(place("walls")).help(help));
         }
         if let Some((key, value, help)) = args.learn.wrong() {
             let key = format!("learn.{key}");

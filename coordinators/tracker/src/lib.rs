@@ -2,7 +2,8 @@
 //! sees, gives way when somebody pushes it, and is steered by a 3-D mouse.
 //!
 //! The mathematics knows no tasks: [`target`] is the ball's state, from pictures that come late; [`course`] the setpoint's way to it;
-//! [`vector`] what forces and a mouse say; [`contact`] what the hand does at a wall; [`history`] where the hand was; [`control`] puts these together for one period; [`blob`] is
+//! [`vector`] what forces and a mouse say; [`contact`] what the hand does at a wall, [`walls`] how fast it comes to one;
+//! [`history`] where the hand was; [`control`] puts these together for one period; [`blob`] is
 //! what a picture shows; [`map`] the examples by which a blob is a place; [`judging`] holds all that against the truth.
 //!
 //! Four tasks run it: [`argus`] looks, [`client`] tells places from blobs, [`druide`] moves the arm, and [`application`] has them work
@@ -25,6 +26,7 @@ pub mod map;
 pub mod mouse;
 pub mod target;
 pub mod vector;
+pub mod walls;
 pub mod wire;
 
 use ctos::registry::Registry;

@@ -87,7 +87,8 @@ impl Period {
         let layout =
             Layout::new(COURSES, CourseRecord::FLOATS).described(CourseRecord::DESCRIPTION);
         let mut period = Self {
-            control: Control::new(args.control, pose.translation.vector.into()),
+            control: Control::new(args.control, pose.translation.vector.into())
+                .with_walls(args.walls.clone()),
             states,
             mouse: None,
             said: (0, 0.0, Vector3::zeros()),
