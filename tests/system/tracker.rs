@@ -495,23 +495,70 @@ fn a_ball_that_leads_to_where_the_arm_does_not_reach_is_followed_as_far_as_that_
 }
 
 #[test]
-fn a_ball_that_leads_to_a_singular_pose_is_followed_as_far_as_that_goes_and_back() {
-    // Inwards, until the wrist is straight: the hand turned as it is, joints 4 and 6 would have to turn at once there.
-    let ended = Rig::new("straight", 14.0)
-        .swap(
-            "start = [0.0, 39.0, -159.0, 0.0, -60.0, 0.0]",
-            "start = [0.0, 39.0, -159.0, 0.0, -20.0, 0.0]",
-        )
-        .set("task.ball.args.home=[0.944, -0.145, 0.341]")
-        .set("task.ball.args.motion=\"sweep\"")
-        .set("task.ball.args.reach=[0.16, 0.0, 0.0]")
-        .set("task.ball.args.speed=0.15")
-        .run();
-    ended.must_be_smooth();
-    assert_eq!(ended.result["stops"], 0, "{}", ended.result);
-    let held_by = ended.result["held_by"].as_str().unwrap();
-    assert!(held_by.contains("singular"), "{held_by}");
-    assert!(ended.number("tracked") > 0.5, "{:?}", ended.states);
+fn a_ball_that_leads_through_a_straight_wrist_is_followed_through_it_and_back() {
+    // Inwards until the wrist is straight, and on: also aside, where joint 4 would have to turn by half a turn.
+    for (name, aside) in [("straight", 0.0), ("aside", 0.03)] {
+        let ended = Rig::new(name, 14.0)
+            .swap(
+                "start = [0.0, 39.0, -159.0, 0.0, -60.0, 0.0]",
+                "start = [0.0, 39.0, -159.0, 0.0, -20.0, 0.0]",
+            )
+            .set("task.ball.args.home=[0.844, -0.145, 0.341]")
+            .set("task.ball.args.motion=\"sweep\"")
+            .set(&format!("task.ball.args.reach=[0.12, {aside:?}, 0.0]"))
+            .set("task.ball.args.speed=0.2")
+            .run();
+        ended.must_be_smooth();
+        assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+        assert_eq!(ended.result["lost"], 0, "{}", ended.result);
+        assert_eq!(ended.result["held"], 0, "{}", ended.result);
+        assert_eq!(ended.state(13.9), "track", "{:?}", ended.states);
+        assert!(ended.number("rms_m") < 0.01, "{}", ended.result);
+    }
+}
+
+#[test]
+fn a_ball_that_leads_to_a_singular_elbow_or_shoulder_holds_the_hand_which_comes_back_by_itself() {
+    // Outwards until the arm is stretched, and towards the axis of joint 1, above the shoulder.
+    const WAYS: [[f64; 3]; 4] = [
+        [0.2, 0.0, 0.0],
+        [-0.2, 0.0, 0.0],
+        [-0.32, 0.0, 0.0],
+        [0.32, 0.0, 0.0],
+    ];
+    let [outwards, back, inwards, away] = &WAYS;
+    let ends = [
+        (
+            "stretched",
+            [39.0, -159.0, -60.0],
+            [0.649, -0.145, 0.27],
+            [outwards, back],
+        ),
+        (
+            "above",
+            [105.8, -178.0, -67.8],
+            [0.545, -0.145, 0.831],
+            [inwards, away],
+        ),
+    ];
+    for (name, [two, three, five], home, [there, back]) in ends {
+        let start = format!("start = [0.0, {two:?}, {three:?}, 0.0, {five:?}, 0.0]");
+        let ended = Rig::new(name, 13.0)
+            .swap("start = [0.0, 39.0, -159.0, 0.0, -60.0, 0.0]", &start)
+            .set("task.druide.args.control.reach_m=2.0")
+            .set("task.ball.args.motion=\"rest\"")
+            .set(&format!("task.ball.args.home={home:?}"))
+            .act(4.0, Act::Person("drag", there))
+            .act(8.5, Act::Person("drag", back))
+            .run();
+        ended.must_be_smooth();
+        assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+        assert!(ended.number("held") >= 1.0, "{}", ended.result);
+        assert!(ended.number("max_error_m") > 0.02, "{}", ended.result);
+        assert!(ended.result["held_by"].is_string(), "{}", ended.result);
+        assert_eq!(ended.state(12.9), "track", "{:?}", ended.states);
+        assert!(ended.number("last_error_m") < 0.003, "{}", ended.result);
+    }
 }
 
 #[test]

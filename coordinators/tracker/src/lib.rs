@@ -3,7 +3,7 @@
 //!
 //! The mathematics knows no tasks: [`target`] is the ball's state, from pictures that come late; [`course`] the setpoint's way to it;
 //! [`vector`] what forces and a mouse say; [`contact`] what the hand does at a wall, [`walls`] how fast it comes to one;
-//! [`history`] where the hand was; [`control`] puts these together for one period; [`blob`] is
+//! [`history`] where the hand was; [`arm`] the joints for a place; [`control`] puts these together for one period; [`blob`] is
 //! what a picture shows; [`map`] the examples by which a blob is a place; [`judging`] holds all that against the truth.
 //!
 //! Four tasks run it: [`argus`] looks, [`client`] tells places from blobs, [`druide`] moves the arm, and [`application`] has them work
@@ -12,6 +12,7 @@
 
 pub mod application;
 pub mod argus;
+pub mod arm;
 pub mod blob;
 pub mod client;
 pub mod contact;

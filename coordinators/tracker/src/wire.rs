@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`BLOB`] | argus; client, display | [`BlobRecord`] |
 //! | [`STATES`] | the servo; druide | joints and sensors, as `record_states` says |
-//! | [`SETPOINT`] | druide; the servo | `base_T_tool`, 16 numbers row by row, m |
+//! | [`SETPOINT`] | druide; the servo | a position of each joint, rad or m |
 //! | [`MOUSE`] | the mouse's daemon; druide | six numbers from -1 to 1 |
 //! | [`COURSE`] | druide; application, display | [`CourseRecord`] |
 
