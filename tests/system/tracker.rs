@@ -449,6 +449,65 @@ fn the_net_hands_over_when_the_ball_rests_and_answers_every_order() {
     assert_eq!(ended.state(10.9), "idle", "{:?}", ended.states);
 }
 
+/// A run in which the hand is told to take the ball.
+fn taken(name: &str) -> Rig {
+    Rig::new(name, 16.0)
+        .with_hand()
+        .set("task.ball.args.motion=\"rest\"")
+        .act(4.0, Act::Order("grasp"))
+}
+
+#[test]
+fn the_hand_takes_a_ball_that_rests_with_three_fingers_and_lifts_it_if_it_was_told_to() {
+    let ended = taken("taken").run();
+    ended.must_be_smooth();
+    assert_eq!(ended.answer(4.0).0, "when_it_rests");
+    let states: Vec<&str> = ended.states.iter().map(|(_, state)| &**state).collect();
+    assert!(
+        states.ends_with(&["track", "grasps", "holds"]),
+        "{states:?}"
+    );
+    let force = ended.result["grasped"]["Holds"]["force_n"].as_f64();
+    assert!(force.is_some_and(|force| force > 1.0), "{}", ended.result);
+    // Nobody but the fingers holds it, 0.1 m above where it rested.
+    let (_, [x, y, z]) = ended.bodies[ended.bodies.len() - 1];
+    assert!(
+        (x - 0.6603).abs() < 0.01 && (y + 0.15).abs() < 0.01 && (z - 0.3504).abs() < 0.01,
+        "{x} {y} {z}"
+    );
+}
+
+#[test]
+fn a_ball_that_slips_away_or_is_gone_is_told_and_the_arm_may_follow_again() {
+    // Whoever holds it does not let go; or has taken it away meanwhile.
+    let slipped = taken("slipped")
+        .set("task.ball.args.gives_n=1000.0")
+        .act(14.0, Act::Order("track"))
+        .run();
+    let missed = taken("missed")
+        .act(6.5, Act::Person("drag", &[0.0, 0.12, 0.0]))
+        .act(14.0, Act::Order("track"))
+        .run();
+    for (ended, how) in [(slipped, "Slipped"), (missed, "Missed")] {
+        ended.must_be_smooth();
+        let grasped = &ended.result["grasped"];
+        assert!(grasped[how].is_string(), "{how}: {grasped}");
+        assert_eq!(ended.state(13.9), "handed_over", "{:?}", ended.states);
+        assert_eq!(ended.answer(14.0).0, "tracking");
+    }
+}
+
+#[test]
+fn an_arm_without_a_hand_is_handed_over_when_it_is_told_to_grasp() {
+    let ended = Rig::new("handless", 7.0)
+        .set("task.ball.args.motion=\"rest\"")
+        .act(4.0, Act::Order("grasp"))
+        .run();
+    ended.must_be_smooth();
+    assert_eq!(ended.answer(4.0).0, "when_it_rests");
+    assert_eq!(ended.state(6.9), "handed_over", "{:?}", ended.states);
+}
+
 #[test]
 fn a_ball_that_leads_to_where_the_arm_does_not_reach_is_followed_as_far_as_that_goes_and_back() {
     // The arm is nearly folded or stretched in one run, also quicker and farther; in the last its wrist comes to the limit of joint 5.
@@ -501,7 +560,7 @@ fn a_ball_that_leads_through_a_straight_wrist_is_followed_through_it_and_back() 
         let ended = Rig::new(name, 14.0)
             .swap(
                 "start = [0.0, 39.0, -159.0, 0.0, -60.0, 0.0]",
-                "start = [0.0, 39.0, -159.0, 0.0, -20.0, 0.0]",
+                "start = [0.0, 49.6, -179.1, 0.0, -10.5, 0.0]",
             )
             .set("task.ball.args.home=[0.844, -0.145, 0.341]")
             .set("task.ball.args.motion=\"sweep\"")

@@ -7,7 +7,7 @@
 //! what a picture shows; [`map`] the examples by which a blob is a place; [`judging`] holds all that against the truth.
 //!
 //! Four tasks run it: [`argus`] looks, [`client`] tells places from blobs, [`druide`] moves the arm, and [`application`] has them work
-//! and tells how well. A net stands in front of them and decides ([`coordination`]); [`learning`] makes a map. They exchange what is new by snapshot buffers and one message, all of them in [`wire`]. No simulator is named
+//! and tells how well. A net stands in front of them and decides ([`coordination`]); [`learning`] makes a map; [`grasp`] takes the ball. They exchange what is new by snapshot buffers and one message, all of them in [`wire`]. No simulator is named
 //! here.
 
 pub mod application;
@@ -20,6 +20,7 @@ pub mod control;
 pub mod coordination;
 pub mod course;
 pub mod druide;
+pub mod grasp;
 pub mod history;
 pub mod judging;
 pub mod learning;

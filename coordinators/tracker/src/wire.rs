@@ -16,6 +16,7 @@ use vss::target_map::Seen;
 use crate::{
     blob::{Look, Sighting},
     control::{Counts, Phase},
+    grasp::Grasped,
     learning::Learning,
     map::Example,
 };
@@ -99,6 +100,11 @@ ctos::command! {
     /// Has druide take the arm and learn the map. It answers when that has begun.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StartLearning => (), 0x062b, "start_learning"
+}
+ctos::command! {
+    /// Has druide take the arm and grasp the ball where it rested when the arm was given back. It answers when that has begun.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StartGrasp => (), 0x0632, "start_grasp"
 }
 ctos::command! {
     /// Asks druide how it is.
@@ -212,6 +218,8 @@ pub struct TrackerReport {
     pub clock_restarts: u64,
     /// How learning the map is.
     pub learning: Learning,
+    /// How grasping the ball ended last, if it has.
+    pub grasped: Option<Grasped>,
 }
 
 /// Seconds of a moment.

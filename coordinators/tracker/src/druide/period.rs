@@ -2,7 +2,7 @@
 
 use ctos::task::{Context, HandlerError};
 use mcs::{Joints, trajectory::Solver};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use sorma::{
     clock::Difference,
     snapshot::{Layout, Place, Reader, Snapshot, Writer},
@@ -130,6 +130,14 @@ impl Period {
     /// How large the force at the wrist is, N; what no sensor can read is no number.
     pub(super) fn felt(&self) -> f64 {
         self.force.norm()
+    }
+
+    /// Where a tool that is turned as the hand would have its place in the middle of the ball, if that is followed.
+    pub(super) fn grasp(&self, now: f64) -> Option<Isometry3<f64>> {
+        let target = self.control.target(now)?;
+        let turn = self.arm.turn();
+        let ball = target.place + turn * self.ball.coords;
+        Some(Isometry3::from_parts(ball.into(), turn))
     }
 
     /// How the ball is.
