@@ -21,6 +21,8 @@ use sorma_snapshot::{Layout, Place, Writer};
 pub use motion::Kind;
 use motion::{Motion, Sizes};
 
+use mcs_hand::command::{ReadTouch, Touch};
+
 use crate::world_task::PlaceBody;
 
 /// Name of the event handler.
@@ -44,6 +46,10 @@ ctos::command! {
         pub z: f64,
     } => (), 0x0395, "lead_hand"
 }
+
+/// How often it is felt whether fingers have what is held, and how often in a row they must.
+const FEEL: Duration = Duration::from_millis(50);
+const FELT: u32 = 4;
 
 /// No hand is led further than this, m.
 const FURTHEST: f64 = 1.0;
@@ -82,6 +88,8 @@ pub struct HandArgs {
     /// How often it moves what it holds, ms.
     #[serde(default = "period_ms")]
     pub period_ms: f64,
+    /// It lets go of what it holds when three fingertips press on it with so much each, N; never when that is left out.
+    pub gives_n: Option<f64>,
     /// The snapshot buffer in which it leaves the place, m.
     pub buffer: Option<String>,
 }
@@ -151,6 +159,15 @@ pub(crate) fn register(registry: &mut Registry) {
     });
 }
 
+/// Whether three fingertips feel at least so much, N.
+fn three_press(touches: &[Touch], force: f64) -> bool {
+    let presses = |touch: &&Touch| {
+        let link = touch.link.rsplit('.').next().unwrap_or_default();
+        link.starts_with("tip") && Vector3::from(touch.force_n).norm() >= force
+    };
+    touches.iter().filter(presses).count() >= 3
+}
+
 /// The event handler.
 struct Hand {
     args: HandArgs,
@@ -211,6 +228,23 @@ impl EventHandler for Hand {
         let mut motion = Motion::new(args.motion, Point3::from(args.home), sizes, rng);
         let begin = cx.now();
         let period = Duration::from_secs_f64(args.period_ms * 1e-3);
+        let given = Rc::new(Cell::new(false));
+        if let Some(force) = args.gives_n {
+            let (own, world, given) = (cx.clone(), world.clone(), Rc::clone(&given));
+            cx.spawn(async move {
+                let mut felt = 0;
+                while felt < FELT && !own.is_stopping() {
+                    own.sleep(FEEL).await;
+                    // A world that does not answer says nothing of fingers.
+                    let touches = own.call(&world, ReadTouch { arm: None }).await;
+                    felt = match touches.is_ok_and(|touches| three_press(&touches, force)) {
+                        true => felt + 1,
+                        false => 0,
+                    };
+                }
+                given.set(true);
+            });
+        }
         let (own, led, mut off) = (cx.clone(), Rc::clone(&self.led), Vector3::zeros());
         let tick = move |tick: &Tick| {
             let time = tick.now.since(begin).as_secs_f64();
@@ -233,7 +267,9 @@ impl EventHandler for Hand {
                 // A world with a full queue gets the next place.
                 let _ = own.try_send(&world, PlaceBody { body, pose });
             };
-            put(&args.body, [0.0; 3]);
+            if !given.get() {
+                put(&args.body, [0.0; 3]);
+            }
             for companion in &args.with {
                 put(&companion.body, companion.offset);
             }

@@ -234,6 +234,7 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "stops": report.stops,
         "held": report.counts.held,
         "held_by": report.held_by,
+        "grasped": report.grasped,
         "stopped": report.stopped,
     });
     Ok(AppResult {

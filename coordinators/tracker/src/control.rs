@@ -12,6 +12,7 @@ use crate::{
     course::{Course, CourseArgs},
     target::{Predicted, Taken, Target, TargetArgs},
     vector::{VectorArgs, VectorFilter},
+    walls::{Wall, Walls},
 };
 
 /// A target that has expired and is slower than this, m/s, is given up.
@@ -163,6 +164,7 @@ pub struct Control {
     course: Course,
     wrist: VectorFilter,
     contact: Contact,
+    walls: Walls,
     mouse: VectorFilter,
     /// Where the hand should be without a target.
     hold: Point3<f64>,
@@ -186,6 +188,7 @@ impl Control {
             course: Course::at_rest(args.course, home),
             wrist: VectorFilter::new(args.wrist),
             contact: Contact::new(args.contact),
+            walls: Walls::default(),
             mouse: VectorFilter::new(args.mouse),
             hold: home,
             home,
@@ -199,6 +202,13 @@ impl Control {
         }
     }
 
+    /// With walls, before which the hand slows down.
+    #[must_use]
+    pub fn with_walls(mut self, walls: Vec<Wall>) -> Self {
+        self.walls = Walls::new(walls, self.args.course.acceleration);
+        self
+    }
+
     /// Whether the hand is to come to rest, and to stand, whatever is seen, felt or steered.
     pub fn stand(&mut self, stands: bool) {
         self.stands = stands;
@@ -206,9 +216,11 @@ impl Control {
 
     /// The hand rests elsewhere now: it was stopped. What was counted stays.
     pub fn rest_at(&mut self, place: Point3<f64>) {
-        let (counts, home, stands) = (self.counts, self.home, self.stands);
+        let kept = (self.counts, self.home, self.stands);
+        let walls = std::mem::take(&mut self.walls);
         *self = Self::new(self.args, place);
-        (self.counts, self.home, self.stands) = (counts, home, stands);
+        (self.counts, self.home, self.stands) = kept;
+        self.walls = walls;
     }
 
     /// Takes in that the hand should have been at `place` at the moment `at`; it is known `now`.
@@ -278,7 +290,7 @@ impl Control {
         let predicted = self.args.prediction && expected.is_some() && !self.stands;
         let wanted = self.course.wanted(&goal, &moving, predicted, period);
         let wanted = self.contact.allow(force, &self.course.place, wanted);
-        self.course.follow(&wanted, period);
+        self.course.follow_within(&self.walls, wanted, period);
         self.course.ratio(&before, period)
     }
 

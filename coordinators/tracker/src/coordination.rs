@@ -14,7 +14,7 @@ use pnt::{
 };
 use serde::Deserialize;
 
-use crate::wire::{ResumeTracking, StartLearning, StartTracking, StopTracking};
+use crate::wire::{ResumeTracking, StartGrasp, StartLearning, StartTracking, StopTracking};
 
 /// The handler's name.
 pub const HANDLER: &str = "tracker.tracking";
@@ -50,6 +50,7 @@ pub(crate) fn register(registry: &mut Registry) {
             .action("give_back", |action| druide(action, StopTracking {}))
             .action("take_again", |action| druide(action, ResumeTracking {}))
             .action("learn", |action| druide(action, StartLearning {}))
+            .action("grasp", |action| druide(action, StartGrasp {}))
     });
 }
 

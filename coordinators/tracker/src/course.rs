@@ -7,6 +7,8 @@
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 
+use crate::walls::Walls;
+
 /// Part of the acceleration that is planned with; the rest is for goals that change their speed.
 const PLANNED: f64 = 0.7;
 
@@ -107,10 +109,15 @@ impl Course {
         clipped(moving + direction * towards, speed)
     }
 
-    /// Goes on by a period, s, as fast as is wanted. The change of the velocity is never more than the acceleration allows.
-    pub fn follow(&mut self, wanted: &Vector3<f64>, period: f64) {
-        let acceleration = self.args.acceleration;
-        let change = clipped(wanted - self.velocity, acceleration * period);
+    /// Goes on by a period, s, as fast as is wanted and walls allow. The change of the velocity is never more than the acceleration
+    /// allows, and what a wall asks for comes first.
+    pub fn follow_within(&mut self, walls: &Walls, wanted: Vector3<f64>, period: f64) {
+        let most = self.args.acceleration * period;
+        let brakes = walls.allow(&self.place, self.velocity) - self.velocity;
+        let brakes = clipped(brakes, most);
+        // Both velocities are allowed, and so is all that is between them.
+        let more = walls.allow(&self.place, wanted) - self.velocity - brakes;
+        let change = brakes + more * part_within(&brakes, &more, most);
         let before = self.velocity;
         self.velocity += change;
         self.place += 0.5 * (before + self.velocity) * period;
@@ -121,6 +128,16 @@ impl Course {
     pub fn ratio(&self, before: &Vector3<f64>, period: f64) -> f64 {
         (self.velocity - before).norm() / (self.args.acceleration * period)
     }
+}
+
+/// The largest part of `more`, up to all of it, with which `first` becomes no longer than `most`; `first` is no longer.
+fn part_within(first: &Vector3<f64>, more: &Vector3<f64>, most: f64) -> f64 {
+    if (first + more).norm() <= most {
+        return 1.0;
+    }
+    let (square, half) = (more.norm_squared(), first.dot(more));
+    let room = (most * most - first.norm_squared()).max(0.0);
+    ((half * half + square * room).sqrt() - half) / square
 }
 
 /// The vector, no longer than `most`.
@@ -144,7 +161,7 @@ mod tests {
         /// Goes on by a period towards a goal whose motion is predicted.
         fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
             let wanted = self.wanted(goal, moving, true, period);
-            self.follow(&wanted, period);
+            self.follow_within(&Walls::default(), wanted, period);
         }
     }
 

@@ -26,15 +26,18 @@ use mcs::{
     client::{Manipulator, RecordStates},
     trajectory::Solver,
 };
+use nalgebra::Isometry3;
 use serde::Deserialize;
 use sorma::clock::{ClockDifference, Exchange, Observed, USUAL_DRIFT};
 
 use crate::{
     control::{self, ControlArgs},
     coordination::{ask, net_task},
+    grasp::{GraspArgs, Grasped, Grasper},
     learning::{LearnArgs, Learner, Learning},
+    walls::Wall,
     wire::{
-        ClockTruth, CompareClocks, ReadTracker, ResumeTracking, STATES, StartLearning,
+        ClockTruth, CompareClocks, ReadTracker, ResumeTracking, STATES, StartGrasp, StartLearning,
         StartTracking, StopTracking, TargetSeen, TrackerReport, TrueClock, seconds,
     },
 };
@@ -105,6 +108,11 @@ struct DruideArgs {
     /// How the hand follows.
     #[serde(default)]
     control: ControlArgs,
+    /// Walls before which the hand slows down.
+    #[serde(default)]
+    walls: Vec<Wall>,
+    /// How the ball is grasped; nobody can where there is no hand.
+    grasp: Option<GraspArgs>,
 }
 
 fn mcs_task() -> String {
@@ -155,19 +163,21 @@ pub(crate) fn register(registry: &mut Registry) {
         StopTracking::INFO,
         ResumeTracking::INFO,
         StartLearning::INFO,
+        StartGrasp::INFO,
         ReadTracker::INFO,
         TrueClock::INFO,
     ];
     let handler = registry.handler(HANDLER, &commands, |cx| Druide::new(cx, cx.args()?));
     handler.checked_args::<DruideArgs>(|args, task, app, findings| {
         let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        let hand = args.grasp.as_ref().map(|grasp| ("grasp.hand", &grasp.hand));
         let tasks = [
             ("mcs", &args.mcs),
             ("argus", &args.argus),
             ("client", &args.client),
             ("net", &args.net),
         ];
-        for (key, name) in tasks {
+        for (key, name) in tasks.into_iter().chain(hand) {
             if app.task(name).is_none() {
                 let names = app.tasks.iter().map(|task| task.name.as_str());
                 let text = format!("`{key}` names `{name}`, which is no task");
@@ -177,6 +187,8 @@ pub(crate) fn register(registry: &mut Registry) {
         }
         let wrong = args.control.wrong();
         let wrong = wrong.map(|(key, value)| (format!("control.{key}"), value));
+        let grasp = args.grasp.as_ref().and_then(GraspArgs::wrong);
+        let wrong = wrong.or_else(|| grasp.map(|(key, value)| (format!("grasp.{key}"), value)));
         let own = [
             ("period_ms", args.period_ms, 0.5, 50.0),
             ("mouse_age_s", args.mouse_age_s, 0.001, 10.0),
@@ -194,6 +206,11 @@ pub(crate) fn register(registry: &mut Registry) {
             let at = place(&key);
             let finding = Finding::error("coordinators::tracker::druide", text).at(at);
             findings.push(finding.help("`docs/tracker.md` says what it may be"));
+        }
+        for text in args.walls.iter().filter_map(Wall::wrong) {
+            let finding = Finding::error("coordinators::tracker::druide", text);
+            let help = "`docs/tracker.md` says what a wall may be";
+            findings.push(finding.at(place("walls")).help(help));
         }
         if let Some((key, value, help)) = args.learn.wrong() {
             let key = format!("learn.{key}");
@@ -220,8 +237,10 @@ struct Druide {
     cyclic: Option<CyclicHandle>,
     /// Which tracking or learning is under way; that of an earlier one ends by itself.
     serial: Rc<Cell<u64>>,
-    /// Whether the map is being learned.
+    /// Whether the map is being learned, or the ball grasped: the arm is given back by who does that.
     learns: Rc<Cell<bool>>,
+    /// Where the tool would have had the ball in its middle when the arm was given back.
+    rested: Option<Isometry3<f64>>,
 }
 
 impl Druide {
@@ -242,6 +261,7 @@ impl Druide {
             cyclic: None,
             serial: Rc::default(),
             learns: Rc::default(),
+            rested: None,
         })
     }
 
@@ -334,7 +354,8 @@ impl Druide {
         let released = arm.release().await;
         self.cyclic = None;
         let mut shared = self.shared.borrow_mut();
-        shared.period = None;
+        let period = shared.period.take();
+        self.rested = period.and_then(|period| period.grasp(seconds(cx.now())));
         shared.report.phase = control::Phase::Idle;
         released?;
         Ok(())
@@ -368,6 +389,49 @@ impl Druide {
             learns.set(false);
             if let Err(error) = ask(&cx, &args.net, "learned").await {
                 tracing::warn!("the net is not told that learning has ended: {error}");
+            }
+        });
+        Ok(())
+    }
+
+    /// Takes the arm, and grasps the ball from now on.
+    async fn grasp(&mut self, cx: &Context) -> Result<(), HandlerError> {
+        let Some(args) = self.args.grasp.clone() else {
+            return Err("there is no hand: `grasp` is not among the arguments of druide".into());
+        };
+        let base_t_ball = self.rested.take();
+        let base_t_ball = base_t_ball.ok_or("nobody knows where the ball rests")?;
+        let arm = Manipulator::find(cx, &self.args.mcs).await?;
+        arm.acquire().await?;
+        let (cx, net, is_over) = (cx.clone(), self.args.net.clone(), self.next(cx));
+        let (shared, learns) = (Rc::clone(&self.shared), Rc::clone(&self.learns));
+        learns.set(true);
+        shared.borrow_mut().report.grasped = None;
+        cx.clone().spawn(async move {
+            let grasper = Grasper {
+                cx: &cx,
+                args: &args,
+                arm: &arm,
+                is_over: &is_over,
+            };
+            let grasped = grasper.grasp(&base_t_ball).await;
+            let holds = matches!(grasped, Grasped::Holds { .. });
+            match &grasped {
+                Grasped::Holds { .. } => tracing::info!("the ball is held"),
+                Grasped::Missed(why) => tracing::warn!("the ball is not grasped: {why}"),
+                Grasped::Slipped(why) => tracing::warn!("the ball has slipped away: {why}"),
+            }
+            // Who holds the ball holds the arm, unless it was stopped.
+            if (!holds || is_over())
+                && let Err(error) = arm.release().await
+            {
+                tracing::warn!("the arm is not given back: {error}");
+            }
+            let symbol = grasped.symbol();
+            shared.borrow_mut().report.grasped = Some(grasped);
+            learns.set(false);
+            if let Err(error) = ask(&cx, &net, symbol).await {
+                tracing::warn!("the net is not told how grasping has ended: {error}");
             }
         });
         Ok(())
@@ -417,6 +481,13 @@ impl EventHandler for Druide {
             ResumeTracking::CODE => {
                 let (ResumeTracking {}, reply) = message.open::<ResumeTracking>()?;
                 match self.resume(cx).await {
+                    Ok(()) => reply.ok(()),
+                    Err(error) => reply.fail(error.to_string()),
+                }
+            }
+            StartGrasp::CODE => {
+                let (StartGrasp {}, reply) = message.open::<StartGrasp>()?;
+                match self.grasp(cx).await {
                     Ok(()) => reply.ok(()),
                     Err(error) => reply.fail(error.to_string()),
                 }

@@ -2,15 +2,17 @@
 //! sees, gives way when somebody pushes it, and is steered by a 3-D mouse.
 //!
 //! The mathematics knows no tasks: [`target`] is the ball's state, from pictures that come late; [`course`] the setpoint's way to it;
-//! [`vector`] what forces and a mouse say; [`contact`] what the hand does at a wall; [`history`] where the hand was; [`control`] puts these together for one period; [`blob`] is
+//! [`vector`] what forces and a mouse say; [`contact`] what the hand does at a wall, [`walls`] how fast it comes to one;
+//! [`history`] where the hand was; [`arm`] the joints for a place; [`control`] puts these together for one period; [`blob`] is
 //! what a picture shows; [`map`] the examples by which a blob is a place; [`judging`] holds all that against the truth.
 //!
 //! Four tasks run it: [`argus`] looks, [`client`] tells places from blobs, [`druide`] moves the arm, and [`application`] has them work
-//! and tells how well. A net stands in front of them and decides ([`coordination`]); [`learning`] makes a map. They exchange what is new by snapshot buffers and one message, all of them in [`wire`]. No simulator is named
+//! and tells how well. A net stands in front of them and decides ([`coordination`]); [`learning`] makes a map; [`grasp`] takes the ball. They exchange what is new by snapshot buffers and one message, all of them in [`wire`]. No simulator is named
 //! here.
 
 pub mod application;
 pub mod argus;
+pub mod arm;
 pub mod blob;
 pub mod client;
 pub mod contact;
@@ -18,6 +20,7 @@ pub mod control;
 pub mod coordination;
 pub mod course;
 pub mod druide;
+pub mod grasp;
 pub mod history;
 pub mod judging;
 pub mod learning;
@@ -25,6 +28,7 @@ pub mod map;
 pub mod mouse;
 pub mod target;
 pub mod vector;
+pub mod walls;
 pub mod wire;
 
 use ctos::registry::Registry;

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`BLOB`] | argus; client, display | [`BlobRecord`] |
 //! | [`STATES`] | the servo; druide | joints and sensors, as `record_states` says |
-//! | [`SETPOINT`] | druide; the servo | `base_T_tool`, 16 numbers row by row, m |
+//! | [`SETPOINT`] | druide; the servo | a position of each joint, rad or m |
 //! | [`MOUSE`] | the mouse's daemon; druide | six numbers from -1 to 1 |
 //! | [`COURSE`] | druide; application, display | [`CourseRecord`] |
 
@@ -16,6 +16,7 @@ use vss::target_map::Seen;
 use crate::{
     blob::{Look, Sighting},
     control::{Counts, Phase},
+    grasp::Grasped,
     learning::Learning,
     map::Example,
 };
@@ -99,6 +100,11 @@ ctos::command! {
     /// Has druide take the arm and learn the map. It answers when that has begun.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StartLearning => (), 0x062b, "start_learning"
+}
+ctos::command! {
+    /// Has druide take the arm and grasp the ball where it rested when the arm was given back. It answers when that has begun.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StartGrasp => (), 0x0632, "start_grasp"
 }
 ctos::command! {
     /// Asks druide how it is.
@@ -212,6 +218,8 @@ pub struct TrackerReport {
     pub clock_restarts: u64,
     /// How learning the map is.
     pub learning: Learning,
+    /// How grasping the ball ended last, if it has.
+    pub grasped: Option<Grasped>,
 }
 
 /// Seconds of a moment.

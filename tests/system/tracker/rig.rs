@@ -22,7 +22,7 @@ use mcs::{
     guard::GuardRegistry,
     partition::McsExpander,
 };
-use mcs_hand::command::{ReadTouch, Touch};
+use mcs_hand::command::{ReadBodies, ReadTouch, Touch};
 use pnt::task::{Marking, PutTape};
 use serde_json::Value;
 use sim::{scene::CameraFault, world_task::FailCamera};
@@ -58,6 +58,7 @@ pub enum Act {
 /// A run to be.
 pub struct Rig {
     name: String,
+    app: &'static str,
     seconds: f64,
     sets: Vec<String>,
     more: String,
@@ -77,6 +78,8 @@ pub struct Ended {
     pub states: Vec<(f64, String)>,
     /// What touched the arm, as the world has it, while something did: the moment, s, and the sum of all forces, N.
     pub touched: Vec<(f64, f64)>,
+    /// Where the ball was: the moment, s, and the place, m.
+    pub bodies: Vec<(f64, [f64; 3])>,
     /// The map's table afterwards.
     pub map: String,
 }
@@ -139,6 +142,7 @@ impl Rig {
     pub fn new(name: &str, seconds: f64) -> Self {
         Self {
             name: name.to_owned(),
+            app: "tracker",
             seconds,
             sets: Vec::new(),
             more: String::new(),
@@ -147,6 +151,12 @@ impl Rig {
             acts: Vec::new(),
             faults: Vec::new(),
         }
+    }
+
+    /// The app with a hand of three fingers.
+    pub fn with_hand(mut self) -> Self {
+        self.app = "tracker-grasp";
+        self
     }
 
     /// With a key of the configuration.
@@ -200,10 +210,15 @@ impl Rig {
         let configs = folder.path().join("configs");
         let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
         std::fs::create_dir_all(configs.join("nets/tracker")).unwrap();
+        std::fs::create_dir_all(configs.join("models")).unwrap();
         for file in [
             "tracker-cell.toml",
             "tracker-map.csv",
             "tracker.toml",
+            "tracker-grasp.toml",
+            "tracker-grasp-cell.toml",
+            "tracker-grasp-map.csv",
+            "models/puma560_carrying_hand.toml",
             "nets/tracker/tracking.net",
             "nets/tracker/person.net",
         ] {
@@ -214,24 +229,27 @@ impl Rig {
             let text = std::fs::read_to_string(&file).unwrap();
             std::fs::write(file, format!("{text}\n{lines}")).unwrap();
         };
+        let app = format!("{}.toml", self.app);
         append(
-            "tracker.toml",
+            &app,
             &format!(
                 "[task.script]\nhandler = \"test.script\"\non = \"desk\"\n{}",
                 self.more
             ),
         );
-        append("tracker-cell.toml", &self.cell);
+        let cell = format!("{}-cell.toml", self.app);
+        append(&cell, &self.cell);
         if let Some([text, other]) = self.swap {
-            let file = configs.join("tracker-cell.toml");
+            let file = configs.join(cell);
             let cell = std::fs::read_to_string(&file).unwrap();
             assert!(cell.contains(&text));
             std::fs::write(file, cell.replace(&text, &other)).unwrap();
         }
-        let file = configs.join("tracker.toml");
-        let text = std::fs::read_to_string(&file).unwrap();
-        assert!(text.contains("driver = \"sim.arm\""));
-        std::fs::write(file, text.replace("\"sim.arm\"", "\"test.felt\"")).unwrap();
+        for file in ["tracker.toml", &app].map(|file| configs.join(file)) {
+            let text = std::fs::read_to_string(&file).unwrap();
+            // The first is that of the arm.
+            std::fs::write(file, text.replacen("\"sim.arm\"", "\"test.felt\"", 1)).unwrap();
+        }
         let mut sets = vec![
             format!("app.name=\"rig_{}_{}\"", self.name, std::process::id()),
             "time.mode=\"virtual\"".to_owned(),
@@ -240,7 +258,7 @@ impl Rig {
         sets.extend(self.sets);
         let selection = Selection {
             sets,
-            ..Selection::new(configs.join("tracker.toml"))
+            ..Selection::new(configs.join(app))
         };
         let app = selection
             .load(&[("mcs", &McsExpander), ("vss", &VssExpander)])
@@ -269,7 +287,8 @@ impl Rig {
             answers: seen.answers,
             states: seen.states,
             touched: seen.touched,
-            map: std::fs::read_to_string(configs.join("tracker-map.csv")).unwrap(),
+            map: std::fs::read_to_string(configs.join(format!("{}-map.csv", self.app))).unwrap(),
+            bodies: seen.bodies,
         }
     }
 }
@@ -279,6 +298,7 @@ struct Seen {
     answers: Vec<(f64, String, String)>,
     states: Vec<(f64, String)>,
     touched: Vec<(f64, f64)>,
+    bodies: Vec<(f64, [f64; 3])>,
     feels: [f64; 3],
     ahead_ns: Option<u64>,
 }
@@ -295,13 +315,10 @@ fn registry(acts: Vec<(f64, Act)>, seen: &Arc<Mutex<Seen>>) -> Registry {
             seen: Arc::clone(&felt),
         }))
     });
-    driver.keys(&["world", "arm", "sensors"]);
-    mcs::register(
-        &mut registry,
-        drivers,
-        LawRegistry::new(),
-        GuardRegistry::new(),
-    );
+    driver.keys(&["world", "arm", "sensors", "joints"]);
+    let mut laws = LawRegistry::new();
+    mcs_hand::register(&mut registry, &mut laws);
+    mcs::register(&mut registry, drivers, laws, GuardRegistry::new());
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     tracker::register(&mut registry);
@@ -427,6 +444,14 @@ impl EventHandler for Script {
                 {
                     note(&seen, own.now(), &snapshot.places);
                 }
+                if let Ok(world) = own.task("world").await
+                    && let Ok(bodies) = own.call(&world, ReadBodies {}).await
+                    && let Some(ball) = bodies.iter().find(|body| body.name == "ball")
+                {
+                    let now = own.now().since_start().as_secs_f64();
+                    let place = [3, 7, 11].map(|index| ball.world_t_body[index]);
+                    seen.lock().unwrap().bodies.push((now, place));
+                }
                 own.sleep(Duration::from_millis(20)).await;
             }
         });
@@ -461,7 +486,7 @@ impl EventHandler for Script {
 
 /// Notes the net's state, which is marked between two commands.
 fn note(seen: &Mutex<Seen>, now: Instant, places: &[(String, u32)]) {
-    const STATES: [&str; 11] = [
+    const STATES: [&str; 13] = [
         "idle",
         "learn",
         "acquire",
@@ -469,6 +494,8 @@ fn note(seen: &Mutex<Seen>, now: Instant, places: &[(String, u32)]) {
         "lost",
         "expired",
         "handed_over",
+        "grasps",
+        "holds",
         "overload",
         "guarded",
         "halted",

@@ -1,8 +1,8 @@
 //! A period of druide: what the servo left and the mouse says in, a setpoint out, by snapshot buffers.
 
 use ctos::task::{Context, HandlerError};
-use mcs::trajectory::Solver;
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use mcs::{Joints, trajectory::Solver};
+use nalgebra::{Isometry3, Point3, Vector3};
 use sorma::{
     clock::Difference,
     snapshot::{Layout, Place, Reader, Snapshot, Writer},
@@ -10,6 +10,7 @@ use sorma::{
 
 use super::DruideArgs;
 use crate::{
+    arm::Arm,
     control::{Control, Phase},
     history::History,
     target::Taken,
@@ -18,9 +19,6 @@ use crate::{
 
 /// Where the hand was is remembered for so long, s: pictures come later than that only when something is wrong.
 const REMEMBERED: f64 = 2.0;
-
-/// Nearer to a singular pose than this joints turn too fast: smallest singular value, m per rad.
-const SINGULAR: f64 = 0.04;
 
 /// Records that the buffers keep.
 const SETPOINTS: usize = 16;
@@ -42,12 +40,11 @@ pub(super) struct Period {
     said: (u64, f64, Vector3<f64>),
     place: Place,
     record: Snapshot,
-    solver: Solver,
+    arm: Arm,
+    joints: usize,
     history: History,
     setpoints: Writer,
     courses: Writer,
-    /// How the hand is turned, which does not change.
-    turn: UnitQuaternion<f64>,
     /// About where the ball is seen from a hand that is where it should be, m.
     ball: Point3<f64>,
     /// Which number of the slots is the first of the force.
@@ -68,7 +65,7 @@ impl Period {
     /// With an arm that rests and is held.
     pub(super) fn new(
         cx: &Context,
-        mut solver: Solver,
+        solver: Solver,
         args: &DruideArgs,
     ) -> Result<Self, HandlerError> {
         let place = Place::of_app(&cx.app().name)?;
@@ -80,24 +77,27 @@ impl Period {
         }
         let joints = solver.model().dof();
         let held = vector(&record.floats, SETPOINT_AT, joints);
+        let held = held.and_then(|held| Joints::try_from(held).ok());
         let held = held.ok_or("a state of the servo has other numbers")?;
-        let pose = solver.pose(held);
-        let layout = Layout::new(SETPOINTS, 16).described("base_T_tool, row by row, m");
+        let mut arm = Arm::at_rest(solver, held);
+        let pose = arm.pose(&held);
+        let layout = Layout::new(SETPOINTS, joints).described("joint positions, rad or m");
         let setpoints = Writer::create(&place, SETPOINT, layout, clock)?;
         let layout =
             Layout::new(COURSES, CourseRecord::FLOATS).described(CourseRecord::DESCRIPTION);
         let mut period = Self {
-            control: Control::new(args.control, pose.translation.vector.into()),
+            control: Control::new(args.control, pose.translation.vector.into())
+                .with_walls(args.walls.clone()),
             states,
             mouse: None,
             said: (0, 0.0, Vector3::zeros()),
             record,
-            solver,
+            arm,
+            joints,
             history: History::new(REMEMBERED),
             setpoints,
             courses: Writer::create(&place, COURSE, layout, clock)?,
             place,
-            turn: pose.rotation,
             ball: Point3::from(args.ball_m),
             wrist: args.wrist,
             mouse_age: args.mouse_age_s,
@@ -132,6 +132,14 @@ impl Period {
         self.force.norm()
     }
 
+    /// Where a tool that is turned as the hand would have its place in the middle of the ball, if that is followed.
+    pub(super) fn grasp(&self, now: f64) -> Option<Isometry3<f64>> {
+        let target = self.control.target(now)?;
+        let turn = self.arm.turn();
+        let ball = target.place + turn * self.ball.coords;
+        Some(Isometry3::from_parts(ball.into(), turn))
+    }
+
     /// How the ball is.
     pub(super) fn phase(&self) -> Phase {
         self.control.phase()
@@ -151,7 +159,7 @@ impl Period {
         };
         // The ball is seen from a hand that may be turned a little, as a hand that is late is; the map was learned without that.
         let ball = pose * (self.ball + Vector3::from(*relative));
-        let place = ball - self.turn * self.ball.coords;
+        let place = ball - self.arm.turn() * self.ball.coords;
         let taken = self.control.measure(now, at, &place);
         tracing::trace!(at, late = now - at, ?relative, place = ?place.coords, ?taken);
         if matches!(taken, Taken::Begun) {
@@ -223,24 +231,15 @@ impl Period {
 
     /// Goes on by a period as far as the arm reaches.
     fn go_on(&mut self, now: f64, mouse: &Vector3<f64>, report: &mut TrackerReport) -> f64 {
-        let joints = self.solver.model().dof();
         let held = self.control.counts().held;
-        let arm = vector(&self.record.floats, SETPOINT_AT, joints).map(|near| Reach {
-            sigma: self.solver.smallest_singular_value(near),
-            near,
-            turn: self.turn,
-        });
-        let solver = &mut self.solver;
-        let reaches = |place: &Point3<f64>| match &arm {
-            Some(arm) => arm.wrong(solver, place).is_none(),
-            None => true,
-        };
         let both = [&self.force, mouse];
+        let arm = &mut self.arm;
+        let reaches = |place: &Point3<f64>| arm.wrong(place).is_none();
         let ratio = self.control.go_within(now, both, self.period, reaches);
-        if let (Some(arm), Some(beyond)) = (&arm, self.control.beyond())
+        if let Some(beyond) = self.control.beyond()
             && self.control.counts().held > held
         {
-            report.held_by = arm.wrong(&mut self.solver, &beyond);
+            report.held_by = self.arm.wrong(&beyond);
             let why = report.held_by.as_deref().unwrap_or_default();
             tracing::warn!("the hand stays where the arm reaches no further: {why}");
         }
@@ -250,13 +249,13 @@ impl Period {
     /// Takes in what ticks of the servo left.
     fn read_states(&mut self, cx: &Context) {
         let clock = cx.chassis().clock();
-        let joints = self.solver.model().dof();
+        let joints = self.joints;
         while let Ok(Some(_)) = self.states.next(&mut self.record) {
             let floats = &self.record.floats;
             let Some(position) = vector(floats, 0, joints) else {
                 continue;
             };
-            let pose = self.solver.pose(position);
+            let pose = self.arm.pose(position);
             let at = seconds(self.record.at(clock));
             self.history.note(at, pose);
             let force = self.wrist.and_then(|first| {
@@ -271,13 +270,12 @@ impl Period {
         }
     }
 
-    /// Where the servo holds the arm.
+    /// The arm rests where the servo holds it; where the hand is then.
     fn held(&mut self) -> Option<Point3<f64>> {
-        let joints = self.solver.model().dof();
-        let held = vector(&self.record.floats, SETPOINT_AT, joints)?;
-        let pose = self.solver.pose(held);
-        self.turn = pose.rotation;
-        Some(pose.translation.vector.into())
+        let held = vector(&self.record.floats, SETPOINT_AT, self.joints)?;
+        let held = Joints::try_from(held).ok()?;
+        self.arm.rest_at(held);
+        Some(self.arm.pose(&held).translation.vector.into())
     }
 
     /// How the mouse is deflected; not at all where its daemon has said nothing new for a while.
@@ -301,43 +299,12 @@ impl Period {
         }
     }
 
-    /// Leaves the setpoint.
+    /// Leaves the setpoint: nothing where the arm has no joints for it, which ends the stream.
     fn send(&mut self) -> Result<(), HandlerError> {
         let place = self.control.course().place;
-        let pose = Isometry3::from_parts(place.into(), self.turn);
-        let rows = pose.to_homogeneous().transpose();
-        self.setpoints.write(rows.as_slice(), &[])?;
+        self.arm.go(&place, self.period)?;
+        self.setpoints.write(self.arm.joints(), &[])?;
         Ok(())
-    }
-}
-
-/// Which places the arm reaches with a hand that is turned so.
-struct Reach<'a> {
-    /// Where its joints are.
-    near: &'a [f64],
-    /// Its smallest singular value there, m per rad.
-    sigma: f64,
-    turn: UnitQuaternion<f64>,
-}
-
-impl Reach<'_> {
-    /// Why it does not reach a place, if it does not. An arm that is nearly singular already may become less so.
-    fn wrong(&self, solver: &mut Solver, place: &Point3<f64>) -> Option<String> {
-        let pose = Isometry3::from_parts(place.coords.into(), self.turn);
-        let branch = solver.branch_of(self.near);
-        let q = match solver.follow(&pose, branch, self.near) {
-            Ok(q) => q,
-            Err(error) => return Some(error.to_string()),
-        };
-        let model = solver.model();
-        if let Some(joint) = model.joint_outside(&q) {
-            let name = model.joints().get(joint).map_or("", |joint| &joint.name);
-            return Some(format!("`{name}` would be beyond its limit"));
-        }
-        let sigma = solver.smallest_singular_value(&q);
-        (sigma < SINGULAR.min(self.sigma)).then(|| {
-            format!("the arm would be singular: its smallest singular value would be {sigma:.3}, and {SINGULAR} is needed")
-        })
     }
 }
 

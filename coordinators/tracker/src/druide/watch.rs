@@ -129,7 +129,7 @@ impl<F: Fn() -> bool> Watch<F> {
         let guards = self.cx.call(&client, ReadGuards {}).await?;
         self.found.replace(guards.last);
         let stream = StreamSetpoints {
-            kind: StreamKind::Tool,
+            kind: StreamKind::Joints,
             buffer: Some(SETPOINT.to_owned()),
             max_age_s: OLDEST,
             speed: 1.0,

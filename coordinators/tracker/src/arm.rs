@@ -1,0 +1,368 @@
+//! Which joint positions put the hand at a place, period by period, and which places it reaches. Knows no tasks: a call is a period.
+//!
+//! The hand keeps how it is turned. Where the wrist is nearly straight, joints 4 and 6 could keep that only by turning against each other
+//! at any speed. There it gives way: the place is kept, and the turn follows as far as it costs little, by damped least squares
+//! (S. Chiaverini, B. Siciliano and O. Egeland, IEEE Trans. Control Systems Technology 2(2), 1994). So the hand passes a
+//! singularity of its wrist. It stays before those of shoulder and elbow, behind which the arm has no posture.
+
+use mcs::{
+    Joints,
+    model::{
+        Data,
+        inverse::{Branch, Wrist},
+    },
+    trajectory::Solver,
+};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion};
+
+/// Nearer to a singular pose than this joints turn too fast: smallest singular value, m per rad.
+const SINGULAR: f64 = 0.04;
+
+/// The wrist's turning is damped where its smallest singular value is below the first; by the second where that is 0.
+const DAMPED: [f64; 2] = [0.2, 0.1];
+
+/// How fast a turn is made up for that was given way, parts per s.
+const BACK: f64 = 6.0;
+
+/// The part of speeds and accelerations of the wrist's joints that is used; the servo has the rest for what lies between two periods.
+const USED: f64 = 0.8;
+
+/// A joint of the wrist stays so far before its limit, rad.
+const SHORT: f64 = 0.002;
+
+/// Joints that carry the wrist, and all joints of an arm whose wrist gives way.
+const WRIST: usize = 3;
+const ALL: usize = 6;
+
+/// The other posture of the wrist is one that it passes into when joint 4 turns no more than this, rad.
+const PASSES: f64 = 1.0;
+
+/// A wrist whose joint 5 has a smaller sine than this is nearly straight: there the turn is damped.
+const STRAIGHT: f64 = 0.28;
+
+/// Steps by which three joints find a place, and how far from it they may end, m.
+const STEPS: usize = 8;
+const EXACT: f64 = 1e-6;
+
+/// An arm whose setpoint is led.
+#[derive(Debug, Clone)]
+pub struct Arm {
+    solver: Solver,
+    data: Data,
+    joints: Joints,
+    speeds: Joints,
+    /// How the hand is to be turned.
+    turn: UnitQuaternion<f64>,
+}
+
+impl Arm {
+    /// With joints at rest, rad. The hand stays turned as it is.
+    #[must_use]
+    pub fn at_rest(solver: Solver, joints: Joints) -> Self {
+        let mut arm = Self {
+            data: solver.model().data(),
+            speeds: Joints::zeros(joints.len()),
+            joints,
+            turn: UnitQuaternion::identity(),
+            solver,
+        };
+        arm.turn = arm.pose(&joints).rotation;
+        arm
+    }
+
+    /// The arm rests elsewhere now: it was stopped.
+    pub fn rest_at(&mut self, joints: Joints) {
+        self.turn = self.pose(&joints).rotation;
+        self.speeds = Joints::zeros(joints.len());
+        self.joints = joints;
+    }
+
+    /// `base_T_tool` at joint positions, rad.
+    pub fn pose(&mut self, joints: &[f64]) -> Isometry3<f64> {
+        self.solver.pose(joints)
+    }
+
+    /// How the hand is to be turned.
+    #[must_use]
+    pub fn turn(&self) -> UnitQuaternion<f64> {
+        self.turn
+    }
+
+    /// Where the joints are sent, rad.
+    #[must_use]
+    pub fn joints(&self) -> &Joints {
+        &self.joints
+    }
+
+    /// Whether the hand may give way in how it is turned: three joints place a wrist of three more.
+    fn gives_way(&self) -> bool {
+        self.joints.len() == ALL && self.solver.branch_of(&self.joints).is_some()
+    }
+
+    /// Goes on by a period, s, at whose end the hand is to be at `place`, m.
+    ///
+    /// # Errors
+    /// A text: the arm does not reach that. Its joints stay.
+    pub fn go(&mut self, place: &Point3<f64>, period: f64) -> Result<(), String> {
+        let before = self.joints;
+        let next = match self.gives_way() {
+            true => self.given_way(place, period)?,
+            false => {
+                let pose = Isometry3::from_parts(place.coords.into(), self.turn);
+                let branch = self.solver.branch_of(&before);
+                let found = self.solver.follow(&pose, branch, &before);
+                found.map_err(|error| error.to_string())?
+            }
+        };
+        let speed = |index: usize| (next[index] - before[index]) / period;
+        self.speeds = Joints::from_fn(next.len(), speed);
+        self.joints = next;
+        Ok(())
+    }
+
+    fn given_way(&mut self, place: &Point3<f64>, period: f64) -> Result<Joints, String> {
+        let mut next = self.joints;
+        let now = self.pose(&next).rotation;
+        self.put(place, &mut next)?;
+        // What the first three joints turned the hand by is made up for at once, what was given way before slowly.
+        let carried = self.pose(&next).rotation;
+        let off = (self.turn * now.inverse()).scaled_axis() * (BACK * period).min(1.0);
+        let wanted = (now * carried.inverse()).scaled_axis() + off;
+        let [_, wrist] = self.jacobians(&next);
+        let least = wrist.singular_values().min();
+        let [far, most] = DAMPED;
+        let damping = most * most * (1.0 - (least / far).powi(2)).max(0.0);
+        let square = wrist * wrist.transpose() + Matrix3::identity() * damping;
+        let inverse = square.try_inverse().unwrap_or_else(Matrix3::zeros);
+        let steps = wrist.transpose() * inverse * wanted;
+        for (index, step) in (WRIST..ALL).zip(steps.iter()) {
+            let limits = &self.solver.model().joints()[index].limits;
+            let (at, speed) = (self.joints[index], self.speeds[index]);
+            let braking = USED * limits.acceleration;
+            // As fast as it can still brake before its limit, with half of that.
+            let room = |left: f64| (braking * (left - SHORT).max(0.0)).sqrt();
+            let most = USED * limits.velocity;
+            let fast = (step / period).clamp(-most, most);
+            let fast = fast.clamp(-room(at - limits.lower), room(limits.upper - at));
+            let change = braking * period;
+            next[index] = at + (fast.clamp(speed - change, speed + change)) * period;
+        }
+        self.put(place, &mut next)?;
+        Ok(next)
+    }
+
+    /// Has the first three joints put the hand at a place, m, by Newton's steps.
+    fn put(&mut self, place: &Point3<f64>, joints: &mut Joints) -> Result<(), String> {
+        let mut left = f64::INFINITY;
+        for _ in 0..STEPS {
+            let there = Point3::from(self.pose(joints).translation.vector);
+            let way = place - there;
+            left = way.norm();
+            if left < 1e-9 {
+                break;
+            }
+            let [arm, _] = self.jacobians(joints);
+            let step = arm.try_inverse().map(|inverse| inverse * way);
+            let step = step.filter(|step| step.norm() < 1.0);
+            let step = step.ok_or("the arm is singular there")?;
+            for (joint, step) in joints.iter_mut().zip(step.iter()) {
+                *joint += step;
+            }
+        }
+        match left < EXACT {
+            true => Ok(()),
+            false => Err(format!("the arm ends {left:.4} m before the place")),
+        }
+    }
+
+    /// How the first three joints move the tool, m per rad, and how the others turn it, in the base frame.
+    fn jacobians(&mut self, joints: &[f64]) -> [Matrix3<f64>; 2] {
+        let model = self.solver.model();
+        let all = model.jacobian(&mut self.data, joints, model.tip());
+        [
+            all.fixed_view::<3, 3>(0, 0).into_owned(),
+            all.fixed_view::<3, 3>(3, WRIST).into_owned(),
+        ]
+    }
+
+    /// Its smallest singular value, m per rad; without the wrist, where that gives way.
+    fn least(&mut self, joints: &[f64]) -> f64 {
+        match self.gives_way() {
+            true => self.jacobians(joints)[0].singular_values().min(),
+            false => self.solver.smallest_singular_value(joints),
+        }
+    }
+
+    /// Where joints put a hand that is turned as it shall be, next to where they are, or why they do not.
+    fn found(&mut self, place: &Point3<f64>) -> Result<Joints, String> {
+        let pose = Isometry3::from_parts(place.coords.into(), self.turn);
+        let near = self.joints;
+        let branch = self.solver.branch_of(&near);
+        let found = self.solver.follow(&pose, branch, &near);
+        let why = match (found, branch) {
+            (Ok(found), _) => return Ok(found),
+            (Err(why), None) => return Err(why.to_string()),
+            (Err(why), Some(_)) if !self.gives_way() => return Err(why.to_string()),
+            (Err(why), Some(_)) => why,
+        };
+        // A straight wrist is passed into its other posture.
+        let other = branch.map(|branch| Branch {
+            wrist: match branch.wrist {
+                Wrist::Flip => Wrist::NoFlip,
+                Wrist::NoFlip => Wrist::Flip,
+            },
+            ..branch
+        });
+        let passed = self.solver.follow(&pose, other, &near).ok();
+        let passed = passed.filter(|passed| (passed[WRIST] - near[WRIST]).abs() < PASSES);
+        let passed = passed.or_else(|| self.straight(place));
+        passed.ok_or_else(|| why.to_string())
+    }
+
+    /// Where joints put a hand whose wrist is nearly straight there, however it is turned then.
+    fn straight(&mut self, place: &Point3<f64>) -> Option<Joints> {
+        let mut found = self.joints;
+        self.put(place, &mut found).ok()?;
+        let [_, wrist] = self.jacobians(&found);
+        let turned = self.turn * self.pose(&found).rotation.inverse();
+        let bend = wrist.column(0).cross(&(turned * wrist.column(2)));
+        let outside = self.solver.model().joint_outside(&found);
+        (bend.norm() < STRAIGHT && outside.is_none_or(|joint| joint >= WRIST)).then_some(found)
+    }
+
+    /// Why it does not reach a place, m, if it does not. An arm that is nearly singular already may become less so.
+    pub fn wrong(&mut self, place: &Point3<f64>) -> Option<String> {
+        let found = match self.found(place) {
+            Ok(found) => found,
+            Err(why) => return Some(why),
+        };
+        let joints = self.joints;
+        let (now, then) = (self.least(&joints), self.least(&found));
+        (then < SINGULAR.min(now)).then(|| {
+            format!("the arm would be singular: its smallest singular value would be {then:.3}, and {SINGULAR} is needed")
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use mcs::model::{built_in, file::Inertias};
+    use nalgebra::Vector3;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const PERIOD: f64 = 0.0045;
+
+    fn arm(degrees: [f64; 6]) -> Arm {
+        let model = built_in::model("puma560", Inertias::Identified).unwrap();
+        let solver = Solver::new(Arc::new(model.unwrap())).unwrap();
+        Arm::at_rest(solver, Joints::from(degrees.map(f64::to_radians)))
+    }
+
+    /// What a way of the hand costs: largest speed and acceleration of a joint of the wrist, as parts of their limits; how far the
+    /// hand was turned at most and at the end, rad; and where it is from its place at most, m.
+    #[derive(Debug, Default)]
+    struct Cost {
+        speed: f64,
+        acceleration: f64,
+        turned: f64,
+        last: f64,
+        off: f64,
+        /// It was held before the end, for a joint would have been beyond its limit.
+        held: bool,
+    }
+
+    /// Leads a hand from a straight wrist's one side to the other, inwards, and it rests there.
+    fn passed(aside: f64, fast: f64) -> Cost {
+        let mut arm = arm([0.0, 39.0, -159.0, 0.0, -20.0, 0.0]);
+        let turn = arm.turn();
+        let from = Point3::from(arm.pose(&arm.joints().clone()).translation.vector);
+        let mut cost = Cost::default();
+        let way = Vector3::new(-0.3, aside, 0.0);
+        let seconds = way.norm() / fast + 4.0;
+        let mut before = *arm.joints();
+        let mut speeds = Joints::zeros(ALL);
+        for tick in 1..(seconds / PERIOD) as u32 {
+            let time = f64::from(tick) * PERIOD;
+            // Even but for its ends.
+            let share = (time * fast / way.norm()).min(1.0);
+            let share = share * share * (3.0 - 2.0 * share);
+            let place = from + way * share;
+            if share < 1.0 && arm.wrong(&(place + way.normalize() * 0.02)).is_some() {
+                cost.held = true;
+                return cost;
+            }
+            arm.go(&place, PERIOD).unwrap();
+            let joints = *arm.joints();
+            let pose = arm.pose(&joints);
+            cost.off = cost
+                .off
+                .max((pose.translation.vector - place.coords).norm());
+            cost.last = pose.rotation.angle_to(&turn);
+            cost.turned = cost.turned.max(cost.last);
+            for index in WRIST..ALL {
+                let limits = &arm.solver.model().joints()[index].limits;
+                let speed = (joints[index] - before[index]) / PERIOD;
+                let change = (speed - speeds[index]) / PERIOD;
+                cost.speed = cost.speed.max(speed.abs() / limits.velocity);
+                cost.acceleration = cost.acceleration.max(change.abs() / limits.acceleration);
+                speeds[index] = speed;
+                assert!(
+                    (limits.lower..=limits.upper).contains(&joints[index]),
+                    "{joints:?} {time} s"
+                );
+            }
+            before = joints;
+        }
+        cost
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn a_hand_passes_a_straight_wrist_within_all_limits_and_is_turned_back_behind_it(
+            aside in -0.1..0.1_f64,
+            fast in 0.05..0.4_f64,
+        ) {
+            let cost = passed(aside, fast);
+            prop_assert!(cost.off < 1e-5, "{cost:?}");
+            prop_assert!(cost.speed <= 1.0 && cost.acceleration <= 1.0, "{cost:?}");
+            // Further aside joint 4 comes to its limit, and the hand stays turned a little or is held.
+            let near = aside.abs() < 0.06;
+            prop_assert!(cost.turned < if near { 0.12 } else { 0.3 }, "{cost:?}");
+            prop_assert!(!near || (cost.last < 0.02 && !cost.held), "{cost:?}");
+        }
+    }
+
+    #[test]
+    fn away_from_singular_poses_the_hand_stays_turned_as_it_was() {
+        let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
+        let turn = arm.turn();
+        let from = Point3::from(arm.pose(&arm.joints().clone()).translation.vector);
+        for tick in 1..2000 {
+            let time = f64::from(tick) * PERIOD;
+            let off = Vector3::new(0.1 * (2.0 * time).sin(), 0.12 * (2.5 * time).sin(), 0.0);
+            arm.go(&(from + off), PERIOD).unwrap();
+            let pose = arm.pose(&arm.joints().clone());
+            assert!(
+                pose.rotation.angle_to(&turn) < 0.01,
+                "{}",
+                pose.rotation.angle_to(&turn)
+            );
+        }
+    }
+
+    #[test]
+    fn a_place_that_the_arm_does_not_reach_is_told_with_its_reason_and_moves_nothing() {
+        let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
+        let before = *arm.joints();
+        let far = Point3::new(3.0, 0.0, 0.5);
+        assert!(arm.wrong(&far).is_some() && arm.go(&far, PERIOD).is_err());
+        assert_eq!(*arm.joints(), before);
+        let there = Point3::from(arm.pose(&before).translation.vector);
+        assert_eq!(arm.wrong(&there), None);
+    }
+}
