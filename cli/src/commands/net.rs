@@ -30,7 +30,7 @@ pub enum NetCommand {
     Convert(convert::ConvertArgs),
     /// Fire an enabled transition of a running net by hand
     ///
-    /// As all interventions, it needs `allow_control = true` in the arguments of the net's task, the role `control`
+    /// As all interventions, it needs `allow_control = true` in the arguments of the net's task, the role `call`
     /// from another host, and is in the record and the log of the app.
     Fire(control::TransitionArgs),
     /// Put tokens into a place of a running net

@@ -66,6 +66,80 @@ fn page() -> String {
     page
 }
 
+/// Which class is for what: what a person wants, and the classes for it.
+const OVERVIEW: [(&str, &str); 22] = [
+    (
+        "move an arm; stop it, reset it, see its state; watch its joints",
+        "mvpos pino slots",
+    ),
+    ("stream setpoints or torques to an arm", "setpoint torque"),
+    ("have guards watch motions", "wspc"),
+    (
+        "calculate with an arm's model: kinematics, dynamics, times",
+        "kin dyn traj",
+    ),
+    (
+        "get an arm around obstacles: plan a way, go to a place",
+        "path go",
+    ),
+    (
+        "close and open a gripper; move fingers and grasp; press with two arms",
+        "gripper manus squeeze",
+    ),
+    (
+        "have a whole task done: carry a thing, push one",
+        "carry push",
+    ),
+    ("know the rules of checkers, and the best move", "game"),
+    (
+        "find things in pictures: spots, regions, colours, chequer corners, lines",
+        "spot blobs colour corners lines",
+    ),
+    (
+        "find boards and discs in pictures, and correct a gripper by one",
+        "board findBrdMarker getDisk diskFind",
+    ),
+    (
+        "calibrate cameras: one, by a plane, a pair, several, on a tool",
+        "resect planecal stereo bundle handeye",
+    ),
+    ("get points and poses from pixels", "triangulate pose"),
+    (
+        "point with light: a laser scanner, the pointer in the hand",
+        "laser pointer",
+    ),
+    (
+        "filter and fit numbers: a moving position, two clocks, any map from examples",
+        "abg clockfit psom",
+    ),
+    (
+        "manage objects: those of a process, recipes and daemons",
+        "sorm dict",
+    ),
+    (
+        "ask several objects at once, or without waiting",
+        "fork later",
+    ),
+    (
+        "get results as they are made; tell subscribers",
+        "stream event",
+    ),
+    ("watch requests; see when one was met", "watch stamp"),
+    (
+        "share data between tasks: items, permits, values by key",
+        "queue semaphore blackboard",
+    ),
+    (
+        "write, read and record snapshot buffers",
+        "shmem_w shmem_r shmem_far flight",
+    ),
+    ("tell people in the room", "sound"),
+    (
+        "have a program be an object; see how classes behave (demos)",
+        "program foo bar",
+    ),
+];
+
 /// `docs/services.md`.
 fn services() -> String {
     let mut page = String::from(
@@ -73,8 +147,16 @@ fn services() -> String {
          `UPDATE=1 cargo test -p cli --test program reference` writes it anew. `scott --local` carries all of them; \
          `NAME CTRL -help` tells the same, `NAME CTRL -dump` the state.\n\n\
          Numbers are in SI units and rad, matrices row by row. An option that is wrong leaves the object as it was. \
-         The option `-help` and `-dump` of CTRL and everything under DBX are those of every class.\n",
+         The option `-help` and `-dump` of CTRL and everything under DBX are those of every class.\n\n\
+         | to | ask |\n|---|---|\n",
     );
+    for (purpose, classes) in OVERVIEW {
+        let links: Vec<String> = classes
+            .split(' ')
+            .map(|class| format!("[`{class}`](#{})", class.to_lowercase()))
+            .collect();
+        let _ = writeln!(page, "| {purpose} | {} |", links.join(", "));
+    }
     let manager = scott::services::manager(&[]).expect("the shipped dictionary is right");
     for class in CLASSES.iter() {
         let _ = write!(
@@ -167,6 +249,18 @@ fn sentence(text: &str) -> String {
     let mut letters = text.chars();
     let first = letters.next().map(|first| first.to_uppercase().to_string());
     first.unwrap_or_default() + letters.as_str()
+}
+
+#[test]
+fn the_overview_of_services_has_every_class_once() {
+    let mut told: Vec<&str> = OVERVIEW
+        .iter()
+        .flat_map(|(_, classes)| classes.split(' '))
+        .collect();
+    told.sort_unstable();
+    let mut all: Vec<&str> = CLASSES.iter().map(|class| class.name.as_str()).collect();
+    all.sort_unstable();
+    assert_eq!(told, all);
 }
 
 #[test]

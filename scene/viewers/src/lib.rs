@@ -7,6 +7,7 @@
 //! | `/tf/TASK` | `foxglove.FrameTransforms` | each change: where all parts of TASK are in the frame [`WORLD`] |
 //! | `/solids/TASK` | `foxglove.SceneUpdate` | the parts of TASK, when there are others: their solids in their frames |
 //! | `/joints/TASK` | `foxglove.JointStates` | each change: positions, velocities and efforts of TASK's joints, SI |
+//! | `/vectors/TASK` | `foxglove.SceneUpdate` | each change: arrows of what sensors feel, and of the way to what is nearest |
 //! | `/numbers/TASK` | JSON | each change: every number of every part, its unit in its name |
 //! | `/said/TASK` | `foxglove.Log` | what TASK says about what it shows |
 //! | `/camera/CAMERA/image` | `foxglove.CompressedImage` | at most five pictures a second: JPEG, made small |
