@@ -307,7 +307,7 @@ mod tests {
                         }
                     }
                     3 => { book.gone("a"); }
-                    4 => { book.expire(now); now += LEASE / 2; }
+                    4 => { book.expire(now); now = now + LEASE / 2; }
                     _ => book.take_back(1, epoch),
                 }
             }

@@ -264,7 +264,7 @@ on = \"desk\"
         );
         assert_eq!(app.task("cell2.guest").unwrap().chassis, "desk");
         // What is written once is found where it is written.
-        assert_eq!(agent.on_place.to_string(), "app.toml:13:6");
+        assert_eq!(agent.on_place.to_string(), "app.toml:14:6");
     }
 
     #[test]

@@ -111,6 +111,19 @@ fn without_faults_every_job_is_done_once() {
     let (ok, said) = ends(app(6, &[], &[]), 1, Faults::none(), Leases::Kept);
     assert!(ok, "{said}");
     assert_eq!(said["jobs"], 30);
+    let again = ends(app(6, &[], &[]), 1, Faults::none(), Leases::Kept);
+    assert_eq!(again, (ok, said), "the same seed is the same run");
+}
+
+#[test]
+fn a_job_costs_no_more_messages_among_many_cells_than_among_few() {
+    let costs = |cells| {
+        let (ok, said) = ends(app(cells, &[], &[]), 1, Faults::none(), Leases::Kept);
+        assert!(ok, "{said}");
+        said["messages_per_job"].as_f64().expect("a number")
+    };
+    let (few, many) = (costs(4), costs(24));
+    assert!(many < few * 1.1, "{few} among few, {many} among many");
 }
 
 #[test]
