@@ -112,10 +112,6 @@ impl ReplayReport {
         self.different == 0
     }
 
-    fn same(&mut self) {
-        self.same += 1;
-    }
-
     fn differs(&mut self, at: Instant, trace: u64, expected: String, got: String) {
         self.different += 1;
         if self.first.is_none() {
