@@ -113,9 +113,10 @@ impl Script {
         };
         let noted = |key: &str| {
             let key = key.to_owned();
-            record.runs.iter().map(move |run| run.noted.get(&key))
+            let runs = record.runs.iter();
+            runs.filter_map(move |run| run.noted.get(&key))
         };
-        let seeds: BTreeSet<&String> = noted("seed").flatten().collect();
+        let seeds: BTreeSet<&String> = noted("seed").collect();
         if seeds.len() > 1 {
             let why = "the files are of different runs: their seeds differ";
             return Err(incomplete(why));
@@ -132,9 +133,8 @@ impl Script {
             script: Self {
                 tid,
                 seed: seeds.first().and_then(|seed| seed.parse().ok()),
-                real: noted("time").flatten().any(|time| time == "real"),
+                real: noted("time").any(|time| time == "real"),
                 drift: noted(&drift)
-                    .flatten()
                     .find_map(|text| drift_of(text))
                     .unwrap_or_default(),
                 names: BTreeMap::new(),
