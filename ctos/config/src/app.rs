@@ -285,20 +285,20 @@ impl App {
     /// The task of that name. Takes as long among many tasks as among few.
     #[must_use]
     pub fn task(&self, name: &str) -> Option<&TaskConfig> {
-        let task = self.tasks.get(self.index.task(name)?);
+        let task = self.tasks.get(*self.index.tasks.all(name).first()?);
         task.filter(|task| task.name == name)
     }
 
     /// The tasks of an event handler, in declared order. The others are not looked at.
     pub fn tasks_with<'a>(&'a self, handler: &'a str) -> impl Iterator<Item = &'a TaskConfig> {
-        let places = self.index.of_handler(handler).iter();
+        let places = self.index.handlers.all(handler).iter();
         let tasks = places.filter_map(|place| self.tasks.get(*place));
         tasks.filter(move |task| task.handler == handler)
     }
 
     /// The tasks of a chassis, in declared order. Those of others are not looked at.
     pub fn tasks_on<'a>(&'a self, chassis: &'a str) -> impl Iterator<Item = &'a TaskConfig> {
-        let places = self.index.of_chassis(chassis).iter();
+        let places = self.index.homes.all(chassis).iter();
         let tasks = places.filter_map(|place| self.tasks.get(*place));
         tasks.filter(move |task| task.chassis == chassis)
     }
@@ -306,7 +306,7 @@ impl App {
     /// The place of the chassis of that name in [`App::chassis`].
     #[must_use]
     pub fn place_of_chassis(&self, name: &str) -> Option<usize> {
-        let place = self.index.chassis(name)?;
+        let place = *self.index.chassis.all(name).first()?;
         let chassis = self.chassis.get(place)?;
         (chassis.name == name).then_some(place)
     }

@@ -7,6 +7,7 @@
 use super::keys::{self, Key, Kind, PROCESSOR, TOP};
 use super::node::{Entry, Node, Value};
 use crate::diagnostic::{Finding, Findings, Source};
+use crate::settings::is_name;
 use std::net::SocketAddr;
 
 /// The processor of a chassis that declares none.
@@ -202,8 +203,7 @@ fn shown(node: &Node) -> String {
 /// names, so they are kept plain.
 pub(super) fn check_name(kind: &str, entry: &Entry, findings: &mut Findings) {
     let name = &entry.key;
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-.".contains(letter);
-    if name.is_empty() || name.len() > 64 || !name.chars().all(plain) {
+    if !is_name(name) {
         let text = format!("`{}` cannot be the name of a {kind}", name.escape_debug());
         let finding = Finding::error("ctos::config::name", text)
             .help("names are 1 to 64 letters, digits, `_`, `-` or `.`");

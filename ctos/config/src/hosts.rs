@@ -119,7 +119,9 @@ impl App {
         }
     }
 
-    fn is_used(&self, host: &HostConfig) -> bool {
+    /// Whether a chassis is on that host.
+    #[must_use]
+    pub fn is_used(&self, host: &HostConfig) -> bool {
         let mut chassis = self.chassis.iter();
         chassis.any(|one| one.host.as_ref() == Some(&host.name))
     }

@@ -2,35 +2,35 @@
 
 use std::collections::BTreeMap;
 
-/// The places of names in two lists; of a name that stands twice the first. And those of the tasks of each handler and
-/// of each chassis.
+/// The places of those in a list that have a word in common, by that word.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct Places(BTreeMap<String, Vec<usize>>);
+
+/// The places of tasks by their names, handlers and chassis, and of chassis by their names.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Index {
-    tasks: BTreeMap<String, usize>,
-    chassis: BTreeMap<String, usize>,
-    handlers: BTreeMap<String, Vec<usize>>,
-    homes: BTreeMap<String, Vec<usize>>,
+    pub(super) tasks: Places,
+    pub(super) handlers: Places,
+    pub(super) homes: Places,
+    pub(super) chassis: Places,
 }
 
-/// The places of those that have a word in common, by that word.
-fn grouped<'n>(words: impl Iterator<Item = &'n str>) -> BTreeMap<String, Vec<usize>> {
-    let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-    for (place, word) in words.enumerate() {
-        match groups.get_mut(word) {
-            Some(places) => places.push(place),
-            None => drop(groups.insert(word.to_owned(), vec![place])),
+impl Places {
+    fn of<'n>(words: impl Iterator<Item = &'n str>) -> Self {
+        let mut places: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+        for (place, word) in words.enumerate() {
+            match places.get_mut(word) {
+                Some(places) => places.push(place),
+                None => drop(places.insert(word.to_owned(), vec![place])),
+            }
         }
+        Self(places)
     }
-    groups
-}
 
-/// Each name with its place.
-fn places<'n>(names: impl Iterator<Item = &'n str>) -> BTreeMap<String, usize> {
-    let mut places = BTreeMap::new();
-    for (place, name) in names.enumerate() {
-        places.entry(name.to_owned()).or_insert(place);
+    /// Those of a word, in order.
+    pub(super) fn all(&self, word: &str) -> &[usize] {
+        self.0.get(word).map_or(&[], Vec::as_slice)
     }
-    places
 }
 
 impl Index {
@@ -40,26 +40,10 @@ impl Index {
         tasks: impl Iterator<Item = [&'n str; 3]> + Clone,
     ) -> Self {
         Self {
-            handlers: grouped(tasks.clone().map(|[_, handler, _]| handler)),
-            homes: grouped(tasks.clone().map(|[.., home]| home)),
-            tasks: places(tasks.map(|[name, ..]| name)),
-            chassis: places(chassis),
+            handlers: Places::of(tasks.clone().map(|[_, handler, _]| handler)),
+            homes: Places::of(tasks.clone().map(|[.., home]| home)),
+            tasks: Places::of(tasks.map(|[name, ..]| name)),
+            chassis: Places::of(chassis),
         }
-    }
-
-    pub(super) fn task(&self, name: &str) -> Option<usize> {
-        self.tasks.get(name).copied()
-    }
-
-    pub(super) fn of_handler(&self, handler: &str) -> &[usize] {
-        self.handlers.get(handler).map_or(&[], Vec::as_slice)
-    }
-
-    pub(super) fn of_chassis(&self, chassis: &str) -> &[usize] {
-        self.homes.get(chassis).map_or(&[], Vec::as_slice)
-    }
-
-    pub(super) fn chassis(&self, name: &str) -> Option<usize> {
-        self.chassis.get(name).copied()
     }
 }

@@ -52,7 +52,7 @@ pub use schema::schema;
 pub use selection::Selection;
 /// When the process of a chassis is started again: a failure is any end but one by itself with exit code 0.
 pub use settings::When as ChassisRestart;
-pub use settings::{BOOT_CHASSIS, Lead, Overrun, Policy, Scope, When};
+pub use settings::{BOOT_CHASSIS, Lead, Overrun, Policy, Scope, When, is_name};
 pub use trail::Origin;
 pub use zenoh::{ZenohConfig, ZenohEndpoint, ZenohEndpointError, ZenohMode, has_zenoh};
 

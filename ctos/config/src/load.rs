@@ -216,12 +216,9 @@ impl Loader<'_, '_> {
         };
         let mut paths = Vec::new();
         let list = entry.value;
-        let wrong = |node: &Node| {
-            let text = format!("`include` is a list of paths, found {}", node.kind());
-            let finding = Finding::error("ctos::config::include", text)
-                .help("write include = [\"common.toml\"]");
-            finding.at(node.place().cloned())
-        };
+        let what = "`include` is a list of paths";
+        let help = "write include = [\"common.toml\"]";
+        let wrong = |node: &Node| node.is_no("ctos::config::include", what, help);
         if !matches!(list.value(), Value::Array(_)) {
             self.findings.push(wrong(&list));
         }

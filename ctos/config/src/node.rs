@@ -244,6 +244,13 @@ impl Node {
         }
     }
 
+    /// It is something else than `what` says that it is.
+    pub(super) fn is_no(&self, code: &'static str, what: &str, help: &str) -> Finding {
+        let text = format!("{what}, found {}", self.kind());
+        let finding = Finding::error(code, text).help(help);
+        finding.at(self.place.clone())
+    }
+
     /// The kind of value, as a person calls it.
     #[must_use]
     pub fn kind(&self) -> &'static str {

@@ -33,17 +33,12 @@ pub(super) fn chosen<'a>(
 
 /// Reads the table `profile` that was taken out of an app's merged files: its profiles in declared order.
 pub(super) fn declared(entry: Option<Entry>, findings: &mut Findings) -> Vec<Entry> {
-    let wrong = |node: &Node, what: &str, help: &str| {
-        let text = format!("{what}, found {}", node.kind());
-        let finding = Finding::error("ctos::config::value", text).help(help);
-        finding.at(node.place.clone())
-    };
     let Some(Entry { value, .. }) = entry else {
         return Vec::new();
     };
     if !value.is_table() {
         let help = "write [profile.NAME]; app.profile chooses one";
-        findings.push(wrong(&value, "`profile` holds named tables", help));
+        findings.push(value.is_no("ctos::config::value", "`profile` holds named tables", help));
     }
     let profiles = value.entries().iter().filter(|profile| {
         let Entry { key, value, .. } = profile;
@@ -52,7 +47,7 @@ pub(super) fn declared(entry: Option<Entry>, findings: &mut Findings) -> Vec<Ent
         if !value.is_table() {
             let what = format!("profile `{key}` holds tables of the app");
             let help = format!("write for example [profile.{key}.time]");
-            findings.push(wrong(value, &what, &help));
+            findings.push(value.is_no("ctos::config::value", &what, &help));
         }
         value.is_table()
     });

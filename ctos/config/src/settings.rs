@@ -9,6 +9,13 @@ use serde::{Deserialize, Serialize};
 /// The name of the chassis that boots the others; its number is 0.
 pub const BOOT_CHASSIS: &str = "boot";
 
+/// Whether a task, a chassis or a key can be called so.
+#[must_use]
+pub fn is_name(name: &str) -> bool {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-.".contains(letter);
+    (1..=64).contains(&name.len()) && name.chars().all(plain)
+}
+
 /// What is restarted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]

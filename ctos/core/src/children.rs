@@ -12,7 +12,7 @@ use crate::{
     supervise::Policy,
     system::{Quiesce, RegisterTid, Shutdown},
 };
-use ctos_config::Node;
+use ctos_config::{Node, is_name};
 use ctos_message::{Tid, fault::CallError};
 
 /// Why a task could not be started by another one.
@@ -35,11 +35,6 @@ pub enum StartError {
         /// What went wrong.
         error: CallError,
     },
-}
-
-fn is_name(name: &str) -> bool {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
-    (1..=64).contains(&name.len()) && name.chars().all(allowed)
 }
 
 impl Context {

@@ -72,15 +72,7 @@ impl Caller for Nobody {
 pub struct Waiting {
     answer: oneshot::Receiver<Answer>,
     /// Takes the question back, when it went over a link.
-    take_back: Option<Box<dyn FnOnce() + Send>>,
-}
-
-impl Waiting {
-    /// The same; `take_back` is called if it is dropped.
-    pub(crate) fn or_else(mut self, take_back: impl FnOnce() + Send + 'static) -> Self {
-        self.take_back = Some(Box::new(take_back));
-        self
-    }
+    pub(crate) take_back: Option<Box<dyn FnOnce() + Send>>,
 }
 
 impl Drop for Waiting {

@@ -88,13 +88,13 @@ pub struct Member {
     pub listen: Vec<Address>,
 }
 
-/// Who calls.
+/// Who one end is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
     pub member: Member,
     /// The number up to which it has received everything of the session.
     pub received: u64,
-    /// Whether it would rather use shared memory from here on.
+    /// Whether the caller would rather use shared memory from here on, and whether the called awaits it.
     pub shared: bool,
 }
 
@@ -122,16 +122,8 @@ impl Greeting {
 /// What the other end answers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Answer {
-    /// Frames from here on.
-    Welcome {
-        chassis: ChassisNumber,
-        incarnation: u32,
-        process: Process,
-        /// The number up to which it has received everything of the session.
-        received: u64,
-        /// Whether it awaits shared memory.
-        shared: bool,
-    },
+    /// Who it is, and frames from here on.
+    Welcome(Hello),
     /// The caller was given up and may not come back.
     GivenUp,
 }

@@ -254,15 +254,13 @@ impl Session {
         let mut joined = lock(&self.joined);
         let Joined {
             core,
-            writer: Some(writer),
+            writer,
             driver,
-        } = &mut *joined
-        else {
+        } = &mut *joined;
+        let is_it = core.stream() == stream && !core.is_cut(now);
+        let Some(writer) = writer.as_mut().filter(|_| is_it) else {
             return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
         };
-        if core.stream() != stream || core.is_cut(now) {
-            return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
-        }
         *driver = Some(cx.waker().clone());
         let stream = match writer {
             Writer::Direct(carrier) => {

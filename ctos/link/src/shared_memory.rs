@@ -100,9 +100,8 @@ impl Mapping {
         let Some(from) = self.place(at, into.len()) else {
             return false;
         };
-        if into.len() >= LONG && HAS_COPY {
-            // SAFETY: `from` is valid for that many bytes, and the slice is ours.
-            unsafe { copy(from, into.as_mut_ptr(), into.len()) };
+        // SAFETY: `from` is valid for that many bytes, and the slice is ours.
+        if into.len() >= LONG && unsafe { copy(from, into.as_mut_ptr(), into.len()) } {
             return true;
         }
         let (head, rest) = into.split_at_mut(to_word(at).min(into.len()));
@@ -132,9 +131,8 @@ impl Mapping {
         let Some(to) = self.place(at, from.len()) else {
             return false;
         };
-        if from.len() >= LONG && HAS_COPY {
-            // SAFETY: `to` is valid for that many bytes, and the slice is lent to us.
-            unsafe { copy(from.as_ptr(), to, from.len()) };
+        // SAFETY: `to` is valid for that many bytes, and the slice is lent to us.
+        if from.len() >= LONG && unsafe { copy(from.as_ptr(), to, from.len()) } {
             return true;
         }
         let (head, rest) = from.split_at(to_word(at).min(from.len()));
@@ -183,17 +181,12 @@ impl Drop for Mapping {
     }
 }
 
-#[cfg(all(target_arch = "x86_64", not(miri)))]
-const HAS_COPY: bool = true;
-#[cfg(not(all(target_arch = "x86_64", not(miri))))]
-const HAS_COPY: bool = false;
-
-/// Copies bytes of which one side may be changing.
+/// Copies bytes of which one side may be changing, where an instruction does that; whether it did.
 ///
 /// # Safety
 /// `from` is valid for loads and `to` for stores of that many bytes, and they do not overlap.
 #[cfg(all(target_arch = "x86_64", not(miri)))]
-unsafe fn copy(from: *const u8, to: *mut u8, count: usize) {
+unsafe fn copy(from: *const u8, to: *mut u8, count: usize) -> bool {
     // SAFETY: as the caller promises; the direction flag is clear, as the platform demands.
     unsafe {
         std::arch::asm!(
@@ -204,14 +197,15 @@ unsafe fn copy(from: *const u8, to: *mut u8, count: usize) {
             options(nostack, preserves_flags)
         );
     }
+    true
 }
 
-/// Never called where there is no such instruction.
-///
 /// # Safety
 /// None is needed.
 #[cfg(not(all(target_arch = "x86_64", not(miri))))]
-unsafe fn copy(_from: *const u8, _to: *mut u8, _count: usize) {}
+unsafe fn copy(_from: *const u8, _to: *mut u8, _count: usize) -> bool {
+    false
+}
 
 impl View {
     /// Maps the first `size` bytes of a file, for reading.

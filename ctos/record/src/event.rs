@@ -59,17 +59,6 @@ pub(crate) enum Step {
 
 impl Step {
     /// What kind of step it is, by number.
-    pub(crate) fn number(&self) -> u8 {
-        match self {
-            Self::Sent { .. } => 0,
-            Self::Began => 1,
-            Self::Ended { .. } => 2,
-            Self::Answered { .. } => 3,
-            Self::Polled { .. } => 4,
-            Self::Read { .. } => 5,
-        }
-    }
-
     /// Whether it happened within a task, to no message.
     pub(crate) fn is_within(&self) -> bool {
         matches!(self, Self::Polled { .. } | Self::Read { .. })

@@ -77,24 +77,18 @@ pub fn start(
     chassis: &[Arc<Chassis>],
     runtime: &[CommandInfo],
 ) -> std::io::Result<Option<Recording>> {
-    let Some(first) = chassis.first() else {
+    let first = chassis.first();
+    let Some((first, config)) = first.and_then(|one| Some((one, one.app.record.as_ref()?))) else {
         return Ok(None);
     };
-    let app = &first.app;
-    let Some(config) = &app.record else {
-        return Ok(None);
-    };
-    let mut path = app.folder.join(&config.file);
+    let mut path = first.app.folder.join(&config.file);
     if first.clock.origin_ns().is_some() {
         path = suffixed(&path, first.name());
     }
     let mut run = run_of(first);
     for one in chassis {
-        let Drift {
-            offset_ns,
-            rate_ppb,
-        } = one.clock.drift();
-        let drift = format!("{offset_ns} {rate_ppb}");
+        let drift = one.clock.drift();
+        let drift = format!("{} {}", drift.offset_ns, drift.rate_ppb);
         run.insert(format!("{DRIFT}{}", one.index()), drift);
     }
     let recorder = begin(first, config, path, run, runtime)?;

@@ -106,17 +106,28 @@ impl Serialize for Number {
     }
 }
 
-/// On which channel something that happened to a message stands, and its shape.
-pub(crate) fn channel_of(step: &Step, task: &str) -> (String, Schema) {
-    let (kind, schema) = match step {
+impl Traffic {
+    pub(crate) fn number(&self) -> Number {
+        let (chassis, number) = (self.chassis, self.key.id);
+        Number { chassis, number }
+    }
+}
+
+/// On what kind of channel something that happened to a message stands, and its shape.
+pub(crate) fn kind_of(step: &Step) -> (&'static str, Schema) {
+    match step {
         Step::Sent { .. } => ("message", Schema::Message),
         Step::Began => ("began", Schema::Began),
         Step::Ended { .. } => ("ended", Schema::Ended),
         Step::Answered { .. } => ("reply", Schema::Reply),
         Step::Polled { .. } => ("polled", Schema::Polled),
         Step::Read { .. } => ("read", Schema::Read),
-    };
-    (format!("/{kind}/{task}"), schema)
+    }
+}
+
+/// The channel of this kind for a task.
+pub(crate) fn channel_of(kind: &str, task: &str) -> String {
+    format!("/{kind}/{task}")
 }
 
 /// What happened to a message, as one JSON object.
@@ -128,7 +139,7 @@ pub(crate) fn traffic(
     data: &[u8],
     glossary: &Glossary,
 ) -> Result<Vec<u8>, serde_json::Error> {
-    let Traffic { chassis, key, .. } = *event;
+    let key = event.key;
     let (task, peer) = (glossary.task(key.task), glossary.task(key.peer));
     let known = glossary.command(&task, key.command);
     let (receiver, sender) = match event.step {
@@ -137,11 +148,10 @@ pub(crate) fn traffic(
         Step::Answered { .. } => ("by", "to"),
         Step::Polled { .. } | Step::Read { .. } => ("task", ""),
     };
-    let number = key.id;
     let mut line = vec![(receiver, json!(&*task))];
     if !event.step.is_within() {
         line.extend([
-            ("id", json!(Number { chassis, number })),
+            ("id", json!(event.number())),
             (sender, json!(&*peer)),
             ("command", json!(glossary.command_name(&task, key.command))),
             ("code", json!(key.command)),
@@ -214,22 +224,13 @@ struct Again<'a> {
     bytes: Cow<'a, str>,
 }
 
-/// Data as it stands in a line. Most of a record is of no concern to one task, and stays as it is.
-pub(crate) struct Written<'a>(Cow<'a, str>);
-
-impl Written<'_> {
-    /// The data; `None` when it is not base64.
-    pub(crate) fn read(&self) -> Option<Vec<u8>> {
-        STANDARD.decode(&*self.0).ok()
-    }
-}
-
-/// What happened to a message and its data, from the line that [`traffic`] made of it.
-pub(crate) fn from_line(json: &[u8]) -> Option<(Traffic, Written<'_>)> {
+/// What happened to a message and its data, from the line that [`traffic`] made of it. The data is base64 still:
+/// most of a record is of no concern to one task.
+pub(crate) fn from_line(json: &[u8]) -> Option<(Traffic, Cow<'_, str>)> {
     let Again { event, bytes } = serde_json::from_slice(json).ok()?;
     let event = STANDARD.decode(&*event).ok()?;
     let (event, ..) = Events::new(&event).next()?;
-    Some((event, Written(bytes)))
+    Some((event, bytes))
 }
 
 pub(crate) fn priority(flags: Flags) -> &'static str {

@@ -19,6 +19,7 @@ use mcap::{
 };
 
 use super::{
+    counts::Counts,
     glossary::Glossary,
     lines::{self, EVENTS},
     parts::{FORMAT, FORMAT_NOW, LOST, LineWriter, NAMES, RUN},
@@ -195,15 +196,10 @@ impl Record {
     /// # Errors
     /// [`ReadError`] when it cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ReadError> {
-        let failed = |error: io::Error| ReadError::Io {
-            path: path.to_owned(),
-            error,
-        };
         let mut options = File::options();
         let file = options.write(true).create_new(true).mode(0o600).open(path);
-        let file = file.map_err(failed)?;
-        self.write_to(BufWriter::new(file))
-            .map_err(|error| failed(io::Error::other(error)))
+        let written = self.write_to(BufWriter::new(file.map_err(failed(path))?));
+        written.map_err(|error| failed(path)(io::Error::other(error)))
     }
 
     fn write_to(&self, file: BufWriter<File>) -> mcap::McapResult<()> {
@@ -232,6 +228,7 @@ pub(crate) struct Scan<'a> {
     /// The channels of what happened to messages, by their names.
     traffic: BTreeMap<String, Arc<Channel>>,
     run: Run,
+    counts: Counts,
     /// The end of the file has told what is in it.
     counted: bool,
     closed: bool,
@@ -251,6 +248,7 @@ impl<'a> Scan<'a> {
                 path: path.to_owned(),
                 ..Run::default()
             },
+            counts: Counts::default(),
             counted: false,
             closed: false,
             foreign: None,
@@ -259,47 +257,44 @@ impl<'a> Scan<'a> {
 
     /// Takes what the end of the file says of all of it. Channels stand in chunks that may be passed over.
     fn expect(&mut self, contents: Contents) {
-        let Contents { summary, counts } = contents;
-        self.run.span = counts.span();
-        self.run.channels = counts.channels;
-        self.counted = true;
-        for (id, channel) in summary.channels {
-            let mut schema = ChannelSchema::default();
-            if let Some(known) = &channel.schema {
-                schema = ChannelSchema {
-                    name: known.name.clone().into(),
-                    language: known.encoding.clone().into(),
-                    text: known.data.to_vec().into(),
-                    ..schema
-                };
-                self.schemas.insert(known.id, schema.clone());
+        (self.counts, self.counted) = (contents.counts, true);
+        for (id, channel) in contents.summary.channels {
+            let known = channel.schema.as_ref();
+            if let Some(known) = known {
+                self.schema(known.id, &known.name, &known.encoding, &known.data);
             }
-            schema.encoding = channel.message_encoding.clone().into();
-            let topic = channel.topic.clone();
-            self.channels
-                .insert(id, Arc::new(Channel { topic, schema }));
+            let schema = known.map_or(0, |known| known.id);
+            self.channel(id, &channel.topic, schema, &channel.message_encoding);
         }
+    }
+
+    fn schema(&mut self, id: u16, name: &str, language: &str, text: &[u8]) {
+        let schema = ChannelSchema {
+            name: name.to_owned().into(),
+            language: language.to_owned().into(),
+            text: text.to_owned().into(),
+            ..ChannelSchema::default()
+        };
+        self.schemas.insert(id, schema);
+    }
+
+    fn channel(&mut self, id: u16, topic: &str, schema: u16, encoding: &str) {
+        let schema = self.schemas.get(&schema).cloned();
+        let mut schema = schema.unwrap_or_default();
+        schema.encoding = encoding.to_owned().into();
+        let topic = topic.to_owned();
+        let channel = Channel { topic, schema };
+        self.channels.insert(id, Arc::new(channel));
     }
 
     /// Takes one record of the file.
     fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
         match part {
             Part::Schema { header, data } => {
-                let schema = ChannelSchema {
-                    name: header.name.into(),
-                    language: header.encoding.into(),
-                    text: data.into_owned().into(),
-                    ..ChannelSchema::default()
-                };
-                self.schemas.insert(header.id, schema);
+                self.schema(header.id, &header.name, &header.encoding, &data);
             }
-            Part::Channel(channel) => {
-                let schema = self.schemas.get(&channel.schema_id).cloned();
-                let mut schema = schema.unwrap_or_default();
-                schema.encoding = channel.message_encoding.into();
-                let topic = channel.topic;
-                let channel_of = Channel { topic, schema };
-                self.channels.insert(channel.id, Arc::new(channel_of));
+            Part::Channel(one) => {
+                self.channel(one.id, &one.topic, one.schema_id, &one.message_encoding);
             }
             Part::Message { header, data } => self.message(&header, &data, see),
             Part::Metadata(metadata) if metadata.name == NAMES => {
@@ -336,24 +331,18 @@ impl<'a> Scan<'a> {
         if channel.schema.encoding == EVENTS {
             return self.stretch(data, see);
         }
+        self.count(&channel.topic, header.log_time, data.len());
         let at = Instant::from_nanos(header.log_time);
-        self.count(&channel.topic, at, data.len());
         if self.filter.takes(&channel.topic, at) {
             let json = data.to_vec();
             see(Entry { at, channel, json });
         }
     }
 
-    fn count(&mut self, topic: &str, at: Instant, bytes: usize) {
-        if self.counted {
-            return;
+    fn count(&mut self, topic: &str, at: u64, bytes: usize) {
+        if !self.counted {
+            self.counts.add(topic, at, bytes);
         }
-        let counted = self.run.channels.entry(topic.to_owned()).or_default();
-        counted.0 += 1;
-        counted.1 += u64::try_from(bytes).unwrap_or(0);
-        let span = self.run.span.get_or_insert((at, at));
-        span.0 = span.0.min(at);
-        span.1 = span.1.max(at);
     }
 
     /// Takes what happened to messages.
@@ -361,9 +350,10 @@ impl<'a> Scan<'a> {
         let mut events = Events::new(bytes);
         for (event, data, length) in events.by_ref() {
             let task = self.glossary.task(event.key.task);
-            let (topic, schema) = lines::channel_of(&event.step, &task);
+            let (kind, schema) = lines::kind_of(&event.step);
+            let topic = lines::channel_of(kind, &task);
+            self.count(&topic, event.at, length);
             let at = Instant::from_nanos(event.at);
-            self.count(&topic, at, length);
             if !self.filter.takes(&topic, at) {
                 continue;
             }
@@ -472,11 +462,8 @@ impl Scan<'_> {
             if let Some(found) = self.foreign {
                 return Err(ReadError::Version { path, found });
             }
-            if self.closed || self.run.torn.is_some() {
+            if self.closed || self.run.torn.is_some() || enough(&self.run) {
                 break;
-            }
-            if enough(&self.run) {
-                return Ok(self.run);
             }
         }
         if !begun {
@@ -489,6 +476,8 @@ impl Scan<'_> {
         if !self.closed {
             self.tear("it was not closed");
         }
+        self.run.span = self.counts.span();
+        self.run.channels = self.counts.channels;
         Ok(self.run)
     }
 }

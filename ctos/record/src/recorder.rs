@@ -24,14 +24,6 @@ const WAKE: usize = 128 * 1024;
 /// How often the writer looks unasked.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// The writer, and the buffers that it has emptied: they go back to the lanes.
-struct Emptying {
-    writer: Writer,
-    batches: Vec<Batch>,
-    /// Dropped events of which the writer knows.
-    dropped: u64,
-}
-
 /// The writer's thread.
 struct Worker {
     /// Wakes it: a buffer has grown, or the record ends.
@@ -48,10 +40,9 @@ pub(crate) struct Recorder {
     next_id: AtomicU64,
     /// Events that found no space in the buffers.
     dropped: AtomicU64,
-    /// Events that found none on the disk.
-    unwritten: AtomicU64,
     report: Mutex<RecordReport>,
-    writer: Mutex<Option<Emptying>>,
+    /// The writer, and the buffers that it has emptied: they go back to the lanes.
+    writer: Mutex<Option<(Writer, Vec<Batch>)>>,
     /// None: the writer is called where a buffer has grown.
     worker: Option<Worker>,
     ended: AtomicBool,
@@ -103,13 +94,8 @@ impl Recorder {
             limit,
             next_id: AtomicU64::new(1),
             dropped: AtomicU64::new(0),
-            unwritten: AtomicU64::new(0),
             report,
-            writer: Mutex::new(Some(Emptying {
-                writer,
-                batches,
-                dropped: 0,
-            })),
+            writer: Mutex::new(Some((writer, batches))),
             worker,
             ended: AtomicBool::new(false),
             names,
@@ -123,12 +109,6 @@ impl Recorder {
 
     pub(crate) fn fresh_id(&self) -> u64 {
         self.next_id.fetch_add(1, Ordering::Relaxed)
-    }
-
-    /// Events that found no space, here or on the disk.
-    pub(crate) fn dropped(&self) -> u64 {
-        let unwritten = self.unwritten.load(Ordering::Relaxed);
-        self.dropped.load(Ordering::Relaxed) + unwritten
     }
 
     /// A task has a name from now on.
@@ -193,29 +173,18 @@ impl Recorder {
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return,
         };
-        let Some(Emptying {
-            writer,
-            batches,
-            dropped: known,
-        }) = writer.as_mut()
-        else {
+        let Some((writer, batches)) = writer.as_mut() else {
             return;
         };
         for (lane, batch) in self.lanes.iter().zip(&mut *batches) {
             std::mem::swap(&mut *lock(lane), batch);
         }
         let now = self.now();
-        let dropped = self.dropped.load(Ordering::Relaxed);
-        writer.write(now, batches, dropped - std::mem::replace(known, dropped));
+        writer.write(now, batches, self.dropped.load(Ordering::Relaxed));
         batches.iter_mut().for_each(Batch::clear);
         if flush {
             writer.parts.flush(now);
         }
-        self.tell(writer);
-    }
-
-    fn tell(&self, writer: &Writer) {
-        self.unwritten.store(writer.unwritten(), Ordering::Relaxed);
         *lock(&self.report) = writer.parts.report();
     }
 
@@ -240,9 +209,9 @@ impl Recorder {
 
     fn close(&self) {
         let writer = lock(&self.writer).take();
-        if let Some(Emptying { mut writer, .. }) = writer {
+        if let Some((mut writer, _)) = writer {
             writer.parts.close(self.now());
-            self.tell(&writer);
+            *lock(&self.report) = writer.parts.report();
         }
     }
 

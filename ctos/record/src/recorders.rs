@@ -126,9 +126,9 @@ impl Recorders {
 
     /// Events that the records lack; `None` when nothing is recorded.
     pub fn dropped(&self) -> Option<u64> {
-        let recorders = self.recorders();
-        let all = recorders.iter().map(|recorder| recorder.dropped()).sum();
-        (!recorders.is_empty()).then_some(all)
+        let reports = self.reports();
+        let all = reports.iter().map(|report| report.lost).sum();
+        (!reports.is_empty()).then_some(all)
     }
 
     fn fresh_id(&self) -> u64 {
@@ -178,6 +178,19 @@ impl Recorders {
             let line = json!({ "task": &*recorder.name_of(task), "phase": phase });
             let (at, topic) = (recorder.now(), "/phase".to_owned());
             recorder.note(task, |batch| batch.json(at, topic, Schema::Phase, &line));
+        }
+    }
+
+    /// Adds a line of a task's own channel, which `write` writes.
+    fn line(&self, task: Tid, channel: &str, schema: &Schema, write: impl Fn(&mut Vec<u8>)) {
+        let root = if channel.starts_with('/') { "" } else { "/" };
+        for recorder in self.recorders() {
+            let (at, topic) = (recorder.now(), format!("{root}{channel}"));
+            let write = |buffer: &mut Vec<u8>| {
+                write(buffer);
+                true
+            };
+            recorder.note(task, |batch| batch.line(at, topic, schema.clone(), write));
         }
     }
 
@@ -318,32 +331,20 @@ impl Observer for Recorders {
     }
 
     fn value(&self, task: Tid, channel: &str, value: WriteData<'_>) {
-        let root = if channel.starts_with('/') { "" } else { "/" };
-        for recorder in self.recorders() {
-            let (at, topic) = (recorder.now(), format!("{root}{channel}"));
-            let write = |json: &mut Vec<u8>| {
-                let start = json.len();
-                if !value(json) || json.len() == start {
-                    json.truncate(start);
-                    json.extend_from_slice(b"null");
-                }
-                true
-            };
-            recorder.note(task, |batch| batch.line(at, topic, Schema::Value, write));
-        }
+        self.line(task, channel, &Schema::Value, |json| {
+            let start = json.len();
+            if !value(json) || json.len() == start {
+                json.truncate(start);
+                json.extend_from_slice(b"null");
+            }
+        });
     }
 
     fn encoded(&self, task: Tid, channel: &str, schema: &Arc<ChannelSchema>, bytes: &[u8]) {
-        let root = if channel.starts_with('/') { "" } else { "/" };
-        for recorder in self.recorders() {
-            let (at, topic) = (recorder.now(), format!("{root}{channel}"));
-            let schema = Schema::Given(schema.clone());
-            let write = |buffer: &mut Vec<u8>| {
-                buffer.extend_from_slice(bytes);
-                true
-            };
-            recorder.note(task, |batch| batch.line(at, topic, schema, write));
-        }
+        let schema = Schema::Given(schema.clone());
+        self.line(task, channel, &schema, |buffer| {
+            buffer.extend_from_slice(bytes)
+        });
     }
 
     fn polled(&self, task: Tid, part: u64) {

@@ -112,10 +112,6 @@ impl ReplayReport {
         self.different == 0
     }
 
-    fn same(&mut self) {
-        self.same += 1;
-    }
-
     fn differs(&mut self, at: Instant, trace: u64, expected: String, got: String) {
         self.different += 1;
         if self.first.is_none() {
@@ -169,13 +165,11 @@ impl fmt::Display for ReplayReport {
 /// Which tasks of `app` can be replayed from `record`, and why the others cannot.
 #[must_use]
 pub fn replayable(app: &App, record: &Record) -> Vec<(String, Result<(), ReplayError>)> {
-    let names = app.tasks.iter().map(|task| task.name.clone());
-    names
-        .map(|name| {
-            let script = Script::of(record, &name);
-            (name, script.map(|_| ()))
-        })
-        .collect()
+    let script = |task: &TaskConfig| {
+        let script = Script::of(record, &task.name);
+        (task.name.clone(), script.map(|_| ()))
+    };
+    app.tasks.iter().map(script).collect()
 }
 
 /// Lets task `task` of `app` do again what it did in `record`, and compares.
@@ -183,7 +177,7 @@ pub fn replayable(app: &App, record: &Record) -> Vec<(String, Result<(), ReplayE
 /// # Errors
 /// [`ReplayError`] when it cannot be tried.
 pub fn replay(
-    app: App,
+    mut app: App,
     registry: Registry,
     task: &str,
     record: &Record,
@@ -196,7 +190,6 @@ pub fn replay(
     let mut script = Script::of(record, task)?;
     let (tid, lost) = (script.tid, script.lost);
     let steps = std::mem::take(&mut script.steps);
-    let mut app = app;
     app.time = TimeMode::Virtual;
     app.record = None;
     app.metrics = None;

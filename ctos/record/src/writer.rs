@@ -9,7 +9,6 @@ use std::{
 use super::{
     batch::Batch,
     counts::Counts,
-    event::Step,
     glossary::Glossary,
     lines::{self, Schema},
     parts::{Line, NAMES, Parts},
@@ -46,23 +45,18 @@ impl Writer {
         self.channels.is_empty() || channels.any(|pattern| matches(pattern, topic))
     }
 
-    /// Events that found no space on the disk.
-    pub(crate) fn unwritten(&self) -> u64 {
-        self.parts.report().lost.saturating_sub(self.dropped)
-    }
-
-    /// Writes what all buffers hold; `dropped` more were not taken. What one buffer holds keeps its order.
+    /// Writes what all buffers hold; they have not taken `dropped` so far. What one holds keeps its order.
     pub(crate) fn write(&mut self, now: u64, batches: &[Batch], dropped: u64) {
-        if dropped > 0 {
-            if self.dropped == 0 {
+        let before = std::mem::replace(&mut self.dropped, dropped);
+        if dropped > before {
+            if before == 0 {
                 tracing::warn!(
                     dropped,
                     "the record is not complete: more happened than could be written; what is lost from now on is counted (`ctos status CHASSIS`); `record.buffer_mb` makes room for more"
                 );
             }
-            self.dropped += dropped;
-            self.parts
-                .lost(dropped, "more happened than could be written");
+            let why = "more happened than could be written";
+            self.parts.lost(dropped - before, why);
         }
         for line in batches.iter().flat_map(Batch::lines) {
             if *line.schema != Schema::Events {
@@ -91,19 +85,19 @@ impl Writer {
     /// What is in a stretch.
     fn counted(&self, stretch: &Line<'_>) -> Counts {
         // Few kinds of events of few tasks come again and again.
-        let mut tally: BTreeMap<_, (Step, (u64, u64))> = BTreeMap::new();
+        let mut tally: BTreeMap<_, (u64, u64)> = BTreeMap::new();
         let mut span = (u64::MAX, 0);
         for (event, _, length) in Events::new(stretch.bytes) {
-            let kind = (event.key.task, event.step.number());
-            let (_, counted) = tally.entry(kind).or_insert((event.step, (0, 0)));
+            let (kind, _) = lines::kind_of(&event.step);
+            let counted = tally.entry((event.key.task, kind)).or_default();
             counted.0 += 1;
             counted.1 += u64::try_from(length).unwrap_or(0);
             span = (span.0.min(event.at), span.1.max(event.at));
         }
         let mut counts = Counts::default();
         let names = lock(&self.names);
-        for ((task, _), (step, counted)) in tally {
-            let (topic, _) = lines::channel_of(&step, &names.task(task));
+        for ((task, kind), counted) in tally {
+            let topic = lines::channel_of(kind, &names.task(task));
             counts.add_lines(&topic, counted, span);
         }
         let (before, after) = (
@@ -130,8 +124,8 @@ impl Writer {
         let mut chosen = Batch::default();
         for (event, data, _) in Events::new(bytes) {
             let task = lock(&self.names).task(event.key.task);
-            let (topic, _) = lines::channel_of(&event.step, &task);
-            if self.takes(&topic) {
+            let (kind, _) = lines::kind_of(&event.step);
+            if self.takes(&lines::channel_of(kind, &task)) {
                 // What has been read can be written.
                 chosen.traffic(event, |buffer| {
                     buffer.extend_from_slice(data);

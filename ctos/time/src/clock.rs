@@ -84,17 +84,12 @@ impl fmt::Display for Instant {
 pub struct Clock {
     /// The moment of the host's monotonic clock at which the app was started.
     origin_ns: u64,
-    /// In place of the host's clock.
-    simulated: Option<Simulated>,
+    /// In place of the host's clock a number that only the simulation advances.
+    virtual_ns: Option<Arc<AtomicU64>>,
+    /// How this clock shows that number.
+    drift: Drift,
     /// Of a process that may be given up.
     lease: Option<Arc<Lease>>,
-}
-
-/// A number that only the simulation advances, seen through a clock that need not be right.
-#[derive(Debug, Clone, Default)]
-struct Simulated {
-    now_ns: Arc<AtomicU64>,
-    drift: Drift,
 }
 
 /// How a simulated clock is wrong: it started early and runs at a rate of its own. It is never set
@@ -150,7 +145,8 @@ impl Clock {
     pub fn real_from(origin_ns: u64) -> Self {
         Self {
             origin_ns,
-            simulated: None,
+            virtual_ns: None,
+            drift: Drift::default(),
             lease: None,
         }
     }
@@ -173,7 +169,8 @@ impl Clock {
     pub fn virtual_clock() -> Self {
         Self {
             origin_ns: 0,
-            simulated: Some(Simulated::default()),
+            virtual_ns: Some(Arc::default()),
+            drift: Drift::default(),
             lease: None,
         }
     }
@@ -182,8 +179,8 @@ impl Clock {
     /// as it is.
     pub fn drifting(&self, drift: Drift) -> Self {
         let mut clock = self.clone();
-        if let Some(simulated) = &mut clock.simulated {
-            simulated.drift = drift;
+        if clock.virtual_ns.is_some() {
+            clock.drift = drift;
         }
         clock
     }
@@ -191,16 +188,15 @@ impl Clock {
     /// The first true moment of the simulation at which this clock shows `shown`; for a real clock,
     /// which is the truth itself, that moment.
     pub fn true_at(&self, shown: Instant) -> Instant {
-        let simulated = self.simulated.as_ref();
-        simulated.map_or(shown, |simulated| Instant(simulated.drift.true_at(shown.0)))
+        Instant(self.drift.true_at(shown.0))
     }
 
     /// The present moment.
     #[must_use]
     pub fn now(&self) -> Instant {
-        let now = match &self.simulated {
+        let now = match &self.virtual_ns {
             None => Instant(monotonic_ns().saturating_sub(self.origin_ns)),
-            Some(it) => Instant(it.drift.shown(it.now_ns.load(Ordering::Acquire))),
+            Some(now_ns) => Instant(self.drift.shown(now_ns.load(Ordering::Acquire))),
         };
         if let Some(lease) = &self.lease {
             lease.look(now);
@@ -210,14 +206,13 @@ impl Clock {
 
     /// What this clock shows at a true moment of the simulation; the inverse of [`Self::true_at`].
     pub fn shown_at(&self, moment: Instant) -> Instant {
-        let simulated = self.simulated.as_ref();
-        simulated.map_or(moment, |simulated| Instant(simulated.drift.shown(moment.0)))
+        Instant(self.drift.shown(moment.0))
     }
 
     /// The origin of a real clock, to hand to another chassis; `None` for a virtual clock.
     #[must_use]
     pub fn origin_ns(&self) -> Option<u64> {
-        self.simulated.is_none().then_some(self.origin_ns)
+        self.virtual_ns.is_none().then_some(self.origin_ns)
     }
 
     /// The date of the host when a real clock stood at its start, ns since 1970, for those who stamp with dates; `None` for a
@@ -233,14 +228,13 @@ impl Clock {
     /// How a virtual clock is wrong; a real one is the truth itself.
     #[must_use]
     pub fn drift(&self) -> Drift {
-        let simulated = self.simulated.as_ref();
-        simulated.map_or(Drift::default(), |simulated| simulated.drift)
+        self.drift
     }
 
     /// Moves a virtual clock forward to a true moment. A real clock, or a step back, is left alone.
     pub fn advance_to(&self, moment: Instant) {
-        if let Some(simulated) = &self.simulated {
-            simulated.now_ns.fetch_max(moment.0, Ordering::AcqRel);
+        if let Some(now_ns) = &self.virtual_ns {
+            now_ns.fetch_max(moment.0, Ordering::AcqRel);
         }
     }
 }

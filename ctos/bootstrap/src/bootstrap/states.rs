@@ -105,11 +105,9 @@ impl Table for BootState {
             (Self::Create, BootStep::Acknowledged) => Some(Self::Connect),
             (Self::Connect, BootStep::Acknowledged) => Some(Self::Run),
             (Self::Run, BootStep::Acknowledged) => Some(Self::Up),
-            (
-                Self::Starting | Self::Create | Self::Connect | Self::Run | Self::Up,
-                BootStep::End,
-            ) => Some(Self::Stopping),
             (Self::Stopping, BootStep::AtRest) => Some(Self::Ended),
+            (Self::Stopping | Self::Ended, _) => None,
+            (_, BootStep::End) => Some(Self::Stopping),
             _ => None,
         }
     }
@@ -191,15 +189,8 @@ impl Table for ChassisState {
             (Self::Ending, ChassisStep::DeadMayRestart) => Some(Self::Waiting),
             (Self::Ending, ChassisStep::DeadForGood) => Some(Self::Down),
             (Self::Waiting, ChassisStep::Paused) => Some(Self::Starting),
-            (
-                Self::Starting
-                | Self::Phases
-                | Self::Up
-                | Self::Ending
-                | Self::Waiting
-                | Self::Down,
-                ChassisStep::Stop,
-            ) => Some(Self::Stopped),
+            (Self::Stopped, _) => None,
+            (_, ChassisStep::Stop) => Some(Self::Stopped),
             _ => None,
         }
     }

@@ -101,13 +101,13 @@ impl Chassis {
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub fn dispatch(self: &Arc<Self>, message: Message, wait: WaitFor) -> Waiting {
-        let (promise, waiting) = Promise::new();
+        let (promise, mut waiting) = Promise::new();
         let slot = || ReplySlot::outside(promise.clone());
         let mut sent = Sent::of(&message);
         match self.deliver(message, wait, &mut sent, slot) {
             Outcome::Waits(Some(outbound)) => {
                 let chassis = self.clone();
-                return waiting.or_else(move || chassis.abandon(outbound));
+                waiting.take_back = Some(Box::new(move || chassis.abandon(outbound)));
             }
             Outcome::Waits(None) => {}
             Outcome::Taken => promise.answer(Ok(Data::NOTHING)),

@@ -42,7 +42,7 @@ use ctos_link::{
     transport::{Address, Listener},
     zenoh::Fabric,
 };
-use ctos_message::{ChassisNumber, fault::Fault};
+use ctos_message::ChassisNumber;
 use ctos_time::lock::lock;
 
 /// How long the last frames may take when a process ends.
@@ -415,8 +415,6 @@ impl Inner {
         let limits = Limits {
             timeout: app.links.peer_timeout,
             unacknowledged: app.links.unacknowledged,
-            // A fault is plain data; should it fail to encode, the empty body is read as one.
-            full: |bytes| postcard::to_stdvec(&Fault::LinkFull { bytes }).unwrap_or_default(),
         };
         let injury = self.injury(&app.links.injury, chassis);
         let receiver = peer::PeerReceiver {

@@ -53,8 +53,7 @@ pub struct Pages {
     listener: std::net::TcpListener,
     address: SocketAddr,
     keys: Option<Arc<Keys>>,
-    names: Vec<String>,
-    any_origin: bool,
+    site: Site,
 }
 
 impl Pages {
@@ -81,15 +80,19 @@ impl Pages {
             listener,
             address,
             keys,
-            names,
-            any_origin: false,
+            site: Site {
+                names,
+                any_origin: false,
+                clock: Clock::real(),
+                refusals: Refusals::default(),
+            },
         })
     }
 
     /// Lets pages of other sites ask too: the service tells by the header `Origin` and by what they show.
     #[must_use]
     pub fn with_any_origin(mut self) -> Self {
-        self.any_origin = true;
+        self.site.any_origin = true;
         self
     }
 
@@ -128,12 +131,7 @@ impl Pages {
         self.listener.set_nonblocking(true)?;
         let listener = TcpListener::from_std(self.listener)?;
         let tls = self.keys.map(|keys| keys.page());
-        let site = Arc::new(Site {
-            names: self.names,
-            any_origin: self.any_origin,
-            clock: Clock::real(),
-            refusals: Refusals::default(),
-        });
+        let site = Arc::new(self.site);
         let lobby = Lobby::new(CONNECTIONS);
         let mut serving = JoinSet::new();
         loop {

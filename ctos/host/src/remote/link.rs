@@ -67,11 +67,8 @@ impl Hosts {
     /// Every host on which nothing can be started.
     pub(crate) async fn connect(setup: &HostsSetup<'_>) -> Result<Self, Vec<HostError>> {
         let app = &setup.chassis.app;
-        let is_used = |host: &&HostConfig| {
-            let mut chassis = app.chassis.iter();
-            chassis.any(|one| one.host.as_ref() == Some(&host.name))
-        };
-        let used: Vec<&HostConfig> = app.hosts.iter().filter(is_used).collect();
+        let used = app.hosts.iter().filter(|host| app.is_used(host));
+        let used: Vec<&HostConfig> = used.collect();
         let Some(first) = used.first() else {
             return Ok(Self::default());
         };
@@ -442,14 +439,7 @@ impl Link {
 
     async fn say_bye(self, mut connection: Connection, done: oneshot::Sender<()>) {
         self.outbox.say(ToAgent::Bye);
-        let over = async {
-            loop {
-                match connection.hear::<ToBoot>().await {
-                    Ok(ToBoot::Over) | Err(_) => return,
-                    Ok(_) => {}
-                }
-            }
-        };
+        let over = async { while !matches!(connection.hear().await, Ok(ToBoot::Over) | Err(_)) {} };
         if tokio::time::timeout(self.silence.max(HELLO_TIMEOUT), over)
             .await
             .is_err()

@@ -13,14 +13,15 @@ use std::{
     time::Duration,
 };
 
-use futures_util::StreamExt;
+use bytes::Bytes;
+use futures_util::{SinkExt, StreamExt};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::{
-    io::{AsyncWriteExt, ReadHalf, WriteHalf},
+    io::{ReadHalf, WriteHalf},
     sync::{Mutex, mpsc},
 };
 use tokio_util::{
-    codec::{FramedRead, LengthDelimitedCodec},
+    codec::{FramedRead, FramedWrite, LengthDelimitedCodec},
     task::AbortOnDropHandle,
 };
 
@@ -232,12 +233,8 @@ impl Connection {
         silence: Duration,
     ) -> Self {
         let (reader, writer) = tokio::io::split(stream);
-        let codec = LengthDelimitedCodec::builder()
-            .max_frame_length(limit)
-            .little_endian()
-            .new_codec();
         Self {
-            frames: FramedRead::new(reader, codec),
+            frames: FramedRead::new(reader, codec(limit)),
             writer: AbortOnDropHandle::new(tokio::spawn(write(writer, outbox, silence))),
         }
     }
@@ -266,23 +263,21 @@ impl Connection {
 }
 
 async fn write<T: Serialize>(
-    mut stream: WriteHalf<Stream>,
+    stream: WriteHalf<Stream>,
     outbox: Arc<Outbox<T>>,
     silence: Duration,
 ) -> WireError {
+    // The other end knows how much it takes.
+    let mut frames = FramedWrite::new(stream, codec(usize::MAX));
     while let Some(item) = outbox.next().await {
         let frame = match postcard::to_stdvec(&item) {
-            Ok(body) => framed(body),
+            Ok(body) => Bytes::from(body),
             Err(error) => return WireError::Garbled(error.to_string()),
-        };
-        let written = async {
-            stream.write_all(&frame).await?;
-            stream.flush().await
         };
         // The files of an app may take longer than one sign of life on a slow line; they are watched by
         // who sends them.
         let timeout = silence + Duration::from_secs(frame.len() as u64 >> 20);
-        match tokio::time::timeout(timeout, written).await {
+        match tokio::time::timeout(timeout, frames.send(frame)).await {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return error.into(),
             Err(_) => return WireError::Silence(timeout),
@@ -291,9 +286,11 @@ async fn write<T: Serialize>(
     WireError::HungUp
 }
 
-fn framed(body: Vec<u8>) -> Vec<u8> {
-    let length = u32::try_from(body.len()).unwrap_or(u32::MAX).to_le_bytes();
-    [&length[..], &body].concat()
+fn codec(limit: usize) -> LengthDelimitedCodec {
+    LengthDelimitedCodec::builder()
+        .max_frame_length(limit)
+        .little_endian()
+        .new_codec()
 }
 
 /// Says one thing on a stream that ends then, so that the other end hears it whatever it has said

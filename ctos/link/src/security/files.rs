@@ -27,8 +27,7 @@ const AUTHORITY: &str = "ca";
 pub fn make_key(path: &Path, role: Role) -> Result<PathBuf, KeyError> {
     let name = path.file_name().unwrap_or_default();
     let name = name.to_string_lossy().into_owned();
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-.".contains(letter);
-    if name.is_empty() || name.len() > 64 || !name.chars().all(plain) || name == AUTHORITY {
+    if !crate::config::is_name(&name) || name == AUTHORITY {
         return Err(KeyError::Name { name });
     }
     let folder = match path.parent() {

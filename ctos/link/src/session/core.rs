@@ -15,7 +15,7 @@ use super::{
 use crate::{
     frame::{Counts, Frame, Full},
     injure::Injury,
-    message::{Flags, SYSTEM_COMMANDS},
+    message::{Flags, SYSTEM_COMMANDS, fault::Fault},
     time::Instant,
 };
 
@@ -35,8 +35,6 @@ pub struct Limits {
     pub timeout: Duration,
     /// How many bytes of requests, and of answers, may be unacknowledged.
     pub unacknowledged: usize,
-    /// The data of the fault that takes the place of a large answer while so many bytes are under way.
-    pub full: fn(usize) -> Vec<u8>,
 }
 
 /// The stream is of no use to the session.
@@ -229,7 +227,7 @@ impl Core {
                     Ok(()) => frame,
                     Err(Full { bytes }) => {
                         self.counts.refused += 1;
-                        self.without_body(frame, bytes)
+                        Self::without_body(frame, bytes)
                     }
                 };
                 self.outgoing.put_frame(frame, lane, now);
@@ -242,11 +240,13 @@ impl Core {
 
     /// A control frame for which there are no credits: what is small goes anyway, a large answer becomes the
     /// fault that says so.
-    fn without_body(&self, mut frame: Frame, under_way: usize) -> Frame {
+    fn without_body(mut frame: Frame, under_way: usize) -> Frame {
         if frame.body.len() <= SMALL || !frame.header.flags.contains(Flags::REPLY) {
             return frame;
         }
-        frame.body = (self.limits.full)(under_way).into();
+        let fault = Fault::LinkFull { bytes: under_way };
+        // A fault is plain data; should it fail to encode, the empty body is read as one.
+        frame.body = postcard::to_stdvec(&fault).unwrap_or_default().into();
         frame.header.flags |= Flags::FAULT;
         frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
         frame

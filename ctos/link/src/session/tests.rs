@@ -39,7 +39,6 @@ fn session(clock: &Clock) -> (Arc<Session>, Arc<Mutex<Told>>) {
     let limits = Limits {
         timeout: TIMEOUT,
         unacknowledged: MOST,
-        full: |_| Vec::new(),
     };
     let session = Session::new(clock.clone(), limits, None, Box::new(Keeps(told.clone())));
     (session, told)

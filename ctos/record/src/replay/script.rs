@@ -1,18 +1,23 @@
 //! What a record says of one task: what it was given, when, and what it did then.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, BTreeSet, VecDeque},
+};
+
+use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{
     super::{
         event::{Key, Side, Step as Event, Traffic},
-        lines::{self, Number, Written},
+        lines::{self, Number},
         read::{Entry, Record},
     },
     ReplayError,
 };
 use crate::DRIFT;
 use ctos_core::{context::SHARED, report::Ending, system::WaitsFor, tap::Came};
-use ctos_message::{ChassisNumber, Command, Flags, Tid, fault::Fault};
+use ctos_message::{Command, Flags, Tid, fault::Fault};
 use ctos_time::{Drift, Instant};
 
 /// A message that the task was given, or sent.
@@ -108,9 +113,10 @@ impl Script {
         };
         let noted = |key: &str| {
             let key = key.to_owned();
-            record.runs.iter().map(move |run| run.noted.get(&key))
+            let runs = record.runs.iter();
+            runs.filter_map(move |run| run.noted.get(&key))
         };
-        let seeds: BTreeSet<&String> = noted("seed").flatten().collect();
+        let seeds: BTreeSet<&String> = noted("seed").collect();
         if seeds.len() > 1 {
             let why = "the files are of different runs: their seeds differ";
             return Err(incomplete(why));
@@ -127,9 +133,8 @@ impl Script {
             script: Self {
                 tid,
                 seed: seeds.first().and_then(|seed| seed.parse().ok()),
-                real: noted("time").flatten().any(|time| time == "real"),
+                real: noted("time").any(|time| time == "real"),
                 drift: noted(&drift)
-                    .flatten()
                     .find_map(|text| drift_of(text))
                     .unwrap_or_default(),
                 names: BTreeMap::new(),
@@ -206,25 +211,15 @@ impl Reader<'_> {
             && side != Side::Sender
         {
             let data = data_of(entry, &data)?;
-            let message = self.sent(event.chassis, event.key, flags, deadline, data);
+            let message = self.sent(event.number(), event.key, flags, deadline, data);
             self.messages.insert(message.id, message);
         }
         Ok(())
     }
 
-    fn sent(
-        &self,
-        chassis: ChassisNumber,
-        key: Key,
-        flags: u16,
-        deadline: Option<u64>,
-        data: Vec<u8>,
-    ) -> Sent {
+    fn sent(&self, id: Number, key: Key, flags: u16, deadline: Option<u64>, data: Vec<u8>) -> Sent {
         Sent {
-            id: Number {
-                chassis,
-                number: key.id,
-            },
+            id,
             from: key.peer,
             to: key.task,
             command: key.command,
@@ -249,10 +244,7 @@ impl Reader<'_> {
         }
         let (event, data) = parsed(entry)?;
         let (at, key, tid) = (entry.at, event.key, self.script.tid);
-        let id = Number {
-            chassis: event.chassis,
-            number: key.id,
-        };
+        let id = event.number();
         match event.step {
             Event::Sent {
                 flags,
@@ -266,7 +258,7 @@ impl Reader<'_> {
                     let output = What::Output(self.script.outputs.len());
                     self.push(at, key.trace, output);
                     let data = data_of(entry, &data)?;
-                    let message = self.sent(event.chassis, key, flags, deadline, data);
+                    let message = self.sent(id, key, flags, deadline, data);
                     self.script.outputs.push(message);
                 }
             }
@@ -406,12 +398,12 @@ impl Reader<'_> {
     }
 }
 
-fn parsed(entry: &Entry) -> Result<(Traffic, Written<'_>), ReplayError> {
+fn parsed(entry: &Entry) -> Result<(Traffic, Cow<'_, str>), ReplayError> {
     lines::from_line(&entry.json).ok_or_else(|| unreadable(entry))
 }
 
-fn data_of(entry: &Entry, written: &Written<'_>) -> Result<Vec<u8>, ReplayError> {
-    written.read().ok_or_else(|| unreadable(entry))
+fn data_of(entry: &Entry, base64: &str) -> Result<Vec<u8>, ReplayError> {
+    STANDARD.decode(base64).map_err(|_| unreadable(entry))
 }
 
 fn unreadable(entry: &Entry) -> ReplayError {

@@ -7,7 +7,7 @@ fn difference(at_ns: u64) -> ReplayReport {
         lost: 2,
         ..ReplayReport::default()
     };
-    report.same();
+    report.same += 1;
     let at = Instant::from_nanos(at_ns);
     report.differs(at, 7, "this".to_owned(), "that".to_owned());
     report.differs(at, 8, "one".to_owned(), "two".to_owned());

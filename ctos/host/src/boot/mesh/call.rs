@@ -119,25 +119,20 @@ impl Inner {
         let address = self.nearest(member);
         let called = tokio::time::timeout(ANSWER_TIMEOUT, self.shake_hands(session, address)).await;
         let (stream, welcome) = called.map_err(|_| CallError::Late)??;
-        let Answer::Welcome {
-            chassis,
-            incarnation,
-            process,
-            received,
-            shared,
-        } = welcome
-        else {
+        let Answer::Welcome(hello) = welcome else {
             return Err(CallError::GivenUp);
         };
-        if (chassis, incarnation) != (member.chassis, member.incarnation) {
+        let (process, received) = (hello.member.process, hello.received);
+        if (hello.member.chassis, hello.member.incarnation) != (member.chassis, member.incarnation)
+        {
             return Err(CallError::Other);
         }
-        if chassis == 0 && session.look(Core::was_never_up) && self.process.sees(&process) {
+        if member.chassis == 0 && session.look(Core::was_never_up) && self.process.sees(&process) {
             // Of the boot only its address was known.
             self.runtime
                 .spawn(super::peer::watch(session.clone(), process.pid));
         }
-        let carried = if shared {
+        let carried = if hello.shared {
             let made = shm::pass::send(stream).await;
             let (socket, shared) = made.map_err(HandshakeError::from)?;
             drive::drive_shared(session, socket, shared, received, &self.reactor).await
@@ -158,24 +153,28 @@ impl Inner {
         let (keys, fabric) = (self.keys.as_ref(), self.fabric.as_ref());
         let (mut stream, identity) = connect(address, keys, fabric).await?;
         may_be_chassis(identity.as_ref())?;
-        let shared =
-            self.shares_memory && is::<UnixStream>(&stream) && !session.look(Core::is_injured);
         let greeting = Greeting::Hello {
             token: self.who.token.clone(),
-            hello: Hello {
-                member: Member {
-                    chassis: self.chassis.index(),
-                    incarnation: self.who.incarnation,
-                    process: self.process.clone(),
-                    listen: self.listen.clone(),
-                },
-                received: session.look(Core::received),
-                shared,
-            },
+            hello: self.hello(session, &stream, true),
         };
         greet(&mut stream, GREETING, &greeting).await?;
         let answer = hear(&mut stream).await?;
         Ok((stream, answer))
+    }
+
+    /// What this end says of itself. It uses shared memory where both ends can, and the other one `asks` for it.
+    pub(super) fn hello(&self, session: &Session, stream: &Stream, asks: bool) -> Hello {
+        let can = self.shares_memory && is::<UnixStream>(stream);
+        Hello {
+            member: Member {
+                chassis: self.chassis.index(),
+                incarnation: self.who.incarnation,
+                process: self.process.clone(),
+                listen: self.listen.clone(),
+            },
+            received: session.look(Core::received),
+            shared: asks && can && !session.look(Core::is_injured),
+        }
     }
 
     /// Where to call a member: through the file system only if it is on this host.

@@ -5,17 +5,15 @@
 
 use std::sync::Arc;
 
-use tokio::net::UnixStream;
-
 use super::{Inner, MeshEvent};
 use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
     handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, hear_greeting, say},
     security::{Identity, KeyError, Role},
-    session::{AttachError, Core, drive},
+    session::{AttachError, drive},
     shm,
-    transport::{Call, Listener, Stream, is},
+    transport::{Call, Listener, Stream},
 };
 use ctos_message::ChassisNumber;
 
@@ -121,17 +119,8 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         });
     };
     mesh.introduce(member);
-    let shared = shared
-        && mesh.shares_memory
-        && is::<UnixStream>(&stream)
-        && !session.look(Core::is_injured);
-    let welcome = Answer::Welcome {
-        chassis: mesh.chassis.index(),
-        incarnation: mesh.who.incarnation,
-        process: mesh.process.clone(),
-        received: session.look(Core::received),
-        shared,
-    };
+    let hello = mesh.hello(&session, &stream, shared);
+    let (shared, welcome) = (hello.shared, Answer::Welcome(hello));
     tokio::time::timeout(STRANGER_TIMEOUT, say(&mut stream, &welcome))
         .await
         .map_err(|_| HandshakeError::Late)??;

@@ -36,7 +36,6 @@ impl End {
         let limits = Limits {
             timeout: TIMEOUT,
             unacknowledged: MOST,
-            full: |bytes| bytes.to_le_bytes().to_vec(),
         };
         Self {
             core: Core::new(limits, injury, Instant::START),
