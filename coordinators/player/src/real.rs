@@ -117,19 +117,33 @@ pub struct Stand {
 }
 
 impl Stand {
-    /// An end of an errand (0: from, 1: to), whose places the transform has found.
+    /// The ends of an errand, whose places the transform has found.
     #[must_use]
-    pub fn of(errand: &Errand, points: &[[f64; 2]; 2], end: usize) -> Option<Self> {
-        let spot = [errand.from, errand.to].get(end).copied()?;
-        let below = errand.below.get(end).copied()?;
-        let floor = match spot {
-            Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
-            _ => TABLE_M,
+    pub fn both(errand: &Errand, points: &[[f64; 2]; 2]) -> [Self; 2] {
+        let [from, to] = *points;
+        let [under_from, under_to] = errand.below;
+        let stand = |at, spot: Spot, below: u8| {
+            let floor = match spot {
+                Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
+                _ => TABLE_M,
+            };
+            Self {
+                at,
+                bottom: floor + f64::from(below) * DISC_M,
+            }
         };
-        Some(Self {
-            at: *points.get(end)?,
-            bottom: floor + f64::from(below) * DISC_M,
-        })
+        [
+            stand(from, errand.from, under_from),
+            stand(to, errand.to, under_to),
+        ]
+    }
+
+    /// That the arm does not get there, and what kept it from that first.
+    fn out_of_reach(&self, first: Option<Failure>) -> Failure {
+        let [x, y] = self.at;
+        let failure = first.unwrap_or_else(|| Failure::new(Outcome::Unreachable, "no way"));
+        let text = format!("{x:.3}, {y:.3} cannot be reached: {}", failure.reason);
+        Failure::new(failure.outcome, text)
     }
 
     /// `base_t_tool` with the pads around them.
@@ -183,10 +197,33 @@ impl ArmArgs {
         })
     }
 
+    /// Whether the arm can get down there.
+    pub async fn is_in_reach(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        let arm = self.arm(cx);
+        arm.acquire().await?;
+        let mut first = None;
+        for turn in TURNS_DEG {
+            match self.plan_down(&arm, stand.pose(turn)).await {
+                Ok(()) => return Ok(()),
+                Err(failure) => first.get_or_insert(failure),
+            };
+        }
+        Err(stand.out_of_reach(first))
+    }
+
+    async fn plan_down(&self, arm: &Arm<'_>, down: Isometry3<f64>) -> Result<(), Failure> {
+        let planned = arm.plan(arm::pose(&down), PathKind::Joint, self.speed);
+        planned.await.map(|_| ())
+    }
+
     /// Up with what is held, and down with it until it stands there.
     pub async fn transfer(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        self.above(cx, stand).await?;
         let arm = self.arm(cx);
+        arm.acquire().await?;
+        self.up(&arm).await?;
+        let held = self.gripper.ask(cx, ReadHeld {}).await?;
+        is_disc(&held).map_err(|error| Failure::new(Outcome::Absent, error))?;
+        self.above(cx, stand).await?;
         match self.down(cx, stand).await {
             Err(failure)
                 if failure.outcome == Outcome::Guard && arm.was_ended_by(&self.touch).await? =>
@@ -246,10 +283,7 @@ impl ArmArgs {
         for turn in TURNS_DEG {
             let down = stand.pose(turn);
             let above = at_height(down, TRAVEL_M);
-            let reached = arm
-                .plan(arm::pose(&down), PathKind::Joint, self.speed)
-                .await;
-            if let Err(failure) = reached {
+            if let Err(failure) = self.plan_down(&arm, down).await {
                 first.get_or_insert(failure);
                 continue;
             }
@@ -260,13 +294,7 @@ impl ArmArgs {
                 };
             }
         }
-        let [x, y] = stand.at;
-        let text = format!("{x:.3}, {y:.3} cannot be reached");
-        let failure = first.unwrap_or_else(|| Failure::new(Outcome::Unreachable, "no way"));
-        Err(Failure::new(
-            failure.outcome,
-            format!("{text}: {}", failure.reason),
-        ))
+        Err(stand.out_of_reach(first))
     }
 
     /// Straight down, the last of it gently.

@@ -1,14 +1,14 @@
 //! What the player knows of a game, and what it makes of a look at the board: pure, and stored as it is.
 
 use checkers::{
-    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Refusal, Sight, Status, Variant,
-    Verdict, Watch,
+    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Position, Refusal, Sight, Status,
+    Variant, Verdict, Watch,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::{
     referee::{A_DISC, LOST, TWO_DISCS},
-    wire::{Errand, Gaze, Hue, SURE, Situation, Spot, centre},
+    wire::{Errand, Gaze, Hindrance, Hue, SURE, Situation, Spot, Why, centre},
 };
 
 /// After so many looks from elsewhere people are asked.
@@ -19,6 +19,10 @@ const SAID_AGAIN: u32 = 25;
 pub const SPARE: u8 = 12;
 /// What was lost is looked for so often before people are asked for it.
 const SEARCHES: u32 = 3;
+
+/// What people are asked for when the arm cannot go on.
+pub(crate) const NEARER: &str = "please push the board nearer";
+pub(crate) const POWER: &str = "please switch it on";
 
 /// What is expected next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,12 +72,11 @@ pub fn step_of((from, to, crowned, captured): Step) -> Move {
     }
 }
 
-/// A game after moves that were stored.
+/// A game after moves that were stored; `game` is as it begins.
 ///
 /// # Errors
 /// One of them is not legal.
-pub fn replayed(variant: Variant, moves: &[Step]) -> Result<Game, Refusal> {
-    let mut game = Game::new(variant);
+pub fn replayed(mut game: Game, moves: &[Step]) -> Result<Game, Refusal> {
     for step in moves {
         game.make(step_of(*step))?;
     }
@@ -83,6 +86,8 @@ pub fn replayed(variant: Variant, moves: &[Step]) -> Result<Game, Refusal> {
 /// A game as it is stored.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
+    /// The first position, FEN.
+    pub start: String,
     pub moves: Vec<Step>,
     /// How it ended otherwise than by the rules: who gave up; `None` inside when both agreed.
     pub ended: Option<Option<Hue>>,
@@ -114,6 +119,9 @@ pub struct State {
     pub found: Option<[f64; 2]>,
     /// How often the hand found nothing.
     pub missed: u32,
+    /// Whether it holds something, and what kept the arm from its way last.
+    pub holds: bool,
+    pub why: Option<Why>,
     /// What the look was good for.
     pub moved: bool,
     pub ready: bool,
@@ -126,6 +134,8 @@ pub struct Play {
     pub game: Game,
     pub state: State,
     pub watch: Watch,
+    /// The first position.
+    pub start: Position,
     /// Whose discs the robot moves; `None` for both.
     pub ours: Option<Colour>,
 }
@@ -133,8 +143,8 @@ pub struct Play {
 impl Play {
     /// A new game.
     #[must_use]
-    pub fn new(variant: Variant, ours: Option<Colour>) -> Self {
-        let game = Game::new(variant);
+    pub fn new(variant: Variant, start: Position, ours: Option<Colour>) -> Self {
+        let game = Game::from(variant, start);
         let spot = Spot::Spare(Hue::Light);
         let errand = Errand {
             number: 0,
@@ -145,6 +155,7 @@ impl Play {
         };
         let position = game.position();
         let state = State {
+            start: start.fen(Numbering::of(variant)),
             moves: Vec::new(),
             ended: None,
             phase: Phase::Setting,
@@ -163,6 +174,8 @@ impl Play {
             searched: 0,
             found: None,
             missed: 0,
+            holds: false,
+            why: None,
             moved: false,
             ready: false,
             places: (0..32).map(centre).collect(),
@@ -173,13 +186,20 @@ impl Play {
             game,
             state,
             watch,
+            start,
             ours,
         }
     }
 
     /// Goes on with a game that was stored.
     pub fn restore(&mut self, state: State) {
-        match replayed(self.game.variant(), &state.moves) {
+        let variant = self.game.variant();
+        let start = Position::read(&state.start, variant, Numbering::of(variant));
+        match start {
+            Ok(start) => self.start = start,
+            Err(error) => tracing::error!(%error, "a stored position is none"),
+        }
+        match replayed(Game::from(variant, self.start), &state.moves) {
             Ok(game) => self.game = game,
             Err(refusal) => tracing::error!(%refusal, "a stored move is not legal"),
         }
@@ -214,7 +234,7 @@ impl Play {
     /// A new game, by whoever the board is set up; what counts on goes on.
     pub fn again(&mut self) {
         let before = self.state.clone();
-        *self = Self::new(self.game.variant(), self.ours);
+        *self = Self::new(self.game.variant(), self.start, self.ours);
         self.state.errand.number = before.errand.number;
         (self.state.said, self.state.wish) = (before.said, before.wish);
     }
@@ -600,7 +620,7 @@ impl Play {
 
     /// The hand holds the present carry's discs.
     pub fn held(&mut self) {
-        self.state.missed = 0;
+        (self.state.missed, self.state.holds) = (0, true);
         let Some(task) = self.state.tasks.first().copied() else {
             return;
         };
@@ -621,6 +641,7 @@ impl Play {
 
     /// The present carry is done.
     pub fn carried(&mut self) {
+        self.state.holds = false;
         if let Some(task) = self.state.tasks.first().copied() {
             if let Spot::Tray(hue, place) = self.state.errand.to
                 && let Some(held) = self.tray(hue).get_mut(usize::from(place))
@@ -641,6 +662,7 @@ impl Play {
 
     /// The hand was empty when it should set down.
     pub fn lost(&mut self) {
+        self.state.holds = false;
         let Some(task) = self.state.tasks.first().copied() else {
             return;
         };
@@ -674,9 +696,39 @@ impl Play {
         }
     }
 
-    /// A hand was in the arm's way.
-    pub fn hindered(&mut self) {
-        self.say("please take your hand away".to_owned());
+    /// Something kept the arm from its way: people are told what they can do about it.
+    pub fn hindered(&mut self, hindrance: &Hindrance) {
+        // Time passes without looks.
+        self.state.last.1 = self.state.last.1.saturating_add(1);
+        self.state.why = Some(hindrance.why);
+        let words = match hindrance.why {
+            Why::HandInTheWay => "please take your hand away".to_owned(),
+            Why::OutOfReach(end) => format!("{} is out of my reach: {NEARER}", self.place(end)),
+            // That is told with where it was to go.
+            Why::DiscLost => return,
+            Why::NoPower => format!("the robot needs power: {POWER}"),
+            Why::Blocked => "something is in the way of my arm".to_owned(),
+            Why::Stopped => "the robot was stopped: please let it go on".to_owned(),
+            Why::Fault => format!("the robot cannot go on: {}", hindrance.text),
+        };
+        self.say(words);
+    }
+
+    /// An end of the present carry in words.
+    fn place(&self, end: u8) -> String {
+        let task = self.state.tasks.first();
+        let end = task.map(|task| if end == 0 { task.from } else { task.to });
+        match end {
+            Some(End::Square(square, _)) => self.number(square).to_string(),
+            Some(End::Tray) => "the place of captured discs".to_owned(),
+            _ => "the disc".to_owned(),
+        }
+    }
+
+    /// Whether what was held has slipped out of the hand.
+    #[must_use]
+    pub fn has_slipped(&self) -> bool {
+        self.state.holds && self.state.why == Some(Why::DiscLost)
     }
 
     /// The result in words.

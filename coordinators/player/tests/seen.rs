@@ -32,6 +32,7 @@ fn registry() -> Registry {
     coordinators::register(&mut registry);
     checkers_player::register(&mut registry);
     pnt::store::keep_states(&mut registry);
+    pnt_net::register(&mut registry);
     daemon::register(&mut registry, Dictionary::default(), |_, sorm| {
         vss::services::register(sorm);
     });
