@@ -54,6 +54,9 @@ pub struct PlayerArgs {
     nodes: Option<u64>,
     /// The seed of the opening; that of the app when it is left out.
     seed: Option<u64>,
+    /// So often in a row a disc that stands crooked is pushed before people are asked to put it right.
+    #[serde(default)]
+    pushes: u32,
     /// So many half-moves at the beginning are drawn.
     #[serde(default = "opening")]
     opening: usize,
@@ -167,7 +170,8 @@ impl NetArgs for PlayerArgs {
     fn library(self, store: DomStore) -> Library<Player> {
         // Where a game begins the configuration says, which is read when it does.
         let rules = self.rules();
-        let play = Play::new(rules, Position::start(rules.starts()), self.ours());
+        let mut play = Play::new(rules, Position::start(rules.starts()), self.ours());
+        play.pushes = self.pushes;
         let note = |note: fn(&mut Play)| {
             move |action: Act| async move {
                 action.with_state(|player| note(&mut player.play));
@@ -199,6 +203,7 @@ impl NetArgs for PlayerArgs {
         .action("think", think)
         .action("aim", aim)
         .action("heed", heed)
+        .enabling("is_pushed", |player: &Player| player.play.state.errand.push)
         .enabling("holds", |player: &Player| player.play.state.holds)
         .enabling("has_slipped", |player: &Player| player.play.has_slipped())
         .action("note_missed", note(Play::missed))
@@ -255,6 +260,7 @@ async fn begin(action: Act) -> Acted {
     let first = args.first(action.cx().app()).map_err(HandlerError::new)?;
     action.with_state(|player| {
         player.play.start = first;
+        player.play.pushes = args.pushes;
         player.play.again();
     });
     gaze(&action).await

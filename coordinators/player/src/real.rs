@@ -14,7 +14,7 @@ use ctos::{
 };
 use mcs::client::{MotionError, Move, PathKind};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
 
 use crate::wire::{DISC_M, Errand, Spot, TABLE_M};
@@ -32,6 +32,11 @@ const TURNS_DEG: [f64; 4] = [0.0, 90.0, 45.0, -45.0];
 /// Diameter of a disc, and by how much what is held may differ, m.
 const DISC_WIDTH_M: f64 = 0.04;
 const TOLERANCE_M: f64 = 0.004;
+/// Half the width of closed jaws, and how far from the disc they come down before they push it, m.
+const CLOSED_M: f64 = 0.012;
+const BESIDE_M: f64 = 0.004;
+/// What is nearer to where it is to be is not pushed, m.
+const THERE_M: f64 = 0.001;
 /// How long the jaws may take.
 const JAWS: Duration = Duration::from_secs(60);
 
@@ -239,6 +244,38 @@ impl ArmArgs {
         }
     }
 
+    /// Pushes the disc that stands at one place to another, with the closed jaws behind it.
+    pub async fn push(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Failure> {
+        let way = Vector2::from(to.at) - Vector2::from(from.at);
+        let Some(ahead) = way.try_normalize(THERE_M) else {
+            return Ok(());
+        };
+        let behind = 0.5 * DISC_WIDTH_M + CLOSED_M;
+        let beside = |stand: Stand, behind: f64| Stand {
+            at: (Vector2::from(stand.at) - ahead * behind).into(),
+            ..stand
+        };
+        let arm = self.arm(cx);
+        arm.acquire().await?;
+        self.up(&arm).await?;
+        self.gripper.open_to(cx, 0.0).await?;
+        // A flat side is ahead.
+        let first = ahead.y.atan2(ahead.x).to_degrees();
+        let turns = [0.0, 90.0, -90.0, 180.0].map(|turn| first + turn);
+        self.above_turned(cx, beside(from, behind + BESIDE_M), &turns)
+            .await?;
+        self.down(cx, from).await?;
+        let there = beside(to, behind).pose(0.0).translation;
+        let now = arm.tool().await?;
+        let pushed = Isometry3::from_parts(
+            Translation3::new(there.x, there.y, now.translation.z),
+            now.rotation,
+        );
+        let line = (pushed, PathKind::StraightLine);
+        self.go(&arm, line, self.gentle, &self.touch).await?;
+        self.up(&arm).await
+    }
+
     /// Up, and to where the arm waits; there it is given back.
     pub async fn park(&self, cx: &Context) -> Result<(), Failure> {
         let arm = self.arm(cx);
@@ -276,12 +313,16 @@ impl ArmArgs {
 
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        self.above_turned(cx, stand, &TURNS_DEG).await
+    }
+
+    async fn above_turned(&self, cx: &Context, stand: Stand, turns: &[f64]) -> Result<(), Failure> {
         let arm = self.arm(cx);
         arm.acquire().await?;
         self.up(&arm).await?;
         let mut first = None;
-        for turn in TURNS_DEG {
-            let down = stand.pose(turn);
+        for turn in turns {
+            let down = stand.pose(*turn);
             let above = at_height(down, TRAVEL_M);
             if let Err(failure) = self.plan_down(&arm, down).await {
                 first.get_or_insert(failure);
@@ -332,8 +373,12 @@ impl GripperArgs {
     }
 
     async fn open(&self, cx: &Context) -> Result<(), Failure> {
+        self.open_to(cx, self.open_m).await
+    }
+
+    async fn open_to(&self, cx: &Context, width_m: f64) -> Result<(), Failure> {
         let open = Open {
-            width_m: Some(self.open_m),
+            width_m: Some(width_m),
             speed: self.speed,
         };
         self.ask(cx, open).await.map(|_| ())

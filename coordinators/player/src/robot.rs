@@ -29,8 +29,9 @@ impl Functions for Robot {
             move |robot: &InRoom<Self>| robot.hindrance.as_ref().is_some_and(|own| asked(own.why))
         };
         library
-            .action("reach", |action| go(action, Some(0)))
-            .action("transfer", |action| go(action, Some(1)))
+            .action("reach", |action| go(action, Some(Way::To(0))))
+            .action("transfer", |action| go(action, Some(Way::To(1))))
+            .action("push", |action| go(action, Some(Way::Push)))
             .action("park", |action| go(action, None))
             .action("pass_up", pass_up)
             .enabling("hand_in_the_way", is(|why| why == Why::HandInTheWay))
@@ -44,9 +45,18 @@ impl Functions for Robot {
     }
 }
 
-/// Goes to an end of the errand, or to where the arm waits; notes what keeps it from that.
-async fn go(action: Act, end: Option<u8>) -> Acted {
-    let gone = gone(&action, end).await;
+/// What the arm is to do with an errand.
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    /// Go to one of its ends.
+    To(u8),
+    /// Push the disc from the one to the other.
+    Push,
+}
+
+/// Does that, or goes to where the arm waits; notes what keeps it from that.
+async fn go(action: Act, way: Option<Way>) -> Acted {
+    let gone = gone(&action, way).await;
     let hindrance = gone.err();
     action.with_state(|robot| robot.hindrance.clone_from(&hindrance));
     match hindrance {
@@ -55,13 +65,13 @@ async fn go(action: Act, end: Option<u8>) -> Acted {
     }
 }
 
-async fn gone(action: &Act, end: Option<u8>) -> Result<(), Hindrance> {
+async fn gone(action: &Act, way: Option<Way>) -> Result<(), Hindrance> {
     let InRoom {
         store, room, real, ..
     } = InRoom::of(action);
     let cx = action.cx();
     let free = |why: Option<Why>| why.map_or(Ok(()), |why| Err(Hindrance::told(why)));
-    let Some(end) = end else {
+    let Some(way) = way else {
         if let Some(arm) = &*real {
             let parked = arm.park(cx).await;
             parked.map_err(|failure| Hindrance::of(&failure, 0))?;
@@ -73,17 +83,34 @@ async fn gone(action: &Act, end: Option<u8>) -> Result<(), Hindrance> {
         return free(wire::ask(cx, &room, home).await?);
     };
     let points: [[f64; 2]; 2] = wire::fetch(cx, &store, wire::POINTS).await?;
-    let way = wire::Go {
-        to: points.get(usize::from(end)).copied(),
-        then: points.get(1).copied().filter(|_| end == 0),
+    let [from, to] = points;
+    let (to_there, then) = match way {
+        Way::To(1) => (to, None),
+        _ => (from, Some(to)),
     };
-    free(wire::ask(cx, &room, way).await?)?;
-    let Some(arm) = &*real else { return Ok(()) };
+    let there = wire::Go {
+        to: Some(to_there),
+        then,
+    };
+    free(wire::ask(cx, &room, there).await?)?;
+    let Some(arm) = &*real else {
+        return match way {
+            Way::Push => free(wire::ask(cx, &room, wire::Shove { from, to }).await?),
+            Way::To(_) => Ok(()),
+        };
+    };
     let errand: Errand = wire::fetch(cx, &store, wire::ERRAND).await?;
     let [from, to] = Stand::both(&errand, &points);
-    if end == 1 {
-        let transferred = arm.transfer(cx, to).await;
-        return transferred.map_err(|failure| Hindrance::of(&failure, 1));
+    match way {
+        Way::To(1) => {
+            let transferred = arm.transfer(cx, to).await;
+            return transferred.map_err(|failure| Hindrance::of(&failure, 1));
+        }
+        Way::Push => {
+            let pushed = arm.push(cx, from, to).await;
+            return pushed.map_err(|failure| Hindrance::of(&failure, 0));
+        }
+        Way::To(_) => {}
     }
     // What is held must be set down somewhere.
     let there = arm.is_in_reach(cx, to).await;

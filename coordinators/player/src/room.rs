@@ -3,6 +3,7 @@
 
 use std::{cell::RefCell, rc::Rc, time::Duration};
 
+use checkers::Numbering;
 use ctos::{
     diagnostic::Finding,
     message::{Command, Message},
@@ -22,7 +23,7 @@ use crate::{
     shown::{Shown, ShownArgs},
     state::{NEARER, POWER},
     table::{Chances, Table},
-    wire::{self, Close, DragDisc, Go, Hear, Hue, Looked, Open, See, Truth, Why},
+    wire::{self, Close, DragDisc, Go, Hear, Hue, Looked, Open, See, Shove, Truth, Why},
 };
 
 /// The handler's name.
@@ -53,8 +54,21 @@ struct RoomArgs {
     far: f64,
     #[serde(default)]
     power: f64,
+    /// Discs that stand beside the middles of their squares at the beginning.
+    #[serde(default)]
+    aside: Vec<Aside>,
     /// The world whose cameras see the table.
     shown: Option<ShownArgs>,
+}
+
+/// A disc beside the middle of its square.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Aside {
+    /// The square's number.
+    square: u32,
+    /// How far, in the board's frame, m.
+    by: [f64; 2],
 }
 
 fn player() -> String {
@@ -90,6 +104,7 @@ pub(crate) fn register(registry: &mut Registry) {
         Truth::INFO,
         Looked::INFO,
         DragDisc::INFO,
+        Shove::INFO,
         FollowScene::INFO,
     ];
     registry
@@ -137,8 +152,16 @@ impl Room {
         let guest = player.opponent == PERSON;
         let side = player.ours().map(checkers::Colour::other);
         let side = side.filter(|_| !guest);
+        let mut table = Table::new(chances, first, cx.rng("room"));
+        for Aside { square, by } in args.aside {
+            let square = Numbering::of(rules).square(square);
+            let at = square.and_then(|square| table.on(square));
+            let stack = at.and_then(|at| table.stacks.get_mut(at));
+            let stack = stack.ok_or("`aside` names a square on which nothing stands")?;
+            stack.at = [stack.at[0] + by[0], stack.at[1] + by[1]];
+        }
         let inner = Inner {
-            table: Table::new(chances, first, cx.rng("room")),
+            table,
             drawn: Shown::for_people(),
             guest,
             person: side.map(|side| Person::new(side, rules, record)),
@@ -207,6 +230,13 @@ impl EventHandler for Room {
                 self.after::<See>(cx, message, PICTURE, |table, See { pose }| table.see(pose))
             }
             DragDisc::CODE => self.drag(cx, message),
+            Shove::CODE => self.after::<Shove>(cx, message, FINGERS, |table, shove| {
+                if table.hand {
+                    return Some(Why::HandInTheWay);
+                }
+                table.shove(shove.from, shove.to);
+                None
+            }),
             FollowScene::CODE => self.stage.follow(cx, message),
             Go::CODE if self.inner.borrow().is_real() => {
                 let (Go { to, .. }, reply) = message.open::<Go>()?;

@@ -48,6 +48,23 @@ pub struct Task {
     pub hue: Hue,
 }
 
+impl Task {
+    /// A disc that is pushed to the middle of its square.
+    const fn push(square: u8, hue: Hue) -> Self {
+        Self {
+            from: End::Square(square, 0),
+            to: End::Square(square, 0),
+            discs: 1,
+            hue,
+        }
+    }
+
+    /// Whether it is one.
+    fn is_push(&self) -> bool {
+        self.from == self.to
+    }
+}
+
 /// An end of a carry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum End {
@@ -114,6 +131,8 @@ pub struct State {
     /// What vision was told of it last.
     pub told: Option<Gaze>,
     pub again: u32,
+    /// How often crooked discs were pushed since all stood well.
+    pub pushed: u32,
     /// How often what was lost has been looked for, and where it lies.
     pub searched: u32,
     pub found: Option<[f64; 2]>,
@@ -138,6 +157,8 @@ pub struct Play {
     pub start: Position,
     /// Whose discs the robot moves; `None` for both.
     pub ours: Option<Colour>,
+    /// So often in a row a crooked disc is pushed before people are asked.
+    pub pushes: u32,
 }
 
 impl Play {
@@ -152,6 +173,7 @@ impl Play {
             to: spot,
             discs: 1,
             below: [0; 2],
+            push: false,
         };
         let position = game.position();
         let state = State {
@@ -171,6 +193,7 @@ impl Play {
             gaze: 0,
             told: None,
             again: 0,
+            pushed: 0,
             searched: 0,
             found: None,
             missed: 0,
@@ -188,6 +211,7 @@ impl Play {
             watch,
             start,
             ours,
+            pushes: 0,
         }
     }
 
@@ -233,8 +257,9 @@ impl Play {
 
     /// A new game, by whoever the board is set up; what counts on goes on.
     pub fn again(&mut self) {
-        let before = self.state.clone();
+        let (before, pushes) = (self.state.clone(), self.pushes);
         *self = Self::new(self.game.variant(), self.start, self.ours);
+        self.pushes = pushes;
         self.state.errand.number = before.errand.number;
         (self.state.said, self.state.wish) = (before.said, before.wish);
     }
@@ -277,6 +302,8 @@ impl Play {
     pub fn judge(&mut self, seen: &Situation) {
         self.state.last.1 = self.state.last.1.saturating_add(1);
         (self.state.ready, self.state.moved) = (false, seen.moved);
+        // Whether a disc still stands crooked is seen anew.
+        self.state.tasks.retain(|task| !task.is_push());
         if seen.moved {
             self.watch.again();
             self.say("the board was moved: I look where it is".to_owned());
@@ -317,6 +344,22 @@ impl Play {
         };
         let crooked = squares.iter().copied().filter(is_crooked);
         let crooked: Vec<u8> = crooked.collect();
+        if self.state.pushed < self.pushes
+            && let Some(square) = crooked.first()
+            && let Some(hue) = seen
+                .squares
+                .get(usize::from(*square))
+                .and_then(|at| at.disc)
+        {
+            self.state.pushed += 1;
+            self.state.tasks.insert(0, Task::push(*square, hue));
+            self.state.ready = true;
+            self.say(format!(
+                "I push the disc on {} to the middle",
+                self.number(*square)
+            ));
+            return;
+        }
         let words = if crooked.is_empty() {
             format!(
                 "I cannot see {} well",
@@ -335,7 +378,7 @@ impl Play {
             Verdict::NotFinal if look.hand => self.hand_is_seen(),
             Verdict::NotFinal => {}
             Verdict::Waiting => {
-                (self.state.again, self.state.gaze) = (0, 0);
+                (self.state.again, self.state.gaze, self.state.pushed) = (0, 0, 0);
                 if self.state.last.1 >= SAID_AGAIN {
                     self.say("your turn".to_owned());
                 }
@@ -344,7 +387,7 @@ impl Play {
             Verdict::Rejected(reason, _) => self.say(format!("not accepted: {reason}")),
             Verdict::Accepted(step) => {
                 self.watch.again();
-                (self.state.again, self.state.gaze) = (0, 0);
+                (self.state.again, self.state.gaze, self.state.pushed) = (0, 0, 0);
                 let tasks = self.play(step);
                 // The person has carried the piece and what it captured; a crown is stacked for the person.
                 let crowns = |task: &Task| matches!(task.to, End::Square(_, 1));
@@ -401,7 +444,7 @@ impl Play {
         if !unsure.is_empty() {
             return self.look_again(&unsure, seen);
         }
-        (self.state.again, self.state.gaze) = (0, 0);
+        (self.state.again, self.state.gaze, self.state.pushed) = (0, 0, 0);
         self.watch.again();
         let begins = self.state.phase == Phase::Setting;
         if begins {
@@ -608,6 +651,7 @@ impl Play {
             to,
             discs: task.discs,
             below: [beneath(task.from, others), beneath(task.to, 0)],
+            push: task.is_push(),
         };
         Some(self.state.errand)
     }

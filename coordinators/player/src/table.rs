@@ -326,6 +326,16 @@ impl Table {
         self.away.push(hue);
     }
 
+    /// The arm pushes what stands at one place to another.
+    pub fn shove(&mut self, from: [f64; 2], to: [f64; 2]) {
+        let board = self.board;
+        let mut stacks = self.stacks.iter_mut().filter(|stack| stack.on_board);
+        if let Some(stack) = stacks.find(|stack| apart(table_at(stack, &board), from) < REACH_M) {
+            stack.at = board.on_board(to);
+        }
+        self.arm = Some(to);
+    }
+
     /// The hand closes.
     pub fn close(&mut self, errand: u32, discs: u8) -> u8 {
         if self.closed.0 == errand {

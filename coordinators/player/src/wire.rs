@@ -187,6 +187,11 @@ ctos::command! {
     pub struct Open { pub errand: u32 } => u8, 0x0704, "open"
 }
 ctos::command! {
+    /// Pushes what stands at a place to another one, both in the table's frame. Says what keeps the arm from that.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Shove { pub from: [f64; 2], pub to: [f64; 2] } => Option<Why>, 0x070a, "shove"
+}
+ctos::command! {
     /// People in the room hear something; the same number is the same words.
     #[derive(Debug, Clone, PartialEq, Eq)]
     pub struct Hear { pub number: u32, pub words: String } => (), 0x0705, "hear"
@@ -418,6 +423,8 @@ pub struct Errand {
     pub discs: u8,
     /// How many discs stand beneath, at both ends.
     pub below: [u8; 2],
+    /// Whether it is pushed there, and not carried.
+    pub push: bool,
 }
 
 /// What people are told.

@@ -111,6 +111,7 @@ fn a_person_who_makes_every_error_is_told_the_rule_and_the_game_goes_on_to_a_tru
     let sets = [
         "task.player.args.opponent=\"program\"",
         "task.room.args.errors=0.7",
+        "task.room.args.slips=0.05",
     ];
     let mut errors = std::collections::BTreeSet::new();
     let mut said = String::new();
@@ -210,6 +211,7 @@ fn games_with_errors_lost_discs_moved_boards_and_killed_daemons_end_truly() {
             format!("task.player.args.variant=\"{variant}\""),
             format!("task.player.args.opponent=\"{opponent}\""),
             format!("task.player.args.colour=\"{colour}\""),
+            format!("task.player.args.pushes={}", rng.random_range(0..3)),
             "task.room.args.errors=0.2".to_owned(),
             "task.room.args.slips=0.03".to_owned(),
             "task.room.args.power=0.01".to_owned(),

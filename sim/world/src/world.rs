@@ -676,7 +676,8 @@ impl World {
                         continue;
                     };
                     let body = match object.held {
-                        true => RigidBodyBuilder::kinematic_position_based(),
+                        // What stands on a kinematic one would be awake with all else that stands there.
+                        true => RigidBodyBuilder::fixed(),
                         false => RigidBodyBuilder::dynamic(),
                     };
                     let handle = self.physics.insert_body(body.pose(pose(&object.start)));
