@@ -17,7 +17,7 @@ use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
 
-use crate::wire::{DISC_M, Errand, Spot, TABLE_M};
+use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
 const PADS_M: f64 = 0.016;
@@ -192,23 +192,23 @@ impl ArmArgs {
         }
     }
 
-    /// With open jaws around what stands there.
-    pub async fn reach(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        self.above(cx, stand).await?;
-        self.gripper.open(cx).await?;
-        self.down(cx, stand).await.map_err(|failure| {
+    /// With open jaws around what stands there, if it can be set down where it is to go.
+    pub async fn reach(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Hindrance> {
+        let of = |end: u8| move |failure: Failure| Hindrance::of(&failure, end);
+        self.above(cx, from).await.map_err(of(0))?;
+        self.is_in_reach(&self.arm(cx), to).await.map_err(of(1))?;
+        self.gripper.open(cx).await.map_err(of(0))?;
+        self.down(cx, from).await.map_err(|failure| {
             let text = format!("something is in the way down: {}", failure.reason);
-            Failure::new(failure.outcome, text)
+            Hindrance::of(&Failure::new(failure.outcome, text), 0)
         })
     }
 
-    /// Whether the arm can get down there.
-    pub async fn is_in_reach(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        let arm = self.arm(cx);
-        arm.acquire().await?;
+    /// Whether the arm can get down there from where it is.
+    async fn is_in_reach(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
         let mut first = None;
         for turn in TURNS_DEG {
-            match self.plan_down(&arm, stand.pose(turn)).await {
+            match self.plan_down(arm, stand.pose(turn)).await {
                 Ok(()) => return Ok(()),
                 Err(failure) => first.get_or_insert(failure),
             };
@@ -226,9 +226,9 @@ impl ArmArgs {
         let arm = self.arm(cx);
         arm.acquire().await?;
         self.up(&arm).await?;
-        let held = self.gripper.ask(cx, ReadHeld {}).await?;
-        is_disc(&held).map_err(|error| Failure::new(Outcome::Absent, error))?;
+        self.gripper.holds(cx).await?;
         self.above(cx, stand).await?;
+        self.gripper.holds(cx).await?;
         match self.down(cx, stand).await {
             Err(failure)
                 if failure.outcome == Outcome::Guard && arm.was_ended_by(&self.touch).await? =>
@@ -393,25 +393,35 @@ impl GripperArgs {
         is_disc(&self.ask(cx, close).await?)
     }
 
+    /// Fails when no disc is held.
+    async fn holds(&self, cx: &Context) -> Result<(), Failure> {
+        let held = self.ask(cx, ReadHeld {}).await?;
+        is_between(&held).map_err(|error| Failure::new(Outcome::Absent, error))
+    }
+
     /// Opens, and tells whether it held something until then.
     pub async fn release(&self, cx: &Context) -> Result<(), HandlerError> {
-        let held = is_disc(&self.ask(cx, ReadHeld {}).await?);
+        let held = is_between(&self.ask(cx, ReadHeld {}).await?);
         self.open(cx).await?;
         held
     }
 }
 
+/// Whether jaws that have just closed have a disc between them.
 fn is_disc(held: &Held) -> Result<(), HandlerError> {
+    if held.holds {
+        return is_between(held);
+    }
+    Err(HandlerError::new("there is nothing between the fingers"))
+}
+
+/// Whether a disc is still between the jaws. What is set down on another one moves them for a moment, so only their width counts.
+fn is_between(held: &Held) -> Result<(), HandlerError> {
     let off = (held.width_m - DISC_WIDTH_M).abs();
-    if held.holds && off <= TOLERANCE_M {
+    if off <= TOLERANCE_M {
         return Ok(());
     }
-    let text = match held.holds {
-        true => format!(
-            "what is held is {:.0} mm wide, and no disc",
-            held.width_m * 1e3
-        ),
-        false => "there is nothing between the fingers".to_owned(),
-    };
+    let width_mm = held.width_m * 1e3;
+    let text = format!("the fingers are {width_mm:.0} mm apart, and no disc is so wide");
     Err(HandlerError::new(text))
 }

@@ -112,11 +112,7 @@ async fn gone(action: &Act, way: Option<Way>) -> Result<(), Hindrance> {
         }
         Way::To(_) => {}
     }
-    // What is held must be set down somewhere.
-    let there = arm.is_in_reach(cx, to).await;
-    there.map_err(|failure| Hindrance::of(&failure, 1))?;
-    let reached = arm.reach(cx, from).await;
-    reached.map_err(|failure| Hindrance::of(&failure, 0))
+    arm.reach(cx, from, to).await
 }
 
 /// Tells the player why.

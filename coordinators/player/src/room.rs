@@ -21,7 +21,7 @@ use crate::{
     person::Person,
     player::{PERSON, PlayerArgs},
     shown::{Shown, ShownArgs},
-    state::{NEARER, POWER},
+    state::{MIDDLE, POWER},
     table::{Chances, Table},
     wire::{self, Close, DragDisc, Go, Hear, Hue, Looked, Open, See, Shove, Truth, Why},
 };
@@ -294,8 +294,8 @@ impl EventHandler for Room {
                     if words.contains("set up the board") {
                         inner.table.begin_anew(&inner.first);
                     }
-                    if words.contains(NEARER) {
-                        inner.table.push_nearer();
+                    if words.contains(MIDDLE) {
+                        inner.table.push_to_middle();
                     }
                     inner.table.powered |= words.contains(POWER);
                     if let Some(person) = &mut inner.person {

@@ -122,11 +122,16 @@ impl Shown {
         let mut moved = Vec::new();
         let board = at(table.board.at, TABLE_M + 0.5 * BOARD_M, table.board.yaw);
         self.put(BOARD, board, &mut moved);
+        // What stands on a board that is moved goes with it.
+        let near = match self.args.real && moved.is_empty() {
+            true => SAME_M,
+            false => 1e-6,
+        };
+        for hue in [Hue::Light, Hue::Dark] {
+            self.take_discs(table, hue, near, &mut moved);
+        }
         self.put(HAND, hand(table), &mut moved);
         self.put(SPECK, self.speck_at(&table.board), &mut moved);
-        for hue in [Hue::Light, Hue::Dark] {
-            self.take_discs(table, hue, &mut moved);
-        }
         if !moved.is_empty() {
             self.changed = f64::INFINITY;
             self.changing += 1;
@@ -148,7 +153,8 @@ impl Shown {
         }
     }
 
-    fn take_discs(&mut self, table: &Table, hue: Hue, moved: &mut Vec<usize>) {
+    /// A disc that is so near to where one is to be, m, stays.
+    fn take_discs(&mut self, table: &Table, hue: Hue, near: f64, moved: &mut Vec<usize>) {
         let first = FIRST + DISCS * usize::from(hue == Hue::Dark);
         let mut free: Vec<usize> = (first..first + DISCS).collect();
         let mut missing = Vec::new();
@@ -159,7 +165,6 @@ impl Shown {
                     (body.pose.translation.vector - pose.translation.vector).norm()
                 })
             };
-            let near = if self.args.real { SAME_M } else { 1e-6 };
             // The nearest: in a stack others are about as near.
             let nearest = (0..free.len()).map(|place| (place, far(&free[place])));
             match nearest.min_by(|one, other| one.1.total_cmp(&other.1)) {

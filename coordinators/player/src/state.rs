@@ -21,7 +21,7 @@ pub const SPARE: u8 = 12;
 const SEARCHES: u32 = 3;
 
 /// What people are asked for when the arm cannot go on.
-pub(crate) const NEARER: &str = "please push the board nearer";
+pub(crate) const MIDDLE: &str = "please push the board to the middle of the table";
 pub(crate) const POWER: &str = "please switch it on";
 
 /// What is expected next.
@@ -747,7 +747,7 @@ impl Play {
         self.state.why = Some(hindrance.why);
         let words = match hindrance.why {
             Why::HandInTheWay => "please take your hand away".to_owned(),
-            Why::OutOfReach(end) => format!("{} is out of my reach: {NEARER}", self.place(end)),
+            Why::OutOfReach(end) => format!("{} is out of my reach: {MIDDLE}", self.place(end)),
             // That is told with where it was to go.
             Why::DiscLost => return,
             Why::NoPower => format!("the robot needs power: {POWER}"),

@@ -184,7 +184,7 @@ fn people_are_told_what_keeps_the_arm_from_its_way_each_thing_in_its_own_words_a
     let said = game["said"].to_string();
     for words in [
         "please take your hand away",
-        "is out of my reach: please push the board nearer",
+        "is out of my reach: please push the board to the middle of the table",
         "the robot needs power: please switch it on",
         "I have lost",
     ] {
