@@ -66,7 +66,9 @@ impl Source for Drawn {
                 _ => all.push(shown),
             }
         }
-        let arm = inner.table.arm.map_or(table, |[x, y]| {
+        // It waits where it stands.
+        let home = Isometry3::translation(0.0, 0.0, TABLE_M);
+        let arm = inner.table.arm.map_or(home, |[x, y]| {
             Isometry3::translation(x, y, TABLE_M + FINGERS_M)
         });
         if !inner.is_real() {

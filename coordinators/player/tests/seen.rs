@@ -198,16 +198,6 @@ fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
 }
 
 #[test]
-fn a_crown_is_stacked_in_the_physics_on_both_sides_and_a_king_is_carried_as_one() {
-    let folder = tempfile::tempdir().unwrap();
-    // A man before the last row on each side: both are crowned, then White's king goes.
-    let opponent = record_from(folder.path(), "W:W7,12:B26", 4);
-    let game = play("checkers-hands.toml", 1, &[&opponent], &[]);
-    assert_eq!(game["ok"], true, "{game:#}");
-    assert_eq!(game["plies"], 4);
-}
-
-#[test]
 fn a_disc_that_stands_crooked_is_pushed_to_its_middle_by_closed_jaws_and_then_carried() {
     let folder = tempfile::tempdir().unwrap();
     let opponent = record_from(folder.path(), "W:W22,32:B1,12", 1);
