@@ -5,6 +5,7 @@
 //! the page about displays.
 
 mod browser;
+mod checkers;
 mod command;
 mod data;
 mod handles;

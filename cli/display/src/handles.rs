@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "Written")]
 pub(crate) struct Handle {
     pub(crate) title: String,
-    /// The part of the scene that is held, `TASK/PART`; none of a pad, which stands beside the scene.
+    /// The part of the scene that is held, `TASK/PART`; none of a pad, which stands beside the scene. `TASK/BEGINNING*` is each part
+    /// whose name begins so.
     pub(crate) part: Option<String>,
     pub(crate) net: String,
     pub(crate) command: String,
@@ -29,6 +30,8 @@ pub(crate) struct Handle {
 pub(crate) enum Gives {
     /// x, y, z: how much further it was dragged since the last command, m along the axes of the scene.
     Way,
+    /// The part's name, and x, y: how much further it is put on the level, m along the axes of the scene. Once, when it is let go.
+    Place,
     /// x, y, z: with how much it is pulled, N along the axes of the scene; and for how long that counts, s.
     Force,
     /// Six deflections from -1 to 1, of which a pad gives the first three; and for how long they count, s.
@@ -65,12 +68,18 @@ impl TryFrom<Written> for Handle {
             return Err(format!("`put` is `{put}`: write `NET/COMMAND`"));
         };
         match (&part, gives) {
-            (None, Gives::Way | Gives::Force) => {
+            (None, Gives::Way | Gives::Place | Gives::Force) => {
                 return Err("`part` is missing: write `TASK/PART`, a part of the scene".to_owned());
             }
             (Some(part), Gives::Axes) => {
                 return Err(format!(
                     "a pad has no part, and `part` is `{part}`: leave it out"
+                ));
+            }
+            // The command does not say which of several it is for.
+            (Some(part), Gives::Way | Gives::Force) if part.ends_with('*') => {
+                return Err(format!(
+                    "`part` is `{part}`, which may be several: only `gives = \"place\"` tells which"
                 ));
             }
             (Some(part), _) if names(part).is_none() => {
@@ -116,6 +125,7 @@ mod tests {
         let ball = read("part = \"truth/ball\"\nput = \"n/drag\"\ngives = \"way\"\n").unwrap();
         assert_eq!((&*ball.net, &*ball.command), ("n", "drag"));
         read("put = \"n/steer\"\ngives = \"axes\"\n").unwrap();
+        read("part = \"a/disc*\"\nput = \"n/move\"\ngives = \"place\"\n").unwrap();
         for (wrong, says) in [
             ("put = \"n/drag\"\ngives = \"way\"\n", "`part` is missing"),
             (
@@ -127,6 +137,10 @@ mod tests {
                 "leave it out",
             ),
             ("put = \"drag\"\ngives = \"axes\"\n", "`NET/COMMAND`"),
+            (
+                "part = \"a/disc*\"\nput = \"n/drag\"\ngives = \"way\"\n",
+                "only `gives = \"place\"` tells which",
+            ),
             ("put = \"n/drag\"\ngives = \"push\"\n", "push"),
             ("puts = \"n/drag\"\ngives = \"axes\"\n", "puts"),
         ] {

@@ -230,6 +230,10 @@ const WAYS: &[(&str, Then)] = &[
     ("ctos stop", Ends),
     ("ctos boot configs/checkers.toml", ComesUp),
     ("ctos sim configs/checkers.toml --seed 7", Ends),
+    (
+        "ctos boot configs/checkers.toml --display --allow-control --set task.player.args.opponent=person --set task.player.args.colour=black",
+        ComesUp,
+    ),
     ("ctos boot configs/checkers-seen.toml", ComesUp),
     ("ctos sim configs/checkers-seen.toml --seed 7", Ends),
     ("ctos boot configs/checkers-hands.toml", ComesUp),

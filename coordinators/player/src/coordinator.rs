@@ -10,6 +10,8 @@ use ctos::{
 use pnt::library::{Action, Library};
 use serde::{Deserialize, de::DeserializeOwned};
 
+use crate::wire::Hindrance;
+
 /// The functions of one of them.
 pub trait Functions: Clone + std::fmt::Debug + 'static {
     /// The handler's name.
@@ -56,6 +58,8 @@ pub struct InRoom<F: Functions> {
     /// The task of the room.
     pub(crate) room: String,
     pub(crate) real: Rc<Option<F::Real>>,
+    /// Why the latest request was not done.
+    pub(crate) hindrance: Option<Hindrance>,
 }
 
 impl<F: Functions> InRoom<F> {
@@ -76,8 +80,16 @@ impl<F: Functions> NetArgs for RoomArgs<F> {
     fn library(self, store: DomStore) -> Library<InRoom<F>> {
         let Self { room, real, .. } = self;
         let real = Rc::new(real);
-        // Between two requests there is nothing to know.
-        let library = Library::new(InRoom { store, room, real }).kept(|_| (), |_, ()| ());
+        let state = InRoom {
+            store,
+            room,
+            real,
+            hindrance: None,
+        };
+        let library = Library::new(state).kept(
+            |state| state.hindrance.clone(),
+            |state, hindrance| state.hindrance = hindrance,
+        );
         F::add(library)
     }
 

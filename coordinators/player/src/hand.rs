@@ -33,7 +33,9 @@ impl Functions for Hand {
 }
 
 async fn grasp(action: Act) -> Acted {
-    let InRoom { store, room, real } = InRoom::of(&action);
+    let InRoom {
+        store, room, real, ..
+    } = InRoom::of(&action);
     let cx = action.cx();
     if let Some(gripper) = &*real {
         return gripper.grasp(cx).await;
@@ -51,7 +53,9 @@ async fn grasp(action: Act) -> Acted {
 
 /// Fails when the hand was empty before.
 async fn release(action: Act) -> Acted {
-    let InRoom { store, room, real } = InRoom::of(&action);
+    let InRoom {
+        store, room, real, ..
+    } = InRoom::of(&action);
     let cx = action.cx();
     if let Some(gripper) = &*real {
         return gripper.release(cx).await;

@@ -2,7 +2,7 @@
 
 use std::{cell::OnceCell, rc::Rc};
 
-use checkers::{Colour, Limits, Move, Status, Variant, pdn, search};
+use checkers::{Colour, Limits, Move, Numbering, Position, Status, Variant, pdn, search};
 use coordinators::{dom::DomStore, handler::NetArgs};
 use ctos::{
     config::{App, TaskConfig},
@@ -23,6 +23,9 @@ use crate::{
 /// A draw is agreed to when the position is worth no more than this, hundredths of a man.
 const FAIR: i32 = 50;
 
+/// The opponent who moves discs from a display.
+pub const PERSON: &str = "person";
+
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -30,12 +33,15 @@ pub struct PlayerArgs {
     /// The data object manager.
     #[serde(default = "crate::coordinator::dom")]
     dom: String,
-    /// Who plays against the robot: `self`, `program`, or a file of PDN whose first game is played.
+    /// Who plays against the robot: `self`, `program`, `person` (who drags discs on a display), or a file of PDN whose first game is
+    /// played.
     #[serde(default = "own")]
     pub opponent: String,
     /// The robot's side against an opponent.
     #[serde(default = "white")]
     pub colour: String,
+    /// The first position, FEN; that of the rules when it is left out.
+    start: Option<String>,
     /// The rules.
     #[serde(default = "brazilian")]
     pub variant: String,
@@ -48,6 +54,9 @@ pub struct PlayerArgs {
     nodes: Option<u64>,
     /// The seed of the opening; that of the app when it is left out.
     seed: Option<u64>,
+    /// So often in a row a disc that stands crooked is pushed before people are asked to put it right.
+    #[serde(default)]
+    pushes: u32,
     /// So many half-moves at the beginning are drawn.
     #[serde(default = "opening")]
     opening: usize,
@@ -92,12 +101,39 @@ impl PlayerArgs {
         }
     }
 
+    /// The first position.
+    ///
+    /// # Errors
+    /// It is none, or needs more discs than there are.
+    pub fn first(&self, app: &App) -> Result<Position, String> {
+        let rules = self.rules();
+        let first = match (&self.start, self.record(app)?) {
+            (_, Some(record)) => record.start,
+            (Some(fen), None) => {
+                let read = Position::read(fen, rules, Numbering::of(rules));
+                read.map_err(|error| error.to_string())?
+            }
+            (None, None) => Position::start(rules.starts()),
+        };
+        let discs = |side: Colour| {
+            let own = first.side(side);
+            own.count_ones() + (own & first.kings).count_ones()
+        };
+        match [Colour::White, Colour::Black]
+            .into_iter()
+            .find(|side| discs(*side) > 12)
+        {
+            Some(side) => Err(format!("{} has more than 12 discs", side.name())),
+            None => Ok(first),
+        }
+    }
+
     /// The game that is played, when it is one of a file.
     ///
     /// # Errors
-    /// The file cannot be read, or its first game is wrong or of other rules.
+    /// The file cannot be read, or its first game is wrong, or has other rules.
     pub fn record(&self, app: &App) -> Result<Option<pdn::Record>, String> {
-        if ["self", "program"].contains(&self.opponent.as_str()) {
+        if ["self", "program", PERSON].contains(&self.opponent.as_str()) {
             return Ok(None);
         }
         let source = app
@@ -108,9 +144,6 @@ impl PlayerArgs {
         let game = game.map_err(|error| error.to_string())?;
         if game.variant != self.rules() {
             return Err(format!("its game has {} rules", game.variant.name()));
-        }
-        if game.start != checkers::Position::start(game.variant.starts()) {
-            return Err("its game does not begin at the beginning".to_owned());
         }
         Ok(Some(game))
     }
@@ -135,7 +168,10 @@ impl NetArgs for PlayerArgs {
     }
 
     fn library(self, store: DomStore) -> Library<Player> {
-        let play = Play::new(self.rules(), self.ours());
+        // Where a game begins the configuration says, which is read when it does.
+        let rules = self.rules();
+        let mut play = Play::new(rules, Position::start(rules.starts()), self.ours());
+        play.pushes = self.pushes;
         let note = |note: fn(&mut Play)| {
             move |action: Act| async move {
                 action.with_state(|player| note(&mut player.play));
@@ -166,7 +202,10 @@ impl NetArgs for PlayerArgs {
         .action("put_words", put_words)
         .action("think", think)
         .action("aim", aim)
-        .action("note_hindered", note(Play::hindered))
+        .action("heed", heed)
+        .enabling("is_pushed", |player: &Player| player.play.state.errand.push)
+        .enabling("holds", |player: &Player| player.play.state.holds)
+        .enabling("has_slipped", |player: &Player| player.play.has_slipped())
         .action("note_missed", note(Play::missed))
         .action("note_held", note(Play::held))
         .action("note_lost", note(Play::lost))
@@ -189,8 +228,11 @@ impl NetArgs for PlayerArgs {
                 format!("give one of {}", Variant::NAMES.join(", ")),
             );
         } else if let Err(text) = self.record(app) {
-            let help = "give \"self\", \"program\", or a file of PDN".to_owned();
+            let help = "give \"self\", \"program\", \"person\", or a file of PDN".to_owned();
             wrong("opponent", format!("`opponent`: {text}"), help);
+        } else if let Err(text) = self.first(app) {
+            let help = "give a position such as \"W:W22,32:B18\"".to_owned();
+            wrong("start", format!("`start`: {text}"), help);
         }
         if !["white", "black"].contains(&self.colour.as_str()) {
             let text = format!("`colour` is `{}`", self.colour);
@@ -214,7 +256,11 @@ async fn begin(action: Act) -> Acted {
     if let Some(word) = action.arguments().first() {
         return Err(HandlerError::new(format!("`play` takes no `{word}`")));
     }
+    let args = action.with_state(|player| player.args.clone());
+    let first = args.first(action.cx().app()).map_err(HandlerError::new)?;
     action.with_state(|player| {
+        player.play.start = first;
+        player.play.pushes = args.pushes;
         player.play.again();
     });
     gaze(&action).await
@@ -331,6 +377,7 @@ async fn think(action: Act) -> Acted {
         let step = step.or_else(|| drawn(&cx, player));
         let seek = Seek {
             variant: game.variant().name().to_owned(),
+            start: player.play.start.fen(Numbering::of(game.variant())),
             moves: player.play.state.moves.clone(),
             nodes: player.args.nodes,
             seconds: player.args.seconds.unwrap_or(1.0),
@@ -368,6 +415,13 @@ fn drawn(cx: &Context, player: &Player) -> Option<Move> {
     };
     let moves = game.position().moves(game.variant());
     moves.get(rng.random_range(0..moves.len().max(1))).copied()
+}
+
+/// What keeps the arm from its way.
+async fn heed(action: Act) -> Acted {
+    let hindrance = wire::fetch(action.cx(), &store(&action), wire::HINDRANCE).await?;
+    action.with_state(|player| player.play.hindered(&hindrance));
+    Ok(())
 }
 
 async fn aim(action: Act) -> Acted {

@@ -14,10 +14,10 @@ use ctos::{
 };
 use mcs::client::{MotionError, Move, PathKind};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
 
-use crate::wire::{DISC_M, Errand, Spot, TABLE_M};
+use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
 const PADS_M: f64 = 0.016;
@@ -32,6 +32,11 @@ const TURNS_DEG: [f64; 4] = [0.0, 90.0, 45.0, -45.0];
 /// Diameter of a disc, and by how much what is held may differ, m.
 const DISC_WIDTH_M: f64 = 0.04;
 const TOLERANCE_M: f64 = 0.004;
+/// Half the width of closed jaws, and how far from the disc they come down before they push it, m.
+const CLOSED_M: f64 = 0.012;
+const BESIDE_M: f64 = 0.004;
+/// What is nearer to where it is to be is not pushed, m.
+const THERE_M: f64 = 0.001;
 /// How long the jaws may take.
 const JAWS: Duration = Duration::from_secs(60);
 
@@ -117,19 +122,33 @@ pub struct Stand {
 }
 
 impl Stand {
-    /// An end of an errand (0: from, 1: to), whose places the transform has found.
+    /// The ends of an errand, whose places the transform has found.
     #[must_use]
-    pub fn of(errand: &Errand, points: &[[f64; 2]; 2], end: usize) -> Option<Self> {
-        let spot = [errand.from, errand.to].get(end).copied()?;
-        let below = errand.below.get(end).copied()?;
-        let floor = match spot {
-            Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
-            _ => TABLE_M,
+    pub fn both(errand: &Errand, points: &[[f64; 2]; 2]) -> [Self; 2] {
+        let [from, to] = *points;
+        let [under_from, under_to] = errand.below;
+        let stand = |at, spot: Spot, below: u8| {
+            let floor = match spot {
+                Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
+                _ => TABLE_M,
+            };
+            Self {
+                at,
+                bottom: floor + f64::from(below) * DISC_M,
+            }
         };
-        Some(Self {
-            at: *points.get(end)?,
-            bottom: floor + f64::from(below) * DISC_M,
-        })
+        [
+            stand(from, errand.from, under_from),
+            stand(to, errand.to, under_to),
+        ]
+    }
+
+    /// That the arm does not get there, and what kept it from that first.
+    fn out_of_reach(&self, first: Option<Failure>) -> Failure {
+        let [x, y] = self.at;
+        let failure = first.unwrap_or_else(|| Failure::new(Outcome::Unreachable, "no way"));
+        let text = format!("{x:.3}, {y:.3} cannot be reached: {}", failure.reason);
+        Failure::new(failure.outcome, text)
     }
 
     /// `base_t_tool` with the pads around them.
@@ -173,20 +192,43 @@ impl ArmArgs {
         }
     }
 
-    /// With open jaws around what stands there.
-    pub async fn reach(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        self.above(cx, stand).await?;
-        self.gripper.open(cx).await?;
-        self.down(cx, stand).await.map_err(|failure| {
+    /// With open jaws around what stands there, if it can be set down where it is to go.
+    pub async fn reach(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Hindrance> {
+        let of = |end: u8| move |failure: Failure| Hindrance::of(&failure, end);
+        self.above(cx, from).await.map_err(of(0))?;
+        self.is_in_reach(&self.arm(cx), to).await.map_err(of(1))?;
+        self.gripper.open(cx).await.map_err(of(0))?;
+        self.down(cx, from).await.map_err(|failure| {
             let text = format!("something is in the way down: {}", failure.reason);
-            Failure::new(failure.outcome, text)
+            Hindrance::of(&Failure::new(failure.outcome, text), 0)
         })
+    }
+
+    /// Whether the arm can get down there from where it is.
+    async fn is_in_reach(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
+        let mut first = None;
+        for turn in TURNS_DEG {
+            match self.plan_down(arm, stand.pose(turn)).await {
+                Ok(()) => return Ok(()),
+                Err(failure) => first.get_or_insert(failure),
+            };
+        }
+        Err(stand.out_of_reach(first))
+    }
+
+    async fn plan_down(&self, arm: &Arm<'_>, down: Isometry3<f64>) -> Result<(), Failure> {
+        let planned = arm.plan(arm::pose(&down), PathKind::Joint, self.speed);
+        planned.await.map(|_| ())
     }
 
     /// Up with what is held, and down with it until it stands there.
     pub async fn transfer(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        self.above(cx, stand).await?;
         let arm = self.arm(cx);
+        arm.acquire().await?;
+        self.up(&arm).await?;
+        self.gripper.holds(cx).await?;
+        self.above(cx, stand).await?;
+        self.gripper.holds(cx).await?;
         match self.down(cx, stand).await {
             Err(failure)
                 if failure.outcome == Outcome::Guard && arm.was_ended_by(&self.touch).await? =>
@@ -200,6 +242,38 @@ impl ArmArgs {
             }
             ended => ended,
         }
+    }
+
+    /// Pushes the disc that stands at one place to another, with the closed jaws behind it.
+    pub async fn push(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Failure> {
+        let way = Vector2::from(to.at) - Vector2::from(from.at);
+        let Some(ahead) = way.try_normalize(THERE_M) else {
+            return Ok(());
+        };
+        let behind = 0.5 * DISC_WIDTH_M + CLOSED_M;
+        let beside = |stand: Stand, behind: f64| Stand {
+            at: (Vector2::from(stand.at) - ahead * behind).into(),
+            ..stand
+        };
+        let arm = self.arm(cx);
+        arm.acquire().await?;
+        self.up(&arm).await?;
+        self.gripper.open_to(cx, 0.0).await?;
+        // A flat side is ahead.
+        let first = ahead.y.atan2(ahead.x).to_degrees();
+        let turns = [0.0, 90.0, -90.0, 180.0].map(|turn| first + turn);
+        self.above_turned(cx, beside(from, behind + BESIDE_M), &turns)
+            .await?;
+        self.down(cx, from).await?;
+        let there = beside(to, behind).pose(0.0).translation;
+        let now = arm.tool().await?;
+        let pushed = Isometry3::from_parts(
+            Translation3::new(there.x, there.y, now.translation.z),
+            now.rotation,
+        );
+        let line = (pushed, PathKind::StraightLine);
+        self.go(&arm, line, self.gentle, &self.touch).await?;
+        self.up(&arm).await
     }
 
     /// Up, and to where the arm waits; there it is given back.
@@ -239,17 +313,18 @@ impl ArmArgs {
 
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        self.above_turned(cx, stand, &TURNS_DEG).await
+    }
+
+    async fn above_turned(&self, cx: &Context, stand: Stand, turns: &[f64]) -> Result<(), Failure> {
         let arm = self.arm(cx);
         arm.acquire().await?;
         self.up(&arm).await?;
         let mut first = None;
-        for turn in TURNS_DEG {
-            let down = stand.pose(turn);
+        for turn in turns {
+            let down = stand.pose(*turn);
             let above = at_height(down, TRAVEL_M);
-            let reached = arm
-                .plan(arm::pose(&down), PathKind::Joint, self.speed)
-                .await;
-            if let Err(failure) = reached {
+            if let Err(failure) = self.plan_down(&arm, down).await {
                 first.get_or_insert(failure);
                 continue;
             }
@@ -260,13 +335,7 @@ impl ArmArgs {
                 };
             }
         }
-        let [x, y] = stand.at;
-        let text = format!("{x:.3}, {y:.3} cannot be reached");
-        let failure = first.unwrap_or_else(|| Failure::new(Outcome::Unreachable, "no way"));
-        Err(Failure::new(
-            failure.outcome,
-            format!("{text}: {}", failure.reason),
-        ))
+        Err(stand.out_of_reach(first))
     }
 
     /// Straight down, the last of it gently.
@@ -304,8 +373,12 @@ impl GripperArgs {
     }
 
     async fn open(&self, cx: &Context) -> Result<(), Failure> {
+        self.open_to(cx, self.open_m).await
+    }
+
+    async fn open_to(&self, cx: &Context, width_m: f64) -> Result<(), Failure> {
         let open = Open {
-            width_m: Some(self.open_m),
+            width_m: Some(width_m),
             speed: self.speed,
         };
         self.ask(cx, open).await.map(|_| ())
@@ -320,25 +393,35 @@ impl GripperArgs {
         is_disc(&self.ask(cx, close).await?)
     }
 
+    /// Fails when no disc is held.
+    async fn holds(&self, cx: &Context) -> Result<(), Failure> {
+        let held = self.ask(cx, ReadHeld {}).await?;
+        is_between(&held).map_err(|error| Failure::new(Outcome::Absent, error))
+    }
+
     /// Opens, and tells whether it held something until then.
     pub async fn release(&self, cx: &Context) -> Result<(), HandlerError> {
-        let held = is_disc(&self.ask(cx, ReadHeld {}).await?);
+        let held = is_between(&self.ask(cx, ReadHeld {}).await?);
         self.open(cx).await?;
         held
     }
 }
 
+/// Whether jaws that have just closed have a disc between them.
 fn is_disc(held: &Held) -> Result<(), HandlerError> {
+    if held.holds {
+        return is_between(held);
+    }
+    Err(HandlerError::new("there is nothing between the fingers"))
+}
+
+/// Whether a disc is still between the jaws. What is set down on another one moves them for a moment, so only their width counts.
+fn is_between(held: &Held) -> Result<(), HandlerError> {
     let off = (held.width_m - DISC_WIDTH_M).abs();
-    if held.holds && off <= TOLERANCE_M {
+    if off <= TOLERANCE_M {
         return Ok(());
     }
-    let text = match held.holds {
-        true => format!(
-            "what is held is {:.0} mm wide, and no disc",
-            held.width_m * 1e3
-        ),
-        false => "there is nothing between the fingers".to_owned(),
-    };
+    let width_mm = held.width_m * 1e3;
+    let text = format!("the fingers are {width_mm:.0} mm apart, and no disc is so wide");
     Err(HandlerError::new(text))
 }

@@ -22,7 +22,7 @@ pub(crate) const A_DISC: &str = "a disc";
 pub(crate) const TWO_DISCS: &str = "two discs";
 
 /// Discs of each colour in the room.
-const DISCS: u32 = 24;
+pub(crate) const DISCS: u32 = 24;
 
 /// One look in so many may be read wrongly.
 const WRONG_ONE_IN: u32 = 1000;
@@ -199,7 +199,7 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
 
 /// Plays the game once more.
 fn replay(record: &pdn::Record, played: &Played) -> Option<String> {
-    let mut game = Game::new(record.variant);
+    let mut game = Game::from(record.variant, record.start);
     for (ply, step) in (1..).zip(&record.moves) {
         if let Err(refusal) = game.make(*step) {
             return Some(format!("half-move {ply}: {refusal}"));

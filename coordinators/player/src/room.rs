@@ -3,6 +3,7 @@
 
 use std::{cell::RefCell, rc::Rc, time::Duration};
 
+use checkers::Numbering;
 use ctos::{
     diagnostic::Finding,
     message::{Command, Message},
@@ -11,14 +12,18 @@ use ctos::{
 };
 use mcs_hand::command::{PlaceBody, ReadBodies};
 use rand::RngExt;
+use scene::{FollowScene, Stage};
 use serde::Deserialize;
 
 use crate::{
+    drawn::Drawn,
+    guest::{self, Drag},
     person::Person,
-    player::PlayerArgs,
+    player::{PERSON, PlayerArgs},
     shown::{Shown, ShownArgs},
+    state::{MIDDLE, POWER},
     table::{Chances, Table},
-    wire::{self, Close, Go, Hear, Looked, Open, See, Truth},
+    wire::{self, Close, DragDisc, Go, Hear, Hue, Looked, Open, See, Shove, Truth, Why},
 };
 
 /// The handler's name.
@@ -45,25 +50,47 @@ struct RoomArgs {
     bumps: f64,
     #[serde(default)]
     glare: f64,
+    #[serde(default)]
+    far: f64,
+    #[serde(default)]
+    power: f64,
+    /// Discs that stand beside the middles of their squares at the beginning.
+    #[serde(default)]
+    aside: Vec<Aside>,
     /// The world whose cameras see the table.
     shown: Option<ShownArgs>,
+}
+
+/// A disc beside the middle of its square.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Aside {
+    /// The square's number.
+    square: u32,
+    /// How far, in the board's frame, m.
+    by: [f64; 2],
 }
 
 fn player() -> String {
     "player".to_owned()
 }
 
-struct Inner {
-    table: Table,
+pub struct Inner {
+    pub table: Table,
+    /// The bodies that a display shows.
+    pub drawn: Shown,
+    /// Whether a person drags discs on a display.
+    guest: bool,
     person: Option<Person>,
     heard: u32,
-    starts: checkers::Colour,
+    first: checkers::Position,
     shown: Option<Shown>,
 }
 
 /// The event handler.
 struct Room {
     inner: Rc<RefCell<Inner>>,
+    stage: Stage,
 }
 
 /// Registers the handler.
@@ -76,6 +103,9 @@ pub(crate) fn register(registry: &mut Registry) {
         Hear::INFO,
         Truth::INFO,
         Looked::INFO,
+        DragDisc::INFO,
+        Shove::INFO,
+        FollowScene::INFO,
     ];
     registry
         .handler(HANDLER, &commands, Room::new)
@@ -89,6 +119,8 @@ pub(crate) fn register(registry: &mut Registry) {
                 ("slips", args.slips),
                 ("bumps", args.bumps),
                 ("glare", args.glare),
+                ("far", args.far),
+                ("power", args.power),
             ];
             for (key, chance) in chances {
                 if !(0.0..=1.0).contains(&chance) {
@@ -111,26 +143,63 @@ impl Room {
             slips: args.slips,
             bumps: args.bumps,
             glare: args.glare,
+            far: args.far,
+            power: args.power,
         };
         let rules = player.rules();
+        let first = player.first(cx.app()).map_err(HandlerError::new)?;
         let record = player.record(cx.app()).map_err(HandlerError::new)?;
+        let guest = player.opponent == PERSON;
         let side = player.ours().map(checkers::Colour::other);
+        let side = side.filter(|_| !guest);
+        let mut table = Table::new(chances, first, cx.rng("room"));
+        for Aside { square, by } in args.aside {
+            let square = Numbering::of(rules).square(square);
+            let at = square.and_then(|square| table.on(square));
+            let stack = at.and_then(|at| table.stacks.get_mut(at));
+            let stack = stack.ok_or("`aside` names a square on which nothing stands")?;
+            stack.at = [stack.at[0] + by[0], stack.at[1] + by[1]];
+        }
         let inner = Inner {
-            table: Table::new(chances, rules.starts(), cx.rng("room")),
+            table,
+            drawn: Shown::for_people(),
+            guest,
             person: side.map(|side| Person::new(side, rules, record)),
             heard: 0,
-            starts: rules.starts(),
+            first,
             shown: args.shown.map(Shown::new),
         };
-        Ok(Self {
-            inner: Rc::new(RefCell::new(inner)),
-        })
+        let inner = Rc::new(RefCell::new(inner));
+        let stage = Stage::new(Drawn::new(inner.clone()));
+        Ok(Self { inner, stage })
     }
 
-    /// Whether arm and hand are those of a world that moves by itself.
-    fn is_real(&self) -> bool {
-        let inner = self.inner.borrow();
-        inner.shown.as_ref().is_some_and(|shown| shown.args.real)
+    /// A person at a display has put a disc elsewhere: a hand does that.
+    fn drag(&self, cx: &Context, message: Message) -> Handled {
+        let (request, reply) = message.open::<DragDisc>()?;
+        let taken = self.inner.borrow_mut().take(&request);
+        let drag = match taken {
+            Ok(drag) => drag,
+            Err(reason) => return reply.fail(reason),
+        };
+        let (child, inner) = (cx.clone(), self.inner.clone());
+        cx.spawn(async move {
+            show(&child, &inner).await;
+            child.sleep(Duration::from_secs_f64(guest::TAKES_S)).await;
+            let dragged = {
+                let table = &mut inner.borrow_mut().table;
+                let dragged = guest::drag(table, drag);
+                table.hand = false;
+                table.note();
+                dragged
+            };
+            show(&child, &inner).await;
+            let _ = match dragged {
+                Ok(()) => reply.ok(()),
+                Err(reason) => reply.fail(reason),
+            };
+        });
+        Ok(())
     }
 
     /// Answers a request after some time.
@@ -160,40 +229,51 @@ impl EventHandler for Room {
             See::CODE => {
                 self.after::<See>(cx, message, PICTURE, |table, See { pose }| table.see(pose))
             }
-            Go::CODE if self.is_real() => {
-                let (Go { to }, reply) = message.open::<Go>()?;
+            DragDisc::CODE => self.drag(cx, message),
+            Shove::CODE => self.after::<Shove>(cx, message, FINGERS, |table, shove| {
+                if table.hand {
+                    return Some(Why::HandInTheWay);
+                }
+                table.shove(shove.from, shove.to);
+                None
+            }),
+            FollowScene::CODE => self.stage.follow(cx, message),
+            Go::CODE if self.inner.borrow().is_real() => {
+                let (Go { to, .. }, reply) = message.open::<Go>()?;
                 let table = &mut self.inner.borrow_mut().table;
                 if to.is_some() {
                     if !table.hand {
                         table.arm = to;
                     }
-                    return reply.ok(!table.hand);
+                    return reply.ok(table.hand.then_some(Why::HandInTheWay));
                 }
                 let (child, inner) = (cx.clone(), self.inner.clone());
                 cx.spawn(async move {
                     let read = read(&child, &inner).await;
                     let _ = match read {
-                        Ok(()) => reply.ok(true),
+                        Ok(()) => reply.ok(None),
                         Err(error) => reply.fail(error),
                     };
                 });
                 Ok(())
             }
             Go::CODE => {
-                let (Go { to }, reply) = message.open::<Go>()?;
+                let (Go { to, then }, reply) = message.open::<Go>()?;
                 let began = {
                     let table = &mut self.inner.borrow_mut().table;
-                    table.go(to).map(|seconds| (seconds, table.motion))
+                    let began = table.go(to, then);
+                    began.map(|seconds| (seconds, table.motion))
                 };
-                let Some((seconds, motion)) = began else {
-                    return reply.ok(false);
+                let (seconds, motion) = match began {
+                    Ok(began) => began,
+                    Err(why) => return reply.ok(Some(why)),
                 };
                 let (child, inner) = (cx.clone(), self.inner.clone());
                 cx.spawn(async move {
                     child.sleep(Duration::from_secs_f64(seconds)).await;
-                    inner.borrow_mut().table.arrived(motion, to);
+                    let why = inner.borrow_mut().table.arrived(motion, to);
                     show(&child, &inner).await;
-                    let _ = reply.ok(true);
+                    let _ = reply.ok(why);
                 });
                 Ok(())
             }
@@ -212,8 +292,12 @@ impl EventHandler for Room {
                     inner.table.truth.heard.push(words.clone());
                     // Somebody in the room does that.
                     if words.contains("set up the board") {
-                        inner.table.begin_anew(inner.starts);
+                        inner.table.begin_anew(&inner.first);
                     }
+                    if words.contains(MIDDLE) {
+                        inner.table.push_to_middle();
+                    }
+                    inner.table.powered |= words.contains(POWER);
                     if let Some(person) = &mut inner.person {
                         person.hear(&mut inner.table, &words, now);
                     }
@@ -257,6 +341,44 @@ impl EventHandler for Room {
 }
 
 impl Inner {
+    /// Whether arm and hand are those of a world that moves by itself.
+    pub fn is_real(&self) -> bool {
+        self.shown.as_ref().is_some_and(|shown| shown.args.real)
+    }
+
+    /// A person's hand comes over the board for a disc.
+    fn take(&mut self, request: &DragDisc) -> Result<Drag, String> {
+        let Self {
+            table,
+            drawn,
+            guest,
+            ..
+        } = self;
+        if !*guest {
+            return Err(format!(
+                "no person plays here: give the player `opponent = \"{PERSON}\"`"
+            ));
+        }
+        if table.hand || table.moving || table.arm.is_some() {
+            return Err("arm and hand are not over the board together: wait".to_owned());
+        }
+        drawn.take(table, 0.0);
+        let DragDisc { disc, x, y } = request;
+        let found = drawn.all().find(|(name, _)| name == disc);
+        let hue = match disc.starts_with("light") {
+            true => Hue::Light,
+            false => Hue::Dark,
+        };
+        let (_, pose) = found.ok_or_else(|| format!("there is no disc `{disc}`"))?;
+        let from = [pose.translation.x, pose.translation.y];
+        let to = [from[0] + x, from[1] + y];
+        if !to.iter().all(|along| along.abs() < 2.0) {
+            return Err(format!("{to:?} is not on the table"));
+        }
+        table.hand = true;
+        Ok(Drag { hue, from, to })
+    }
+
     /// Time passes.
     fn tick(&mut self, now: f64) {
         let Self {

@@ -41,7 +41,7 @@ const BESIDE_M: f64 = 0.052;
 const SAME_M: f64 = 0.012;
 
 /// What is lower lies on the floor, m.
-const FLOOR_M: f64 = 0.38;
+pub const FLOOR_M: f64 = 0.38;
 
 /// A body, and where it is.
 #[derive(Debug, Clone)]
@@ -80,6 +80,16 @@ const SPECK: usize = 2;
 const FIRST: usize = 3;
 
 impl Shown {
+    /// A table that people look at, and no camera.
+    #[must_use]
+    pub fn for_people() -> Self {
+        Self::new(ShownArgs {
+            world: String::new(),
+            eye: [0.0; 3],
+            real: false,
+        })
+    }
+
     /// Nothing is shown yet.
     #[must_use]
     pub fn new(args: ShownArgs) -> Self {
@@ -112,14 +122,16 @@ impl Shown {
         let mut moved = Vec::new();
         let board = at(table.board.at, TABLE_M + 0.5 * BOARD_M, table.board.yaw);
         self.put(BOARD, board, &mut moved);
-        // What floats would fall where things move.
-        if !self.args.real {
-            self.put(HAND, hand(table), &mut moved);
-            self.put(SPECK, self.speck_at(&table.board), &mut moved);
-        }
+        // What stands on a board that is moved goes with it.
+        let near = match self.args.real && moved.is_empty() {
+            true => SAME_M,
+            false => 1e-6,
+        };
         for hue in [Hue::Light, Hue::Dark] {
-            self.take_discs(table, hue, &mut moved);
+            self.take_discs(table, hue, near, &mut moved);
         }
+        self.put(HAND, hand(table), &mut moved);
+        self.put(SPECK, self.speck_at(&table.board), &mut moved);
         if !moved.is_empty() {
             self.changed = f64::INFINITY;
             self.changing += 1;
@@ -141,7 +153,8 @@ impl Shown {
         }
     }
 
-    fn take_discs(&mut self, table: &Table, hue: Hue, moved: &mut Vec<usize>) {
+    /// A disc that is so near to where one is to be, m, stays.
+    fn take_discs(&mut self, table: &Table, hue: Hue, near: f64, moved: &mut Vec<usize>) {
         let first = FIRST + DISCS * usize::from(hue == Hue::Dark);
         let mut free: Vec<usize> = (first..first + DISCS).collect();
         let mut missing = Vec::new();
@@ -152,7 +165,6 @@ impl Shown {
                     (body.pose.translation.vector - pose.translation.vector).norm()
                 })
             };
-            let near = if self.args.real { SAME_M } else { 1e-6 };
             // The nearest: in a stack others are about as near.
             let nearest = (0..free.len()).map(|place| (place, far(&free[place])));
             match nearest.min_by(|one, other| one.1.total_cmp(&other.1)) {
@@ -182,6 +194,12 @@ impl Shown {
         let [x, y] = board.on_table(centre(square));
         let way = (Vector3::new(x, y, TABLE_M + BOARD_M) - eye).normalize();
         Isometry3::from_parts((eye + way * SPECK_M).into(), UnitQuaternion::identity())
+    }
+
+    /// The names of all bodies, and where they are to be.
+    pub fn all(&self) -> impl Iterator<Item = (&str, &Isometry3<f64>)> {
+        let bodies = self.bodies.iter();
+        bodies.map(|body| (body.name.as_str(), &body.pose))
     }
 
     /// Where a body is to be.
@@ -251,9 +269,7 @@ impl Shown {
             return;
         }
         let seen = &looked.situation;
-        // Where things move by themselves a person's hand is not shown.
-        let hand = table.hand && !self.args.real;
-        let (mut wrong, mut unsure) = (hand && !seen.hand, seen.hand);
+        let (mut wrong, mut unsure) = (table.hand && !seen.hand, seen.hand);
         for (square, reading) in (0_u8..).zip(&seen.squares) {
             let sure = reading.confidence >= SURE;
             unsure |= !sure;
@@ -309,7 +325,7 @@ fn places(table: &Table, hue: Hue) -> Vec<Isometry3<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use checkers::Colour;
+    use checkers::{Colour, Position};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -322,7 +338,7 @@ mod tests {
     fn table() -> Table {
         Table::new(
             Chances::default(),
-            Colour::White,
+            Position::start(Colour::White),
             ChaCha8Rng::seed_from_u64(1),
         )
     }

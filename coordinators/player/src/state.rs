@@ -1,14 +1,14 @@
 //! What the player knows of a game, and what it makes of a look at the board: pure, and stored as it is.
 
 use checkers::{
-    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Refusal, Sight, Status, Variant,
-    Verdict, Watch,
+    Carry, Colour, Game, Heaps, Look, Move, Numbering, Place, Position, Refusal, Sight, Status,
+    Variant, Verdict, Watch,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::{
     referee::{A_DISC, LOST, TWO_DISCS},
-    wire::{Errand, Gaze, Hue, SURE, Situation, Spot, centre},
+    wire::{Errand, Gaze, Hindrance, Hue, SURE, Situation, Spot, Why, centre},
 };
 
 /// After so many looks from elsewhere people are asked.
@@ -19,6 +19,10 @@ const SAID_AGAIN: u32 = 25;
 pub const SPARE: u8 = 12;
 /// What was lost is looked for so often before people are asked for it.
 const SEARCHES: u32 = 3;
+
+/// What people are asked for when the arm cannot go on.
+pub(crate) const MIDDLE: &str = "please push the board to the middle of the table";
+pub(crate) const POWER: &str = "please switch it on";
 
 /// What is expected next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,6 +46,23 @@ pub struct Task {
     pub discs: u8,
     /// Whose disc it is.
     pub hue: Hue,
+}
+
+impl Task {
+    /// A disc that is pushed to the middle of its square.
+    const fn push(square: u8, hue: Hue) -> Self {
+        Self {
+            from: End::Square(square, 0),
+            to: End::Square(square, 0),
+            discs: 1,
+            hue,
+        }
+    }
+
+    /// Whether it is one.
+    fn is_push(&self) -> bool {
+        self.from == self.to
+    }
 }
 
 /// An end of a carry.
@@ -68,12 +89,11 @@ pub fn step_of((from, to, crowned, captured): Step) -> Move {
     }
 }
 
-/// A game after moves that were stored.
+/// A game after moves that were stored; `game` is as it begins.
 ///
 /// # Errors
 /// One of them is not legal.
-pub fn replayed(variant: Variant, moves: &[Step]) -> Result<Game, Refusal> {
-    let mut game = Game::new(variant);
+pub fn replayed(mut game: Game, moves: &[Step]) -> Result<Game, Refusal> {
     for step in moves {
         game.make(step_of(*step))?;
     }
@@ -83,6 +103,8 @@ pub fn replayed(variant: Variant, moves: &[Step]) -> Result<Game, Refusal> {
 /// A game as it is stored.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
+    /// The first position, FEN.
+    pub start: String,
     pub moves: Vec<Step>,
     /// How it ended otherwise than by the rules: who gave up; `None` inside when both agreed.
     pub ended: Option<Option<Hue>>,
@@ -109,11 +131,16 @@ pub struct State {
     /// What vision was told of it last.
     pub told: Option<Gaze>,
     pub again: u32,
+    /// How often crooked discs were pushed since all stood well.
+    pub pushed: u32,
     /// How often what was lost has been looked for, and where it lies.
     pub searched: u32,
     pub found: Option<[f64; 2]>,
     /// How often the hand found nothing.
     pub missed: u32,
+    /// Whether it holds something, and what kept the arm from its way last.
+    pub holds: bool,
+    pub why: Option<Why>,
     /// What the look was good for.
     pub moved: bool,
     pub ready: bool,
@@ -126,15 +153,19 @@ pub struct Play {
     pub game: Game,
     pub state: State,
     pub watch: Watch,
+    /// The first position.
+    pub start: Position,
     /// Whose discs the robot moves; `None` for both.
     pub ours: Option<Colour>,
+    /// So often in a row a crooked disc is pushed before people are asked.
+    pub pushes: u32,
 }
 
 impl Play {
     /// A new game.
     #[must_use]
-    pub fn new(variant: Variant, ours: Option<Colour>) -> Self {
-        let game = Game::new(variant);
+    pub fn new(variant: Variant, start: Position, ours: Option<Colour>) -> Self {
+        let game = Game::from(variant, start);
         let spot = Spot::Spare(Hue::Light);
         let errand = Errand {
             number: 0,
@@ -142,9 +173,11 @@ impl Play {
             to: spot,
             discs: 1,
             below: [0; 2],
+            push: false,
         };
         let position = game.position();
         let state = State {
+            start: start.fen(Numbering::of(variant)),
             moves: Vec::new(),
             ended: None,
             phase: Phase::Setting,
@@ -160,9 +193,12 @@ impl Play {
             gaze: 0,
             told: None,
             again: 0,
+            pushed: 0,
             searched: 0,
             found: None,
             missed: 0,
+            holds: false,
+            why: None,
             moved: false,
             ready: false,
             places: (0..32).map(centre).collect(),
@@ -173,13 +209,21 @@ impl Play {
             game,
             state,
             watch,
+            start,
             ours,
+            pushes: 0,
         }
     }
 
     /// Goes on with a game that was stored.
     pub fn restore(&mut self, state: State) {
-        match replayed(self.game.variant(), &state.moves) {
+        let variant = self.game.variant();
+        let start = Position::read(&state.start, variant, Numbering::of(variant));
+        match start {
+            Ok(start) => self.start = start,
+            Err(error) => tracing::error!(%error, "a stored position is none"),
+        }
+        match replayed(Game::from(variant, self.start), &state.moves) {
             Ok(game) => self.game = game,
             Err(refusal) => tracing::error!(%refusal, "a stored move is not legal"),
         }
@@ -213,8 +257,9 @@ impl Play {
 
     /// A new game, by whoever the board is set up; what counts on goes on.
     pub fn again(&mut self) {
-        let before = self.state.clone();
-        *self = Self::new(self.game.variant(), self.ours);
+        let (before, pushes) = (self.state.clone(), self.pushes);
+        *self = Self::new(self.game.variant(), self.start, self.ours);
+        self.pushes = pushes;
         self.state.errand.number = before.errand.number;
         (self.state.said, self.state.wish) = (before.said, before.wish);
     }
@@ -257,6 +302,8 @@ impl Play {
     pub fn judge(&mut self, seen: &Situation) {
         self.state.last.1 = self.state.last.1.saturating_add(1);
         (self.state.ready, self.state.moved) = (false, seen.moved);
+        // Whether a disc still stands crooked is seen anew.
+        self.state.tasks.retain(|task| !task.is_push());
         if seen.moved {
             self.watch.again();
             self.say("the board was moved: I look where it is".to_owned());
@@ -297,6 +344,22 @@ impl Play {
         };
         let crooked = squares.iter().copied().filter(is_crooked);
         let crooked: Vec<u8> = crooked.collect();
+        if self.state.pushed < self.pushes
+            && let Some(square) = crooked.first()
+            && let Some(hue) = seen
+                .squares
+                .get(usize::from(*square))
+                .and_then(|at| at.disc)
+        {
+            self.state.pushed += 1;
+            self.state.tasks.insert(0, Task::push(*square, hue));
+            self.state.ready = true;
+            self.say(format!(
+                "I push the disc on {} to the middle",
+                self.number(*square)
+            ));
+            return;
+        }
         let words = if crooked.is_empty() {
             format!(
                 "I cannot see {} well",
@@ -315,7 +378,7 @@ impl Play {
             Verdict::NotFinal if look.hand => self.hand_is_seen(),
             Verdict::NotFinal => {}
             Verdict::Waiting => {
-                (self.state.again, self.state.gaze) = (0, 0);
+                (self.state.again, self.state.gaze, self.state.pushed) = (0, 0, 0);
                 if self.state.last.1 >= SAID_AGAIN {
                     self.say("your turn".to_owned());
                 }
@@ -324,7 +387,7 @@ impl Play {
             Verdict::Rejected(reason, _) => self.say(format!("not accepted: {reason}")),
             Verdict::Accepted(step) => {
                 self.watch.again();
-                (self.state.again, self.state.gaze) = (0, 0);
+                (self.state.again, self.state.gaze, self.state.pushed) = (0, 0, 0);
                 let tasks = self.play(step);
                 // The person has carried the piece and what it captured; a crown is stacked for the person.
                 let crowns = |task: &Task| matches!(task.to, End::Square(_, 1));
@@ -381,7 +444,7 @@ impl Play {
         if !unsure.is_empty() {
             return self.look_again(&unsure, seen);
         }
-        (self.state.again, self.state.gaze) = (0, 0);
+        (self.state.again, self.state.gaze, self.state.pushed) = (0, 0, 0);
         self.watch.again();
         let begins = self.state.phase == Phase::Setting;
         if begins {
@@ -588,6 +651,7 @@ impl Play {
             to,
             discs: task.discs,
             below: [beneath(task.from, others), beneath(task.to, 0)],
+            push: task.is_push(),
         };
         Some(self.state.errand)
     }
@@ -600,7 +664,7 @@ impl Play {
 
     /// The hand holds the present carry's discs.
     pub fn held(&mut self) {
-        self.state.missed = 0;
+        (self.state.missed, self.state.holds) = (0, true);
         let Some(task) = self.state.tasks.first().copied() else {
             return;
         };
@@ -621,6 +685,7 @@ impl Play {
 
     /// The present carry is done.
     pub fn carried(&mut self) {
+        self.state.holds = false;
         if let Some(task) = self.state.tasks.first().copied() {
             if let Spot::Tray(hue, place) = self.state.errand.to
                 && let Some(held) = self.tray(hue).get_mut(usize::from(place))
@@ -641,6 +706,7 @@ impl Play {
 
     /// The hand was empty when it should set down.
     pub fn lost(&mut self) {
+        self.state.holds = false;
         let Some(task) = self.state.tasks.first().copied() else {
             return;
         };
@@ -674,9 +740,39 @@ impl Play {
         }
     }
 
-    /// A hand was in the arm's way.
-    pub fn hindered(&mut self) {
-        self.say("please take your hand away".to_owned());
+    /// Something kept the arm from its way: people are told what they can do about it.
+    pub fn hindered(&mut self, hindrance: &Hindrance) {
+        // Time passes without looks.
+        self.state.last.1 = self.state.last.1.saturating_add(1);
+        self.state.why = Some(hindrance.why);
+        let words = match hindrance.why {
+            Why::HandInTheWay => "please take your hand away".to_owned(),
+            Why::OutOfReach(end) => format!("{} is out of my reach: {MIDDLE}", self.place(end)),
+            // That is told with where it was to go.
+            Why::DiscLost => return,
+            Why::NoPower => format!("the robot needs power: {POWER}"),
+            Why::Blocked => "something is in the way of my arm".to_owned(),
+            Why::Stopped => "the robot was stopped: please let it go on".to_owned(),
+            Why::Fault => format!("the robot cannot go on: {}", hindrance.text),
+        };
+        self.say(words);
+    }
+
+    /// An end of the present carry in words.
+    fn place(&self, end: u8) -> String {
+        let task = self.state.tasks.first();
+        let end = task.map(|task| if end == 0 { task.from } else { task.to });
+        match end {
+            Some(End::Square(square, _)) => self.number(square).to_string(),
+            Some(End::Tray) => "the place of captured discs".to_owned(),
+            _ => "the disc".to_owned(),
+        }
+    }
+
+    /// Whether what was held has slipped out of the hand.
+    #[must_use]
+    pub fn has_slipped(&self) -> bool {
+        self.state.holds && self.state.why == Some(Why::DiscLost)
     }
 
     /// The result in words.

@@ -6,11 +6,16 @@ use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
 use crate::wire::{
-    ASIDE_M, FIELD_M, Hue, Looks, MARKERS, Picture, Pose, Spot, TrueTable, apart, centre,
+    ASIDE_M, FIELD_M, Hue, Looks, MARKERS, Picture, Pose, Spot, TrueTable, Why, apart, centre,
 };
+use crate::{referee::DISCS, state::SPARE};
 
 /// The hand takes what is so near beneath it, m.
 const REACH_M: f64 = 0.024;
+
+/// The arm of a dry game gets so far from where it stands, and a board that is too far away is so far away, m.
+const ARM_M: f64 = 0.95;
+const FAR_M: f64 = 0.9;
 
 /// How often things go wrong, 0 to 1.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
@@ -24,6 +29,10 @@ pub struct Chances {
     pub bumps: f64,
     /// A square is not seen well, of looks.
     pub glare: f64,
+    /// The board is pushed out of the arm's reach, of those times that it is pushed aside.
+    pub far: f64,
+    /// The arm has no power any more, of its ways.
+    pub power: f64,
 }
 
 /// Discs that stand on one another.
@@ -51,6 +60,8 @@ pub struct Table {
     /// In the arm's hand.
     pub held: Vec<Hue>,
     slips: bool,
+    /// Whether the arm has power.
+    pub powered: bool,
     closed: (u32, u8),
     opened: (u32, u8),
     /// Whether the person's hand is over the board.
@@ -61,9 +72,9 @@ pub struct Table {
 }
 
 impl Table {
-    /// The first position, the board anywhere.
+    /// The discs stand in the first position, the board lies anywhere.
     #[must_use]
-    pub fn new(chances: Chances, turn: Colour, mut rng: ChaCha8Rng) -> Self {
+    pub fn new(chances: Chances, first: Position, mut rng: ChaCha8Rng) -> Self {
         let board = Pose {
             at: [rng.random_range(0.45..0.55), rng.random_range(-0.05..0.05)],
             yaw: rng.random_range(-0.3..0.3),
@@ -77,6 +88,7 @@ impl Table {
             moving: false,
             held: Vec::new(),
             slips: false,
+            powered: true,
             closed: (0, 0),
             opened: (0, 0),
             hand: false,
@@ -93,9 +105,7 @@ impl Table {
             chances,
             rng,
         };
-        table.set_spare();
-        table.set_up(&Position::start(turn));
-        table.note();
+        table.begin_anew(&first);
         table
     }
 
@@ -114,24 +124,25 @@ impl Table {
         }
     }
 
-    /// All discs are gathered, and the first position is set up.
-    pub fn begin_anew(&mut self, turn: Colour) {
+    /// All discs are gathered, and the first position is set up; what it has no use for is put away.
+    pub fn begin_anew(&mut self, first: &Position) {
         self.stacks.clear();
         self.away.clear();
-        self.set_spare();
-        self.set_up(&Position::start(turn));
-        self.note();
-    }
-
-    fn set_spare(&mut self) {
         for hue in [Hue::Light, Hue::Dark] {
             let at = Spot::Spare(hue).on_table(&self.board);
             self.stacks.push(Stack {
                 on_board: false,
                 at,
-                discs: vec![hue; 12],
+                discs: vec![hue; usize::from(SPARE)],
             });
         }
+        self.set_up(first);
+        let [light, dark] = self.truth().discs;
+        for (hue, there) in [(Hue::Light, light), (Hue::Dark, dark)] {
+            let left = DISCS.saturating_sub(there);
+            self.away.extend((0..left).map(|_| hue));
+        }
+        self.note();
     }
 
     /// The stack on a square.
@@ -206,6 +217,9 @@ impl Table {
                 (self.board.at[1] + self.rng.random_range(-0.03..0.03)).clamp(-0.06, 0.06),
             ];
             self.board.yaw = (self.board.yaw + self.rng.random_range(-0.1..0.1)).clamp(-0.4, 0.4);
+            if self.rng.random_bool(self.chances.far) {
+                self.board.at[0] = FAR_M;
+            }
             self.truth.moved += 1;
         }
     }
@@ -239,30 +253,58 @@ impl Table {
         }
     }
 
-    /// The arm begins to move; says for how long, s, or that a hand is in the way.
-    pub fn go(&mut self, to: Option<[f64; 2]>) -> Option<f64> {
+    /// Somebody pushes the board with all that stands on it to where the arm gets everywhere.
+    pub fn push_to_middle(&mut self) {
+        self.board = Pose {
+            at: [0.57, 0.0],
+            yaw: 0.0,
+        };
+        self.truth.moved += 1;
+    }
+
+    /// The arm begins to move, and is to go on to another place then; says for how long it moves, s.
+    ///
+    /// # Errors
+    /// What keeps it from that.
+    pub fn go(&mut self, to: Option<[f64; 2]>, then: Option<[f64; 2]>) -> Result<f64, Why> {
+        if self.rng.random_bool(self.chances.power) {
+            self.powered = false;
+        }
+        if !self.powered {
+            return Err(Why::NoPower);
+        }
         if self.hand {
-            return None;
+            return Err(Why::HandInTheWay);
+        }
+        let far = |at: Option<[f64; 2]>| at.is_some_and(|at| apart(at, [0.0; 2]) > ARM_M);
+        if far(to) {
+            // Without a next place it is the errand's second end.
+            return Err(Why::OutOfReach(u8::from(then.is_none())));
+        }
+        if far(then) {
+            return Err(Why::OutOfReach(1));
         }
         self.motion += 1;
         self.moving = true;
         let home = [0.3, 0.0];
         let way = apart(self.arm.unwrap_or(home), to.unwrap_or(home));
-        Some(0.8 + way / 0.5)
+        Ok(0.8 + way / 0.5)
     }
 
-    /// The arm has come to where it was to go.
-    pub fn arrived(&mut self, motion: u32, to: Option<[f64; 2]>) {
+    /// The arm has come to where it was to go; says what has gone wrong on the way.
+    pub fn arrived(&mut self, motion: u32, to: Option<[f64; 2]>) -> Option<Why> {
         if self.motion != motion {
-            return;
+            return None;
         }
         (self.arm, self.moving) = (to, false);
-        if std::mem::take(&mut self.slips) {
+        let slipped = std::mem::take(&mut self.slips);
+        if slipped {
             for hue in std::mem::take(&mut self.held) {
                 self.drop(hue);
             }
         }
         self.note();
+        slipped.then_some(Why::DiscLost)
     }
 
     /// A disc falls: somewhere on the board, or from the table.
@@ -285,6 +327,16 @@ impl Table {
             }
         }
         self.away.push(hue);
+    }
+
+    /// The arm pushes what stands at one place to another.
+    pub fn shove(&mut self, from: [f64; 2], to: [f64; 2]) {
+        let board = self.board;
+        let mut stacks = self.stacks.iter_mut().filter(|stack| stack.on_board);
+        if let Some(stack) = stacks.find(|stack| apart(table_at(stack, &board), from) < REACH_M) {
+            stack.at = board.on_board(to);
+        }
+        self.arm = Some(to);
     }
 
     /// The hand closes.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use checkers::{Game, Limits, Move, Variant, search};
+use checkers::{Game, Limits, Move, Numbering, Position, Variant, search};
 use ctos::{
     message::{Command, Message},
     registry::Registry,
@@ -29,13 +29,15 @@ ctos::command! {
     pub struct Seek {
         /// The rules.
         pub variant: String,
+        /// The first position, FEN.
+        pub start: String,
         /// The game so far.
         pub moves: Vec<Step>,
         /// How many positions are looked at, in place of a time.
         pub nodes: Option<u64>,
         /// How long it takes, s.
         pub seconds: f64,
-    } => Option<Step>, 0x0708, "seek"
+    } => Option<Step>, 0x0709, "seek"
 }
 
 impl Seek {
@@ -72,7 +74,12 @@ impl EventHandler for Thinker {
         let Some(variant) = Variant::named(&seek.variant) else {
             return reply.fail(format!("there are no rules `{}`", seek.variant));
         };
-        match replayed(variant, &seek.moves) {
+        let start = Position::read(&seek.start, variant, Numbering::of(variant));
+        let start = match start {
+            Ok(start) => start,
+            Err(error) => return reply.fail(format!("the first position is none: {error}")),
+        };
+        match replayed(Game::from(variant, start), &seek.moves) {
             Ok(game) => {
                 let step = best(cx, &game, &seek);
                 reply.ok(step.map(|step| (step.from, step.to, step.crowned, step.captured)))

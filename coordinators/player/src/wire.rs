@@ -5,7 +5,10 @@
 use std::time::Duration;
 
 use checkers::Colour;
-use coordinators::dom::DomStore;
+use coordinators::{
+    dom::DomStore,
+    outcome::{Failure, Outcome},
+};
 use ctos::task::{Context, HandlerError};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -168,9 +171,10 @@ ctos::command! {
     pub struct See { pub pose: u8 } => Picture, 0x0701, "see"
 }
 ctos::command! {
-    /// Moves the arm above a place on the table; where it waits, without one. Says whether it is there: no when somebody's hand is in the way.
+    /// Moves the arm above a place on the table; where it waits, without one. `then` is where it goes next, if that is known. Says
+    /// what keeps it from that, or from being there.
     #[derive(Debug, Clone, PartialEq)]
-    pub struct Go { pub to: Option<[f64; 2]> } => bool, 0x0702, "go"
+    pub struct Go { pub to: Option<[f64; 2]>, pub then: Option<[f64; 2]> } => Option<Why>, 0x0702, "go"
 }
 ctos::command! {
     /// Closes the hand for an errand, about so many discs of the top of what stands beneath. Says how many it holds.
@@ -181,6 +185,11 @@ ctos::command! {
     /// Opens the hand for an errand. Says how many discs it has set down.
     #[derive(Debug, Clone, PartialEq, Eq)]
     pub struct Open { pub errand: u32 } => u8, 0x0704, "open"
+}
+ctos::command! {
+    /// Pushes what stands at a place to another one, both in the table's frame. Says what keeps the arm from that.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Shove { pub from: [f64; 2], pub to: [f64; 2] } => Option<Why>, 0x070a, "shove"
 }
 ctos::command! {
     /// People in the room hear something; the same number is the same words.
@@ -196,6 +205,90 @@ ctos::command! {
     /// What was read of a picture, for the referee only. Its stamp is the app's time, ns.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Looked { pub stamp_ns: i64, pub situation: Situation } => (), 0x0707, "looked"
+}
+
+ctos::command! {
+    /// A person at a display puts a disc, by its name there, so much further on the table, m.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct DragDisc {
+        /// Such as `dark3`.
+        pub disc: String,
+        /// Along x
+        pub x: f64,
+        /// and y.
+        pub y: f64,
+    } => (), 0x0708, "drag_disc"
+}
+
+/// What keeps an arm from doing what it is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Why {
+    /// Somebody's hand is over the board.
+    HandInTheWay,
+    /// The errand's end, 0 or 1, is where the arm does not get.
+    OutOfReach(u8),
+    /// What it held has slipped out of its fingers.
+    DiscLost,
+    /// Drives have no power.
+    NoPower,
+    /// It met something that is no hand.
+    Blocked,
+    /// A protective stop holds.
+    Stopped,
+    /// Hardware, control or another task failed.
+    Fault,
+}
+
+/// Why the arm did not do what it was asked.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hindrance {
+    pub why: Why,
+    /// In words, for those who look after the robot.
+    pub text: String,
+}
+
+impl Hindrance {
+    /// What a room has told.
+    #[must_use]
+    pub fn told(why: Why) -> Self {
+        let text = match why {
+            Why::HandInTheWay => "a hand is over the board",
+            Why::OutOfReach(0) => "the disc is out of reach",
+            Why::OutOfReach(_) => "where the disc is to go is out of reach",
+            Why::DiscLost => "the disc was lost on the way",
+            Why::NoPower => "the drives have no power",
+            Why::Blocked => "something is in the way",
+            Why::Stopped => "a protective stop holds",
+            Why::Fault => "a fault",
+        };
+        let text = text.to_owned();
+        Self { why, text }
+    }
+
+    /// What kept an arm from an end of its errand.
+    #[must_use]
+    pub fn of(failure: &Failure, end: u8) -> Self {
+        let why = match failure.outcome {
+            Outcome::Unreachable => Why::OutOfReach(end),
+            Outcome::Absent => Why::DiscLost,
+            Outcome::Estopped => Why::NoPower,
+            Outcome::Guard | Outcome::Occupied | Outcome::Stuck => Why::Blocked,
+            Outcome::Stopped => Why::Stopped,
+            Outcome::Unseen | Outcome::Fault | Outcome::Lost | Outcome::Refused => Why::Fault,
+        };
+        let text = failure.reason.clone();
+        Self { why, text }
+    }
+}
+
+impl From<HandlerError> for Hindrance {
+    fn from(error: HandlerError) -> Self {
+        let text = error.to_string();
+        Self {
+            why: Why::Fault,
+            text,
+        }
+    }
 }
 
 /// What a picture shows.
@@ -275,6 +368,8 @@ pub const SITUATION: &str = "situation";
 pub const ERRAND: &str = "errand";
 /// FROM and TO of the errand in the table's frame, written by the transform.
 pub const POINTS: &str = "points";
+/// [`Hindrance`], written by the robot.
+pub const HINDRANCE: &str = "hindrance";
 /// [`Words`], written by the player.
 pub const WORDS: &str = "words";
 /// [`Wish`], written by the People Coordinator.
@@ -328,6 +423,8 @@ pub struct Errand {
     pub discs: u8,
     /// How many discs stand beneath, at both ends.
     pub below: [u8; 2],
+    /// Whether it is pushed there, and not carried.
+    pub push: bool,
 }
 
 /// What people are told.

@@ -26,12 +26,14 @@ fn registry() -> Registry {
     let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
     sim::register(&mut registry, &mut drivers, &mut sources);
     vss::register(&mut registry, sources);
-    let (mut laws, guards) = (LawRegistry::new(), GuardRegistry::new());
+    let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs_collision::register(&mut registry, &mut guards);
     mcs_hand::register(&mut registry, &mut laws);
     mcs::register(&mut registry, drivers, laws, guards);
     coordinators::register(&mut registry);
     checkers_player::register(&mut registry);
     pnt::store::keep_states(&mut registry);
+    pnt_net::register(&mut registry);
     daemon::register(&mut registry, Dictionary::default(), |_, sorm| {
         vss::services::register(sorm);
     });
@@ -176,6 +178,38 @@ fn whole_games_are_carried_by_an_arm_and_a_gripper() {
 fn hands() -> u64 {
     let given = std::env::var("CTOS_CHECKERS_HANDS_SEEDS").ok();
     given.map_or(0, |text| text.parse().unwrap())
+}
+
+/// A file with a game from a position, in which a man is crowned as soon as it can and a king goes as far as it can.
+fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
+    use checkers::{Game, Numbering, Position, Variant};
+    let start = Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap();
+    let mut game = Game::from(Variant::Brazilian, start);
+    for _ in 0..plies {
+        let moves = game.position().moves(game.variant());
+        let far = |step: &checkers::Move| (step.crowned, step.from.abs_diff(step.to));
+        let step = moves.iter().max_by_key(|step| far(step)).unwrap();
+        game.make(*step).unwrap();
+    }
+    game.resign(checkers::Colour::White);
+    let file = folder.join("game.pdn");
+    std::fs::write(&file, game.record().write()).unwrap();
+    format!("task.player.args.opponent={:?}", file.display().to_string())
+}
+
+#[test]
+fn a_disc_that_stands_crooked_is_pushed_to_its_middle_by_closed_jaws_and_then_carried() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_from(folder.path(), "W:W22,32:B1,12", 1);
+    let aside = "task.room.args.aside=[{ square = 22, by = [0.012, -0.008] }]";
+    let game = play("checkers-hands.toml", 1, &[&opponent, aside], &[]);
+    assert_eq!(game["ok"], true, "{game:#}");
+    let said = game["said"].to_string();
+    assert!(
+        said.contains("I push the disc on 22 to the middle"),
+        "{said}"
+    );
+    assert!(!said.contains("crooked"), "{said}");
 }
 
 #[test]

@@ -169,7 +169,7 @@ pub struct LampSpec {
     pub on: bool,
 }
 
-/// A rigid body that moves as forces want.
+/// A rigid body that moves as forces want, or that somebody holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectSpec {
     /// Its name.
@@ -182,6 +182,8 @@ pub struct ObjectSpec {
     pub mass: f64,
     /// Coefficient of friction against what has the same.
     pub friction: f64,
+    /// Whether it stays where it is put, whatever presses on it.
+    pub held: bool,
     /// Its pose at the start, `world_T_object`, m.
     pub start: Isometry3<f64>,
 }

@@ -675,8 +675,12 @@ impl World {
                     let Some(object) = cell.objects.get(index) else {
                         continue;
                     };
-                    let body = RigidBodyBuilder::dynamic().pose(pose(&object.start));
-                    let handle = self.physics.insert_body(body);
+                    let body = match object.held {
+                        // What stands on a kinematic one would be awake with all else that stands there.
+                        true => RigidBodyBuilder::fixed(),
+                        false => RigidBodyBuilder::dynamic(),
+                    };
+                    let handle = self.physics.insert_body(body.pose(pose(&object.start)));
                     let collider = collider(&object.shape.solid, ROOM);
                     let collider = collider.mass(object.mass).friction(object.friction);
                     self.physics.insert_collider(collider, Some(handle));

@@ -1,7 +1,7 @@
 // Handles: what a person takes hold of in the scene or beside it, and the commands that this puts on the tapes of nets.
 
 import { make } from "./panels.js";
-import { norm, plus } from "./solids.js";
+import { minus, norm, plus } from "./solids.js";
 
 const HANDLE_SVG = "http://www.w3.org/2000/svg";
 /** A command is put when the one before is answered, and not sooner than this after it, ms. */
@@ -169,6 +169,31 @@ class Drag extends PartHandle {
   }
 }
 
+/** Puts a part elsewhere on its level, once, when it is let go. */
+class Put extends Drag {
+  take(event) {
+    const box = this.handles.overview.canvas.getBoundingClientRect();
+    this.aim([event.clientX - box.x, event.clientY - box.y]);
+  }
+
+  press([x, y]) {
+    const spot = this.at && this.handles.overview.view.where(plus(this.at, this.value));
+    if (spot) this.aim([spot[0] + x * KEY_PX, spot[1] + y * KEY_PX]);
+  }
+
+  aim(spot) {
+    const place = this.at && this.handles.overview.view.onLevel(plus(this.at, this.value), spot);
+    if (place) this.set(minus(place, this.at));
+  }
+
+  words() {
+    if (this.held !== null || norm(this.value) < SHORTEST) return null;
+    const [x, y] = rounded(this.value);
+    this.value = [0, 0, 0];
+    return [this.told.part.split("/").slice(1).join("/"), x, y];
+  }
+}
+
 /** Pulls at a part: a force that follows the pointer. */
 class Pull extends PartHandle {
   again = true;
@@ -248,6 +273,8 @@ class Pad extends Handle {
   }
 }
 
+const KINDS = { way: Drag, place: Put, force: Pull, axes: Pad };
+
 /** The handles of an app. */
 export class Handles {
   /** In the scene of `overview`, for `app`, which has `put`, `say`, `control`, `mode`, `cursor` and `forks`. */
@@ -266,8 +293,10 @@ export class Handles {
   /** These are all of them. */
   show(told) {
     for (const one of this.all) one.letGo();
-    const kinds = { way: Drag, force: Pull, axes: Pad };
-    this.all = told.map((one) => new kinds[one.gives](this, one));
+    /** Those of several parts, and the parts that have one of them by now. */
+    this.patterns = told.filter((one) => one.part?.endsWith("*"));
+    this.grown = new Set();
+    this.all = told.filter((one) => !this.patterns.includes(one)).map((one) => new KINDS[one.gives](this, one));
     /** The keys of parts that have one: they are seen whoever tells of them. */
     this.parts = new Set(told.map((one) => one.part).filter(Boolean));
     const inScene = this.all.filter((one) => one instanceof PartHandle);
@@ -279,6 +308,19 @@ export class Handles {
     for (const one of this.all) one.due = false;
   }
 
+  /** Each part that one of the patterns means gets a handle of its own. */
+  grow(parts) {
+    for (const { key } of parts) {
+      const told = this.grown.has(key) ? null : this.patterns.find((one) => key.startsWith(one.part.slice(0, -1)));
+      if (!told) continue;
+      this.grown.add(key);
+      const one = new KINDS[told.gives](this, { ...told, name: `${told.name} ${key.split("/").slice(1).join("/")}`, part: key });
+      this.all.push(one);
+      this.layer.append(...one.elements);
+      this.arrows.append(one.arrow);
+    }
+  }
+
   /** Whether somebody may take hold of anything now. */
   get allowed() {
     const { app, overview } = this;
@@ -288,6 +330,7 @@ export class Handles {
   /** Puts each where it is among the parts that are seen. */
   place(parts) {
     const { allowed } = this;
+    this.grow(parts);
     for (const one of this.all) {
       if (!allowed) one.letGo();
       if (one instanceof Pad) one.element.hidden = !allowed;

@@ -222,6 +222,23 @@ export class SceneView {
     return plus(plus([0, 0, 0], right, dx * each), up, -dy * each);
   }
 
+  /** The place as high as a point of the scene that is seen at a point of the canvas, px; null where there is none. */
+  onLevel(at, [px, py]) {
+    // Newton's method: a millimetre along each axis says which way.
+    const small = 1e-3;
+    let place = at;
+    for (let step = 0; step < 8; step++) {
+      const [here, x, y] = [place, plus(place, [small, 0, 0]), plus(place, [0, small, 0])].map((one) => this.where(one));
+      if (here === null || x === null || y === null) return null;
+      const [a, b, c, d] = [x[0] - here[0], y[0] - here[0], x[1] - here[1], y[1] - here[1]];
+      const whole = a * d - b * c;
+      if (Math.abs(whole) < 1e-9) return null;
+      const [u, v] = [px - here[0], py - here[1]];
+      place = plus(place, [(small * (d * u - b * v)) / whole, (small * (a * v - c * u)) / whole, 0]);
+    }
+    return place.every(Number.isFinite) ? place : null;
+  }
+
   /** Shows all parts, as at first. */
   fit(parts) {
     parts = parts.filter(({ part }) => !BESIDE.has(part.kind));

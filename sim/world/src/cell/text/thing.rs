@@ -21,6 +21,8 @@ pub(super) struct ObjectText {
     height: Option<Spanned<f64>>,
     mass: Spanned<f64>,
     friction: Option<Spanned<f64>>,
+    #[serde(default)]
+    held: bool,
     grey: Option<Spanned<f64>>,
     colour: Option<Spanned<[f64; 3]>>,
     pub(super) position: Spanned<[f64; 3]>,
@@ -114,6 +116,7 @@ impl ObjectText {
             friction: self.friction.as_ref().map_or(FRICTION, |friction| {
                 check.number(friction, "the friction of an object", "", [0.0, 10.0])
             }),
+            held: self.held,
             start: Placement::from_degrees(origin.into(), check.turn(self.rpy.as_ref())).isometry(),
             name,
         }

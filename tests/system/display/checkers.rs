@@ -1,0 +1,102 @@
+//! A person who plays checkers from the page: drags a disc on the simulated table, and the robot answers.
+
+use super::{SIZE, boot_app, browser::Browser, pictures};
+use crate::harness::Scratch;
+
+/// Nothing goes wrong but what the person does, and White is the person.
+const SETS: [&str; 16] = [
+    "--set",
+    "task.player.args.opponent=\"person\"",
+    "--set",
+    "task.player.args.colour=\"black\"",
+    "--set",
+    "task.player.args.nodes=2000",
+    "--set",
+    "task.room.args.slips=0.0",
+    "--set",
+    "task.room.args.bumps=0.0",
+    "--set",
+    "task.room.args.glare=0.0",
+    "--set",
+    "task.room.args.power=0.0",
+    "--set",
+    "task.display.args.displays=\"displays/checkers.toml\"",
+];
+
+/// What people have heard last.
+const HEARD: &str = "nets.overview.tracks.get('room').head.said.words";
+
+/// Where parts are in the board's frame, m: `[name, x, y]`.
+const ON_BOARD: &str = "(() => { \
+    const parts = nets.overview.parts(); \
+    const board = parts.find((one) => one.key === 'room/board').row; \
+    const yaw = 2 * Math.atan2(board[6], board[7]); \
+    return parts.filter((one) => one.part.kind === 'disc').map((one) => { \
+        const [x, y] = [one.row[1] - board[1], one.row[2] - board[2]]; \
+        return [one.part.name, Math.cos(yaw) * x + Math.sin(yaw) * y, Math.cos(yaw) * y - Math.sin(yaw) * x]; \
+    }); })()";
+
+/// The way on the page, px, that leads a part so far along the axes of the board.
+fn way(disc: &str, along: [f64; 2]) -> String {
+    let [x, y] = along;
+    format!(
+        "(() => {{ const {{ view }} = nets.overview; const parts = nets.overview.parts(); \
+         const board = parts.find((one) => one.key === 'room/board').row; \
+         const yaw = 2 * Math.atan2(board[6], board[7]); \
+         const at = parts.find((one) => one.key === 'room/{disc}').row.slice(1, 4); \
+         const to = [at[0] + Math.cos(yaw) * {x} - Math.sin(yaw) * {y}, at[1] + Math.sin(yaw) * {x} + Math.cos(yaw) * {y}, at[2]]; \
+         const [from, there] = [view.where(at), view.where(to)]; return [there[0] - from[0], there[1] - from[1]]; }})()"
+    )
+}
+
+/// Whether a disc of a colour stands there, m in the board's frame.
+fn stands(colour: &str, [x, y]: [f64; 2]) -> String {
+    format!(
+        "{ON_BOARD}.some(([name, x, y]) => name.startsWith('{colour}') && Math.hypot(x - {x}, y - {y}) < 0.01)"
+    )
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn a_person_drags_a_disc_on_the_page_and_the_robot_answers_and_explains_a_move_that_is_not_legal() {
+    let scratch = Scratch::new();
+    let name = format!("app.name=\"checkers_page_{}\"", std::process::id());
+    let sets = [&SETS[..], &["--set", &name]].concat();
+    let (_run, page) = boot_app(&scratch, "configs/checkers.toml", &sets);
+    let mut browser = Browser::open(&page, SIZE);
+    browser.wait(&format!("nets.whole && /your turn/.test({HEARD})"));
+    // From above, as one who sits at the table.
+    browser.ask("(() => { const { view } = nets.overview; Object.assign(view.camera, { target: [0.5, 0, 0.42], distance: 1.0, height: 1.2 }); view.stale = true; })()");
+
+    // 22-18: c3 to d4.
+    let (c3, d4) = ([-0.09, -0.09], [-0.03, -0.03]);
+    let disc = format!(
+        "{ON_BOARD}.find(([name, x, y]) => name.startsWith('light') && Math.hypot(x + 0.09, y + 0.09) < 0.01)[0]"
+    );
+    let disc = browser.ask(&disc);
+    let disc = disc.as_str().unwrap().to_owned();
+    let handle = format!("[data-handle=\"light {disc}\"]");
+    browser.wait(&format!(
+        "document.querySelector({handle:?}) && !document.querySelector({handle:?}).hidden"
+    ));
+    let far = browser.ask(&way(&disc, [d4[0] - c3[0], d4[1] - c3[1]]));
+    let far = (far[0].as_f64().unwrap(), far[1].as_f64().unwrap());
+    browser.drag(&handle, far);
+    browser.wait(&stands("light", d4));
+    let first =
+        "[5, 6, 7].flatMap((row) => [0, 1, 2, 3].map((column) => [2 * column + (row % 2), row]))";
+    // Black's discs do not stand where they did: the robot has answered, and it is the person's turn.
+    let moved = format!(
+        "!{first}.every(([file, row]) => {ON_BOARD}.some(([name, x, y]) => name.startsWith('dark') && Math.hypot(x - (file - 3.5) * 0.06, y - (row - 3.5) * 0.06) < 0.015))"
+    );
+    browser.wait(&format!("{moved} && /your turn/.test({HEARD})"));
+    pictures(&mut browser, "checkers-answer");
+
+    // No man goes backwards.
+    let far = browser.ask(&way(&disc, [c3[0] - d4[0], c3[1] - d4[1]]));
+    let far = (far[0].as_f64().unwrap(), far[1].as_f64().unwrap());
+    browser.drag(&handle, far);
+    browser.wait(&format!("/not accepted: /.test({HEARD})"));
+    pictures(&mut browser, "checkers-refused");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
