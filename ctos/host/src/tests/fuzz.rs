@@ -31,9 +31,9 @@ const TARGETS: [(&str, Target); 6] = [
     ("agent", crate::remote::fuzz),
 ];
 
-/// Sixteen bytes are a header whatever they are, and are the same bytes again.
+/// Twenty bytes are a header whatever they are, and are the same bytes again.
 fn header(bytes: &[u8]) {
-    if let Some(first) = bytes.first_chunk::<16>() {
+    if let Some(first) = bytes.first_chunk::<{ Header::BYTES }>() {
         assert_eq!(Header::decode(first).encode(), *first);
     }
     let (head, body) = bytes.split_at(FRAME_FIXED.min(bytes.len()));

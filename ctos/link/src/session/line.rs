@@ -157,7 +157,8 @@ mod tests {
         outgoing.acknowledge(1).unwrap();
         line.advance(&mut outgoing, Instant::from_nanos(400));
         let bytes = written(&mut outgoing);
-        let left = &bytes[super::super::packet::PACKET_HEAD + 16 + 16..][..8];
+        let left =
+            &bytes[super::super::packet::PACKET_HEAD + crate::message::Header::BYTES + 16..][..8];
         assert_eq!(left, 600_u64.to_le_bytes());
     }
 

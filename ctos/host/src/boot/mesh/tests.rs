@@ -97,7 +97,7 @@ impl Node {
     }
 
     /// Waits until all of `others` have joined.
-    async fn joined_by(&mut self, others: &[u8]) {
+    async fn joined_by(&mut self, others: &[ChassisNumber]) {
         let mut missing = others.to_vec();
         while !missing.is_empty() {
             match self.event().await {
