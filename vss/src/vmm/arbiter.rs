@@ -157,7 +157,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nothing_is_held_twice_and_everybody_gets_a_turn(steps in prop::collection::vec((0_u8..3, any::<bool>()), 1..60)) {
+        fn nothing_is_held_twice_and_everybody_gets_a_turn(steps in prop::collection::vec((0_u16..3, any::<bool>()), 1..60)) {
             let mut arbiter = Arbiter::after(0);
             let mut held: BTreeMap<String, u64> = BTreeMap::new();
             let (mut asked, mut served) = (0, 0);
