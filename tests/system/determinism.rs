@@ -153,6 +153,8 @@ const CLOCKS: [(&str, &[&str]); 9] = [
         "clock_gettime",
         &[
             "ctos/time/src/clock.rs",
+            // How long a simulation has computed, for `--cpu`.
+            "cli/src/commands/sim.rs",
             "ctos/benches/",
             "pnt/analysis/benches/",
             "tests/peers/",

@@ -8,6 +8,7 @@ use std::{cell::RefCell, rc::Rc, time::Duration};
 
 use ctos::{
     call::CallError,
+    diagnostic::Finding,
     message::{Command, Replier},
     registry::Registry,
     task::{Context, Durable, Handled, HandlerError, Handover, Phase},
@@ -142,6 +143,15 @@ pub(crate) fn register(registry: &mut Registry, leases: Leases) {
             for (key, name) in needed {
                 crate::need_task(task, app, key, name, findings);
             }
+            let operator = app.task(&args.operator);
+            let lease = operator.and_then(|one| crate::operator::lease_of(&one.args));
+            if lease.is_some_and(|lease| lease <= args.needs_s) {
+                let place = task.args.locate("needs_s");
+                let text = "no lease is long enough for a job to begin";
+                let finding = Finding::error("coordinators::fleet::lease", text);
+                let finding = finding.at(place.unwrap_or_else(|| task.place.clone()));
+                findings.push(finding.help("give less than `lease_s` of the operator"));
+            }
         });
 }
 
@@ -218,11 +228,10 @@ impl Agent {
     #[command]
     fn install(&mut self, cx: &Context, install: Install, reply: Replier<Install>) -> Handled {
         let (cell, here) = (self.cell.clone(), cx.clone());
-        if cell.installing.get() {
+        if cell.installing.replace(true) {
             return reply.fail("another version is being installed");
         }
         cx.spawn(async move {
-            cell.installing.set(true);
             let installed = cell.install(&here, install).await;
             cell.installing.set(false);
             let _ = match installed {
@@ -369,7 +378,8 @@ impl Cell {
     ) -> Result<Result<u64, String>, HandlerError> {
         {
             let state = self.state.borrow();
-            if install.order <= state.order || install.version == state.version {
+            // What the net runs is not known after an order without an answer, so a later one is always followed.
+            if install.order <= state.order {
                 return Ok(Ok(state.version));
             }
         }
@@ -383,7 +393,14 @@ impl Cell {
             within_ms: u64::try_from(REPLACED_WITHIN.as_millis()).unwrap_or(u64::MAX),
         };
         let by = cx.name().to_owned();
-        if let Err(error) = ask(cx, &self.args.net, Control { order, by }, REPLACED_WITHIN).await {
+        if let Err(error) = ask(
+            cx,
+            &self.args.net,
+            Control { order, by },
+            REPLACED_WITHIN + ANSWER,
+        )
+        .await
+        {
             return Ok(Err(error.to_string()));
         }
         let state = {

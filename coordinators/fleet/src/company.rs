@@ -130,7 +130,7 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
     let Some(plan) = &args.rollout else { return };
     let shares = [("worse", plan.worse), ("error", plan.error)];
     for (key, share) in shares {
-        if share <= 0.0 || share > 0.5 {
+        if !(share > 0.0 && share <= 0.5) {
             let text = format!("`{key}` is {share}");
             wrong(
                 &format!("rollout.{key}"),

@@ -9,6 +9,7 @@ use std::{
 };
 
 use ctos::{
+    config::Node,
     message::Replier,
     registry::Registry,
     task::{Context, Durable, Handled, HandlerError, Handover, Phase, TaskRef},
@@ -59,6 +60,11 @@ struct Args {
     /// By how much the clocks of two chassis, and the way of a message, may make a lease look longer to its cell, s.
     #[serde(default = "clock_bound_s")]
     clock_bound_s: Duration,
+}
+
+/// How long a cell may work on a job, by these arguments of an operator.
+pub(crate) fn lease_of(args: &Node) -> Option<Duration> {
+    args.parse::<Args>().ok().map(|args| args.lease_s)
 }
 
 fn lease_s() -> Duration {

@@ -7,7 +7,7 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use ctos::{
-    config::{App, TaskConfig},
+    config::{App, Node, TaskConfig},
     diagnostic::{Finding, Findings},
     message::Replier,
     registry::Registry,
@@ -134,7 +134,10 @@ pub(crate) fn register(registry: &mut Registry) {
 
 fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
     // Tasks are many and the files few: a mistake in a file is told at the first task that reads it.
-    let first = app.tasks_with(HANDLER).next();
+    let reads_it = |other: &&TaskConfig| {
+        other.args.get("times").and_then(Node::as_str) == Some(args.times.as_str())
+    };
+    let first = app.tasks_with(HANDLER).find(reads_it);
     if first.is_none_or(|first| first.name == task.name)
         && let Err(found) = Times::read(app, &args.times)
     {

@@ -12,8 +12,8 @@ use ctos::{
 };
 use serde::{Deserialize, de::IgnoredAny};
 
-/// The most replicas of a kind.
-const MOST: u64 = 1_000_000;
+/// The most replicas of a kind: an app has no more chassis.
+const MOST: u64 = 65_534;
 
 /// The table `[fleet]`.
 #[derive(Debug, Deserialize)]
@@ -88,17 +88,15 @@ impl Expander for FleetExpander {
     }
 }
 
-/// Findings without those that differ from an earlier one at the same place in numbers only: what is written once for many
-/// replicas is told once.
+/// Findings without those that differ from an earlier one at the same place in the numbers of replicas only: what is written
+/// once for many is told once.
 #[must_use]
 pub fn told_once(findings: Findings) -> Findings {
     let mut told: Vec<(&'static str, Place, String)> = Vec::new();
     let mut once = Findings::new();
     for finding in findings.into_sorted() {
         if let Some(place) = &finding.place {
-            let words = finding
-                .message
-                .replace(|letter: char| letter.is_ascii_digit(), "");
+            let words = without_numbers(&finding.message);
             let said = (finding.code, place.clone(), words);
             if told.contains(&said) {
                 continue;
@@ -108,6 +106,19 @@ pub fn told_once(findings: Findings) -> Findings {
         once.push(finding);
     }
     once
+}
+
+/// A text with `cell` and `site` for `cell3` and `site2`.
+fn without_numbers(text: &str) -> String {
+    let mut words = String::with_capacity(text.len());
+    for letter in text.chars() {
+        let is_number =
+            letter.is_ascii_digit() && ["cell", "site"].iter().any(|one| words.ends_with(one));
+        if !is_number {
+            words.push(letter);
+        }
+    }
+    words
 }
 
 /// What was made so far.

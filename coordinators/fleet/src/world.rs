@@ -25,8 +25,6 @@ pub struct Fate {
     pub effects: Vec<String>,
     /// What was reported of it, each time.
     pub reported: Vec<Outcome>,
-    /// How often it was lent to a cell.
-    pub lent: u32,
 }
 
 /// Everything that is so.
@@ -54,7 +52,7 @@ pub struct Count {
     pub carried: usize,
     /// Jobs of which nothing was reported.
     pub lost: Vec<JobNumber>,
-    /// Jobs that were done, or reported, more than once.
+    /// Jobs that were done more than once, or reported with different ends.
     pub doubled: Vec<JobNumber>,
     /// Jobs that were reported as carried and not done, or the other way round.
     pub untrue: Vec<JobNumber>,
@@ -76,7 +74,6 @@ impl World {
 
     /// A job was lent to a cell.
     pub fn lend(&mut self, job: JobNumber, cell: &str, now: Instant) {
-        self.jobs.entry(job).or_default().lent += 1;
         if let Some((from, since)) = self.taken.remove(&job)
             && from != cell
         {

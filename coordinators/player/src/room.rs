@@ -154,10 +154,11 @@ impl Room {
         let side = side.filter(|_| !guest);
         let mut table = Table::new(chances, first, cx.rng("room"));
         for Aside { square, by } in args.aside {
-            let square = Numbering::of(rules).square(square);
-            let at = square.and_then(|square| table.on(square));
+            let place = Numbering::of(rules).square(square);
+            let at = place.and_then(|place| table.on(place));
             let stack = at.and_then(|at| table.stacks.get_mut(at));
-            let stack = stack.ok_or("`aside` names a square on which nothing stands")?;
+            let nothing = || format!("`aside` names square {square}, on which nothing stands");
+            let stack = stack.ok_or_else(nothing)?;
             stack.at = [stack.at[0] + by[0], stack.at[1] + by[1]];
         }
         let inner = Inner {

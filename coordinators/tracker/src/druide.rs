@@ -207,10 +207,11 @@ pub(crate) fn register(registry: &mut Registry) {
             let finding = Finding::error("coordinators::tracker::druide", text).at(at);
             findings.push(finding.help("`docs/tracker.md` says what it may be"));
         }
-        for text in args.walls.iter().filter_map(Wall::wrong) {
+        let walls = args.walls.iter().enumerate();
+        for (number, text) in walls.filter_map(|(number, wall)| Some((number, wall.wrong()?))) {
             let finding = Finding::error("coordinators::tracker::druide", text);
             let help = "`docs/tracker.md` says what a wall may be";
-            findings.push(finding.at(place("walls")).help(help));
+            findings.push(finding.at(place(&format!("walls.{number}"))).help(help));
         }
         if let Some((key, value, help)) = args.learn.wrong() {
             let key = format!("learn.{key}");

@@ -7,7 +7,10 @@ use ctos::{
     message::Command,
     task::{Context, HandlerError},
 };
-use mcs::client::{Manipulator, MotionError, Move, PathKind, Target};
+use mcs::{
+    client::{Manipulator, MotionError, Move, PathKind, Target},
+    state::State,
+};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3};
 use serde::{Deserialize, Serialize};
@@ -118,17 +121,25 @@ pub(crate) struct Grasper<'a> {
 }
 
 impl Grasper<'_> {
-    /// Takes the ball, whose middle is where the tool is at `base_t_ball`. A hand that does not hold it is open afterwards.
+    /// Takes the ball, whose middle is where the tool is at `base_t_ball`. A hand that closed on nothing, or lost it, is open
+    /// afterwards. Where arm or hand failed, or were stopped, nothing moves any more.
     pub async fn grasp(&self, base_t_ball: &Isometry3<f64>) -> Grasped {
         let closed = match self.close(base_t_ball).await {
             Ok(held) => self.is_it(held),
-            Err(error) => Err(error.to_string()),
+            Err(error) => return Grasped::Missed(error.to_string()),
         };
         if let Err(why) = closed {
             self.open().await;
             return Grasped::Missed(why);
         }
-        match self.lift(base_t_ball).await {
+        let lifted = match self.lift(base_t_ball).await {
+            Ok(held) => self.is_it(held),
+            Err(error) => {
+                let why = format!("it was not lifted, and the hand stays closed: {error}");
+                return Grasped::Slipped(why);
+            }
+        };
+        match lifted {
             Ok(Held {
                 width_m, force_n, ..
             }) => Grasped::Holds { width_m, force_n },
@@ -142,6 +153,7 @@ impl Grasper<'_> {
     async fn close(&self, base_t_ball: &Isometry3<f64>) -> Result<Held, HandlerError> {
         let Self { args, .. } = self;
         let (width, speed) = (Some(args.open_m), args.speed);
+        self.go_on()?;
         self.ask(Open {
             width_m: width,
             speed,
@@ -153,13 +165,11 @@ impl Grasper<'_> {
         Ok(self.ask(Grasp { force_n, speed }).await?)
     }
 
-    async fn lift(&self, base_t_ball: &Isometry3<f64>) -> Result<Held, String> {
+    async fn lift(&self, base_t_ball: &Isometry3<f64>) -> Result<Held, HandlerError> {
         self.cx.sleep(GIVEN).await;
         let lifted = Translation3::new(0.0, 0.0, self.args.lift_m) * base_t_ball;
-        let moved = self.move_to(&lifted).await;
-        moved.map_err(|error| error.to_string())?;
-        let held = self.ask(ReadHeld {}).await;
-        self.is_it(held.map_err(|error| error.to_string())?)
+        self.move_to(&lifted).await?;
+        Ok(self.ask(ReadHeld {}).await?)
     }
 
     /// What is held, if it is the ball.
@@ -177,7 +187,15 @@ impl Grasper<'_> {
         }
     }
 
+    /// Opens the hand, unless somebody or something has stopped the arm: then nothing moves any more.
     async fn open(&self) {
+        let arm = self.arm.status().await;
+        let may_move =
+            arm.is_ok_and(|arm| !arm.stopped && matches!(arm.state, State::Active | State::Motion));
+        if !may_move || (self.is_over)() {
+            tracing::warn!("the hand stays as it is: its arm was stopped");
+            return;
+        }
         let (width_m, speed) = (Some(self.args.open_m), self.args.speed);
         if let Err(error) = self.ask(Open { width_m, speed }).await {
             tracing::warn!("the hand does not open: {error}");

@@ -58,7 +58,6 @@ pub(crate) enum Step {
 }
 
 impl Step {
-    /// What kind of step it is, by number.
     /// Whether it happened within a task, to no message.
     pub(crate) fn is_within(&self) -> bool {
         matches!(self, Self::Polled { .. } | Self::Read { .. })

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use ctos_config::App;
 use ctos_core::{chassis::BOOT_CHASSIS, registry::Registry, semaphore, system};
-use ctos_message::{CommandInfo, SYSTEM_COMMANDS, Shape, Tid};
+use ctos_message::{ChassisNumber, CommandInfo, SYSTEM_COMMANDS, Shape, Tid};
 
 /// The member of the metadata that holds the glossary.
 const MEMBER: &str = "json";
@@ -60,11 +60,11 @@ impl Glossary {
             all.put(News::Task(system::agent_tid(number), name));
         };
         agent(0, BOOT_CHASSIS);
-        for (number, chassis) in (1..).zip(&app.chassis) {
+        for (number, chassis) in (1..=ChassisNumber::MAX).zip(&app.chassis) {
             agent(number, &chassis.name);
         }
-        for (number, chassis) in (1..).zip(&app.chassis) {
-            for (place, processor) in (1_u8..).zip(&chassis.processors) {
+        for (number, chassis) in (1..=ChassisNumber::MAX).zip(&app.chassis) {
+            for (place, processor) in (1..=u8::MAX).zip(&chassis.processors) {
                 let tasks = app.tasks_on(&chassis.name);
                 let here = tasks.filter(|task| task.processor == processor.name);
                 for (slot, task) in (0..).zip(here) {

@@ -459,11 +459,12 @@ impl Scan<'_> {
             if let Err(error) = read {
                 self.tear(&error.to_string());
             }
-            if let Some(found) = self.foreign {
-                return Err(ReadError::Version { path, found });
-            }
             if self.closed || self.run.torn.is_some() || enough(&self.run) {
                 break;
+            }
+            // What its writer noted of the run can be read in every format.
+            if let Some(found) = self.foreign {
+                return Err(ReadError::Version { path, found });
             }
         }
         if !begun {

@@ -199,7 +199,7 @@ impl StateTask {
             }
         };
         if changed.is_ok() {
-            self.holders_chassis = Some(chassis);
+            self.held_from(cx, chassis);
         }
         changed
     }
@@ -215,9 +215,15 @@ impl StateTask {
                 .await
         };
         if enabled.is_ok() {
-            self.holders_chassis = Some(chassis);
+            self.held_from(cx, chassis);
         }
         enabled
+    }
+
+    /// The holder is on this chassis. It asked by the client interface, which may be elsewhere: who is linked is told when it is gone.
+    fn held_from(&mut self, cx: &Context, chassis: ChassisNumber) {
+        cx.chassis().reach(chassis);
+        self.holders_chassis = Some(chassis);
     }
 
     async fn unreserve(&mut self, cx: &Context, by: &str) -> Changed {

@@ -282,7 +282,7 @@ fn two_chassis_cannot_listen_at_one_address() {
 }
 
 #[test]
-fn more_chassis_or_processors_than_a_task_id_can_tell_apart_are_refused_at_the_first_too_many() {
+fn a_thousand_chassis_are_taken_and_more_processors_than_a_task_id_can_tell_apart_are_refused() {
     let rest = "[task.a]\nhandler = \"h\"\non = \"c0\"\n";
     let chassis = |count: usize| {
         let all: String = (0..count).map(|n| format!("[chassis.c{n}]\n")).collect();
