@@ -146,14 +146,15 @@ fn a_wide_net_beside_the_scene_is_read_at_what_is_under_way_until_somebody_looks
 #[ignore = "needs Chromium"]
 fn an_app_that_draws_nothing_leaves_all_of_the_overview_to_the_net_of_its_task() {
     let scratch = Scratch::new();
-    let (_run, page) = boot_app(&scratch, "configs/checkers.toml", &[]);
+    scratch.edit("configs/greet.toml", "until = \"operator\"", "");
+    let (_run, page) = boot_app(&scratch, "configs/greet.toml", &[]);
     let mut browser = Browser::open(&page, SIZE);
-    browser.wait("nets.shown === 'player' && nets.picture.nodes.size > 10");
+    browser.wait("nets.shown === 'greet' && nets.picture.nodes.size > 3");
     browser.wait("document.getElementById('cell').hidden && document.getElementById('stage').clientHeight > 500");
     browser.wait(&format!(
         "nets.panes.built === 'overview' && {LEGIBLE} >= 7"
     ));
-    pictures(&mut browser, "checkers");
+    pictures(&mut browser, "greet");
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
 
