@@ -36,10 +36,11 @@ const ON_BOARD: &str = "(() => { \
         return [one.part.name, Math.cos(yaw) * x + Math.sin(yaw) * y, Math.cos(yaw) * y - Math.sin(yaw) * x]; \
     }); })()";
 
-/// Whether the arm stands beside the board: only then does the room let a disc be dragged.
-const ARM_AWAY: &str = "(() => { \
-    const arm = nets.overview.parts().find((one) => one.key === 'room/arm').row; \
-    return Math.hypot(arm[1], arm[2]) < 0.1; })()";
+/// Whether the player has seen the board as it shall be, and waits for the person's move.
+const WAITS: &str = "(() => { \
+    const net = nets.nets.get('player'); \
+    const waiting = net.view.places.findIndex((place) => place.name === 'waiting'); \
+    return nets.stateOf(net).places[waiting] > 0; })()";
 
 /// The way on the page, px, that leads a part so far along the axes of the board.
 fn way(disc: &str, along: [f64; 2]) -> String {
@@ -94,9 +95,7 @@ fn a_person_drags_a_disc_on_the_page_and_the_robot_answers_and_explains_a_move_t
     let moved = format!(
         "!{first}.every(([file, row]) => {ON_BOARD}.some(([name, x, y]) => name.startsWith('dark') && Math.hypot(x - (file - 3.5) * 0.06, y - (row - 3.5) * 0.06) < 0.015))"
     );
-    browser.wait(&format!(
-        "{moved} && {ARM_AWAY} && /your turn/.test({HEARD})"
-    ));
+    browser.wait(&format!("{moved} && {WAITS} && /your turn/.test({HEARD})"));
     pictures(&mut browser, "checkers-answer");
 
     // No man goes backwards.
