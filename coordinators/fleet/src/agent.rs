@@ -1,5 +1,5 @@
-//! The agent of a cell: offers its work to the trader of the site, takes one job at a time under a lease, has the net of
-//! the cell do it, and reports how it ended until the operator has heard.
+//! The agent of a cell offers its work to the trader of the site, and takes one job at a time under a lease. The net of the
+//! cell does it. The agent reports how it ended until the operator has heard.
 //!
 //! A job that is lent may be begun only while the lease holds by the cell's own clock, and only when the operator says
 //! yes. What has not begun by then is given up. The agent knows after a kill what it has, and goes on.
