@@ -159,6 +159,12 @@ pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Fin
                 .help("write `NET/COMMAND`, a net of the app and a command of its tape");
             findings.push(page::at(task, "displays", finding));
         }
+        for unknown in overviews.unknown_tasks(|name| app.task(name).is_some()) {
+            let text = format!("{}: no task has the name of {unknown}", source.name());
+            let finding = Finding::warning("pnt::display::unknown_task", text)
+                .help("write a task of the app that shows something of the scene");
+            findings.push(page::at(task, "displays", finding));
+        }
         for unknown in overviews.unknown(|net| drawings.get(net)) {
             let text = format!("{}: no net has the node of {unknown}", source.name());
             let finding = Finding::warning("pnt::display::unknown_node", text)

@@ -7,21 +7,33 @@
 //! part = "truth/ball"
 //! put = "person/drag"
 //! gives = "way"
+//!
+//! [handle.speed]
+//! put = "person/speed"
+//! gives = "number"
+//! range = [0.0, 1.0]
+//! step = 0.1
+//! shows = "person/settings/speed"
 //! ```
 
 use serde::{Deserialize, Serialize};
 
 /// A handle. Its command has as many numbers as [`Gives`] says.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written")]
 pub(crate) struct Handle {
     pub(crate) title: String,
-    /// The part of the scene that is held, `TASK/PART`; none of a pad, which stands beside the scene. `TASK/BEGINNING*` is each part
+    /// The part of the scene that is held, `TASK/PART`; none of what stands beside the scene. `TASK/BEGINNING*` is each part
     /// whose name begins so.
     pub(crate) part: Option<String>,
     pub(crate) net: String,
     pub(crate) command: String,
     pub(crate) gives: Gives,
+    /// The least and the greatest number, and what lies between two of them.
+    pub(crate) range: Option<[f64; 2]>,
+    pub(crate) step: Option<f64>,
+    /// The number of a part of the scene that tells how it is now, `TASK/PART/NAME`.
+    pub(crate) shows: Option<String>,
 }
 
 /// What a handle gives its command.
@@ -36,6 +48,10 @@ pub(crate) enum Gives {
     Force,
     /// Six deflections from -1 to 1, of which a pad gives the first three; and for how long they count, s.
     Axes,
+    /// Nothing: it is a button.
+    Press,
+    /// One number of `range`: a slider, or a box to tick where there are two numbers.
+    Number,
 }
 
 /// As it stands in the file.
@@ -47,6 +63,9 @@ struct Written {
     part: Option<String>,
     put: String,
     gives: Gives,
+    range: Option<[f64; 2]>,
+    step: Option<f64>,
+    shows: Option<String>,
 }
 
 impl TryFrom<Written> for Handle {
@@ -58,6 +77,9 @@ impl TryFrom<Written> for Handle {
             part,
             put,
             gives,
+            range,
+            step,
+            shows,
         } = written;
         let names = |text: &str| {
             let (one, other) = text.split_once('/')?;
@@ -71,9 +93,9 @@ impl TryFrom<Written> for Handle {
             (None, Gives::Way | Gives::Place | Gives::Force) => {
                 return Err("`part` is missing: write `TASK/PART`, a part of the scene".to_owned());
             }
-            (Some(part), Gives::Axes) => {
+            (Some(part), Gives::Axes | Gives::Press | Gives::Number) => {
                 return Err(format!(
-                    "a pad has no part, and `part` is `{part}`: leave it out"
+                    "what stands beside the scene has no part, and `part` is `{part}`: leave it out"
                 ));
             }
             // The command does not say which of several it is for.
@@ -87,18 +109,50 @@ impl TryFrom<Written> for Handle {
             }
             _ => {}
         }
+        let is_number = matches!(gives, Gives::Number);
+        match (range, step) {
+            (None, None) if !is_number => {}
+            (Some([least, most]), step) if is_number => {
+                let step = step.unwrap_or(most - least);
+                if !(least < most && step > 0.0 && step <= most - least) {
+                    return Err(format!(
+                        "`range` is [{least}, {most}] and `step` {step}: write the least number first, and a step above 0 within them"
+                    ));
+                }
+            }
+            _ if is_number => {
+                return Err(
+                    "`range` is missing: write the least number and the greatest".to_owned(),
+                );
+            }
+            _ => {
+                return Err(
+                    "only `gives = \"number\"` has `range` and `step`: leave them out".to_owned(),
+                );
+            }
+        }
+        if let Some(shown) = &shows
+            && (!is_number || shown.split('/').filter(|name| !name.is_empty()).count() != 3)
+        {
+            return Err(format!(
+                "`shows` is `{shown}`: with `gives = \"number\"` write `TASK/PART/NAME`, a number of a part of the scene"
+            ));
+        }
         Ok(Self {
             title,
             part,
             net,
             command,
             gives,
+            range,
+            step,
+            shows,
         })
     }
 }
 
 /// A handle as a page is told of it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Named<'h> {
     pub(crate) name: &'h str,
     #[serde(flatten)]
@@ -126,7 +180,30 @@ mod tests {
         assert_eq!((&*ball.net, &*ball.command), ("n", "drag"));
         read("put = \"n/steer\"\ngives = \"axes\"\n").unwrap();
         read("part = \"a/disc*\"\nput = \"n/move\"\ngives = \"place\"\n").unwrap();
+        read("put = \"n/stop\"\ngives = \"press\"\n").unwrap();
+        let speed = "put = \"n/speed\"\ngives = \"number\"\n";
+        read(&format!(
+            "{speed}range = [0, 1]\nstep = 0.1\nshows = \"a/b/c\"\n"
+        ))
+        .unwrap();
         for (wrong, says) in [
+            (speed, "`range` is missing"),
+            (
+                &*format!("{speed}range = [1, 0]\n"),
+                "the least number first",
+            ),
+            (
+                &format!("{speed}range = [0, 1]\nstep = 2\n"),
+                "a step above 0",
+            ),
+            (
+                &format!("{speed}range = [0, 1]\nshows = \"a/b\"\n"),
+                "`TASK/PART/NAME`",
+            ),
+            (
+                "put = \"n/go\"\ngives = \"press\"\nstep = 1\n",
+                "leave them out",
+            ),
             ("put = \"n/drag\"\ngives = \"way\"\n", "`part` is missing"),
             (
                 "part = \"ball\"\nput = \"n/drag\"\ngives = \"force\"\n",

@@ -487,6 +487,7 @@ impl Hub {
             displays: known.displays(),
             layouts: known.overviews.layouts(),
             handles: known.overviews.handles(),
+            plans: known.overviews.plans(),
             scenes: known.scenes.len(),
             origin_ns: self.clock.as_ref().and_then(Clock::origin_ns),
         }

@@ -20,6 +20,7 @@ mod looking;
 mod orders;
 mod overview;
 mod panes;
+mod plans;
 mod record;
 mod server;
 mod standing;

@@ -7,7 +7,7 @@
 //! show = ["dispatcher/move_robot", "dispatcher/find_pos", "motion/*"]
 //! ```
 //!
-//! The same file holds [layouts](super::panes) and [handles](super::handles).
+//! The same file holds [layouts](super::panes), [handles](super::handles) and [plans](super::plans).
 
 use std::{
     collections::BTreeMap,
@@ -24,6 +24,7 @@ use serde::Deserialize;
 use super::{
     handles::{self, Handle},
     panes::{Layout, Named},
+    plans::{self, Plan},
     wire::{Overview, OverviewPart},
 };
 
@@ -46,6 +47,7 @@ pub(crate) struct Overviews {
     displays: BTreeMap<String, Described>,
     layouts: BTreeMap<String, Layout>,
     handles: BTreeMap<String, Handle>,
+    plans: BTreeMap<String, Plan>,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -77,6 +79,8 @@ struct File {
     _layout: BTreeMap<String, serde::de::IgnoredAny>,
     #[serde(default, rename = "handle")]
     _handle: BTreeMap<String, serde::de::IgnoredAny>,
+    #[serde(default, rename = "plan")]
+    _plan: BTreeMap<String, serde::de::IgnoredAny>,
 }
 
 impl Overviews {
@@ -103,6 +107,11 @@ impl Overviews {
                 all.handles.insert(entry.key.clone(), one);
             }
         }
+        for entry in tables("plan") {
+            if let Some(one) = findings.keep(entry.value.parse::<Plan>()) {
+                all.plans.insert(entry.key.clone(), one);
+            }
+        }
         all
     }
 
@@ -117,6 +126,23 @@ impl Overviews {
         let all = self.handles.iter();
         all.map(|(name, handle)| handles::Named { name, handle })
             .collect()
+    }
+
+    /// The plans.
+    pub(crate) fn plans(&self) -> Vec<plans::Named<'_>> {
+        let all = self.plans.iter();
+        all.map(|(name, plan)| plans::Named { name, plan })
+            .collect()
+    }
+
+    /// The tasks of plans that `known` does not know, as `PLAN: TASK`.
+    pub(crate) fn unknown_tasks(&self, known: impl Fn(&str) -> bool) -> Vec<String> {
+        let all = self.plans.iter();
+        all.flat_map(|(name, plan)| {
+            let lost = plan.tasks().filter(|task| !known(task));
+            lost.map(move |task| format!("{name}: {task}"))
+        })
+        .collect()
     }
 
     /// The commands of handles that `takes` does not know, as `HANDLE: NET/COMMAND`.

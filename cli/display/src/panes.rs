@@ -43,6 +43,8 @@ pub(crate) enum Pane {
     Scene,
     /// The pictures of the cameras.
     Pictures,
+    /// Plans, buttons and sliders.
+    Plan,
     /// The net.
     Net,
     /// What is chosen, in words and numbers.
@@ -59,6 +61,7 @@ impl Pane {
         match self {
             Self::Scene => "scene",
             Self::Pictures => "pictures",
+            Self::Plan => "plan",
             Self::Net => "net",
             Self::Side => "side",
             Self::Lanes => "lanes",

@@ -12,6 +12,7 @@ use serde_json::Value;
 use super::{
     handles,
     panes::{Layout, Named},
+    plans,
 };
 
 /// What a page is told.
@@ -30,6 +31,7 @@ pub(crate) enum Told<'t> {
         displays: Vec<Overview>,
         layouts: Vec<Named<'t>>,
         handles: Vec<handles::Named<'t>>,
+        plans: Vec<plans::Named<'t>>,
         /// How many tasks show something of the scene.
         scenes: usize,
         /// When the app began, ns since 1970; not known of a record.

@@ -159,7 +159,8 @@ impl Search<'_> {
         if self.limits.nodes.is_some_and(|most| self.nodes >= most) {
             self.stopped = true;
         }
-        if self.nodes.is_multiple_of(ASKED_EVERY) && (self.limits.stop)() {
+        // However late it is, one half-move is looked ahead.
+        if self.nodes > 0 && self.nodes.is_multiple_of(ASKED_EVERY) && (self.limits.stop)() {
             self.stopped = true;
         }
         self.stopped

@@ -21,6 +21,11 @@ const DISC: f64 = 0.0195;
 const FINGERS_M: f64 = 0.06;
 const ARM_M: f64 = 0.3;
 
+/// So many squares at a time are shown by the laser. Its beam is so long that a table hides it while it is off, m.
+const BEAMS: usize = 4;
+const BEAM_M: f64 = 0.17;
+
+const RED: [u8; 3] = [235, 40, 40];
 const WOOD: [u8; 3] = [150, 140, 120];
 const FIELDS: [u8; 3] = [70, 90, 75];
 const SKIN: [u8; 3] = [215, 165, 135];
@@ -74,6 +79,16 @@ impl Source for Drawn {
         if !inner.is_real() {
             all.push(arm);
         }
+        let board = inner.table.board;
+        let beams = (0..BEAMS).map(|nth| match inner.laser.get(nth) {
+            Some(square) => {
+                let [x, y] = board.on_table(centre(*square));
+                Isometry3::translation(x, y, TABLE_M + BOARD_M)
+            }
+            // It is off.
+            None => table,
+        });
+        all.extend(beams);
         let last = inner.table.truth.heard.last();
         Seen {
             states: all.iter().map(|at| (pose(at), Vec::new())).collect(),
@@ -110,7 +125,10 @@ fn view(inner: &Inner) -> View {
             parts.push(part(name, "object", vec![block(BOARD)], WOOD));
         }
         parts.push(match name {
-            "board" => part("fields", "object", fields(), FIELDS),
+            "board" => {
+                let fields = fields(inner.table.board.mirrored);
+                part("fields", "object", fields, FIELDS)
+            }
             "hand" => part(name, "hand", vec![block(HAND)], SKIN),
             "speck" => continue,
             _ if name.starts_with("light") => part(name, "disc", vec![disc.clone()], LIGHT),
@@ -125,16 +143,35 @@ fn view(inner: &Inner) -> View {
         };
         parts.push(part("arm", "arm", vec![arm], STEEL));
     }
+    for nth in 1..=BEAMS {
+        let beam = Solid::Capsule {
+            a: [0.0; 3],
+            b: [0.0, 0.0, BEAM_M],
+            radius: 0.004,
+        };
+        let spot = Solid::Cylinder {
+            pose: Pose::default(),
+            half: 0.5 * DISC_M + 0.008,
+            radius: 0.024,
+        };
+        parts.push(part(
+            &format!("laser {nth}"),
+            "laser",
+            vec![beam, spot],
+            RED,
+        ));
+    }
     View {
         parts,
         ..View::default()
     }
 }
 
-/// The dark fields, in the board's frame.
-fn fields() -> Vec<Solid> {
+/// The dark fields of a board, as it lies.
+fn fields(mirrored: bool) -> Vec<Solid> {
     let field = |square: u8| {
         let [x, y] = centre(square);
+        let x = if mirrored { -x } else { x };
         Solid::Block {
             pose: Pose {
                 at: [x, y, 0.5 * BOARD_M],
@@ -150,5 +187,26 @@ fn pose(at: &Isometry3<f64>) -> Pose {
     Pose {
         at: at.translation.vector.into(),
         turn: at.rotation.coords.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_dark_corner_is_at_the_left_of_white_and_on_a_mirrored_board_at_the_right() {
+        for (mirrored, file) in [(false, -3.5), (true, 3.5)] {
+            let fields = fields(mirrored);
+            let is_corner = |solid: &Solid| match solid {
+                Solid::Block { pose, .. } => {
+                    let [x, y, _] = pose.at;
+                    (x / FIELD_M - file).abs() < 1e-9 && (y / FIELD_M + 3.5).abs() < 1e-9
+                }
+                _ => false,
+            };
+            assert_eq!(fields.len(), 32);
+            assert!(fields.iter().any(is_corner));
+        }
     }
 }

@@ -3,7 +3,7 @@
 //! `player` follows the plot, and has Coordinators do the rest: `vision` reads the board, `transform` says where its fields are,
 //! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
 //! `room` without physics is in the place of table, arm and person; `guest` is the hand of a person who plays from a display, to which
-//! `drawn` shows the table; `shown` puts what is there before cameras; `real` moves an arm and a gripper of a world with physics. `referee` holds the
+//! `drawn` shows the table, and `symbols` what the player believes; `shown` puts what is there before cameras; `real` moves an arm and a gripper of a world with physics. `referee` holds the
 //! game against it. `wire` has what they exchange.
 
 mod coordinator;
@@ -12,6 +12,7 @@ mod guest;
 mod hand;
 mod people;
 mod person;
+mod play;
 mod player;
 mod real;
 mod referee;
@@ -20,6 +21,7 @@ mod room;
 mod shown;
 mod speaker;
 mod state;
+mod symbols;
 mod table;
 mod thinker;
 mod transform;
@@ -39,6 +41,7 @@ pub fn register(registry: &mut Registry) {
     coordinators::handler::register::<people::PeopleArgs>(registry);
     coordinators::handler::register::<speaker::SpeakerArgs>(registry);
     room::register(registry);
+    symbols::register(registry);
     thinker::register(registry);
     referee::register(registry);
 }

@@ -399,7 +399,7 @@ fn placed(before: &Position, step: Move) -> Position {
 }
 
 /// What the person has taken from the board is kept aside: no disc comes or goes.
-fn count(table: &mut Table) {
+pub fn count(table: &mut Table) {
     let truth = table.truth();
     for (hue, total) in [(Hue::Light, truth.discs[0]), (Hue::Dark, truth.discs[1])] {
         let missing = 24_u32.saturating_sub(total);

@@ -15,13 +15,20 @@ use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
 use crate::{
-    state::{Phase, Play, State},
+    play::{Play, VERBOSITY},
+    state::{Phase, State},
     thinker::Seek,
-    wire::{self, Hue, Played, Situation, WISH, Wish, Words},
+    wire::{self, Believe, Hue, InForce, Played, SETTINGS, Settings, Situation, WISH, Wish, Words},
 };
 
 /// A draw is agreed to when the position is worth no more than this, hundredths of a man.
 const FAIR: i32 = 50;
+
+/// Nobody looks farther ahead, half-moves.
+pub const DEEPEST: u32 = 99;
+
+/// A disc is pushed so often in a row at most.
+const MOST_PUSHES: u32 = 20;
 
 /// The opponent who moves discs from a display.
 pub const PERSON: &str = "person";
@@ -52,6 +59,17 @@ pub struct PlayerArgs {
     seconds: Option<f64>,
     /// How many positions are looked at for a move, in place of a time.
     nodes: Option<u64>,
+    /// So many half-moves are looked ahead at most.
+    #[serde(default = "deepest")]
+    depth: u32,
+    /// How much is said: 1 what people must know, 2 what the robot does too, 3 its moves too.
+    #[serde(default = "verbosity")]
+    verbosity: u32,
+    /// Whether the arm stays where it is, and people carry for the robot.
+    #[serde(default)]
+    dry: bool,
+    /// The task that shows what is believed, if there is one.
+    symbols: Option<String>,
     /// The seed of the opening; that of the app when it is left out.
     seed: Option<u64>,
     /// So often in a row a disc that stands crooked is pushed before people are asked to put it right.
@@ -78,6 +96,14 @@ fn white() -> String {
 
 fn brazilian() -> String {
     "brazilian".to_owned()
+}
+
+const fn deepest() -> u32 {
+    DEEPEST
+}
+
+const fn verbosity() -> u32 {
+    VERBOSITY
 }
 
 const fn opening() -> usize {
@@ -109,10 +135,7 @@ impl PlayerArgs {
         let rules = self.rules();
         let first = match (&self.start, self.record(app)?) {
             (_, Some(record)) => record.start,
-            (Some(fen), None) => {
-                let read = Position::read(fen, rules, Numbering::of(rules));
-                read.map_err(|error| error.to_string())?
-            }
+            (Some(fen), None) => self.position(fen)?,
             (None, None) => Position::start(rules.starts()),
         };
         let discs = |side: Colour| {
@@ -126,6 +149,13 @@ impl PlayerArgs {
             Some(side) => Err(format!("{} has more than 12 discs", side.name())),
             None => Ok(first),
         }
+    }
+
+    /// A position as its text has it.
+    fn position(&self, fen: &str) -> Result<Position, String> {
+        let rules = self.rules();
+        let read = Position::read(fen, rules, Numbering::of(rules));
+        read.map_err(|error| error.to_string())
     }
 
     /// The game that is played, when it is one of a file.
@@ -155,6 +185,62 @@ pub struct Player {
     store: DomStore,
     play: Play,
     record: Rc<OnceCell<Option<pdn::Record>>>,
+    /// How people want it to be.
+    settings: Settings,
+    /// How surely each square was seen as it is believed.
+    seen: Vec<f64>,
+    /// What those who look at a display were told last.
+    believed: Option<Believe>,
+}
+
+impl Player {
+    /// What people want, where they want something, and else what is configured.
+    fn in_force(&self) -> InForce {
+        let (args, wanted) = (&self.args, &self.settings);
+        let configured = match (args.nodes, args.seconds) {
+            (Some(_), _) => None,
+            (None, seconds) => Some(seconds.unwrap_or(1.0)),
+        };
+        InForce {
+            depth: wanted.depth.unwrap_or(args.depth),
+            seconds: wanted.seconds.or(configured),
+            verbosity: wanted.verbosity.unwrap_or(args.verbosity),
+            dry: wanted.dry.unwrap_or(args.dry),
+            light: wanted.light.unwrap_or(1.0),
+        }
+    }
+
+    /// What is believed now.
+    fn believes(&self) -> Believe {
+        let play = &self.play;
+        let position = play.game.position();
+        let numbering = Numbering::of(play.game.variant());
+        let last = play.game.moves().last();
+        let mut words = match play.game.status() {
+            Status::Playing => format!("{} to move", position.turn.name()),
+            _ => play.result(),
+        };
+        if let Some(last) = last {
+            words += &format!("; last move {}", numbering.short(*last, 'x'));
+        }
+        let carries = play.state.tasks.len();
+        if play.state.phase == Phase::Setting {
+            words += "; the board is being set up";
+        } else if carries > 0 {
+            words += &format!("; {carries} to carry");
+        }
+        if play.dry {
+            words += "; a dry run: the arm stays where it is";
+        }
+        Believe {
+            board: [position.white, position.black, position.kings],
+            mirrored: play.game.variant().mirrored(),
+            seen: self.seen.clone(),
+            last: last.map(|step| [step.from, step.to]),
+            words,
+            settings: self.in_force(),
+        }
+    }
 }
 
 type Act = Action<Player>;
@@ -183,6 +269,9 @@ impl NetArgs for PlayerArgs {
             store,
             play,
             record: Rc::default(),
+            settings: Settings::default(),
+            seen: vec![f64::NAN; 32],
+            believed: None,
         })
         .kept(
             |player| player.play.state.clone(),
@@ -215,6 +304,9 @@ impl NetArgs for PlayerArgs {
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
         coordinators::need_task(task, app, "thinker", &self.thinker, findings);
+        if let Some(symbols) = &self.symbols {
+            coordinators::need_task(task, app, "symbols", symbols, findings);
+        }
         let mut wrong = |key: &str, text: String, help: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
             let finding = Finding::error("checkers::player::args", text);
@@ -230,9 +322,25 @@ impl NetArgs for PlayerArgs {
         } else if let Err(text) = self.record(app) {
             let help = "give \"self\", \"program\", \"person\", or a file of PDN".to_owned();
             wrong("opponent", format!("`opponent`: {text}"), help);
+            if let Some(Err(text)) = self.start.as_ref().map(|fen| self.position(fen)) {
+                let help = "give a position such as \"W:W22,32:B18\"".to_owned();
+                wrong("start", format!("`start`: {text}"), help);
+            }
         } else if let Err(text) = self.first(app) {
             let help = "give a position such as \"W:W22,32:B18\"".to_owned();
             wrong("start", format!("`start`: {text}"), help);
+        }
+        if self.pushes > MOST_PUSHES {
+            let text = format!("`pushes` is {}", self.pushes);
+            wrong("pushes", text, format!("give from 0 to {MOST_PUSHES}"));
+        }
+        if !(1..=DEEPEST).contains(&self.depth) {
+            let text = format!("`depth` is {}", self.depth);
+            wrong("depth", text, format!("give from 1 to {DEEPEST}"));
+        }
+        if !(1..=3).contains(&self.verbosity) {
+            let text = format!("`verbosity` is {}", self.verbosity);
+            wrong("verbosity", text, "give 1, 2 or 3".to_owned());
         }
         if !["white", "black"].contains(&self.colour.as_str()) {
             let text = format!("`colour` is `{}`", self.colour);
@@ -282,9 +390,14 @@ async fn judge(action: Act) -> Acted {
     let seen: Situation = wire::fetch(&cx, &store, wire::SITUATION).await?;
     let record = record(&action)?;
     let wish: Option<Wish> = store.fetch(&cx, WISH).await.ok();
+    let settings: Option<Settings> = store.fetch(&cx, SETTINGS).await.ok();
     action.with_state(|player| {
+        player.settings = settings.unwrap_or_default();
+        let InForce { verbosity, dry, .. } = player.in_force();
         let play = &mut player.play;
+        (play.verbosity, play.dry) = (verbosity, dry);
         play.judge(&seen);
+        player.seen = play.agreement(&seen);
         if let Some(wish) = wish
             && wish.number > play.state.wish
             && play.listens()
@@ -298,7 +411,30 @@ async fn judge(action: Act) -> Acted {
             end_as(play, record);
         }
     });
+    believe(&action).await;
     gaze(&action).await
+}
+
+/// Tells what is believed, where that is shown and has changed. Nobody waits for a display.
+async fn believe(action: &Act) {
+    let told = action.with_state(|player| {
+        let symbols = player.args.symbols.clone()?;
+        let now = Some(player.believes());
+        let news = player.believed != now;
+        player.believed.clone_from(&now);
+        now.filter(|_| news).map(|believed| (symbols, believed))
+    });
+    let Some((symbols, believed)) = told else {
+        return;
+    };
+    let sent = match action.cx().task(&symbols).await {
+        Ok(task) => action.cx().send(&task, believed).await.is_ok(),
+        Err(_) => false,
+    };
+    if !sent {
+        // It is told with the next look.
+        action.with_state(|player| player.believed = None);
+    }
 }
 
 /// The game of the file, which is read once.
@@ -359,11 +495,14 @@ async fn put_words(action: Act) -> Acted {
     let words = action.with_state(|player| Words {
         number: player.play.state.said + 1,
         words: player.play.state.words.join("; "),
+        shown: player.play.state.shown.clone(),
+        board: player.play.asked_board(),
     });
     wire::keep(action.cx(), &store(&action), wire::WORDS, &words).await?;
     action.with_state(|player| {
         player.play.state.said = words.number;
         player.play.state.words.clear();
+        player.play.state.shown.clear();
     });
     Ok(())
 }
@@ -372,6 +511,7 @@ async fn think(action: Act) -> Acted {
     let record = record(&action)?;
     let cx = action.cx().clone();
     let (mut step, args, seek) = action.with_state(|player| {
+        let in_force = player.in_force();
         let game = &player.play.game;
         let step = recorded(game.moves(), record.as_ref().as_ref());
         let step = step.or_else(|| drawn(&cx, player));
@@ -379,8 +519,9 @@ async fn think(action: Act) -> Acted {
             variant: game.variant().name().to_owned(),
             start: player.play.start.fen(Numbering::of(game.variant())),
             moves: player.play.state.moves.clone(),
-            nodes: player.args.nodes,
-            seconds: player.args.seconds.unwrap_or(1.0),
+            nodes: player.args.nodes.filter(|_| in_force.seconds.is_none()),
+            seconds: in_force.seconds.unwrap_or(1.0),
+            depth: in_force.depth,
         };
         (step, player.args.clone(), seek)
     });
@@ -444,6 +585,8 @@ async fn finish(action: Act) -> Acted {
     let words = Words {
         number,
         words: format!("game over, {}", played.result),
+        shown: Vec::new(),
+        board: None,
     };
     wire::keep(&cx, &store, wire::PLAYED, &played).await?;
     wire::keep(&cx, &store, wire::WORDS, &words).await?;

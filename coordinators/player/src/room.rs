@@ -5,7 +5,8 @@ use std::{cell::RefCell, rc::Rc, time::Duration};
 
 use checkers::Numbering;
 use ctos::{
-    diagnostic::Finding,
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
     message::{Command, Message},
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
@@ -18,12 +19,14 @@ use serde::Deserialize;
 use crate::{
     drawn::Drawn,
     guest::{self, Drag},
-    person::Person,
+    person::{self, Person},
+    play::{MIDDLE, MOVE_FOR_ME, POWER},
     player::{PERSON, PlayerArgs},
     shown::{Shown, ShownArgs},
-    state::{MIDDLE, POWER},
     table::{Chances, Table},
-    wire::{self, Close, DragDisc, Go, Hear, Hue, Looked, Open, See, Shove, Truth, Why},
+    wire::{
+        self, Close, DragDisc, FIELD_M, Go, Hear, Hue, Looked, Open, See, Shine, Shove, Truth, Why,
+    },
 };
 
 /// The handler's name.
@@ -71,7 +74,7 @@ struct Aside {
     by: [f64; 2],
 }
 
-fn player() -> String {
+pub fn player() -> String {
     "player".to_owned()
 }
 
@@ -83,6 +86,8 @@ pub struct Inner {
     guest: bool,
     person: Option<Person>,
     heard: u32,
+    /// The squares that the laser shows.
+    pub laser: Vec<u8>,
     first: checkers::Position,
     shown: Option<Shown>,
 }
@@ -105,6 +110,7 @@ pub(crate) fn register(registry: &mut Registry) {
         Looked::INFO,
         DragDisc::INFO,
         Shove::INFO,
+        Shine::INFO,
         FollowScene::INFO,
     ];
     registry
@@ -130,7 +136,44 @@ pub(crate) fn register(registry: &mut Registry) {
                     findings.push(finding.help("give from 0 to 1"));
                 }
             }
+            check_aside(args, task, app, findings);
         });
+}
+
+/// Each disc that stands aside is one of the first position, and on the board.
+fn check_aside(args: &RoomArgs, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let player = app.task(&args.player);
+    let Some(player) = player.and_then(|task| pnt::task::args::<PlayerArgs>(task).ok()) else {
+        // That is found where the player is checked.
+        return;
+    };
+    let numbering = Numbering::of(player.rules());
+    let Ok(first) = player.first(app) else { return };
+    for (nth, Aside { square, by }) in args.aside.iter().enumerate() {
+        let mut wrong = |key: &str, text: String, help: &str| {
+            let key = format!("aside.{nth}.{key}");
+            let place = task.args.locate(&key).unwrap_or_else(|| task.place.clone());
+            let finding = Finding::error("checkers::player::args", text);
+            findings.push(finding.at(place).help(help));
+        };
+        let place = numbering.square(*square);
+        if place.and_then(|place| first.piece(place)).is_none() {
+            let text = format!("`aside` names square {square}, on which nothing stands");
+            wrong(
+                "square",
+                text,
+                "name a square of the first position with a disc",
+            );
+        }
+        if !by.iter().all(|along| along.abs() <= FIELD_M) {
+            let text = format!("`aside` puts the disc of square {square} {by:?} m aside");
+            wrong(
+                "by",
+                text,
+                "give at most 0.06 m, the side of a square, along each axis",
+            );
+        }
+    }
 }
 
 impl Room {
@@ -153,6 +196,8 @@ impl Room {
         let side = player.ours().map(checkers::Colour::other);
         let side = side.filter(|_| !guest);
         let mut table = Table::new(chances, first, cx.rng("room"));
+        // Before cameras lies the board that there is.
+        table.board.mirrored = rules.mirrored() && args.shown.is_none();
         for Aside { square, by } in args.aside {
             let place = Numbering::of(rules).square(square);
             let at = place.and_then(|place| table.on(place));
@@ -167,6 +212,7 @@ impl Room {
             guest,
             person: side.map(|side| Person::new(side, rules, record)),
             heard: 0,
+            laser: Vec::new(),
             first,
             shown: args.shown.map(Shown::new),
         };
@@ -285,12 +331,19 @@ impl EventHandler for Room {
                 self.after::<Open>(cx, message, FINGERS, |table, open| table.open(open.errand))
             }
             Hear::CODE => {
-                let (Hear { number, words }, reply) = message.open::<Hear>()?;
+                let (hear, reply) = message.open::<Hear>()?;
+                let Hear {
+                    number,
+                    words,
+                    shown,
+                    board,
+                } = hear;
                 let now = seconds(cx);
                 let inner = &mut *self.inner.borrow_mut();
                 if number > inner.heard {
                     inner.heard = number;
                     inner.table.truth.heard.push(words.clone());
+                    inner.laser = shown;
                     // Somebody in the room does that.
                     if words.contains("set up the board") {
                         inner.table.begin_anew(&inner.first);
@@ -299,10 +352,22 @@ impl EventHandler for Room {
                         inner.table.push_to_middle();
                     }
                     inner.table.powered |= words.contains(POWER);
+                    if let Some(board) = board.filter(|_| words.contains(MOVE_FOR_ME)) {
+                        inner.carry_for_the_robot(board);
+                    }
                     if let Some(person) = &mut inner.person {
                         person.hear(&mut inner.table, &words, now);
                     }
                 }
+                reply.ok(())
+            }
+            Shine::CODE => {
+                let (Shine { share }, reply) = message.open::<Shine>()?;
+                let inner = &mut *self.inner.borrow_mut();
+                if inner.shown.is_some() {
+                    return reply.fail("the lamps of this world are those of its cell".to_owned());
+                }
+                inner.table.light = share;
                 reply.ok(())
             }
             Truth::CODE => {
@@ -345,6 +410,21 @@ impl Inner {
     /// Whether arm and hand are those of a world that moves by itself.
     pub fn is_real(&self) -> bool {
         self.shown.as_ref().is_some_and(|shown| shown.args.real)
+    }
+
+    /// Somebody in the room makes the robot's move. A person at a display drags discs instead.
+    fn carry_for_the_robot(&mut self, [white, black, kings]: [u32; 3]) {
+        if self.guest || self.is_real() {
+            return;
+        }
+        self.table.set_up(&checkers::Position {
+            white,
+            black,
+            kings,
+            turn: checkers::Colour::White,
+        });
+        person::count(&mut self.table);
+        self.table.note();
     }
 
     /// A person's hand comes over the board for a disc.

@@ -231,6 +231,7 @@ impl Shown {
             table.board = Pose {
                 at: [pose.translation.x, pose.translation.y],
                 yaw: pose.rotation.euler_angles().2,
+                mirrored: false,
             };
         }
         let hues = |nth: usize| if nth < DISCS { Hue::Light } else { Hue::Dark };

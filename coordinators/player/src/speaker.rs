@@ -60,9 +60,21 @@ fn parts(action: &Act) -> (SpeakerArgs, DomStore) {
 async fn say(action: Act) -> Acted {
     let (args, store) = parts(&action);
     let cx = action.cx();
-    let Words { number, words } = wire::fetch(cx, &store, wire::WORDS).await?;
+    let told: Words = wire::fetch(cx, &store, wire::WORDS).await?;
+    let Words {
+        number,
+        words,
+        shown,
+        board,
+    } = told;
     let object = args.speaker.as_deref();
     let object = object.and_then(|name| Served::named(name).ok());
     speaker::say(cx, object.as_ref(), &words);
-    wire::ask(cx, &args.room, wire::Hear { number, words }).await
+    let hear = wire::Hear {
+        number,
+        words,
+        shown,
+        board,
+    };
+    wire::ask(cx, &args.room, hear).await
 }

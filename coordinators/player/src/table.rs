@@ -66,6 +66,8 @@ pub struct Table {
     opened: (u32, u8),
     /// Whether the person's hand is over the board.
     pub hand: bool,
+    /// How light it is, 0 to 1.
+    pub light: f64,
     pub truth: TrueTable,
     pub chances: Chances,
     pub rng: ChaCha8Rng,
@@ -78,6 +80,7 @@ impl Table {
         let board = Pose {
             at: [rng.random_range(0.45..0.55), rng.random_range(-0.05..0.05)],
             yaw: rng.random_range(-0.3..0.3),
+            mirrored: false,
         };
         let mut table = Self {
             board,
@@ -92,6 +95,7 @@ impl Table {
             closed: (0, 0),
             opened: (0, 0),
             hand: false,
+            light: 1.0,
             truth: TrueTable {
                 history: Vec::new(),
                 discs: [0, 0],
@@ -250,6 +254,7 @@ impl Table {
             discs,
             glare,
             hand: self.hand,
+            light: self.light,
         }
     }
 
@@ -258,6 +263,7 @@ impl Table {
         self.board = Pose {
             at: [0.57, 0.0],
             yaw: 0.0,
+            mirrored: self.board.mirrored,
         };
         self.truth.moved += 1;
     }

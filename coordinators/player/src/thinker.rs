@@ -37,6 +37,8 @@ ctos::command! {
         pub nodes: Option<u64>,
         /// How long it takes, s.
         pub seconds: f64,
+        /// So many half-moves are looked ahead at most.
+        pub depth: u32,
     } => Option<Step>, 0x0709, "seek"
 }
 
@@ -96,7 +98,7 @@ fn best(cx: &Context, game: &Game, seek: &Seek) -> Option<Move> {
     let most = (seek.seconds * POSITIONS_PER_SECOND) as u64;
     let limits = Limits {
         nodes: Some(seek.nodes.unwrap_or(most).max(1)),
-        depth: 99,
+        depth: seek.depth,
         stop: &mut stop,
     };
     let found = search(game.position(), game.variant(), game.before(), None, limits);

@@ -20,7 +20,10 @@ use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 use sorma::{Method, Transport};
 
-use crate::wire::{self, CORNERS, MARKERS, Marked, Marks, Pose, apart};
+use crate::{
+    player::PlayerArgs,
+    wire::{self, CORNERS, MARKERS, Marked, Marks, Pose, apart},
+};
 
 /// Cameras that see a marker so far apart do not see the same, m.
 const AGREE_M: f64 = 0.006;
@@ -32,6 +35,9 @@ pub struct TransformArgs {
     /// The data object manager.
     #[serde(default = "crate::coordinator::dom")]
     dom: String,
+    /// The task whose arguments say what is played.
+    #[serde(default = "crate::room::player")]
+    player: String,
     /// The map of each camera.
     #[serde(default)]
     maps: BTreeMap<String, MapArgs>,
@@ -76,6 +82,7 @@ impl NetArgs for TransformArgs {
     }
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
+        coordinators::need_task(task, app, "player", &self.player, findings);
         for (camera, map) in &self.maps {
             let key = format!("maps.{camera}.object");
             let example = "psom.left@transform_daemon";
@@ -106,7 +113,15 @@ async fn adapt(action: Action<Transform>) -> Acted {
         Marks::Table(seen) => MARKERS.into_iter().zip(seen).collect(),
         Marks::Pictures(pictures) => on_table(cx, &state, &pictures).await?,
     };
-    wire::keep(cx, &state.store, wire::BOARD, &Pose::of_marks(&marks)).await
+    let pose = Pose::of_marks(&marks, is_mirrored(cx, &state));
+    wire::keep(cx, &state.store, wire::BOARD, &pose).await
+}
+
+/// Whether the rules want a board with its dark corner at White's right. Before cameras lies the board that there is.
+fn is_mirrored(cx: &Context, state: &Transform) -> bool {
+    let player = cx.app().task(&state.args.player);
+    let args = player.and_then(|task| pnt::task::args::<PlayerArgs>(task).ok());
+    state.args.maps.is_empty() && args.is_some_and(|args| args.rules().mirrored())
 }
 
 /// The markers on the board, and where the cameras see them on the table, on the average.

@@ -80,22 +80,29 @@ pub struct Pose {
     pub at: [f64; 2],
     /// How it is turned.
     pub yaw: f64,
+    /// Whether its dark corner is at White's right: its frame is then a mirrored one, x from right to left.
+    pub mirrored: bool,
 }
 
 impl Pose {
     /// The pose by which marks, whose places on the board are known, are where they are seen on the table (least squares).
     #[must_use]
-    pub fn of_marks(marks: &[([f64; 2], [f64; 2])]) -> Self {
+    pub fn of_marks(marks: &[([f64; 2], [f64; 2])], mirrored: bool) -> Self {
+        let flipped = |[x, y]: [f64; 2]| [if mirrored { -x } else { x }, y];
+        let marks: Vec<_> = marks
+            .iter()
+            .map(|(from, to)| (flipped(*from), *to))
+            .collect();
         let count = marks.len().max(1) as f64;
         let (mut on_board, mut on_table) = ([0.0; 2], [0.0; 2]);
-        for (from, to) in marks {
+        for (from, to) in &marks {
             for axis in 0..2 {
                 on_board[axis] += from[axis] / count;
                 on_table[axis] += to[axis] / count;
             }
         }
         let (mut cosine, mut sine) = (0.0, 0.0);
-        for (from, to) in marks {
+        for (from, to) in &marks {
             let [a, b] = [from[0] - on_board[0], from[1] - on_board[1]];
             let [x, y] = [to[0] - on_table[0], to[1] - on_table[1]];
             cosine += a * x + b * y;
@@ -104,10 +111,12 @@ impl Pose {
         let turned = Self {
             at: [0.0; 2],
             yaw: sine.atan2(cosine),
+            mirrored: false,
         };
         let [x, y] = turned.on_table(on_board);
         Self {
             at: [on_table[0] - x, on_table[1] - y],
+            mirrored,
             ..turned
         }
     }
@@ -116,6 +125,7 @@ impl Pose {
     #[must_use]
     pub fn on_table(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw.sin_cos();
+        let x = if self.mirrored { -x } else { x };
         [
             self.at[0] + cos * x - sin * y,
             self.at[1] + sin * x + cos * y,
@@ -127,7 +137,11 @@ impl Pose {
     pub fn on_board(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw.sin_cos();
         let (x, y) = (x - self.at[0], y - self.at[1]);
-        [cos * x + sin * y, cos * y - sin * x]
+        let along = cos * x + sin * y;
+        [
+            if self.mirrored { -along } else { along },
+            cos * y - sin * x,
+        ]
     }
 }
 
@@ -194,7 +208,16 @@ ctos::command! {
 ctos::command! {
     /// People in the room hear something; the same number is the same words.
     #[derive(Debug, Clone, PartialEq, Eq)]
-    pub struct Hear { pub number: u32, pub words: String } => (), 0x0705, "hear"
+    pub struct Hear {
+        /// From 1
+        pub number: u32,
+        /// and in words.
+        pub words: String,
+        /// The squares that the laser shows meanwhile.
+        pub shown: Vec<u8>,
+        /// How the board shall be, when people are asked to move for the robot: White, Black, and kings.
+        pub board: Option<[u32; 3]>,
+    } => (), 0x0705, "hear"
 }
 ctos::command! {
     /// What is true, for the referee only.
@@ -218,6 +241,30 @@ ctos::command! {
         /// and y.
         pub y: f64,
     } => (), 0x0708, "drag_disc"
+}
+
+ctos::command! {
+    /// Makes it so light in the room, 0 to 1.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Shine { pub share: f64 } => (), 0x070b, "shine"
+}
+ctos::command! {
+    /// What the player believes, for those who look at a display.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Believe {
+        /// White, Black, and kings.
+        pub board: [u32; 3],
+        /// Whether the board is a mirrored one.
+        pub mirrored: bool,
+        /// By square: how surely it was seen as it is believed.
+        pub seen: Vec<f64>,
+        /// The squares of the last move.
+        pub last: Option<[u8; 2]>,
+        /// Whose turn it is, and what else there is to say.
+        pub words: String,
+        /// What is wanted of the player, as it is in force.
+        pub settings: InForce,
+    } => (), 0x070c, "believe"
 }
 
 /// What keeps an arm from doing what it is asked.
@@ -302,6 +349,8 @@ pub struct Picture {
     pub glare: Option<[f64; 2]>,
     /// Whether a hand is seen.
     pub hand: bool,
+    /// How light it is, 0 to 1.
+    pub light: f64,
 }
 
 /// What is true in the room.
@@ -374,6 +423,8 @@ pub const HINDRANCE: &str = "hindrance";
 pub const WORDS: &str = "words";
 /// [`Wish`], written by the People Coordinator.
 pub const WISH: &str = "wish";
+/// [`Settings`], written by the People Coordinator.
+pub const SETTINGS: &str = "settings";
 /// [`Played`], written by the player at the end.
 pub const PLAYED: &str = "played";
 
@@ -434,6 +485,35 @@ pub struct Words {
     pub number: u32,
     /// In words.
     pub words: String,
+    /// The squares that the laser shows meanwhile.
+    pub shown: Vec<u8>,
+    /// How the board shall be, when people are asked to move for the robot: White, Black, and kings.
+    pub board: Option<[u32; 3]>,
+}
+
+/// How people want the player to be; what nobody has set is as configured.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// So many half-moves are looked ahead at most.
+    pub depth: Option<u32>,
+    /// How long a move is thought about, s.
+    pub seconds: Option<f64>,
+    /// How much is said, 1 to 3.
+    pub verbosity: Option<u32>,
+    /// Whether people carry for the robot.
+    pub dry: Option<bool>,
+    /// How light it is in the room, 0 to 1.
+    pub light: Option<f64>,
+}
+
+/// [`Settings`] with what is configured. No time is told where a number of positions counts.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct InForce {
+    pub depth: u32,
+    pub seconds: Option<f64>,
+    pub verbosity: u32,
+    pub dry: bool,
+    pub light: f64,
 }
 
 /// What people want during a game.
@@ -501,16 +581,19 @@ mod tests {
 
     #[test]
     fn the_pose_by_marks_is_the_one_that_put_them_there() {
-        let pose = Pose {
-            at: [0.52, -0.04],
-            yaw: 0.31,
-        };
-        for marks in [&MARKERS[..], &CORNERS] {
+        for (marks, mirrored) in [(&MARKERS[..], false), (&CORNERS, false), (&CORNERS, true)] {
+            let pose = Pose {
+                at: [0.52, -0.04],
+                yaw: 0.31,
+                mirrored,
+            };
+            let there = [0.13, 0.07];
+            assert!(apart(pose.on_board(pose.on_table(there)), there) < 1e-12);
             let marks: Vec<_> = marks
                 .iter()
                 .map(|mark| (*mark, pose.on_table(*mark)))
                 .collect();
-            let found = Pose::of_marks(&marks);
+            let found = Pose::of_marks(&marks, mirrored);
             assert!(apart(found.at, pose.at) < 1e-12, "{found:?}");
             assert!((found.yaw - pose.yaw).abs() < 1e-12, "{found:?}");
         }

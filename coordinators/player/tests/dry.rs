@@ -7,24 +7,21 @@
     reason = "helpers of tests, outside test functions"
 )]
 
-use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
+mod play;
+
+use std::{collections::BTreeMap, time::Duration};
 
 use ctos::{
-    boot::{End, Fault, FaultKind, Observer, simulate},
-    config,
+    boot::{Fault, FaultKind},
     message::Message,
-    registry::Registry,
     task::{Context, EventHandler, Handled, Phase},
     time::Instant,
 };
+use play::{DAEMONS, kill, play_with, record_of};
 use pnt::task::PutTape;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use sorma::{Dictionary, daemon};
-
-/// The six daemons.
-const DAEMONS: [&str; 6] = ["player", "speaker", "transform", "vision", "robot", "hand"];
 
 /// Puts a word on the tape of `people` when some time has passed, as a person does.
 struct Wisher;
@@ -39,9 +36,11 @@ impl EventHandler for Wisher {
         if phase == Phase::Run {
             let cx = cx.clone();
             cx.clone().spawn(async move {
-                for symbol in words {
+                for line in words {
                     cx.sleep(Duration::from_secs(60)).await;
-                    let arguments = Vec::new();
+                    let mut line = line.split(' ').map(str::to_owned);
+                    let symbol = line.next().unwrap();
+                    let arguments = line.collect();
                     let people = cx.task("people").await.unwrap();
                     let answer = cx.call(&people, PutTape { symbol, arguments }).await;
                     assert_eq!(answer.unwrap().symbol, "noted");
@@ -54,45 +53,15 @@ impl EventHandler for Wisher {
 
 /// How a game ends, with settings as `--set` takes them.
 fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/checkers.toml");
-    let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
-    sets.push(format!("app.seed={seed}"));
-    sets.push("time.mode=\"virtual\"".to_owned());
-    sets.push("task.player.args.nodes=150".to_owned());
-    let app = config::load(&file, &sets, &[]).unwrap_or_else(|found| panic!("{found}"));
-    let mut registry = Registry::new();
-    coordinators::register(&mut registry);
-    checkers_player::register(&mut registry);
-    pnt::store::keep_states(&mut registry);
-    pnt_net::register(&mut registry);
-    daemon::register(&mut registry, Dictionary::default(), |_, _| {});
-    registry.handler("test.wisher", &[], |_| Ok(Wisher));
-    let observer: Observer = Arc::new(|_| {});
-    match simulate(app, registry, faults, &observer).unwrap().end {
-        End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
-            panic!("seed {seed}: {}", result.text);
-        }),
-        other => panic!("seed {seed}: {other:?}"),
-    }
-}
-
-/// A file with a game of some half-moves, after which White gives up.
-fn record(folder: &Path) -> String {
-    let mut game = checkers::Game::new(checkers::Variant::Brazilian);
-    for ply in 0..10 {
-        let moves = game.position().moves(game.variant());
-        game.make(moves[ply % moves.len()]).unwrap();
-    }
-    game.resign(checkers::Colour::White);
-    let file = folder.join("game.pdn");
-    std::fs::write(&file, game.record().write()).unwrap();
-    file.display().to_string()
+    play_with("checkers.toml", seed, sets, faults, |registry| {
+        registry.handler("test.wisher", &[], |_| Ok(Wisher));
+    })
 }
 
 #[test]
 fn a_game_of_a_file_is_played_to_its_end_and_the_same_again_from_the_same_seed() {
     let folder = tempfile::tempdir().unwrap();
-    let opponent = format!("task.player.args.opponent={:?}", record(folder.path()));
+    let opponent = record_of(folder.path(), 10);
     let written = folder.path().join("played.pdn");
     let pdn = format!("task.player.args.pdn={:?}", written.display().to_string());
     let sets = [opponent.as_str(), pdn.as_str()];
@@ -168,6 +137,123 @@ fn a_draw_is_agreed_a_side_gives_up_and_a_new_game_begins_when_people_want_it() 
     assert_eq!(ends("\"draw\"", "self")["result"], "drawn: both agreed");
 }
 
+/// A game during which people say words to `people`, a minute after one another.
+fn wished(seed: u64, words: &[&str], more: &[&str]) -> Value {
+    let words = format!("task.player_daemon.args.words={words:?}");
+    // In the place of a daemon that nobody asks.
+    let sets = ["task.player_daemon.handler=\"test.wisher\"", &*words];
+    let game = game(seed, &[&sets[..], more].concat(), &[]);
+    assert_eq!(game["ok"], true, "{game:#}");
+    game
+}
+
+#[test]
+fn people_set_how_much_is_said_and_a_robot_that_says_its_moves_says_each_of_them() {
+    let quiet = "task.room.args.slips=0.0";
+    let said = |words: &[&str]| wished(3, words, &[quiet])["said"].to_string();
+    let all = said(&["verbosity 3", "resign"]);
+    assert!(all.contains("I move "), "{all}");
+    let usual = said(&["verbosity 2", "resign"]);
+    assert!(!usual.contains("I move "), "{usual}");
+    let bumped = "task.room.args.bumps=0.2";
+    let few = wished(
+        3,
+        &["verbosity 1", "seconds 0.1", "depth 2", "resign"],
+        &[quiet, bumped],
+    );
+    assert!(few["moved"].as_u64().unwrap() > 5, "{few:#}");
+    let told = few["said"].to_string();
+    let moved = told.matches("the board was moved").count() as u64;
+    assert!(moved < few["moved"].as_u64().unwrap() / 2, "{told}");
+    assert!(told.contains("game over"), "{told}");
+}
+
+#[test]
+fn in_a_dry_run_the_arm_stays_where_it_is_and_people_make_the_moves_of_the_robot() {
+    let dry = game(
+        3,
+        &["task.player.args.dry=true", "task.room.args.slips=1.0"],
+        &[],
+    );
+    assert_eq!(dry["ok"], true, "{dry:#}");
+    assert_eq!(dry["slipped"], 0);
+    let asked = dry["said"]
+        .to_string()
+        .matches("please make my move: ")
+        .count();
+    assert!(asked as u64 >= dry["plies"].as_u64().unwrap(), "{dry:#}");
+}
+
+#[test]
+fn in_the_dark_the_robot_says_that_it_sees_too_little_and_goes_on_when_there_is_light() {
+    let game = wished(3, &["light 0.1", "light 1", "resign"], &[]);
+    let said = game["said"].to_string();
+    assert!(said.contains("it is too dark"), "{said}");
+}
+
+#[test]
+fn what_is_wrong_in_the_arguments_of_player_and_room_is_found_before_anything_runs_with_its_place()
+{
+    let registry = play::registry();
+    for (set, says) in [
+        ("task.player.args.start=\"W:W1,22:B18\"", "start"),
+        ("task.player.args.start=\"W:W22:B22\"", "start"),
+        ("task.player.args.pushes=100", "pushes"),
+        ("task.player.args.depth=0", "depth"),
+        ("task.player.args.verbosity=4", "verbosity"),
+        (
+            "task.room.args.aside=[{ square = 17, by = [0.0, 0.0] }]",
+            "aside",
+        ),
+        (
+            "task.room.args.aside=[{ square = 33, by = [0.0, 0.0] }]",
+            "aside",
+        ),
+        (
+            "task.room.args.aside=[{ square = 22, by = [0.0, 1.0] }]",
+            "aside",
+        ),
+    ] {
+        let app = play::app("checkers.toml", 1, &[set]).unwrap_or_else(|found| panic!("{found}"));
+        let found = registry.check(&app).to_string();
+        assert!(
+            found.contains(says) && found.contains(":1:"),
+            "{set}: {found}"
+        );
+    }
+}
+
+#[test]
+fn on_a_mirrored_board_discs_are_carried_to_where_people_see_the_squares_of_its_rules() {
+    for variant in [checkers::Variant::Italian, checkers::Variant::Spanish] {
+        let folder = tempfile::tempdir().unwrap();
+        let start = checkers::Game::new(variant);
+        let opponent = play::record(folder.path(), start, 8, |ply, moves| {
+            moves[ply % moves.len()]
+        });
+        let rules = format!(
+            "task.player.args.variant={:?}",
+            variant.name().to_lowercase()
+        );
+        let game = game(1, &[&opponent, &rules, "task.room.args.bumps=0.1"], &[]);
+        assert_eq!(game["ok"], true, "{game:#}");
+        assert!(game["moved"].as_u64().unwrap() > 0);
+    }
+}
+
+#[test]
+fn a_kill_of_each_daemon_in_each_part_of_a_move_continues_the_game() {
+    for daemon in DAEMONS {
+        // About a move of the robot takes 12 s: a look, thought, the way there, the grasp, the way back, the look after it.
+        let kills: Vec<Fault> = (0..8)
+            .map(|nth| kill(daemon, 13.0 + 12.7 * f64::from(nth)))
+            .collect();
+        let game = short_game(4, &kills);
+        assert_eq!(game["ok"], true, "{daemon}: {game:#}");
+        assert!(game["plies"].as_u64().unwrap() >= 6, "{daemon}: {game:#}");
+    }
+}
+
 #[test]
 fn people_are_told_what_keeps_the_arm_from_its_way_each_thing_in_its_own_words_and_the_game_goes_on()
  {
@@ -191,6 +277,13 @@ fn people_are_told_what_keeps_the_arm_from_its_way_each_thing_in_its_own_words_a
         assert!(said.contains(words), "`{words}` was not said:\n{said}");
     }
     assert!(game["plies"].as_u64().unwrap() > 10);
+}
+
+/// A short game of a file, in which daemons die.
+fn short_game(seed: u64, kills: &[Fault]) -> Value {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 10);
+    game(seed, &[&opponent], kills)
 }
 
 /// Seeds of the campaign; few unless `CTOS_CHECKERS_SEEDS` says how many.

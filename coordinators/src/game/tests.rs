@@ -70,6 +70,9 @@ fn the_variant_is_switched() {
         ("russian", 7482),
         ("pool", 7482),
         ("english", 7361),
+        ("italian", 7361),
+        ("spanish", 7361),
+        ("czech", 7361),
     ] {
         ask(&sorm, &format!("game CTRL -variant {variant}"));
         assert_eq!(

@@ -42,6 +42,23 @@ const WAITS: &str = "(() => { \
     const waiting = net.view.places.findIndex((place) => place.name === 'waiting'); \
     return nets.stateOf(net).places[waiting] > 0; })()";
 
+/// What the symbolic board says.
+const BELIEVED: &str = "document.querySelector('[data-plan=board] .words').textContent";
+
+/// Sets a slider or a box of the page as a person does.
+fn set(browser: &mut Browser, handle: &str, value: &str) {
+    browser.ask(&format!(
+        "(() => {{ const input = document.querySelector('input[data-handle={handle}]'); \
+         if (input.type === 'checkbox') input.checked = {value} > 0; else input.value = '{value}'; \
+         input.dispatchEvent(new Event('input')); input.dispatchEvent(new Event('change')); }})()"
+    ));
+}
+
+/// Whether the player has a setting in force, as its part of the scene tells.
+fn in_force(name: &str, value: &str) -> String {
+    format!("nets.overview.handles.numberOf('symbols/settings/{name}') === {value}")
+}
+
 /// The way on the page, px, that leads a part so far along the axes of the board.
 fn way(disc: &str, along: [f64; 2]) -> String {
     let [x, y] = along;
@@ -105,4 +122,59 @@ fn a_person_drags_a_disc_on_the_page_and_the_robot_answers_and_explains_a_move_t
     browser.wait(&format!("/not accepted: /.test({HEARD})"));
     pictures(&mut browser, "checkers-refused");
     assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "needs Chromium"]
+fn depth_and_verbosity_are_set_on_the_page_a_new_game_begins_and_the_symbolic_board_follows() {
+    let scratch = Scratch::new();
+    let name = format!("app.name=\"checkers_wishes_{}\"", std::process::id());
+    let own = [
+        "--set",
+        "task.player.args.opponent=\"self\"",
+        "--set",
+        &name,
+    ];
+    let (_run, page) = boot_app(
+        &scratch,
+        "configs/checkers.toml",
+        &[&SETS[..], &own].concat(),
+    );
+    let mut browser = Browser::open(&page, SIZE);
+    browser.wait(&format!("nets.whole && /last move/.test({BELIEVED})"));
+    // Nothing is set yet: the page shows what is configured.
+    browser.wait(&in_force("verbosity", "2"));
+    set(&mut browser, "depth", "3");
+    set(&mut browser, "verbosity", "3");
+    browser.wait(&format!(
+        "{} && {}",
+        in_force("depth", "3"),
+        in_force("verbosity", "3")
+    ));
+    let said =
+        "[...document.querySelectorAll('.heard li')].map((one) => one.textContent).join('\\n')";
+    browser.wait(&format!("/I move \\d+[-x]\\d+/.test({said})"));
+    // The page shows what is in force, whoever has set it.
+    browser.wait("document.querySelector('input[data-handle=depth]').value === '3'");
+    pictures(&mut browser, "checkers-wishes");
+
+    browser.ask("document.querySelector('button[data-handle=new_game]').click()");
+    browser.wait(&format!(
+        "/a new game/.test({said}) && !/last move/.test({BELIEVED})"
+    ));
+    let pieces = "[...document.querySelectorAll('[data-plan=board] .square')].length === 32";
+    assert_eq!(browser.ask(pieces), true);
+    // The settings are kept, and the new game goes on.
+    browser.wait(&format!(
+        "/last move/.test({BELIEVED}) && {}",
+        in_force("depth", "3")
+    ));
+
+    // A page without the token looks on only.
+    let plain = page.split(['?', '#']).next().unwrap().to_owned();
+    let mut looks_on = Browser::open(&plain, SIZE);
+    looks_on.wait(&format!("nets.whole && {BELIEVED} !== ''"));
+    looks_on.wait("document.querySelector('.knobs').hidden");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    assert_eq!(looks_on.complaints, Vec::<String>::new());
 }

@@ -130,6 +130,7 @@ class App extends Attention {
     this.displays = message.displays;
     this.panes.layouts = message.layouts;
     this.overview.handles.show(message.handles);
+    this.overview.plans.show(message.plans ?? []);
     this.nets.clear();
     this.forks.clear();
     $("fork").setAttribute("aria-pressed", "false");

@@ -273,7 +273,69 @@ class Pad extends Handle {
   }
 }
 
-const KINDS = { way: Drag, place: Put, force: Pull, axes: Pad };
+/** What stands beside the scene and puts a command when somebody is done with it. */
+class Knob extends Handle {
+  /** Names are written with spaces. */
+  get label() {
+    return this.name.replaceAll("_", " ");
+  }
+
+  release() { /* Nothing is held. */ }
+
+  /** Shows how it is now; null where nobody says. */
+  is() { /* A button is as it is. */ }
+}
+
+/** A button. */
+class Press extends Knob {
+  constructor(handles, told) {
+    super(handles, told);
+    this.element = make("button", { class: "knob", title: told.title, "data-handle": told.name, onclick: () => { this.due = true; } }, this.label.replace(/^./, (first) => first.toUpperCase()));
+  }
+
+  words() {
+    return [];
+  }
+}
+
+/** A number: a slider, or a box to tick. */
+class Amount extends Knob {
+  constructor(handles, told) {
+    super(handles, told);
+    const [least, most] = told.range;
+    const step = told.step ?? (most - least) / 100;
+    this.ticked = step === most - least;
+    this.input = this.ticked ? make("input", { type: "checkbox", "data-handle": told.name }) : make("input", { type: "range", min: String(least), max: String(most), step: String(step), "data-handle": told.name });
+    this.output = make("output", {});
+    this.element = make("label", { class: "knob", title: told.title }, make("span", {}, this.label), this.input, this.ticked ? null : this.output);
+    // While it is moved it shows where it is; the command is put once it is let go.
+    this.input.addEventListener("input", () => { this.moved = true; this.tell(this.at); });
+    this.input.addEventListener("change", () => { this.due = true; });
+    this.is(null);
+  }
+
+  get at() {
+    return this.ticked ? this.told.range[this.input.checked ? 1 : 0] : Number(this.input.value);
+  }
+
+  tell(value) {
+    this.output.textContent = value === null ? "as configured" : String(Number(value.toFixed(3)));
+  }
+
+  is(value) {
+    if (this.moved || this.due || this.waits) return;
+    this.tell(value);
+    if (this.ticked) this.input.checked = value === this.told.range[1];
+    else if (value !== null && Number(this.input.value) !== value) this.input.value = String(value);
+  }
+
+  words() {
+    this.moved = false;
+    return rounded([this.at]);
+  }
+}
+
+const KINDS = { way: Drag, place: Put, force: Pull, axes: Pad, press: Press, number: Amount };
 
 /** The handles of an app. */
 export class Handles {
@@ -287,6 +349,7 @@ export class Handles {
     this.arrows = document.createElementNS(HANDLE_SVG, "svg");
     this.arrows.setAttribute("class", "pulls");
     this.pads = make("div", { class: "pads" });
+    this.knobs = make("div", { class: "knobs", role: "group", "aria-label": "What people want", hidden: true });
     overview.stage.append(this.arrows, this.layer, this.pads);
   }
 
@@ -304,6 +367,8 @@ export class Handles {
     this.layer.replaceChildren(...inScene.flatMap((one) => one.elements));
     this.arrows.replaceChildren(...inScene.map((one) => one.arrow));
     this.pads.replaceChildren(...pads.map((one) => one.element));
+    const knobs = this.all.filter((one) => one instanceof Knob);
+    this.knobs.replaceChildren(...[Press, Amount].flatMap((kind) => knobs.filter((one) => one instanceof kind)).map((one) => one.element));
     // Nobody has touched anything yet.
     for (const one of this.all) one.due = false;
   }
@@ -330,12 +395,23 @@ export class Handles {
   /** Puts each where it is among the parts that are seen. */
   place(parts) {
     const { allowed } = this;
+    this.knobs.hidden = !allowed || this.knobs.childElementCount === 0;
     this.grow(parts);
     for (const one of this.all) {
       if (!allowed) one.letGo();
       if (one instanceof Pad) one.element.hidden = !allowed;
+      else if (one instanceof Knob) one.is(this.numberOf(one.told.shows));
       else one.show((allowed && parts.find(({ key }) => key === one.told.part)?.row.slice(1, 4)) || null);
     }
+  }
+
+  /** The number of a part of the scene, by `TASK/PART/NAME`; null where it is not known. */
+  numberOf(shows) {
+    const [task, name, number] = shows?.split("/") ?? [];
+    const state = this.overview.tracks.get(task)?.at(this.overview.moment());
+    const index = state?.view.parts.findIndex((part) => part.name === name) ?? -1;
+    const at = index < 0 ? -1 : state.view.parts[index].numbers.findIndex((one) => one.name === number);
+    return at < 0 ? null : (state.rows[index]?.[8 + at] ?? null);
   }
 
   tick(now) {

@@ -4,6 +4,7 @@ import { Pictures, SceneTrack, jobOf, measure } from "./cell.js";
 import { Handles } from "./handles.js";
 import { seconds } from "./model.js";
 import { make } from "./panels.js";
+import { Plans } from "./plans.js";
 import { numberKey } from "./plots.js";
 import { SceneView, partsAt, vectorsOf } from "./scene.js";
 import { pyramidOf } from "./sight.js";
@@ -60,7 +61,8 @@ export class Overview {
     this.distance = make("div", { class: "distance", hidden: true });
     this.stage = make("div", { class: "scene" }, this.canvas, this.label, this.distance, this.missing, this.layers);
     this.figures = make("div", { class: "pictures", "aria-label": "Pictures of the cameras" });
-    host.replaceChildren(this.stage, this.figures);
+    this.plans = new Plans(this);
+    host.replaceChildren(this.stage, this.plans.element, this.figures);
     this.view = new SceneView(this.canvas, () => this.colours());
     this.canvas.hidden = !this.view.works;
     this.missing.textContent = this.view.works ? "Nothing of the scene is known at this moment." : "This browser has no WebGL2, so the scene is not drawn. The table has all that is known of it.";
@@ -105,11 +107,13 @@ export class Overview {
   }
 
   /** Which of both is wanted. */
-  panes(scene, pictures) {
+  panes(scene, pictures, plan) {
     this.stage.hidden = !scene;
     this.wantsPictures = pictures;
     this.host.classList.toggle("alone", !scene);
     this.figures.hidden = !pictures || this.pictures.cameras.size === 0;
+    this.plans.wanted = plan;
+    this.plans.element.hidden = !plan || !this.plans.any;
     this.view.stale = true;
   }
 
@@ -178,7 +182,7 @@ export class Overview {
   }
 
   parts() {
-    const all = partsAt(this.order(), this.moment(), this.truth, this.chosen, this.handles.parts);
+    const all = partsAt(this.order().filter((track) => !this.plans.tasks.has(track.source)), this.moment(), this.truth, this.chosen, this.handles.parts);
     this.showLayers(all);
     return all.filter((one) => this.wanted(one));
   }
@@ -204,6 +208,7 @@ export class Overview {
     }
     [this.painted, this.moving] = [true, now];
     if (this.due) this.showPictures(moment);
+    this.plans.draw(moment);
     this.due = false;
     const parts = this.parts();
     const truth = [...this.tracks.values()].some((track) => track.head.view.layer === "truth");
@@ -295,6 +300,7 @@ export class Overview {
     const sections = [];
     if (chosen) sections.push(this.partSection(chosen));
     for (const track of this.order()) {
+      if (this.plans.tasks.has(track.source)) continue;
       const state = track.at(moment);
       const said = state?.said?.words ?? "";
       const named = parts.filter((one) => one.track === track && one.part.name !== "");

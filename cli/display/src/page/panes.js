@@ -3,7 +3,7 @@
 import { make } from "./panels.js";
 
 /** The layouts that every app has. */
-const BUILT_IN = { overview: ["scene", "pictures", "net", "side"], net: ["net", "side", "lanes", "events"] };
+const BUILT_IN = { overview: ["scene", "plan", "pictures", "net", "side"], net: ["net", "side", "lanes", "events"] };
 
 export class Panes {
   /** For `app`, which has `overview`, `plots`, `nets` and what it shows. */
@@ -98,7 +98,7 @@ export class Panes {
   wantsCell() {
     const { app, shown } = this;
     const own = this.chosen !== null || this.layout !== null || app.nets.size === 0;
-    return (shown.has("scene") && (own || app.overview.drawable)) || (shown.has("pictures") && (own || app.overview.pictures.cameras.size > 0));
+    return (shown.has("scene") && (own || app.overview.drawable)) || (shown.has("pictures") && (own || app.overview.pictures.cameras.size > 0)) || (shown.has("plan") && app.overview.plans.any);
   }
 
   arrange() {
@@ -110,7 +110,7 @@ export class Panes {
     place("cell", cell);
     const net = shown.has("net") && (app.nets.size > 0 || !cell);
     place("share", cell && net);
-    app.overview.panes(shown.has("scene"), shown.has("pictures"));
+    app.overview.panes(shown.has("scene"), shown.has("pictures"), shown.has("plan"));
     place("stage", net);
     place("side", shown.has("side"));
     place("lanes", shown.has("lanes"));

@@ -86,6 +86,22 @@ fn kings_that_only_move_for_15_moves_are_a_draw_in_russian_draughts() {
 }
 
 #[test]
+fn kings_that_only_move_for_40_moves_are_a_draw_in_the_other_variants() {
+    let others = Variant::ALL
+        .into_iter()
+        .filter(|variant| !matches!(variant, Variant::Brazilian | Variant::Russian));
+    for variant in others {
+        let game = wander(variant, "W:WK32,K31,K30:BK1,K2,K3", |_| true);
+        assert_eq!(game.moves().len(), 80, "{variant:?}: {:?}", game.status());
+        assert_eq!(
+            game.status(),
+            Status::Drawn(Drawn::QuietKings),
+            "{variant:?}"
+        );
+    }
+}
+
+#[test]
 fn three_kings_have_15_moves_against_one() {
     let game = wander(Variant::Brazilian, "W:WK32,K31,K30:BK1", |_| true);
     assert_eq!(game.moves().len(), 30);

@@ -5,6 +5,9 @@ use crate::{
     wire::{self, Picture, Pose, Reading, Situation, apart},
 };
 
+/// Where it is less light than this, nothing is seen surely.
+const LIGHT: f64 = 0.4;
+
 /// What a picture says of a board.
 #[must_use]
 pub fn read(picture: &Picture, board: &Pose) -> Situation {
@@ -12,9 +15,10 @@ pub fn read(picture: &Picture, board: &Pose) -> Situation {
     let moved = pairs.map(|(mark, seen)| apart(board.on_table(*mark), seen));
     let moved = moved.fold(0.0, f64::max) > MOVED_M;
     let glare = picture.glare.map(|at| board.on_board(at));
+    let light = (picture.light / LIGHT).clamp(0.0, 1.0);
     let dims = |at: [f64; 2]| match glare {
-        Some(glare) if apart(glare, at) < wire::FIELD_M / 2.0 => 0.5,
-        _ => 1.0,
+        Some(glare) if apart(glare, at) < wire::FIELD_M / 2.0 => 0.5 * light,
+        _ => light,
     };
     let empty = |square: u8| Reading {
         disc: None,
