@@ -2,7 +2,7 @@
 //!
 //! The file of times says for each step what was recorded, where, and with which distribution it is drawn. A draw belongs
 //! to the step, the job and the epoch, so a restart changes none. The step that sets the disc down changes the
-//! [`world`](crate::world), unless its epoch was settled meanwhile.
+//! [`world`], unless its epoch was settled meanwhile.
 
 use std::{collections::BTreeMap, time::Duration};
 
