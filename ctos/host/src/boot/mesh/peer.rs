@@ -74,11 +74,7 @@ impl Receiver for PeerReceiver {
         let Some(mesh) = self.mesh.upgrade() else {
             return;
         };
-        {
-            let mut live = lock(&mesh.live);
-            live.insert(self.chassis, self.incarnation);
-            mesh.chassis.link_up(self.chassis, session);
-        }
+        mesh.enlist(self.chassis, self.incarnation, &session);
         mesh.send(MeshEvent::Up {
             chassis: self.chassis,
             incarnation: self.incarnation,
