@@ -10,7 +10,7 @@ use serde_json::Value;
 use sim::scene::CameraFault;
 
 use crate::harness::Scratch;
-use rig::{Act, Rig};
+use rig::{Act, Ended, Rig};
 
 /// Runs `configs/tracker.toml` under a name that no other test has, for its snapshot buffers are of the whole host; what it tells.
 fn run(scratch: &Scratch, name: &str, seconds: f64, more: &[&str]) -> Value {
@@ -495,6 +495,134 @@ fn a_ball_that_slips_away_or_is_gone_is_told_and_the_arm_may_follow_again() {
         assert_eq!(ended.state(13.9), "handed_over", "{:?}", ended.states);
         assert_eq!(ended.answer(14.0).0, "tracking");
     }
+}
+
+/// When the hand goes to the ball, closes and lifts it in a run of [`taken`]: the middle of each, s, and its name.
+fn steps_of_a_grasp() -> [(f64, &'static str); 3] {
+    let ended = taken("steps").run();
+    let began = ended.states.iter().find(|(_, state)| state == "grasps");
+    let (began, _) = began.unwrap();
+    // From when until when the arm goes on without a rest: to the ball, and up.
+    let mut ways: Vec<[f64; 2]> = Vec::new();
+    for (at, _) in ended.joints.iter().filter(|(at, _)| at > began) {
+        if ended.turned(false, at - 0.05, at + 0.05) < 2e-3 {
+            continue;
+        }
+        match ways.last_mut() {
+            Some([_, until]) if at - *until < 0.1 => *until = *at,
+            _ => ways.push([*at, *at]),
+        }
+    }
+    ways.retain(|[from, until]| until - from > 0.2);
+    let &[[from, to], [up, end]] = ways.as_slice() else {
+        panic!("{ways:?}");
+    };
+    let closes = ended.joints.iter().map(|(at, _)| *at);
+    let mut closes = closes.filter(|at| (to + 0.05..up - 0.1).contains(at));
+    let closes = closes.find(|at| ended.turned(true, *at, at + 0.05) > 0.02);
+    [
+        (0.5 * (from + to), "while the hand went to the ball"),
+        (closes.unwrap() + 0.1, "while the hand closed"),
+        (0.5 * (up + end), "while the ball was lifted"),
+    ]
+}
+
+/// What must hold after something has stopped a grasp, from `at` until `again`: nothing moves, and the run tells during what that was.
+fn must_stand(ended: &Ended, (at, step): (f64, &str), again: f64) {
+    ended.must_be_smooth();
+    let told = &ended.result["grasped"];
+    let why = told["BrokenOff"].as_str().unwrap_or_default();
+    assert!(why.starts_with(step), "{step}: {told}");
+    let before = ended.states.iter().rev().find(|(since, _)| *since < at);
+    assert_eq!(before.unwrap().1, "grasps", "{:?}", ended.states);
+    assert_eq!(
+        ended.state(again - 0.1),
+        "handed_over",
+        "{:?}",
+        ended.states
+    );
+    // Fingers that are closing close.
+    let arm = ended.turned(false, at + 0.6, again);
+    let fingers = ended.turned(true, at + 1.5, again);
+    assert!(arm < 2e-3 && fingers < 2e-2, "{step}: {arm} {fingers}");
+}
+
+#[test]
+fn an_emergency_stop_amid_a_grasp_stops_arm_and_hand_and_after_a_reset_both_work_again() {
+    for (number, step) in steps_of_a_grasp().into_iter().enumerate() {
+        let (at, _) = step;
+        let name = ["estop_near", "estop_close", "estop_lift"][number];
+        let ended = taken(name)
+            .set(&format!("task.tracker.args.seconds={:?}", at + 7.5))
+            .act(at, Act::EmergencyStop)
+            .act(at + 3.0, Act::Order("track"))
+            .act(at + 3.5, Act::Reset)
+            .act(at + 4.0, Act::Order("let_go"))
+            .act(at + 6.5, Act::Order("track"))
+            .run();
+        must_stand(&ended, step, at + 3.0);
+        let (answer, why) = ended.answer(at + 3.0);
+        assert_eq!(answer, "not_tracking", "{why}");
+        assert!(why.contains("estopped"), "{why}");
+        assert_eq!(ended.answer(at + 4.0).0, "has_let_go");
+        assert_eq!(ended.answer(at + 6.5).0, "tracking");
+    }
+}
+
+#[test]
+fn a_stop_amid_a_grasp_gives_the_arm_back_with_the_hand_as_it_is_and_it_lets_go_when_it_is_told_to()
+{
+    for (number, step) in steps_of_a_grasp().into_iter().enumerate() {
+        let (at, _) = step;
+        let name = ["stop_near", "stop_close", "stop_lift"][number];
+        let ended = taken(name)
+            .set(&format!("task.tracker.args.seconds={:?}", at + 6.5))
+            .act(at, Act::Order("stop"))
+            .act(at + 3.0, Act::Order("let_go"))
+            .act(at + 5.5, Act::Order("track"))
+            .run();
+        must_stand(&ended, step, at + 3.0);
+        let answers = [(0.0, "stopped"), (3.0, "has_let_go"), (5.5, "tracking")];
+        for (after, answer) in answers {
+            assert_eq!(ended.answer(at + after).0, answer, "{:?}", ended.answers);
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_others_stop_amid_a_lift_follows_again_when_they_resume_it() {
+    let [.., step] = steps_of_a_grasp();
+    let (at, _) = step;
+    let ended = taken("halted_lift")
+        .set(&format!("task.tracker.args.seconds={:?}", at + 7.0))
+        .act(at, Act::Stop)
+        .act(at + 3.0, Act::Order("track"))
+        .act(at + 4.0, Act::Resume)
+        .act(at + 5.0, Act::Order("track"))
+        .run();
+    must_stand(&ended, step, at + 3.0);
+    assert_eq!(ended.answer(at + 3.0).0, "not_tracking");
+    assert_eq!(ended.answer(at + 5.0).0, "tracking");
+}
+
+#[test]
+fn a_hand_that_holds_the_ball_lets_go_of_it_when_it_is_told_to_and_the_arm_follows_again() {
+    let ended = taken("let_go")
+        .set("task.tracker.args.seconds=20.0")
+        .act(4.5, Act::Order("let_go"))
+        .act(15.5, Act::Order("let_go"))
+        .act(18.0, Act::Order("track"))
+        .run();
+    ended.must_be_smooth();
+    let answers = [(4.5, "busy"), (15.5, "has_let_go"), (18.0, "tracking")];
+    for (at, answer) in answers {
+        assert_eq!(ended.answer(at).0, answer, "{:?}", ended.answers);
+    }
+    assert_eq!(ended.state(15.4), "holds", "{:?}", ended.states);
+    assert_eq!(ended.state(17.9), "handed_over", "{:?}", ended.states);
+    // It was 0.1 m above where it rested, and nobody holds it.
+    let (_, [.., z]) = ended.bodies[ended.bodies.len() - 1];
+    assert!(z < 0.25, "{z}");
 }
 
 #[test]
