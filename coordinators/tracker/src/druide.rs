@@ -293,6 +293,23 @@ impl Druide {
             }
         }
         arm.acquire().await?;
+        let begun = self.begin(cx).await;
+        if begun.is_err() {
+            // The next beginning finds buffers without a writer.
+            self.cyclic = None;
+            let mut shared = self.shared.borrow_mut();
+            shared.period = None;
+            shared.report.phase = control::Phase::Idle;
+            drop(shared);
+            if let Err(error) = arm.release().await {
+                tracing::warn!("the arm is not given back: {error}");
+            }
+        }
+        begun
+    }
+
+    /// Follows from now on with an arm that is held.
+    async fn begin(&mut self, cx: &Context) -> Result<(), HandlerError> {
         let client = cx.task(&self.args.mcs).await?;
         let buffer = Some(STATES.to_owned());
         cx.call(&client, RecordStates { buffer }).await?;

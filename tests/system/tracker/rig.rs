@@ -27,8 +27,9 @@ use pnt::task::{Marking, PutTape};
 use serde_json::Value;
 use sim::{scene::CameraFault, world_task::FailCamera};
 use tracker::{
+    blob::Look,
     coordination::ask,
-    wire::{ClockTimes, CompareClocks, DeflectMouse, TargetSeen},
+    wire::{ClockTimes, CompareClocks, DeflectMouse, TargetSeen, TuneLook},
 };
 use vss::{catalog::VssExpander, source::FrameSources};
 
@@ -51,6 +52,8 @@ pub enum Act {
     /// Has the force sensor read besides, N; NaN is what a broken one reads.
     Feel([f64; 3]),
     Deflect([f64; 6]),
+    /// Has argus expect a ball of at least so many pixels.
+    Tune(u64),
     /// Sets what druide hears of the clock of argus so far ahead, ns; see [`Rig::clock_that_is_set`].
     SetClock(u64),
 }
@@ -569,6 +572,12 @@ async fn done(cx: &Context, seen: &Mutex<Seen>, at: f64, act: Act) -> Result<(),
         }
         Act::Feel(force) => seen.lock().unwrap().feels = force,
         Act::SetClock(ahead) => seen.lock().unwrap().ahead_ns = Some(AHEAD_NS + ahead),
+        Act::Tune(least) => {
+            let argus = cx.task("argus").await?;
+            let mut look = Look::default();
+            look.area_px[0] = least;
+            cx.call(&argus, TuneLook { look }).await?;
+        }
         Act::Deflect(numbers) => {
             let mouse = cx.task("mouse").await?;
             cx.call(&mouse, DeflectMouse { numbers }).await?;
