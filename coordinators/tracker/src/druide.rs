@@ -295,15 +295,14 @@ impl Druide {
         arm.acquire().await?;
         let begun = self.begin(cx).await;
         if begun.is_err() {
+            if let Err(error) = arm.release().await {
+                tracing::warn!("the arm is not given back: {error}");
+            }
             // The next beginning finds buffers without a writer.
             self.cyclic = None;
             let mut shared = self.shared.borrow_mut();
             shared.period = None;
             shared.report.phase = control::Phase::Idle;
-            drop(shared);
-            if let Err(error) = arm.release().await {
-                tracing::warn!("the arm is not given back: {error}");
-            }
         }
         begun
     }
