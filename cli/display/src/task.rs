@@ -117,7 +117,12 @@ impl NetDisplay {
     fn nets(&self, cx: &Context) -> Vec<String> {
         let all = pnt::task::net_tasks(cx.app(), &cx.registry());
         match &self.args.nets {
-            Some(wanted) => all.into_iter().filter(|net| wanted.contains(net)).collect(),
+            Some(wanted) => {
+                // What stands for a net at another site runs none itself.
+                let abroad = wanted.iter().filter(|net| net.contains('@'));
+                let here = all.into_iter().filter(|net| wanted.contains(net));
+                here.chain(abroad.cloned()).collect()
+            }
             None => all,
         }
     }
@@ -207,9 +212,14 @@ async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
         if view.is_some()
             && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
         {
-            // Nodes may have been moved since the net read where they are.
-            arrange::pin(cx, &mut view);
-            keep_messages(cx, &view);
+            if net.contains('@') {
+                // One at another site is called otherwise here; the tasks that it asks are there.
+                net.clone_into(&mut view.name);
+            } else {
+                // Nodes may have been moved since the net read where they are.
+                arrange::pin(cx, &mut view);
+                keep_messages(cx, &view);
+            }
             hub.describe(view, state)?;
             hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
         }

@@ -358,6 +358,18 @@ const HELLO: &[(&str, Then)] = &[
         "ctos boot configs/calibrate-ros2.toml",
         Refused(3, "--features ros2"),
     ),
+    (
+        "ctos boot configs/sites/north.toml",
+        Refused(3, "--features zenoh"),
+    ),
+    (
+        "ctos boot configs/sites/south.toml --profile display",
+        Refused(3, "--features zenoh"),
+    ),
+    (
+        "ctos boot configs/sites/west.toml",
+        Refused(3, "--features zenoh"),
+    ),
 ];
 
 /// Lines for files of the reader's: nets, apps, scripts of requests, spots that were seen.
