@@ -6,6 +6,9 @@
     reason = "helpers of tests, outside test functions"
 )]
 
+#[path = "seen/hands.rs"]
+mod hands;
+
 use std::{path::Path, sync::Arc};
 
 use ctos::{
@@ -46,6 +49,16 @@ fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
 }
 
 fn play(app: &str, seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    play_watched(app, seed, sets, faults, registry())
+}
+
+fn play_watched(
+    app: &str,
+    seed: u64,
+    sets: &[&str],
+    faults: &[Fault],
+    registry: Registry,
+) -> Value {
     let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
     let file = configs.join(app);
     let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
@@ -55,7 +68,7 @@ fn play(app: &str, seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
     let app = config::load(&file, &sets, &[("vss", &VssExpander)]);
     let app = app.unwrap_or_else(|found| panic!("{found}"));
     let observer: Observer = Arc::new(|_| {});
-    match simulate(app, registry(), faults, &observer).unwrap().end {
+    match simulate(app, registry, faults, &observer).unwrap().end {
         End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
             panic!("seed {seed}: {}", result.text);
         }),
@@ -161,62 +174,4 @@ fn a_killed_vision_or_transform_learns_again_and_the_game_goes_on() {
     ];
     let game = game(2, &[&opponent], &kills);
     assert_eq!(game["ok"], true, "{game:#}");
-}
-
-#[test]
-fn whole_games_are_carried_by_an_arm_and_a_gripper() {
-    for seed in 0..hands() {
-        let game = play("checkers-hands.toml", seed, &[], &[]);
-        if let Ok(file) = std::env::var("CTOS_CHECKERS_SEEN_LOG") {
-            std::fs::write(format!("{file}.hands.{seed}"), format!("{game:#}")).unwrap();
-        }
-        assert_eq!(game["ok"], true, "{game:#}");
-    }
-}
-
-/// Seeds of the campaign with hands; none unless `CTOS_CHECKERS_HANDS_SEEDS` says how many: a game takes some minutes of a core.
-fn hands() -> u64 {
-    let given = std::env::var("CTOS_CHECKERS_HANDS_SEEDS").ok();
-    given.map_or(0, |text| text.parse().unwrap())
-}
-
-/// A file with a game from a position, in which a man is crowned as soon as it can and a king goes as far as it can.
-fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
-    use checkers::{Game, Numbering, Position, Variant};
-    let start = Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap();
-    let mut game = Game::from(Variant::Brazilian, start);
-    for _ in 0..plies {
-        let moves = game.position().moves(game.variant());
-        let far = |step: &checkers::Move| (step.crowned, step.from.abs_diff(step.to));
-        let step = moves.iter().max_by_key(|step| far(step)).unwrap();
-        game.make(*step).unwrap();
-    }
-    game.resign(checkers::Colour::White);
-    let file = folder.join("game.pdn");
-    std::fs::write(&file, game.record().write()).unwrap();
-    format!("task.player.args.opponent={:?}", file.display().to_string())
-}
-
-#[test]
-fn a_disc_that_stands_crooked_is_pushed_to_its_middle_by_closed_jaws_and_then_carried() {
-    let folder = tempfile::tempdir().unwrap();
-    let opponent = record_from(folder.path(), "W:W22,32:B1,12", 1);
-    let aside = "task.room.args.aside=[{ square = 22, by = [0.012, -0.008] }]";
-    let game = play("checkers-hands.toml", 1, &[&opponent, aside], &[]);
-    assert_eq!(game["ok"], true, "{game:#}");
-    let said = game["said"].to_string();
-    assert!(
-        said.contains("I push the disc on 22 to the middle"),
-        "{said}"
-    );
-    assert!(!said.contains("crooked"), "{said}");
-}
-
-#[test]
-fn moves_are_carried_by_an_arm_and_a_gripper_in_a_world_with_physics() {
-    let folder = tempfile::tempdir().unwrap();
-    let opponent = record_of(folder.path(), 4);
-    let game = play("checkers-hands.toml", 1, &[&opponent], &[]);
-    assert_eq!(game["ok"], true, "{game:#}");
-    assert_eq!(game["plies"], 4);
 }
