@@ -299,7 +299,11 @@ mod tests {
         sums.take("site2.operator", overview(3, &[("cell3.agent", working)]));
         let step = sums.since(whole.mark, &jobs(), now);
         assert!(!step.whole && step.facts.is_none());
-        let names: Vec<&String> = step.groups["site2"].items.keys().collect();
+        let names: Vec<&str> = step.groups["site2"]
+            .items
+            .keys()
+            .map(String::as_str)
+            .collect();
         assert_eq!((step.groups.len(), names), (1, vec!["cell3"]));
         assert_eq!(sums.cells().len(), 4);
     }
