@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 25] = [
+const SCRIPTS: [Asset; 26] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
     ("field.js", SCRIPT, include_str!("page/field.js")),
     ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
@@ -30,6 +30,7 @@ const SCRIPTS: [Asset; 25] = [
     ("handles.js", SCRIPT, include_str!("page/handles.js")),
     ("overview.js", SCRIPT, include_str!("page/overview.js")),
     ("plots.js", SCRIPT, include_str!("page/plots.js")),
+    ("summary.js", SCRIPT, include_str!("page/summary.js")),
     ("panes.js", SCRIPT, include_str!("page/panes.js")),
     ("keys.js", SCRIPT, include_str!("page/keys.js")),
     ("moments.js", SCRIPT, include_str!("page/moments.js")),

@@ -45,6 +45,8 @@ pub(crate) enum Pane {
     Pictures,
     /// The net.
     Net,
+    /// What tasks sum up of those below them.
+    Summary,
     /// What is chosen, in words and numbers.
     Side,
     /// Actions over time. Plots stand above them.
@@ -60,6 +62,7 @@ impl Pane {
             Self::Scene => "scene",
             Self::Pictures => "pictures",
             Self::Net => "net",
+            Self::Summary => "summary",
             Self::Side => "side",
             Self::Lanes => "lanes",
             Self::Events => "events",

@@ -254,6 +254,10 @@ const WAYS: &[(&str, Then)] = &[
         "ctos sim configs/fleet.toml --seeds 0..5 --faults configs/fleet/rough.toml",
         Ends,
     ),
+    (
+        "ctos boot configs/fleet.toml --display --allow-control",
+        GoesOn,
+    ),
 ];
 
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.
