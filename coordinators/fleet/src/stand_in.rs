@@ -4,7 +4,13 @@
 //! to the step, the job and the epoch, so a restart changes none. The step that sets the disc down changes the
 //! [`world`](crate::world), unless its epoch was settled meanwhile.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    rc::Rc,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
 
 use ctos::{
     config::{App, Node, TaskConfig},
@@ -94,6 +100,22 @@ impl Times {
             _ => Err(findings),
         }
     }
+
+    /// The same, read once for all tasks of a simulated app.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn shared(cx: &Context, file: &str) -> Result<Arc<Self>, HandlerError> {
+        let path = Path::new("fleet times").join(file);
+        let kept = cx.disk().and_then(|disk| disk.open::<OnceLock<_>>(&path));
+        if let Some(times) = kept.as_ref().and_then(|kept| kept.get()) {
+            return Ok(Arc::clone(times));
+        }
+        let times = Self::read(cx.app(), file).map_err(|findings| findings.to_string())?;
+        let times = Arc::new(times);
+        kept.inspect(|kept| _ = kept.set(Arc::clone(&times)));
+        Ok(times)
+    }
 }
 
 impl Step {
@@ -124,9 +146,8 @@ struct Args {
 pub(crate) fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &StandIn::COMMANDS, |cx| {
-            let args: Args = cx.args()?;
-            let times = Times::read(cx.app(), &args.times);
-            let times = times.map_err(|findings| HandlerError::new(findings.to_string()))?;
+            let args: Rc<Args> = Rc::new(cx.args()?);
+            let times = Times::shared(cx, &args.times)?;
             Ok(StandIn { args, times })
         })
         .checked_args::<Args>(check);
@@ -150,8 +171,8 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
 
 /// The event handler.
 struct StandIn {
-    args: Args,
-    times: Times,
+    args: Rc<Args>,
+    times: Arc<Times>,
 }
 
 #[ctos::handler]
