@@ -536,7 +536,7 @@ mod tests {
         let silent: Observer = Arc::new(|_| ());
         let setup = Setup::default();
         let simulation = Simulation::new(Arc::new(app), Arc::new(registry), setup, &silent);
-        let mut simulation = simulation.unwrap();
+        let simulation = simulation.unwrap();
         simulation.tell_boot(system::AllLinked {});
         simulation
     }
