@@ -315,7 +315,12 @@ impl Cell {
                     number: held.epoch,
                 },
                 symbol: CARRY.to_owned(),
-                arguments: vec![number.to_string(), held.epoch.to_string(), from, to],
+                arguments: vec![
+                    number.to_string(),
+                    held.epoch.to_string(),
+                    from.to_string(),
+                    to.to_string(),
+                ],
             };
             let answer = loop {
                 match put_once(cx, &self.args.net, &put, LONGEST).await {

@@ -309,8 +309,8 @@ mod tests {
     fn job(number: JobNumber) -> Job {
         Job {
             number,
-            from: "1,1".to_owned(),
-            to: "2,2".to_owned(),
+            from: "1,1".into(),
+            to: "2,2".into(),
         }
     }
 

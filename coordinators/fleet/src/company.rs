@@ -5,6 +5,7 @@ use std::{
     cell::RefCell,
     collections::{BTreeMap, BTreeSet},
     rc::Rc,
+    sync::Arc,
     time::Duration,
 };
 
@@ -82,8 +83,7 @@ fn spare() -> f64 {
 /// A job that a site has.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Open {
-    job: Job,
-    site: String,
+    site: Arc<str>,
     /// Its number among those given to that site.
     number: u64,
     /// The site has it for sure.
@@ -262,10 +262,10 @@ impl Company {
         self.desk.finish(cx)
     }
 
+    /// Sites have more jobs than cells: the next ones have time until the next turn.
     #[command]
     fn ended(&mut self, cx: &Context, ended: Ended) {
         self.desk.ended(cx, &ended);
-        turn(cx);
     }
 
     #[command]
@@ -345,11 +345,12 @@ impl Desk {
     /// Issues jobs to sites that have room.
     fn issue(&self, cx: &Context) {
         let (mut state, seen) = (self.state.borrow_mut(), self.seen.borrow());
-        let mut has: BTreeMap<String, u64> = BTreeMap::new();
+        let mut has: BTreeMap<Arc<str>, u64> = BTreeMap::new();
         for open in state.open.values() {
             *has.entry(open.site.clone()).or_default() += 1;
         }
         for (site, cells) in &seen.sites {
+            let name: Arc<str> = site.as_str().into();
             #[expect(
                 clippy::cast_precision_loss,
                 clippy::cast_possible_truncation,
@@ -357,7 +358,7 @@ impl Desk {
                 reason = "cells are few, and shares not negative"
             )]
             let spare = (*cells as f64 * self.args.spare).ceil() as u64;
-            let room = (cells + spare).saturating_sub(has.get(site).copied().unwrap_or(0));
+            let room = (cells + spare).saturating_sub(has.get(&*name).copied().unwrap_or(0));
             for _ in 0..room {
                 if !self.is_open(&state) {
                     return;
@@ -366,8 +367,7 @@ impl Desk {
                 let (number, given) = (state.issued, state.given.entry(site.clone()).or_default());
                 *given += 1;
                 let open = Open {
-                    job: job(number),
-                    site: site.clone(),
+                    site: name.clone(),
                     number: *given,
                     taken: false,
                 };
@@ -379,26 +379,32 @@ impl Desk {
 
     /// Gives each site the jobs that it has not taken, in order, each until it has.
     fn give(&self, cx: &Context) {
-        let mut wanted: BTreeMap<String, Vec<(u64, Job)>> = BTreeMap::new();
-        for open in self.state.borrow().open.values().filter(|open| !open.taken) {
+        let mut wanted: BTreeMap<Arc<str>, Vec<(u64, JobNumber)>> = BTreeMap::new();
+        for (job, open) in self
+            .state
+            .borrow()
+            .open
+            .iter()
+            .filter(|(_, open)| !open.taken)
+        {
             let of_site = wanted.entry(open.site.clone()).or_default();
-            of_site.push((open.number, open.job.clone()));
+            of_site.push((open.number, *job));
         }
         for (site, jobs) in wanted {
-            if !self.seen.borrow_mut().giving.insert(site.clone()) {
+            if !self.seen.borrow_mut().giving.insert(site.to_string()) {
                 continue;
             }
             let (desk, here) = (self.clone(), cx.clone());
             cx.spawn(async move {
-                for (number, job) in jobs {
+                for (number, of) in jobs {
                     let take = Take {
                         number,
-                        job: job.clone(),
+                        job: job(of),
                     };
                     match ask(&here, &site, take, ANSWER).await {
                         Ok(last) if last >= number => {
                             let mut state = desk.state.borrow_mut();
-                            if let Some(open) = state.open.get_mut(&job.number) {
+                            if let Some(open) = state.open.get_mut(&of) {
                                 open.taken = true;
                             }
                         }
@@ -406,7 +412,7 @@ impl Desk {
                         _ => break,
                     }
                 }
-                desk.seen.borrow_mut().giving.remove(&site);
+                desk.seen.borrow_mut().giving.remove(&*site);
             });
         }
     }
@@ -626,7 +632,7 @@ fn install(
 
 /// The job of a number: any two fields of a board that are not the same.
 fn job(number: JobNumber) -> Job {
-    let field = |at: u64| format!("{},{}", at % FIELDS + 1, at / FIELDS % FIELDS + 1);
+    let field = |at: u64| format!("{},{}", at % FIELDS + 1, at / FIELDS % FIELDS + 1).into();
     let from = number % (FIELDS * FIELDS);
     Job {
         number,

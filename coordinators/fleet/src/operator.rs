@@ -152,8 +152,7 @@ impl Operator {
     }
 
     #[command]
-    fn take(&mut self, cx: &Context, Take { number, job }: Take) -> u64 {
-        turn(cx);
+    fn take(&mut self, Take { number, job }: Take) -> u64 {
         self.site.book.borrow_mut().take(number, job)
     }
 
@@ -162,9 +161,9 @@ impl Operator {
         self.site.book.borrow_mut().begin(job, epoch)
     }
 
+    /// The cell is free, and says so to the trader, who is asked with the next turn.
     #[command]
-    fn report(&mut self, cx: &Context, report: Report) {
-        turn(cx);
+    fn report(&mut self, report: Report) {
         self.site.book.borrow_mut().report(report);
     }
 

@@ -6,7 +6,13 @@
 //!
 //! It takes other arguments while it runs, and knows them after a kill where its state is durable.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    rc::Rc,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
 
 use ctos::{
     config::{App, Entry, Node, TaskConfig, Value},
@@ -96,6 +102,22 @@ impl Times {
             _ => Err(findings),
         }
     }
+
+    /// The same, read once for all tasks of a simulated app.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn shared(cx: &Context, file: &str) -> Result<Arc<Self>, HandlerError> {
+        let path = Path::new("fleet times").join(file);
+        let kept = cx.disk().and_then(|disk| disk.open::<OnceLock<_>>(&path));
+        if let Some(times) = kept.as_ref().and_then(|kept| kept.get()) {
+            return Ok(Arc::clone(times));
+        }
+        let times = Self::read(cx.app(), file).map_err(|findings| findings.to_string())?;
+        let times = Arc::new(times);
+        kept.inspect(|kept| _ = kept.set(Arc::clone(&times)));
+        Ok(times)
+    }
 }
 
 impl Step {
@@ -143,7 +165,7 @@ pub(crate) struct Given {
 
 impl Given {
     /// What the task works with.
-    fn read(&self, cx: &Context) -> Result<(Args, Times), HandlerError> {
+    fn read(&self, cx: &Context) -> Result<(Rc<Args>, Arc<Times>), HandlerError> {
         let wrong = |findings: Findings| HandlerError::new(findings.to_string());
         let task = cx
             .config()
@@ -153,8 +175,8 @@ impl Given {
         let laid = laid_over(task, &source, &mut findings);
         match laid.args.parse_all::<Args>(&mut findings) {
             Some(args) if !findings.has_errors() => {
-                let times = Times::read(cx.app(), &args.times).map_err(wrong)?;
-                Ok((args, times))
+                let times = Times::shared(cx, &args.times)?;
+                Ok((Rc::new(args), times))
             }
             _ => Err(wrong(findings)),
         }
@@ -200,8 +222,8 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
 
 /// The event handler.
 struct StandIn {
-    args: Args,
-    times: Times,
+    args: Rc<Args>,
+    times: Arc<Times>,
     given: Given,
 }
 

@@ -3,6 +3,8 @@
 //! A job goes from the company to a site once and for good, under a number of that site. The site's operator lends it to a
 //! cell, under an epoch that is never given twice. Nothing physical is done before the operator has said yes to that epoch.
 
+use std::sync::Arc;
+
 use ctos::message::Command;
 use scene_summary::Mark;
 use serde::{Deserialize, Serialize};
@@ -16,9 +18,9 @@ pub struct Job {
     /// Its number.
     pub number: JobNumber,
     /// `COLUMN,ROW` where the disc lies.
-    pub from: String,
+    pub from: Arc<str>,
     /// `COLUMN,ROW` where it shall lie.
-    pub to: String,
+    pub to: Arc<str>,
 }
 
 /// How work on a job ended: the answers of the net, which are those of `carry`, and one more.
