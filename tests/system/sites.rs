@@ -56,6 +56,7 @@ impl Way {
 
     fn carry(&self, mut from: TcpStream, mut to: TcpStream) {
         let way = self.clone();
+        to.set_nodelay(true).unwrap();
         std::thread::spawn(move || {
             let mut bytes = [0; 1 << 16];
             while let Ok(read @ 1..) = from.read(&mut bytes) {
@@ -153,7 +154,7 @@ fn waiting(scratch: &Scratch) -> u64 {
 fn order(scratch: &Scratch, numbers: std::ops::Range<u32>) {
     for number in numbers {
         let number = number.to_string();
-        let words = ["order", &number, "--success", "parcel"];
+        let words = ["--success", "parcel", "order", &number];
         ask(scratch, "south", "shop", &words).must_exit_leaving(0);
     }
 }
@@ -201,7 +202,14 @@ fn a_task_of_another_site_is_asked_by_its_name_and_what_its_site_does_not_permit
         said.told
     );
     // A display of south.
-    let shown = scratch.ctos(&["display", "south", "--json", "--net", "depot@north"]);
+    let shown = scratch.ctos(&[
+        "display",
+        "--app",
+        "south",
+        "--json",
+        "--net",
+        "depot@north",
+    ]);
     shown.must_exit_leaving(0);
     let shown = shown.json_lines();
     assert!(
@@ -240,7 +248,7 @@ fn cut(time: Duration) {
         &scratch,
         "south",
         "depot@north",
-        &["parcel", "lost", "--within", "60"],
+        &["--within", "60", "parcel", "lost"],
     );
     lost.must_exit_leaving(1)
         .must_say("site `north` has been cut off for");
@@ -251,7 +259,7 @@ fn cut(time: Duration) {
         &scratch,
         "south",
         "depot@north",
-        &["parcel", "never", "--within", "60"],
+        &["--within", "60", "parcel", "never"],
     );
     at_once
         .must_exit_leaving(1)

@@ -153,6 +153,7 @@ impl Way {
 
     fn carry(&self, mut from: TcpStream, mut to: TcpStream) {
         let way = self.clone();
+        to.set_nodelay(true).unwrap();
         std::thread::spawn(move || {
             let mut bytes = [0; 1 << 16];
             while let Ok(read @ 1..) = from.read(&mut bytes) {

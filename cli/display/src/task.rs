@@ -248,11 +248,15 @@ async fn stream(cx: &Context, net: &str, hub: &Hub, opened: Option<&Opened>) -> 
         };
         let mut batch = cx.call(&to, follow).deadline(SILENCE).await?;
         after = Some(batch.mark);
+        // A net at another site is called otherwise there.
+        if let Some(state) = &mut batch.state {
+            net.clone_into(&mut state.net);
+        }
         if view.is_some()
             && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
         {
             if net.contains('@') {
-                // One at another site is called otherwise here; the tasks that it asks are there.
+                // The tasks that it asks are there, and not here.
                 net.clone_into(&mut view.name);
             } else {
                 // Nodes may have been moved since the net read where they are.

@@ -193,13 +193,16 @@ fn stream(remote: &RemoteArgs, name: &str, news: &SyncSender<News>) -> Result<()
         };
         let mut batch = client.call(name, follow, LIMIT)?;
         after = Some(batch.mark);
+        // A net at another site is called otherwise there.
+        if let Some(state) = &mut batch.state {
+            name.clone_into(&mut state.net);
+        }
         // Those that it began with, and what a person did since.
         let ordered = |event: &Event| event.phase == EventPhase::Ordered;
         let sets = view.is_some() || batch.events.iter().any(ordered);
         if view.is_some()
             && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
         {
-            // A net at another site is called otherwise there.
             name.clone_into(&mut view.name);
             let net = News::Net(Box::new(view), Box::new(state));
             if news.send(net).is_err() {
