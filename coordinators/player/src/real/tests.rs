@@ -89,7 +89,10 @@ impl Around {
 
     /// Whether the fingers get down there from where the arm waits, and up again, in some turn.
     fn reaches(&mut self, stand: Stand) -> bool {
-        let park = self.park;
+        let mut park = self.park;
+        // The arm has swung to this side.
+        let [x, y] = stand.at;
+        park[0] = y.atan2(x);
         TURNS_DEG.iter().any(|turn| {
             let down = stand.pose(*turn);
             let above = self.way(&park, at_height(down, TRAVEL_M), PathKind::Joint);
