@@ -467,6 +467,3 @@ fn is_between(held: &Held) -> Result<(), HandlerError> {
     let text = format!("the fingers are {width_mm:.0} mm apart, and no disc is so wide");
     Err(HandlerError::new(text))
 }
-
-#[cfg(test)]
-mod tests;
