@@ -12,7 +12,7 @@ use ctos::{
     message::Command,
     task::{Context, HandlerError},
 };
-use mcs::client::{MotionError, Move, PathKind};
+use mcs::client::{MotionError, Move, PathKind, Target};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
@@ -35,6 +35,9 @@ const TOLERANCE_M: f64 = 0.004;
 /// Half the width of closed jaws, and how far from the disc they come down before they push it, m.
 const CLOSED_M: f64 = 0.012;
 const BESIDE_M: f64 = 0.004;
+/// Farther round than this the arm swings first, rad: the nearest joints to those of now may be those of an arm that reaches over its
+/// shoulder, and what it carries would be turned upside down on the way.
+const SWING: f64 = 2.0;
 /// What is nearer to where it is to be is not pushed, m.
 const THERE_M: f64 = 0.001;
 /// How long the jaws may take.
@@ -326,6 +329,23 @@ impl ArmArgs {
             .await
     }
 
+    /// Turns about the vertical to the side of the table where a place is, if that is far round.
+    async fn swing(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
+        let now = arm.ask(|arm| async move { arm.position().await }).await?;
+        let around = |x: f64, y: f64| y.atan2(x);
+        let [x, y] = stand.at;
+        let by = around(x, y) - around(now.base_t_tool[3], now.base_t_tool[7]);
+        if by.abs() < SWING {
+            return Ok(());
+        }
+        let mut joints = now.joints;
+        if let Some(first) = joints.iter_mut().next() {
+            *first += by;
+        }
+        let order = arm::order(Target::Joints(joints), PathKind::Joint, self.speed);
+        arm.travel(order).await.map(|_| ())
+    }
+
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         self.above_turned(cx, stand, &TURNS_DEG).await.map(|_| ())
@@ -341,6 +361,7 @@ impl ArmArgs {
         let arm = self.arm(cx);
         arm.acquire().await?;
         self.up(&arm).await?;
+        self.swing(&arm, stand).await?;
         let mut first = None;
         for (nth, turn) in turns.iter().enumerate() {
             let down = stand.pose(*turn);
@@ -446,6 +467,3 @@ fn is_between(held: &Held) -> Result<(), HandlerError> {
     let text = format!("the fingers are {width_mm:.0} mm apart, and no disc is so wide");
     Err(HandlerError::new(text))
 }
-
-#[cfg(test)]
-mod tests;

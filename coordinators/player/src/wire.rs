@@ -164,7 +164,7 @@ impl Spot {
         }
     }
 
-    /// The same for the disc on so many others there. Spare discs stand in stacks: a high one gives way beneath its own weight.
+    /// The same for the disc on so many others there. Spare discs stand in several stacks, which are no obstacle.
     #[must_use]
     pub fn of_disc(&self, board: &Pose, below: u8) -> [f64; 2] {
         let [x, y] = self.on_table(board);
