@@ -1,6 +1,6 @@
 //! What `[site]` says, and what is wrong with it. Knows no network.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
 use ctos::{
     config::{App, Expander, GeneratedTask, Node, TaskConfig, ZenohEndpoint},
@@ -54,8 +54,10 @@ fn cut_after_s() -> f64 {
 impl Args {
     /// After so much silence a site is cut off.
     #[cfg(feature = "zenoh")]
-    pub(crate) fn cut_after(&self) -> Duration {
-        Duration::from_secs_f64(self.cut_after_s.clamp(LEAST_SILENCE_S, LONGEST_SILENCE_S))
+    pub(crate) fn cut_after(&self) -> std::time::Duration {
+        std::time::Duration::from_secs_f64(
+            self.cut_after_s.clamp(LEAST_SILENCE_S, LONGEST_SILENCE_S),
+        )
     }
 
     /// The sites that are listened for.
@@ -69,6 +71,10 @@ impl Args {
 /// What a stand-in stands for.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[cfg_attr(
+    not(feature = "zenoh"),
+    allow(dead_code, reason = "only a stand-in reads them")
+)]
 pub(crate) struct StandInArgs {
     /// The site.
     pub site: String,

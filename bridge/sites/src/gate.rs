@@ -72,6 +72,8 @@ struct Shared {
     nets: BTreeSet<String>,
     run: u64,
     sites: RefCell<Sites>,
+    /// Who asks a site that is waited for: one after the other, in the order in which they came.
+    turns: BTreeMap<String, tokio::sync::Mutex<()>>,
     network: RefCell<Option<Network>>,
     /// Whether a router is there, and why not.
     there: RefCell<(bool, String)>,
@@ -101,6 +103,11 @@ impl Gate {
                 .collect(),
             run: started_ns.saturating_add(now.as_nanos()),
             sites: RefCell::new(Sites::new(args.sites(), now, args.cut_after())),
+            turns: args
+                .sites()
+                .into_iter()
+                .map(|site| (site, <_>::default()))
+                .collect(),
             network: RefCell::default(),
             there: RefCell::new((false, "no router was reached yet".to_owned())),
             open: RefCell::default(),
@@ -337,6 +344,10 @@ impl Shared {
             data,
         } = pass;
         let until = cx.now() + left;
+        let turn = match self.turns.get(&site) {
+            Some(turn) => Some(turn.lock().await),
+            None => None,
+        };
         let run = self.run_of(cx, &site).await?;
         let rest = until.since(cx.now());
         if rest.is_zero() || reply.is_abandoned() {
@@ -368,6 +379,7 @@ impl Shared {
             Some(network) => network.order(order),
             None => Err(Fault::Stopping),
         };
+        drop(turn);
         let answer = match ordered {
             Ok(()) => cx.timeout(rest, came).await,
             Err(fault) => {
@@ -431,11 +443,12 @@ impl Shared {
         // Whoever waits for a chassis that is being restarted would keep all others waiting.
         let found = cx.task(&asked.task).deadline(Duration::ZERO).await;
         let task = found.map_err(|error| match error {
-            NameError::NotBack { chassis, .. } => Fault::PeerDown { chassis },
+            // It is configured, as what is permitted was looked at: it may be back.
+            NameError::NotBack { chassis, .. } | NameError::Gone { chassis, .. } => {
+                Fault::PeerDown { chassis }
+            }
             NameError::Service(error) => error.fault,
-            error => Fault::Refused {
-                text: error.to_string(),
-            },
+            _ => Fault::UnknownTask,
         })?;
         let data = match self.nets.contains(&asked.task) {
             true => pnt::task::from_site(asked.command, data, &asked.from),

@@ -125,7 +125,7 @@ impl Sites {
         let silent = now.since(site.heard.unwrap_or(self.began));
         Some(match site.gate {
             _ if site.cut || silent >= self.cut_after => State::Cut(silent),
-            Some(gate) if site.heard.is_some() => State::There(gate.run),
+            Some(gate) if gate.version == VERSION => State::There(gate.run),
             _ => State::Awaited,
         })
     }
@@ -251,5 +251,8 @@ mod tests {
             sites.heard("north", beat(2), at(2500)),
             [Change::Back("north".to_owned(), None)]
         );
+        // Nor once it takes the place of one that was asked.
+        sites.heard("north", foreign, at(3000));
+        assert_eq!(sites.state("north", at(3000)), Some(State::Awaited));
     }
 }

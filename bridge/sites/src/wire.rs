@@ -44,9 +44,9 @@ impl Head {
         }
     }
 
-    /// How long the caller still waits.
+    /// How long the caller still waits, an hour at most.
     pub(crate) fn left(&self) -> Duration {
-        Duration::from_millis(self.left_ms)
+        Duration::from_millis(self.left_ms.min(3_600_000))
     }
 }
 

@@ -156,6 +156,16 @@ async fn reach_in(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
         return Ok(());
     }
     inner.borrow_mut().table.curtain = true;
+    let came = hand_comes(cx, inner).await;
+    inner.borrow_mut().table.hand = false;
+    show(cx, inner).await;
+    let resumed = ask(cx, inner, Resume {}).await;
+    inner.borrow_mut().table.curtain = false;
+    came.and(resumed)
+}
+
+/// The arm rests, and the hand is over the board for a while.
+async fn hand_comes(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
     ask(cx, inner, Stop {}).await?;
     cx.sleep(BRAKES).await;
     let fingers = bodies(cx, inner).await?;
@@ -172,10 +182,6 @@ async fn reach_in(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
     };
     show(cx, inner).await;
     cx.sleep(stays).await;
-    inner.borrow_mut().table.hand = false;
-    show(cx, inner).await;
-    ask(cx, inner, Resume {}).await?;
-    inner.borrow_mut().table.curtain = false;
     Ok(())
 }
 

@@ -425,9 +425,15 @@ impl Druide {
 
     /// Lets go of what the hand holds, and gives the arm back.
     async fn let_go(&self, cx: &Context) -> Result<(), HandlerError> {
-        let_go(cx, self.hand()?).await?;
         let arm = Manipulator::find(cx, &self.args.mcs).await?;
-        arm.release().await?;
+        let holder = arm.status().await?.holder;
+        if let Some(holder) = holder.filter(|holder| holder != cx.name()) {
+            return Err(format!("`{holder}` holds the arm, and what its hand holds").into());
+        }
+        let_go(cx, self.hand()?).await?;
+        if let Err(error) = arm.release().await {
+            tracing::warn!("the arm is not given back: {error}");
+        }
         Ok(())
     }
 

@@ -282,7 +282,7 @@ impl Mesh {
         self.inner.call(member);
     }
 
-    /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
+    /// Says goodbye on all links that have a stream, once everything posted has gone out; nobody is let in any more.
     pub(crate) async fn close(&mut self) {
         tracing::debug!(refused = self.refused(), "the mesh closes");
         self.doors.abort_all();

@@ -28,35 +28,34 @@ impl Inner {
         if self.chassis.index() != 0 {
             return;
         }
-        let (members, sessions, come) = {
-            let mut state = lock(&self.state);
-            let expected = |peer: &&Peer| {
-                let session = peer.session.as_ref();
-                session.is_none_or(|session| session.state() != State::Down)
-            };
-            let mut peers = state.peers.values().filter(expected);
-            if !peers.all(|peer| peer.is_up() && peer.member.is_some()) {
-                return;
-            }
-            let up = || state.peers.values().filter(|peer| peer.is_up());
-            let members: Vec<Member> = up().filter_map(|peer| peer.member.clone()).collect();
-            let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
-            let there = members
-                .iter()
-                .map(|member| (member.chassis, member.incarnation));
-            let there: BTreeMap<ChassisNumber, u32> = there.collect();
-            let before = std::mem::replace(&mut state.announced, there.clone());
-            let is_new = |(one, life): &(ChassisNumber, u32)| before.get(one) != Some(life);
-            let come: Vec<_> = there.into_iter().filter(is_new).collect();
-            (members, sessions, come)
+        let mut state = lock(&self.state);
+        let expected = |peer: &&Peer| {
+            let session = peer.session.as_ref();
+            session.is_none_or(|session| session.state() != State::Down)
         };
+        let mut peers = state.peers.values().filter(expected);
+        if !peers.all(|peer| peer.is_up() && peer.member.is_some()) {
+            return;
+        }
+        let up = || state.peers.values().filter(|peer| peer.is_up());
+        let members: Vec<Member> = up().filter_map(|peer| peer.member.clone()).collect();
+        let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
+        let there = members
+            .iter()
+            .map(|member| (member.chassis, member.incarnation));
+        let there: BTreeMap<ChassisNumber, u32> = there.collect();
+        let before = std::mem::replace(&mut state.announced, there.clone());
+        let is_new = |(one, life): &(ChassisNumber, u32)| before.get(one) != Some(life);
+        let come: Vec<_> = there.into_iter().filter(is_new).collect();
         if come.is_empty() {
             return;
         }
+        // Under the lock: who is asked to call another one has heard of it before.
         let notice = Notice::Members(members);
         for session in sessions {
             tell(&session, &notice);
         }
+        drop(state);
         for (chassis, incarnation) in come {
             self.send(MeshEvent::Joined {
                 chassis,
@@ -81,16 +80,23 @@ impl Inner {
 
     /// From now on frames for `chassis` go over `session`, and those of an earlier incarnation nowhere.
     pub(super) fn enlist(&self, chassis: ChassisNumber, incarnation: u32, session: &Arc<Session>) {
-        let mut live = lock(&self.live);
-        // It may have gone down just now, and would not tell that again.
-        if session.look(|core| core.state()) == State::Down {
-            return;
+        let unlinked = {
+            let mut live = lock(&self.live);
+            let before = live.get(&chassis).copied();
+            // It may have gone down just now, and would not tell that again; or its successor was faster.
+            let is_over = session.look(|core| core.state()) == State::Down;
+            if is_over || before.is_some_and(|before| before > incarnation) {
+                return;
+            }
+            live.insert(chassis, incarnation);
+            let replaced = before.is_some_and(|before| before != incarnation);
+            let unlinked = replaced.then(|| self.chassis.unlink(chassis)).flatten();
+            self.chassis.link_up(chassis, session.clone());
+            unlinked
+        };
+        if let Some(unlinked) = unlinked {
+            self.chassis.tell_unlinked(unlinked);
         }
-        let before = live.insert(chassis, incarnation);
-        if before.is_some_and(|before| before != incarnation) {
-            self.chassis.link_down(chassis);
-        }
-        self.chassis.link_up(chassis, session.clone());
     }
 
     /// What the mesh of `from` says.

@@ -223,6 +223,10 @@ fn nobody_is_told_that_another_one_has_left() {
             last.mesh.close().await;
             boot.went_down(last.chassis.index()).await;
             boot.mesh.inner.changed();
+            for other in &others {
+                // What it was told before has come with this.
+                asks(&boot.chassis, other.chassis.index()).await;
+            }
             let joins = |event: &MeshEvent| matches!(event, MeshEvent::Joined { .. });
             let told = others.iter_mut().any(|other| {
                 let events = std::iter::from_fn(|| other.mesh.events.try_recv().ok());
