@@ -1,6 +1,7 @@
 //! What configurations can name: every event handler, channel driver, guard, frame source and expander.
 
 use bridge_ros2::BridgeExpander;
+use bridge_sites::SiteExpander;
 use cli_scott::{panel, services};
 use ctos::{
     config::{App, Expander, Selection},
@@ -37,6 +38,7 @@ pub fn registry() -> Registry {
     scene_viewers::register(&mut registry);
     bridge_program::register(&mut registry);
     bridge_ros2::register(&mut registry);
+    bridge_sites::register(&mut registry);
     panel::register(&mut registry);
     pnt_net::register(&mut registry);
     pnt::store::keep_states(&mut registry);
@@ -50,10 +52,11 @@ pub fn registry() -> Registry {
 }
 
 /// The top-level tables of a configuration that this program turns into tasks.
-pub const EXPANDERS: [(&str, &dyn Expander); 4] = [
+pub const EXPANDERS: [(&str, &dyn Expander); 5] = [
     ("bridge", &BridgeExpander),
     ("fleet", &FleetExpander),
     ("mcs", &McsExpander),
+    ("site", &SiteExpander),
     ("vss", &VssExpander),
 ];
 

@@ -139,7 +139,9 @@ impl Location {
             return Some(Self::Here);
         }
         let Some((host, number)) = text.rsplit_once(':') else {
-            return is_plain(text).then(|| Self::Alias(text.to_owned()));
+            // A daemon at another site is `DAEMON@SITE`.
+            let (daemon, site) = text.split_once('@').unwrap_or((text, "here"));
+            return (is_plain(daemon) && is_plain(site)).then(|| Self::Alias(text.to_owned()));
         };
         let digits = |text: &str, radix| {
             let plain = text.bytes().all(|digit| digit.is_ascii_hexdigit());
@@ -212,7 +214,7 @@ pub(crate) mod tests {
         let location = prop_oneof![
             Just(String::new()),
             Just("@self".to_owned()),
-            "@[a-z0-9_.-]{1,8}",
+            "@[a-z0-9_.-]{1,8}(@[a-z0-9_.-]{1,8})?",
             ("[a-z0-9.-]{1,8}", any::<u32>())
                 .prop_map(|(host, number)| format!("@{host}:{number}")),
         ];
@@ -236,6 +238,9 @@ pub(crate) mod tests {
         );
         assert_eq!(at("carry@druide:0x14").to_string(), "carry@druide:20");
         assert_eq!(at("foo.a@d1").location(), &Location::Alias("d1".to_owned()));
+        let abroad = at("foo.a@d1@north");
+        assert_eq!(abroad.location(), &Location::Alias("d1@north".to_owned()));
+        assert_eq!(abroad.to_string(), "foo.a@d1@north");
         let default = at("FOO.a");
         assert_eq!(
             (default.class(), default.location()),
@@ -260,7 +265,10 @@ pub(crate) mod tests {
             "foo@h:+1",
             "foo@h:0x",
             "foo@h:4294967296",
-            "foo@a@b",
+            "foo@a@",
+            "foo@@b",
+            "foo@a@b@c",
+            "foo@a@b:1",
         ] {
             assert!(matches!(wrong(daemon), NameError::Daemon(_)), "{daemon}");
         }

@@ -8,6 +8,7 @@ mod browser;
 mod checkers;
 mod command;
 mod data;
+mod fleet;
 mod handles;
 mod layers;
 mod looking;

@@ -25,8 +25,15 @@ use rustix::{
 };
 use serde_json::Value;
 
-/// No run may take longer, whatever happens in it.
-const LIMIT: Duration = Duration::from_secs(120);
+/// No run may take longer, whatever happens in it. `CTOS_RUN_LIMIT_S` gives those more that are about long waits.
+fn limit() -> Duration {
+    let given = std::env::var("CTOS_RUN_LIMIT_S").ok();
+    let given = given.map(|text| {
+        text.parse()
+            .expect("CTOS_RUN_LIMIT_S is a number of seconds")
+    });
+    Duration::from_secs(given.unwrap_or(120))
+}
 
 /// A position in every corner of the work volume, to keep runs on the real clock short.
 const SHORT_EVERY: usize = 6;
@@ -270,7 +277,7 @@ impl Watchdog {
         let (flag, folder) = (fired.clone(), folder.to_owned());
         thread::spawn(move || {
             let timed_out =
-                wait.recv_timeout(LIMIT) == Err(std::sync::mpsc::RecvTimeoutError::Timeout);
+                wait.recv_timeout(limit()) == Err(std::sync::mpsc::RecvTimeoutError::Timeout);
             if timed_out && folder.exists() {
                 flag.store(true, Ordering::SeqCst);
                 // Its children end with it; what does not is ended with the scratch folder.
@@ -402,7 +409,8 @@ impl Run<'_> {
         let told = self.told();
         assert!(
             !self.watchdog.fired.load(Ordering::SeqCst),
-            "still running after {LIMIT:?}: {told}"
+            "still running after {:?}: {told}",
+            limit()
         );
         Ended {
             code: status.code(),

@@ -46,6 +46,8 @@ mod restarts;
 mod ros2;
 mod runaways;
 mod scenes;
+#[cfg(feature = "zenoh")]
+mod sites;
 mod startup;
 mod stepped_clock;
 mod structure;

@@ -10,7 +10,7 @@ use serde_json::Value;
 use sim::scene::CameraFault;
 
 use crate::harness::Scratch;
-use rig::{Act, Rig};
+use rig::{Act, Ended, Rig};
 
 /// Runs `configs/tracker.toml` under a name that no other test has, for its snapshot buffers are of the whole host; what it tells.
 fn run(scratch: &Scratch, name: &str, seconds: f64, more: &[&str]) -> Value {
@@ -320,6 +320,24 @@ fn a_ball_at_the_border_or_outside_of_what_the_map_knows_is_told_and_followed_wh
 }
 
 #[test]
+fn what_the_ball_is_expected_to_look_like_is_tuned_while_it_is_followed() {
+    let ended = Rig::new("tuned", 9.0)
+        .act(4.0, Act::Tune(15_000))
+        .act(6.5, Act::Tune(150))
+        .run();
+    ended.must_be_smooth();
+    // Too small for what is expected then.
+    assert!(
+        ended.result["sights"]["size"].as_u64() > Some(50),
+        "{}",
+        ended.result
+    );
+    assert_eq!(ended.state(3.9), "track", "{:?}", ended.states);
+    assert_eq!(ended.state(6.4), "acquire", "{:?}", ended.states);
+    assert_eq!(ended.state(8.9), "track", "{:?}", ended.states);
+}
+
+#[test]
 fn a_mouse_moves_the_hand_and_a_daemon_that_is_killed_with_a_deflection_leaves_none() {
     let push = Act::Deflect([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     let mut rig = Rig::new("mouse", 10.0).set("task.ball.args.motion=\"rest\"");
@@ -495,6 +513,111 @@ fn a_ball_that_slips_away_or_is_gone_is_told_and_the_arm_may_follow_again() {
         assert_eq!(ended.state(13.9), "handed_over", "{:?}", ended.states);
         assert_eq!(ended.answer(14.0).0, "tracking");
     }
+}
+
+/// Moments of a run of [`taken`], s, and what the hand does then.
+const AMID: [(f64, &str); 3] = [
+    (6.2, "while the hand went to the ball"),
+    (7.5, "while the hand closed"),
+    (11.1, "while the ball was lifted"),
+];
+
+/// What must hold after something has stopped a grasp, from `at` until `again`: nothing moves, and the run tells during what that was.
+fn must_stand(ended: &Ended, (at, step): (f64, &str), again: f64) {
+    ended.must_be_smooth();
+    let told = &ended.result["grasped"];
+    let why = told["BrokenOff"].as_str().unwrap_or_default();
+    assert!(why.starts_with(step), "{step}: {told}");
+    let before = ended.states.iter().rev().find(|(since, _)| *since < at);
+    assert_eq!(before.unwrap().1, "grasps", "{:?}", ended.states);
+    assert_eq!(
+        ended.state(again - 0.1),
+        "handed_over",
+        "{:?}",
+        ended.states
+    );
+    // Fingers that are closing close.
+    let arm = ended.turned(false, at + 0.6, again);
+    let fingers = ended.turned(true, at + 2.5, again);
+    assert!(arm < 2e-3 && fingers < 2e-2, "{step}: {arm} {fingers}");
+}
+
+#[test]
+fn an_emergency_stop_amid_a_grasp_stops_arm_and_hand_and_after_a_reset_both_work_again() {
+    for (number, step) in AMID.into_iter().enumerate() {
+        let (at, _) = step;
+        let name = ["estop_near", "estop_close", "estop_lift"][number];
+        let ended = taken(name)
+            .set(&format!("task.tracker.args.seconds={:?}", at + 7.5))
+            .act(at, Act::EmergencyStop)
+            .act(at + 3.0, Act::Order("track"))
+            .act(at + 3.5, Act::Reset)
+            .act(at + 4.0, Act::Order("let_go"))
+            .act(at + 6.5, Act::Order("track"))
+            .run();
+        must_stand(&ended, step, at + 3.0);
+        let (answer, why) = ended.answer(at + 3.0);
+        assert_eq!(answer, "not_tracking", "{why}");
+        assert!(why.contains("emergency stop"), "{why}");
+        assert_eq!(ended.answer(at + 4.0).0, "has_let_go");
+        assert_eq!(ended.answer(at + 6.5).0, "tracking");
+    }
+}
+
+#[test]
+fn a_stop_amid_a_grasp_gives_the_arm_back_with_the_hand_as_it_is_and_it_lets_go_when_it_is_told_to()
+{
+    for (number, step) in AMID.into_iter().enumerate() {
+        let (at, _) = step;
+        let name = ["stop_near", "stop_close", "stop_lift"][number];
+        let ended = taken(name)
+            .set(&format!("task.tracker.args.seconds={:?}", at + 6.5))
+            .act(at, Act::Order("stop"))
+            .act(at + 3.0, Act::Order("let_go"))
+            .act(at + 5.5, Act::Order("track"))
+            .run();
+        must_stand(&ended, step, at + 3.0);
+        let answers = [(0.0, "stopped"), (3.0, "has_let_go"), (5.5, "tracking")];
+        for (after, answer) in answers {
+            assert_eq!(ended.answer(at + after).0, answer, "{:?}", ended.answers);
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_others_stop_amid_a_lift_follows_again_when_they_resume_it() {
+    let [.., step] = AMID;
+    let (at, _) = step;
+    let ended = taken("halted_lift")
+        .set(&format!("task.tracker.args.seconds={:?}", at + 7.0))
+        .act(at, Act::Stop)
+        .act(at + 3.0, Act::Order("track"))
+        .act(at + 4.0, Act::Resume)
+        .act(at + 5.0, Act::Order("track"))
+        .run();
+    must_stand(&ended, step, at + 3.0);
+    assert_eq!(ended.answer(at + 3.0).0, "not_tracking");
+    assert_eq!(ended.answer(at + 5.0).0, "tracking");
+}
+
+#[test]
+fn a_hand_that_holds_the_ball_lets_go_of_it_when_it_is_told_to_and_the_arm_follows_again() {
+    let ended = taken("let_go")
+        .set("task.tracker.args.seconds=20.0")
+        .act(4.5, Act::Order("let_go"))
+        .act(15.5, Act::Order("let_go"))
+        .act(18.0, Act::Order("track"))
+        .run();
+    ended.must_be_smooth();
+    let answers = [(4.5, "busy"), (15.5, "has_let_go"), (18.0, "tracking")];
+    for (at, answer) in answers {
+        assert_eq!(ended.answer(at).0, answer, "{:?}", ended.answers);
+    }
+    assert_eq!(ended.state(15.4), "holds", "{:?}", ended.states);
+    assert_eq!(ended.state(17.9), "handed_over", "{:?}", ended.states);
+    // It was 0.1 m above where it rested, and nobody holds it.
+    let (_, [.., z]) = ended.bodies[ended.bodies.len() - 1];
+    assert!(z < 0.25, "{z}");
 }
 
 #[test]

@@ -126,8 +126,10 @@ impl SnapModule {
 
     /// A picture that is to be believed; it is left in the buffer, too.
     async fn snap(&mut self, cx: &Context) -> Result<Frame, FrameError> {
-        let frame = self.source.snap(cx).await?;
-        let seen = self.watch.look(&frame, cx.now().since_start());
+        let mut frame = self.source.snap(cx).await?;
+        let now = cx.now().since_start();
+        frame.received = Some(now);
+        let seen = self.watch.look(&frame, now);
         let (camera, number) = (&self.camera, frame.number);
         let doubt = seen.as_ref().map(|(doubt, _)| *doubt);
         if doubt != self.doubt {

@@ -23,11 +23,15 @@ pub const HANDLER: &str = "pnt.display";
 pub const DEFAULT_LISTEN: SocketAddr =
     SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 8108);
 
+/// How slow and how fast virtual time may go for a page.
+const SLOWEST: f64 = 0.01;
+const FASTEST: f64 = 1000.0;
+
 /// The most viewers that can be asked for.
 const MOST_VIEWERS: usize = 1000;
 
 /// `[task.NAME.args]` of a display.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DisplayArgs {
     /// Where the page is served; port 0 takes any that is free.
@@ -46,6 +50,8 @@ pub(super) struct DisplayArgs {
     pub(super) viewers: usize,
     /// The nets that are shown; all of the app when it is left out.
     pub(super) nets: Option<Vec<String>>,
+    /// In virtual time: so many seconds of the app go by in one of the host, at most. Without it no page is served then.
+    pub(super) pace: Option<f64>,
     /// A file of overview displays and layouts, relative to the configuration's folder; `displays/APP.toml` when it is left
     /// out.
     displays: Option<String>,
@@ -93,6 +99,12 @@ pub(super) fn check(args: &DisplayArgs, task: &TaskConfig, app: &App, findings: 
         findings.push(at(finding, "viewers").help(format!("write 1 to {MOST_VIEWERS}")));
     }
     page::check(task, args.listen, app, "pnt::display::open", findings);
+    if let Some(pace) = args.pace.filter(|pace| !(SLOWEST..=FASTEST).contains(pace)) {
+        let text = format!("a display at a pace of {pace}");
+        let help = format!("write {SLOWEST} to {FASTEST}, seconds of the app in one of the host");
+        let finding = Finding::error("pnt::display::pace", text);
+        findings.push(at(finding, "pace").help(help));
+    }
     for net in args.nets.iter().flatten() {
         if app.task(net).is_none() {
             let names = app.tasks.iter().map(|task| task.name.as_str());

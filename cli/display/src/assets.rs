@@ -31,6 +31,7 @@ const SCRIPTS: [Asset; 26] = [
     ("plans.js", SCRIPT, include_str!("page/plans.js")),
     ("overview.js", SCRIPT, include_str!("page/overview.js")),
     ("plots.js", SCRIPT, include_str!("page/plots.js")),
+    ("summary.js", SCRIPT, include_str!("page/summary.js")),
     ("panes.js", SCRIPT, include_str!("page/panes.js")),
     ("keys.js", SCRIPT, include_str!("page/keys.js")),
     ("moments.js", SCRIPT, include_str!("page/moments.js")),

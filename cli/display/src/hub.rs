@@ -15,6 +15,7 @@ use pnt::{
     stream::{Batch, Event, NetView, Replica, ReplicaError, State},
 };
 use scene::track::{SceneStep, SceneTrack, Shown};
+use scene_summary::{Step, Summary};
 use tokio::sync::broadcast;
 
 use super::{
@@ -116,6 +117,8 @@ struct Known {
     scenes: BTreeMap<String, SceneTrack>,
     /// The last pictures, by camera.
     pictures: BTreeMap<String, VecDeque<Shown>>,
+    /// What tasks sum up, by task, and why one cannot be asked.
+    summaries: BTreeMap<String, (Summary, Option<String>)>,
     notes: Vec<Note>,
     /// The tasks of which more can be told.
     names: Vec<String>,
@@ -278,6 +281,49 @@ impl Hub {
         let mut known = self.known();
         for source in sources {
             known.scenes.entry(source.clone()).or_default();
+        }
+    }
+
+    /// Tasks that will sum up something.
+    pub(crate) fn expects_summaries(&self, sources: &[String]) {
+        let mut known = self.known();
+        for source in sources {
+            known.summaries.entry(source.clone()).or_default();
+        }
+    }
+
+    /// What a task sums up has changed.
+    pub(crate) fn summed(&self, source: &str, step: Step) {
+        let mut known = self.known();
+        let (summary, gone) = known.summaries.entry(source.to_owned()).or_default();
+        if gone.take().is_some() || step.is_news() {
+            self.tell(&Told::Summary {
+                source,
+                step: &step,
+            });
+        }
+        summary.take(step);
+    }
+
+    /// A task that sums up cannot be asked.
+    pub(crate) fn unsummed(&self, source: &str, reason: &str) {
+        let mut known = self.known();
+        let (_, gone) = known.summaries.entry(source.to_owned()).or_default();
+        if gone.as_deref() != Some(reason) {
+            *gone = Some(reason.to_owned());
+            self.tell(&Told::Unsummed { source, reason });
+        }
+    }
+
+    /// Whether a net is known.
+    pub(crate) fn follows(&self, net: &str) -> bool {
+        self.known().tracks.contains_key(net)
+    }
+
+    /// A net is not followed any more, and what is known of it is forgotten.
+    pub(crate) fn leave(&self, net: &str) {
+        if self.known().tracks.remove(net).is_some() {
+            self.tell(&Told::Left { net });
         }
     }
 
@@ -461,6 +507,13 @@ impl Hub {
             .text()
         });
         told.extend(scenes);
+        for (source, (summary, gone)) in &known.summaries {
+            let step = &summary.since(None);
+            told.push(Told::Summary { source, step }.text());
+            if let Some(reason) = gone {
+                told.push(Told::Unsummed { source, reason }.text());
+            }
+        }
         let pictures = known.pictures.values().flatten();
         told.extend(pictures.map(|picture| Told::Picture { picture }.text()));
         // After the scene, which is seen at once: nets have long pasts.
@@ -489,6 +542,7 @@ impl Hub {
             handles: known.overviews.handles(),
             plans: known.overviews.plans(),
             scenes: known.scenes.len(),
+            summaries: known.summaries.keys().map(String::as_str).collect(),
             origin_ns: self.clock.as_ref().and_then(Clock::origin_ns),
         }
         .text()

@@ -1,5 +1,5 @@
 //! The display: an event handler that anyone can put into an app, `pnt.display`. It follows the streams of nets
-//! ([`pnt::stream`]) and of scenes ([`scene`]) and serves a page that shows them, to as many browsers as its limit permits.
+//! ([`pnt::stream`]), of scenes ([`scene`]) and of summaries ([`scene_summary`]), and serves a page that shows them, to as many browsers as its limit permits.
 //!
 //! The task runs on its processor, the server on a thread of its own. Between them stands the `hub`:
 //! what is known of all nets, and the messages about what is new. A slow browser loses messages there
@@ -24,6 +24,7 @@ mod plans;
 mod record;
 mod server;
 mod standing;
+mod summing;
 mod task;
 mod text;
 pub mod watch;

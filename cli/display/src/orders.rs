@@ -26,6 +26,8 @@ use super::{
     hub::Hub,
     lines,
     server::Asking,
+    summing::{self, MANY_NETS, Opened},
+    task,
     wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, TaskWait, Told},
 };
 
@@ -41,6 +43,7 @@ pub(super) async fn carry(
     cx: &Context,
     hub: &Arc<Hub>,
     displays: String,
+    opened: &Opened,
     mut orders: mpsc::Receiver<Asking>,
 ) {
     // Numbers begin anew with each life of this task, and durable nets remember those of earlier boots.
@@ -50,13 +53,16 @@ pub(super) async fn carry(
     while let Some((asked, answer)) = orders.recv().await {
         let (child, hub) = (cx.new_trace(), hub.clone());
         let (displays, from, commands) = (displays.clone(), from.clone(), commands.clone());
+        let opened = opened.clone();
         cx.spawn(async move {
             let told = if asked.kind == "task" {
                 Told::Task {
-                    task: task(&child, &asked.task).await,
+                    task: state(&child, &asked.task).await,
                 }
             } else {
                 let done = match &*asked.kind {
+                    "follow" => open(&child, &hub, &opened, &asked.net),
+                    "decide" => summing::decide(&child, &asked).await,
                     "move" => arrange::keep(&child, &hub, &displays, &asked),
                     "layout" => arrange::keep_layout(&child, &hub, &displays, &asked),
                     "command" => {
@@ -78,10 +84,25 @@ pub(super) async fn carry(
     }
 }
 
+/// Begins to follow a net that nobody has looked at.
+fn open(cx: &Context, hub: &Arc<Hub>, opened: &Opened, net: &str) -> Result<String, HandlerError> {
+    let nets = pnt::task::net_tasks(cx.app(), &cx.registry());
+    if !nets.iter().any(|one| one == net) {
+        return Err(HandlerError::new(format!("no net is called `{net}`")));
+    }
+    // Few are followed from the beginning.
+    if nets.len() > MANY_NETS && !hub.follows(net) && opened.open(net) {
+        let (child, hub, opened) = (cx.clone(), hub.clone(), opened.clone());
+        let net = net.to_owned();
+        cx.spawn(async move { task::follow(&child, &net, &hub, Some(&opened)).await });
+    }
+    Ok(format!("net `{net}` is followed"))
+}
+
 /// How a task is, what it handled last, and what the log says of it.
-async fn task(cx: &Context, name: &str) -> TaskState {
+async fn state(cx: &Context, name: &str) -> TaskState {
     let on = cx.app().task(name).map(|task| task.chassis.clone());
-    let state = TaskState {
+    let known = TaskState {
         name: name.to_owned(),
         on: on.unwrap_or_default(),
         lines: lines::about(name).await,
@@ -91,11 +112,11 @@ async fn task(cx: &Context, name: &str) -> TaskState {
         Ok(look) => TaskState {
             now: Some(now(&look)),
             messages: look.last.into_iter().map(message).collect(),
-            ..state
+            ..known
         },
         Err(error) => TaskState {
             error: Some(error.to_string()),
-            ..state
+            ..known
         },
     }
 }

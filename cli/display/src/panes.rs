@@ -47,6 +47,8 @@ pub(crate) enum Pane {
     Plan,
     /// The net.
     Net,
+    /// What tasks sum up of those below them.
+    Summary,
     /// What is chosen, in words and numbers.
     Side,
     /// Actions over time. Plots stand above them.
@@ -63,6 +65,7 @@ impl Pane {
             Self::Pictures => "pictures",
             Self::Plan => "plan",
             Self::Net => "net",
+            Self::Summary => "summary",
             Self::Side => "side",
             Self::Lanes => "lanes",
             Self::Events => "events",

@@ -226,7 +226,7 @@ fn refused(id: u64, text: &str) -> String {
 async fn ask(service: &Service, asked: Asked, control: bool) -> String {
     let id = asked.id;
     let refused = |text: &str| refused(id, text);
-    if asked.kind != "task" && !control {
+    if !["task", "follow"].contains(&asked.kind.as_str()) && !control {
         return refused(service.door.why_only_look());
     }
     let (sender, answer) = oneshot::channel();

@@ -18,6 +18,7 @@ use super::{
     overview::Overviews,
     server::{self, Asking, Service},
     standing,
+    summing::{self, MANY_NETS, Opened},
 };
 use cli_common::page::{self, Front, Kind, Served, Setting};
 
@@ -38,6 +39,7 @@ pub(super) struct NetDisplay {
     hub: Arc<Hub>,
     served: Option<Served>,
     orders: Option<mpsc::Receiver<Asking>>,
+    opened: Opened,
 }
 
 impl NetDisplay {
@@ -62,6 +64,7 @@ impl NetDisplay {
             args,
             served: None,
             orders: None,
+            opened: Opened::default(),
         })
     }
 
@@ -117,7 +120,12 @@ impl NetDisplay {
     fn nets(&self, cx: &Context) -> Vec<String> {
         let all = pnt::task::net_tasks(cx.app(), &cx.registry());
         match &self.args.nets {
-            Some(wanted) => all.into_iter().filter(|net| wanted.contains(net)).collect(),
+            Some(wanted) => {
+                // What stands for a net at another site runs none itself.
+                let abroad = wanted.iter().filter(|net| net.contains('@'));
+                let here = all.into_iter().filter(|net| wanted.contains(net));
+                here.chain(abroad.cloned()).collect()
+            }
             None => all,
         }
     }
@@ -129,19 +137,32 @@ impl EventHandler for NetDisplay {
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        if page::is_needless(cx, phase) {
+        let pace = virtual_pace(cx, &self.args);
+        if pace.is_none() && page::is_needless(cx, phase) {
             return Ok(());
         }
         match phase {
             Phase::Create => self.open(cx)?,
             // Before the first firing, so that nothing is missed.
             Phase::Connect => {
-                for net in self.nets(cx) {
-                    let (child, hub) = (cx.clone(), self.hub.clone());
-                    cx.spawn(async move { follow(&child, &net, &hub).await });
+                let nets = self.nets(cx);
+                if nets.len() <= MANY_NETS {
+                    for net in nets {
+                        let (child, hub) = (cx.clone(), self.hub.clone());
+                        cx.spawn(async move { follow(&child, &net, &hub, None).await });
+                    }
                 }
-                let (child, hub) = (cx.clone(), self.hub.clone());
-                cx.spawn(async move { standing::follow(&child, &hub).await });
+                // The process that boots tells of an app in real time only.
+                if pace.is_none() {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { standing::follow(&child, &hub).await });
+                }
+                let summaries = scene_summary::sources(cx.app(), &cx.registry());
+                self.hub.expects_summaries(&summaries);
+                for source in summaries {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { summing::follow(&child, &source, &hub).await });
+                }
                 let sources = scene::follow::sources(cx.app(), &cx.registry());
                 self.hub.expects(&sources);
                 for source in sources {
@@ -151,10 +172,22 @@ impl EventHandler for NetDisplay {
                 if let Some(received) = self.orders.take() {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     let displays = self.args.displays(cx.app());
-                    cx.spawn(async move { orders::carry(&child, &hub, displays, received).await });
+                    let opened = self.opened.clone();
+                    cx.spawn(async move {
+                        orders::carry(&child, &hub, displays, &opened, received).await;
+                    });
                 }
             }
-            Phase::Run => self.analyse(cx),
+            Phase::Run => {
+                // What is wrong with many nets was told when the app was checked.
+                if self.nets(cx).len() <= MANY_NETS {
+                    self.analyse(cx);
+                }
+                if let Some(pace) = pace {
+                    let child = cx.clone();
+                    cx.spawn(async move { summing::keep_pace(&child, pace).await });
+                }
+            }
         }
         Ok(())
     }
@@ -163,19 +196,29 @@ impl EventHandler for NetDisplay {
         self.hub.end();
         if let Some(mut served) = self.served.take() {
             served.opener = None;
-            cx.sleep(FAREWELL).await;
+            match virtual_pace(cx, &self.args) {
+                Some(_) => summing::linger(FAREWELL),
+                None => cx.sleep(FAREWELL).await,
+            }
         }
         Ok(())
     }
 }
 
-/// Follows one net for good, through the end and the return of its chassis.
-async fn follow(cx: &Context, net: &str, hub: &Hub) {
+/// How fast virtual time goes for the page; `None` in real time, and where no page is served.
+fn virtual_pace(cx: &Context, args: &DisplayArgs) -> Option<f64> {
+    let is_virtual = cx.chassis().clock().origin_ns().is_none();
+    args.pace.filter(|_| is_virtual)
+}
+
+/// Follows one net through the end and the return of its chassis: for good, or as long as it is among those that were opened.
+pub(super) async fn follow(cx: &Context, net: &str, hub: &Hub, opened: Option<&Opened>) {
     loop {
-        if let Err(error) = stream(cx, net, hub).await {
-            hub.gone(net, &error.to_string());
-            cx.sleep(RETRY).await;
+        match stream(cx, net, hub, opened).await {
+            Ok(()) => return hub.leave(net),
+            Err(error) => hub.gone(net, &error.to_string()),
         }
+        cx.sleep(RETRY).await;
     }
 }
 
@@ -192,24 +235,34 @@ fn keep_messages(cx: &Context, view: &NetView) {
     });
 }
 
-async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
+/// Ends without an error when the net is not to be followed any more.
+async fn stream(cx: &Context, net: &str, hub: &Hub, opened: Option<&Opened>) -> Handled {
     let to = cx.task(net).await?;
     let view = cx.call(&to, Describe {}).deadline(SILENCE).await?;
     let mut after = None;
     let mut view = Some(view);
-    loop {
+    while opened.is_none_or(|opened| opened.has(net)) {
         let follow = Follow {
             after,
             patience_ms: PATIENCE_MS,
         };
         let mut batch = cx.call(&to, follow).deadline(SILENCE).await?;
         after = Some(batch.mark);
+        // A net at another site is called otherwise there.
+        if let Some(state) = &mut batch.state {
+            net.clone_into(&mut state.net);
+        }
         if view.is_some()
             && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
         {
-            // Nodes may have been moved since the net read where they are.
-            arrange::pin(cx, &mut view);
-            keep_messages(cx, &view);
+            if net.contains('@') {
+                // The tasks that it asks are there, and not here.
+                net.clone_into(&mut view.name);
+            } else {
+                // Nodes may have been moved since the net read where they are.
+                arrange::pin(cx, &mut view);
+                keep_messages(cx, &view);
+            }
             hub.describe(view, state)?;
             hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
         }
@@ -220,4 +273,5 @@ async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
         }
         hub.take(net, batch)?;
     }
+    Ok(())
 }

@@ -6,6 +6,7 @@ use pnt::{
     stream::{Event, NetView, State},
 };
 use scene::track::{SceneStep, Shown};
+use scene_summary::Step;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -34,6 +35,8 @@ pub(crate) enum Told<'t> {
         plans: Vec<plans::Named<'t>>,
         /// How many tasks show something of the scene.
         scenes: usize,
+        /// The tasks that sum up those below them.
+        summaries: Vec<&'t str>,
         /// When the app began, ns since 1970; not known of a record.
         origin_ns: Option<u64>,
     },
@@ -98,6 +101,12 @@ pub(crate) enum Told<'t> {
     },
     /// It cannot be seen.
     Dark { source: &'t str, reason: &'t str },
+    /// What a task sums up, or what of it has changed.
+    Summary { source: &'t str, step: &'t Step },
+    /// It cannot be asked.
+    Unsummed { source: &'t str, reason: &'t str },
+    /// A net is not followed any more.
+    Left { net: &'t str },
     /// A picture of a camera.
     Picture { picture: &'t Shown },
     /// The app has ended.
@@ -269,7 +278,7 @@ impl TaskLine {
 /// What a page asks for.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(crate) struct Asked {
-    /// `task`, or an order for a net.
+    /// `task` or `follow`, which only look; or an order for a net or a task.
     pub(crate) kind: String,
     /// Its number on this connection, for the answer.
     #[serde(default)]
@@ -295,6 +304,11 @@ pub(crate) struct Asked {
     pub(crate) display: Option<String>,
     #[serde(default)]
     pub(crate) at: Option<[f64; 2]>,
+    /// A question that waits for a person, and what is decided.
+    #[serde(default)]
+    pub(crate) key: String,
+    #[serde(default)]
+    pub(crate) choice: String,
     /// A command for the net's tape, word by word.
     #[serde(default)]
     pub(crate) words: Vec<String>,

@@ -92,6 +92,8 @@ pub struct App {
     name: String,
     client: Option<Client>,
     daemons: Vec<String>,
+    /// What stands for tasks at other sites; daemons may be among them.
+    abroad: Vec<String>,
     entry: String,
     interrupt: Interrupt,
     classes: Option<Vec<ClassInfo>>,
@@ -111,6 +113,7 @@ impl App {
             place,
             client: Some(client),
             daemons: Vec::new(),
+            abroad: Vec::new(),
             entry: String::new(),
             interrupt,
             classes: None,
@@ -128,11 +131,13 @@ impl App {
         let view = remote::view(client)?;
         self.name.clone_from(&view.app);
         self.daemons = daemons(&view);
-        let Some(first) = self.daemons.first() else {
+        let tasks = view.tasks.iter().map(|task| &task.name);
+        self.abroad = tasks.filter(|name| name.contains('@')).cloned().collect();
+        let Some(first) = self.daemons.first().or(self.abroad.first()) else {
             return Err(AttachError::NoDaemon(self.name.clone()));
         };
         let wanted = self.place.daemon.as_ref().unwrap_or(first);
-        if !self.daemons.contains(wanted) {
+        if !self.daemons.contains(wanted) && !self.abroad.contains(wanted) {
             return Err(AttachError::NoSuchDaemon {
                 app: self.name.clone(),
                 name: wanted.clone(),
@@ -280,7 +285,9 @@ impl App {
         };
         match word.parse::<ObjectName>() {
             Ok(name) => match name.location() {
-                Location::Alias(daemon) if self.daemons.contains(daemon) => {
+                Location::Alias(daemon)
+                    if self.daemons.contains(daemon) || self.abroad.contains(daemon) =>
+                {
                     let local = format!("{} {rest}", name.local());
                     (daemon.clone(), local, Some(name.clone()))
                 }
@@ -526,6 +533,7 @@ mod tests {
             name: "cell".to_owned(),
             client: None,
             daemons: vec!["desk".to_owned(), "cage".to_owned()],
+            abroad: vec!["d1@north".to_owned()],
             entry: "desk".to_owned(),
             interrupt: Interrupt::default(),
             classes: None,
@@ -542,6 +550,7 @@ mod tests {
         };
         let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
         assert_eq!(to("foo.a@cage  EXEC now"), pair("cage", "foo.a  EXEC now"));
+        assert_eq!(to("foo.a@d1@north EXEC"), pair("d1@north", "foo.a EXEC"));
         // The first one's dictionary knows more names of daemons, and which one serves a class.
         assert_eq!(to("foo.a@d1 EXEC"), pair("desk", "foo.a@d1 EXEC"));
         assert_eq!(to("FOO.a EXEC"), pair("desk", "FOO.a EXEC"));

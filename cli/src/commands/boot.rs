@@ -61,7 +61,8 @@ pub struct BootArgs {
     /// Record messages, phases, firings, log lines and the scene to FILE; each process puts its name before the extension
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
-    /// Serve a page that shows the nets, from a chassis of its own; at ADDRESS, or on the loopback
+    /// Serve a page that shows the nets, from a chassis of its own; at ADDRESS, or on the loopback. In virtual time the app
+    /// then runs no faster than the clock
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = DISPLAY)]
     pub display: Option<SocketAddr>,
     /// Serve the scene, the pictures and the joints to Foxglove and Lichtblick, from a chassis of its own; at ADDRESS, or on
@@ -121,7 +122,8 @@ const FOXGLOVE: &str = "127.0.0.1:8765";
 /// What a display is, as `--set` texts, which reach every chassis.
 fn display_sets(listen: SocketAddr, allow_control: bool) -> [String; 2] {
     let handler = cli_display::HANDLER;
-    let args = format!("{{ listen = \"{listen}\", allow_control = {allow_control} }}");
+    // The pace counts in virtual time only.
+    let args = format!("{{ listen = \"{listen}\", allow_control = {allow_control}, pace = 1.0 }}");
     [
         "chassis.display={ restart = \"on-failure\" }".to_owned(),
         format!("task.display={{ handler = \"{handler}\", on = \"display\", args = {args} }}"),
@@ -209,7 +211,13 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             && let Ok(app) = program::app(&args.app.selection())
         {
             let nets = pnt::task::net_tasks(&app, &registry).into_iter();
-            let allow = nets.map(|net| format!("task.{net}.args.allow_control=true"));
+            let allows = |net: &String| {
+                let task = app.task(net);
+                let allows = task.and_then(|task| task.args.get("allow_control")?.as_bool());
+                allows == Some(true)
+            };
+            let others = nets.filter(|net| !allows(net));
+            let allow = others.map(|net| format!("task.\"{net}\".args.allow_control=true"));
             args.app.sets.extend(allow);
         }
     }

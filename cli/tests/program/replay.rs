@@ -153,7 +153,7 @@ fn run_and_replay(file: &Path, seed: u64, faults: &str) -> Replayed {
         // It records 25 pictures a second.
         Some(_) if file.ends_with("tracker.toml") || file.ends_with("tracker-grasp.toml") => 2,
         Some(_) if std::env::var_os("CTOS_REPLAY_SEEDS").is_some() => 60,
-        Some(_) => 20,
+        Some(_) => 12,
         None => 3,
     };
     let setup = Setup {

@@ -254,6 +254,10 @@ const WAYS: &[(&str, Then)] = &[
         "ctos sim configs/fleet.toml --seeds 0..5 --faults configs/fleet/rough.toml",
         Ends,
     ),
+    (
+        "ctos boot configs/fleet.toml --display --allow-control",
+        GoesOn,
+    ),
 ];
 
 /// Lines for an arm in another process: one that boots its app, and one for that when it is up.
@@ -357,6 +361,18 @@ const HELLO: &[(&str, Then)] = &[
     (
         "ctos boot configs/calibrate-ros2.toml",
         Refused(3, "--features ros2"),
+    ),
+    (
+        "ctos boot configs/sites/north.toml",
+        Refused(3, "--features zenoh"),
+    ),
+    (
+        "ctos boot configs/sites/south.toml --profile display",
+        Refused(3, "--features zenoh"),
+    ),
+    (
+        "ctos boot configs/sites/west.toml",
+        Refused(3, "--features zenoh"),
     ),
 ];
 

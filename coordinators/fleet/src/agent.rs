@@ -18,7 +18,10 @@ use pnt::task::{Control, Order, PutOnce, RequestId, put_once};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    wire::{Attempt, Begin, Holds, Install, Job, Lend, MayBegin, Offer, Outcome, Report},
+    table,
+    wire::{
+        Attempt, Begin, Configure, Holds, Install, Job, Lend, MayBegin, Offer, Outcome, Report,
+    },
     world::{self, World},
 };
 
@@ -312,7 +315,12 @@ impl Cell {
                     number: held.epoch,
                 },
                 symbol: CARRY.to_owned(),
-                arguments: vec![number.to_string(), held.epoch.to_string(), from, to],
+                arguments: vec![
+                    number.to_string(),
+                    held.epoch.to_string(),
+                    from.to_string(),
+                    to.to_string(),
+                ],
             };
             let answer = loop {
                 match put_once(cx, &self.args.net, &put, LONGEST).await {
@@ -370,7 +378,35 @@ impl Cell {
         });
     }
 
-    /// Replaces the net.
+    /// Has the net replaced by another one.
+    async fn replace(&self, cx: &Context, install: Install) -> Result<(), String> {
+        let order = Order::Replace {
+            file: install.file,
+            text: install.text,
+            within_ms: u64::try_from(REPLACED_WITHIN.as_millis()).unwrap_or(u64::MAX),
+        };
+        let by = cx.name().to_owned();
+        let control = Control { order, by };
+        let done = ask(cx, &self.args.net, control, REPLACED_WITHIN + ANSWER).await;
+        done.map(|_| ()).map_err(|error| error.to_string())
+    }
+
+    /// Gives a task of the cell other arguments, as soon as it can be reached.
+    async fn configure(&self, cx: &Context, task: &str, install: Install) -> Result<(), String> {
+        let Install { file, text, .. } = install;
+        let device = table::beside(cx.name(), task);
+        let until = cx.now() + REPLACED_WITHIN;
+        loop {
+            let (file, text) = (file.clone(), text.clone());
+            match ask(cx, &device, Configure { file, text }, ANSWER).await {
+                Ok(taken) => return taken,
+                Err(_) if cx.now() < until => cx.sleep(AGAIN).await,
+                Err(error) => return Err(error.to_string()),
+            }
+        }
+    }
+
+    /// Installs what the operator asks for.
     async fn install(
         &self,
         cx: &Context,
@@ -387,26 +423,18 @@ impl Cell {
         while !self.state.borrow().is_free() {
             cx.sleep(AGAIN).await;
         }
-        let order = Order::Replace {
-            file: install.file,
-            text: install.text,
-            within_ms: u64::try_from(REPLACED_WITHIN.as_millis()).unwrap_or(u64::MAX),
+        let (order, version) = (install.order, install.version);
+        let changed = match install.task.clone() {
+            Some(task) => self.configure(cx, &task, install).await,
+            None => self.replace(cx, install).await,
         };
-        let by = cx.name().to_owned();
-        if let Err(error) = ask(
-            cx,
-            &self.args.net,
-            Control { order, by },
-            REPLACED_WITHIN + ANSWER,
-        )
-        .await
-        {
-            return Ok(Err(error.to_string()));
+        if let Err(why) = changed {
+            return Ok(Err(why));
         }
         let state = {
             let mut state = self.state.borrow_mut();
-            state.order = install.order;
-            state.version = install.version;
+            state.order = order;
+            state.version = version;
             state.clone()
         };
         cx.keep(&state).await?;

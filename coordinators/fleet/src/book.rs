@@ -9,10 +9,13 @@ use std::{collections::BTreeMap, time::Duration};
 use ctos::time::Instant;
 use serde::{Deserialize, Serialize};
 
-use crate::wire::{Attempt, Job, JobNumber, Outcome, Report};
+use crate::wire::{Attempt, Job, JobNumber, Judge, Outcome, Overdue, Report};
 
 /// So often a job is tried that cells could not do; then it has failed.
 const TRIES: usize = 3;
+
+/// What a cell began while its lease held has ended so long after the lease.
+const LAST_STEP: Duration = Duration::from_secs(60);
 
 /// Where a job stands.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,6 +37,8 @@ pub enum Stand {
         cell: String,
         /// The epoch.
         epoch: u64,
+        /// When the lease has ended for sure, by the operator's clock, ns.
+        until_ns: u64,
     },
     /// It has ended, and the company does not know yet.
     Over(Outcome),
@@ -61,6 +66,8 @@ pub struct Book {
     jobs: BTreeMap<JobNumber, Entry>,
     /// Jobs that ended as they should, and otherwise.
     ended: (u64, u64),
+    /// How often a cell died.
+    deaths: u64,
 }
 
 fn at(moment: Instant) -> u64 {
@@ -111,10 +118,16 @@ impl Book {
         };
         match &entry.stand {
             Stand::Lent {
-                cell, epoch: lent, ..
+                cell,
+                epoch: lent,
+                until_ns,
             } if *lent == epoch => {
-                let cell = cell.clone();
-                entry.stand = Stand::Begun { cell, epoch };
+                let (cell, until_ns) = (cell.clone(), *until_ns);
+                entry.stand = Stand::Begun {
+                    cell,
+                    epoch,
+                    until_ns,
+                };
                 true
             }
             Stand::Begun { epoch: begun, .. } => *begun == epoch,
@@ -150,6 +163,60 @@ impl Book {
         }
     }
 
+    /// Jobs that have begun, and whose cell has not said how they ended although no step of it can go on any more.
+    pub fn overdue(&self, now: Instant) -> impl Iterator<Item = Overdue> {
+        let last = at(now);
+        self.jobs.values().filter_map(move |entry| {
+            let Stand::Begun {
+                cell,
+                epoch,
+                until_ns,
+            } = &entry.stand
+            else {
+                return None;
+            };
+            let over_ns = until_ns.saturating_add(at(Instant::START + LAST_STEP));
+            (over_ns <= last).then(|| Overdue {
+                job: entry.job.clone(),
+                epoch: *epoch,
+                cell: cell.clone(),
+            })
+        })
+    }
+
+    /// A person has seen how a job ended that is [overdue](Self::overdue). What the cell says later changes nothing.
+    ///
+    /// # Errors
+    /// The job is not overdue.
+    pub fn judge(&mut self, judge: &Judge, now: Instant) -> Result<(), String> {
+        let Judge {
+            job,
+            epoch,
+            carried,
+        } = *judge;
+        let overdue = self.overdue(now).find(|one| one.job.number == job);
+        let Some(Overdue { cell, .. }) = overdue.filter(|one| one.epoch == epoch) else {
+            return Err(format!(
+                "job {job} does not wait for a person: it has ended, or its cell may still say how it ended"
+            ));
+        };
+        let outcome = match carried {
+            true => Outcome::Carried,
+            false => Outcome::NotCarried,
+        };
+        let attempt = Attempt {
+            cell,
+            version: 0,
+            outcome,
+        };
+        self.report(Report {
+            job,
+            epoch,
+            attempt,
+        });
+        Ok(())
+    }
+
     /// Takes back a job that was lent under an epoch and has not begun.
     pub fn take_back(&mut self, job: JobNumber, epoch: u64) {
         if let Some(entry) = self.jobs.get_mut(&job)
@@ -159,8 +226,9 @@ impl Book {
         }
     }
 
-    /// Takes back what a cell has that is gone and has not begun. Returns those jobs.
+    /// A cell has died: takes back what it has and has not begun. Returns those jobs.
     pub fn gone(&mut self, gone: &str) -> Vec<JobNumber> {
+        self.deaths += 1;
         self.take_back_if(|cell, _| cell == gone)
     }
 
@@ -185,7 +253,7 @@ impl Book {
     /// The clock has begun anew, with the app: leases count from now on.
     pub fn begin_again(&mut self, now: Instant, lease: Duration) {
         for entry in self.jobs.values_mut() {
-            if let Stand::Lent { until_ns, .. } = &mut entry.stand {
+            if let Stand::Lent { until_ns, .. } | Stand::Begun { until_ns, .. } = &mut entry.stand {
                 *until_ns = (*until_ns).min(at(now + lease));
             }
         }
@@ -224,6 +292,12 @@ impl Book {
     pub fn ended(&self) -> (u64, u64) {
         self.ended
     }
+
+    /// How often a cell died.
+    #[must_use]
+    pub fn deaths(&self) -> u64 {
+        self.deaths
+    }
 }
 
 #[cfg(test)]
@@ -235,8 +309,8 @@ mod tests {
     fn job(number: JobNumber) -> Job {
         Job {
             number,
-            from: "1,1".to_owned(),
-            to: "2,2".to_owned(),
+            from: "1,1".into(),
+            to: "2,2".into(),
         }
     }
 
@@ -272,6 +346,38 @@ mod tests {
     }
 
     #[test]
+    fn a_person_says_how_a_job_ended_only_when_its_cell_can_do_nothing_more_and_the_cell_changes_nothing_then()
+     {
+        let mut book = Book::default();
+        book.take(1, job(7));
+        let begun = Instant::START;
+        let epoch = book.lend(7, "a", begun, LEASE).unwrap();
+        let judge = |carried| Judge {
+            job: 7,
+            epoch,
+            carried,
+        };
+        let late = begun + LEASE + LAST_STEP;
+        assert!(book.judge(&judge(true), late).is_err(), "it has not begun");
+        assert!(book.begin(7, epoch));
+        assert_eq!(book.overdue(begun + LEASE).count(), 0);
+        assert!(book.judge(&judge(true), begun + LEASE).is_err());
+        let overdue: Vec<_> = book.overdue(late).map(|one| one.cell).collect();
+        assert_eq!(overdue, ["a"]);
+        let other = Judge {
+            epoch: epoch + 1,
+            ..judge(true)
+        };
+        assert!(book.judge(&other, late).is_err());
+        assert_eq!(book.judge(&judge(false), late), Ok(()));
+        book.report(report(7, epoch, Outcome::Carried));
+        let again = book.lend(7, "b", late, LEASE);
+        assert_eq!(again, Some(epoch + 1), "it is tried again elsewhere");
+        assert!(!book.begin(7, epoch));
+        assert!(book.judge(&judge(true), late).is_err());
+    }
+
+    #[test]
     fn a_job_is_taken_once_however_often_it_is_given() {
         let mut book = Book::default();
         assert_eq!(book.take(1, job(7)), 1);
@@ -288,7 +394,7 @@ mod tests {
         /// Whatever is said in whatever order, also late and twice, one epoch of a job at most is told that it may begin
         /// and not told to end before another one is.
         #[test]
-        fn no_two_epochs_of_a_job_may_begin(said in prop::collection::vec((0_u8..6, 1_u64..6), 1..60)) {
+        fn no_two_epochs_of_a_job_may_begin(said in prop::collection::vec((0_u8..7, 1_u64..6), 1..60)) {
             let mut book = Book::default();
             book.take(1, job(1));
             let (mut now, mut begun) = (Instant::START, None);
@@ -308,6 +414,13 @@ mod tests {
                     }
                     3 => { book.gone("a"); }
                     4 => { book.expire(now); now = now + LEASE / 2; }
+                    5 => {
+                        let judge = Judge { job: 1, epoch, carried: false };
+                        if book.judge(&judge, now).is_ok() {
+                            prop_assert_eq!(begun, Some(epoch));
+                            begun = None;
+                        }
+                    }
                     _ => book.take_back(1, epoch),
                 }
             }

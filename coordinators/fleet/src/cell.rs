@@ -5,12 +5,9 @@
 //! - `set_down`: the step of that name, while the lease holds. What it did is not known when it fails;
 //! - `settle`: nothing more happens for this job; succeeds if the disc lies where it shall.
 
-use std::{future::Future, pin::Pin, rc::Rc, sync::Arc, time::Duration};
+use std::{future::Future, pin::Pin, rc::Rc, time::Duration};
 
-use ctos::{
-    registry::Registry,
-    task::{Context, HandlerError},
-};
+use ctos::{registry::Registry, task::HandlerError};
 use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 
@@ -82,18 +79,6 @@ fn job(action: &Action<()>) -> Result<(JobNumber, u64), HandlerError> {
     }
 }
 
-/// The times, which all nets of a chassis share.
-fn times(cx: &Context, file: &str) -> Result<Arc<Times>, HandlerError> {
-    let key = format!("fleet times {file}");
-    if let Some(known) = cx.shared::<Times>(&key) {
-        return Ok(known);
-    }
-    let read = Times::read(cx.app(), file);
-    let times = Arc::new(read.map_err(|findings| findings.to_string())?);
-    cx.share(&key, Arc::clone(&times));
-    Ok(times)
-}
-
 async fn step(action: Action<()>, args: Rc<Args>) -> Acted {
     let name = action.transition().to_owned();
     done(&action, &args, &name).await
@@ -102,7 +87,7 @@ async fn step(action: Action<()>, args: Rc<Args>) -> Acted {
 /// Has the device do a step.
 async fn done(action: &Action<()>, args: &Args, step: &str) -> Acted {
     let (cx, (job, epoch)) = (action.cx(), job(action)?);
-    let times = times(cx, &args.times)?;
+    let times = Times::shared(cx, &args.times)?;
     let known = times.step.get(step);
     let known = known.ok_or_else(|| format!("no time was recorded for the step `{step}`"))?;
     let device = format!("{}.{}", args.cell, known.by);
@@ -143,7 +128,7 @@ async fn set_down(action: Action<()>, args: Rc<Args>) -> Acted {
 
 async fn settle(action: Action<()>, args: Rc<Args>) -> Acted {
     let (cx, (job, epoch)) = (action.cx(), job(&action)?);
-    let times = times(cx, &args.times)?;
+    let times = Times::shared(cx, &args.times)?;
     let known = times.step.get(SET_DOWN);
     let by = known.map_or("hand", |known| known.by.as_str());
     let device = format!("{}.{by}", args.cell);

@@ -1,29 +1,34 @@
-//! The company: issues jobs, gives each to a site for good, and hears how they ended. It rolls out new versions, and ends
-//! the app with what the referee counts.
+//! The company: issues jobs, gives each to a site for good, and hears how they ended. It rolls out new versions, sums up for
+//! displays, and ends the app with what the referee counts.
 
 use std::{
     cell::RefCell,
     collections::{BTreeMap, BTreeSet},
     rc::Rc,
+    sync::Arc,
     time::Duration,
 };
 
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
+    message::Replier,
     registry::Registry,
     system::AppResult,
     task::{Context, Durable, Handled, HandlerError, Handover, Phase},
+    time::Instant,
 };
+use scene_summary::{Decide, Step, SumUp};
 use serde::{Deserialize, Serialize};
 
 use crate::{
     agent::{self, CARRY, ask},
     operator::turn,
-    rollout::{Plan, Rollout, Stage},
-    wire::{
-        Attempt, Counts, Ended, Install, Job, JobNumber, Look, Outcome, Overview, Seek, Take, Turn,
-    },
+    rollout::{Plan, Rollout, Stage, What},
+    stand_in,
+    sums::{Jobs, Sums, decided},
+    table,
+    wire::{Attempt, Ended, Install, Job, JobNumber, Judge, Look, Outcome, Seek, Take, Turn},
     world,
 };
 
@@ -36,13 +41,19 @@ const TURN: Duration = Duration::from_secs(1);
 /// How long an answer is waited for.
 const ANSWER: Duration = Duration::from_secs(5);
 
+/// Whoever has asked for a summary within this time looks on.
+const LOOKS_ON: Duration = Duration::from_secs(3);
+
+/// So many turns pass between two looks at the sites while nobody looks on.
+const SURVEY: u32 = 5;
+
 /// How long a cell may take to install something, with the ways there and back.
 const INSTALLED_WITHIN: Duration = Duration::from_secs(310);
 
 /// Fields of a board in a row.
 const FIELDS: u64 = 8;
 
-/// Version of the nets that cells begin with, and of the one that is rolled out.
+/// Version that cells begin with, and the one that is rolled out.
 const VERSIONS: (u64, u64) = (1, 2);
 
 /// Arguments.
@@ -72,8 +83,7 @@ fn spare() -> f64 {
 /// A job that a site has.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Open {
-    job: Job,
-    site: String,
+    site: Arc<str>,
     /// Its number among those given to that site.
     number: u64,
     /// The site has it for sure.
@@ -143,11 +153,50 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
         let text = "`baseline` and `first` of a rollout are counts".to_owned();
         wrong("rollout", text, "give 1 or more");
     }
-    for (key, net) in [("net", &plan.net), ("before", &plan.before)] {
-        if let Err(finding) = app.read(net) {
+    let Some(what) = plan.what() else {
+        let text = "a rollout does not say what goes out".to_owned();
+        let help = "give `net` and `before`, or `task` and `args`";
+        wrong("rollout", text, help);
+        return;
+    };
+    let files = match what {
+        What::Net { new, before } => vec![("net", new), ("before", before)],
+        What::Args { file, .. } => vec![("args", file)],
+    };
+    for (key, file) in files {
+        if let Err(finding) = app.read(file) {
             let place = task.args.locate(&format!("rollout.{key}"));
             findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
         }
+    }
+    if let What::Args { task: of, file } = what {
+        check_arguments(task, app, of, file, findings);
+    }
+}
+
+/// Finds what is wrong with arguments that go out to a task of each cell. Cells are replicas: the first one tells.
+fn check_arguments(task: &TaskConfig, app: &App, of: &str, file: &str, findings: &mut Findings) {
+    let Some(agent) = app.tasks_with(agent::HANDLER).next() else {
+        return;
+    };
+    let name = table::beside(&agent.name, of);
+    crate::need_task(task, app, "rollout.task", &name, findings);
+    let (Some(changed), Ok(source)) = (app.task(&name), app.read(file)) else {
+        return;
+    };
+    let place = task.args.locate("rollout.task");
+    let mut wrong = |text: String, help: &str| {
+        let finding = Finding::error("coordinators::fleet::company", text).help(help);
+        findings.push(finding.at(place.clone().unwrap_or_else(|| task.place.clone())));
+    };
+    if changed.handler != stand_in::HANDLER {
+        let text = format!("task `{name}` takes no other arguments while it runs");
+        wrong(text, "name a stand-in");
+    } else if !changed.durable {
+        let text = format!("task `{name}` would forget its new arguments when it is killed");
+        wrong(text, "give it `state = \"durable\"`");
+    } else {
+        stand_in::check_given(changed, app, &source, findings);
     }
 }
 
@@ -171,8 +220,12 @@ struct Desk {
 struct Seen {
     /// How many cells each site offers.
     sites: BTreeMap<String, u64>,
-    /// How the cells of each site stand.
-    overviews: BTreeMap<String, Overview>,
+    /// What operators have told of their cells.
+    sums: Sums,
+    /// When somebody last asked for a summary.
+    looked: Option<Instant>,
+    /// Who looks on has seen the end.
+    shown_end: bool,
     /// Sites that are just being given jobs.
     giving: BTreeSet<String>,
     /// Cells that are just being given an order.
@@ -209,22 +262,67 @@ impl Company {
         self.desk.finish(cx)
     }
 
+    /// Sites have more jobs than cells: the next ones have time until the next turn.
     #[command]
     fn ended(&mut self, cx: &Context, ended: Ended) {
         self.desk.ended(cx, &ended);
-        turn(cx);
     }
 
     #[command]
-    fn look(&mut self, _: Look) -> Overview {
-        self.desk.overview()
+    fn sum_up(&mut self, cx: &Context, SumUp { after }: SumUp) -> Step {
+        let (state, mut seen) = (self.desk.state.borrow(), self.desk.seen.borrow_mut());
+        seen.looked = Some(cx.now());
+        seen.shown_end = !self.desk.is_open(&state) && state.open.is_empty();
+        let rollout = self.desk.args.rollout.as_ref().zip(state.rollout.as_ref());
+        let jobs = Jobs {
+            issued: state.issued,
+            open: state.open.len(),
+            carried: state.carried,
+            failed: state.failed,
+            rollout,
+        };
+        seen.sums.since(after, &jobs, cx.now())
+    }
+
+    #[command]
+    fn decide(&mut self, cx: &Context, decide: Decide, reply: Replier<Decide>) -> Handled {
+        let Decide { key, choice, by } = decide;
+        let (site, job, epoch, carried) = match decided(&key, &choice) {
+            Ok(decided) => decided,
+            Err(why) => return reply.fail(why),
+        };
+        tracing::info!(by, site, job, choice, "a person has said how a job ended");
+        let here = cx.clone();
+        cx.spawn(async move {
+            let judge = Judge {
+                job,
+                epoch,
+                carried,
+            };
+            // Answering never fails; who is gone needs no answer.
+            let _ = match ask(&here, &site, judge, ANSWER).await {
+                Ok(Ok(())) => reply.ok(format!("job {job}: {choice}")),
+                Ok(Err(why)) => reply.fail(why),
+                Err(error) => reply.fail(error.to_string()),
+            };
+        });
+        Ok(())
     }
 }
 
 impl Desk {
     fn new(cx: &Context, args: Args) -> Self {
-        let cells = cx.app().tasks_with(agent::HANDLER).count();
-        let jobs = args.jobs_per_cell * u64::try_from(cells).unwrap_or(0);
+        let agents = cx.app().tasks_with(agent::HANDLER);
+        let nets = agents.filter_map(|agent| {
+            let net = agent.args.get("net")?.as_str()?;
+            Some((agent.name.clone(), net.to_owned()))
+        });
+        let nets: BTreeMap<String, String> = nets.collect();
+        let jobs = args.jobs_per_cell * u64::try_from(nets.len()).unwrap_or(0);
+        let seen = Seen {
+            sums: Sums::new(cx.now(), nets),
+            ..Seen::default()
+        };
         let rollout = args.rollout.is_some().then(|| Rollout::new(VERSIONS.1));
         let state = State {
             rollout,
@@ -233,7 +331,7 @@ impl Desk {
         Self {
             args: Rc::new(args),
             state: Rc::new(RefCell::new(state)),
-            seen: Rc::default(),
+            seen: Rc::new(RefCell::new(seen)),
             jobs,
         }
     }
@@ -247,11 +345,12 @@ impl Desk {
     /// Issues jobs to sites that have room.
     fn issue(&self, cx: &Context) {
         let (mut state, seen) = (self.state.borrow_mut(), self.seen.borrow());
-        let mut has: BTreeMap<String, u64> = BTreeMap::new();
+        let mut has: BTreeMap<Arc<str>, u64> = BTreeMap::new();
         for open in state.open.values() {
             *has.entry(open.site.clone()).or_default() += 1;
         }
         for (site, cells) in &seen.sites {
+            let name: Arc<str> = site.as_str().into();
             #[expect(
                 clippy::cast_precision_loss,
                 clippy::cast_possible_truncation,
@@ -259,7 +358,7 @@ impl Desk {
                 reason = "cells are few, and shares not negative"
             )]
             let spare = (*cells as f64 * self.args.spare).ceil() as u64;
-            let room = (cells + spare).saturating_sub(has.get(site).copied().unwrap_or(0));
+            let room = (cells + spare).saturating_sub(has.get(&*name).copied().unwrap_or(0));
             for _ in 0..room {
                 if !self.is_open(&state) {
                     return;
@@ -268,8 +367,7 @@ impl Desk {
                 let (number, given) = (state.issued, state.given.entry(site.clone()).or_default());
                 *given += 1;
                 let open = Open {
-                    job: job(number),
-                    site: site.clone(),
+                    site: name.clone(),
                     number: *given,
                     taken: false,
                 };
@@ -281,26 +379,32 @@ impl Desk {
 
     /// Gives each site the jobs that it has not taken, in order, each until it has.
     fn give(&self, cx: &Context) {
-        let mut wanted: BTreeMap<String, Vec<(u64, Job)>> = BTreeMap::new();
-        for open in self.state.borrow().open.values().filter(|open| !open.taken) {
+        let mut wanted: BTreeMap<Arc<str>, Vec<(u64, JobNumber)>> = BTreeMap::new();
+        for (job, open) in self
+            .state
+            .borrow()
+            .open
+            .iter()
+            .filter(|(_, open)| !open.taken)
+        {
             let of_site = wanted.entry(open.site.clone()).or_default();
-            of_site.push((open.number, open.job.clone()));
+            of_site.push((open.number, *job));
         }
         for (site, jobs) in wanted {
-            if !self.seen.borrow_mut().giving.insert(site.clone()) {
+            if !self.seen.borrow_mut().giving.insert(site.to_string()) {
                 continue;
             }
             let (desk, here) = (self.clone(), cx.clone());
             cx.spawn(async move {
-                for (number, job) in jobs {
+                for (number, of) in jobs {
                     let take = Take {
                         number,
-                        job: job.clone(),
+                        job: job(of),
                     };
                     match ask(&here, &site, take, ANSWER).await {
                         Ok(last) if last >= number => {
                             let mut state = desk.state.borrow_mut();
-                            if let Some(open) = state.open.get_mut(&job.number) {
+                            if let Some(open) = state.open.get_mut(&of) {
                                 open.taken = true;
                             }
                         }
@@ -308,7 +412,7 @@ impl Desk {
                         _ => break,
                     }
                 }
-                desk.seen.borrow_mut().giving.remove(&site);
+                desk.seen.borrow_mut().giving.remove(&*site);
             });
         }
     }
@@ -331,12 +435,23 @@ impl Desk {
                 .iter()
                 .for_each(|one: &Attempt| rollout.saw(one));
         }
+        self.seen.borrow_mut().sums.ended(cx.now());
         world::note(cx, |world| world.report(ended.job, ended.outcome));
+    }
+
+    /// Whether somebody looks at the summary.
+    fn is_looked_at(&self, now: Instant) -> bool {
+        let looked = self.seen.borrow().looked;
+        looked.is_some_and(|last| now.since(last) < LOOKS_ON)
     }
 
     /// Learns again and again which sites there are, and how their cells stand.
     async fn survey_for_ever(&self, cx: &Context) {
-        loop {
+        for turn in 0_u32.. {
+            if turn % SURVEY != 0 && !self.is_looked_at(cx.now()) {
+                cx.sleep(TURN).await;
+                continue;
+            }
             let seek = Seek {
                 service: CARRY.to_owned(),
                 wanted: "cells>0".to_owned(),
@@ -351,11 +466,12 @@ impl Desk {
             }
             let sites: Vec<String> = self.seen.borrow().sites.keys().cloned().collect();
             for site in sites {
-                if let Ok(overview) = ask(cx, &site, Look {}, ANSWER).await {
-                    self.seen.borrow_mut().overviews.insert(site, overview);
+                let after = self.seen.borrow().sums.mark(&site);
+                if let Ok(overview) = ask(cx, &site, Look { after }, ANSWER).await {
+                    self.seen.borrow_mut().sums.take(&site, overview);
                 }
             }
-            cx.sleep(TURN * 5).await;
+            cx.sleep(TURN).await;
         }
     }
 
@@ -365,14 +481,7 @@ impl Desk {
             return Ok(());
         };
         // Which site each cell is on; a cell that was never heard of gets the version when it is.
-        let sites: BTreeMap<String, String> = {
-            let seen = self.seen.borrow();
-            let each = seen.overviews.iter().flat_map(|(site, overview)| {
-                let cells = overview.each.iter();
-                cells.map(move |(cell, _)| (cell.clone(), site.clone()))
-            });
-            each.collect()
-        };
+        let sites = self.seen.borrow().sums.cells();
         let all: BTreeSet<String> = sites.keys().cloned().collect();
         let orders = {
             let mut state = self.state.borrow_mut();
@@ -397,21 +506,7 @@ impl Desk {
             if !self.seen.borrow_mut().ordering.insert(cell.clone()) {
                 continue;
             }
-            let (file, version) = match new {
-                true => (&plan.net, VERSIONS.1),
-                false => (&plan.before, VERSIONS.0),
-            };
-            let text = cx.app().read(file);
-            let install = Install {
-                cell: cell.clone(),
-                order,
-                version,
-                file: file.clone(),
-                text: text
-                    .map_err(|finding| finding.to_string())?
-                    .text()
-                    .to_owned(),
-            };
+            let install = install(cx.app(), plan, &cell, order, new)?;
             let (desk, here) = (self.clone(), cx.clone());
             cx.spawn(async move {
                 let installed = ask(&here, &site, install, INSTALLED_WITHIN).await;
@@ -432,6 +527,10 @@ impl Desk {
     fn finish(&self, cx: &Context) -> Handled {
         let state = self.state.borrow();
         if self.is_open(&state) || !state.open.is_empty() || self.seen.borrow().finished {
+            return Ok(());
+        }
+        // Who looks on sees how it ended.
+        if self.is_looked_at(cx.now()) && !self.seen.borrow().shown_end {
             return Ok(());
         }
         self.seen.borrow_mut().finished = true;
@@ -497,31 +596,43 @@ impl Desk {
         });
         Ok(())
     }
+}
 
-    fn overview(&self) -> Overview {
-        let (state, seen) = (self.state.borrow(), self.seen.borrow());
-        let mut counts = Counts::default();
-        let mut each = Vec::new();
-        for (site, overview) in &seen.overviews {
-            let of_site = &overview.counts;
-            counts.cells += of_site.cells;
-            counts.working += of_site.working;
-            counts.silent += of_site.silent;
-            counts.waiting += of_site.waiting;
-            let text = format!(
-                "{} cells: {} work, {} silent; {} jobs wait",
-                of_site.cells, of_site.working, of_site.silent, of_site.waiting
-            );
-            each.push((site.clone(), text));
+/// The order to a cell to take the new version, or to go back.
+fn install(
+    app: &App,
+    plan: &Plan,
+    cell: &str,
+    order: u64,
+    new: bool,
+) -> Result<Install, HandlerError> {
+    let what = plan.what().ok_or("a rollout does not say what goes out")?;
+    let (task, file) = match (what, new) {
+        (What::Net { new, .. }, true) => (None, new),
+        (What::Net { before, .. }, false) => (None, before),
+        (What::Args { task, file }, _) => (Some(task.to_owned()), file),
+    };
+    let goes_back = task.is_some() && !new;
+    let text = match goes_back {
+        true => String::new(),
+        false => {
+            let read = app.read(file).map_err(|finding| finding.to_string())?;
+            read.text().to_owned()
         }
-        (counts.carried, counts.failed) = (state.carried, state.failed);
-        Overview { counts, each }
-    }
+    };
+    Ok(Install {
+        cell: cell.to_owned(),
+        order,
+        version: if new { VERSIONS.1 } else { VERSIONS.0 },
+        task,
+        file: file.to_owned(),
+        text,
+    })
 }
 
 /// The job of a number: any two fields of a board that are not the same.
 fn job(number: JobNumber) -> Job {
-    let field = |at: u64| format!("{},{}", at % FIELDS + 1, at / FIELDS % FIELDS + 1);
+    let field = |at: u64| format!("{},{}", at % FIELDS + 1, at / FIELDS % FIELDS + 1).into();
     let from = number % (FIELDS * FIELDS);
     Job {
         number,

@@ -2,7 +2,7 @@
 //!
 //! [`table`] reads how many replicas of a cell there are. [`wire`] is what the tasks say to each other. A cell's
 //! [`agent`] offers its work to a [`trader`]; the [`operator`] of the site lends it jobs and keeps them in its [`book`];
-//! the [`company`] gives jobs to sites and rolls out new versions ([`rollout`]). A cell's net has its steps done by
+//! the [`company`] gives jobs to sites, rolls out new versions ([`rollout`]) and sums up (`sums`) for displays. A cell's net has its steps done by
 //! stand-ins, which take recorded times ([`stand_in`], [`cell`]). What is so, whatever they know, is the [`world`]: a
 //! referee counts there. `docs/fleet.md` tells how it fits together, and why no job is done twice.
 //!
@@ -15,6 +15,7 @@ pub mod company;
 pub mod operator;
 pub mod rollout;
 pub mod stand_in;
+mod sums;
 pub mod table;
 pub mod trader;
 pub mod wire;

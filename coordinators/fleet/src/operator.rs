@@ -14,14 +14,15 @@ use ctos::{
     registry::Registry,
     task::{Context, Durable, Handled, HandlerError, Handover, Phase, TaskRef},
 };
+use scene_summary::Mark;
 use serde::Deserialize;
 
 use crate::{
     agent::{CARRY, ask},
     book::{Book, Stand},
     wire::{
-        Begin, Counts, Ended, Install, JobNumber, Lend, Look, Offer, Overview, Report, Seek, Take,
-        Turn,
+        Begin, CellState, Counts, Ended, Install, JobNumber, Judge, Lend, Look, Offer, Overdue,
+        Overview, Report, Seek, Take, Turn,
     },
     world,
 };
@@ -84,6 +85,7 @@ pub(crate) fn register(registry: &mut Registry) {
                     args: Rc::new(cx.args()?),
                     book: Rc::default(),
                     seen: Rc::default(),
+                    run: cx.now().as_nanos(),
                 },
             })
         })
@@ -108,6 +110,10 @@ struct Seen {
     telling: BTreeSet<JobNumber>,
     /// The trader is just being asked.
     seeking: bool,
+    /// How each cell stood when it was last asked, and the change that it came with.
+    told: BTreeMap<String, (u64, CellState)>,
+    /// How many changes there were.
+    changes: u64,
 }
 
 /// The event handler.
@@ -121,6 +127,8 @@ struct Site {
     args: Rc<Args>,
     book: Rc<RefCell<Book>>,
     seen: Rc<RefCell<Seen>>,
+    /// When it began, ns: what it saw before is forgotten.
+    run: u64,
 }
 
 #[ctos::handler]
@@ -144,8 +152,7 @@ impl Operator {
     }
 
     #[command]
-    fn take(&mut self, cx: &Context, Take { number, job }: Take) -> u64 {
-        turn(cx);
+    fn take(&mut self, Take { number, job }: Take) -> u64 {
         self.site.book.borrow_mut().take(number, job)
     }
 
@@ -154,9 +161,9 @@ impl Operator {
         self.site.book.borrow_mut().begin(job, epoch)
     }
 
+    /// The cell is free, and says so to the trader, who is asked with the next turn.
     #[command]
-    fn report(&mut self, cx: &Context, report: Report) {
-        turn(cx);
+    fn report(&mut self, report: Report) {
         self.site.book.borrow_mut().report(report);
     }
 
@@ -168,8 +175,14 @@ impl Operator {
     }
 
     #[command]
-    fn look(&mut self, _: Look) -> Overview {
-        self.site.overview()
+    fn look(&mut self, cx: &Context, Look { after }: Look) -> Overview {
+        self.site.overview(cx, after)
+    }
+
+    #[command]
+    fn judge(&mut self, cx: &Context, judge: Judge) -> Result<Result<(), String>, HandlerError> {
+        turn(cx);
+        Ok(self.site.book.borrow_mut().judge(&judge, cx.now()))
     }
 
     #[command]
@@ -371,29 +384,53 @@ impl Site {
         }
     }
 
-    fn overview(&self) -> Overview {
-        let (book, seen) = (self.book.borrow(), self.seen.borrow());
-        let held: BTreeMap<&str, &Stand> = book
-            .entries()
-            .values()
-            .filter_map(|entry| Some((Book::holder(entry)?, &entry.stand)))
-            .collect();
-        let mut counts = Counts::default();
-        let mut each = Vec::new();
-        for (cell, there) in &seen.cells {
-            let state = match (there, held.get(cell.as_str())) {
-                (false, _) => "silent",
-                (true, Some(_)) => "works",
-                (true, None) => "idle",
+    fn overview(&self, cx: &Context, after: Option<Mark>) -> Overview {
+        let (book, mut seen) = (self.book.borrow(), self.seen.borrow_mut());
+        let overdue: Vec<Overdue> = book.overdue(cx.now()).collect();
+        let late: BTreeSet<&str> = overdue.iter().map(|one| one.cell.as_str()).collect();
+        let entries = book.entries().values();
+        let busy: BTreeSet<&str> = entries.filter_map(Book::holder).collect();
+        let mut counts = Counts {
+            waiting: u32::try_from(book.waiting().count()).unwrap_or(u32::MAX),
+            deaths: book.deaths(),
+            ..Counts::default()
+        };
+        (counts.carried, counts.failed) = book.ended();
+        let Seen {
+            cells,
+            told,
+            changes,
+            ..
+        } = &mut *seen;
+        for (cell, is_there) in cells.iter() {
+            let state = match (is_there, busy.contains(cell.as_str())) {
+                _ if late.contains(cell.as_str()) => CellState::Overdue,
+                (false, _) => CellState::Silent,
+                (true, true) => CellState::Working,
+                (true, false) => CellState::Idle,
             };
             counts.cells += 1;
-            counts.silent += u32::from(state == "silent");
-            counts.working += u32::from(state == "works");
-            each.push((cell.clone(), state.to_owned()));
+            counts.silent += u32::from(!*is_there);
+            counts.working += u32::from(state == CellState::Working);
+            if told.get(cell).is_none_or(|(_, known)| *known != state) {
+                *changes += 1;
+                told.insert(cell.clone(), (*changes, state));
+            }
         }
-        counts.waiting = u32::try_from(book.waiting().count()).unwrap_or(u32::MAX);
-        (counts.carried, counts.failed) = book.ended();
-        Overview { counts, each }
+        let since = after.filter(|mark| mark.run == self.run);
+        let since = since.map_or(0, |mark| mark.seq);
+        let new = told.iter().filter(|(_, (change, _))| *change > since);
+        Overview {
+            mark: Mark {
+                run: self.run,
+                seq: *changes,
+            },
+            counts,
+            cells: new
+                .map(|(cell, (_, state))| (cell.clone(), *state))
+                .collect(),
+            overdue,
+        }
     }
 }
 

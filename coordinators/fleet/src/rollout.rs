@@ -1,5 +1,5 @@
-//! A new version of a net goes out to more and more cells, and comes back by itself when it does worse. Data and rules
-//! only.
+//! A new version of a net, or of a task's arguments, goes out to more and more cells, and comes back by itself when it does
+//! worse. Data and rules only.
 //!
 //! The test is Wald's sequential probability ratio test (A. Wald, Sequential Tests of Statistical Hypotheses, 1945): the
 //! share of attempts that succeed is as before, against that share less `worse`. Both errors have the same bound. Each
@@ -19,9 +19,13 @@ const SHARES: (f64, f64) = (0.02, 0.98);
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     /// The net, relative to the configuration's folder.
-    pub net: String,
+    pub net: Option<String>,
     /// The net that goes back in, the same way.
-    pub before: String,
+    pub before: Option<String>,
+    /// The task of each cell that gets other arguments.
+    pub task: Option<String>,
+    /// The file with those that are other than the app's, relative to the configuration's folder.
+    pub args: Option<String>,
     /// So many attempts before it tell how good the present version is.
     #[serde(default = "baseline")]
     pub baseline: u64,
@@ -34,6 +38,48 @@ pub struct Plan {
     /// In so many cells it goes first; in twice as many more in each stage after.
     #[serde(default = "first")]
     pub first: usize,
+}
+
+/// What goes out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum What<'p> {
+    /// A net, in place of another one.
+    Net {
+        /// Its file.
+        new: &'p str,
+        /// That of the other one.
+        before: &'p str,
+    },
+    /// Arguments of a task of each cell, in place of the app's.
+    Args {
+        /// The task, without the name of its cell.
+        task: &'p str,
+        /// Their file.
+        file: &'p str,
+    },
+}
+
+impl Plan {
+    /// What goes out; `None` where the plan does not say so.
+    #[must_use]
+    pub fn what(&self) -> Option<What<'_>> {
+        let keys = [&self.net, &self.before, &self.task, &self.args];
+        match keys.map(Option::as_deref) {
+            [Some(new), Some(before), None, None] => Some(What::Net { new, before }),
+            [None, None, Some(task), Some(file)] => Some(What::Args { task, file }),
+            _ => None,
+        }
+    }
+
+    /// What goes out, in words.
+    #[must_use]
+    pub fn words(&self) -> String {
+        match self.what() {
+            Some(What::Net { new, .. }) => new.to_owned(),
+            Some(What::Args { task, file }) => format!("{file} of {task}"),
+            None => String::new(),
+        }
+    }
 }
 
 fn baseline() -> u64 {
@@ -104,10 +150,7 @@ pub enum Verdict {
 /// Wald's test of `successes` among `attempts`: share `good` against `bad`, both errors at most `error`.
 #[must_use]
 pub fn verdict((successes, attempts): (u64, u64), good: f64, bad: f64, error: f64) -> Verdict {
-    #[expect(clippy::cast_precision_loss, reason = "counts of attempts are small")]
-    let (won, lost) = (successes as f64, (attempts - successes) as f64);
-    let ratio = won * (bad / good).ln() + lost * ((1.0 - bad) / (1.0 - good)).ln();
-    let bound = ((1.0 - error) / error).ln();
+    let (ratio, bound) = (ratio((successes, attempts), good, bad), bound(error));
     if ratio >= bound {
         Verdict::Worse
     } else if ratio <= -bound {
@@ -115,6 +158,18 @@ pub fn verdict((successes, attempts): (u64, u64), good: f64, bad: f64, error: f6
     } else {
         Verdict::Open
     }
+}
+
+/// The statistic of the test: the logarithm of how much better `bad` explains what was seen than `good` does.
+fn ratio((successes, attempts): (u64, u64), good: f64, bad: f64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "counts of attempts are small")]
+    let (won, lost) = (successes as f64, (attempts - successes) as f64);
+    won * (bad / good).ln() + lost * ((1.0 - bad) / (1.0 - good)).ln()
+}
+
+/// Where the test ends: above it worse, below its negative as good.
+fn bound(error: f64) -> f64 {
+    ((1.0 - error) / error).ln()
 }
 
 impl Rollout {
@@ -142,6 +197,10 @@ impl Rollout {
             // What the board was like says nothing of the version.
             _ => return,
         };
+        // A person has seen how it ended; that says nothing of it either.
+        if attempt.version == 0 {
+            return;
+        }
         let counted = match (attempt.version == self.version, self.stage) {
             (true, _) => &mut self.after,
             (false, Stage::Before) => &mut self.before,
@@ -179,16 +238,49 @@ impl Rollout {
         }
     }
 
-    fn watch(&mut self, all: &BTreeSet<String>, plan: &Plan) {
+    /// The share that succeeded before, as the test takes it, and the share that is worse.
+    fn shares(&self, plan: &Plan) -> (f64, f64) {
         #[expect(clippy::cast_precision_loss, reason = "counts of attempts are small")]
         let share = self.before.0 as f64 / self.before.1.max(1) as f64;
         let good = share.clamp(SHARES.0, SHARES.1);
         let bad = (share * (1.0 - plan.worse)).clamp(SHARES.0 / 2.0, good * 0.99);
+        (good, bad)
+    }
+
+    /// How far it is, in words with the statistic of the test.
+    #[must_use]
+    pub fn words(&self, plan: &Plan) -> String {
+        let (won, tried) = self.before;
+        let (successes, attempts) = self.after;
+        match self.stage {
+            Stage::Before => format!(
+                "counts attempts before it: {won} of {tried} succeeded, {} are wanted",
+                plan.baseline
+            ),
+            Stage::Spreads => {
+                let (good, bad) = self.shares(plan);
+                format!(
+                    "in {} cells, {successes} of {attempts} attempts succeeded; test {:+.1}, worse at {:+.1}, as good at {:+.1}",
+                    self.followed.len(),
+                    ratio(self.after, good, bad),
+                    bound(plan.error),
+                    -bound(plan.error),
+                )
+            }
+            Stage::Returns => format!("goes back from {} cells: {}", self.cells.len(), self.why),
+            Stage::Reached => "is in all cells".to_owned(),
+            Stage::RolledBack => format!("was rolled back: {}", self.why),
+        }
+    }
+
+    fn watch(&mut self, all: &BTreeSet<String>, plan: &Plan) {
+        let (good, bad) = self.shares(plan);
         match verdict(self.after, good, bad, plan.error) {
             Verdict::Worse => {
+                let (won, tried) = self.before;
+                let before = format!("{won} of {tried}");
                 let (won, tried) = self.after;
-                let why =
-                    format!("{won} of {tried} attempts succeeded, before it {share:.3} of all");
+                let why = format!("{won} of {tried} attempts succeeded, before it {before}");
                 self.go_back(why);
             }
             Verdict::AsGood if self.followed == self.cells => {
@@ -272,8 +364,10 @@ mod tests {
 
     fn plan() -> Plan {
         Plan {
-            net: String::new(),
-            before: String::new(),
+            net: None,
+            before: None,
+            task: None,
+            args: None,
             baseline: 20,
             worse: 0.25,
             error: 0.001,

@@ -2,23 +2,31 @@
 //!
 //! The file of times says for each step what was recorded, where, and with which distribution it is drawn. A draw belongs
 //! to the step, the job and the epoch, so a restart changes none. The step that sets the disc down changes the
-//! [`world`](crate::world), unless its epoch was settled meanwhile.
+//! [`world`], unless its epoch was settled meanwhile.
+//!
+//! It takes other arguments while it runs, and knows them after a kill where its state is durable.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    rc::Rc,
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
 
 use ctos::{
-    config::{App, Node, TaskConfig},
-    diagnostic::{Finding, Findings},
+    config::{App, Entry, Node, TaskConfig, Value},
+    diagnostic::{Finding, Findings, Source},
     message::Replier,
     registry::Registry,
-    task::{Context, Handled, HandlerError},
+    task::{Context, Durable, Handled, HandlerError, Handover},
 };
 use rand::RngExt;
 use rand_distr::{Distribution, Normal};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::{
-    wire::{Do, Settle},
+    wire::{Configure, Do, Settle},
     world::{self, World},
 };
 
@@ -94,6 +102,22 @@ impl Times {
             _ => Err(findings),
         }
     }
+
+    /// The same, read once for all tasks of a simulated app.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn shared(cx: &Context, file: &str) -> Result<Arc<Self>, HandlerError> {
+        let path = Path::new("fleet times").join(file);
+        let kept = cx.disk().and_then(|disk| disk.open::<OnceLock<_>>(&path));
+        if let Some(times) = kept.as_ref().and_then(|kept| kept.get()) {
+            return Ok(Arc::clone(times));
+        }
+        let times = Self::read(cx.app(), file).map_err(|findings| findings.to_string())?;
+        let times = Arc::new(times);
+        kept.inspect(|kept| _ = kept.set(Arc::clone(&times)));
+        Ok(times)
+    }
 }
 
 impl Step {
@@ -123,13 +147,61 @@ struct Args {
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
     registry
-        .handler(HANDLER, &StandIn::COMMANDS, |cx| {
-            let args: Args = cx.args()?;
-            let times = Times::read(cx.app(), &args.times);
-            let times = times.map_err(|findings| HandlerError::new(findings.to_string()))?;
-            Ok(StandIn { args, times })
+        .durable(HANDLER, &StandIn::COMMANDS, |cx| {
+            let given = Given::default();
+            let (args, times) = given.read(cx)?;
+            Ok(StandIn { args, times, given })
         })
         .checked_args::<Args>(check);
+}
+
+/// Arguments that were given while the task runs.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Given {
+    file: String,
+    /// TOML; empty: none.
+    text: String,
+}
+
+impl Given {
+    /// What the task works with.
+    fn read(&self, cx: &Context) -> Result<(Rc<Args>, Arc<Times>), HandlerError> {
+        let wrong = |findings: Findings| HandlerError::new(findings.to_string());
+        let task = cx
+            .config()
+            .ok_or("a stand-in stands in the configuration")?;
+        let mut findings = Findings::new();
+        let source = Source::new(self.file.as_str(), self.text.as_str());
+        let laid = laid_over(task, &source, &mut findings);
+        match laid.args.parse_all::<Args>(&mut findings) {
+            Some(args) if !findings.has_errors() => {
+                let times = Times::shared(cx, &args.times)?;
+                Ok((Rc::new(args), times))
+            }
+            _ => Err(wrong(findings)),
+        }
+    }
+}
+
+/// A task with the arguments of a file over its own.
+fn laid_over(task: &TaskConfig, source: &Source, findings: &mut Findings) -> TaskConfig {
+    let new = Node::from_toml(source, findings);
+    let keeps = |entry: &&Entry| new.entry(&entry.key).is_none();
+    let kept = task.args.entries().iter().filter(keeps);
+    let entries = kept.chain(new.entries()).cloned().collect();
+    TaskConfig {
+        args: Node::from(Value::Table(entries)),
+        ..task.clone()
+    }
+}
+
+/// Finds what is wrong with arguments that a task shall be given while it runs.
+pub(crate) fn check_given(task: &TaskConfig, app: &App, source: &Source, findings: &mut Findings) {
+    let laid = laid_over(task, source, findings);
+    let Some(args) = laid.args.parse_all::<Args>(findings) else {
+        return;
+    };
+    check(&args, &laid, app, findings);
 }
 
 fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
@@ -150,8 +222,9 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
 
 /// The event handler.
 struct StandIn {
-    args: Args,
-    times: Times,
+    args: Rc<Args>,
+    times: Arc<Times>,
+    given: Given,
 }
 
 #[ctos::handler]
@@ -200,11 +273,49 @@ impl StandIn {
     }
 
     #[command]
+    fn configure(
+        &mut self,
+        cx: &Context,
+        configure: Configure,
+    ) -> Result<Result<(), String>, HandlerError> {
+        let Configure { file, text } = configure;
+        let given = Given { file, text };
+        Ok(match given.read(cx) {
+            Ok(read) => {
+                (self.args, self.times) = read;
+                self.given = given;
+                Ok(())
+            }
+            Err(error) => Err(error.to_string()),
+        })
+    }
+
+    #[command]
     fn settle(&mut self, cx: &Context, settle: Settle) -> Result<bool, HandlerError> {
         let Settle { job, epoch } = settle;
         world::see(cx, "whether the disc lies where it shall", |world| {
             world.settle(&self.args.cell, job, epoch)
         })
+    }
+}
+
+impl Handover for StandIn {
+    type State = Given;
+
+    fn hand_over(&mut self) -> Result<Given, HandlerError> {
+        Ok(self.state())
+    }
+
+    fn take_over(&mut self, cx: &Context, given: Given) -> Handled {
+        (self.args, self.times) = given.read(cx)?;
+        self.given = given;
+        Ok(())
+    }
+}
+
+impl Durable for StandIn {
+    fn state(&self) -> Given {
+        self.given.clone()
     }
 }
 

@@ -88,6 +88,18 @@ impl Expander for FleetExpander {
     }
 }
 
+/// The task of the same replica as `task` that is called `name` there: `cell3.hand` beside `cell3.agent`.
+#[must_use]
+pub fn beside(task: &str, name: &str) -> String {
+    format!("{}.{name}", replica(task))
+}
+
+/// The replica that a task belongs to: `cell3` of `cell3.agent`.
+#[must_use]
+pub fn replica(task: &str) -> &str {
+    task.rsplit_once('.').map_or(task, |(replica, _)| replica)
+}
+
 /// Findings without those that differ from an earlier one at the same place in the numbers of replicas only: what is written
 /// once for many is told once.
 #[must_use]

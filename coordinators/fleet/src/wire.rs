@@ -3,7 +3,10 @@
 //! A job goes from the company to a site once and for good, under a number of that site. The site's operator lends it to a
 //! cell, under an epoch that is never given twice. Nothing physical is done before the operator has said yes to that epoch.
 
+use std::sync::Arc;
+
 use ctos::message::Command;
+use scene_summary::Mark;
 use serde::{Deserialize, Serialize};
 
 /// Number of a job, from 1.
@@ -15,9 +18,9 @@ pub struct Job {
     /// Its number.
     pub number: JobNumber,
     /// `COLUMN,ROW` where the disc lies.
-    pub from: String,
+    pub from: Arc<str>,
     /// `COLUMN,ROW` where it shall lie.
-    pub to: String,
+    pub to: Arc<str>,
 }
 
 /// How work on a job ended: the answers of the net, which are those of `carry`, and one more.
@@ -66,7 +69,7 @@ impl Outcome {
 pub struct Attempt {
     /// The agent of the cell.
     pub cell: String,
-    /// The version of its net.
+    /// The version of its net and arguments; 0 where a person has said how it ended.
     pub version: u64,
     /// How it ended.
     pub outcome: Outcome,
@@ -203,8 +206,8 @@ pub struct Settle {
     pub epoch: u64,
 }
 
-/// Asks a cell for another version of its net, or its operator for that. Answered with the version that it runs, or with
-/// why it was refused.
+/// Asks a cell for another version of its net, or of the arguments of a task, or its operator for that. Answered with the
+/// version that it runs, or with why it was refused.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Command)]
 #[command(reply = Result<u64, String>, code = 0x010c)]
 pub struct Install {
@@ -214,10 +217,34 @@ pub struct Install {
     pub order: u64,
     /// The version.
     pub version: u64,
+    /// The task of the cell that gets other arguments; none: the net is replaced.
+    pub task: Option<String>,
     /// The name of its file.
     pub file: String,
-    /// Its text.
+    /// Its text; empty for the arguments of the app.
     pub text: String,
+}
+
+/// Gives a task of a cell other arguments over those of the app. Answered with why it does not take them.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Command)]
+#[command(reply = Result<(), String>, code = 0x010f)]
+pub struct Configure {
+    /// The name of their file.
+    pub file: String,
+    /// Its text; empty for the arguments of the app alone.
+    pub text: String,
+}
+
+/// A person has seen how a job ended whose cell does not say so. Answered with why that does not count.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Command)]
+#[command(reply = Result<(), String>, code = 0x0110)]
+pub struct Judge {
+    /// The job.
+    pub job: JobNumber,
+    /// The epoch under which it was lent.
+    pub epoch: u64,
+    /// Whether it was carried.
+    pub carried: bool,
 }
 
 /// How the cells of a site stand.
@@ -235,20 +262,53 @@ pub struct Counts {
     pub carried: u64,
     /// Jobs that ended otherwise.
     pub failed: u64,
+    /// How often a cell died.
+    pub deaths: u64,
 }
 
-/// Asks an operator, or the company, how its cells stand: one line for each site or cell, and all together.
+/// How a cell stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CellState {
+    /// It has no job.
+    Idle,
+    /// It has a job.
+    Working,
+    /// It is not heard of now.
+    Silent,
+    /// It has begun a job, and does not say how that ended: a person has to look.
+    Overdue,
+}
+
+/// A job that waits for a person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Overdue {
+    /// The job.
+    pub job: Job,
+    /// The epoch under which it was lent.
+    pub epoch: u64,
+    /// The agent of the cell that has begun it.
+    pub cell: String,
+}
+
+/// Asks an operator how its cells stand: all together, and each that stands otherwise than at a moment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, Command)]
 #[command(reply = Overview, code = 0x010d)]
-pub struct Look {}
+pub struct Look {
+    /// The moment; none: each of them.
+    pub after: Option<Mark>,
+}
 
-/// How many cells stand how, and each by itself.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// How many cells stand how, and which stand otherwise than before.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Overview {
+    /// What to look from next.
+    pub mark: Mark,
     /// All together.
     pub counts: Counts,
-    /// The state of each cell or site by its name.
-    pub each: Vec<(String, String)>,
+    /// Cells whose state is new.
+    pub cells: Vec<(String, CellState)>,
+    /// All jobs that wait for a person.
+    pub overdue: Vec<Overdue>,
 }
 
 /// A task tells itself that it is time to look what is to be done.

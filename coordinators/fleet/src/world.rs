@@ -103,6 +103,12 @@ impl World {
     pub fn settle(&mut self, cell: &str, job: JobNumber, epoch: u64) -> bool {
         let last = self.settled.entry(cell.to_owned()).or_default();
         *last = epoch.max(*last);
+        self.lies(cell, job)
+    }
+
+    /// Whether the disc of a job lies in a cell where it shall.
+    #[must_use]
+    pub fn lies(&self, cell: &str, job: JobNumber) -> bool {
         let fate = self.jobs.get(&job);
         fate.is_some_and(|fate| fate.effects.iter().any(|there| there == cell))
     }

@@ -14,11 +14,13 @@ use ctos::{
     config::{App, Expander, Selection},
     registry::Registry,
     simulation::{Fault, FaultKind, Faults, Setup, run_shared},
+    task::{Context, Handled, HandlerError, Phase},
     time::Instant,
 };
-use fleet::{agent::Leases, table::FleetExpander};
+use fleet::{agent::Leases, table::FleetExpander, world};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use scene_summary::{Decide, Mark, Question, Step, SumUp, Summary};
 
 /// The fleet with so many cells, and settings of one's own.
 fn app(cells: u64, profiles: &[&str], sets: &[&str]) -> App {
@@ -52,7 +54,16 @@ fn registry(leases: Leases) -> Arc<Registry> {
 }
 
 /// How a run ended: whether it was well, and what it said.
-fn ends(mut app: App, seed: u64, faults: Faults, leases: Leases) -> (bool, serde_json::Value) {
+fn ends(app: App, seed: u64, faults: Faults, leases: Leases) -> (bool, serde_json::Value) {
+    ends_with(app, seed, faults, registry(leases))
+}
+
+fn ends_with(
+    mut app: App,
+    seed: u64,
+    faults: Faults,
+    registry: Arc<Registry>,
+) -> (bool, serde_json::Value) {
     app.seed = seed;
     let setup = Setup {
         faults,
@@ -60,8 +71,7 @@ fn ends(mut app: App, seed: u64, faults: Faults, leases: Leases) -> (bool, serde
         ..Setup::default()
     };
     let observer: Observer = Arc::new(|_| ());
-    let run =
-        run_shared(Arc::new(app), registry(leases), setup, &observer).expect("chassis of the app");
+    let run = run_shared(Arc::new(app), registry, setup, &observer).expect("chassis of the app");
     match run.outcome.end {
         End::Finished(result) => {
             let json = serde_json::from_str(&result.json);
@@ -169,6 +179,145 @@ fn the_referee_finds_cells_that_ignore_their_leases() {
             .is_some_and(|jobs| !jobs.is_empty())
     });
     assert!(doubled);
+}
+
+/// A person who looks at the summary now and then, and answers each question by what lies on the board, or refuses to.
+struct Person;
+
+#[ctos::handler]
+impl Person {
+    #[phase]
+    async fn enters(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let here = cx.clone();
+            cx.spawn(async move {
+                let mut heard = Summary::default();
+                let mut after = None;
+                loop {
+                    here.sleep(Duration::from_secs(10)).await;
+                    // The company may just be away.
+                    let Ok(step) = sum_up(&here, after).await else {
+                        after = None;
+                        continue;
+                    };
+                    after = step.mark;
+                    heard.take(step);
+                    let whole = heard.since(None);
+                    for question in whole.questions.into_iter().flatten() {
+                        answer(&here, &question).await;
+                    }
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+async fn sum_up(cx: &Context, after: Option<Mark>) -> Result<Step, HandlerError> {
+    let company = cx.task("company").await?;
+    Ok(cx.call(&company, SumUp { after }).await?)
+}
+
+async fn answer(cx: &Context, question: &Question) {
+    let job = question.key.split(' ').nth(1).expect("a job");
+    let cell = question.text.split(' ').next().expect("a cell");
+    let job = job.parse().expect("a number");
+    let lies = world::see(cx, "the board", |world| world.lies(cell, job)).expect("a world");
+    let choice = if lies { "carried" } else { "not_carried" };
+    let company = cx.task("company").await.expect("a company");
+    let decide = |choice: &str| Decide {
+        key: question.key.clone(),
+        choice: choice.to_owned(),
+        by: "a person".to_owned(),
+    };
+    let refused = cx.call(&company, decide("perhaps")).await;
+    assert!(refused.is_err(), "{refused:?}");
+    // Somebody may have been faster, or the cell is back.
+    let _ = cx.call(&company, decide(choice)).await;
+}
+
+#[test]
+fn a_job_that_has_begun_in_a_cell_that_never_comes_back_is_settled_by_a_person_and_not_without() {
+    // Cells that die stay away longer than anybody waits.
+    let away = "fleet.cell.chassis.ws.restart_backoff_s=3600.0";
+    let person = [
+        away,
+        "chassis.desk={}",
+        "task.person={ handler = \"person\", on = \"desk\" }",
+    ];
+    let mut with_person = Registry::new();
+    fleet::register(&mut with_person);
+    pnt::store::keep_states(&mut with_person);
+    with_person.handler("person", &Person::COMMANDS, |_| Ok(Person));
+    let with_person = Arc::new(with_person);
+    let mut settled = 0;
+    for moment in 0..4 {
+        // A carry takes some 13 s: at these moments it has begun, is in its midst, and is about to end.
+        let when = at(10.0 + f64::from(moment) * 3.2);
+        let faults = || {
+            let kill = Fault::on("cell1.ws", FaultKind::Kill, when);
+            Faults::of_script("one dies for good", vec![kill])
+        };
+        let alone = ends(app(4, &[], &[away]), 1, faults(), Leases::Kept);
+        let (ok, said) = ends_with(app(4, &[], &person), 1, faults(), with_person.clone());
+        assert!(ok, "killed at {when}: {said}");
+        assert_eq!(said["jobs"], 20, "killed at {when}");
+        // Where nobody is, the app does not end before the cell is back.
+        let took = |said: &serde_json::Value| 20.0 / said["jobs_per_hour"].as_f64().unwrap_or(0.1);
+        settled += u32::from(took(&alone.1) > 0.9 && took(&said) < 0.3);
+    }
+    assert!(settled >= 2, "{settled} of 4");
+}
+
+#[test]
+fn worse_arguments_of_a_task_come_back_after_few_cells_and_better_ones_reach_all_under_kills() {
+    for seed in 0..2 {
+        let few = app(8, &["hasty-hand"], &[]);
+        let (ok, said) = ends(few, seed, Faults::none(), Leases::Kept);
+        assert!(ok, "seed {seed}: {said}");
+        assert_eq!(said["rollout"]["reached_all"], false, "seed {seed}: {said}");
+        assert_eq!(said["rollout"]["cells_at_most"], 2, "seed {seed}: {said}");
+        let all = app(8, &["gentle-hand"], &[]);
+        let (ok, said) = ends(all, seed, wild(seed, 8), Leases::Kept);
+        assert!(ok, "seed {seed}: {said}");
+        assert_eq!(said["rollout"]["reached_all"], true, "seed {seed}: {said}");
+    }
+}
+
+#[test]
+fn wrong_arguments_are_refused_by_the_check_with_their_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let found = |task: &str, text: &str| {
+        let file = folder.path().join("args.toml");
+        std::fs::write(&file, text).expect("a file");
+        let args = format!("task.company.args.rollout.args={:?}", file.display());
+        let task = format!("task.company.args.rollout.task={task:?}");
+        let app = app(2, &["hasty-hand"], &[&args, &task]);
+        registry(Leases::Kept).check(&app).to_string()
+    };
+    for (text, place, says) in [
+        ("\ntime = \"fleet/times.toml\"\n", "args.toml:2:1", "time"),
+        ("times = 3\n", "args.toml:1:9", "times"),
+        ("asks = [\"nobody\"]\n", "args.toml:1:9", "nobody"),
+        ("times = \"fleet/no.toml\"\n", "no.toml", "no.toml"),
+        ("times = [\n", "args.toml:", "args.toml"),
+    ] {
+        let told = found("hand", text);
+        assert!(
+            told.contains(place) && told.contains(says),
+            "{text}: {told}"
+        );
+    }
+    let told = found("agent", "needs_s = 1\n");
+    assert!(told.contains("takes no other arguments"), "{told}");
+    let told = found("mcs", "asks = []\n");
+    assert!(told.contains("would forget"), "{told}");
+    let told = found("foot", "asks = []\n");
+    assert!(told.contains("cell1.foot"), "{told}");
+    assert_eq!(
+        found("hand", "times = \"fleet/hand/gentle-times.toml\"\n"),
+        ""
+    );
 }
 
 #[test]

@@ -3,13 +3,15 @@
 //! `player` follows the plot, and has Coordinators do the rest: `vision` reads the board, `transform` says where its fields are,
 //! `robot` and `hand` carry discs, `speaker` tells people. Their nets stand in `configs/nets/checkers/`. In a dry game a
 //! `room` without physics is in the place of table, arm and person; `guest` is the hand of a person who plays from a display, to which
-//! `drawn` shows the table, and `symbols` what the player believes; `shown` puts what is there before cameras; `real` moves an arm and a gripper of a world with physics. `referee` holds the
+//! `drawn` shows the table, and `symbols` what the player believes; `shown` puts what is there before cameras; `real` moves
+//! an arm and a gripper of a world with physics, and `meddling` is what befalls them. `referee` holds the
 //! game against it. `wire` has what they exchange.
 
 mod coordinator;
 mod drawn;
 mod guest;
 mod hand;
+mod meddling;
 mod people;
 mod person;
 mod play;

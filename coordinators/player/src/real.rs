@@ -12,7 +12,7 @@ use ctos::{
     message::Command,
     task::{Context, HandlerError},
 };
-use mcs::client::{MotionError, Move, PathKind};
+use mcs::client::{MotionError, Move, PathKind, Target};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
@@ -21,8 +21,8 @@ use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
 const PADS_M: f64 = 0.016;
-/// So high, in the arm's base frame, the tool goes to and fro, m.
-const TRAVEL_M: f64 = 0.6;
+/// So high, in the arm's base frame, the tool goes to and fro, m: what it holds passes 70 mm above the highest stack.
+const TRAVEL_M: f64 = 0.53;
 /// The last of the ways down is gone gently, m.
 const GENTLE_M: f64 = 0.015;
 /// What is felt so little above where a disc should stand is that it stands, m.
@@ -35,6 +35,9 @@ const TOLERANCE_M: f64 = 0.004;
 /// Half the width of closed jaws, and how far from the disc they come down before they push it, m.
 const CLOSED_M: f64 = 0.012;
 const BESIDE_M: f64 = 0.004;
+/// Farther round than this the arm swings first, rad: the nearest joints to those of now may be those of an arm that reaches over its
+/// shoulder, and what it carries would be turned upside down on the way.
+const SWING: f64 = 2.0;
 /// What is nearer to where it is to be is not pushed, m.
 const THERE_M: f64 = 0.001;
 /// How long the jaws may take.
@@ -101,7 +104,7 @@ const fn speed() -> f64 {
 }
 
 const fn slow() -> f64 {
-    0.3
+    0.4
 }
 
 const fn gentle() -> f64 {
@@ -126,7 +129,7 @@ impl Stand {
     #[must_use]
     pub fn both(errand: &Errand, points: &[[f64; 2]; 2]) -> [Self; 2] {
         let [from, to] = *points;
-        let [under_from, under_to] = errand.below;
+        let [under_from, under_to] = errand.beneath();
         let stand = |at, spot: Spot, below: u8| {
             let floor = match spot {
                 Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
@@ -195,13 +198,28 @@ impl ArmArgs {
     /// With open jaws around what stands there, if it can be set down where it is to go.
     pub async fn reach(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Hindrance> {
         let of = |end: u8| move |failure: Failure| Hindrance::of(&failure, end);
-        self.above(cx, from).await.map_err(of(0))?;
-        self.is_in_reach(&self.arm(cx), to).await.map_err(of(1))?;
-        self.gripper.open(cx).await.map_err(of(0))?;
-        self.down(cx, from).await.map_err(|failure| {
+        let (mut turns, mut met) = (TURNS_DEG.as_slice(), None);
+        loop {
+            let turn = match self.above_turned(cx, from, turns).await {
+                Ok(turn) => turn,
+                // What was met on the way down says more than that there is no other turn.
+                Err(failure) => return Err(of(0)(met.unwrap_or(failure))),
+            };
+            self.is_in_reach(&self.arm(cx), to).await.map_err(of(1))?;
+            self.gripper.open(cx).await.map_err(of(0))?;
+            let Err(failure) = self.down(cx, from).await else {
+                return Ok(());
+            };
             let text = format!("something is in the way down: {}", failure.reason);
-            Hindrance::of(&Failure::new(failure.outcome, text), 0)
-        })
+            let outcome = failure.outcome;
+            let failure = Failure::new(outcome, text);
+            if outcome != Outcome::Guard {
+                return Err(of(0)(failure));
+            }
+            // Turned otherwise, the fingers may pass beside it.
+            turns = turns.get(turn + 1..).unwrap_or_default();
+            met = Some(failure);
+        }
     }
 
     /// Whether the arm can get down there from where it is.
@@ -311,17 +329,41 @@ impl ArmArgs {
             .await
     }
 
-    /// To above a place, turned so that the arm gets down there.
-    async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        self.above_turned(cx, stand, &TURNS_DEG).await
+    /// Turns about the vertical to the side of the table where a place is, if that is far round.
+    async fn swing(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
+        let now = arm.ask(|arm| async move { arm.position().await }).await?;
+        let around = |x: f64, y: f64| y.atan2(x);
+        let [x, y] = stand.at;
+        let by = around(x, y) - around(now.base_t_tool[3], now.base_t_tool[7]);
+        if by.abs() < SWING {
+            return Ok(());
+        }
+        let mut joints = now.joints;
+        if let Some(first) = joints.iter_mut().next() {
+            *first += by;
+        }
+        let order = arm::order(Target::Joints(joints), PathKind::Joint, self.speed);
+        arm.travel(order).await.map(|_| ())
     }
 
-    async fn above_turned(&self, cx: &Context, stand: Stand, turns: &[f64]) -> Result<(), Failure> {
+    /// To above a place, turned so that the arm gets down there.
+    async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
+        self.above_turned(cx, stand, &TURNS_DEG).await.map(|_| ())
+    }
+
+    /// The same with one of these turns: which one it is.
+    async fn above_turned(
+        &self,
+        cx: &Context,
+        stand: Stand,
+        turns: &[f64],
+    ) -> Result<usize, Failure> {
         let arm = self.arm(cx);
         arm.acquire().await?;
         self.up(&arm).await?;
+        self.swing(&arm, stand).await?;
         let mut first = None;
-        for turn in turns {
+        for (nth, turn) in turns.iter().enumerate() {
             let down = stand.pose(*turn);
             let above = at_height(down, TRAVEL_M);
             if let Err(failure) = self.plan_down(&arm, down).await {
@@ -330,7 +372,7 @@ impl ArmArgs {
             }
             for path in [PathKind::StraightLine, PathKind::Joint] {
                 match self.go(&arm, (above, path), self.speed, &[]).await {
-                    Ok(()) => return Ok(()),
+                    Ok(()) => return Ok(nth),
                     Err(failure) => first.get_or_insert(failure),
                 };
             }

@@ -11,7 +11,7 @@ use ctos::{
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use mcs_hand::command::{PlaceBody, ReadBodies};
+use mcs_hand::command::PlaceBody;
 use rand::RngExt;
 use scene::{FollowScene, Stage};
 use serde::Deserialize;
@@ -19,10 +19,11 @@ use serde::Deserialize;
 use crate::{
     drawn::Drawn,
     guest::{self, Drag},
+    meddling::{self, Mishap},
     person::{self, Person},
     play::{MIDDLE, MOVE_FOR_ME, POWER},
     player::{PERSON, PlayerArgs},
-    shown::{Shown, ShownArgs},
+    shown::{Shown, ShownArgs, is_disc},
     table::{Chances, Table},
     wire::{
         self, Close, DragDisc, FIELD_M, Go, Hear, Hue, Looked, Open, See, Shine, Shove, Truth, Why,
@@ -37,6 +38,8 @@ const PICTURE: Duration = Duration::from_millis(300);
 const FINGERS: Duration = Duration::from_millis(500);
 /// How often the person's doings are looked after.
 const TICK: Duration = Duration::from_millis(500);
+/// So high discs are lifted, m, before they are put elsewhere together.
+const LIFT_M: f64 = 0.12;
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -57,6 +60,8 @@ struct RoomArgs {
     far: f64,
     #[serde(default)]
     power: f64,
+    #[serde(default)]
+    reaches: f64,
     /// Discs that stand beside the middles of their squares at the beginning.
     #[serde(default)]
     aside: Vec<Aside>,
@@ -119,6 +124,9 @@ pub(crate) fn register(registry: &mut Registry) {
             coordinators::need_task(task, app, "player", &args.player, findings);
             if let Some(shown) = &args.shown {
                 coordinators::need_task(task, app, "shown.world", &shown.world, findings);
+                if shown.real {
+                    coordinators::need_task(task, app, "shown.mcs", &shown.mcs, findings);
+                }
             }
             let chances = [
                 ("errors", args.errors),
@@ -127,6 +135,7 @@ pub(crate) fn register(registry: &mut Registry) {
                 ("glare", args.glare),
                 ("far", args.far),
                 ("power", args.power),
+                ("reaches", args.reaches),
             ];
             for (key, chance) in chances {
                 if !(0.0..=1.0).contains(&chance) {
@@ -188,6 +197,7 @@ impl Room {
             glare: args.glare,
             far: args.far,
             power: args.power,
+            reaches: args.reaches,
         };
         let rules = player.rules();
         let first = player.first(cx.app()).map_err(HandlerError::new)?;
@@ -286,15 +296,21 @@ impl EventHandler for Room {
             }),
             FollowScene::CODE => self.stage.follow(cx, message),
             Go::CODE if self.inner.borrow().is_real() => {
-                let (Go { to, .. }, reply) = message.open::<Go>()?;
-                let table = &mut self.inner.borrow_mut().table;
-                if to.is_some() {
-                    if !table.hand {
-                        table.arm = to;
-                    }
-                    return reply.ok(table.hand.then_some(Why::HandInTheWay));
-                }
+                let (Go { to, then }, reply) = message.open::<Go>()?;
                 let (child, inner) = (cx.clone(), self.inner.clone());
+                let table = &mut self.inner.borrow_mut().table;
+                if let Some(there) = to {
+                    if table.hand {
+                        return reply.ok(Some(Why::HandInTheWay));
+                    }
+                    table.arm = to;
+                    table.motion += 1;
+                    // Without a next place it is the errand's second end.
+                    if let Some(mishap) = Mishap::of(table, then.is_none()) {
+                        cx.spawn(meddling::befall(child, inner, mishap, there));
+                    }
+                    return reply.ok(None);
+                }
                 cx.spawn(async move {
                     let read = read(&child, &inner).await;
                     let _ = match read {
@@ -351,9 +367,19 @@ impl EventHandler for Room {
                     if words.contains(MIDDLE) {
                         inner.table.push_to_middle();
                     }
-                    inner.table.powered |= words.contains(POWER);
                     if let Some(board) = board.filter(|_| words.contains(MOVE_FOR_ME)) {
                         inner.carry_for_the_robot(board);
+                    }
+                    let is_real = inner.is_real();
+                    if words.contains(POWER) && is_real {
+                        let (child, inner) = (cx.clone(), self.inner.clone());
+                        cx.spawn(async move {
+                            if let Err(error) = meddling::switch_on(&child, &inner).await {
+                                tracing::error!(%error, "the arm is not switched on");
+                            }
+                        });
+                    } else {
+                        inner.table.powered |= words.contains(POWER);
                     }
                     if let Some(person) = &mut inner.person {
                         person.hear(&mut inner.table, &words, now);
@@ -427,6 +453,20 @@ impl Inner {
         self.table.note();
     }
 
+    /// The world whose cameras see the table.
+    pub fn world(&self) -> Result<String, HandlerError> {
+        let shown = self.shown.as_ref();
+        let world = shown.map(|shown| shown.args.world.clone());
+        world.ok_or_else(|| "there is no world".into())
+    }
+
+    /// The client interface of the arm there.
+    pub fn mcs(&self) -> Result<String, HandlerError> {
+        let shown = self.shown.as_ref();
+        let mcs = shown.map(|shown| shown.args.mcs.clone());
+        mcs.ok_or_else(|| "there is no arm".into())
+    }
+
     /// A person's hand comes over the board for a disc.
     fn take(&mut self, request: &DragDisc) -> Result<Drag, String> {
         let Self {
@@ -471,7 +511,7 @@ impl Inner {
         if let Some(person) = person {
             person.tick(table, now);
         }
-        if table.hand && (table.moving || table.arm.is_some()) {
+        if table.hand && !table.curtain && (table.moving || table.arm.is_some()) {
             table.truth.met += 1;
         }
         // Cameras do not say when they look.
@@ -488,13 +528,7 @@ impl Inner {
 
 /// Nobody is at the table any more: it is as arm and hand have left it.
 async fn read(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
-    let world = inner
-        .borrow()
-        .shown
-        .as_ref()
-        .map(|shown| shown.args.world.clone());
-    let world = world.ok_or("there is no world")?;
-    let bodies = wire::ask(cx, &world, ReadBodies {}).await?;
+    let bodies = meddling::bodies(cx, inner).await?;
     let now = seconds(cx);
     let Inner { table, shown, .. } = &mut *inner.borrow_mut();
     if let Some(shown) = shown {
@@ -506,24 +540,34 @@ async fn read(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
 }
 
 /// Puts the bodies of the world where the table has them.
-async fn show(cx: &Context, inner: &Rc<RefCell<Inner>>) {
+pub async fn show(cx: &Context, inner: &Rc<RefCell<Inner>>) {
     let now = seconds(cx);
-    let (world, moved) = {
+    let (world, moved, lifts) = {
         let Inner { table, shown, .. } = &mut *inner.borrow_mut();
         let Some(shown) = shown else { return };
-        (shown.args.world.clone(), shown.take(table, now))
+        let moved = shown.take(table, now);
+        // Where things move by themselves a disc must not be put into one that is still to go.
+        let lifts = shown.args.real && moved.len() > 1;
+        (shown.args.world.clone(), moved, lifts)
     };
     if moved.is_empty() {
         return;
     }
-    for nth in moved {
+    let lifted = moved.iter().filter(|_| lifts).map(|nth| (*nth, LIFT_M));
+    for (nth, by) in lifted.chain(moved.iter().map(|nth| (*nth, 0.0))) {
         // As it is by now: it may have been moved again meanwhile.
         let body = inner
             .borrow()
             .shown
             .as_ref()
             .and_then(|shown| shown.body(nth));
-        let Some((body, pose)) = body else { continue };
+        let Some((body, mut pose)) = body else {
+            continue;
+        };
+        if by > 0.0 && !is_disc(&body) {
+            continue;
+        }
+        pose.translation.z += by;
         if let Err(error) = wire::ask(cx, &world, PlaceBody { body, pose }).await {
             tracing::error!(%error, "a disc is not shown");
         }

@@ -21,6 +21,19 @@ pub struct ShownArgs {
     /// Whether arm and hand are real, and move what is there.
     #[serde(default)]
     pub real: bool,
+    /// The client interface of a real arm: somebody may stop it, and switch it on.
+    #[serde(default = "mcs")]
+    pub mcs: String,
+}
+
+fn mcs() -> String {
+    "mcs".to_owned()
+}
+
+/// Whether a body is a disc, by its name.
+#[must_use]
+pub fn is_disc(name: &str) -> bool {
+    ["light", "dark"].iter().any(|word| name.starts_with(word))
 }
 
 /// Discs of each colour.
@@ -87,6 +100,7 @@ impl Shown {
             world: String::new(),
             eye: [0.0; 3],
             real: false,
+            mcs: mcs(),
         })
     }
 
@@ -297,14 +311,18 @@ impl Shown {
     }
 }
 
+/// Where a hand comes over the board, in the table's frame.
+#[must_use]
+pub fn hand_at(table: &Table) -> [f64; 2] {
+    let [x, y, _] = HAND_AT;
+    table.board.on_table([x, y])
+}
+
 /// Where a hand is over the board, if there is one.
 fn hand(table: &Table) -> Isometry3<f64> {
-    let [x, y, z] = HAND_AT;
+    let [.., z] = HAND_AT;
     match table.hand {
-        true => {
-            let middle = table.board.on_table([x, y]);
-            at(middle, TABLE_M + BOARD_M + z, table.board.yaw)
-        }
+        true => at(hand_at(table), TABLE_M + BOARD_M + z, table.board.yaw),
         false => hidden(HAND),
     }
 }
@@ -349,6 +367,7 @@ mod tests {
             world: "world".to_owned(),
             eye: [0.5, -0.25, 2.1],
             real,
+            mcs: mcs(),
         })
     }
 

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
 use crate::wire::{
-    ASIDE_M, FIELD_M, Hue, Looks, MARKERS, Picture, Pose, Spot, TrueTable, Why, apart, centre,
+    ASIDE_M, FIELD_M, HIGH, Hue, Looks, MARKERS, Picture, Pose, Spot, TrueTable, Why, apart, centre,
 };
 use crate::{referee::DISCS, state::SPARE};
 
@@ -16,6 +16,12 @@ const REACH_M: f64 = 0.024;
 /// The arm of a dry game gets so far from where it stands, and a board that is too far away is so far away, m.
 const ARM_M: f64 = 0.95;
 const FAR_M: f64 = 0.9;
+
+/// Where the arm gets to every square.
+pub const MIDDLE: Pose = Pose {
+    at: [0.57, 0.0],
+    yaw: 0.0,
+};
 
 /// How often things go wrong, 0 to 1.
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
@@ -33,6 +39,8 @@ pub struct Chances {
     pub far: f64,
     /// The arm has no power any more, of its ways.
     pub power: f64,
+    /// A person reaches over the board, of the ways of a real arm.
+    pub reaches: f64,
 }
 
 /// Discs that stand on one another.
@@ -68,6 +76,8 @@ pub struct Table {
     pub hand: bool,
     /// How light it is, 0 to 1.
     pub light: f64,
+    /// Whether something stops the arm before a hand is over the board with it.
+    pub curtain: bool,
     pub truth: TrueTable,
     pub chances: Chances,
     pub rng: ChaCha8Rng,
@@ -96,6 +106,7 @@ impl Table {
             opened: (0, 0),
             hand: false,
             light: 1.0,
+            curtain: false,
             truth: TrueTable {
                 history: Vec::new(),
                 discs: [0, 0],
@@ -133,12 +144,14 @@ impl Table {
         self.stacks.clear();
         self.away.clear();
         for hue in [Hue::Light, Hue::Dark] {
-            let at = Spot::Spare(hue).on_table(&self.board);
-            self.stacks.push(Stack {
-                on_board: false,
-                at,
-                discs: vec![hue; usize::from(SPARE)],
-            });
+            for below in (0..SPARE).step_by(usize::from(HIGH)) {
+                let at = Spot::Spare(hue).of_disc(&self.board, below);
+                self.stacks.push(Stack {
+                    on_board: false,
+                    at,
+                    discs: vec![hue; usize::from(HIGH)],
+                });
+            }
         }
         self.set_up(first);
         let [light, dark] = self.truth().discs;
@@ -261,9 +274,8 @@ impl Table {
     /// Somebody pushes the board with all that stands on it to where the arm gets everywhere.
     pub fn push_to_middle(&mut self) {
         self.board = Pose {
-            at: [0.57, 0.0],
-            yaw: 0.0,
             mirrored: self.board.mirrored,
+            ..MIDDLE
         };
         self.truth.moved += 1;
     }

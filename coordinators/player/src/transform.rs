@@ -192,6 +192,5 @@ async fn locate(action: Action<Transform>) -> Acted {
     let cx = action.cx();
     let errand: wire::Errand = wire::fetch(cx, &store, wire::ERRAND).await?;
     let pose: Pose = wire::fetch(cx, &store, wire::BOARD).await?;
-    let points = [errand.from.on_table(&pose), errand.to.on_table(&pose)];
-    wire::keep(cx, &store, wire::POINTS, &points).await
+    wire::keep(cx, &store, wire::POINTS, &errand.ends(&pose)).await
 }

@@ -171,10 +171,30 @@ impl Spot {
                 0.24 + 0.065 * f64::from(*place % 4),
                 (0.51 + 0.065 * f64::from(*place / 4)) * side(*hue),
             ],
-            Self::Spare(hue) => [0.53, 0.51 * side(*hue)],
+            Self::Spare(hue) => {
+                let (x, y) = SPARES[0];
+                [x, y * side(*hue)]
+            }
+        }
+    }
+
+    /// The same for the disc on so many others there. Spare discs stand in several stacks, which are no obstacle.
+    #[must_use]
+    pub fn of_disc(&self, board: &Pose, below: u8) -> [f64; 2] {
+        let [x, y] = self.on_table(board);
+        match self {
+            Self::Spare(_) => {
+                let (there, away) = SPARES[usize::from(below / HIGH) % SPARES.len()];
+                [there, away.copysign(y)]
+            }
+            _ => [x, y],
         }
     }
 }
+
+/// Where the stacks of spare discs stand at Black's side of the table, m, and how many discs each has.
+const SPARES: [(f64, f64); 3] = [(0.53, 0.51), (0.53, 0.575), (0.595, 0.51)];
+pub const HIGH: u8 = 4;
 
 /// What lies beyond this to both sides of the table is no part of the game.
 pub const ASIDE_M: f64 = 0.46;
@@ -476,6 +496,26 @@ pub struct Errand {
     pub below: [u8; 2],
     /// Whether it is pushed there, and not carried.
     pub push: bool,
+}
+
+impl Errand {
+    /// Its ends in the table's frame.
+    #[must_use]
+    pub fn ends(&self, board: &Pose) -> [[f64; 2]; 2] {
+        let [from, to] = self.below;
+        [self.from.of_disc(board, from), self.to.of_disc(board, to)]
+    }
+
+    /// How many discs of the same stack are beneath, at both ends.
+    #[must_use]
+    pub fn beneath(&self) -> [u8; 2] {
+        let of = |spot: Spot, below: u8| match spot {
+            Spot::Spare(_) => below % HIGH,
+            _ => below,
+        };
+        let [from, to] = self.below;
+        [of(self.from, from), of(self.to, to)]
+    }
 }
 
 /// What people are told.

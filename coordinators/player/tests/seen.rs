@@ -6,18 +6,91 @@
     reason = "helpers of tests, outside test functions"
 )]
 
-mod play;
+#[path = "seen/hands.rs"]
+mod hands;
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
+use ctos::{
+    boot::{End, Fault, FaultKind, Observer, simulate},
+    config,
+    registry::Registry,
+    time::Instant,
+};
+use mcs::{control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry};
 use nalgebra::Point3;
-use play::{kill, play, record, record_of};
 use serde_json::Value;
 use sim::cell::Cell;
+use sorma::{Dictionary, daemon};
+use vss::{catalog::VssExpander, source::FrameSources};
+
+fn registry() -> Registry {
+    let mut registry = Registry::new();
+    let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
+    sim::register(&mut registry, &mut drivers, &mut sources);
+    vss::register(&mut registry, sources);
+    let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
+    mcs_collision::register(&mut registry, &mut guards);
+    mcs_hand::register(&mut registry, &mut laws);
+    mcs::register(&mut registry, drivers, laws, guards);
+    coordinators::register(&mut registry);
+    checkers_player::register(&mut registry);
+    pnt::store::keep_states(&mut registry);
+    pnt_net::register(&mut registry);
+    daemon::register(&mut registry, Dictionary::default(), |_, sorm| {
+        vss::services::register(sorm);
+    });
+    registry
+}
 
 /// How a game before cameras ends, with settings as `--set` takes them.
-fn game(seed: u64, sets: &[&str]) -> Value {
-    play("checkers-seen.toml", seed, sets, &[])
+fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    play("checkers-seen.toml", seed, sets, faults)
+}
+
+fn play(app: &str, seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    play_watched(app, seed, sets, faults, registry())
+}
+
+fn play_watched(
+    app: &str,
+    seed: u64,
+    sets: &[&str],
+    faults: &[Fault],
+    registry: Registry,
+) -> Value {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+    let file = configs.join(app);
+    let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
+    sets.push(format!("app.seed={seed}"));
+    sets.push("time.mode=\"virtual\"".to_owned());
+    sets.push("task.player.args.nodes=150".to_owned());
+    let app = config::load(&file, &sets, &[("vss", &VssExpander)]);
+    let app = app.unwrap_or_else(|found| panic!("{found}"));
+    let observer: Observer = Arc::new(|_| {});
+    match simulate(app, registry, faults, &observer).unwrap().end {
+        End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
+            panic!("seed {seed}: {}", result.text);
+        }),
+        other => panic!("seed {seed}: {other:?}"),
+    }
+}
+
+/// A file with a game of some half-moves, after which White gives up.
+fn record(folder: &Path) -> String {
+    record_of(folder, 8)
+}
+
+fn record_of(folder: &Path, plies: usize) -> String {
+    let mut game = checkers::Game::new(checkers::Variant::Brazilian);
+    for ply in 0..plies {
+        let moves = game.position().moves(game.variant());
+        game.make(moves[ply % moves.len()]).unwrap();
+    }
+    game.resign(checkers::Colour::White);
+    let file = folder.join("game.pdn");
+    std::fs::write(&file, game.record().write()).unwrap();
+    format!("task.player.args.opponent={:?}", file.display().to_string())
 }
 
 #[test]
@@ -44,8 +117,8 @@ fn the_known_points_of_the_maps_are_those_of_the_cell() {
 #[test]
 fn a_game_before_cameras_is_read_right_and_ends_truly() {
     let folder = tempfile::tempdir().unwrap();
-    let opponent = record_of(folder.path(), 8);
-    let game = game(1, &[&opponent, "task.room.args.glare=0.0"]);
+    let opponent = record(folder.path());
+    let game = game(1, &[&opponent, "task.room.args.glare=0.0"], &[]);
     assert_eq!(game["ok"], true, "{game:#}");
     assert_eq!(game["result"], "Black has won: White gave up");
     assert_eq!(game["looks"]["wrong"], 0, "{game:#}");
@@ -69,7 +142,7 @@ fn whole_games_before_cameras_with_errors_lost_discs_and_moved_boards_end_truly(
             "task.room.args.slips=0.03",
         ];
         let ran = std::panic::catch_unwind(|| {
-            let game = game(seed, &sets);
+            let game = game(seed, &sets, &[]);
             tracing::info!(%game, seed);
             if let Ok(file) = std::env::var("CTOS_CHECKERS_SEEN_LOG") {
                 std::fs::write(format!("{file}.{seed}"), format!("{game:#}")).unwrap();
@@ -86,64 +159,19 @@ fn whole_games_before_cameras_with_errors_lost_discs_and_moved_boards_end_truly(
 #[test]
 fn a_killed_vision_or_transform_learns_again_and_the_game_goes_on() {
     let folder = tempfile::tempdir().unwrap();
-    let opponent = record_of(folder.path(), 8);
+    let opponent = record(folder.path());
+    let kill = |daemon: &str, at_s: u64| {
+        Fault::on(
+            daemon,
+            FaultKind::Kill,
+            Instant::from_nanos(at_s * 1_000_000_000),
+        )
+    };
     let kills = [
-        kill("vision", 20.0),
-        kill("transform", 31.0),
-        kill("vision", 45.0),
+        kill("vision", 20),
+        kill("transform", 31),
+        kill("vision", 45),
     ];
-    let game = play("checkers-seen.toml", 2, &[&opponent], &kills);
+    let game = game(2, &[&opponent], &kills);
     assert_eq!(game["ok"], true, "{game:#}");
-}
-
-#[test]
-fn whole_games_are_carried_by_an_arm_and_a_gripper() {
-    for seed in 0..hands() {
-        let game = play("checkers-hands.toml", seed, &[], &[]);
-        if let Ok(file) = std::env::var("CTOS_CHECKERS_SEEN_LOG") {
-            std::fs::write(format!("{file}.hands.{seed}"), format!("{game:#}")).unwrap();
-        }
-        assert_eq!(game["ok"], true, "{game:#}");
-    }
-}
-
-/// Seeds of the campaign with hands; none unless `CTOS_CHECKERS_HANDS_SEEDS` says how many: a game takes some minutes of a core.
-fn hands() -> u64 {
-    let given = std::env::var("CTOS_CHECKERS_HANDS_SEEDS").ok();
-    given.map_or(0, |text| text.parse().unwrap())
-}
-
-/// A file with a game from a position, in which a man is crowned as soon as it can and a king goes as far as it can.
-fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
-    use checkers::{Game, Move, Numbering, Position, Variant};
-    let start = Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap();
-    let far = |step: &&Move| (step.crowned, step.from.abs_diff(step.to));
-    let game = Game::from(Variant::Brazilian, start);
-    record(folder, game, plies, |_, moves| {
-        *moves.iter().max_by_key(far).unwrap()
-    })
-}
-
-#[test]
-fn a_disc_that_stands_crooked_is_pushed_to_its_middle_by_closed_jaws_and_then_carried() {
-    let folder = tempfile::tempdir().unwrap();
-    let opponent = record_from(folder.path(), "W:W22,32:B1,12", 1);
-    let aside = "task.room.args.aside=[{ square = 22, by = [0.012, -0.008] }]";
-    let game = play("checkers-hands.toml", 1, &[&opponent, aside], &[]);
-    assert_eq!(game["ok"], true, "{game:#}");
-    let said = game["said"].to_string();
-    assert!(
-        said.contains("I push the disc on 22 to the middle"),
-        "{said}"
-    );
-    assert!(!said.contains("crooked"), "{said}");
-}
-
-#[test]
-fn moves_are_carried_by_an_arm_and_a_gripper_in_a_world_with_physics() {
-    let folder = tempfile::tempdir().unwrap();
-    let opponent = record_of(folder.path(), 4);
-    let game = play("checkers-hands.toml", 1, &[&opponent], &[]);
-    assert_eq!(game["ok"], true, "{game:#}");
-    assert_eq!(game["plies"], 4);
 }

@@ -215,6 +215,8 @@ async fn track(cx: &Context, args: &ApplicationArgs) -> Result<AppResult, Handle
         "servo_rms_m": verdict.servo_rms_m,
         "setpoint_median_s": verdict.setpoint_median_s,
         "setpoint_p99_s": verdict.setpoint_p99_s,
+        "own_median_s": verdict.own_median_s,
+        "own_p99_s": verdict.own_p99_s,
         "max_force_n": verdict.max_force_n,
         "max_acceleration_ratio": verdict.max_acceleration_ratio,
         "max_step_m_s": verdict.max_step_m_s,

@@ -244,6 +244,9 @@ impl Looking {
     /// What a picture shows, if anything.
     async fn analyse(&self, frame: Frame) -> Option<BlobRecord> {
         let look = *self.look.borrow();
+        // A camera of another chassis has its own clock: then what counts is when its picture is here.
+        let here = self.cx.now().since_start();
+        let received = frame.received.unwrap_or(here);
         let found = largest(&frame, &look);
         let (number, stamp) = (frame.number, frame.stamp);
         if let Some(show) = &self.args.show
@@ -251,9 +254,10 @@ impl Looking {
         {
             self.show(show, frame, found.as_ref());
         }
-        let stamp_ns = u64::try_from(stamp.as_nanos()).unwrap_or(u64::MAX);
+        let ns = |moment: Duration| u64::try_from(moment.as_nanos()).unwrap_or(u64::MAX);
         found.map(|sighting| BlobRecord {
-            stamp_ns,
+            stamp_ns: ns(stamp),
+            received_ns: ns(received),
             number,
             sighting,
         })

@@ -202,6 +202,7 @@ impl Placing {
                 if let Some(found) = self.locate(&blob.sighting) {
                     let seen = TargetSeen {
                         stamp_ns: blob.stamp_ns,
+                        received_ns: blob.received_ns,
                         relative: found.place.coords.into(),
                     };
                     cx.send(&druide, seen).await?;

@@ -14,7 +14,7 @@ use pnt::{
 };
 use serde::Deserialize;
 
-use crate::wire::{ResumeTracking, StartGrasp, StartLearning, StartTracking, StopTracking};
+use crate::wire::{LetGo, ResumeTracking, StartGrasp, StartLearning, StartTracking, StopTracking};
 
 /// The handler's name.
 pub const HANDLER: &str = "tracker.tracking";
@@ -51,6 +51,7 @@ pub(crate) fn register(registry: &mut Registry) {
             .action("take_again", |action| druide(action, ResumeTracking {}))
             .action("learn", |action| druide(action, StartLearning {}))
             .action("grasp", |action| druide(action, StartGrasp {}))
+            .action("let_go", |action| druide(action, LetGo {}))
     });
 }
 

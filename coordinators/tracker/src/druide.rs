@@ -23,7 +23,7 @@ use ctos::{
     time::Instant,
 };
 use mcs::{
-    client::{Manipulator, RecordStates},
+    client::{Manipulator, PathKind, RecordStates},
     trajectory::Solver,
 };
 use nalgebra::Isometry3;
@@ -33,12 +33,13 @@ use sorma::clock::{ClockDifference, Exchange, Observed, USUAL_DRIFT};
 use crate::{
     control::{self, ControlArgs},
     coordination::{ask, net_task},
-    grasp::{GraspArgs, Grasped, Grasper},
+    grasp::{GraspArgs, Grasped, Grasper, let_go},
     learning::{LearnArgs, Learner, Learning},
+    mover::Mover,
     walls::Wall,
     wire::{
-        ClockTruth, CompareClocks, ReadTracker, ResumeTracking, STATES, StartGrasp, StartLearning,
-        StartTracking, StopTracking, TargetSeen, TrackerReport, TrueClock, seconds,
+        ClockTruth, CompareClocks, LetGo, ReadTracker, ResumeTracking, STATES, StartGrasp,
+        StartLearning, StartTracking, StopTracking, TargetSeen, TrackerReport, TrueClock, seconds,
     },
 };
 use period::Period;
@@ -164,6 +165,7 @@ pub(crate) fn register(registry: &mut Registry) {
         ResumeTracking::INFO,
         StartLearning::INFO,
         StartGrasp::INFO,
+        LetGo::INFO,
         ReadTracker::INFO,
         TrueClock::INFO,
     ];
@@ -291,6 +293,22 @@ impl Druide {
             }
         }
         arm.acquire().await?;
+        let begun = self.begin(cx).await;
+        if begun.is_err() {
+            if let Err(error) = arm.release().await {
+                tracing::warn!("the arm is not given back: {error}");
+            }
+            // The next beginning finds buffers without a writer.
+            self.cyclic = None;
+            let mut shared = self.shared.borrow_mut();
+            shared.period = None;
+            shared.report.phase = control::Phase::Idle;
+        }
+        begun
+    }
+
+    /// Follows from now on with an arm that is held.
+    async fn begin(&mut self, cx: &Context) -> Result<(), HandlerError> {
         let client = cx.task(&self.args.mcs).await?;
         let buffer = Some(STATES.to_owned());
         cx.call(&client, RecordStates { buffer }).await?;
@@ -374,9 +392,13 @@ impl Druide {
             let learner = Learner {
                 cx: &cx,
                 args: args.learn,
-                arm: &arm,
+                mover: Mover {
+                    arm: &arm,
+                    is_over: &is_over,
+                    path: PathKind::Joint,
+                    speed: args.learn.speed,
+                },
                 client: &args.client,
-                is_over: &is_over,
             };
             let learned = learner.learn().await;
             // Whatever was seen, the arm is given back.
@@ -395,11 +417,29 @@ impl Druide {
         Ok(())
     }
 
+    /// The hand, if there is one.
+    fn hand(&self) -> Result<&GraspArgs, HandlerError> {
+        let none = "there is no hand: `grasp` is not among the arguments of druide";
+        self.args.grasp.as_ref().ok_or_else(|| none.into())
+    }
+
+    /// Lets go of what the hand holds, and gives the arm back.
+    async fn let_go(&self, cx: &Context) -> Result<(), HandlerError> {
+        let arm = Manipulator::find(cx, &self.args.mcs).await?;
+        let holder = arm.status().await?.holder;
+        if let Some(holder) = holder.filter(|holder| holder != cx.name()) {
+            return Err(format!("`{holder}` holds the arm, and what its hand holds").into());
+        }
+        let_go(cx, self.hand()?).await?;
+        if let Err(error) = arm.release().await {
+            tracing::warn!("the arm is not given back: {error}");
+        }
+        Ok(())
+    }
+
     /// Takes the arm, and grasps the ball from now on.
     async fn grasp(&mut self, cx: &Context) -> Result<(), HandlerError> {
-        let Some(args) = self.args.grasp.clone() else {
-            return Err("there is no hand: `grasp` is not among the arguments of druide".into());
-        };
+        let args = self.hand()?.clone();
         let base_t_ball = self.rested.take();
         let base_t_ball = base_t_ball.ok_or("nobody knows where the ball rests")?;
         let arm = Manipulator::find(cx, &self.args.mcs).await?;
@@ -412,8 +452,12 @@ impl Druide {
             let grasper = Grasper {
                 cx: &cx,
                 args: &args,
-                arm: &arm,
-                is_over: &is_over,
+                mover: Mover {
+                    arm: &arm,
+                    is_over: &is_over,
+                    path: PathKind::StraightLine,
+                    speed: args.speed,
+                },
             };
             let grasped = grasper.grasp(&base_t_ball).await;
             let holds = matches!(grasped, Grasped::Holds { .. });
@@ -421,6 +465,7 @@ impl Druide {
                 Grasped::Holds { .. } => tracing::info!("the ball is held"),
                 Grasped::Missed(why) => tracing::warn!("the ball is not grasped: {why}"),
                 Grasped::Slipped(why) => tracing::warn!("the ball has slipped away: {why}"),
+                Grasped::BrokenOff(why) => tracing::warn!("grasping is broken off: {why}"),
             }
             // Who holds the ball holds the arm, unless it was stopped.
             if (!holds || is_over())
@@ -449,8 +494,10 @@ impl Druide {
         else {
             return;
         };
-        let stamp = clocks.correct(Instant::from_nanos(seen.stamp_ns));
-        let placed = stamp.is_some_and(|stamp| period.take(now, seconds(stamp.at), &seen.relative));
+        let here = |ns| Some(seconds(clocks.correct(Instant::from_nanos(ns))?.at));
+        let times = here(seen.stamp_ns).zip(here(seen.received_ns));
+        let placed =
+            times.is_some_and(|(at, received)| period.take(now, [at, received], &seen.relative));
         if !placed {
             report.unplaced += 1;
         }
@@ -489,6 +536,13 @@ impl EventHandler for Druide {
             StartGrasp::CODE => {
                 let (StartGrasp {}, reply) = message.open::<StartGrasp>()?;
                 match self.grasp(cx).await {
+                    Ok(()) => reply.ok(()),
+                    Err(error) => reply.fail(error.to_string()),
+                }
+            }
+            LetGo::CODE => {
+                let (LetGo {}, reply) = message.open::<LetGo>()?;
+                match self.let_go(cx).await {
                     Ok(()) => reply.ok(()),
                     Err(error) => reply.fail(error.to_string()),
                 }

@@ -7,15 +7,14 @@ use ctos::{
     message::Command,
     task::{Context, HandlerError},
 };
-use mcs::{
-    client::{Manipulator, MotionError, Move, PathKind, Target},
-    state::State,
-};
+use mcs::{client::MotionError, state::State};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3};
 use serde::{Deserialize, Serialize};
 
-/// How long a motion of the arm, or of the hand, may take.
+use crate::mover::Mover;
+
+/// How long a motion of the hand may take.
 const LONGEST: Duration = Duration::from_secs(60);
 
 /// How long who holds the ball has to let go of it.
@@ -93,10 +92,12 @@ pub enum Grasped {
         /// N.
         force_n: f64,
     },
-    /// There was no ball between the fingers, or the arm did not come there; the reason.
+    /// There was no ball between the fingers; the reason.
     Missed(String),
     /// It was between the fingers, and slipped away while it was lifted; the reason.
     Slipped(String),
+    /// Arm or hand were stopped, or failed: during what, and the reason. The hand stays as it was then.
+    BrokenOff(String),
 }
 
 impl Grasped {
@@ -107,26 +108,48 @@ impl Grasped {
             Self::Holds { .. } => "grasped",
             Self::Missed(_) => "missed",
             Self::Slipped(_) => "slipped",
+            Self::BrokenOff(_) => "broken_off",
         }
     }
+}
+
+/// Has the hand let go of what it holds.
+///
+/// # Errors
+/// The hand does not open.
+pub(crate) async fn let_go(cx: &Context, args: &GraspArgs) -> Result<(), HandlerError> {
+    let (width_m, speed) = (Some(args.open_m), args.speed);
+    ask(cx, args, Open { width_m, speed }).await?;
+    Ok(())
+}
+
+/// Asks the hand for something.
+async fn ask<C>(cx: &Context, args: &GraspArgs, command: C) -> Result<Held, MotionError>
+where
+    C: Command<Reply = Result<Held, MotionError>>,
+{
+    let hand = cx.task(&args.hand).await?;
+    cx.call(&hand, command).deadline(LONGEST).await?
 }
 
 /// An arm with a hand that grasps.
 pub(crate) struct Grasper<'a> {
     pub cx: &'a Context,
     pub args: &'a GraspArgs,
-    pub arm: &'a Manipulator,
-    /// Whether it was stopped.
-    pub is_over: &'a dyn Fn() -> bool,
+    pub mover: Mover<'a>,
 }
 
 impl Grasper<'_> {
     /// Takes the ball, whose middle is where the tool is at `base_t_ball`. A hand that closed on nothing, or lost it, is open
     /// afterwards. Where arm or hand failed, or were stopped, nothing moves any more.
     pub async fn grasp(&self, base_t_ball: &Isometry3<f64>) -> Grasped {
-        let closed = match self.close(base_t_ball).await {
+        let broken = |step: &str, error| Grasped::BrokenOff(format!("{step}: {error}"));
+        if let Err(error) = self.approach(base_t_ball).await {
+            return broken("while the hand went to the ball", error);
+        }
+        let closed = match self.close().await {
             Ok(held) => self.is_it(held),
-            Err(error) => return Grasped::Missed(error.to_string()),
+            Err(error) => return broken("while the hand closed", error),
         };
         if let Err(why) = closed {
             self.open().await;
@@ -134,10 +157,7 @@ impl Grasper<'_> {
         }
         let lifted = match self.lift(base_t_ball).await {
             Ok(held) => self.is_it(held),
-            Err(error) => {
-                let why = format!("it was not lifted, and the hand stays closed: {error}");
-                return Grasped::Slipped(why);
-            }
+            Err(error) => return broken("while the ball was lifted", error),
         };
         match lifted {
             Ok(Held {
@@ -150,26 +170,25 @@ impl Grasper<'_> {
         }
     }
 
-    async fn close(&self, base_t_ball: &Isometry3<f64>) -> Result<Held, HandlerError> {
-        let Self { args, .. } = self;
-        let (width, speed) = (Some(args.open_m), args.speed);
-        self.go_on()?;
-        self.ask(Open {
-            width_m: width,
-            speed,
-        })
-        .await?;
-        self.move_to(base_t_ball).await?;
-        self.go_on()?;
-        let force_n = Some(args.force_n);
-        Ok(self.ask(Grasp { force_n, speed }).await?)
+    async fn approach(&self, base_t_ball: &Isometry3<f64>) -> Result<(), HandlerError> {
+        self.mover.go_on()?;
+        let_go(self.cx, self.args).await?;
+        self.mover.move_to(base_t_ball).await
+    }
+
+    async fn close(&self) -> Result<Held, HandlerError> {
+        self.may_move().await?;
+        let (force_n, speed) = (Some(self.args.force_n), self.args.speed);
+        let held = ask(self.cx, self.args, Grasp { force_n, speed }).await?;
+        self.may_move().await?;
+        Ok(held)
     }
 
     async fn lift(&self, base_t_ball: &Isometry3<f64>) -> Result<Held, HandlerError> {
         self.cx.sleep(GIVEN).await;
         let lifted = Translation3::new(0.0, 0.0, self.args.lift_m) * base_t_ball;
-        self.move_to(&lifted).await?;
-        Ok(self.ask(ReadHeld {}).await?)
+        self.mover.move_to(&lifted).await?;
+        Ok(ask(self.cx, self.args, ReadHeld {}).await?)
     }
 
     /// What is held, if it is the ball.
@@ -187,50 +206,29 @@ impl Grasper<'_> {
         }
     }
 
-    /// Opens the hand, unless somebody or something has stopped the arm: then nothing moves any more.
+    /// # Errors
+    /// Somebody or something has stopped the arm: then the hand moves no more either.
+    async fn may_move(&self) -> Result<(), HandlerError> {
+        self.mover.go_on()?;
+        let arm = self.mover.arm.status().await?;
+        match arm.state {
+            State::Active | State::Motion if !arm.stopped => Ok(()),
+            State::Active | State::Motion => Err("the arm was stopped".into()),
+            state => {
+                let why = arm.fault.unwrap_or_else(|| format!("it is {state}"));
+                Err(HandlerError::new(format!("the arm has no power: {why}")))
+            }
+        }
+    }
+
+    /// Opens the hand, unless somebody or something has stopped the arm.
     async fn open(&self) {
-        let arm = self.arm.status().await;
-        let may_move =
-            arm.is_ok_and(|arm| !arm.stopped && matches!(arm.state, State::Active | State::Motion));
-        if !may_move || (self.is_over)() {
-            tracing::warn!("the hand stays as it is: its arm was stopped");
-            return;
-        }
-        let (width_m, speed) = (Some(self.args.open_m), self.args.speed);
-        if let Err(error) = self.ask(Open { width_m, speed }).await {
-            tracing::warn!("the hand does not open: {error}");
-        }
-    }
-
-    async fn ask<C>(&self, command: C) -> Result<Held, MotionError>
-    where
-        C: Command<Reply = Result<Held, MotionError>>,
-    {
-        let hand = self.cx.task(&self.args.hand).await?;
-        self.cx.call(&hand, command).deadline(LONGEST).await?
-    }
-
-    async fn move_to(&self, to: &Isometry3<f64>) -> Result<(), HandlerError> {
-        self.go_on()?;
-        let mut rows = [0.0; 16];
-        rows.copy_from_slice(to.to_homogeneous().transpose().as_slice());
-        let request = Move {
-            target: Target::Pose(rows),
-            path: PathKind::StraightLine,
-            speed: self.args.speed,
-            acceleration: None,
-            elbow: None,
-            guards: Vec::new(),
-            blend: 0.0.into(),
+        let opened = match self.may_move().await {
+            Ok(()) => let_go(self.cx, self.args).await,
+            stopped => stopped,
         };
-        self.arm.go(request, LONGEST).await?;
-        Ok(())
-    }
-
-    fn go_on(&self) -> Result<(), HandlerError> {
-        match (self.is_over)() {
-            true => Err("it was stopped".into()),
-            false => Ok(()),
+        if let Err(error) = opened {
+            tracing::warn!("the hand stays as it is: {error}");
         }
     }
 }

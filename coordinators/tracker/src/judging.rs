@@ -96,6 +96,10 @@ pub struct Verdict {
     pub setpoint_median_s: f64,
     /// Its 99th percentile, s.
     pub setpoint_p99_s: f64,
+    /// The part of it that is our own work: from when the camera had given the picture. Median, s.
+    pub own_median_s: f64,
+    /// Its 99th percentile, s.
+    pub own_p99_s: f64,
     /// Largest force at the wrist, N.
     pub max_force_n: f64,
     /// Largest change of the commanded velocity, as a part of what the limit allows.
@@ -124,6 +128,8 @@ pub struct Judge {
     servo: Errors,
     /// Seconds from exposures to setpoints.
     setpoints: Errors,
+    /// The part of them that is our own work.
+    own: Errors,
     force: f64,
     ratio: f64,
     step: f64,
@@ -150,6 +156,7 @@ impl Judge {
             means: Vector3::zeros(),
             servo: Errors::default(),
             setpoints: Errors::default(),
+            own: Errors::default(),
             force: 0.0,
             ratio: 0.0,
             step: 0.0,
@@ -203,6 +210,7 @@ impl Judge {
             && record.age < last.age
         {
             self.setpoints.add(record.age);
+            self.own.add(record.own);
         }
         self.last = Some(*record);
         if let (Some((druide, argus)), false) = (&self.clocks, record.clock.is_nan()) {
@@ -250,6 +258,8 @@ impl Judge {
             servo_rms_m: self.servo.rms(),
             setpoint_median_s: self.setpoints.part(0.5),
             setpoint_p99_s: self.setpoints.part(0.99),
+            own_median_s: self.own.part(0.5),
+            own_p99_s: self.own.part(0.99),
             max_force_n: self.force,
             max_acceleration_ratio: self.ratio,
             max_step_m_s: self.step,
@@ -306,6 +316,14 @@ pub fn lines(verdict: &Verdict, counts: &Counts) -> String {
                 verdict.setpoint_p99_s * 1e3
             ),
         ),
+        (
+            "own work",
+            format!(
+                "{:.1} ms of it, {:.1} ms at 99 %: from when the camera gave the picture",
+                verdict.own_median_s * 1e3,
+                verdict.own_p99_s * 1e3
+            ),
+        ),
         ("force", format!("{:.1} N at most", verdict.max_force_n)),
         (
             "acceleration",
@@ -353,6 +371,7 @@ mod tests {
             velocity: Vector3::zeros(),
             target: Some(tool + Vector3::new(0.0, 0.001, 0.0)),
             age: 0.0,
+            own: 0.0,
             phase: Phase::Track,
             tool,
             tool_at: now,
@@ -407,6 +426,7 @@ mod tests {
             let age = 0.01 + f64::from(step / 9 * 31 % 100) * 1e-4 + f64::from(step % 9) * 0.0045;
             let mut record = CourseRecord {
                 age,
+                own: age - 0.008,
                 ..record(now, wrong)
             };
             record.force = if step == 1500 { 7.5 } else { 0.5 };
@@ -435,7 +455,9 @@ mod tests {
             "{found:?}"
         );
         assert!((found.setpoint_median_s - part(ages.clone(), 0.5)).abs() < 1.01 * STEP);
-        assert!((found.setpoint_p99_s - part(ages, 0.99)).abs() < 1.01 * STEP);
+        assert!((found.setpoint_p99_s - part(ages.clone(), 0.99)).abs() < 1.01 * STEP);
+        assert!((found.own_median_s - part(ages.clone(), 0.5) + 0.008).abs() < 1.01 * STEP);
+        assert!((found.own_p99_s - part(ages, 0.99) + 0.008).abs() < 1.01 * STEP);
         assert_eq!(found.max_force_n, 7.5);
         assert_eq!(found.clock_bound_s, 1e-3);
     }

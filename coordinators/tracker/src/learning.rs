@@ -4,21 +4,18 @@
 use std::time::Duration;
 
 use ctos::task::{Context, HandlerError};
-use mcs::client::{Manipulator, Move, PathKind, Target};
 use nalgebra::{Isometry3, Matrix4, Point3, Translation3};
 use serde::{Deserialize, Serialize};
 use sorma::snapshot::{Place, Reader, Snapshot};
 
 use crate::{
     map::{Example, grid},
+    mover::Mover,
     wire::{BLOB, BlobRecord, LearnMap, LocateBlob},
 };
 
 /// How often it is looked for a picture.
 const LOOK: Duration = Duration::from_millis(20);
-
-/// How long a motion of the arm may take.
-const LONGEST_MOVE: Duration = Duration::from_secs(60);
 
 /// How long an arm that has arrived is left alone, so that pictures are of where it is.
 const STILL: Duration = Duration::from_millis(600);
@@ -89,18 +86,18 @@ pub enum Learning {
 pub(crate) struct Learner<'a> {
     pub cx: &'a Context,
     pub args: LearnArgs,
-    pub arm: &'a Manipulator,
+    pub mover: Mover<'a>,
     /// The task that tells places from blobs.
     pub client: &'a str,
-    /// Whether it was stopped.
-    pub is_over: &'a dyn Fn() -> bool,
 }
 
 impl Learner<'_> {
     /// Takes the hand through the grid, learns the map, and holds it against places between.
     pub async fn learn(&self) -> Result<Learning, HandlerError> {
-        let Self { cx, args, arm, .. } = self;
-        let home = pose(&arm.position().await?.base_t_tool);
+        let Self {
+            cx, args, mover, ..
+        } = self;
+        let home = pose(&mover.arm.position().await?.base_t_tool);
         let client = cx.task(self.client).await?;
         let mut examples = Vec::new();
         let places = grid(args.grid_m);
@@ -125,7 +122,7 @@ impl Learner<'_> {
             let off = Point3::from(found) - Point3::from(between.place);
             squares.push(off.norm_squared());
         }
-        self.move_to(&home).await?;
+        mover.move_to(&home).await?;
         Ok(Learning::Learned {
             examples: examples.len(),
             checked: squares.len(),
@@ -139,10 +136,12 @@ impl Learner<'_> {
         home: &Isometry3<f64>,
         [x, y, z]: [f64; 3],
     ) -> Result<Example, HandlerError> {
-        let Self { cx, args, arm, .. } = self;
+        let Self {
+            cx, args, mover, ..
+        } = self;
         // The hand goes the other way.
         let there = home * Translation3::new(-x, -y, -z);
-        self.move_to(&there).await?;
+        mover.move_to(&there).await?;
         cx.sleep(STILL).await;
         let mut reader = Reader::open(&Place::of_app(&cx.app().name)?, BLOB)?;
         let head = reader.head();
@@ -155,7 +154,7 @@ impl Learner<'_> {
                 let text = format!("no whole ball is seen from {place:.3?}");
                 return Err(HandlerError::new(text));
             }
-            self.go_on()?;
+            mover.go_on()?;
             cx.sleep(LOOK).await;
             while taken < args.pictures && reader.next(&mut record)?.is_some() {
                 let blob = BlobRecord::from_floats(&record.floats);
@@ -170,36 +169,12 @@ impl Learner<'_> {
             }
         }
         // What counts is where the hand was.
-        let measured = pose(&arm.position().await?.base_t_tool);
+        let measured = pose(&mover.arm.position().await?.base_t_tool);
         let nominal = measured.inverse() * Point3::from(home.translation.vector);
         Ok(Example {
             place: nominal.coords.into(),
             seen: sums.map(|sum| sum / taken as f64),
         })
-    }
-
-    async fn move_to(&self, to: &Isometry3<f64>) -> Result<(), HandlerError> {
-        self.go_on()?;
-        let mut rows = [0.0; 16];
-        rows.copy_from_slice(to.to_homogeneous().transpose().as_slice());
-        let request = Move {
-            target: Target::Pose(rows),
-            path: PathKind::Joint,
-            speed: self.args.speed,
-            acceleration: None,
-            elbow: None,
-            guards: Vec::new(),
-            blend: 0.0.into(),
-        };
-        self.arm.go(request, LONGEST_MOVE).await?;
-        Ok(())
-    }
-
-    fn go_on(&self) -> Result<(), HandlerError> {
-        match (self.is_over)() {
-            true => Err("it was stopped".into()),
-            false => Ok(()),
-        }
     }
 }
 

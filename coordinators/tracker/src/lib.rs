@@ -26,6 +26,7 @@ pub mod judging;
 pub mod learning;
 pub mod map;
 pub mod mouse;
+mod mover;
 pub mod target;
 pub mod vector;
 pub mod walls;

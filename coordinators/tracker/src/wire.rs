@@ -56,6 +56,8 @@ ctos::command! {
     pub struct TargetSeen {
         /// When the picture was exposed, ns by the clock of argus.
         pub stamp_ns: u64,
+        /// When the camera had given it, by the same clock, ns.
+        pub received_ns: u64,
         /// The place where the hand should have been, seen from where it was: m along the axes of the tool.
         pub relative: [f64; 3],
     } => (), 0x0623, "target_seen"
@@ -105,6 +107,11 @@ ctos::command! {
     /// Has druide take the arm and grasp the ball where it rested when the arm was given back. It answers when that has begun.
     #[derive(Debug, Clone, PartialEq)]
     pub struct StartGrasp => (), 0x0632, "start_grasp"
+}
+ctos::command! {
+    /// Has the hand let go of what it holds, and druide give the arm back.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LetGo => (), 0x0633, "let_go"
 }
 ctos::command! {
     /// Asks druide how it is.
@@ -233,6 +240,8 @@ pub fn seconds(moment: Instant) -> f64 {
 pub struct BlobRecord {
     /// When the picture was exposed, ns by the clock of argus.
     pub stamp_ns: u64,
+    /// When the camera had given it, by the same clock, ns.
+    pub received_ns: u64,
     /// Which picture.
     pub number: u64,
     /// What it shows.
@@ -241,10 +250,10 @@ pub struct BlobRecord {
 
 impl BlobRecord {
     /// Its floats.
-    pub const FLOATS: usize = 10;
+    pub const FLOATS: usize = 11;
 
     /// What they are.
-    pub const DESCRIPTION: &str = "exposed ns\npicture\nu px\nv px\nradius px\nspread px\narea px\neccentricity\nblobs\ndoubts";
+    pub const DESCRIPTION: &str = "exposed ns\nreceived ns\npicture\nu px\nv px\nradius px\nspread px\narea px\neccentricity\nblobs\ndoubts";
 
     /// As floats. A stamp of a float is right to a nanosecond for 50 days.
     #[must_use]
@@ -258,6 +267,7 @@ impl BlobRecord {
         } = &self.sighting;
         [
             self.stamp_ns as f64,
+            self.received_ns as f64,
             self.number as f64,
             seen.u,
             seen.v,
@@ -275,6 +285,7 @@ impl BlobRecord {
     pub fn from_floats(floats: &[f64]) -> Option<Self> {
         let [
             stamp,
+            received,
             number,
             u,
             v,
@@ -290,6 +301,7 @@ impl BlobRecord {
         };
         Some(Self {
             stamp_ns: stamp as u64,
+            received_ns: received as u64,
             number: number as u64,
             sighting: Sighting {
                 seen: Seen {
@@ -318,8 +330,10 @@ pub struct CourseRecord {
     pub velocity: Vector3<f64>,
     /// Where it should be now, as estimated; nothing without a ball.
     pub target: Option<Point3<f64>>,
-    /// How old what that was predicted from is, s.
+    /// How old what that was predicted from was when the setpoint was left, s.
     pub age: f64,
+    /// How long the camera had given the newest picture in it then, s: what of its age is our own work.
+    pub own: f64,
     /// What druide did.
     pub phase: Phase,
     /// Where the hand was measured.
@@ -338,10 +352,10 @@ pub struct CourseRecord {
 
 impl CourseRecord {
     /// Its floats.
-    pub const FLOATS: usize = 20;
+    pub const FLOATS: usize = 21;
 
     /// What they are.
-    pub const DESCRIPTION: &str = "now s\nx m\ny m\nz m\nvx m/s\nvy m/s\nvz m/s\ntarget x m\ntarget y m\ntarget z m\nage s\nphase\ntool x m\ntool y m\ntool z m\ntool at s\nforce N\nacceleration ratio\nclock s\nclock bound s";
+    pub const DESCRIPTION: &str = "now s\nx m\ny m\nz m\nvx m/s\nvy m/s\nvz m/s\ntarget x m\ntarget y m\ntarget z m\nage s\nown s\nphase\ntool x m\ntool y m\ntool z m\ntool at s\nforce N\nacceleration ratio\nclock s\nclock bound s";
 
     /// As floats; a target that is not there has none that are numbers.
     #[must_use]
@@ -363,6 +377,7 @@ impl CourseRecord {
             y,
             z,
             self.age,
+            self.own,
             phase.unwrap_or_default() as f64,
             self.tool.x,
             self.tool.y,
@@ -391,6 +406,7 @@ impl CourseRecord {
             ty,
             tz,
             age,
+            own,
             phase,
             hx,
             hy,
@@ -406,6 +422,7 @@ impl CourseRecord {
             velocity: Vector3::new(vx, vy, vz),
             target: (!tx.is_nan()).then_some(target),
             age,
+            own,
             phase: *Phase::ALL.get(phase as usize)?,
             tool: Point3::new(hx, hy, hz),
             tool_at: at,
@@ -425,6 +442,7 @@ mod tests {
     fn records_read_as_what_was_written() {
         let blob = BlobRecord {
             stamp_ns: 3_600_000_000_123,
+            received_ns: 3_600_019_000_456,
             number: 7,
             sighting: Sighting {
                 seen: Seen {
@@ -450,6 +468,7 @@ mod tests {
                 velocity: Vector3::new(4.0, 5.0, 6.0),
                 target: (phase == Phase::Track).then(|| Point3::new(7.0, 8.0, 9.0)),
                 age: 10.0,
+                own: 10.5,
                 phase,
                 tool: Point3::new(11.0, 12.0, 13.0),
                 tool_at: 14.0,

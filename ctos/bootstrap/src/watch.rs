@@ -7,12 +7,12 @@
 mod lint;
 mod metrics;
 
-use std::{collections::BTreeSet, time::Duration};
+use std::time::Duration;
 
 use crate::bootstrap::Overview;
 use ctos_core::{chassis::Chassis, context::Context};
 use ctos_message::{Command, CommandInfo};
-use ctos_time::{Clock, Instant};
+use ctos_time::Instant;
 
 pub use lint::{Lint, LintCode};
 
@@ -43,32 +43,16 @@ pub(crate) fn start(cx: &Context) {
     });
 }
 
-/// The virtual clock is about to jump to `moment`: what the chassis would see on the way, when they would.
-pub fn look_until<'a>(
-    clock: &Clock,
-    chassis: impl Iterator<Item = &'a std::sync::Arc<Chassis>>,
-    moment: Instant,
-) {
-    let all: Vec<_> = chassis.collect();
-    let first = all.iter().enumerate().map(|(place, one)| {
-        let last = Watch::of(one).last_look();
-        let step = (moment.since(last) / LOOKS).max(INTERVAL);
-        (last + step, place, step)
-    });
-    let mut looks: BTreeSet<_> = first.collect();
-    while let Some((due, place, step)) = looks.pop_first().filter(|(due, ..)| *due < moment) {
-        clock.advance_to(due);
-        if let Some(one) = all.get(place) {
-            Watch::of(one).look(one, due);
-        }
-        looks.insert((due + step, place, step));
-    }
+/// When the chassis of a simulation look at themselves next, while its clock jumps from their last look to `moment`.
+pub fn looks(last: Instant, moment: Instant) -> impl Iterator<Item = Instant> {
+    let step = (moment.since(last) / LOOKS).max(INTERVAL);
+    let next = move |due: &Instant| Some(*due + step);
+    std::iter::successors(Some(last + step), next).take_while(move |due| *due < moment)
 }
 
-/// Before that moment none of these chassis looks at itself again.
-pub fn next_look<'a>(chassis: impl Iterator<Item = &'a std::sync::Arc<Chassis>>) -> Instant {
-    let next = chassis.map(|one| Watch::of(one).last_look() + INTERVAL);
-    next.min().unwrap_or(Instant::LAST)
+/// A chassis looks at itself. False when there is nothing to be seen before something runs there again.
+pub fn look(chassis: &Chassis, now: Instant) -> bool {
+    Watch::of(chassis).look(chassis, now)
 }
 
 /// What is wrong with a chassis at present.

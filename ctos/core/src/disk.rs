@@ -7,7 +7,8 @@
 use std::{
     any::Any,
     collections::BTreeMap,
-    path::{Path, PathBuf},
+    ffi::OsString,
+    path::Path,
     sync::{Arc, Mutex},
 };
 
@@ -21,7 +22,8 @@ use ctos_time::lock::lock;
 #[derive(Default, derive_more::Debug)]
 #[debug("Disk({} files)", lock(&self.files).len())]
 pub struct Disk {
-    files: Mutex<BTreeMap<PathBuf, Arc<dyn Any + Send + Sync>>>,
+    /// By the bytes of their paths: files are many, and to compare paths part by part takes long.
+    files: Mutex<BTreeMap<OsString, Arc<dyn Any + Send + Sync>>>,
 }
 
 impl Disk {
@@ -30,10 +32,12 @@ impl Disk {
     #[must_use]
     pub fn open<T: Default + Send + Sync + 'static>(&self, path: &Path) -> Option<Arc<T>> {
         let mut files = lock(&self.files);
-        let file = files
-            .entry(path.to_owned())
-            .or_insert_with(|| Arc::<T>::default());
-        file.clone().downcast().ok()
+        if let Some(file) = files.get(path.as_os_str()) {
+            return file.clone().downcast().ok();
+        }
+        let file = Arc::<T>::default();
+        files.insert(path.into(), file.clone());
+        Some(file)
     }
 }
 

@@ -242,6 +242,13 @@ impl RawReplier {
         }
     }
 
+    /// Ends the request with the fault of another one, which it was passed on as.
+    pub fn end(self, fault: Fault) {
+        if let Some(slot) = self.0.reply {
+            slot.answer(Err(fault));
+        }
+    }
+
     /// Whether anybody waits for an answer, or ever did.
     #[must_use]
     pub fn is_wanted(&self) -> bool {

@@ -80,6 +80,24 @@ pub enum Fault {
         /// Its name.
         chassis: String,
     },
+    /// The receiver is at another site, of which nothing is heard.
+    #[error("site `{site}` has been cut off for {:.1} s{}", .after.as_secs_f64(), done(.asked))]
+    CutOff {
+        /// The site.
+        site: String,
+        /// For how long nothing was heard of it.
+        after: Duration,
+        /// Whether the request had been sent when that was noticed.
+        asked: bool,
+    },
+}
+
+/// What may have come of a request to a site that was cut off.
+fn done(asked: &bool) -> &'static str {
+    match asked {
+        true => ", and what was asked may have been done",
+        false => "",
+    }
 }
 
 impl From<PayloadError> for Fault {
@@ -124,12 +142,16 @@ impl CallError {
     }
 
     /// Whether it is worth while to look for the receiver again and repeat the request, if that is permitted. True if
-    /// the receiver is gone ([`Self::is_gone`]), or its handler panicked or dropped the request and may have been
-    /// built anew. `cx.task(&error.to)` tells whether it comes back. False for what the receiver said itself, and for
+    /// the receiver is gone ([`Self::is_gone`]) or its site is cut off, or its handler panicked or dropped the request
+    /// and may have been built anew. `cx.task(&error.to)` tells whether it comes back. False for what the receiver said itself, and for
     /// deadlines.
     #[must_use]
     pub fn may_come_back(&self) -> bool {
-        self.is_gone() || matches!(self.fault, Fault::Panicked { .. } | Fault::NoReply)
+        self.is_gone()
+            || matches!(
+                self.fault,
+                Fault::Panicked { .. } | Fault::NoReply | Fault::CutOff { .. }
+            )
     }
 }
 
@@ -194,6 +216,20 @@ impl fmt::Display for CallError {
                 f,
                 "`{to}` is on chassis `{chassis}`, so `{from}` cannot see whether it has a credit for `{command}`; use `send`, which waits"
             ),
+            Fault::CutOff { site, after, asked } => {
+                let after = after.as_secs_f64();
+                write!(
+                    f,
+                    "site `{site}` has been cut off for {after:.1} s: `{to}` "
+                )?;
+                match asked {
+                    true => write!(
+                        f,
+                        "has not answered `{command}` from `{from}`, and may have carried it out"
+                    ),
+                    false => write!(f, "was not asked for `{command}` by `{from}`"),
+                }
+            }
             Fault::Stopping => {
                 write!(
                     f,

@@ -118,7 +118,7 @@ fn after(behind: Option<Place>) -> Place {
 /// So many machines stand in a row.
 const ROW: usize = 64;
 
-/// How much is ready at each place, and in each row: one of all that is ready is found in few steps.
+/// How much is ready at each place where anything is, and in each such row: one of all is found in few steps.
 #[derive(Default)]
 pub(crate) struct Counts {
     ready: BTreeMap<Place, usize>,
@@ -128,10 +128,12 @@ pub(crate) struct Counts {
 
 impl Counts {
     pub(crate) fn set(&mut self, place: Place, ready: usize) {
-        let old = self.ready.insert(place, ready).unwrap_or(0);
-        let row = self.rows.entry(place.0 / ROW).or_default();
-        *row = *row + ready - old;
-        self.total = self.total + ready - old;
+        let old = change(&mut self.ready, place, ready);
+        if old != ready {
+            let row = self.rows.get(&(place.0 / ROW)).copied().unwrap_or(0);
+            change(&mut self.rows, place.0 / ROW, row + ready - old);
+            self.total = self.total + ready - old;
+        }
     }
 
     /// Where the one at `index` of all stands, in the order of places, and its number there.
@@ -146,6 +148,15 @@ impl Counts {
         let (place, _) = places.find(|(_, count)| is_here(count))?;
         Some((*place, index))
     }
+}
+
+/// Sets a count, and tells what it was. None is kept where there is nothing.
+fn change<K: Ord>(counts: &mut BTreeMap<K, usize>, key: K, count: usize) -> usize {
+    let before = match count {
+        0 => counts.remove(&key),
+        _ => counts.insert(key, count),
+    };
+    before.unwrap_or(0)
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! A simulated chassis: its processors with their clock, and what keeps them from running.
 
-use std::{rc::Rc, sync::Arc, time::Duration};
+use std::{cell::Cell, rc::Rc, sync::Arc, time::Duration};
 
+use ctos_bootstrap::watch;
 use ctos_core::{chassis::Chassis, processor::Processor};
 use ctos_time::{Clock, Instant};
 
@@ -15,6 +16,8 @@ struct Slot {
 pub(crate) struct Machine {
     pub(crate) chassis: Arc<Chassis>,
     slots: Vec<Slot>,
+    /// Something has come or run since it looked at itself, or it saw something then.
+    pub(crate) stirs: Cell<bool>,
     /// Since its process ended nothing of it runs.
     pub(crate) gone: bool,
     frozen_until: Instant,
@@ -34,6 +37,7 @@ impl Machine {
         Self {
             chassis,
             slots,
+            stirs: Cell::new(true),
             gone: false,
             frozen_until: Instant::START,
             slow: None,
@@ -65,7 +69,16 @@ impl Machine {
     /// Runs what was brought to a processor. True when there was something.
     pub(crate) fn run_jobs(&self, processor: usize) -> bool {
         let slot = self.slots.get(processor);
-        slot.is_some_and(|slot| slot.processor.run_jobs())
+        let any = slot.is_some_and(|slot| slot.processor.run_jobs());
+        self.stirs.set(self.stirs.get() || any);
+        any
+    }
+
+    /// It looks at itself, if there may be anything to see: chassis at rest cost nothing.
+    pub(crate) fn look(&mut self, now: Instant) {
+        if self.stirs.get() {
+            self.stirs.set(watch::look(&self.chassis, now));
+        }
     }
 
     /// How many futures of a processor could be polled now.
@@ -86,6 +99,7 @@ impl Machine {
                 self.slow = None;
             }
         }
+        self.stirs.set(true);
         slot.processor.poll_ready(index)
     }
 

@@ -127,7 +127,14 @@ impl Network {
         let mut state = lock(&self.state);
         let others = |(from, to): Way| from != index && to != index;
         state.flights.retain(|_, flight| others(flight.way));
-        state.directions.retain(|way, _| others(*way));
+        // Both directions of a link are there, or none.
+        let own = state
+            .directions
+            .range((index, 0)..=(index, ChassisNumber::MAX));
+        for peer in own.map(|((_, peer), _)| *peer).collect::<Vec<_>>() {
+            state.directions.remove(&(index, peer));
+            state.directions.remove(&(peer, index));
+        }
         state.frozen.remove(&index);
         state.ends.insert(index, weak.clone());
         let network = self.clone();
@@ -168,6 +175,11 @@ impl Network {
             let network = self.clone();
             one.link_up(way.1, Arc::new(SimulatedLink { network, way }));
         }
+    }
+
+    /// To whom chassis `index` is or was linked.
+    pub(crate) fn peers(&self, index: ChassisNumber) -> Vec<ChassisNumber> {
+        lock(&self.state).peers(index)
     }
 
     /// When the next of what is under way arrives.

@@ -13,7 +13,7 @@ use crate::{machine::Machine, run::Simulation};
 use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
 use ctos_message::{ChassisNumber, Command};
-use ctos_time::{Instant, lock::lock};
+use ctos_time::lock::lock;
 
 /// How long the process of a chassis takes to start, ns.
 const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
@@ -38,8 +38,16 @@ impl Simulation {
         boot.drop_links();
         self.network.leave(0);
         let deadline = self.clock.now() + boot.app.stop_timeout;
-        let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
-        while !ended(&self.machines) && self.step(Some(deadline)) {}
+        let is_gone = |machine: &Machine| machine.gone;
+        // Nobody starts again now: those in front of the first that is there need not be looked at again.
+        let mut first = 1;
+        while first < self.machines.len() {
+            match self.machines.get(first).is_some_and(is_gone) {
+                true => first += 1,
+                false if self.step(Some(deadline)) => {}
+                false => break,
+            }
+        }
         for index in boot.others() {
             let left = self.machines.get(usize::from(index));
             if left.is_some_and(|machine| !machine.gone) {
@@ -134,8 +142,11 @@ impl Simulation {
         self.events
             .note(|| format!("chassis {} starts again", new.name()));
         // Nothing of the old process may come out of the links of the new one.
-        for machine in self.machines.iter().filter(|machine| !machine.gone) {
-            machine.chassis.link_down(index);
+        for peer in self.network.peers(index) {
+            let machine = self.machines.get(usize::from(peer));
+            if let Some(machine) = machine.filter(|machine| !machine.gone) {
+                machine.chassis.link_down(index);
+            }
         }
         self.network.join(&new);
         new.reach(0);
@@ -153,8 +164,6 @@ impl Simulation {
                 self.awake.add((number, processor), here);
             }
         }
-        // It has not looked at itself yet.
-        self.next_look = Instant::START;
         self.tell_boot(system::ChassisLinked {
             chassis: index,
             incarnation,

@@ -136,8 +136,8 @@ pub(super) struct Simulation {
     pub(super) observer: Observer,
     pub(super) steps_at_once: u64,
     pub(super) awake: Awake,
-    /// Before then no chassis looks at itself.
-    pub(super) next_look: Instant,
+    /// When the chassis looked at themselves last.
+    last_look: Instant,
     /// The processor whose code ran last: what comes to it need not be brought.
     here: Option<Place>,
 }
@@ -239,7 +239,7 @@ impl Simulation {
             observer: observer.clone(),
             steps_at_once: 0,
             awake,
-            next_look: Instant::START,
+            last_look: Instant::START,
             here: None,
         })
     }
@@ -384,10 +384,10 @@ impl Simulation {
 
     /// Moves the clock and lets everything happen that is due then.
     fn advance(&mut self, moment: Instant) {
-        if moment > self.next_look {
-            let chassis = || self.machines.iter().map(|machine| &machine.chassis);
-            watch::look_until(&self.clock, chassis(), moment);
-            self.next_look = watch::next_look(chassis());
+        for due in watch::looks(self.last_look, moment) {
+            self.clock.advance_to(due);
+            self.last_look = due;
+            self.machines.iter_mut().for_each(|one| one.look(due));
         }
         self.clock.advance_to(moment);
         self.steps_at_once = 0;
@@ -445,6 +445,7 @@ impl Simulation {
         if machine.gone {
             return;
         }
+        machine.stirs.set(true);
         let chassis = &machine.chassis;
         match arrival {
             Arrival::Frame(frame) => {
@@ -514,9 +515,8 @@ mod tests {
         }
     }
 
-    /// How often the simulation looks at a processor of an app in which two chassis exchange messages while
-    /// `others` have nothing to do.
-    fn visits(others: usize, pings: u32) -> u64 {
+    /// An app in which two chassis exchange messages while `others` have nothing to do.
+    fn simulation(others: usize, pings: u32) -> Simulation {
         let mut text = String::from(
             "[app]\nuntil = \"near\"\n[chassis.a]\n[chassis.b]\n\
              [task.near]\nhandler = \"pings\"\non = \"a\"\n\
@@ -536,8 +536,14 @@ mod tests {
         let silent: Observer = Arc::new(|_| ());
         let setup = Setup::default();
         let simulation = Simulation::new(Arc::new(app), Arc::new(registry), setup, &silent);
-        let mut simulation = simulation.unwrap();
+        let simulation = simulation.unwrap();
         simulation.tell_boot(system::AllLinked {});
+        simulation
+    }
+
+    /// How often the simulation looks at a processor of it.
+    fn visits(others: usize, pings: u32) -> u64 {
+        let mut simulation = simulation(others, pings);
         while lock(&simulation.end).is_none() {
             assert!(simulation.step(None));
         }
@@ -553,5 +559,17 @@ mod tests {
             many < few * 5 / 4,
             "{many} looks among many, {few} among few"
         );
+    }
+
+    #[test]
+    fn chassis_at_rest_are_not_looked_at() {
+        let mut simulation = simulation(40, 10_000);
+        let later = Instant::START + Duration::from_millis(1200);
+        while simulation.clock.now() < later {
+            assert!(simulation.step(None));
+        }
+        let stirs = |machine: &&Machine| machine.stirs.get();
+        let stirring = simulation.machines.iter().filter(stirs).count();
+        assert_eq!(stirring, 2, "those that exchange messages");
     }
 }

@@ -199,7 +199,7 @@ impl StateTask {
             }
         };
         if changed.is_ok() {
-            self.held_from(cx, chassis);
+            self.held_from(cx, chassis, by).await?;
         }
         changed
     }
@@ -215,15 +215,21 @@ impl StateTask {
                 .await
         };
         if enabled.is_ok() {
-            self.held_from(cx, chassis);
+            self.held_from(cx, chassis, by).await?;
         }
         enabled
     }
 
-    /// The holder is on this chassis. It asked by the client interface, which may be elsewhere: who is linked is told when it is gone.
-    fn held_from(&mut self, cx: &Context, chassis: ChassisNumber) {
-        cx.chassis().reach(chassis);
+    /// The holder is on this chassis. It asked by the client interface, which may be elsewhere: who is linked is told when it is
+    /// gone, and one that is gone already holds nothing.
+    async fn held_from(&mut self, cx: &Context, chassis: ChassisNumber, by: &str) -> Changed {
         self.holders_chassis = Some(chassis);
+        if chassis == cx.chassis().index() || cx.chassis().reach(chassis) {
+            return Ok(self.manager.state());
+        }
+        self.unreserve(cx, by).await?;
+        let text = format!("`{by}` is gone");
+        Err(MotionError::new(Outcome::Refused, text))
     }
 
     async fn unreserve(&mut self, cx: &Context, by: &str) -> Changed {

@@ -7,7 +7,10 @@ mod written;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::OnceLock,
+};
 
 use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 
@@ -201,6 +204,7 @@ fn compiled(draft: &Draft) -> (Net, Findings) {
     let (findings, data) = (compiler.findings, compiler.data);
     let mut parameters = data.parameters.into_iter();
     let net = Net {
+        digest: OnceLock::new(),
         declared: data.declared,
         name: draft.name.text.clone(),
         at: draft.name.at.clone(),

@@ -38,6 +38,10 @@ impl Net {
     /// comments may differ.
     #[must_use]
     pub fn digest(&self) -> u64 {
+        *self.digest.get_or_init(|| self.computed_digest())
+    }
+
+    fn computed_digest(&self) -> u64 {
         let mut digest = Digest(0xcbf2_9ce4_8422_2325);
         digest.word(self.name());
         for place in self.places() {

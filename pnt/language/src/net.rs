@@ -3,6 +3,7 @@
 
 use std::{
     ops::{Index, Range},
+    sync::OnceLock,
     time::Duration,
 };
 
@@ -365,6 +366,8 @@ pub struct Net {
     pub(crate) coordinators: Vec<Partner>,
     pub(crate) serves: Vec<Partner>,
     pub(crate) safe: Vec<Vec<Arc>>,
+    /// Computed when it is first asked for: a durable net stores it with each state.
+    pub(crate) digest: OnceLock<u64>,
 }
 
 impl Net {
@@ -379,6 +382,7 @@ impl Net {
     pub fn named(&self, name: &str) -> Self {
         Self {
             name: name.to_owned(),
+            digest: OnceLock::new(),
             ..self.clone()
         }
     }

@@ -61,7 +61,7 @@ pub use load::{
 pub use manual::check_breakpoint;
 pub use messages::{
     COMMANDS, Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId,
-    Snapshot, TapeAnswer, Tokens, Transfer,
+    Snapshot, TapeAnswer, Tokens, Transfer, from_site,
 };
 use pnt_language::{exec::Conflicts, net::Net};
 pub use settings::{KEYS, Settings, StandIn, args, args_of, settings};

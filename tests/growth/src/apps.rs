@@ -12,7 +12,7 @@ use std::{
 use ctos::{
     boot::{BootEvent, End, Launcher, Observer, boot, run_chassis, simulate},
     call::CallError,
-    config::{App, load_texts},
+    config::{App, Selection, load_texts},
     message::{Command as _, Message, Replier},
     record::{Filter, scan_only},
     registry::Registry,
@@ -20,6 +20,7 @@ use ctos::{
     task::{Context, EventHandler, Handled, Phase},
     time::{Clock, Instant},
 };
+use fleet::table::FleetExpander;
 use futures_util::future::{join, join_all};
 use pnt::{
     stream::{Follow, Mark},
@@ -302,6 +303,33 @@ pub fn chassis(size: u64) -> Result<Cost, Failed> {
 pub fn fleet(size: u64) -> Result<Cost, Failed> {
     let app = loaded(&chassis_text(3 * size, 20)?, &[])?;
     Ok(cost(|| simulated(app))?.0)
+}
+
+/// The app of `configs/fleet.toml` with so many cells, fifty on a site, from its boot to its end.
+///
+/// # Errors
+/// When it does not do its jobs.
+pub fn fleet_work(cells: u64) -> Result<Cost, Failed> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/fleet.toml");
+    let sites = cells.div_ceil(50);
+    let selection = Selection {
+        sets: vec![
+            format!("fleet.cells={cells}"),
+            format!("fleet.sites={sites}"),
+        ],
+        ..Selection::new(file)
+    };
+    let app = selection.load(&[("fleet", &FleetExpander)]);
+    let app = app.map_err(|findings| findings.to_string())?;
+    let mut registry = Registry::new();
+    fleet::register(&mut registry);
+    pnt::store::keep_states(&mut registry);
+    let observer: Observer = Arc::new(|_| ());
+    let (cost, ran) = cost(|| Ok(simulate(app, registry, &[], &observer)?))?;
+    match ran.end {
+        End::Finished(result) if result.ok => Ok(cost),
+        other => Err(format!("the fleet ended with {other:?}").into()),
+    }
 }
 
 /// Chassis as processes, until all of them run; the memory is theirs.

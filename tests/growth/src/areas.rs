@@ -54,6 +54,13 @@ pub const AREAS: &[Area] = &[
         measure: apps::fleet,
     },
     Area {
+        name: "fleet-work",
+        what: "cells of the fleet that do five jobs each, virtual time",
+        whole: true,
+        sizes: (10, 1_000),
+        measure: apps::fleet_work,
+    },
+    Area {
         name: "processes",
         what: "booting chassis as processes",
         whole: true,

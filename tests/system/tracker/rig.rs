@@ -16,7 +16,7 @@ use ctos::{
     time::Instant,
 };
 use mcs::{
-    client::{EmergencyStop, Reset, Resume, Stop},
+    client::{EmergencyStop, ReadPosition, Reset, Resume, Stop},
     control::LawRegistry,
     driver::{ChannelDriver, DriverError, DriverRegistry, Mode, Power, Sensor, SlotReading},
     guard::GuardRegistry,
@@ -27,8 +27,9 @@ use pnt::task::{Marking, PutTape};
 use serde_json::Value;
 use sim::{scene::CameraFault, world_task::FailCamera};
 use tracker::{
+    blob::Look,
     coordination::ask,
-    wire::{ClockTimes, CompareClocks, DeflectMouse, TargetSeen},
+    wire::{ClockTimes, CompareClocks, DeflectMouse, TargetSeen, TuneLook},
 };
 use vss::{catalog::VssExpander, source::FrameSources};
 
@@ -51,6 +52,8 @@ pub enum Act {
     /// Has the force sensor read besides, N; NaN is what a broken one reads.
     Feel([f64; 3]),
     Deflect([f64; 6]),
+    /// Has argus expect a ball of at least so many pixels.
+    Tune(u64),
     /// Sets what druide hears of the clock of argus so far ahead, ns; see [`Rig::clock_that_is_set`].
     SetClock(u64),
 }
@@ -80,6 +83,8 @@ pub struct Ended {
     pub touched: Vec<(f64, f64)>,
     /// Where the ball was: the moment, s, and the place, m.
     pub bodies: Vec<(f64, [f64; 3])>,
+    /// Where the joints of arm and fingers were, if it has some: the moment, s, and each, rad.
+    pub joints: Vec<(f64, [Vec<f64>; 2])>,
     /// The map's table afterwards.
     pub map: String,
 }
@@ -113,6 +118,20 @@ impl Ended {
         forces.fold([f64::MAX, 0.0], |[low, high], (_, force)| {
             [low.min(*force), high.max(*force)]
         })
+    }
+
+    /// How far a joint of the arm, or else of its fingers, has turned between two moments at most, s; rad.
+    pub fn turned(&self, fingers: bool, from: f64, until: f64) -> f64 {
+        let within = |at: f64| at >= from && at < until;
+        let mut all = self.joints.iter().filter(|(at, _)| within(*at));
+        let own = |joints: &[Vec<f64>; 2]| joints[usize::from(fingers)].clone();
+        let first = all.next().map(|(_, joints)| own(joints)).unwrap();
+        let apart = |(_, joints): &(f64, [Vec<f64>; 2])| {
+            let both = own(joints).into_iter().zip(&first);
+            both.map(|(now, then)| (now - then).abs())
+                .fold(0.0, f64::max)
+        };
+        all.map(apart).fold(0.0, f64::max)
     }
 
     /// What holds whatever happens: no step of the commanded speed, no record lost.
@@ -289,6 +308,7 @@ impl Rig {
             touched: seen.touched,
             map: std::fs::read_to_string(configs.join(format!("{}-map.csv", self.app))).unwrap(),
             bodies: seen.bodies,
+            joints: seen.joints,
         }
     }
 }
@@ -299,6 +319,7 @@ struct Seen {
     states: Vec<(f64, String)>,
     touched: Vec<(f64, f64)>,
     bodies: Vec<(f64, [f64; 3])>,
+    joints: Vec<(f64, [Vec<f64>; 2])>,
     feels: [f64; 3],
     ahead_ns: Option<u64>,
 }
@@ -412,6 +433,7 @@ impl EventHandler for Between {
             TargetSeen::CODE => {
                 let (mut seen, reply) = message.open::<TargetSeen>()?;
                 seen.stamp_ns = self.shown(seen.stamp_ns);
+                seen.received_ns = self.shown(seen.received_ns);
                 let druide = cx.task("druide").await?;
                 cx.send(&druide, seen).await?;
                 reply.ok(())
@@ -451,6 +473,14 @@ impl EventHandler for Script {
                     let now = own.now().since_start().as_secs_f64();
                     let place = [3, 7, 11].map(|index| ball.world_t_body[index]);
                     seen.lock().unwrap().bodies.push((now, place));
+                }
+                if let (Ok(arm), Ok(fingers)) = (own.task("arm").await, own.task("fingers").await)
+                    && let Ok(arm) = own.call(&arm, ReadPosition {}).await
+                    && let Ok(fingers) = own.call(&fingers, ReadPosition {}).await
+                {
+                    let now = own.now().since_start().as_secs_f64();
+                    let both = [arm, fingers].map(|part| part.joints.to_vec());
+                    seen.lock().unwrap().joints.push((now, both));
                 }
                 own.sleep(Duration::from_millis(20)).await;
             }
@@ -542,6 +572,12 @@ async fn done(cx: &Context, seen: &Mutex<Seen>, at: f64, act: Act) -> Result<(),
         }
         Act::Feel(force) => seen.lock().unwrap().feels = force,
         Act::SetClock(ahead) => seen.lock().unwrap().ahead_ns = Some(AHEAD_NS + ahead),
+        Act::Tune(least) => {
+            let argus = cx.task("argus").await?;
+            let mut look = Look::default();
+            look.area_px[0] = least;
+            cx.call(&argus, TuneLook { look }).await?;
+        }
         Act::Deflect(numbers) => {
             let mouse = cx.task("mouse").await?;
             cx.call(&mouse, DeflectMouse { numbers }).await?;

@@ -78,9 +78,13 @@ pub struct Frame {
     pub carrier: Option<Carried>,
     /// Where its pixels were left, too, if they were.
     pub left: Option<Left>,
+    /// When its source had given it, since the start of the app: exposure and transfer were over then. Only the camera's own chassis
+    /// knows.
+    #[serde(skip)]
+    pub received: Option<Duration>,
 }
 
-/// As derived, without pixels that were left where the receiver finds them.
+/// As derived, without pixels that were left where the receiver finds them, and without what only the camera's chassis knows.
 impl Serialize for Frame {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]
@@ -133,6 +137,7 @@ impl Frame {
             exposure: Duration::ZERO,
             carrier: None,
             left: None,
+            received: None,
         }
     }
 

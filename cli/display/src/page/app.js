@@ -11,6 +11,7 @@ import { Overview, jobWords } from "./overview.js";
 import { make, showSide } from "./panels.js";
 import { Panes } from "./panes.js";
 import { Plots } from "./plots.js";
+import { SummaryPane } from "./summary.js";
 import { Lanes, Table } from "./tables.js";
 import { busyNet, whyOf } from "./why.js";
 
@@ -80,6 +81,9 @@ class App extends Attention {
     this.picture.nodes ??= new Map();
     this.minimap = new Minimap($("stage"), this.picture);
     this.overview = new Overview($("cell"), this);
+    this.summary = new SummaryPane($("summary"), this);
+    /** The net that is opened as soon as it is known. */
+    this.awaited = null;
     /** Whether scene or pictures are shown. */
     this.whole = false;
     this.lanes = new Lanes($("lanes"), this);
@@ -111,6 +115,9 @@ class App extends Attention {
       case "moved": this.overview.moved(message); this.seen(message.step); break;
       case "dark": this.overview.dark(message); this.stale = true; break;
       case "picture": this.overview.picture(message.picture); this.seen(null); break;
+      case "summary": this.summary.take(message); break;
+      case "unsummed": this.summary.lost(message); break;
+      case "left": this.leave(message.net); break;
       case "load": this.loads.take(message); this.stale = true; break;
       case "standing": this.standing = message.standing; this.stale = true; break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
@@ -131,6 +138,7 @@ class App extends Attention {
     this.panes.layouts = message.layouts;
     this.overview.handles.show(message.handles);
     this.overview.plans.show(message.plans ?? []);
+    this.summary.reset(message.summaries ?? []);
     this.nets.clear();
     this.forks.clear();
     $("fork").setAttribute("aria-pressed", "false");
@@ -144,7 +152,12 @@ class App extends Attention {
     this.wanted = message.nets;
     this.appTasks = message.tasks;
     this.picked = false;
-    if (this.wanted.length === 0 && this.hasScene) this.openWhole();
+    if (this.summary.known) {
+      if (this.shown === null) this.panes.open("summary");
+      this.awaited = this.wish?.get("net") ?? (this.panes.built === "net" ? this.shown : null);
+      if (this.awaited !== null && !this.wanted.includes(this.awaited)) this.ask("follow", { net: this.awaited });
+      this.tabs();
+    } else if (this.wanted.length === 0 && this.hasScene) this.openWhole();
     // Nets come later: the scene does not wait for them.
     else if (this.hasScene && this.shown === null && !this.wish?.has("net") && !this.wish?.has("layout")) this.panes.open("overview");
   }
@@ -165,7 +178,12 @@ class App extends Attention {
     if (this.cursor?.net === net.name) this.cursor.net = null;
     // Events carry the time of the app; this page only knows when they came.
     this.arrived(message.now_ns);
-    if (this.wanted.every((name) => this.nets.has(name)) && (late || !this.picked)) this.ready();
+    if (this.awaited === net.name) {
+      this.awaited = null;
+      this.tabs();
+      this.open(net.name, this.wish?.get("node") ?? null);
+    } else if (this.summary.known) this.tabs();
+    else if (this.wanted.every((name) => this.nets.has(name)) && (late || !this.picked)) this.ready();
   }
 
   ready() {
@@ -285,6 +303,29 @@ class App extends Attention {
     const drawing = display?.parts.find((part) => part.net === net.name)?.drawing ?? (net.real ?? net)[this.detail];
     const folded = this.folded.get(net.name);
     return folded?.size > 0 ? fold(drawing, folded) : drawing;
+  }
+
+  /** What tasks sum up. */
+  openSummary() {
+    this.panes.open("summary");
+    this.tabs();
+    this.remember();
+  }
+
+  /** Shows a net, which may not be followed yet. */
+  follow(name) {
+    if (this.known(name)) this.open(name, null);
+    else if (this.ask("follow", { net: name })) this.awaited = name;
+  }
+
+  /** A net is not followed any more. */
+  leave(name) {
+    this.nets.delete(name);
+    this.forks.delete(name);
+    if (this.shown === name) {
+      [this.shown, this.chosen] = [null, null];
+      this.openSummary();
+    } else this.tabs();
   }
 
   /** The overview: the scene, the pictures, and the net of the task. */
@@ -426,6 +467,7 @@ class App extends Attention {
     $("beside").setAttribute("aria-pressed", String(this.paned()));
     const mark = (net) => (net.gone !== null ? make("span", { class: "gone" }, " gone") : null);
     $("tabs").replaceChildren(
+      ...(this.summary.known ? [make("button", { role: "tab", "aria-selected": String(this.panes.layout === null && this.panes.built === "summary"), title: "How all is, in counts and states (m)", onclick: () => this.openSummary() }, "summary")] : []),
       ...(this.hasScene ? [make("button", { role: "tab", "aria-selected": String(this.panes.layout === null && this.panes.built === "overview"), title: "The scene, the pictures of the cameras and a net (o)", onclick: () => this.openWhole() }, "overview")] : []),
       ...this.panes.tabs(),
       ...this.displays.map((one) => tab(one.name, one.title, null)),
@@ -525,7 +567,7 @@ class App extends Attention {
       }
       return this.tasks.get(task)?.now;
     };
-    const text = this.nets.size === 0 ? (this.wanted?.length === 0 ? "this app has no nets" : "waiting for the nets of the app")
+    const text = this.nets.size === 0 && this.summary.known ? "a click on an item shows its net" : this.nets.size === 0 ? (this.wanted?.length === 0 ? "this app has no nets" : "waiting for the nets of the app")
       : first === null || this.forks.size > 0 ? "nothing is under way" : whyOf(first, this.nets, (net) => this.stateOf(net), nowOf, this.now());
     if ($("why").textContent !== text) $("why").textContent = text;
   }

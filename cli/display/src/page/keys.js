@@ -12,7 +12,7 @@ export function listen(app) {
   const orders = {
     " ": () => app.togglePlay(), ",": () => app.step(-1), ".": () => app.step(1), l: () => app.live(), "<": () => app.zoomTime(0.5), ">": () => app.zoomTime(2),
     "[": () => beside(-1), "]": () => beside(1), n: () => app.toggleNear(), a: () => app.toggleBeside(), d: () => app.toggleDetail(), s: () => app.foldChosen(),
-    o: () => app.hasScene && app.openWhole(), w: () => app.toggleFork(), u: () => app.undo(),
+    m: () => app.summary.known && app.openSummary(), o: () => app.hasScene && app.openWhole(), w: () => app.toggleFork(), u: () => app.undo(),
     "+": () => app.picture.zoom(1.25), "=": () => app.picture.zoom(1.25), "-": () => app.picture.zoom(0.8), 0: () => app.fit(), v: () => app.followActive(!app.active),
     "/": () => byId("search").focus(), "?": () => byId("keys").showModal(), Escape: () => app.choose(null),
     Enter: () => app.chosen !== null && app.openNode(app.chosen), f: () => app.byKey("fire"), b: () => app.byKey("break"),

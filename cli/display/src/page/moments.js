@@ -137,7 +137,7 @@ export class Moments {
     if (this.wish?.has("net") && !this.known(this.wish.get("net"))) return;
     const values = new URLSearchParams();
     if (this.panes.layout !== null) values.set("layout", this.panes.layout);
-    else if (this.panes.built === "overview") values.set("view", "overview");
+    else if (this.panes.built !== "net") values.set("view", this.panes.built);
     else if (this.shown !== null) values.set("net", this.shown);
     if (this.cursor !== null) values.set("t", (this.cursor.at_ns / 1e9).toFixed(6));
     if (this.chosen !== null) values.set("node", this.chosen);

@@ -3,7 +3,7 @@
 import { make } from "./panels.js";
 
 /** The layouts that every app has. */
-const BUILT_IN = { overview: ["scene", "plan", "pictures", "net", "side"], net: ["net", "side", "lanes", "events"] };
+const BUILT_IN = { overview: ["scene", "plan", "pictures", "net", "side"], net: ["net", "side", "lanes", "events"], summary: ["summary"] };
 
 export class Panes {
   /** For `app`, which has `overview`, `plots`, `nets` and what it shows. */
@@ -108,6 +108,10 @@ export class Panes {
     app.whole = cell;
     document.body.classList.toggle("whole", cell);
     place("cell", cell);
+    const summary = shown.has("summary") && app.summary.known;
+    place("summary", summary);
+    document.body.classList.toggle("summed", summary);
+    place("time", !summary || shown.size > 1);
     const net = shown.has("net") && (app.nets.size > 0 || !cell);
     place("share", cell && net);
     app.overview.panes(shown.has("scene"), shown.has("pictures"), shown.has("plan"));

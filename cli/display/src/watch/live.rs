@@ -82,10 +82,10 @@ impl Nets {
                 let kind = registry.kind(handler);
                 kind.is_some_and(|kind| COMMANDS.iter().all(|one| kind.commands().contains(one)))
             };
-            let tasks = view
-                .tasks
-                .into_iter()
-                .filter(|task| runs_net(&task.handler));
+            // What stands for a net at another site runs none itself, and is shown when it is named.
+            let abroad = |name: &str| only == Some(name) && name.contains('@');
+            let tasks = view.tasks.into_iter();
+            let tasks = tasks.filter(|task| runs_net(&task.handler) || abroad(&task.name));
             names.extend(tasks.map(|task| task.name));
         }
         names.retain(|name| only.is_none_or(|only| only == name));
@@ -193,16 +193,21 @@ fn stream(remote: &RemoteArgs, name: &str, news: &SyncSender<News>) -> Result<()
         };
         let mut batch = client.call(name, follow, LIMIT)?;
         after = Some(batch.mark);
+        // A net at another site is called otherwise there.
+        if let Some(state) = &mut batch.state {
+            name.clone_into(&mut state.net);
+        }
         // Those that it began with, and what a person did since.
         let ordered = |event: &Event| event.phase == EventPhase::Ordered;
         let sets = view.is_some() || batch.events.iter().any(ordered);
         if view.is_some()
-            && let (Some(view), Some(state)) = (view.take(), batch.state.take())
-            && news
-                .send(News::Net(Box::new(view), Box::new(state)))
-                .is_err()
+            && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
         {
-            return Ok(());
+            name.clone_into(&mut view.name);
+            let net = News::Net(Box::new(view), Box::new(state));
+            if news.send(net).is_err() {
+                return Ok(());
+            }
         }
         if news
             .send(News::Batch(name.to_owned(), Box::new(batch)))

@@ -53,6 +53,8 @@ pub(super) struct Period {
     period: f64,
     /// The force at the wrist, N, in the base frame.
     force: Vector3<f64>,
+    /// When the camera had given the newest picture that is used, s.
+    received: f64,
     /// The arm does not follow.
     halted: bool,
     /// Where the ball stays, and since when, s; within how far, m, and how long until it rests, s.
@@ -103,6 +105,7 @@ impl Period {
             mouse_age: args.mouse_age_s,
             period: args.period_ms * 1e-3,
             force: Vector3::zeros(),
+            received: f64::NAN,
             halted: false,
             stays: None,
             rests: args.rests,
@@ -151,9 +154,9 @@ impl Period {
         self.stays.is_some_and(|(_, since)| now - since >= long)
     }
 
-    /// Takes in that the hand should have been at `relative`, m along its own axes, at the moment `at`; it is known `now`. False
-    /// where nobody knows where the hand was then.
-    pub(super) fn take(&mut self, now: f64, at: f64, relative: &[f64; 3]) -> bool {
+    /// Takes in that the hand should have been at `relative`, m along its own axes, at the moment `at`; it is known `now`, and the
+    /// camera had given the picture at `received`. False where nobody knows where the hand was then.
+    pub(super) fn take(&mut self, now: f64, [at, received]: [f64; 2], relative: &[f64; 3]) -> bool {
         let Some(pose) = self.history.at(at) else {
             return false;
         };
@@ -162,6 +165,9 @@ impl Period {
         let place = ball - self.arm.turn() * self.ball.coords;
         let taken = self.control.measure(now, at, &place);
         tracing::trace!(at, late = now - at, ?relative, place = ?place.coords, ?taken);
+        if matches!(taken, Taken::Begun | Taken::Used) {
+            self.received = received;
+        }
         if matches!(taken, Taken::Begun) {
             tracing::info!(x = place.x, y = place.y, z = place.z, "the ball is seen");
         }
@@ -191,6 +197,7 @@ impl Period {
         if let Err(error) = self.send() {
             tracing::warn!("a setpoint is lost: {error}");
         }
+        let left = seconds(cx.now());
         let phase = match self.halted {
             true => Phase::Stopped,
             false => self.control.phase(),
@@ -217,7 +224,8 @@ impl Period {
             place: self.control.course().place,
             velocity: self.control.course().velocity,
             target: target.map(|target| target.place),
-            age: target.map_or(0.0, |target| target.age),
+            age: target.map_or(0.0, |target| target.age + left - now),
+            own: left - self.received,
             phase,
             tool,
             tool_at,

@@ -1,7 +1,7 @@
 //! How well the hand follows, without pictures and without an arm: the ball moves, is measured late and with noise where the map knows
 //! it, and the hand is where its setpoint was a moment ago. Beside it runs a Kalman filter that has the true stamps and statistics.
 //!
-//! `CTOS_TRACKER_SEEDS=6 cargo test --workspace --test following -- --nocapture` prints the table of `docs/tracker.md`;
+//! `CTOS_TRACKER_SEEDS=20 CTOS_TRACKER_SECONDS=60 cargo test --workspace --test following -- --nocapture` prints the table of `docs/tracker.md`;
 //! `CTOS_TRACKER_HOURS=1` has the long run go on for so many hours.
 #![allow(
     clippy::unwrap_used,
@@ -286,6 +286,12 @@ fn seeds() -> u64 {
     seeds.map_or(2, |seeds| seeds.parse().unwrap())
 }
 
+/// How long each runs, s.
+fn long() -> f64 {
+    let seconds = std::env::var("CTOS_TRACKER_SECONDS");
+    seconds.map_or(30.0, |seconds| seconds.parse().unwrap())
+}
+
 const LATENCIES: [(&str, [f64; 2]); 3] = [
     ("40 ms", [0.04, 0.0]),
     ("110 +- 20 ms", [0.11, 0.02]),
@@ -299,7 +305,7 @@ fn balls_are_followed_smoothly_at_any_latency_about_as_well_as_a_kalman_filter_c
         (Ball::Sweep, "sweep, 0.5 m/s"),
         (Ball::Saccade, "saccades, 2 m/s^2"),
     ];
-    println!("{} seeds of 30 s each, mm", seeds());
+    println!("{} seeds of {} s each, mm", seeds(), long());
     println!(
         "| ball | latency | rms | p95 | without prediction, rms | estimate over a Kalman filter's | followed | expired |"
     );
@@ -308,12 +314,12 @@ fn balls_are_followed_smoothly_at_any_latency_about_as_well_as_a_kalman_filter_c
         for (late, latency) in LATENCIES {
             let [mut with, mut without] = [Run::default(), Run::default()];
             for seed in 0..seeds() {
-                with.add(&run(ball, latency, ControlArgs::default(), seed, 30.0));
+                with.add(&run(ball, latency, ControlArgs::default(), seed, long()));
                 let args = ControlArgs {
                     prediction: false,
                     ..ControlArgs::default()
                 };
-                without.add(&run(ball, latency, args, seed, 30.0));
+                without.add(&run(ball, latency, args, seed, long()));
             }
             let best = with.kalman.iter().copied().fold(f64::MAX, f64::min);
             let over = (with.estimate / best).sqrt();

@@ -107,7 +107,6 @@ type Lints = BTreeMap<(LintCode, String), Lint>;
 
 #[derive(Default)]
 struct State {
-    last: Instant,
     seen: BTreeMap<Tid, Seen>,
     cyclics: BTreeMap<String, SeenCyclic>,
     present: Lints,
@@ -129,23 +128,19 @@ impl Watch {
         chassis.extension()
     }
 
-    pub(super) fn last_look(&self) -> Instant {
-        lock(&self.0).last
-    }
-
     pub(super) fn lints(&self) -> Vec<Lint> {
         lock(&self.0).present.values().cloned().collect()
     }
 
-    /// Looks at all tasks of `chassis`; tells what is new and what is over.
-    pub(crate) fn look(&self, chassis: &Chassis, now: Instant) {
+    /// Looks at all tasks of `chassis`; tells what is new and what is over. Whether something may be seen later
+    /// though nothing runs.
+    pub(crate) fn look(&self, chassis: &Chassis, now: Instant) -> bool {
         let mut look = Look {
             chassis,
             now,
             found: Lints::new(),
         };
         let mut state = lock(&self.0);
-        state.last = now;
         let mut before = std::mem::take(&mut state.seen);
         let tasks = chassis.tasks();
         for task in tasks.iter().filter(|task| !is_at_rest(task)) {
@@ -157,9 +152,10 @@ impl Watch {
                 state.seen.insert(task.tid, seen);
             }
         }
-        look.semaphores();
+        let is_waited = look.semaphores();
         look.cyclics(&mut state.cyclics);
         let found = look.found;
+        let rests = state.seen.is_empty() && state.cyclics.is_empty() && found.is_empty();
         let before = std::mem::replace(&mut state.present, found.clone());
         drop(state);
         for (lints, others, present) in [(&found, &before, true), (&before, &found, false)] {
@@ -167,6 +163,7 @@ impl Watch {
                 tell(chassis, lint, present);
             }
         }
+        is_waited || !rests
     }
 }
 
@@ -264,12 +261,14 @@ impl Look<'_> {
         self.add(LintCode::QueueGrows, name, name, since, text);
     }
 
-    /// Permits that are held for too long while others wait.
-    fn semaphores(&mut self) {
+    /// Permits that are held for too long while others wait. Whether anybody waits for one.
+    fn semaphores(&mut self) -> bool {
+        let mut is_waited = false;
         for view in self.chassis.semaphores() {
             let Some(next) = view.waiting.first() else {
                 continue;
             };
+            is_waited = true;
             for holder in &view.holders {
                 let held = self.now.since(holder.since);
                 if held < PERMIT_TIMEOUT {
@@ -284,6 +283,7 @@ impl Look<'_> {
                 self.add(LintCode::SemaphoreHeld, &what, task, holder.since, text);
             }
         }
+        is_waited
     }
 
     /// Synchronous functions that skip periods or take too long.

@@ -6,7 +6,7 @@ use super::super::expander::{Expander, GeneratedTask};
 use super::super::node::{Entry, Node};
 use super::{Builder, restart};
 use crate::diagnostic::{Finding, Findings, Place, nearest};
-use crate::settings::Policy;
+use crate::settings::{Policy, is_name};
 use std::collections::BTreeSet;
 
 const QUEUE: usize = 64;
@@ -127,7 +127,11 @@ impl Builder<'_> {
             key_place: Some(place.clone()),
             value: node.placed(&place),
         };
-        check_name("task", &entry, self.findings);
+        // What stands for a task at another site is called `TASK@SITE`.
+        let parts = entry.key.split_once('@');
+        if !parts.is_some_and(|(task, site)| is_name(task) && is_name(site)) {
+            check_name("task", &entry, self.findings);
+        }
         if let Some(other) = tasks.iter().find(|other| other.name == entry.key) {
             let (name, at) = (&other.name, &other.place);
             let text = format!(

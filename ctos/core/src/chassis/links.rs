@@ -319,21 +319,31 @@ impl Chassis {
     /// Chassis `peer` is gone: every call that waits for it ends. What it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub fn link_down(self: &Arc<Self>, peer: ChassisNumber) {
-        let ended: Vec<(u64, Pending)> = {
-            let mut links = lock(&self.links);
-            if links.up.remove(&peer).is_none() {
-                return;
+        if let Some(unlinked) = self.unlink(peer) {
+            self.tell_unlinked(unlinked);
+        }
+    }
+
+    /// Takes away the link with `peer`, if there is one. What comes of that is told by [`Self::tell_unlinked`], under
+    /// no lock.
+    pub fn unlink(&self, peer: ChassisNumber) -> Option<Unlinked> {
+        let mut links = lock(&self.links);
+        links.up.remove(&peer)?;
+        links.inbound.retain(|(from, _), request| {
+            if *from == peer {
+                request.abandon();
             }
-            links.inbound.retain(|(from, _), request| {
-                if *from == peer {
-                    request.abandon();
-                }
-                *from != peer
-            });
-            let of_peer = |_: &u64, pending: &mut Pending| pending.peer() == peer;
-            links.pending.extract_if(.., of_peer).collect()
-        };
-        for (_, pending) in ended {
+            *from != peer
+        });
+        let of_peer = |_: &u64, pending: &mut Pending| pending.peer() == peer;
+        let ended = links.pending.extract_if(.., of_peer);
+        let ended = ended.map(|(_, pending)| pending).collect();
+        Some(Unlinked { peer, ended })
+    }
+
+    /// Ends the calls that wait for a chassis without a link, and tells every task here.
+    pub fn tell_unlinked(self: &Arc<Self>, Unlinked { peer, ended }: Unlinked) {
+        for pending in ended {
             pending.answer(Err(self.peer_down_fault(peer)));
         }
         self.directory.forget_chassis(peer);
@@ -343,10 +353,21 @@ impl Chassis {
         let chassis = self.name_of(peer).to_owned();
         tracing::debug!(chassis = %chassis, "link down");
         for task in self.tasks() {
-            let chassis = chassis.clone();
-            self.post_system(task.tid, system::ChassisDown { chassis });
+            // One that was moved hears of it where it is.
+            if self.directory.current(task.tid) == task.tid {
+                let chassis = chassis.clone();
+                self.post_system(task.tid, system::ChassisDown { chassis });
+            }
         }
     }
+}
+
+/// A link that was taken away, with the calls that waited for its other end.
+#[doc(hidden)]
+#[must_use]
+pub struct Unlinked {
+    peer: ChassisNumber,
+    ended: Vec<Pending>,
 }
 
 /// The data of a frame.

@@ -179,7 +179,7 @@ impl Tether {
     }
 }
 
-/// Connects to the boot and, as that says, to every other chassis.
+/// Connects to the boot, and hears from it who else belongs to the app.
 async fn connect(
     chassis: &Arc<Chassis>,
     boot: &Address,

@@ -1,9 +1,9 @@
 //! The mesh: who connects to whom, for as long as the app runs.
 //!
-//! Every chassis has a mesh. All others call the boot's, which tells them of each other; of any two
-//! others, one calls ([`calls`]). Calls are taken for the whole run, so a chassis that was started again
-//! (with a higher incarnation number) can join. The link of its predecessor goes down first, then its
-//! own comes up. Streams that break are opened again until the peer counts as silent.
+//! Every chassis has a mesh. All others call the boot's, which tells them of each other. Any two others are linked when one
+//! first needs the other. Of the two, one calls ([`calls`]), if need be asked to by way of the boot. Calls are taken for
+//! the whole run, so a chassis that was started again (with a higher incarnation number) can join. The link of its
+//! predecessor goes down first, then its own comes up. Streams that break are opened again until the peer counts as silent.
 //!
 //! Knows sessions and streams, but nothing of what supervision does about a chassis that is gone.
 
@@ -16,7 +16,7 @@ pub(crate) use call::unable;
 pub(crate) use peer::EXIT_GIVEN_UP;
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeMap,
     io,
     path::Path,
     sync::{Arc, Mutex},
@@ -52,9 +52,11 @@ pub(crate) const FLUSH_TIMEOUT: Duration = Duration::from_secs(1);
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 enum Notice {
     /// From the boot: who belongs to the app now.
-    Members { round: u32, members: Vec<Member> },
-    /// To the boot: connected to all members of that round.
-    Ready { round: u32 },
+    Members(Vec<Member>),
+    /// To the boot: let this incarnation of a chassis call the sender. From the boot: call it.
+    Call(ChassisNumber, u32),
+    /// From the boot: this incarnation is not there to call anybody.
+    Gone(ChassisNumber, u32),
 }
 
 /// What happens to the links of a chassis.
@@ -65,8 +67,7 @@ pub(crate) enum MeshEvent {
         chassis: ChassisNumber,
         incarnation: u32,
     },
-    /// At the boot: a chassis is connected to every other one. Elsewhere: this one (and `chassis` is its
-    /// number).
+    /// At the boot: all know of a chassis. Elsewhere: this one (`chassis` is its number) has heard who belongs to the app.
     Joined {
         chassis: ChassisNumber,
         incarnation: u32,
@@ -117,20 +118,15 @@ struct Peer {
     session: Option<Arc<Session>>,
     /// What the boot, or the peer itself, said of it.
     member: Option<Member>,
-    /// Somebody is calling it.
+    /// Somebody is calling it, or has asked it to call.
     called: bool,
 }
 
 #[derive(Default)]
 struct Roll {
     peers: BTreeMap<ChassisNumber, Peer>,
-    /// At the boot: of the last announcement. Elsewhere: of the last one heard.
-    round: u32,
-    /// Elsewhere: the members of that round, until they are all connected.
-    awaited: Option<Vec<Member>>,
-    /// At the boot: who of the last announcement is still there, with the incarnation, and who is connected to all.
+    /// At the boot: who of the last announcement is still there, with the incarnation.
     announced: BTreeMap<ChassisNumber, u32>,
-    ready: BTreeSet<ChassisNumber>,
 }
 
 /// What the tasks of a mesh share.
@@ -211,6 +207,14 @@ impl Mesh {
             live: Mutex::default(),
             events: sender,
         });
+        if chassis.index() != 0 {
+            let mesh = Arc::downgrade(&inner);
+            chassis.connect_by(move |peer| {
+                if let Some(mesh) = mesh.upgrade() {
+                    mesh.connect(peer);
+                }
+            });
+        }
         let doors = listeners
             .into_iter()
             .map(|listener| door::keep(inner.clone(), listener))
@@ -278,7 +282,7 @@ impl Mesh {
         self.inner.call(member);
     }
 
-    /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
+    /// Says goodbye on all links that have a stream, once everything posted has gone out; nobody is let in any more.
     pub(crate) async fn close(&mut self) {
         tracing::debug!(refused = self.refused(), "the mesh closes");
         self.doors.abort_all();

@@ -1,11 +1,6 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    net::SocketAddr,
-    sync::Arc,
-    time::Duration,
-};
+use std::{collections::BTreeSet, net::SocketAddr, sync::Arc, time::Duration};
 
 use tokio::{
     signal::unix::{Signal, SignalKind, signal},
@@ -187,7 +182,6 @@ async fn run_processes(
     let threads =
         ctos_core::threads::start_processors(chassis).map_err(io("cannot start a thread"))?;
     let server = Server::start(chassis, &logs, ticker.clone(), gate);
-    let mut newcomers = Newcomers::default();
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     for (id, ending) in killed {
         tell_ended(chassis, id, &ending);
@@ -198,7 +192,7 @@ async fn run_processes(
             () = interrupts.next() => chassis.post_system(system::BOOTSTRAP, system::Interrupt { by_operator: false }),
             started = keeper.serve() => mesh.expect(started.chassis, started.incarnation),
             // What a chassis that is gone means is decided by the tasks, which have been told.
-            event = mesh.next() => newcomers.welcome(chassis, &event),
+            event = mesh.next() => welcome(chassis, event),
         }
     }
     let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
@@ -240,39 +234,32 @@ fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<ChassisNumber>, timeout: Dura
     }
 }
 
-/// The processes that joined the running app, by chassis.
-#[derive(Default)]
-struct Newcomers(BTreeMap<ChassisNumber, u32>);
-
-impl Newcomers {
-    /// Tells the bootstrap service of a process that has just been connected to all the others. The mesh
-    /// tells of each chassis again whenever one joins.
-    fn welcome(&mut self, chassis: &Arc<Chassis>, event: &MeshEvent) {
-        match event {
-            MeshEvent::Joined {
+/// Tells the bootstrap service of a process that has joined the running app.
+fn welcome(chassis: &Arc<Chassis>, event: MeshEvent) {
+    match event {
+        // The first ones are there when the app begins.
+        MeshEvent::Joined {
+            chassis: index,
+            incarnation: incarnation @ 2..,
+        } => {
+            let linked = system::ChassisLinked {
                 chassis: index,
                 incarnation,
-            } if *incarnation > self.0.get(index).copied().unwrap_or(1) => {
-                self.0.insert(*index, *incarnation);
-                let linked = system::ChassisLinked {
-                    chassis: *index,
-                    incarnation: *incarnation,
-                };
-                chassis.post_system(system::BOOTSTRAP, linked);
-            }
-            MeshEvent::Unable {
-                chassis: index,
-                reason,
-            } => {
-                // Its process ends, which the supervisor sees.
-                tracing::error!(chassis = chassis.name_of(*index), reason, "cannot join");
-            }
-            _ => {}
+            };
+            chassis.post_system(system::BOOTSTRAP, linked);
         }
+        MeshEvent::Unable {
+            chassis: index,
+            reason,
+        } => {
+            // Its process ends, which the supervisor sees.
+            tracing::error!(chassis = chassis.name_of(index), reason, "cannot join");
+        }
+        _ => {}
     }
 }
 
-/// Waits until all chassis are connected to each other and to this one. It does not wait for those that were
+/// Waits until all chassis are connected to this one and know of each other. It does not wait for those that were
 /// killed and may be started again: they are its result, for their supervisors. `missing` says at any time who
 /// is not there.
 async fn connect(

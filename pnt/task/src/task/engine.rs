@@ -210,6 +210,11 @@ impl Engine {
 
     /// Everybody is connected: fire.
     pub(super) fn begin(self: &Rc<Self>, cx: &Context) {
+        // Who is linked hears of a death, also of a partner with whom no token was exchanged yet.
+        for task in self.partners().iter().filter_map(|net| cx.app().task(net)) {
+            let number = cx.chassis().number_of(&task.chassis);
+            number.inspect(|number| _ = cx.chassis().reach(*number));
+        }
         self.core.borrow_mut().begun = true;
         self.published(&mut self.core.borrow_mut(), cx);
         self.take_up_firings(cx);

@@ -158,6 +158,24 @@ pub struct RequestId {
     pub number: u64,
 }
 
+/// The data of a command that a net, or a caller, at another site sends to a net here: it gets the name `NAME@SITE`, so that its
+/// numbers are not taken for those of one here. Other commands, and data that cannot be read, stay as they are.
+#[must_use]
+pub fn from_site(command: u16, data: Vec<u8>, site: &str) -> Vec<u8> {
+    let renamed = match command {
+        Tokens::CODE => postcard::from_bytes(&data).and_then(|mut tokens: Tokens| {
+            tokens.from = format!("{}@{site}", tokens.from).into();
+            postcard::to_stdvec(&tokens)
+        }),
+        PutOnce::CODE => postcard::from_bytes(&data).and_then(|mut put: PutOnce| {
+            put.request.from = format!("{}@{site}", put.request.from);
+            postcard::to_stdvec(&put)
+        }),
+        _ => return data,
+    };
+    renamed.unwrap_or(data)
+}
+
 ctos::command! {
     /// Puts a symbol on the input tape; answered when an output symbol is written for it.
     #[derive(Debug, Clone, PartialEq, Eq)]
@@ -234,3 +252,47 @@ pub const COMMANDS: [CommandInfo; 8] = [
     Describe::INFO,
     Follow::INFO,
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_net_at_another_site_sends_bears_its_name_and_that_of_its_site() {
+        let tokens = Tokens {
+            from: "belt".into(),
+            stream: 7,
+            first: 3,
+            transfers: vec![Arc::new(Transfer {
+                tokens: vec![("p".to_owned(), 2)],
+                symbol: None,
+            })],
+        };
+        let sent = postcard::to_stdvec(&tokens).unwrap();
+        let came = from_site(Tokens::CODE, sent.clone(), "north");
+        let came: Tokens = postcard::from_bytes(&came).unwrap();
+        let named = Tokens {
+            from: "belt@north".into(),
+            ..tokens
+        };
+        assert_eq!(came, named);
+        let put = PutOnce {
+            request: RequestId {
+                from: "person".to_owned(),
+                number: 1,
+            },
+            symbol: "go".to_owned(),
+            arguments: vec!["fast".to_owned()],
+        };
+        let came = from_site(PutOnce::CODE, postcard::to_stdvec(&put).unwrap(), "north");
+        let came: PutOnce = postcard::from_bytes(&came).unwrap();
+        assert_eq!(came.request.from, "person@north");
+        assert_eq!((came.symbol, came.arguments), (put.symbol, put.arguments));
+        assert_eq!(from_site(Marking::CODE, vec![1, 2], "north"), [1, 2]);
+        assert_eq!(
+            from_site(Tokens::CODE, vec![0xff], "north"),
+            [0xff],
+            "refused by the net"
+        );
+    }
+}

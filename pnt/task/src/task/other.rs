@@ -18,6 +18,10 @@ pub(super) enum Failed {
 
 /// Whether the net of a task goes on where it was when its process has died.
 pub(super) fn is_durable(cx: &Context, net: &str) -> bool {
+    // One at another site is not gone when it does not answer. Only durable ones should be asked from there.
+    if net.contains('@') {
+        return true;
+    }
     let task = cx.app().task(net);
     task.is_some_and(|task| settings(task).is_ok_and(|settings| settings.durable))
 }

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::net::UnixStream;
 
-use super::{Inner, door::may_be_chassis};
+use super::{Inner, calls, door::may_be_chassis};
 use ctos_core::chassis::Chassis;
 use ctos_link::{
     handshake::{Answer, GREETING, Greeting, HandshakeError, Hello, Member, Token, greet, hear},
@@ -44,29 +44,30 @@ enum CallError {
 }
 
 impl Inner {
-    /// Calls `member` until it is connected, and again whenever the stream breaks.
-    pub(super) fn call(self: &Arc<Self>, member: Member) {
-        let Member {
-            chassis,
-            incarnation,
-            ref process,
-            ..
-        } = member;
-        let Some(session) = self.session_with(chassis, incarnation, process) else {
-            return;
-        };
-        {
-            let mut state = lock(&self.state);
-            let Some(peer) = state.peers.get_mut(&chassis) else {
-                return;
-            };
-            if std::mem::replace(&mut peer.called, true) {
-                return;
-            }
+    /// Calls `member` until it is connected, and again whenever the stream breaks, or has it call. The session with it,
+    /// unless that is over.
+    pub(super) fn call(self: &Arc<Self>, member: Member) -> Option<Arc<Session>> {
+        let theirs = (member.chassis, member.incarnation);
+        let session = self.session_with(theirs.0, theirs.1, &member.process)?;
+        if !session.is_open() {
+            return None;
         }
-        let mesh = self.clone();
-        self.runtime
-            .spawn(async move { mesh.keep_calling(&session, &member).await });
+        let was_called = {
+            let mut state = lock(&self.state);
+            let peer = state.peers.get_mut(&member.chassis)?;
+            std::mem::replace(&mut peer.called, true)
+        };
+        if was_called {
+            return Some(session);
+        }
+        if calls((self.chassis.index(), self.who.incarnation), theirs) {
+            let (mesh, called) = (self.clone(), session.clone());
+            self.runtime
+                .spawn(async move { mesh.keep_calling(&called, &member).await });
+        } else {
+            self.ask_to_be_called(&member);
+        }
+        Some(session)
     }
 
     async fn keep_calling(self: Arc<Self>, session: &Arc<Session>, member: &Member) {

@@ -141,7 +141,7 @@ impl Inner {
     }
 
     /// What a chassis says of itself, for the others.
-    fn introduce(&self, member: Member) {
+    pub(super) fn introduce(&self, member: Member) {
         let mut state = ctos_time::lock::lock(&self.state);
         if let Some(peer) = state.peers.get_mut(&member.chassis) {
             peer.member = Some(member);

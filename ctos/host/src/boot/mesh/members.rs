@@ -1,142 +1,171 @@
-//! Who belongs to the app: the boot tells all of all, and hears when they are connected.
+//! Who belongs to the app: the boot tells all of all, and each makes a link to another one when it first needs it.
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use super::{Inner, MeshEvent, Notice, Peer, calls};
+use super::{Inner, MeshEvent, Notice, Peer};
 use ctos_link::{
     handshake::Member,
-    session::{Session, state::State},
+    session::{
+        DownReason, Session,
+        state::{Event, State},
+    },
 };
 use ctos_message::ChassisNumber;
 use ctos_time::lock::lock;
 
-impl Inner {
-    /// A link came up, or went down.
-    pub(super) fn changed(self: &Arc<Self>) {
-        if self.chassis.index() == 0 {
-            self.announce();
-        } else {
-            self.report();
-        }
+impl Peer {
+    /// Whether it is connected. One that has just lost its stream is a member all the same.
+    fn is_up(&self) -> bool {
+        let session = self.session.as_ref();
+        session.is_some_and(|session| matches!(session.state(), State::Up | State::Broken))
     }
+}
 
-    /// At the boot: when everybody who is expected has called, all are told of all. One who leaves is no news, unless
-    /// somebody may wait to be connected to it: an app that ends would else tell all of all each time that one goes.
-    fn announce(&self) {
-        let (notice, sessions) = {
-            let mut state = lock(&self.state);
-            let is_up = |peer: &Peer| {
-                let session = peer.session.as_ref();
-                // One that has just lost its stream is a member all the same.
-                session.is_some_and(|session| matches!(session.state(), State::Up | State::Broken))
-            };
-            let expected = |peer: &&Peer| {
-                let session = peer.session.as_ref();
-                session.is_none_or(|session| session.state() != State::Down)
-            };
-            let mut peers = state.peers.values().filter(expected);
-            if !peers.all(|peer| is_up(peer) && peer.member.is_some()) {
-                return;
-            }
-            let up = || state.peers.values().filter(|peer| is_up(peer));
-            let there = up().filter_map(|peer| peer.member.as_ref());
-            let there = there.map(|member| (member.chassis, member.incarnation));
-            let there: BTreeMap<ChassisNumber, u32> = there.collect();
-            let before = &state.announced;
-            let has_come = there
-                .iter()
-                .any(|(one, life)| before.get(one) != Some(life));
-            let has_left = before.keys().any(|one| !there.contains_key(one));
-            let waits = there.keys().any(|one| !state.ready.contains(one));
-            let is_news = has_come || (has_left && waits);
-            if !is_news {
-                state.announced = there;
-                return;
-            }
-            let round = state.round + 1;
-            let members = up().filter_map(|peer| peer.member.clone()).collect();
-            let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
-            state.round = round;
-            state.announced = there;
-            state.ready.clear();
-            (Notice::Members { round, members }, sessions)
+impl Inner {
+    /// At the boot: a link came up, or went down. When everybody who is expected has called, all are told of all; one who
+    /// leaves is no news.
+    pub(super) fn changed(&self) {
+        if self.chassis.index() != 0 {
+            return;
+        }
+        let mut state = lock(&self.state);
+        let expected = |peer: &&Peer| {
+            let session = peer.session.as_ref();
+            session.is_none_or(|session| session.state() != State::Down)
         };
+        let mut peers = state.peers.values().filter(expected);
+        if !peers.all(|peer| peer.is_up() && peer.member.is_some()) {
+            return;
+        }
+        let up = || state.peers.values().filter(|peer| peer.is_up());
+        let members: Vec<Member> = up().filter_map(|peer| peer.member.clone()).collect();
+        let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
+        let there = members
+            .iter()
+            .map(|member| (member.chassis, member.incarnation));
+        let there: BTreeMap<ChassisNumber, u32> = there.collect();
+        let before = std::mem::replace(&mut state.announced, there.clone());
+        let is_new = |(one, life): &(ChassisNumber, u32)| before.get(one) != Some(life);
+        let come: Vec<_> = there.into_iter().filter(is_new).collect();
+        if come.is_empty() {
+            return;
+        }
+        // Under the lock: who is asked to call another one has heard of it before.
+        let notice = Notice::Members(members);
         for session in sessions {
             tell(&session, &notice);
         }
+        drop(state);
+        for (chassis, incarnation) in come {
+            self.send(MeshEvent::Joined {
+                chassis,
+                incarnation,
+            });
+        }
     }
 
-    /// Elsewhere: when all members are connected, or gone again, the boot is told.
-    fn report(&self) {
-        let (round, boot) = {
-            let mut state = lock(&self.state);
-            let Some(awaited) = &state.awaited else {
-                return;
-            };
-            let connected = |member: &Member| {
-                let Some(peer) = state.peers.get(&member.chassis) else {
-                    return false;
-                };
-                let session = peer.session.as_ref();
-                let met = session.is_some_and(|session| session.state() != State::Waiting);
-                peer.incarnation > member.incarnation
-                    || peer.incarnation == member.incarnation && met
-            };
-            let ours = self.chassis.index();
-            let mut others = awaited.iter().filter(|member| member.chassis != ours);
-            if !others.all(connected) {
+    /// Makes the link with `chassis` on its first use, if the boot has told of it. It takes frames at once, and is down
+    /// when no stream can be had.
+    pub(super) fn connect(self: &Arc<Self>, chassis: ChassisNumber) {
+        let member = {
+            let state = lock(&self.state);
+            let peer = state.peers.get(&chassis);
+            peer.and_then(|peer| peer.member.clone())
+        };
+        let Some(member) = member else { return };
+        if let Some(session) = self.call(member.clone()) {
+            self.enlist(chassis, member.incarnation, &session);
+        }
+    }
+
+    /// From now on frames for `chassis` go over `session`, and those of an earlier incarnation nowhere.
+    pub(super) fn enlist(&self, chassis: ChassisNumber, incarnation: u32, session: &Arc<Session>) {
+        let unlinked = {
+            let mut live = lock(&self.live);
+            let before = live.get(&chassis).copied();
+            // It may have gone down just now, and would not tell that again; or its successor was faster.
+            let is_over = session.look(|core| core.state()) == State::Down;
+            if is_over || before.is_some_and(|before| before > incarnation) {
                 return;
             }
-            state.awaited = None;
-            let boot = state.peers.get(&0).and_then(|peer| peer.session.clone());
-            (state.round, boot)
+            live.insert(chassis, incarnation);
+            let replaced = before.is_some_and(|before| before != incarnation);
+            let unlinked = replaced.then(|| self.chassis.unlink(chassis)).flatten();
+            self.chassis.link_up(chassis, session.clone());
+            unlinked
         };
-        if let Some(boot) = boot {
-            tell(&boot, &Notice::Ready { round });
+        if let Some(unlinked) = unlinked {
+            self.chassis.tell_unlinked(unlinked);
+        }
+    }
+
+    /// What the mesh of `from` says.
+    pub(super) fn heard(self: &Arc<Self>, from: ChassisNumber, notice: Notice) {
+        match notice {
+            Notice::Members(members) if from == 0 => self.learn(members),
+            Notice::Call(chassis, _) if from == 0 => self.connect(chassis),
+            Notice::Gone(chassis, incarnation) if from == 0 => {
+                let session = {
+                    let state = lock(&self.state);
+                    let peer = state.peers.get(&chassis);
+                    let peer = peer.filter(|peer| peer.incarnation == incarnation);
+                    peer.and_then(|peer| peer.session.clone())
+                };
+                if let Some(session) = session {
+                    session.event(Event::PeerEnded, DownReason::Ended);
+                }
+            }
+            Notice::Call(chassis, incarnation) if self.chassis.index() == 0 => {
+                self.pass_on(from, (chassis, incarnation));
+            }
+            other => {
+                let peer = self.chassis.name_of(from);
+                tracing::error!(peer, notice = ?other, "not for this chassis to hear");
+            }
+        }
+    }
+
+    /// These belong to the app now. Of their earlier incarnations nothing is left.
+    fn learn(self: &Arc<Self>, members: Vec<Member>) {
+        let ours = self.chassis.index();
+        for member in members {
+            if member.chassis != ours && self.supersede(member.chassis, member.incarnation) {
+                self.introduce(member);
+            }
         }
         self.send(MeshEvent::Joined {
-            chassis: self.chassis.index(),
+            chassis: ours,
             incarnation: self.who.incarnation,
         });
     }
 
-    /// What the mesh of `chassis` says.
-    pub(super) fn heard(self: &Arc<Self>, chassis: ChassisNumber, notice: Notice) {
-        match notice {
-            Notice::Members { round, members } if chassis == 0 => {
-                let ours = (self.chassis.index(), self.who.incarnation);
-                for member in &members {
-                    let theirs = (member.chassis, member.incarnation);
-                    if theirs.0 != ours.0 && calls(ours, theirs) {
-                        self.call(member.clone());
-                    }
-                }
-                {
-                    let mut state = lock(&self.state);
-                    state.round = round;
-                    state.awaited = Some(members);
-                }
-                self.report();
-            }
-            Notice::Ready { round } if self.chassis.index() == 0 => {
-                let incarnation = {
-                    let mut state = lock(&self.state);
-                    let known = state.peers.get(&chassis).map(|peer| peer.incarnation);
-                    let Some(incarnation) = known.filter(|_| round == state.round) else {
-                        return;
-                    };
-                    state.ready.insert(chassis);
-                    incarnation
-                };
-                self.send(MeshEvent::Joined {
-                    chassis,
-                    incarnation,
-                });
-            }
-            other => {
-                let peer = self.chassis.name_of(chassis);
-                tracing::error!(peer, notice = ?other, "not for this chassis to hear");
-            }
+    /// At the boot: `from` wants to be called by an incarnation of `chassis`. That is asked to, if it is there.
+    fn pass_on(&self, from: ChassisNumber, (chassis, incarnation): (ChassisNumber, u32)) {
+        let (asker, asked) = {
+            let state = lock(&self.state);
+            let asked = state.peers.get(&chassis);
+            let asked = asked.filter(|peer| peer.incarnation == incarnation && peer.is_up());
+            let asker = state.peers.get(&from);
+            (
+                asker.and_then(|peer| Some((peer.session.clone()?, peer.incarnation))),
+                asked.and_then(|peer| peer.session.clone()),
+            )
+        };
+        match (asked, asker) {
+            (Some(asked), Some((_, life))) => tell(&asked, &Notice::Call(from, life)),
+            (None, Some((asker, _))) => tell(&asker, &Notice::Gone(chassis, incarnation)),
+            (_, None) => {}
+        }
+    }
+
+    /// Asks `member`, by way of the boot, to call this chassis.
+    pub(super) fn ask_to_be_called(&self, member: &Member) {
+        let boot = {
+            let state = lock(&self.state);
+            state.peers.get(&0).and_then(|boot| boot.session.clone())
+        };
+        if let Some(boot) = boot {
+            tell(&boot, &Notice::Call(member.chassis, member.incarnation));
         }
     }
 }

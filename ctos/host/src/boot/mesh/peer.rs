@@ -74,11 +74,7 @@ impl Receiver for PeerReceiver {
         let Some(mesh) = self.mesh.upgrade() else {
             return;
         };
-        {
-            let mut live = lock(&mesh.live);
-            live.insert(self.chassis, self.incarnation);
-            mesh.chassis.link_up(self.chassis, session);
-        }
+        mesh.enlist(self.chassis, self.incarnation, &session);
         mesh.send(MeshEvent::Up {
             chassis: self.chassis,
             incarnation: self.incarnation,
@@ -128,13 +124,15 @@ impl Receiver for PeerReceiver {
             // Before the tasks see that the boot is gone, and take that for the reason.
             mesh.chassis.exit(EXIT_GIVEN_UP);
         }
-        {
+        let unlinked = {
             let mut live = lock(&mesh.live);
             // The link of a successor must not go down with this one.
-            if live.get(&self.chassis) == Some(&self.incarnation) {
-                live.remove(&self.chassis);
-                mesh.chassis.link_down(self.chassis);
-            }
+            let is_live = live.get(&self.chassis) == Some(&self.incarnation);
+            is_live.then(|| live.remove(&self.chassis));
+            is_live.then(|| mesh.chassis.unlink(self.chassis)).flatten()
+        };
+        if let Some(unlinked) = unlinked {
+            mesh.chassis.tell_unlinked(unlinked);
         }
         mesh.send(MeshEvent::Down {
             chassis: self.chassis,

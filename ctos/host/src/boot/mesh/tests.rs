@@ -132,6 +132,9 @@ async fn app(count: ChassisNumber, sets: &[&str]) -> (Node, Vec<Node>) {
         others.push(node);
     }
     boot.joined_by(&(1..=count).collect::<Vec<_>>()).await;
+    for node in &mut others {
+        node.joined_by(&[node.chassis.index()]).await;
+    }
     (boot, others)
 }
 
@@ -144,7 +147,7 @@ async fn asks(from: &Arc<Chassis>, to: ChassisNumber) -> Fault {
 }
 
 #[test]
-fn all_are_connected_to_all_by_every_kind_of_link() {
+fn all_reach_all_by_every_kind_of_link() {
     for same_host in ["same_host=shm", "same_host=unix", "same_host=tcp"] {
         run(async {
             let (boot, others) = app(3, &[same_host]).await;
@@ -162,18 +165,74 @@ fn all_are_connected_to_all_by_every_kind_of_link() {
 }
 
 #[test]
-fn all_are_told_of_all_once_and_nobody_that_another_has_left_in_the_end() {
+fn two_are_linked_when_one_of_them_first_needs_the_other_whoever_that_is() {
+    for (from, to) in [(0, 2), (2, 0)] {
+        run(async {
+            let (_boot, others) = app(3, &[]).await;
+            let linked = |one: usize, other: usize| {
+                let number = others[other].chassis.index();
+                others[one].chassis.is_linked(number)
+            };
+            assert!(!linked(from, to) && !linked(to, from));
+            let fault = asks(&others[from].chassis, others[to].chassis.index()).await;
+            assert_eq!(fault, Fault::UnknownTask);
+            assert!(linked(from, to) && linked(to, from));
+            assert!(!linked(from, 1) && !linked(1, from) && !linked(to, 1));
+        });
+    }
+}
+
+#[test]
+fn two_that_need_each_other_at_the_same_time_have_one_stream() {
+    run(async {
+        let (_boot, others) = app(2, &["same_host=unix"]).await;
+        let [a, b] = [&others[0].chassis, &others[1].chassis];
+        let (one, other) = tokio::join!(asks(a, 2), asks(b, 1));
+        assert_eq!([one, other], [Fault::UnknownTask, Fault::UnknownTask]);
+        for (chassis, peer) in [(a, "b"), (b, "a")] {
+            let counts = chassis.link_counts();
+            let (_, counts) = counts.iter().find(|(name, _)| name == peer).unwrap();
+            assert_eq!(counts.streams, 1, "{peer}");
+        }
+    });
+}
+
+#[test]
+fn who_is_gone_when_it_is_first_needed_is_down_at_once() {
+    // Of the two, the second one calls the first.
+    for (stays, goes) in [(0, 1), (1, 0)] {
+        run(async {
+            let (mut boot, mut others) = app(2, &["peer_timeout_s=50"]).await;
+            let gone = goes as ChassisNumber + 1;
+            others[goes].chassis.drop_links();
+            others[goes].mesh.close().await;
+            boot.went_down(gone).await;
+            let fault = asks(&others[stays].chassis, gone).await;
+            let chassis = ["a", "b"][goes].to_owned();
+            assert_eq!(fault, Fault::PeerDown { chassis });
+            assert!(!others[stays].chassis.reach(gone));
+        });
+    }
+}
+
+#[test]
+fn nobody_is_told_that_another_one_has_left() {
     run(async {
         let (mut boot, mut others) = app(3, &["same_host=unix"]).await;
-        let told = |boot: &Node| lock(&boot.mesh.inner.state).round;
-        assert_eq!(told(&boot), 1);
         while let Some(mut last) = others.pop() {
             last.mesh.close().await;
             boot.went_down(last.chassis.index()).await;
-            // What that leads to has happened when somebody else has been heard.
-            tokio::task::yield_now().await;
             boot.mesh.inner.changed();
-            assert_eq!(told(&boot), 1);
+            for other in &others {
+                // What it was told before has come with this.
+                asks(&boot.chassis, other.chassis.index()).await;
+            }
+            let joins = |event: &MeshEvent| matches!(event, MeshEvent::Joined { .. });
+            let told = others.iter_mut().any(|other| {
+                let events = std::iter::from_fn(|| other.mesh.events.try_recv().ok());
+                events.filter(joins).count() > 0
+            });
+            assert!(!told);
         }
     });
 }
@@ -360,7 +419,7 @@ fn a_chassis_that_was_started_again_joins_and_its_predecessors_link_goes_down_fi
         boot.mesh.expect(2, 2);
         let successor = Node::start(2, 2, &[]).await;
         successor.mesh.join(&boot.address());
-        // What the boot sees of chassis 2; of its first life it may hear again that it has joined.
+        // What the boot sees of chassis 2.
         let mut seen = Vec::new();
         while seen.last() != Some(&("joined", 2)) {
             match boot.mesh.next().await {
@@ -390,10 +449,11 @@ fn a_chassis_that_was_started_again_joins_and_its_predecessors_link_goes_down_fi
 }
 
 #[test]
-fn a_goodbye_is_heard_by_all_and_the_end_of_a_process_only_after_its_last_words() {
+fn a_goodbye_is_heard_by_all_that_are_linked_and_the_end_of_a_process_only_after_its_last_words() {
     run(async {
         let (mut boot, mut others) = app(2, &["same_host=unix"]).await;
         let mut b = others.pop().unwrap();
+        asks(&others[0].chassis, 2).await;
         b.chassis.drop_links();
         b.mesh.close().await;
         assert_eq!(boot.went_down(2).await, DownReason::Bye);
@@ -453,9 +513,10 @@ fn a_link_through_a_proxy_that_hangs_up_again_and_again_answers_every_call_in_or
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
         let proxy = Address::Tcp(listener.local_addr().unwrap());
         tokio::spawn(cutting_proxy(listener, to));
-        let a = Node::start(1, 1, &["same_host=tcp"]).await;
+        let mut a = Node::start(1, 1, &["same_host=tcp"]).await;
         a.mesh.join(&proxy);
         boot.joined_by(&[1]).await;
+        a.joined_by(&[1]).await;
         for _ in 0..100 {
             assert_eq!(asks(&a.chassis, 0).await, Fault::UnknownTask);
             assert_eq!(asks(&boot.chassis, 1).await, Fault::UnknownTask);
@@ -564,9 +625,9 @@ fn with_keys_only_those_of_role_boot_become_chassis() {
         let mut plain = connect(&boot.address(), None, None).await.unwrap().0;
         say_hello(&mut plain, hello(1, 1)).await;
         assert!(hear::<Answer>(&mut plain).await.is_err());
-        let a = Node::start(1, 1, &sets).await;
+        let mut a = Node::start(1, 1, &sets).await;
         a.mesh.join(&boot.address());
-        boot.joined_by(&[1]).await;
+        a.joined_by(&[1]).await;
         assert_eq!(asks(&a.chassis, 0).await, Fault::UnknownTask);
     });
 }

@@ -146,6 +146,9 @@ fn a_chassis_of_another_host_is_called_by_zenoh_when_it_has_no_other_address() {
             node.mesh.join(address.unwrap());
         }
         boot.joined_by(&[1, 2]).await;
+        for node in &mut others {
+            node.joined_by(&[node.chassis.index()]).await;
+        }
         all_ask_all(&boot, &others).await;
     });
 }

@@ -1,0 +1,133 @@
+//! Follows what tasks sum up of those below them, and what a page looks at of it: the nets of an app that has many are followed
+//! once somebody opens them.
+
+use std::{cell::RefCell, collections::VecDeque, rc::Rc, time::Duration};
+
+use ctos::{
+    task::{Context, Handled, HandlerError},
+    time::Clock,
+};
+use scene_summary::{Decide, SumUp};
+
+use super::{hub::Hub, wire::Asked};
+
+/// How often a task is asked, as long as somebody looks.
+const EVERY: Duration = Duration::from_millis(500);
+/// A task that does not answer for so long is gone.
+const SILENCE: Duration = Duration::from_secs(4);
+/// How long what a person decides may take.
+const DECIDED_WITHIN: Duration = Duration::from_secs(10);
+
+/// Nets of an app with more than so many are followed when somebody opens them.
+pub(super) const MANY_NETS: usize = 24;
+/// So many of those are followed at a time. The one that was opened first is left for another one.
+const MOST_OPEN: usize = 12;
+
+/// Follows one task for good, through the end and the return of its chassis.
+pub(super) async fn follow(cx: &Context, source: &str, hub: &Hub) {
+    let mut after = None;
+    loop {
+        if hub.is_watched()
+            && let Err(error) = ask(cx, source, hub, &mut after).await
+        {
+            after = None;
+            hub.unsummed(source, &error.to_string());
+        }
+        cx.sleep(EVERY).await;
+    }
+}
+
+async fn ask(
+    cx: &Context,
+    source: &str,
+    hub: &Hub,
+    after: &mut Option<scene_summary::Mark>,
+) -> Handled {
+    let to = cx.task(source).deadline(SILENCE).await?;
+    let step = cx.call(&to, SumUp { after: *after }).deadline(SILENCE);
+    let step = step.await?;
+    *after = step.mark;
+    hub.summed(source, step);
+    Ok(())
+}
+
+/// Tells a task what a person has decided; its answer.
+pub(super) async fn decide(cx: &Context, asked: &Asked) -> Result<String, HandlerError> {
+    let to = cx.task(&asked.task).deadline(SILENCE).await?;
+    let decide = Decide {
+        key: asked.key.clone(),
+        choice: asked.choice.clone(),
+        by: cx.name().to_owned(),
+    };
+    Ok(cx.call(&to, decide).deadline(DECIDED_WITHIN).await?)
+}
+
+/// The nets that are followed because somebody has opened them, the earliest first.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Opened(Rc<RefCell<VecDeque<String>>>);
+
+impl Opened {
+    /// Somebody opens a net; whether nobody has before.
+    pub(super) fn open(&self, net: &str) -> bool {
+        let mut open = self.0.borrow_mut();
+        if open.iter().any(|one| one == net) {
+            return false;
+        }
+        open.push_back(net.to_owned());
+        if open.len() > MOST_OPEN {
+            open.pop_front();
+        }
+        true
+    }
+
+    /// Whether it is still to be followed.
+    pub(super) fn has(&self, net: &str) -> bool {
+        self.0.borrow().iter().any(|one| one == net)
+    }
+}
+
+/// How long virtual time runs before it is compared with the clock of the host.
+const TICK: Duration = Duration::from_millis(20);
+
+/// Keeps virtual time from running faster than `pace` times the clock of the host. A simulated app is one thread: while
+/// this task waits, nothing else goes on. An app that takes longer to compute is slower than that.
+pub(super) async fn keep_pace(cx: &Context, pace: f64) {
+    let clock = Clock::real();
+    loop {
+        let due = clock.now() + TICK;
+        cx.sleep(TICK.mul_f64(pace)).await;
+        wait_until(&clock, due);
+    }
+}
+
+/// Stops this thread until then.
+fn wait_until(clock: &Clock, due: ctos::time::Instant) {
+    loop {
+        let left = due.since(clock.now());
+        if left.is_zero() {
+            return;
+        }
+        std::thread::park_timeout(left);
+    }
+}
+
+/// Gives browsers so much time of the host to hear what they were told.
+pub(super) fn linger(time: Duration) {
+    let clock = Clock::real();
+    wait_until(&clock, clock.now() + time);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_the_nets_that_were_opened_the_earliest_is_left_for_another_one() {
+        let opened = Opened::default();
+        let names: Vec<String> = (0..=MOST_OPEN).map(|net| format!("n{net}")).collect();
+        assert!(names.iter().all(|net| opened.open(net)));
+        assert!(!opened.open(&names[3]));
+        assert!(!opened.has(&names[0]));
+        assert!(names[1..].iter().all(|net| opened.has(net)));
+    }
+}

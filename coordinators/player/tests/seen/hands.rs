@@ -1,0 +1,229 @@
+//! Games in a world with physics: an arm and a gripper carry the discs.
+
+use std::{
+    collections::BTreeMap,
+    path::Path,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use checkers::{Colour, Game, Numbering, Position, Variant};
+use ctos::{
+    boot::{Fault, FaultKind},
+    message::Message,
+    task::{Context, EventHandler, Handled, Phase},
+    time::Instant,
+};
+use mcs_hand::command::ReadTouch;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+
+use super::{play_watched, record_of, registry};
+
+/// How often it is looked what presses on the arm.
+const LOOK: Duration = Duration::from_millis(45);
+
+/// Looks what presses on links of the arm besides its jaws, which take discs.
+struct Watcher(Arc<Mutex<BTreeMap<String, u32>>>);
+
+impl EventHandler for Watcher {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let (own, met) = (cx.clone(), Arc::clone(&self.0));
+            cx.spawn(async move {
+                while !own.is_stopping() {
+                    if let Ok(world) = own.task("world").await
+                        && let Ok(touches) = own.call(&world, ReadTouch { arm: None }).await
+                    {
+                        let links = touches.into_iter().map(|touch| touch.link);
+                        for link in links.filter(|link| !link.contains("jaw")) {
+                            *met.lock().unwrap().entry(link).or_default() += 1;
+                        }
+                    }
+                    own.sleep(LOOK).await;
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+/// How a game ends, and how often each link of the arm touched something.
+fn watched(seed: u64, sets: &[&str], faults: &[Fault]) -> (Value, BTreeMap<String, u32>) {
+    let met = Arc::new(Mutex::new(BTreeMap::new()));
+    let mut registry = registry();
+    let shared = Arc::clone(&met);
+    registry.handler("test.watcher", &[], move |_| {
+        Ok(Watcher(Arc::clone(&shared)))
+    });
+    // In the place of a daemon that nobody asks.
+    let mut all = vec!["task.player_daemon.handler=\"test.watcher\""];
+    all.extend(sets);
+    let game = play_watched("checkers-hands.toml", seed, &all, faults, registry);
+    let met = met.lock().unwrap().clone();
+    (game, met)
+}
+
+/// A game that is true, in which nothing but the jaws touched anything.
+fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    let (game, met) = watched(seed, sets, faults);
+    assert_eq!(game["ok"], true, "{game:#}");
+    assert!(met.is_empty(), "{met:?}");
+    game
+}
+
+fn kill(daemon: &str, at_ms: u64) -> Fault {
+    let at = Instant::from_nanos(at_ms * 1_000_000);
+    Fault::on(daemon, FaultKind::Kill, at)
+}
+
+/// A file with a game from a position, in which a man is crowned as soon as it can and a king goes as far as it can.
+fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
+    let start = Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap();
+    let mut game = Game::from(Variant::Brazilian, start);
+    for _ in 0..plies {
+        let moves = game.position().moves(game.variant());
+        let far = |step: &checkers::Move| (step.crowned, step.from.abs_diff(step.to));
+        let step = moves.iter().max_by_key(|step| far(step)).unwrap();
+        game.make(*step).unwrap();
+    }
+    game.resign(Colour::White);
+    let file = folder.join("game.pdn");
+    std::fs::write(&file, game.record().write()).unwrap();
+    format!("task.player.args.opponent={:?}", file.display().to_string())
+}
+
+#[test]
+fn a_disc_that_stands_crooked_is_pushed_to_its_middle_by_closed_jaws_and_then_carried() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_from(folder.path(), "W:W22,32:B1,12", 1);
+    let aside = "task.room.args.aside=[{ square = 22, by = [0.012, -0.008] }]";
+    let game = game(1, &[&opponent, aside], &[]);
+    let said = game["said"].to_string();
+    assert!(
+        said.contains("I push the disc on 22 to the middle"),
+        "{said}"
+    );
+    assert!(!said.contains("crooked"), "{said}");
+}
+
+#[test]
+fn moves_are_carried_by_an_arm_and_a_gripper_in_a_world_with_physics() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 4);
+    assert_eq!(game(1, &[&opponent], &[])["plies"], 4);
+}
+
+#[test]
+fn both_sides_are_crowned_with_spare_discs_and_kings_are_carried_and_capture() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_from(folder.path(), "W:W6,22:B11,27", 4);
+    let game = game(1, &[&opponent], &[]);
+    assert_eq!(game["plies"], 4);
+    let said = game["said"].to_string();
+    assert!(!said.contains("lost"), "{said}");
+}
+
+#[test]
+fn robot_hand_and_vision_that_die_while_a_disc_is_in_the_hand_come_back_and_the_game_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 3);
+    let kills = [
+        kill("robot", 7_300),
+        kill("vision", 8_000),
+        kill("hand", 9_100),
+    ];
+    let game = game(1, &[&opponent], &kills);
+    assert_eq!(game["plies"], 3);
+}
+
+#[test]
+fn a_person_who_reaches_in_and_an_emergency_stop_halt_the_arm_before_anything_touches_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 2);
+    let sets = ["task.room.args.reaches=0.4", "task.room.args.power=0.3"];
+    let sets = [sets.as_slice(), &[&opponent]].concat();
+    let game = game(4, &sets, &[]);
+    assert_eq!(game["plies"], 2);
+    let (said, errors) = (game["said"].to_string(), game["errors"].to_string());
+    assert!(errors.contains("reached in"), "{errors}");
+    assert!(said.contains("needs power"), "{said}");
+}
+
+#[test]
+fn discs_that_are_knocked_out_of_the_fingers_are_told_and_the_game_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 3);
+    let sets = ["task.room.args.slips=0.5", &opponent];
+    let game = game(2, &sets, &[]);
+    assert!(game["slipped"].as_u64().unwrap() > 0, "{game:#}");
+}
+
+/// Games of the campaign; none unless `CTOS_CHECKERS_HANDS_SEEDS` says how many, or which (`A..B`): a game takes some minutes of a core.
+fn seeds() -> std::ops::Range<u64> {
+    let Ok(given) = std::env::var("CTOS_CHECKERS_HANDS_SEEDS") else {
+        return 0..0;
+    };
+    match given.split_once("..") {
+        Some((from, to)) => from.parse().unwrap()..to.parse().unwrap(),
+        None => 0..given.parse().unwrap(),
+    }
+}
+
+/// Every third game has all discs; the others begin with six of each side, of another opening.
+const STARTS: [&str; 3] = [
+    "W:W21-32:B1-12",
+    "W:W18,21,22,26,29,30:B3,5,8,10,11,12",
+    "W:W20,24,27,28,31,32:B1,2,6,7,9,13",
+];
+
+/// Daemons that die, at drawn moments.
+fn kills(seed: u64) -> Vec<Fault> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let daemons = ["player", "speaker", "transform", "vision", "robot", "hand"];
+    let mut one = || {
+        let daemon = daemons[rng.random_range(0..daemons.len())];
+        kill(daemon, rng.random_range(5_000..400_000))
+    };
+    (0..4).map(|_| one()).collect()
+}
+
+#[test]
+fn whole_games_with_hands_errors_lost_discs_moved_boards_and_kills_end_truly() {
+    let mut failed = Vec::new();
+    for seed in seeds() {
+        let opponent = ["program", "self"][usize::from(seed % 4 == 3)];
+        let opponent = format!("task.player.args.opponent=\"{opponent}\"");
+        let start = format!("task.player.args.start={:?}", STARTS[seed as usize % 3]);
+        let chances = [
+            ("errors", 0.2),
+            ("slips", 0.03),
+            ("bumps", 0.01),
+            ("glare", 0.02),
+            ("power", 0.01),
+            ("reaches", 0.03),
+        ];
+        let chances = chances.map(|(key, chance)| format!("task.room.args.{key}={chance}"));
+        let mut sets = vec![opponent.as_str(), start.as_str()];
+        sets.extend(chances.iter().map(String::as_str));
+        let ran = std::panic::catch_unwind(|| {
+            let (game, met) = watched(seed, &sets, &kills(seed));
+            if let Ok(file) = std::env::var("CTOS_CHECKERS_SEEN_LOG") {
+                let mut game = game.clone();
+                game["met"] = serde_json::json!(met);
+                std::fs::write(format!("{file}.hands.{seed}"), format!("{game:#}")).unwrap();
+            }
+            assert_eq!(game["ok"], true, "seed {seed}, {sets:?}: {game:#}");
+            assert!(met.is_empty(), "seed {seed}: {met:?}");
+        });
+        if ran.is_err() {
+            failed.push(seed);
+        }
+    }
+    assert!(failed.is_empty(), "{failed:?}");
+}
