@@ -21,6 +21,7 @@ const FAR_M: f64 = 0.9;
 pub const MIDDLE: Pose = Pose {
     at: [0.57, 0.0],
     yaw: 0.0,
+    mirrored: false,
 };
 
 /// How often things go wrong, 0 to 1.
