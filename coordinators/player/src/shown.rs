@@ -245,7 +245,7 @@ impl Shown {
             table.board = Pose {
                 at: [pose.translation.x, pose.translation.y],
                 yaw: pose.rotation.euler_angles().2,
-                mirrored: false,
+                mirrored: table.board.mirrored,
             };
         }
         let hues = |nth: usize| if nth < DISCS { Hue::Light } else { Hue::Dark };
