@@ -9,7 +9,7 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 26] = [
+const SCRIPTS: [Asset; 27] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
     ("field.js", SCRIPT, include_str!("page/field.js")),
     ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
