@@ -62,7 +62,9 @@ impl Play {
         };
         let crooked = squares.iter().copied().filter(is_crooked);
         let crooked: Vec<u8> = crooked.collect();
-        if self.state.pushed < self.pushes
+        let is_dark = squares.len() > MANY;
+        if !is_dark
+            && self.state.pushed < self.pushes
             && let Some(square) = crooked.first()
             && let Some(hue) = seen
                 .squares
@@ -79,7 +81,7 @@ impl Play {
             return;
         }
         self.state.shown.clone_from(&crooked);
-        let words = if crooked.is_empty() && squares.len() > MANY {
+        let words = if is_dark {
             "it is too dark: I cannot see the board well".to_owned()
         } else if crooked.is_empty() {
             format!(

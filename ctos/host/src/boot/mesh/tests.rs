@@ -614,7 +614,7 @@ fn with_keys_only_those_of_role_boot_become_chassis() {
     run(async {
         let cell = with("cell");
         let sets = ["same_host=tcp", &cell, "peer_timeout_s=1"];
-        let mut boot = Node::boot(1, &sets).await;
+        let boot = Node::boot(1, &sets).await;
         let panel = with("panel");
         let mut pretends =
             Node::start(1, 1, &["same_host=tcp", &panel, "peer_timeout_s=0.3"]).await;
