@@ -313,8 +313,8 @@ mod tests {
         let overdue = Overdue {
             job: crate::wire::Job {
                 number: 17,
-                from: "1,1".to_owned(),
-                to: "2,2".to_owned(),
+                from: "1,1".into(),
+                to: "2,2".into(),
             },
             epoch: 203,
             cell: "cell3.agent".to_owned(),
