@@ -71,11 +71,12 @@ fn commands(line: &str) -> Vec<Vec<String>> {
 
 /// What lines of cargo begin with that build, measure or run something else than these two programs. Each says where
 /// that is done, or why it is not.
-const OF_CARGO: [(&str, &str); 13] = [
+const OF_CARGO: [(&str, &str); 14] = [
     ("cargo bench", "takes minutes, and an idle machine"),
     ("cargo build", "every test needs what it makes"),
     ("cargo doc", "tests/run makes the pages"),
     ("cargo test", "it runs this test"),
+    ("cargo install zenohd", "takes minutes, and a network"),
     (
         "cargo run --release -p peers",
         "takes minutes, and an idle machine",

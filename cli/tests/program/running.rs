@@ -465,12 +465,13 @@ const RECORD: &[(&str, Then)] = &[
 ];
 
 /// Pages whose lines are run by a test of the page, in its order and with its files.
-const PAGES: [(&str, &str); 5] = [
+const PAGES: [(&str, &str); 6] = [
     ("docs/authoring-nets.md", "cli/tests/program/authoring.rs"),
     ("docs/own-task.md", "cli/tests/program/authoring.rs"),
     ("docs/proving.md", "cli/tests/program/proving.rs"),
     ("docs/tutorial.md", "tests/system/documents.rs"),
     ("docs/security.md", "tests/system/keys.rs"),
+    ("docs/sites.md", "tests/system/sites.rs"),
 ];
 
 /// Whether a line only names a command, or stands for many.

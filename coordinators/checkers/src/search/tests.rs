@@ -140,6 +140,7 @@ fn a_search_stops_when_it_is_told_and_has_a_move_even_then() {
         depth: 99,
         stop: &mut || true,
     };
-    let none = search(&start, Variant::Brazilian, &[], None, limits);
-    assert_eq!((none.depth, none.nodes, none.line.len()), (0, 0, 1));
+    // However late it is, one half-move is looked ahead.
+    let little = search(&start, Variant::Brazilian, &[], None, limits);
+    assert!(little.depth > 0 && little.nodes <= ASKED_EVERY && !little.line.is_empty());
 }
