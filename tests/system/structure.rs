@@ -249,7 +249,7 @@ fn no_crate_has_more_lines_than_one_person_can_know() {
 }
 
 /// All crates of the runtime together have no more.
-const MOST_LINES_OF_RUNTIME: usize = 35_010;
+const MOST_LINES_OF_RUNTIME: usize = 35_095;
 
 #[test]
 fn the_runtime_does_not_grow() {
