@@ -26,7 +26,7 @@ use super::{
     hub::Hub,
     lines,
     server::Asking,
-    summing::{self, MANY_NETS, Opened},
+    summing::{self, Opened},
     task,
     wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, TaskWait, Told},
 };
@@ -38,22 +38,23 @@ const LIMIT: Duration = Duration::from_secs(2);
 const COMMAND_LIMIT: Duration = Duration::from_secs(86_400);
 
 /// Carries orders out, all at the same time, until the server ends.
-/// `displays` is the file of overview displays and layouts.
+/// `displays` is the file of overview displays and layouts; beside what is opened stand the nets that may be.
 pub(super) async fn carry(
     cx: &Context,
     hub: &Arc<Hub>,
     displays: String,
-    opened: &Opened,
+    (opened, nets): (&Opened, Vec<String>),
     mut orders: mpsc::Receiver<Asking>,
 ) {
     // Numbers begin anew with each life of this task, and durable nets remember those of earlier boots.
     let (boot, life) = (cx.started_ns(), cx.now().as_nanos());
     let from = format!("{} {boot:016x} {life:016x}", cx.name());
     let commands = Arc::new(AtomicU64::new(0));
+    let nets: Arc<[String]> = nets.into();
     while let Some((asked, answer)) = orders.recv().await {
         let (child, hub) = (cx.new_trace(), hub.clone());
         let (displays, from, commands) = (displays.clone(), from.clone(), commands.clone());
-        let opened = opened.clone();
+        let (opened, nets) = (opened.clone(), nets.clone());
         cx.spawn(async move {
             let told = if asked.kind == "task" {
                 Told::Task {
@@ -61,7 +62,7 @@ pub(super) async fn carry(
                 }
             } else {
                 let done = match &*asked.kind {
-                    "follow" => open(&child, &hub, &opened, &asked.net),
+                    "follow" => open(&child, &hub, (&opened, &nets), &asked.net),
                     "decide" => summing::decide(&child, &asked).await,
                     "move" => arrange::keep(&child, &hub, &displays, &asked),
                     "layout" => arrange::keep_layout(&child, &hub, &displays, &asked),
@@ -85,13 +86,17 @@ pub(super) async fn carry(
 }
 
 /// Begins to follow a net that nobody has looked at.
-fn open(cx: &Context, hub: &Arc<Hub>, opened: &Opened, net: &str) -> Result<String, HandlerError> {
-    let nets = pnt::task::net_tasks(cx.app(), &cx.registry());
+fn open(
+    cx: &Context,
+    hub: &Arc<Hub>,
+    (opened, nets): (&Opened, &[String]),
+    net: &str,
+) -> Result<String, HandlerError> {
     if !nets.iter().any(|one| one == net) {
         return Err(HandlerError::new(format!("no net is called `{net}`")));
     }
     // Few are followed from the beginning.
-    if nets.len() > MANY_NETS && !hub.follows(net) && opened.open(net) {
+    if summing::are_opened(cx, nets.len()) && !hub.follows(net) && opened.open(net) {
         let (child, hub, opened) = (cx.clone(), hub.clone(), opened.clone());
         let net = net.to_owned();
         cx.spawn(async move { task::follow(&child, &net, &hub, Some(&opened)).await });

@@ -18,8 +18,13 @@ const SILENCE: Duration = Duration::from_secs(4);
 /// How long what a person decides may take.
 const DECIDED_WITHIN: Duration = Duration::from_secs(10);
 
-/// Nets of an app with more than so many are followed when somebody opens them.
-pub(super) const MANY_NETS: usize = 24;
+/// Where something sums up an app with more nets than this, they are followed when somebody opens them.
+const MANY_NETS: usize = 24;
+
+/// Whether so many nets are followed only when somebody opens them.
+pub(super) fn are_opened(cx: &Context, nets: usize) -> bool {
+    nets > MANY_NETS && !scene_summary::sources(cx.app(), &cx.registry()).is_empty()
+}
 /// So many of those are followed at a time. The one that was opened first is left for another one.
 const MOST_OPEN: usize = 12;
 

@@ -18,7 +18,7 @@ use super::{
     overview::Overviews,
     server::{self, Asking, Service},
     standing,
-    summing::{self, MANY_NETS, Opened},
+    summing::{self, Opened},
 };
 use cli_common::page::{self, Front, Kind, Served, Setting};
 
@@ -146,7 +146,7 @@ impl EventHandler for NetDisplay {
             // Before the first firing, so that nothing is missed.
             Phase::Connect => {
                 let nets = self.nets(cx);
-                if nets.len() <= MANY_NETS {
+                if !summing::are_opened(cx, nets.len()) {
                     for net in nets {
                         let (child, hub) = (cx.clone(), self.hub.clone());
                         cx.spawn(async move { follow(&child, &net, &hub, None).await });
@@ -172,15 +172,15 @@ impl EventHandler for NetDisplay {
                 if let Some(received) = self.orders.take() {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     let displays = self.args.displays(cx.app());
-                    let opened = self.opened.clone();
+                    let (opened, nets) = (self.opened.clone(), self.nets(cx));
                     cx.spawn(async move {
-                        orders::carry(&child, &hub, displays, &opened, received).await;
+                        orders::carry(&child, &hub, displays, (&opened, nets), received).await;
                     });
                 }
             }
             Phase::Run => {
                 // What is wrong with many nets was told when the app was checked.
-                if self.nets(cx).len() <= MANY_NETS {
+                if !summing::are_opened(cx, self.nets(cx).len()) {
                     self.analyse(cx);
                 }
                 if let Some(pace) = pace {
@@ -213,13 +213,14 @@ fn virtual_pace(cx: &Context, args: &DisplayArgs) -> Option<f64> {
 
 /// Follows one net through the end and the return of its chassis: for good, or as long as it is among those that were opened.
 pub(super) async fn follow(cx: &Context, net: &str, hub: &Hub, opened: Option<&Opened>) {
-    loop {
+    while opened.is_none_or(|opened| opened.has(net)) {
         match stream(cx, net, hub, opened).await {
-            Ok(()) => return hub.leave(net),
+            Ok(()) => break,
             Err(error) => hub.gone(net, &error.to_string()),
         }
         cx.sleep(RETRY).await;
     }
+    hub.leave(net);
 }
 
 /// Has the last messages kept of a net's task, and of those that it calls: they are there when somebody asks.

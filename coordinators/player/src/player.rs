@@ -1,6 +1,6 @@
 //! The functions of `nets/checkers/player.net`: the plot of a game (SORMA technical report, section 2.1.2).
 
-use std::{cell::OnceCell, rc::Rc};
+use std::{cell::OnceCell, rc::Rc, time::Duration};
 
 use checkers::{Colour, Limits, Move, Numbering, Position, Status, Variant, pdn, search};
 use coordinators::{dom::DomStore, handler::NetArgs};
@@ -258,6 +258,7 @@ impl NetArgs for PlayerArgs {
         let rules = self.rules();
         let mut play = Play::new(rules, Position::start(rules.starts()), self.ours());
         play.pushes = self.pushes;
+        (play.verbosity, play.dry) = (self.verbosity, self.dry);
         let note = |note: fn(&mut Play)| {
             move |action: Act| async move {
                 action.with_state(|player| note(&mut player.play));
@@ -385,17 +386,26 @@ async fn gaze(action: &Act) -> Acted {
     Ok(())
 }
 
+/// What people want counts from now on. After a kill it is read again before the arm does anything.
+async fn heed(action: &Act) {
+    let wanted: Option<Settings> = store(action).fetch(action.cx(), SETTINGS).await.ok();
+    action.with_state(|player| {
+        if let Some(wanted) = wanted {
+            player.settings = wanted;
+        }
+        let InForce { verbosity, dry, .. } = player.in_force();
+        (player.play.verbosity, player.play.dry) = (verbosity, dry);
+    });
+}
+
 async fn judge(action: Act) -> Acted {
     let (cx, store) = (action.cx().clone(), store(&action));
     let seen: Situation = wire::fetch(&cx, &store, wire::SITUATION).await?;
     let record = record(&action)?;
     let wish: Option<Wish> = store.fetch(&cx, WISH).await.ok();
-    let settings: Option<Settings> = store.fetch(&cx, SETTINGS).await.ok();
+    heed(&action).await;
     action.with_state(|player| {
-        player.settings = settings.unwrap_or_default();
-        let InForce { verbosity, dry, .. } = player.in_force();
         let play = &mut player.play;
-        (play.verbosity, play.dry) = (verbosity, dry);
         play.judge(&seen);
         player.seen = play.agreement(&seen);
         if let Some(wish) = wish
@@ -427,7 +437,8 @@ async fn believe(action: &Act) {
     let Some((symbols, believed)) = told else {
         return;
     };
-    let sent = match action.cx().task(&symbols).await {
+    let found = action.cx().task(&symbols).deadline(Duration::ZERO);
+    let sent = match found.await {
         Ok(task) => action.cx().send(&task, believed).await.is_ok(),
         Err(_) => false,
     };
@@ -510,6 +521,7 @@ async fn put_words(action: Act) -> Acted {
 async fn think(action: Act) -> Acted {
     let record = record(&action)?;
     let cx = action.cx().clone();
+    heed(&action).await;
     let (mut step, args, seek) = action.with_state(|player| {
         let in_force = player.in_force();
         let game = &player.play.game;

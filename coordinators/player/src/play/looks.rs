@@ -64,6 +64,7 @@ impl Play {
         let crooked: Vec<u8> = crooked.collect();
         let is_dark = squares.len() > MANY;
         if !is_dark
+            && !self.dry
             && self.state.pushed < self.pushes
             && let Some(square) = crooked.first()
             && let Some(hue) = seen
@@ -118,6 +119,10 @@ impl Play {
                 // The person has carried the piece and what it captured; a crown is stacked for the person.
                 let crowns = |task: &Task| matches!(task.to, End::Square(_, 1));
                 self.state.tasks = tasks.into_iter().filter(crowns).collect();
+                if self.dry && !self.state.tasks.is_empty() {
+                    self.state.tasks.clear();
+                    self.say("please stack the crown".to_owned());
+                }
                 let position = self.game.position();
                 self.state.expected = [position.white, position.black];
                 self.state.phase = Phase::Robot;
@@ -181,7 +186,7 @@ impl Play {
         if !wrong.is_empty() {
             // A look while somebody is at it is not the last word.
             self.state.again += 1;
-            if let Some(asked) = self.state.asked.clone() {
+            if let Some(asked) = self.state.asked.clone().filter(|_| self.dry) {
                 self.say(asked);
             } else if self.state.again > 1 {
                 self.state.shown = wrong.iter().map(|(square, _)| *square).collect();
