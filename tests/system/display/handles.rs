@@ -93,6 +93,7 @@ fn a_person_drags_the_ball_pulls_the_hand_and_steers_the_mouse_from_the_page_and
     let (bare, _) = page.split_once('?').unwrap();
     let mut browser = Browser::open(bare, SIZE);
     browser.wait("nets.whole && nets.overview.parts().some((one) => one.key === 'truth/ball')");
+    browser.wait("nets.nets.has('person')");
     browser.wait("[...document.querySelectorAll('.handle, .pad')].every((one) => one.hidden)");
     browser.ask(
         "nets.put('person', ['drag', '0.1', '0', '0'], (text) => { globalThis.told = text; })",
