@@ -142,7 +142,12 @@ impl EventHandler for NetDisplay {
             return Ok(());
         }
         match phase {
-            Phase::Create => self.open(cx)?,
+            Phase::Create => {
+                // Known before the first page asks.
+                let summaries = scene_summary::sources(cx.app(), &cx.registry());
+                self.hub.expects_summaries(&summaries);
+                self.open(cx)?;
+            }
             // Before the first firing, so that nothing is missed.
             Phase::Connect => {
                 let nets = self.nets(cx);
@@ -157,9 +162,7 @@ impl EventHandler for NetDisplay {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     cx.spawn(async move { standing::follow(&child, &hub).await });
                 }
-                let summaries = scene_summary::sources(cx.app(), &cx.registry());
-                self.hub.expects_summaries(&summaries);
-                for source in summaries {
+                for source in scene_summary::sources(cx.app(), &cx.registry()) {
                     let (child, hub) = (cx.clone(), self.hub.clone());
                     cx.spawn(async move { summing::follow(&child, &source, &hub).await });
                 }
