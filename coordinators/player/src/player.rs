@@ -387,7 +387,7 @@ async fn gaze(action: &Act) -> Acted {
 }
 
 /// What people want counts from now on. After a kill it is read again before the arm does anything.
-async fn heed(action: &Act) {
+async fn heed_settings(action: &Act) {
     let wanted: Option<Settings> = store(action).fetch(action.cx(), SETTINGS).await.ok();
     action.with_state(|player| {
         if let Some(wanted) = wanted {
@@ -403,7 +403,7 @@ async fn judge(action: Act) -> Acted {
     let seen: Situation = wire::fetch(&cx, &store, wire::SITUATION).await?;
     let record = record(&action)?;
     let wish: Option<Wish> = store.fetch(&cx, WISH).await.ok();
-    heed(&action).await;
+    heed_settings(&action).await;
     action.with_state(|player| {
         let play = &mut player.play;
         play.judge(&seen);
@@ -521,7 +521,7 @@ async fn put_words(action: Act) -> Acted {
 async fn think(action: Act) -> Acted {
     let record = record(&action)?;
     let cx = action.cx().clone();
-    heed(&action).await;
+    heed_settings(&action).await;
     let (mut step, args, seek) = action.with_state(|player| {
         let in_force = player.in_force();
         let game = &player.play.game;
