@@ -16,7 +16,8 @@ fn fact(name: &str) -> String {
 fn a_hundred_cells_stand_on_one_page_a_click_leads_to_the_net_of_one_and_the_end_is_the_referees() {
     let scratch = Scratch::new();
     let name = format!("app.name=\"fleet_page_{}\"", std::process::id());
-    let sets = ["fleet.cells=100", "fleet.sites=4", &name];
+    let few = "task.company.args.jobs_per_cell=3";
+    let sets = ["fleet.cells=100", "fleet.sites=4", few, &name];
     let sets = sets.iter().flat_map(|set| ["--set", set]);
     let more: Vec<&str> = sets.chain(["--profile", "gentle-hand", "--json"]).collect();
     let (run, page) = boot_app(&scratch, "configs/fleet.toml", &more);
