@@ -215,22 +215,26 @@ fn again(event: &Traffic) -> String {
     STANDARD.encode(bytes)
 }
 
-/// What of a line of [`traffic`] is for replay.
+/// What of a line of [`traffic`] is for replay, besides its data.
 #[derive(Deserialize)]
 struct Again<'a> {
     #[serde(borrow)]
     event: Cow<'a, str>,
-    #[serde(borrow, default)]
-    bytes: Cow<'a, str>,
 }
 
-/// What happened to a message and its data, from the line that [`traffic`] made of it. The data is base64 still:
-/// most of a record is of no concern to one task.
-pub(crate) fn from_line(json: &[u8]) -> Option<(Traffic, Cow<'_, str>)> {
-    let Again { event, bytes } = serde_json::from_slice(json).ok()?;
+/// What happened to a message, from the line that [`traffic`] made of it.
+pub(crate) fn from_line(json: &[u8]) -> Option<Traffic> {
+    let Again { event } = serde_json::from_slice(json).ok()?;
     let event = STANDARD.decode(&*event).ok()?;
     let (event, ..) = Events::new(&event).next()?;
-    Some((event, bytes))
+    Some(event)
+}
+
+/// The data of the message of a line of [`traffic`]. It stands at the end, so the rest need not be read.
+pub(crate) fn data_of(json: &[u8]) -> Option<Vec<u8>> {
+    let line = std::str::from_utf8(json).ok()?;
+    let (_, data) = line.strip_suffix("\"}")?.rsplit_once(BYTES)?;
+    STANDARD.decode(data).ok()
 }
 
 pub(crate) fn priority(flags: Flags) -> &'static str {
@@ -261,6 +265,9 @@ pub(crate) fn words(ending: &Ending) -> (&'static str, &str) {
     }
 }
 
+/// What stands before the data of a message.
+const BYTES: &str = ",\"bytes\":\"";
+
 /// Adds the data of a message to the object that `json` ends with: as JSON where it can be read, and as
 /// it is.
 fn append_data(json: &mut Vec<u8>, data: &[u8], shape: Option<&Shape>) {
@@ -274,9 +281,5 @@ fn append_data(json: &mut Vec<u8>, data: &[u8], shape: Option<&Shape>) {
         json.extend_from_slice(b"null");
     }
     // A vector takes all that is written to it.
-    let _ = write!(
-        json,
-        ",\"bytes\":\"{}\"}}",
-        Base64Display::new(data, &STANDARD)
-    );
+    let _ = write!(json, "{BYTES}{}\"}}", Base64Display::new(data, &STANDARD));
 }

@@ -20,6 +20,7 @@ use mcap::{
 
 use super::{
     counts::Counts,
+    event::Traffic,
     glossary::Glossary,
     lines::{self, EVENTS},
     parts::{FORMAT, FORMAT_NOW, LOST, LineWriter, NAMES, RUN},
@@ -86,7 +87,7 @@ impl Channel {
 }
 
 /// One line of a record.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// When it happened.
     pub at: Instant,
@@ -94,6 +95,8 @@ pub struct Entry {
     pub channel: Arc<Channel>,
     /// What stands there: one JSON object, or what [`Channel::encoding`] says.
     pub json: Vec<u8>,
+    /// What happened to a message, where the file has it as it was noted; `json` was made of it.
+    pub(crate) event: Option<Traffic>,
 }
 
 /// What a file is the record of, and how it ends.
@@ -167,7 +170,7 @@ pub(super) fn matches(pattern: &str, text: &str) -> bool {
 }
 
 /// Several files read as one.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Record {
     /// The files.
     pub runs: Vec<Run>,
@@ -210,7 +213,10 @@ impl Record {
             writer.metadata(RUN, noted)?;
         }
         writer.lost(self.runs.iter().map(|run| run.lost).sum())?;
-        for Entry { at, channel, json } in &self.entries {
+        for Entry {
+            at, channel, json, ..
+        } in &self.entries
+        {
             writer.line(&channel.topic, &channel.schema, at.as_nanos(), json)?;
         }
         writer.finish()?;
@@ -335,7 +341,13 @@ impl<'a> Scan<'a> {
         let at = Instant::from_nanos(header.log_time);
         if self.filter.takes(&channel.topic, at) {
             let json = data.to_vec();
-            see(Entry { at, channel, json });
+            let event = None;
+            see(Entry {
+                at,
+                channel,
+                json,
+                event,
+            });
         }
     }
 
@@ -366,8 +378,13 @@ impl<'a> Scan<'a> {
                 Arc::new(Channel { topic, schema })
             };
             let channel = self.traffic.entry(topic).or_insert_with_key(new);
-            let channel = channel.clone();
-            see(Entry { at, channel, json });
+            let (channel, event) = (channel.clone(), Some(event));
+            see(Entry {
+                at,
+                channel,
+                json,
+                event,
+            });
         }
         if !events.is_at_end() {
             self.tear("what happened to messages cannot be read any further");

@@ -5,8 +5,6 @@ use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
 };
 
-use base64::{Engine, engine::general_purpose::STANDARD};
-
 use super::{
     super::{
         event::{Key, Side, Step as Event, Traffic},
@@ -121,7 +119,7 @@ impl Script {
             let why = "the files are of different runs: their seeds differ";
             return Err(incomplete(why));
         }
-        let tid = parsed(first)?.0.key.task;
+        let tid = parsed(first)?.key.task;
         let drift = format!("{DRIFT}{}", tid.chassis());
         let mut reader = Reader {
             task,
@@ -201,7 +199,7 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn message(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let (event, data) = parsed(entry)?;
+        let event = parsed(entry)?;
         // Between chassis it is noted twice; the handler begins the one that came to its own.
         if let Event::Sent {
             flags,
@@ -210,7 +208,7 @@ impl Reader<'_> {
         } = event.step
             && side != Side::Sender
         {
-            let data = data_of(entry, &data)?;
+            let data = data_of(entry)?;
             let message = self.sent(event.number(), event.key, flags, deadline, data);
             self.messages.insert(message.id, message);
         }
@@ -242,10 +240,10 @@ impl Reader<'_> {
         if !of_task {
             return Ok(());
         }
-        let (event, data) = parsed(entry)?;
+        let event = parsed(entry)?;
         let (at, key, tid) = (entry.at, event.key, self.script.tid);
         let id = event.number();
-        match event.step {
+        match event.into_owned().step {
             Event::Sent {
                 flags,
                 deadline,
@@ -257,7 +255,7 @@ impl Reader<'_> {
                 if key.peer == tid && side != Side::Receiver && key.command != WaitsFor::CODE {
                     let output = What::Output(self.script.outputs.len());
                     self.push(at, key.trace, output);
-                    let data = data_of(entry, &data)?;
+                    let data = data_of(entry)?;
                     let message = self.sent(id, key, flags, deadline, data);
                     self.script.outputs.push(message);
                 }
@@ -280,7 +278,7 @@ impl Reader<'_> {
             }
             Event::Read { what, .. } => {
                 if key.task == tid {
-                    let value = data_of(entry, &data)?;
+                    let value = data_of(entry)?;
                     self.takes().reads.push_back((what, value));
                 }
             }
@@ -289,7 +287,7 @@ impl Reader<'_> {
                 let answered = key.peer == tid && side != Side::Receiver;
                 if replied || answered {
                     let answer = match fault {
-                        None => Ok(data_of(entry, &data)?),
+                        None => Ok(data_of(entry)?),
                         Some(fault) => Err(fault),
                     };
                     if replied {
@@ -398,12 +396,16 @@ impl Reader<'_> {
     }
 }
 
-fn parsed(entry: &Entry) -> Result<(Traffic, Cow<'_, str>), ReplayError> {
-    lines::from_line(&entry.json).ok_or_else(|| unreadable(entry))
+fn parsed(entry: &Entry) -> Result<Cow<'_, Traffic>, ReplayError> {
+    if let Some(event) = &entry.event {
+        return Ok(Cow::Borrowed(event));
+    }
+    let event = lines::from_line(&entry.json);
+    event.map(Cow::Owned).ok_or_else(|| unreadable(entry))
 }
 
-fn data_of(entry: &Entry, base64: &str) -> Result<Vec<u8>, ReplayError> {
-    STANDARD.decode(base64).map_err(|_| unreadable(entry))
+fn data_of(entry: &Entry) -> Result<Vec<u8>, ReplayError> {
+    lines::data_of(&entry.json).ok_or_else(|| unreadable(entry))
 }
 
 fn unreadable(entry: &Entry) -> ReplayError {
