@@ -144,6 +144,11 @@ fn depth_and_verbosity_are_set_on_the_page_a_new_game_begins_and_the_symbolic_bo
     browser.wait(&format!("nets.whole && /last move/.test({BELIEVED})"));
     // Nothing is set yet: the page shows what is configured.
     browser.wait(&in_force("verbosity", "2"));
+    // What is chosen stands while the player has not taken it up.
+    browser.ask(
+        "(() => { const output = document.querySelector('label:has([data-handle=depth]) output'); window.depths = []; \
+         new MutationObserver(() => window.depths.push(output.textContent)).observe(output, { childList: true }); })()",
+    );
     set(&mut browser, "depth", "3");
     set(&mut browser, "verbosity", "3");
     browser.wait(&format!(
@@ -156,6 +161,8 @@ fn depth_and_verbosity_are_set_on_the_page_a_new_game_begins_and_the_symbolic_bo
     browser.wait(&format!("/I move \\d+[-x]\\d+/.test({said})"));
     // The page shows what is in force, whoever has set it.
     browser.wait("document.querySelector('input[data-handle=depth]').value === '3'");
+    let depths = browser.ask("window.depths.filter((shown) => shown !== '3')");
+    assert_eq!(depths, serde_json::json!([]));
     pictures(&mut browser, "checkers-wishes");
 
     browser.ask("document.querySelector('button[data-handle=new_game]').click()");

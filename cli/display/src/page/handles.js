@@ -83,10 +83,15 @@ class Handle {
     if (words === null) return;
     this.waits = this.handles.app.put(this.told.net, [this.told.command, ...words], (text, good) => {
       this.waits = false;
-      if (!good) this.handles.app.say(text);
+      if (good) return;
+      this.refused();
+      this.handles.app.say(text);
     });
     this.putAt = now;
   }
+
+  /** The command that was put has failed. */
+  refused() { /* What is held is said anew. */ }
 }
 
 /** A handle at a part of the scene. */
@@ -323,15 +328,22 @@ class Amount extends Knob {
   }
 
   is(value) {
-    if (this.moved || this.due || this.waits) return;
+    this.last = value;
+    // What was chosen stands until the scene says something else than it did then: an app takes it up in its own time.
+    if (this.moved || this.due || this.waits || this.before === value) return;
+    this.before = undefined;
     this.tell(value);
     if (this.ticked) this.input.checked = value === this.told.range[1];
     else if (value !== null && Number(this.input.value) !== value) this.input.value = String(value);
   }
 
   words() {
-    this.moved = false;
+    [this.moved, this.before] = [false, this.last];
     return rounded([this.at]);
+  }
+
+  refused() {
+    this.before = undefined;
   }
 }
 
