@@ -344,9 +344,9 @@ impl Simulation {
         let Some((place, index)) = counts.find(below(&mut self.rng, counts.total)) else {
             return false;
         };
-        let machine = self.machines.get_mut(place.0);
         // What is ready there now is counted before the next poll, as that of all who run code is.
         self.here = Some(place);
+        let machine = self.machines.get_mut(place.0);
         machine.is_some_and(|machine| machine.poll(place.1, index, now))
     }
 

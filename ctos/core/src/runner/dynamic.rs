@@ -51,8 +51,8 @@ struct Passing<H> {
     after_panic: bool,
     give: fn(&mut H) -> State,
     take: fn(&mut H, &Context, &[u8]) -> Handled,
-    /// Of a durable handler.
-    state: Option<fn(&H) -> State>,
+    /// What is stored after each message of a durable handler, unless it stores that itself.
+    state: fn(&H) -> Option<State>,
 }
 
 impl<H: Handover> Erased<H> {
@@ -70,16 +70,13 @@ impl<H: Handover> Erased<H> {
                 Err(HandlerError::new(why))
             }
         },
-        state: None,
+        state: |_| None,
     };
 }
 
 impl<H: Durable> Erased<H> {
     const DURABLE: Passing<H> = Passing {
-        state: match H::KEEPS_ITSELF {
-            true => None,
-            false => Some(|handler| Ok(postcard::to_stdvec(&handler.state())?)),
-        },
+        state: |handler| (!H::KEEPS_ITSELF).then(|| Ok(postcard::to_stdvec(&handler.state())?)),
         ..Self::PASSING
     };
 }
@@ -141,6 +138,6 @@ impl<H: EventHandler> DynHandler for Erased<H> {
     }
 
     fn state(&self) -> Option<State> {
-        Some(self.passing?.state?(&self.handler))
+        (self.passing?.state)(&self.handler)
     }
 }
