@@ -10,8 +10,8 @@ use std::{
     time::Duration,
 };
 
+use bridge_zenoh::Joining;
 use ctos::time::Clock;
-use serde_json::{Value, json};
 use tokio::sync::mpsc;
 use zenoh::{
     Session, Wait,
@@ -162,53 +162,21 @@ fn run(plan: &Plan, orders: &Receiver<Order>, events: &mpsc::Sender<Event>) {
     }
 }
 
-/// zenoh's settings by their keys. With `listen` it is the router of the nodes, otherwise it joins a router.
-fn settings(plan: &Plan) -> Vec<(&'static str, Value)> {
-    let (mode, own) = match plan.is_router {
-        true => ("router", "listen/endpoints"),
-        false => ("client", "connect/endpoints"),
-    };
-    let others = match plan.is_router {
-        true => "connect/endpoints",
-        false => "listen/endpoints",
-    };
-    let mut all = vec![
-        ("mode", json!(mode)),
-        (own, json!(plan.endpoints)),
-        (others, json!([])),
-        ("connect/timeout_ms", json!(LOOK.as_millis() as u64)),
-        ("connect/exit_on_failure", json!(true)),
-        (
-            "connect/retry",
-            json!({ "period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2 }),
-        ),
-        // Its defaults look for others on every interface.
-        ("scouting/multicast/enabled", json!(false)),
-        ("timestamping/enabled", json!(true)),
-        ("transport/shared_memory/enabled", json!(false)),
-    ];
-    if let Some([certificate, private, authority]) = &plan.keys {
-        all.extend([
-            ("transport/link/tls/root_ca_certificate", json!(authority)),
-            ("transport/link/tls/listen_certificate", json!(certificate)),
-            ("transport/link/tls/listen_private_key", json!(private)),
-            ("transport/link/tls/connect_certificate", json!(certificate)),
-            ("transport/link/tls/connect_private_key", json!(private)),
-            ("transport/link/tls/enable_mtls", json!(true)),
-            // Keys name their holder, not its host.
-            ("transport/link/tls/verify_name_on_connect", json!(false)),
-        ]);
-    }
-    all
-}
-
+/// Nodes connect to it as to their router, or it joins theirs.
 fn open(plan: &Plan) -> Result<Session, zenoh::Error> {
-    let mut config = zenoh::Config::default();
-    for (key, value) in settings(plan) {
-        let set = config.insert_json5(key, &value.to_string());
-        set.map_err(|error| format!("the setting {key} = {value}: {error}"))?;
-    }
-    zenoh::open(config).wait()
+    let (connect, listen) = match plan.is_router {
+        true => (&[][..], &plan.endpoints[..]),
+        false => (&plan.endpoints[..], &[][..]),
+    };
+    let joining = Joining {
+        connect,
+        listen,
+        keys: plan.keys.as_ref(),
+        patience: LOOK,
+        stamps: true,
+        lease: None,
+    };
+    joining.join()
 }
 
 /// A publisher of ours.
@@ -490,35 +458,5 @@ fn called(name: &str, query: Query) -> Event {
         name: name.to_owned(),
         bytes: payload.unwrap_or_default(),
         call: Call { query, attachment },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn zenoh_knows_every_setting_and_takes_its_value() {
-        for is_router in [true, false] {
-            let file = |name: &str| name.to_owned();
-            let plan = Plan {
-                node: Node {
-                    domain: 0,
-                    name: "n".to_owned(),
-                    namespace: String::new(),
-                },
-                endpoints: vec!["tls/10.0.0.5:7447".to_owned()],
-                is_router,
-                keys: Some([file("a.pem"), file("a.key"), file("ca.pem")]),
-                take: Vec::new(),
-                serve: Vec::new(),
-                clock: Clock::real(),
-            };
-            let mut told = zenoh::Config::default();
-            for (key, value) in settings(&plan) {
-                told.insert_json5(key, &value.to_string())
-                    .unwrap_or_else(|error| panic!("{key} = {value}: {error}"));
-            }
-        }
     }
 }

@@ -11,11 +11,11 @@ use std::{
     time::Duration,
 };
 
+use bridge_zenoh::Joining;
 use ctos::{
     call::Fault,
     time::{Clock, Instant},
 };
-use serde_json::{Value, json};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use zenoh::{
     Session, Wait,
@@ -35,8 +35,8 @@ const MOST_SERVED: usize = 1024;
 pub(crate) const BEAT: Duration = Duration::from_millis(500);
 /// How long an attempt to reach a router may take, and the pause after it.
 const RETRY: Duration = Duration::from_secs(1);
-/// A router that is silent for so long is given up, and looked for again, ms.
-const LEASE_MS: u64 = 4000;
+/// A router that is silent for so long is given up, and looked for again.
+const LEASE: Duration = Duration::from_secs(4);
 /// zenoh forgets a request so long after its caller did.
 const GRACE: Duration = Duration::from_secs(1);
 
@@ -164,59 +164,16 @@ fn run(plan: &Plan, orders: &Receiver<Order>, events: &mpsc::UnboundedSender<Eve
     }
 }
 
-/// zenoh's settings by their keys.
-fn settings(plan: &Plan) -> Vec<(&'static str, Value)> {
-    let is_router = !plan.listen.is_empty();
-    let retry_ms = u64::try_from(RETRY.as_millis()).unwrap_or(u64::MAX);
-    let mut all = vec![
-        ("mode", json!(if is_router { "router" } else { "client" })),
-        ("listen/endpoints", json!(plan.listen)),
-        ("connect/endpoints", json!(plan.connect)),
-        // A router goes on without others, and keeps looking for them.
-        (
-            "connect/timeout_ms",
-            json!({ "router": -1, "peer": -1, "client": retry_ms }),
-        ),
-        (
-            "connect/exit_on_failure",
-            json!({ "router": false, "peer": false, "client": true }),
-        ),
-        (
-            "connect/retry",
-            json!({ "period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2 }),
-        ),
-        // Its defaults look for others on every interface.
-        ("scouting/multicast/enabled", json!(false)),
-        ("timestamping/enabled", json!(false)),
-        ("transport/shared_memory/enabled", json!(false)),
-        ("transport/link/tx/lease", json!(LEASE_MS)),
-    ];
-    if let Some([certificate, private, authority]) = &plan.keys {
-        let mut endpoints = plan.connect.iter().chain(&plan.listen);
-        if endpoints.all(|endpoint| endpoint.starts_with("tls/")) {
-            all.push(("transport/link/protocols", json!(["tls"])));
-        }
-        all.extend([
-            ("transport/link/tls/root_ca_certificate", json!(authority)),
-            ("transport/link/tls/listen_certificate", json!(certificate)),
-            ("transport/link/tls/listen_private_key", json!(private)),
-            ("transport/link/tls/connect_certificate", json!(certificate)),
-            ("transport/link/tls/connect_private_key", json!(private)),
-            ("transport/link/tls/enable_mtls", json!(true)),
-            // Keys name their holder, not its host.
-            ("transport/link/tls/verify_name_on_connect", json!(false)),
-        ]);
-    }
-    all
-}
-
 fn open(plan: &Plan) -> Result<Session, zenoh::Error> {
-    let mut config = zenoh::Config::default();
-    for (key, value) in settings(plan) {
-        let set = config.insert_json5(key, &value.to_string());
-        set.map_err(|error| format!("the setting {key} = {value}: {error}"))?;
-    }
-    zenoh::open(config).wait()
+    let joining = Joining {
+        connect: &plan.connect,
+        listen: &plan.listen,
+        keys: plan.keys.as_ref(),
+        patience: RETRY,
+        stamps: false,
+        lease: Some(LEASE),
+    };
+    joining.join()
 }
 
 /// A session and all that is declared in it.
@@ -423,31 +380,5 @@ fn answer(query: &Query, with: Result<Vec<u8>, Fault>) {
     let reply = query.reply(query.key_expr().clone(), bytes);
     if let Err(error) = reply.attachment(written(&ended)).wait() {
         tracing::debug!(%error, "who asked is gone");
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn zenoh_knows_every_setting_and_takes_its_value() {
-        let file = |name: &str| name.to_owned();
-        for listen in [Vec::new(), vec!["tls/127.0.0.1:7448".to_owned()]] {
-            let plan = Plan {
-                site: "north".to_owned(),
-                run: 1,
-                others: BTreeSet::new(),
-                connect: vec!["tls/10.0.0.5:7447".to_owned()],
-                listen,
-                keys: Some([file("a.pem"), file("a.key"), file("ca.pem")]),
-                clock: Clock::real(),
-            };
-            let mut told = zenoh::Config::default();
-            for (key, value) in settings(&plan) {
-                told.insert_json5(key, &value.to_string())
-                    .unwrap_or_else(|error| panic!("{key} = {value}: {error}"));
-            }
-        }
     }
 }

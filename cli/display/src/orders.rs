@@ -96,7 +96,8 @@ fn open(
         return Err(HandlerError::new(format!("no net is called `{net}`")));
     }
     // Few are followed from the beginning.
-    if summing::are_opened(cx, nets.len()) && !hub.follows(net) && opened.open(net) {
+    let may_open = opened.is_followed(net) || !hub.follows(net);
+    if summing::are_opened(cx, nets.len()) && may_open && opened.open(net) {
         let (child, hub, opened) = (cx.clone(), hub.clone(), opened.clone());
         let net = net.to_owned();
         cx.spawn(async move { task::follow(&child, &net, &hub, Some(&opened)).await });

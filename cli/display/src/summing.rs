@@ -1,7 +1,12 @@
 //! Follows what tasks sum up of those below them, and what a page looks at of it: the nets of an app that has many are followed
 //! once somebody opens them.
 
-use std::{cell::RefCell, collections::VecDeque, rc::Rc, time::Duration};
+use std::{
+    cell::RefCell,
+    collections::{BTreeSet, VecDeque},
+    rc::Rc,
+    time::Duration,
+};
 
 use ctos::{
     task::{Context, Handled, HandlerError},
@@ -67,27 +72,44 @@ pub(super) async fn decide(cx: &Context, asked: &Asked) -> Result<String, Handle
     Ok(cx.call(&to, decide).deadline(DECIDED_WITHIN).await?)
 }
 
-/// The nets that are followed because somebody has opened them, the earliest first.
+/// The nets that are followed because somebody has opened them.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Opened(Rc<RefCell<VecDeque<String>>>);
+pub(super) struct Opened(Rc<RefCell<Open>>);
+
+#[derive(Debug, Default)]
+struct Open {
+    /// The earliest first.
+    nets: VecDeque<String>,
+    /// Those that have a follower, which may not have noticed yet that its net was left.
+    followed: BTreeSet<String>,
+}
 
 impl Opened {
-    /// Somebody opens a net; whether nobody has before.
+    /// Somebody opens a net; whether a follower is to be started for it.
     pub(super) fn open(&self, net: &str) -> bool {
-        let mut open = self.0.borrow_mut();
-        if open.iter().any(|one| one == net) {
-            return false;
+        if !self.has(net) {
+            let mut open = self.0.borrow_mut();
+            open.nets.push_back(net.to_owned());
+            if open.nets.len() > MOST_OPEN {
+                open.nets.pop_front();
+            }
         }
-        open.push_back(net.to_owned());
-        if open.len() > MOST_OPEN {
-            open.pop_front();
-        }
-        true
+        self.0.borrow_mut().followed.insert(net.to_owned())
     }
 
     /// Whether it is still to be followed.
     pub(super) fn has(&self, net: &str) -> bool {
-        self.0.borrow().iter().any(|one| one == net)
+        self.0.borrow().nets.iter().any(|one| one == net)
+    }
+
+    /// Whether it has a follower.
+    pub(super) fn is_followed(&self, net: &str) -> bool {
+        self.0.borrow().followed.contains(net)
+    }
+
+    /// Its follower ends.
+    pub(super) fn ends(&self, net: &str) {
+        self.0.borrow_mut().followed.remove(net);
     }
 }
 
@@ -134,5 +156,24 @@ mod tests {
         assert!(!opened.open(&names[3]));
         assert!(!opened.has(&names[0]));
         assert!(names[1..].iter().all(|net| opened.has(net)));
+    }
+
+    #[test]
+    fn a_net_that_is_opened_again_before_its_follower_has_noticed_that_it_was_left_gets_no_second_one()
+     {
+        let opened = Opened::default();
+        assert!(opened.open("away"));
+        let others: Vec<String> = (0..MOST_OPEN).map(|net| format!("n{net}")).collect();
+        assert!(others.iter().all(|net| opened.open(net)));
+        assert!(!opened.has("away"), "it was left");
+        assert!(
+            !opened.open("away"),
+            "its follower still waits for its chassis"
+        );
+        assert!(opened.has("away"), "and goes on");
+        // This one was left for it, and its follower notices that.
+        assert!(!opened.has(&others[0]));
+        opened.ends(&others[0]);
+        assert!(opened.open(&others[0]), "it needs another one");
     }
 }

@@ -223,6 +223,7 @@ pub(super) async fn follow(cx: &Context, net: &str, hub: &Hub, opened: Option<&O
         }
         cx.sleep(RETRY).await;
     }
+    opened.inspect(|opened| opened.ends(net));
     hub.leave(net);
 }
 

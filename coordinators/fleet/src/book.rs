@@ -4,7 +4,7 @@
 //! Safe without any clock: an epoch is never given twice, the book says yes to the beginning of one epoch of a job only,
 //! and a job that has begun waits for its cell. Clocks decide only when a job that has not begun is lent anew.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use ctos::time::Instant;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ pub enum Stand {
     /// A cell may work on it, and has not begun with what cannot be undone.
     Lent {
         /// The cell's agent.
-        cell: String,
+        cell: Arc<str>,
         /// The epoch.
         epoch: u64,
         /// When the cell has given it up for sure, by the operator's clock, ns.
@@ -34,7 +34,7 @@ pub enum Stand {
     /// The cell has begun, or may have: nobody else gets it before the cell has said how it ended.
     Begun {
         /// The cell's agent.
-        cell: String,
+        cell: Arc<str>,
         /// The epoch.
         epoch: u64,
         /// When the lease has ended for sure, by the operator's clock, ns.
@@ -104,7 +104,7 @@ impl Book {
         }
         self.epoch += 1;
         entry.stand = Stand::Lent {
-            cell: cell.to_owned(),
+            cell: cell.into(),
             epoch: self.epoch,
             until_ns: at(now + lease),
         };
@@ -179,7 +179,7 @@ impl Book {
             (over_ns <= last).then(|| Overdue {
                 job: entry.job.clone(),
                 epoch: *epoch,
-                cell: cell.clone(),
+                cell: cell.to_string(),
             })
         })
     }

@@ -5,9 +5,12 @@
 //! - `set_down`: the step of that name, while the lease holds. What it did is not known when it fails;
 //! - `settle`: nothing more happens for this job; succeeds if the disc lies where it shall.
 
-use std::{future::Future, pin::Pin, rc::Rc, time::Duration};
+use std::{cell::OnceCell, future::Future, pin::Pin, rc::Rc, sync::Arc, time::Duration};
 
-use ctos::{registry::Registry, task::HandlerError};
+use ctos::{
+    registry::Registry,
+    task::{Context, HandlerError},
+};
 use pnt::library::{Acted, Action, Library};
 use serde::Deserialize;
 
@@ -42,6 +45,22 @@ struct Args {
     times: String,
     /// The task that holds the leases.
     agent: String,
+    /// What the file says, once a step has read it.
+    #[serde(skip)]
+    read: OnceCell<Arc<Times>>,
+}
+
+impl Args {
+    fn times(&self, cx: &Context) -> Result<&Times, HandlerError> {
+        let read = match self.read.get() {
+            Some(read) => read,
+            None => {
+                let times = Times::shared(cx, &self.times)?;
+                self.read.get_or_init(|| times)
+            }
+        };
+        Ok(read)
+    }
 }
 
 /// Registers the handler.
@@ -87,8 +106,7 @@ async fn step(action: Action<()>, args: Rc<Args>) -> Acted {
 /// Has the device do a step.
 async fn done(action: &Action<()>, args: &Args, step: &str) -> Acted {
     let (cx, (job, epoch)) = (action.cx(), job(action)?);
-    let times = Times::shared(cx, &args.times)?;
-    let known = times.step.get(step);
+    let known = args.times(cx)?.step.get(step);
     let known = known.ok_or_else(|| format!("no time was recorded for the step `{step}`"))?;
     let device = format!("{}.{}", args.cell, known.by);
     let request = Do {
@@ -128,8 +146,7 @@ async fn set_down(action: Action<()>, args: Rc<Args>) -> Acted {
 
 async fn settle(action: Action<()>, args: Rc<Args>) -> Acted {
     let (cx, (job, epoch)) = (action.cx(), job(&action)?);
-    let times = Times::shared(cx, &args.times)?;
-    let known = times.step.get(SET_DOWN);
+    let known = args.times(cx)?.step.get(SET_DOWN);
     let by = known.map_or("hand", |known| known.by.as_str());
     let device = format!("{}.{by}", args.cell);
     loop {

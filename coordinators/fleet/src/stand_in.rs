@@ -236,6 +236,9 @@ impl StandIn {
         if known.is_none() && !step.is_empty() {
             return reply.fail(format!("no time was recorded for the step `{step}`"));
         }
+        if known.is_none() && self.args.asks.is_empty() {
+            return reply.ok(true);
+        }
         let (here, args) = (cx.clone(), self.args.clone());
         cx.spawn(async move {
             let done: Result<bool, HandlerError> = async {

@@ -55,3 +55,29 @@ fn a_hundred_cells_stand_on_one_page_and_clicks_lead_to_the_net_of_one_and_back(
     browser.wait(&format!("{shown}.length === 100"));
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
+
+#[test]
+#[ignore = "needs Chromium"]
+fn who_looks_on_until_the_end_of_a_fleet_has_seen_the_counts_of_the_referee() {
+    let scratch = Scratch::new();
+    let name = format!("app.name=\"fleet_end_{}\"", std::process::id());
+    // While a rollout is under way jobs are issued: that takes minutes, no faster than the clock. This takes one.
+    let few = "task.company.args.jobs_per_cell=1";
+    let sets = ["fleet.cells=30", few, &name];
+    let sets = sets.iter().flat_map(|set| ["--set", set]);
+    let more: Vec<&str> = sets.chain(["--json"]).collect();
+    let (run, page) = boot_app(&scratch, "configs/fleet.toml", &more);
+    let mut browser = Browser::open(&page, SIZE);
+    browser.wait(&format!("{} > 20", fact("carried")));
+    browser.wait("nets.mode === 'ended'");
+    let counted = ["jobs issued", "carried", "not carried", "open"];
+    let counted = counted.map(|name| browser.ask(&fact(name)));
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    let ended = run.end();
+    ended.must_exit(0);
+    let result = ended.json();
+    let referee = ["jobs", "carried", "not_carried"].map(|key| result[key].clone());
+    assert_eq!(counted[..3], referee);
+    assert_eq!(counted[3], 0);
+    assert_eq!(result["lost"], serde_json::json!([]));
+}
