@@ -51,31 +51,108 @@ fn must_be_smooth(result: &Value) {
     assert_eq!(result["clock_within"], true, "{result}");
 }
 
-#[test]
-fn a_ball_on_a_circle_is_followed_smoothly_whether_pictures_are_late_or_not() {
-    let scratch = Scratch::new();
-    for (latency, most) in [("[0.0, 0.0]", 0.005), ("[110.0, 20.0]", 0.012)] {
-        let late = format!("task.argus.args.latency_ms={latency}");
-        let result = run(&scratch, "circle", 9.0, &["--set", &late]);
-        must_be_smooth(&result);
-        assert!(number(&result, "tracked") > 0.99, "{result}");
-        assert!(number(&result, "rms_m") < most, "{result}");
-        assert!(number(&result, "estimate_rms_m") < most, "{result}");
-        assert_eq!(result["stops"], 0, "{result}");
-    }
+/// A motion of the ball, its speed, m/s, and how often pictures are later than they could be, mean and spread, ms.
+const BALLS: [(&str, f64); 4] = [
+    ("circle", 0.2),
+    ("sweep", 0.5),
+    ("saccade", 0.2),
+    ("hand", 0.2),
+];
+const LATENCIES: [&str; 3] = ["[40.0, 0.0]", "[110.0, 20.0]", "[200.0, 0.0]"];
+
+/// A run of a ball, whatever happens to it.
+fn followed((motion, speed): (&str, f64), latency: &str, seed: u64, seconds: f64) -> Rig {
+    Rig::new("followed", seconds)
+        .set(&format!("seed={seed}"))
+        .set(&format!("task.ball.args.motion=\"{motion}\""))
+        .set(&format!("task.ball.args.speed={speed:?}"))
+        .set(&format!("task.argus.args.latency_ms={latency}"))
+}
+
+/// Median and worst of a number over runs.
+fn over(runs: &[Ended], key: &str) -> [f64; 2] {
+    let mut all: Vec<f64> = runs.iter().map(|run| run.number(key)).collect();
+    all.sort_by(f64::total_cmp);
+    [all[all.len() / 2], all[all.len() - 1]]
 }
 
 #[test]
-fn without_prediction_the_hand_is_at_least_twice_as_far_from_the_ball() {
-    let scratch = Scratch::new();
-    let errors = ["true", "false"].map(|prediction| {
-        let prediction = format!("task.druide.args.prediction={prediction}");
-        let late = "task.argus.args.latency_ms=[110.0, 20.0]";
-        let result = run(&scratch, "off", 8.0, &["--set", &prediction, "--set", late]);
-        must_be_smooth(&result);
-        number(&result, "rms_m")
-    });
-    assert!(errors[1] > 2.0 * errors[0], "{errors:?} m");
+fn balls_are_followed_smoothly_at_any_latency_and_twice_as_well_as_without_prediction() {
+    for (latency, most) in [("[0.0, 0.0]", 0.005), ("[110.0, 20.0]", 0.012)] {
+        let ended = followed(BALLS[0], latency, 1, 9.0).run();
+        ended.must_be_smooth();
+        assert!(ended.number("tracked") > 0.99, "{}", ended.result);
+        assert!(ended.number("rms_m") < most, "{}", ended.result);
+        assert!(ended.number("estimate_rms_m") < most, "{}", ended.result);
+        assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+        if latency == LATENCIES[1] {
+            let blind = followed(BALLS[0], latency, 1, 9.0)
+                .set("task.druide.args.prediction=false")
+                .run();
+            blind.must_be_smooth();
+            let errors = [&ended, &blind].map(|run| run.number("rms_m"));
+            assert!(errors[1] > 2.0 * errors[0], "{errors:?} m");
+        }
+    }
+}
+
+/// The campaign of `tests/run --long tracker`: with prediction, without, and with a ball that is covered for a while.
+#[test]
+fn balls_of_many_seeds_are_followed_smoothly_through_loss_and_return() {
+    let Ok(seeds) = std::env::var("CTOS_TRACKER_RUNS") else {
+        return;
+    };
+    let seeds: u64 = seeds.parse().unwrap();
+    println!("{seeds} seeds of 60 s each, median and worst, mm");
+    println!(
+        "| ball | latency | rms | 95 % | estimate | off/on | lost, expired | held | clock, us | force, N |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    let covered =
+        "task.ball.args.hidden_s=[[20.0, 20.15], [28.0, 28.4], [36.0, 38.0], [46.0, 51.0]]";
+    for ball in BALLS {
+        for latency in LATENCIES {
+            let ways = [
+                "task.druide.args.prediction=true",
+                "task.druide.args.prediction=false",
+                covered,
+            ];
+            let [on, off, hidden] = ways.map(|way| {
+                let runs =
+                    (0..seeds).map(|seed| followed(ball, latency, seed, 60.0).set(way).run());
+                runs.inspect(Ended::must_be_smooth).collect::<Vec<_>>()
+            });
+            let told = |key: &str, unit: f64| {
+                let [median, worst] = over(&on, key).map(|number| number * unit);
+                format!("{median:.1} ({worst:.1})")
+            };
+            let ratios = on.iter().zip(&off);
+            let mut ratios: Vec<f64> = ratios
+                .map(|(on, off)| off.number("rms_m") / on.number("rms_m"))
+                .collect();
+            ratios.sort_by(f64::total_cmp);
+            println!(
+                "| {} | {latency} | {} | {} | {} | {:.1} ({:.1}) | {} | {} | {} | {} |",
+                ball.0,
+                told("rms_m", 1e3),
+                told("p95_m", 1e3),
+                told("estimate_rms_m", 1e3),
+                ratios[ratios.len() / 2],
+                ratios[0],
+                told("lost", 1.0) + ", " + &told("expired", 1.0),
+                told("held", 1.0),
+                told("clock_error_s", 1e6),
+                told("max_force_n", 1.0),
+            );
+            if ["circle", "sweep"].contains(&ball.0) {
+                assert!(ratios[0] > 2.0, "{ball:?} {latency}: {ratios:?}");
+                assert!(hidden.iter().all(|run| run.number("expired") >= 2.0));
+            }
+            for run in on.iter().chain(&hidden) {
+                assert_eq!(run.result["stops"], 0, "{ball:?} {latency}: {}", run.result);
+            }
+        }
+    }
 }
 
 #[test]
@@ -814,7 +891,7 @@ fn a_person_drags_the_ball_pushes_the_hand_and_steers_the_mouse_by_one_net() {
     assert!(ended.number("tracked") > 0.99, "{}", ended.result);
 }
 
-/// A wall beside the hand, 50 mm from its foam, which feels what presses on it.
+/// A wall beside the hand, 30 mm from its foam, which feels what presses on it.
 const WALL: &str = r#"
 [[furniture]]
 centre = [0.70, 0.055, 0.75]
@@ -849,25 +926,28 @@ fn a_ball_that_leads_the_hand_into_a_wall_makes_it_press_with_less_than_15_n() {
 }
 
 #[test]
-fn half_a_metre_a_second_into_a_wall_is_smooth_and_softer_than_what_stops_the_arm() {
+fn half_a_metre_a_second_into_a_wall_that_nobody_states_presses_with_less_than_15_n_each_time() {
+    // The middle of the sweep, where the ball is the fastest, is 30 mm before the foam touches.
     let ended = Rig::new("fast", 12.0)
-        .cell(&WALL.replace("cuts_n = 25.0", "cuts_n = 900.0"))
+        .cell(WALL)
         .set("task.ball.args.motion=\"sweep\"")
-        .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
-        .set("task.ball.args.speed=0.5")
+        .set("task.ball.args.reach=[0.0, 0.2, 0.0]")
+        .set("task.ball.args.speed=0.52")
         .run();
     ended.must_be_smooth();
     let most = ended.pressed(0.0, 12.0)[1];
-    assert!((15.0..40.0).contains(&most), "{most} N");
+    assert!(most > 6.0, "the wall was not touched: {most} N");
+    assert!(most < 15.0, "{most} N, {}", ended.result);
     assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+    assert_eq!(ended.result["expired"], 0, "{}", ended.result);
 }
 
-/// The same wall, as druide is told of it. The foam touches it 0.1 m from the tool.
+/// The same wall, as druide is told of it. The foam touches it 0.12 m from the tool.
 const STATED: &str = r#"
 [[task.druide.args.walls]]
 name = "wall"
 box = { low = [0.55, 0.005, 0.6], high = [0.85, 0.105, 0.9] }
-stand_off_m = 0.11
+stand_off_m = 0.13
 "#;
 
 #[test]
@@ -939,8 +1019,10 @@ fn a_hand_that_is_pushed_against_a_wall_presses_evenly() {
 fn a_table_that_is_pressed_too_hard_cuts_the_power_whatever_tracker_and_guards_want() {
     let mouse = "low_pass_hz = 4.0, null_radius = 0.05, scale = 0.3, clip = 0.3";
     let contact = "touch_n = 900.0, held_n = 900.0, most_n = 900.0";
+    // Of harder foam, which is not pressed flat.
     let rig = Rig::new("cut", 12.0)
         .cell(WALL)
+        .swap("stiffness = 240.0", "stiffness = 800.0")
         .set("task.ball.args.motion=\"rest\"")
         .set(&format!("task.druide.args.control.contact={{ {contact} }}"))
         .set(&format!("task.druide.args.control.mouse={{ {mouse} }}"));
@@ -969,7 +1051,7 @@ fn a_table_that_is_pressed_too_hard_cuts_the_power_whatever_tracker_and_guards_w
 fn a_hand_without_foam_ends_in_an_overload_at_a_wall_that_is_smooth_and_waits_for_a_person() {
     let ended = Rig::new("rigid", 6.5)
         .cell(&WALL.replace("cuts_n = 25.0", "cuts_n = 900.0"))
-        .swap("stiffness = 800.0", "stiffness = 20000.0")
+        .swap("stiffness = 240.0", "stiffness = 20000.0")
         .set("task.ball.args.motion=\"sweep\"")
         .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
         .set("task.ball.args.speed=0.2")
