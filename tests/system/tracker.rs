@@ -2,6 +2,11 @@
 
 #[allow(
     clippy::print_stdout,
+    reason = "what came out is a table for the documentation"
+)]
+mod campaign;
+#[allow(
+    clippy::print_stdout,
     reason = "what became of a run is shown when one fails"
 )]
 mod rig;
@@ -49,33 +54,6 @@ fn must_be_smooth(result: &Value) {
     );
     assert_eq!(result["unread"], 0, "{result}");
     assert_eq!(result["clock_within"], true, "{result}");
-}
-
-#[test]
-fn a_ball_on_a_circle_is_followed_smoothly_whether_pictures_are_late_or_not() {
-    let scratch = Scratch::new();
-    for (latency, most) in [("[0.0, 0.0]", 0.005), ("[110.0, 20.0]", 0.012)] {
-        let late = format!("task.argus.args.latency_ms={latency}");
-        let result = run(&scratch, "circle", 9.0, &["--set", &late]);
-        must_be_smooth(&result);
-        assert!(number(&result, "tracked") > 0.99, "{result}");
-        assert!(number(&result, "rms_m") < most, "{result}");
-        assert!(number(&result, "estimate_rms_m") < most, "{result}");
-        assert_eq!(result["stops"], 0, "{result}");
-    }
-}
-
-#[test]
-fn without_prediction_the_hand_is_at_least_twice_as_far_from_the_ball() {
-    let scratch = Scratch::new();
-    let errors = ["true", "false"].map(|prediction| {
-        let prediction = format!("task.druide.args.prediction={prediction}");
-        let late = "task.argus.args.latency_ms=[110.0, 20.0]";
-        let result = run(&scratch, "off", 8.0, &["--set", &prediction, "--set", late]);
-        must_be_smooth(&result);
-        number(&result, "rms_m")
-    });
-    assert!(errors[1] > 2.0 * errors[0], "{errors:?} m");
 }
 
 #[test]
@@ -814,7 +792,7 @@ fn a_person_drags_the_ball_pushes_the_hand_and_steers_the_mouse_by_one_net() {
     assert!(ended.number("tracked") > 0.99, "{}", ended.result);
 }
 
-/// A wall beside the hand, 50 mm from its foam, which feels what presses on it.
+/// A wall beside the hand, 30 mm from its foam, which feels what presses on it.
 const WALL: &str = r#"
 [[furniture]]
 centre = [0.70, 0.055, 0.75]
@@ -849,25 +827,28 @@ fn a_ball_that_leads_the_hand_into_a_wall_makes_it_press_with_less_than_15_n() {
 }
 
 #[test]
-fn half_a_metre_a_second_into_a_wall_is_smooth_and_softer_than_what_stops_the_arm() {
+fn half_a_metre_a_second_into_a_wall_that_nobody_states_presses_with_less_than_15_n_each_time() {
+    // The middle of the sweep, where the ball is the fastest, is 30 mm before the foam touches.
     let ended = Rig::new("fast", 12.0)
-        .cell(&WALL.replace("cuts_n = 25.0", "cuts_n = 900.0"))
+        .cell(WALL)
         .set("task.ball.args.motion=\"sweep\"")
-        .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
-        .set("task.ball.args.speed=0.5")
+        .set("task.ball.args.reach=[0.0, 0.2, 0.0]")
+        .set("task.ball.args.speed=0.52")
         .run();
     ended.must_be_smooth();
     let most = ended.pressed(0.0, 12.0)[1];
-    assert!((15.0..40.0).contains(&most), "{most} N");
+    assert!(most > 6.0, "the wall was not touched: {most} N");
+    assert!(most < 15.0, "{most} N, {}", ended.result);
     assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+    assert_eq!(ended.result["expired"], 0, "{}", ended.result);
 }
 
-/// The same wall, as druide is told of it. The foam touches it 0.1 m from the tool.
+/// The same wall, as druide is told of it. The foam touches it 0.12 m from the tool.
 const STATED: &str = r#"
 [[task.druide.args.walls]]
 name = "wall"
 box = { low = [0.55, 0.005, 0.6], high = [0.85, 0.105, 0.9] }
-stand_off_m = 0.11
+stand_off_m = 0.13
 "#;
 
 #[test]
@@ -939,8 +920,10 @@ fn a_hand_that_is_pushed_against_a_wall_presses_evenly() {
 fn a_table_that_is_pressed_too_hard_cuts_the_power_whatever_tracker_and_guards_want() {
     let mouse = "low_pass_hz = 4.0, null_radius = 0.05, scale = 0.3, clip = 0.3";
     let contact = "touch_n = 900.0, held_n = 900.0, most_n = 900.0";
+    // Of harder foam, which is not pressed flat.
     let rig = Rig::new("cut", 12.0)
         .cell(WALL)
+        .swap("stiffness = 240.0", "stiffness = 800.0")
         .set("task.ball.args.motion=\"rest\"")
         .set(&format!("task.druide.args.control.contact={{ {contact} }}"))
         .set(&format!("task.druide.args.control.mouse={{ {mouse} }}"));
@@ -969,7 +952,7 @@ fn a_table_that_is_pressed_too_hard_cuts_the_power_whatever_tracker_and_guards_w
 fn a_hand_without_foam_ends_in_an_overload_at_a_wall_that_is_smooth_and_waits_for_a_person() {
     let ended = Rig::new("rigid", 6.5)
         .cell(&WALL.replace("cuts_n = 25.0", "cuts_n = 900.0"))
-        .swap("stiffness = 800.0", "stiffness = 20000.0")
+        .swap("stiffness = 240.0", "stiffness = 20000.0")
         .set("task.ball.args.motion=\"sweep\"")
         .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
         .set("task.ball.args.speed=0.2")

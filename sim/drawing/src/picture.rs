@@ -39,6 +39,18 @@ const POINTS: [[f64; 2]; 16] = [
 /// After so many points that all show what the centre shows, a pixel counts as no edge.
 const CORNERS: usize = 4;
 
+/// Pixels of a row that are looked at together for edges.
+const STRETCH: usize = 32;
+
+/// What was done in a tile.
+#[derive(Debug, Clone, Copy, Default)]
+struct Drawn {
+    /// Whether any pixel shows something new.
+    is_drawn: bool,
+    /// A solid of which one face is behind all pixels, and how much of its tone that shows.
+    face: Option<(u16, f64)>,
+}
+
 /// What a camera sees before its lens blurs it and its sensor adds noise.
 #[derive(Debug, Clone, Default)]
 pub struct Picture {
@@ -90,9 +102,12 @@ impl Picture {
         }
         self.light.clear();
         self.light.resize(rays.len() * view.channels, 0.0);
-        self.cover(view, 0);
-        self.shade(view, SKY);
-        self.soften(view, SOLID);
+        let mut drawn = self.cover(view, 0);
+        for tile in &mut drawn {
+            tile.is_drawn = true;
+        }
+        self.shade(view, SKY, &drawn);
+        self.soften(view, SOLID, &drawn);
     }
 
     /// Becomes what another one is.
@@ -104,61 +119,93 @@ impl Picture {
 
     /// Draws the solids from index `first` on.
     pub fn draw(&mut self, view: &View<'_>, first: usize) {
-        self.cover(view, first);
-        self.shade(view, number(first));
-        self.soften(view, number(first));
+        let drawn = self.cover(view, first);
+        self.shade(view, number(first), &drawn);
+        self.soften(view, number(first), &drawn);
     }
 
-    fn cover(&mut self, view: &View<'_>, first: usize) {
-        let rays = view.rays.all();
+    /// Finds the nearest solid from index `first` on of each pixel; what it did in each tile.
+    fn cover(&mut self, view: &View<'_>, first: usize) -> Vec<Drawn> {
+        let (rays, tiles) = (view.rays.all(), view.rays.tiles());
+        let mut all = vec![Drawn::default(); tiles.len()];
         let solids = view.solids.iter().enumerate().skip(first);
         for (index, solid) in solids.filter(|(_, solid)| !solid.is_around_the_eye()) {
             let number = number(index);
-            let tiles = view.rays.tiles().iter();
-            for run in tiles
-                .filter(|tile| solid.may_meet(tile))
-                .flat_map(|tile| &tile.runs)
-            {
-                let depth = &mut self.depth[run.clone()];
-                let shown = &mut self.shown[run.clone()];
-                solid.hits(&rays[run.clone()], |index, distance| {
-                    if (distance as f32) < depth[index] {
-                        (depth[index], shown[index]) = (distance as f32, number);
+            let met = tiles.iter().zip(&mut all);
+            for (tile, drawn) in met.filter(|(tile, _)| solid.may_meet(tile)) {
+                let face = solid.face(tile);
+                if let Some(face) = face {
+                    drawn.face = Some((number, face.shade));
+                }
+                for run in &tile.runs {
+                    let depth = &mut self.depth[run.clone()];
+                    let shown = &mut self.shown[run.clone()];
+                    let rays = &rays[run.clone()];
+                    let found = |index: usize, distance: f64| {
+                        if (distance as f32) < depth[index] {
+                            (depth[index], shown[index]) = (distance as f32, number);
+                            drawn.is_drawn = true;
+                        }
+                    };
+                    match face {
+                        Some(face) => face.hits(rays, found),
+                        None => solid.hits(rays, found),
                     }
-                });
+                }
             }
         }
+        all
     }
 
-    /// Gives each pixel that shows `first` or what has a larger number its light.
-    fn shade(&mut self, view: &View<'_>, first: u16) {
-        let pixels = view.rays.all().iter().zip(&self.depth).zip(&self.shown);
-        let light = self.light.chunks_exact_mut(view.channels);
-        for (((ray, depth), shown), light) in pixels.zip(light) {
-            if *shown < first {
-                continue;
-            }
-            let (tone, shade) = match solid(*shown).and_then(|solid| view.solids.get(solid)) {
-                Some(solid) => (solid.tone, solid.shade(ray, f64::from(*depth))),
-                None => {
-                    let hit = view.floor.hit(ray);
-                    let shade = hit.map_or(0.5, |distance| view.floor.shade(ray, distance));
-                    (view.floor_tone, shade)
+    /// Gives each pixel of a tile in which something was drawn its light, if it shows `first` or what has a larger number.
+    fn shade(&mut self, view: &View<'_>, first: u16, drawn: &[Drawn]) {
+        let rays = view.rays.all();
+        let tiles = view.rays.tiles().iter().zip(drawn);
+        for (tile, drawn) in tiles.filter(|(_, drawn)| drawn.is_drawn) {
+            for at in tile.runs.iter().cloned().flatten() {
+                let shown = self.shown[at];
+                if shown < first {
+                    continue;
                 }
-            };
-            for (light, level) in light.iter_mut().zip(tone) {
-                *light = level * shade as f32;
+                let (tone, shade) = match (
+                    solid(shown).and_then(|one| view.solids.get(one)),
+                    drawn.face,
+                ) {
+                    (Some(solid), Some((number, shade))) if number == shown => (solid.tone, shade),
+                    (Some(solid), _) => {
+                        let depth = f64::from(self.depth[at]);
+                        (solid.tone, solid.shade(&rays[at], depth))
+                    }
+                    (None, _) => {
+                        let hit = view.floor.hit(&rays[at]);
+                        let shade = hit.map_or(0.5, |far| view.floor.shade(&rays[at], far));
+                        (view.floor_tone, shade)
+                    }
+                };
+                let light = self.light[view.channels * at..].iter_mut();
+                for (light, level) in light.take(view.channels).zip(tone) {
+                    *light = level * shade as f32;
+                }
             }
         }
     }
 
     /// Gives pixels on edges what each side covers of them, where a solid from number `first` on has part in the edge.
-    fn soften(&mut self, view: &View<'_>, first: u16) {
+    fn soften(&mut self, view: &View<'_>, first: u16, drawn: &[Drawn]) {
         let (width, height) = (view.camera.width, view.camera.height);
         let mut edges = std::mem::take(&mut self.edges);
         edges.clear();
         let mut differ = Vec::with_capacity(width);
-        for row in 0..height {
+        // Rows of tiles in which something was drawn, and their neighbours.
+        let mut touched = vec![false; height];
+        let tiles = view.rays.tiles().iter().zip(drawn);
+        for (tile, _) in tiles.filter(|(_, drawn)| drawn.is_drawn) {
+            let rows = tile.runs.iter().map(|run| run.start / width);
+            for row in rows.flat_map(|row| row.saturating_sub(1)..(row + 2).min(height)) {
+                touched[row] = true;
+            }
+        }
+        for row in (0..height).filter(|row| touched[*row]) {
             let above = row.saturating_sub(1) * width;
             let below = (row + 1).min(height - 1) * width;
             // Most of a picture has no edge: columns in which the three rows differ, or the next column does.
@@ -174,7 +221,12 @@ impl Picture {
             for (differ, pair) in differ.iter_mut().zip(own.windows(2)) {
                 *differ |= pair[0] ^ pair[1];
             }
-            for column in 0..width {
+            // Whole stretches without an edge are passed at once.
+            let stretches = (0..width).step_by(STRETCH).filter(|from| {
+                let beside = from.saturating_sub(1)..(from + STRETCH + 1).min(width);
+                differ[beside].iter().fold(0, |all, differ| all | differ) != 0
+            });
+            for column in stretches.flat_map(|from| from..(from + STRETCH).min(width)) {
                 let (left, right) = (column.saturating_sub(1), (column + 1).min(width - 1));
                 if differ[left] | differ[column] | differ[right] == 0 {
                     continue;

@@ -58,6 +58,26 @@ enum Form {
     },
 }
 
+/// A face of a block before a tile all of whose rays meet it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Face {
+    /// The block's axis across the face, camera frame, and the way along it from the camera to the face.
+    row: Vector3<f64>,
+    way: f64,
+    /// How much of its tone it shows, by Lambert's law.
+    pub shade: f64,
+}
+
+impl Face {
+    /// Tells `found` for each of `rays`, which are of the tile: its index and the distance.
+    pub fn hits(&self, rays: &[Vector3<f64>], found: impl FnMut(usize, f64)) {
+        each(rays, found, |ray| Some(self.way / self.row.dot(ray)));
+    }
+}
+
+/// What is so near to an edge of a block, m, counts as no part of a face.
+const EDGE: f64 = 1e-6;
+
 impl Form {
     fn ball(&self) -> (Vector3<f64>, f64) {
         match self {
@@ -301,6 +321,39 @@ impl Seen {
             ..self.clone()
         };
         moved.hit(&Vector3::z())
+    }
+
+    /// The face of a block that all rays of a tile meet, if it is one and the same.
+    pub(crate) fn face(&self, tile: &Tile) -> Option<Face> {
+        let Form::Block { turn, eye, half } = &self.form else {
+            return None;
+        };
+        let axis = turn * tile.axis;
+        // What every ray of the tile has along an axis of the block lies between these.
+        let bounds = |k: usize| [axis[k] - tile.spread, axis[k] + tile.spread];
+        let is_met = |k: &usize| {
+            let [least, most] = bounds(*k);
+            let gap = eye[*k].abs() - half[*k];
+            if gap <= 0.0 || least * most <= 0.0 || least * eye[*k] >= 0.0 {
+                return false;
+            }
+            let times = [gap / least.abs(), gap / most.abs()];
+            (0..3).filter(|other| other != k).all(|other| {
+                let room = half[other] - EDGE;
+                let ways = bounds(other).map(|way| times.map(|time| eye[other] + time * way));
+                ways.as_flattened().iter().all(|at| at.abs() < room)
+            })
+        };
+        let k = (0..3).find(is_met)?;
+        let side = eye[k].signum();
+        let mut normal = Vector3::zeros();
+        normal[k] = side;
+        let normal = turn.transpose() * normal;
+        Some(Face {
+            row: turn.row(k).transpose(),
+            way: side * half[k] - eye[k],
+            shade: lambert(1.0, normal.dot(&self.light)),
+        })
     }
 
     /// Tells `found` for each of `rays` that hits: its index and the distance.
@@ -620,6 +673,41 @@ mod tests {
                 for i in 0..4000 {
                     let point = eye + ray * (f64::from(i) * 1e-3);
                     prop_assert!(depth(point) > 1.0 - 1e-9);
+                }
+            }
+        }
+
+        #[test]
+        fn a_face_that_a_tile_has_before_it_is_what_each_of_its_rays_meets(
+            place in near(), turn in prop::array::uniform3(-3.0..3.0_f64), half in 0.2..1.2_f64,
+        ) {
+            let camera = CameraTruth {
+                name: "c".into(),
+                width: 60,
+                height: 40,
+                focal: [45.0, 46.0],
+                principal: [31.0, 18.0],
+                distortion: crate::truth::Distortion::default(),
+                camera_t_world: Isometry3::identity(),
+                valid_radius: f64::INFINITY,
+            };
+            let rays = Rays::new(&camera);
+            let half = Vector3::new(half, 0.8, half / 2.0);
+            let solid = Solid::Block { centre: Point3::origin(), half };
+            let shape = Shape { solid, paint: Paint::Grey(100.0) };
+            let frame = Isometry3::new(place, turn.into());
+            let seen = Seen::new(&shape, &frame, &Isometry3::identity(), false);
+            for tile in rays.tiles() {
+                let Some(face) = seen.face(tile) else { continue };
+                for run in &tile.runs {
+                    let own = &rays.all()[run.clone()];
+                    let mut found = Vec::new();
+                    face.hits(own, |_, distance| found.push(Some(distance)));
+                    let expected: Vec<_> = own.iter().map(|ray| seen.hit(ray)).collect();
+                    prop_assert_eq!(&found, &expected);
+                    for (ray, distance) in own.iter().zip(expected.into_iter().flatten()) {
+                        prop_assert_eq!(seen.shade(ray, distance), face.shade);
+                    }
                 }
             }
         }
