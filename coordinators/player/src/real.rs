@@ -224,10 +224,11 @@ impl ArmArgs {
 
     /// Whether the arm can get down there from where it is.
     async fn is_in_reach(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
+        let now = arm.tool().await?.rotation;
         let mut first = None;
         for turn in TURNS_DEG {
-            match self.plan_down(arm, stand.pose(turn)).await {
-                Ok(()) => return Ok(()),
+            match self.turned(arm, stand, turn, &now).await {
+                Ok(_) => return Ok(()),
                 Err(failure) => first.get_or_insert(failure),
             };
         }
@@ -346,6 +347,27 @@ impl ArmArgs {
         arm.travel(order).await.map(|_| ())
     }
 
+    /// Whether the arm gets down there with the gripper turned so, or by half a turn more, which is the same to a gripper: that pose.
+    /// The one that is nearer to how it is turned now is tried first.
+    async fn turned(
+        &self,
+        arm: &Arm<'_>,
+        stand: Stand,
+        turn_deg: f64,
+        now: &UnitQuaternion<f64>,
+    ) -> Result<Isometry3<f64>, Failure> {
+        let mut both = [turn_deg, turn_deg + 180.0].map(|turn| stand.pose(turn));
+        both.sort_by(|one, other| {
+            let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
+            far(one).total_cmp(&far(other))
+        });
+        let [near, far] = both;
+        match self.plan_down(arm, near).await {
+            Ok(()) => Ok(near),
+            Err(_) => self.plan_down(arm, far).await.map(|()| far),
+        }
+    }
+
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         self.above_turned(cx, stand, &TURNS_DEG).await.map(|_| ())
@@ -362,14 +384,17 @@ impl ArmArgs {
         arm.acquire().await?;
         self.up(&arm).await?;
         self.swing(&arm, stand).await?;
+        let now = arm.tool().await?.rotation;
         let mut first = None;
         for (nth, turn) in turns.iter().enumerate() {
-            let down = stand.pose(*turn);
+            let down = match self.turned(&arm, stand, *turn, &now).await {
+                Ok(down) => down,
+                Err(failure) => {
+                    first.get_or_insert(failure);
+                    continue;
+                }
+            };
             let above = at_height(down, TRAVEL_M);
-            if let Err(failure) = self.plan_down(&arm, down).await {
-                first.get_or_insert(failure);
-                continue;
-            }
             for path in [PathKind::StraightLine, PathKind::Joint] {
                 match self.go(&arm, (above, path), self.speed, &[]).await {
                     Ok(()) => return Ok(nth),
@@ -467,3 +492,6 @@ fn is_between(held: &Held) -> Result<(), HandlerError> {
     let text = format!("the fingers are {width_mm:.0} mm apart, and no disc is so wide");
     Err(HandlerError::new(text))
 }
+
+#[cfg(test)]
+mod tests;

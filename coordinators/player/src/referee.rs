@@ -62,6 +62,8 @@ pub struct Verdict {
     pub moved: u32,
     /// Looks of cameras: read right, in part unsure, and wrong.
     pub looks: Looks,
+    /// How long a carry of a real arm took in the middle of all, and how many there were, s.
+    pub carry: Option<(f64, usize)>,
     /// What was said.
     pub said: Vec<String>,
 }
@@ -120,6 +122,9 @@ impl Referee {
             text += &format!(
                 "\nof looks at a board at rest {right} were right, {unsure} unsure in part, {wrong} wrong"
             );
+        }
+        if let Some((median_s, carries)) = verdict.carry {
+            text += &format!("\na carry took {median_s:.1} s, the median of {carries}");
         }
         for wrong in &verdict.wrong {
             text += &format!("\nnot true: {wrong}");
@@ -193,8 +198,17 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
         slipped: truth.slipped,
         moved: truth.moved,
         looks: truth.looks,
+        carry: median_s(&truth.carried_ms),
         said: truth.heard.clone(),
     }
+}
+
+/// The median of times, and how many there are.
+fn median_s(times_ms: &[u32]) -> Option<(f64, usize)> {
+    let mut times = times_ms.to_vec();
+    times.sort_unstable();
+    let median = times.get(times.len() / 2)?;
+    Some((f64::from(*median) / 1e3, times.len()))
 }
 
 /// Plays the game once more.

@@ -306,11 +306,13 @@ impl EventHandler for Room {
                     table.arm = to;
                     table.motion += 1;
                     // Without a next place it is the errand's second end.
+                    table.sets_out(Some(u8::from(then.is_none())), seconds(cx));
                     if let Some(mishap) = Mishap::of(table, then.is_none()) {
                         cx.spawn(meddling::befall(child, inner, mishap, there));
                     }
                     return reply.ok(None);
                 }
+                table.sets_out(None, seconds(cx));
                 cx.spawn(async move {
                     let read = read(&child, &inner).await;
                     let _ = match read {

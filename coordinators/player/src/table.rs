@@ -66,6 +66,8 @@ pub struct Table {
     /// The number of the arm's latest motion, and whether it moves.
     pub motion: u32,
     pub moving: bool,
+    /// When a real arm set out for an errand, s, and whether it has gone on to the errand's second end.
+    pub set_out: Option<(f64, bool)>,
     /// In the arm's hand.
     pub held: Vec<Hue>,
     slips: bool,
@@ -100,6 +102,7 @@ impl Table {
             arm: None,
             motion: 0,
             moving: false,
+            set_out: None,
             held: Vec::new(),
             slips: false,
             powered: true,
@@ -117,6 +120,7 @@ impl Table {
                 errors: Vec::new(),
                 met: 0,
                 looks: Looks::default(),
+                carried_ms: Vec::new(),
             },
             chances,
             rng,
@@ -200,6 +204,19 @@ impl Table {
             kings,
             turn,
         }
+    }
+
+    /// A real arm sets out, goes on to the second end of an errand, or (neither) is back at its place of rest.
+    pub fn sets_out(&mut self, end: Option<u8>, now: f64) {
+        self.set_out = match (end, self.set_out.take()) {
+            (Some(0), _) => Some((now, false)),
+            (Some(_), Some((begun, _))) => Some((begun, true)),
+            (None, Some((begun, true))) => {
+                self.truth.carried_ms.push(((now - begun) * 1e3) as u32);
+                None
+            }
+            _ => None,
+        };
     }
 
     /// Notes what stands on the board when nobody is at it.

@@ -392,6 +392,8 @@ pub struct TrueTable {
     pub met: u32,
     /// Looks of cameras at the board.
     pub looks: Looks,
+    /// How long each carry of a real arm took from its place of rest until it was back, ms.
+    pub carried_ms: Vec<u32>,
 }
 
 /// How well the board was read, by looks at a board that nobody touched meanwhile.
