@@ -95,7 +95,7 @@ fn least_square(moves: &DMatrix<f64>, balls: &DVector<f64>, most: f64) -> f64 {
             .fold(0.0, f64::max);
     let mut now = DVector::zeros(cross.len());
     let (mut ahead, mut momentum) = (now.clone(), 1.0_f64);
-    for _ in 0..800 {
+    for _ in 0..3000 {
         let gradient = &square * &ahead - &cross;
         let next = (&ahead - gradient * rate).map(|a: f64| a.clamp(-most, most));
         let grown = 0.5 * (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt());
