@@ -15,7 +15,7 @@ const BALL: f64 = 2.0;
 const STOP: f64 = 0.65;
 /// Lengths of jumps that stand for all, and the step of time, s.
 const LENGTHS: usize = 6;
-const STEP: f64 = 0.0125;
+const STEP: f64 = 0.025;
 
 /// Half the durations of jumps, s, each as likely.
 fn halves() -> Vec<f64> {
