@@ -410,6 +410,27 @@ fn a_reader_that_sleeps_is_woken_by_the_next_record() {
 }
 
 #[test]
+fn a_run_in_virtual_time_has_nothing_of_what_a_killed_run_has_left() {
+    let shop = Shop {
+        clock: Clock::virtual_clock(),
+        ..shop()
+    };
+    let mut writer = shop.writer(4, 2);
+    put(&mut writer, 3);
+    let mut before = shop.reader();
+    // Another process from now on.
+    writer.die();
+    let mut next = shop.writer(4, 2);
+    let mut reader = shop.reader();
+    assert_eq!(rest(&mut reader), []);
+    assert_eq!((next.count(), next.generation()), (0, 2));
+    put(&mut next, 1);
+    assert_eq!(rest(&mut reader), [(0, 1)]);
+    assert_eq!(rest(&mut before).len(), 3);
+    assert_eq!(before.writer(), WriterState::Replaced);
+}
+
+#[test]
 fn waiting_in_virtual_time_does_not_wait() {
     let folder = tempfile::tempdir().unwrap();
     let place = Place::under(&folder.path().join("shm"), "app").unwrap();

@@ -36,7 +36,7 @@ pub struct Writer {
 impl Writer {
     /// Makes the buffer `name`, or takes it over from a writer that has ended. With the same layout it goes on
     /// with the next number, and readers just go on. With another layout a new segment takes the place of the
-    /// old one, and readers of the old one learn so.
+    /// old one, and readers of the old one learn so. So it is in virtual time when another process wrote the old one.
     ///
     /// # Errors
     /// Another writer has it, the name or the layout cannot be, or the system refuses.
@@ -86,6 +86,10 @@ impl Writer {
         let mut found = Header::read(&page, length, path).ok()?;
         found.read_description(&page);
         if found != *header || page.load(STATE) == REPLACED {
+            return None;
+        }
+        // The virtual clock of another process is another clock: what it stamped is no past of this run.
+        if header.virtual_time && place::writer_of(&page) != Process::this() {
             return None;
         }
         let count = header.geometry.ring.recover(&page)?;
