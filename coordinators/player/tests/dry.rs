@@ -289,16 +289,30 @@ fn short_game(seed: u64, kills: &[Fault]) -> Value {
     game(seed, &[&opponent], kills)
 }
 
-/// Seeds of the campaign; few unless `CTOS_CHECKERS_SEEDS` says how many.
-fn seeds() -> u64 {
-    let given = std::env::var("CTOS_CHECKERS_SEEDS").ok();
-    given.map_or(2, |text| text.parse().unwrap())
+/// Seeds of the campaign; few unless `CTOS_CHECKERS_SEEDS` says how many, or which: `36,56,100..120`.
+fn seeds() -> Vec<u64> {
+    let given = std::env::var("CTOS_CHECKERS_SEEDS").unwrap_or_else(|_| "2".to_owned());
+    if let Ok(many) = given.parse() {
+        return (0..many).collect();
+    }
+    let part = |part: &str| match part.split_once("..") {
+        Some((from, to)) => from.parse().unwrap()..to.parse().unwrap(),
+        None => {
+            let seed = part.parse().unwrap();
+            seed..seed + 1
+        }
+    };
+    given
+        .split(',')
+        .filter(|text| !text.is_empty())
+        .flat_map(part)
+        .collect()
 }
 
 #[test]
 fn games_with_errors_lost_discs_moved_boards_and_killed_daemons_end_truly() {
     let mut failed = Vec::new();
-    for seed in 0..seeds() {
+    for seed in seeds() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let variant = checkers::Variant::NAMES[rng.random_range(0..7)];
         let opponent = ["self", "program", "program"][rng.random_range(0..3)];
