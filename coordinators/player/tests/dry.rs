@@ -185,6 +185,24 @@ fn in_a_dry_run_the_arm_stays_where_it_is_and_people_make_the_moves_of_the_robot
 }
 
 #[test]
+fn a_dry_run_that_people_want_goes_on_after_kills_of_the_player() {
+    let kills: Vec<Fault> = (0..8)
+        .map(|nth| kill("player", 66.0 + 6.3 * f64::from(nth)))
+        .collect();
+    let sets = [
+        "task.speaker_daemon.handler=\"test.wisher\"",
+        "task.speaker_daemon.args.words=[\"dry 1\", \"resign\"]",
+        "task.player.args.verbosity=3",
+    ];
+    let game = game(3, &sets, &kills);
+    assert_eq!(game["ok"], true, "{game:#}");
+    let said = game["said"].to_string();
+    let (_, dry) = said.split_once("please make my move: ").unwrap();
+    assert!(dry.contains("please make my move: "), "{said}");
+    assert!(!dry.contains("I move "), "{said}");
+}
+
+#[test]
 fn in_the_dark_the_robot_says_that_it_sees_too_little_and_goes_on_when_there_is_light() {
     let game = wished(3, &["light 0.1", "light 1", "resign"], &[]);
     let said = game["said"].to_string();
