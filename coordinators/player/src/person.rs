@@ -1,7 +1,7 @@
 //! The person of a dry game: a program that moves discs on the table with a hand, makes a person's errors, and puts them right when it
 //! is told so.
 
-use checkers::{Colour, Limits, Move, Position, Variant, each, pdn, search};
+use checkers::{Colour, Limits, Move, Numbering, Position, Variant, each, pdn, search};
 use rand::RngExt;
 
 use crate::{
@@ -118,7 +118,7 @@ impl Person {
                 _ => Hue::Dark,
             };
             let number = parts.next().and_then(|number| number.parse().ok());
-            let numbering = checkers::Numbering::of(self.variant);
+            let numbering = Numbering::of(self.variant);
             if let Some(square) = number.and_then(|number| numbering.square(number)) {
                 self.reach(table, now, Deed::Put(hue, square));
             }
@@ -151,6 +151,14 @@ impl Person {
         };
         if words.contains("not accepted") && !words.contains("stands") {
             self.reach(table, now, Deed::Move(step, None));
+            return;
+        }
+        if words.contains("not as it should be") {
+            let numbering = Numbering::of(self.variant);
+            // A man on the last row is crowned by the robot.
+            let known = placed(&before, step);
+            let asked = asked(words, &table.position(self.side), &known, numbering);
+            self.reach(table, now, Deed::Arrange(asked));
             return;
         }
         // What was accepted; a crown that the robot has stacked already stays.
@@ -398,6 +406,52 @@ fn placed(before: &Position, step: Move) -> Position {
     after
 }
 
+/// The board when a person has done what was asked, and no more: others may have moved meanwhile. A piece that was moved, or that
+/// the person knows, stays a king.
+fn asked(words: &str, now: &Position, known: &Position, numbering: Numbering) -> Position {
+    let mut after = *now;
+    let mut crowned = [false; 2];
+    let number = |text: &str| text.trim().parse().ok();
+    let square = |text: &str| number(text).and_then(|number| numbering.square(number));
+    let (_, list) = words.split_once("be: ").unwrap_or_default();
+    for at in list
+        .split(", ")
+        .filter_map(|part| square(part.strip_suffix(" should be empty")?))
+    {
+        let bit = 1 << at;
+        let [white, black] = &mut crowned;
+        *white |= now.white & now.kings & bit != 0;
+        *black |= now.black & now.kings & bit != 0;
+        after.white &= !bit;
+        after.black &= !bit;
+        after.kings &= !bit;
+    }
+    for (side, at) in list.split(", ").filter_map(|part| {
+        let (colour, at) = part
+            .strip_prefix("a disc of ")?
+            .split_once(" belongs on ")?;
+        let side = if colour == "White" {
+            Colour::White
+        } else {
+            Colour::Black
+        };
+        Some((side, square(at)?))
+    }) {
+        let bit = 1 << at;
+        let is_light = side == Colour::White;
+        let [white, black] = crowned;
+        let was_king = if is_light { white } else { black };
+        let king = match known.side(side) & bit != 0 {
+            true => known.kings & bit != 0,
+            false => was_king,
+        };
+        after.white = (after.white & !bit) | (u32::from(is_light) << at);
+        after.black = (after.black & !bit) | (u32::from(!is_light) << at);
+        after.kings = (after.kings & !bit) | (u32::from(king) << at);
+    }
+    after
+}
+
 /// What the person has taken from the board is kept aside: no disc comes or goes.
 pub fn count(table: &mut Table) {
     let truth = table.truth();
@@ -409,5 +463,41 @@ pub fn count(table: &mut Table) {
                 table.away.remove(found);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn position(fen: &str) -> Position {
+        Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap()
+    }
+
+    #[test]
+    fn a_person_who_took_a_move_back_puts_it_right_and_leaves_what_the_robot_has_moved_meanwhile() {
+        let words =
+            "the board is not as it should be: a disc of White belongs on 17, 21 should be empty";
+        // Since White moved from 21 to 17 and took it back, the robot has moved from 2 to 6.
+        let now = position("W:W21,K32:B6,K9");
+        let known = position("B:W17,K32:B2,K9");
+        let after = asked(words, &now, &known, Numbering::Plain);
+        assert_eq!(after, position("W:W17,K32:B6,K9"));
+        let moved =
+            "the board is not as it should be: a disc of Black belongs on 13, 9 should be empty";
+        let after = asked(moved, &after, &known, Numbering::Plain);
+        assert_eq!(after, position("W:W17,K32:B6,K13"));
+    }
+
+    #[test]
+    fn a_king_that_a_person_took_away_is_put_back_as_a_king() {
+        let words = "the board is not as it should be: a disc of Black belongs on 9";
+        let after = asked(
+            words,
+            &position("W:W17:B6"),
+            &position("B:W17:B6,K9"),
+            Numbering::Plain,
+        );
+        assert_eq!(after, position("W:W17:B6,K9"));
     }
 }

@@ -70,6 +70,9 @@ pub struct PlayerArgs {
     dry: bool,
     /// The task that shows what is believed, if there is one.
     symbols: Option<String>,
+    /// The task of the room, whose light people set.
+    #[serde(default = "crate::coordinator::room")]
+    room: String,
     /// The seed of the opening; that of the app when it is left out.
     seed: Option<u64>,
     /// So often in a row a disc that stands crooked is pushed before people are asked to put it right.
@@ -305,6 +308,7 @@ impl NetArgs for PlayerArgs {
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
         coordinators::need_task(task, app, "thinker", &self.thinker, findings);
+        coordinators::need_task(task, app, "room", &self.room, findings);
         if let Some(symbols) = &self.symbols {
             coordinators::need_task(task, app, "symbols", symbols, findings);
         }
@@ -396,6 +400,18 @@ async fn heed_settings(action: &Act) {
         let InForce { verbosity, dry, .. } = player.in_force();
         (player.play.verbosity, player.play.dry) = (verbosity, dry);
     });
+    shine(action).await;
+}
+
+/// Tells the room how light people want it. A room that began anew does not know.
+async fn shine(action: &Act) {
+    let (room, share) =
+        action.with_state(|player| (player.args.room.clone(), player.settings.light));
+    if let Some(share) = share
+        && let Err(error) = wire::ask(action.cx(), &room, wire::Shine { share }).await
+    {
+        tracing::warn!(%error, "the light is told with the next look");
+    }
 }
 
 async fn judge(action: Act) -> Acted {

@@ -185,6 +185,24 @@ fn in_a_dry_run_the_arm_stays_where_it_is_and_people_make_the_moves_of_the_robot
 }
 
 #[test]
+fn a_dry_run_that_people_want_goes_on_after_kills_of_the_player() {
+    let kills: Vec<Fault> = (0..8)
+        .map(|nth| kill("player", 66.0 + 6.3 * f64::from(nth)))
+        .collect();
+    let sets = [
+        "task.speaker_daemon.handler=\"test.wisher\"",
+        "task.speaker_daemon.args.words=[\"dry 1\", \"resign\"]",
+        "task.player.args.verbosity=3",
+    ];
+    let game = game(3, &sets, &kills);
+    assert_eq!(game["ok"], true, "{game:#}");
+    let said = game["said"].to_string();
+    let (_, dry) = said.split_once("please make my move: ").unwrap();
+    assert!(dry.contains("please make my move: "), "{said}");
+    assert!(!dry.contains("I move "), "{said}");
+}
+
+#[test]
 fn in_the_dark_the_robot_says_that_it_sees_too_little_and_goes_on_when_there_is_light() {
     let game = wished(3, &["light 0.1", "light 1", "resign"], &[]);
     let said = game["said"].to_string();
@@ -289,16 +307,30 @@ fn short_game(seed: u64, kills: &[Fault]) -> Value {
     game(seed, &[&opponent], kills)
 }
 
-/// Seeds of the campaign; few unless `CTOS_CHECKERS_SEEDS` says how many.
-fn seeds() -> u64 {
-    let given = std::env::var("CTOS_CHECKERS_SEEDS").ok();
-    given.map_or(2, |text| text.parse().unwrap())
+/// Seeds of the campaign; few unless `CTOS_CHECKERS_SEEDS` says how many, or which: `36,56,100..120`.
+fn seeds() -> Vec<u64> {
+    let given = std::env::var("CTOS_CHECKERS_SEEDS").unwrap_or_else(|_| "2".to_owned());
+    if let Ok(many) = given.parse() {
+        return (0..many).collect();
+    }
+    let part = |part: &str| match part.split_once("..") {
+        Some((from, to)) => from.parse().unwrap()..to.parse().unwrap(),
+        None => {
+            let seed = part.parse().unwrap();
+            seed..seed + 1
+        }
+    };
+    given
+        .split(',')
+        .filter(|text| !text.is_empty())
+        .flat_map(part)
+        .collect()
 }
 
 #[test]
 fn games_with_errors_lost_discs_moved_boards_and_killed_daemons_end_truly() {
     let mut failed = Vec::new();
-    for seed in 0..seeds() {
+    for seed in seeds() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let variant = checkers::Variant::NAMES[rng.random_range(0..7)];
         let opponent = ["self", "program", "program"][rng.random_range(0..3)];

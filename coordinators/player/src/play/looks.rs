@@ -5,7 +5,7 @@ use checkers::{Colour, Look, Sight, Status, Verdict};
 use crate::{
     play::{Play, SAID_AGAIN},
     state::{End, Phase, Task},
-    wire::{Gaze, Hue, SURE, Situation},
+    wire::{Gaze, Hue, SURE, Situation, apart, centre},
 };
 
 /// After so many looks from elsewhere people are asked.
@@ -268,7 +268,15 @@ impl Play {
     /// Looks for a disc that slipped out of the hand.
     fn search(&mut self, task: Task, look: &Look, seen: &Situation) {
         let strays = seen.strays.iter().filter(|(hue, _)| *hue == task.hue);
-        let mut found = strays.map(|(_, at)| *at).next();
+        let mut strays = strays.map(|(_, at)| *at);
+        // The nearest first: what lies in the way would be set on otherwise.
+        let mut found = match task.to {
+            End::Square(to, _) => {
+                let off = |at: &[f64; 2]| apart(*at, centre(to));
+                strays.min_by(|one, other| off(one).total_cmp(&off(other)))
+            }
+            _ => strays.next(),
+        };
         let [white, black] = self.state.expected;
         let own = if task.hue == Hue::Light { white } else { black };
         for (square, reading) in (0_u8..).zip(&seen.squares) {
@@ -343,7 +351,7 @@ mod tests {
     use checkers::{Numbering, Position, Variant};
 
     use super::*;
-    use crate::wire::{Reading, centre};
+    use crate::wire::Reading;
 
     /// A game from a position, of which nothing is to be set up.
     fn play(fen: &str) -> Play {
@@ -414,5 +422,15 @@ mod tests {
                 assert_eq!(play.state.tasks[0].to, End::Square(17, 1));
             }
         }
+    }
+
+    #[test]
+    fn of_discs_that_were_lost_the_one_in_the_way_of_the_others_is_fetched_first() {
+        let mut play = lost();
+        let mut seen = situation(&play);
+        let [x, y] = centre(17);
+        seen.strays = vec![(Hue::Light, [0.0, 0.2]), (Hue::Light, [x + 0.023, y])];
+        play.judge(&seen);
+        assert_eq!(play.state.found, Some([x + 0.023, y]));
     }
 }
