@@ -5,6 +5,7 @@ use checkers::{Colour, Limits, Move, Numbering, Position, Variant, each, pdn, se
 use rand::RngExt;
 
 use crate::{
+    play::STRAIGHT,
     player::recorded,
     table::Table,
     wire::{Hue, centre},
@@ -50,6 +51,8 @@ enum Deed {
     Move(Move, Option<&'static str>),
     /// A disc that was asked for.
     Put(Hue, u8),
+    /// What stands crooked on these squares.
+    Straighten(Vec<u8>),
 }
 
 /// A person.
@@ -122,10 +125,14 @@ impl Person {
             if let Some(square) = number.and_then(|number| numbering.square(number)) {
                 self.reach(table, now, Deed::Put(hue, square));
             }
-        } else if words.contains("stands crooked")
-            || words.contains("not accepted")
-            || words.contains("not as it should be")
-        {
+        } else if let Some((_, list)) = words.split_once(STRAIGHT) {
+            let numbering = Numbering::of(self.variant);
+            let numbers = list.split(", ").filter_map(|number| number.parse().ok());
+            let squares = numbers.filter_map(|number| numbering.square(number));
+            if !matches!(self.at, At::Moves(..)) {
+                self.reach(table, now, Deed::Straighten(squares.collect()));
+            }
+        } else if words.contains("not accepted") || words.contains("not as it should be") {
             self.repair(table, words, now);
         }
     }
@@ -146,19 +153,19 @@ impl Person {
         if matches!(self.at, At::Moves(..)) {
             return;
         }
+        if words.contains("not as it should be") {
+            let (numbering, now_there) = (Numbering::of(self.variant), table.position(self.side));
+            // A man on the last row is crowned by the robot.
+            let known = self.base.map(|(before, step)| placed(&before, step));
+            let asked = asked(words, &now_there, &known.unwrap_or(now_there), numbering);
+            self.reach(table, now, Deed::Arrange(asked));
+            return;
+        }
         let Some((before, step)) = self.base else {
             return;
         };
-        if words.contains("not accepted") && !words.contains("stands") {
+        if !words.contains("stands") {
             self.reach(table, now, Deed::Move(step, None));
-            return;
-        }
-        if words.contains("not as it should be") {
-            let numbering = Numbering::of(self.variant);
-            // A man on the last row is crowned by the robot.
-            let known = placed(&before, step);
-            let asked = asked(words, &table.position(self.side), &known, numbering);
-            self.reach(table, now, Deed::Arrange(asked));
             return;
         }
         // What was accepted; a crown that the robot has stacked already stays.
@@ -166,11 +173,6 @@ impl Person {
         let [.., kings] = table.squares();
         if step.crowned && kings & (1 << step.to) == 0 {
             after.kings &= !(1 << step.to);
-        }
-        if words.contains("crooked")
-            && table.squares() == [before.white, before.black, before.kings]
-        {
-            after = before;
         }
         self.reach(table, now, Deed::Arrange(after));
     }
@@ -287,6 +289,7 @@ impl Person {
                     table.stacks.push(stack);
                 }
             }
+            Deed::Straighten(squares) => table.straighten(&squares),
             Deed::Move(step, error) => {
                 let Some((before, _)) = self.base else {
                     return;

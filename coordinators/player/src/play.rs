@@ -21,6 +21,8 @@ const SAID_AGAIN: u32 = 25;
 pub(crate) const MIDDLE: &str = "please push the board to the middle of the table";
 pub(crate) const POWER: &str = "please switch it on";
 pub(crate) const MOVE_FOR_ME: &str = "please make my move";
+pub(crate) const CROWN: &str = "please stack the crown";
+pub(crate) const STRAIGHT: &str = "put it in the middle of ";
 
 /// A game, its state, and how it is watched.
 pub struct Play {

@@ -21,7 +21,7 @@ use crate::{
     guest::{self, Drag},
     meddling::{self, Mishap},
     person::{self, Person},
-    play::{MIDDLE, MOVE_FOR_ME, POWER},
+    play::{CROWN, MIDDLE, MOVE_FOR_ME, POWER},
     player::{PERSON, PlayerArgs},
     shown::{Shown, ShownArgs, is_disc},
     table::{Chances, Table},
@@ -204,7 +204,9 @@ impl Room {
         let record = player.record(cx.app()).map_err(HandlerError::new)?;
         let guest = player.opponent == PERSON;
         let side = player.ours().map(checkers::Colour::other);
-        let side = side.filter(|_| !guest);
+        // Where the robot plays both sides somebody does what people are asked for, and has no turn.
+        let side = side.unwrap_or(checkers::Colour::White);
+        let person = (!guest).then(|| Person::new(side, rules, record));
         let mut table = Table::new(chances, first, cx.rng("room"));
         // Before cameras lies the board that there is.
         table.board.mirrored = rules.mirrored() && args.shown.is_none();
@@ -220,7 +222,7 @@ impl Room {
             table,
             drawn: Shown::for_people(),
             guest,
-            person: side.map(|side| Person::new(side, rules, record)),
+            person,
             heard: 0,
             laser: Vec::new(),
             first,
@@ -369,7 +371,10 @@ impl EventHandler for Room {
                     if words.contains(MIDDLE) {
                         inner.table.push_to_middle();
                     }
-                    if let Some(board) = board.filter(|_| words.contains(MOVE_FOR_ME)) {
+                    let is_asked = [MOVE_FOR_ME, CROWN]
+                        .iter()
+                        .any(|asked| words.contains(asked));
+                    if let Some(board) = board.filter(|_| is_asked) {
                         inner.carry_for_the_robot(board);
                     }
                     let is_real = inner.is_real();

@@ -289,6 +289,15 @@ impl Table {
         }
     }
 
+    /// Somebody puts what stands crooked on these squares into their middle.
+    pub fn straighten(&mut self, squares: &[u8]) {
+        for square in squares {
+            if let Some(stack) = self.on(*square).and_then(|at| self.stacks.get_mut(at)) {
+                stack.at = centre(*square);
+            }
+        }
+    }
+
     /// Somebody pushes the board with all that stands on it to where the arm gets everywhere.
     pub fn push_to_middle(&mut self) {
         self.board = Pose {

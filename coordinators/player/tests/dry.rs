@@ -185,6 +185,31 @@ fn in_a_dry_run_the_arm_stays_where_it_is_and_people_make_the_moves_of_the_robot
 }
 
 #[test]
+fn in_a_dry_run_people_stack_the_crown_of_a_person() {
+    let sets = [
+        "task.player.args.dry=true",
+        "task.player.args.opponent=\"program\"",
+        "task.player.args.start=\"W:W24,23:B25\"",
+        "task.player.args.opening=0",
+    ];
+    let dry = game(3, &sets, &[]);
+    assert_eq!(dry["ok"], true, "{dry:#}");
+    let said = dry["said"].to_string();
+    assert!(said.contains("please stack the crown"), "{said}");
+}
+
+#[test]
+fn where_the_robot_plays_both_sides_somebody_puts_right_what_stands_crooked() {
+    let sets = [
+        "task.player.args.opponent=\"self\"",
+        "task.room.args.aside=[{ square = 22, by = [0.015, -0.008] }]",
+    ];
+    let said = wished(3, &["resign"], &sets)["said"].to_string();
+    assert!(said.contains("put it in the middle of 22"), "{said}");
+    assert!(said.contains("game over"), "{said}");
+}
+
+#[test]
 fn a_dry_run_that_people_want_goes_on_after_kills_of_the_player() {
     let kills: Vec<Fault> = (0..8)
         .map(|nth| kill("player", 66.0 + 6.3 * f64::from(nth)))

@@ -3,7 +3,7 @@
 use checkers::{Colour, Look, Sight, Status, Verdict};
 
 use crate::{
-    play::{Play, SAID_AGAIN},
+    play::{CROWN, Play, SAID_AGAIN, STRAIGHT},
     state::{End, Phase, Task},
     wire::{Gaze, Hue, SURE, Situation, apart, centre},
 };
@@ -91,7 +91,7 @@ impl Play {
             )
         } else {
             let numbers = self.numbers(crooked);
-            format!("a disc stands crooked: put it in the middle of {numbers}")
+            format!("a disc stands crooked: {STRAIGHT}{numbers}")
         };
         self.say(words);
     }
@@ -121,7 +121,8 @@ impl Play {
                 self.state.tasks = tasks.into_iter().filter(crowns).collect();
                 if self.dry && !self.state.tasks.is_empty() {
                     self.state.tasks.clear();
-                    self.say("please stack the crown".to_owned());
+                    self.state.asked = Some(CROWN.to_owned());
+                    self.say(CROWN.to_owned());
                 }
                 let position = self.game.position();
                 self.state.expected = [position.white, position.black];
