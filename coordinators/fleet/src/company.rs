@@ -230,8 +230,6 @@ struct Seen {
     giving: BTreeSet<String>,
     /// Cells that are just being given an order.
     ordering: BTreeSet<String>,
-    /// Ends of jobs that were told since the last turn, and who waits until they are stored.
-    ended: Vec<(Ended, Replier<Ended>)>,
     /// The app is over.
     finished: bool,
 }
@@ -256,24 +254,18 @@ impl Company {
 
     #[command]
     async fn turn(&mut self, cx: &Context, _: Turn) -> Result<(), HandlerError> {
-        let told = self.desk.ended(cx);
         self.desk.issue(cx);
         let state = self.desk.state.borrow().clone();
         cx.keep(&state).await?;
-        for reply in told {
-            // Answering never fails; who is gone tells it again.
-            let _ = reply.ok(());
-        }
         self.desk.give(cx);
         self.desk.roll(cx).await?;
         self.desk.finish(cx)
     }
 
-    /// Sites have more jobs than cells: the next ones have time until the next turn, which stores all ends at once.
+    /// Sites have more jobs than cells: the next ones have time until the next turn.
     #[command]
-    fn ended(&mut self, ended: Ended, reply: Replier<Ended>) -> Handled {
-        self.desk.seen.borrow_mut().ended.push((ended, reply));
-        Ok(())
+    fn ended(&mut self, cx: &Context, ended: Ended) {
+        self.desk.ended(cx, &ended);
     }
 
     #[command]
@@ -425,18 +417,8 @@ impl Desk {
         }
     }
 
-    /// Takes up the ends that were told. Returns who has told them.
-    fn ended(&self, cx: &Context) -> Vec<Replier<Ended>> {
-        let told = std::mem::take(&mut self.seen.borrow_mut().ended);
-        let take_up = |(ended, reply): (Ended, _)| {
-            self.has_ended(cx, &ended);
-            reply
-        };
-        told.into_iter().map(take_up).collect()
-    }
-
     /// A job has ended; told again, it is known already.
-    fn has_ended(&self, cx: &Context, ended: &Ended) {
+    fn ended(&self, cx: &Context, ended: &Ended) {
         let mut state = self.state.borrow_mut();
         if state.open.remove(&ended.job).is_none() {
             return;
@@ -673,9 +655,6 @@ impl Handover for Company {
 }
 
 impl Durable for Company {
-    /// Each turn stores, and `roll` what cells are ordered.
-    const KEEPS_ITSELF: bool = true;
-
     fn state(&self) -> State {
         self.desk.state.borrow().clone()
     }

@@ -83,8 +83,8 @@ fn ends_with(
 
 /// So many seeds as `CTOS_FLEET_SEEDS` says, or this share of them.
 fn seeds(few: u64) -> std::ops::Range<u64> {
-    let said = std::env::var("CTOS_FLEET_SEEDS").ok();
-    0..said.and_then(|count| count.parse().ok()).unwrap_or(few)
+    let said = std::env::var("CTOS_FLEET_SEEDS");
+    0..said.map_or(few, |count| count.parse().unwrap())
 }
 
 fn at(seconds: f64) -> Instant {

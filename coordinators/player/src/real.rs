@@ -169,6 +169,23 @@ fn at_height(mut pose: Isometry3<f64>, z: f64) -> Isometry3<f64> {
     pose
 }
 
+/// Poses down at a place, each with the index of its turn, in the order in which they are tried. A half turn more is the same to a
+/// gripper: the nearer of the two to how it is turned now comes first.
+fn turned(
+    stand: Stand,
+    turns: &[f64],
+    now: &UnitQuaternion<f64>,
+) -> impl Iterator<Item = (usize, Isometry3<f64>)> {
+    turns.iter().enumerate().flat_map(move |(nth, turn_deg)| {
+        let mut both = [*turn_deg, turn_deg + 180.0].map(|turn| stand.pose(turn));
+        both.sort_by(|one, other| {
+            let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
+            far(one).total_cmp(&far(other))
+        });
+        both.map(|pose| (nth, pose))
+    })
+}
+
 impl ArmArgs {
     /// Findings where the arguments make no sense.
     pub fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
@@ -226,9 +243,9 @@ impl ArmArgs {
     async fn is_in_reach(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
         let now = arm.tool().await?.rotation;
         let mut first = None;
-        for turn in TURNS_DEG {
-            match self.turned(arm, stand, turn, &now).await {
-                Ok(_) => return Ok(()),
+        for (_, down) in turned(stand, &TURNS_DEG, &now) {
+            match self.plan_down(arm, down).await {
+                Ok(()) => return Ok(()),
                 Err(failure) => first.get_or_insert(failure),
             };
         }
@@ -280,7 +297,7 @@ impl ArmArgs {
         self.gripper.open_to(cx, 0.0).await?;
         // A flat side is ahead.
         let first = ahead.y.atan2(ahead.x).to_degrees();
-        let turns = [0.0, 90.0, -90.0, 180.0].map(|turn| first + turn);
+        let turns = [0.0, 90.0].map(|turn| first + turn);
         self.above_turned(cx, beside(from, behind + BESIDE_M), &turns)
             .await?;
         self.down(cx, from).await?;
@@ -347,27 +364,6 @@ impl ArmArgs {
         arm.travel(order).await.map(|_| ())
     }
 
-    /// Whether the arm gets down there with the gripper turned so, or by half a turn more, which is the same to a gripper: that pose.
-    /// The one that is nearer to how it is turned now is tried first.
-    async fn turned(
-        &self,
-        arm: &Arm<'_>,
-        stand: Stand,
-        turn_deg: f64,
-        now: &UnitQuaternion<f64>,
-    ) -> Result<Isometry3<f64>, Failure> {
-        let mut both = [turn_deg, turn_deg + 180.0].map(|turn| stand.pose(turn));
-        both.sort_by(|one, other| {
-            let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
-            far(one).total_cmp(&far(other))
-        });
-        let [near, far] = both;
-        match self.plan_down(arm, near).await {
-            Ok(()) => Ok(near),
-            Err(_) => self.plan_down(arm, far).await.map(|()| far),
-        }
-    }
-
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         self.above_turned(cx, stand, &TURNS_DEG).await.map(|_| ())
@@ -386,14 +382,11 @@ impl ArmArgs {
         self.swing(&arm, stand).await?;
         let now = arm.tool().await?.rotation;
         let mut first = None;
-        for (nth, turn) in turns.iter().enumerate() {
-            let down = match self.turned(&arm, stand, *turn, &now).await {
-                Ok(down) => down,
-                Err(failure) => {
-                    first.get_or_insert(failure);
-                    continue;
-                }
-            };
+        for (nth, down) in turned(stand, turns, &now) {
+            if let Err(failure) = self.plan_down(&arm, down).await {
+                first.get_or_insert(failure);
+                continue;
+            }
             let above = at_height(down, TRAVEL_M);
             for path in [PathKind::StraightLine, PathKind::Joint] {
                 match self.go(&arm, (above, path), self.speed, &[]).await {

@@ -67,7 +67,7 @@ pub struct Table {
     pub motion: u32,
     pub moving: bool,
     /// When a real arm set out for an errand, s, and whether it has gone on to the errand's second end.
-    pub set_out: Option<(f64, bool)>,
+    set_out: Option<(f64, bool)>,
     /// In the arm's hand.
     pub held: Vec<Hue>,
     slips: bool,
@@ -206,7 +206,7 @@ impl Table {
         }
     }
 
-    /// A real arm sets out, goes on to the second end of an errand, or (neither) is back at its place of rest.
+    /// A real arm sets out for an errand, goes on to the second end of an errand, or (neither) is back at its place of rest.
     pub fn sets_out(&mut self, end: Option<u8>, now: f64) {
         self.set_out = match (end, self.set_out.take()) {
             (Some(0), _) => Some((now, false)),

@@ -126,10 +126,6 @@ pub trait Handover: EventHandler {
 /// at once: [`Context::keep`] stores the state before that. A handler that panics has stored nothing; the next one
 /// takes over what was stored last, in the same process or another.
 pub trait Durable: Handover {
-    /// Whether it stores each change itself, by [`Context::keep`], before it answers what has seen it. Then nothing is
-    /// stored after its messages: for a large state that many messages change.
-    const KEEPS_ITSELF: bool = false;
-
     /// The state at this moment, between two messages.
     fn state(&self) -> Self::State;
 }

@@ -312,9 +312,9 @@ impl Runner {
                 Some((Fault::Panicked { text }, why))
             }
             (None, Some(handler)) if self.resumed && self.cx.inner.kept.is_some() => {
-                let stored = match contained(|| handler.state().transpose()) {
-                    Ok(Ok(Some(state))) => self.cx.store_state(state).await,
-                    Ok(stored) => stored.map(|_| ()),
+                let stored = match contained(|| handler.state()) {
+                    Ok(Ok(state)) => self.cx.store_state(state).await,
+                    Ok(Err(error)) => Err(error),
                     Err(panic) => Err(HandlerError::new(panic)),
                 };
                 stored.err().map(|error| {

@@ -87,7 +87,7 @@ impl Channel {
 }
 
 /// One line of a record.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Entry {
     /// When it happened.
     pub at: Instant,
@@ -98,6 +98,14 @@ pub struct Entry {
     /// What happened to a message, where the file has it as it was noted; `json` was made of it.
     pub(crate) event: Option<Traffic>,
 }
+
+impl PartialEq for Entry {
+    fn eq(&self, other: &Self) -> bool {
+        (self.at, &self.channel, &self.json) == (other.at, &other.channel, &other.json)
+    }
+}
+
+impl Eq for Entry {}
 
 /// What a file is the record of, and how it ends.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -170,7 +178,7 @@ pub(super) fn matches(pattern: &str, text: &str) -> bool {
 }
 
 /// Several files read as one.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Record {
     /// The files.
     pub runs: Vec<Run>,

@@ -614,6 +614,32 @@ mod tests {
         (-0.5..0.5_f64, -0.5..0.5_f64, 1.5..2.5_f64).prop_map(|(x, y, z)| Vector3::new(x, y, z))
     }
 
+    #[test]
+    fn a_wide_block_before_the_camera_has_a_face_behind_whole_tiles() {
+        let camera = CameraTruth {
+            name: "c".into(),
+            width: 60,
+            height: 40,
+            focal: [45.0, 46.0],
+            principal: [31.0, 18.0],
+            distortion: crate::truth::Distortion::default(),
+            camera_t_world: Isometry3::identity(),
+            valid_radius: f64::INFINITY,
+        };
+        let solid = Solid::Block {
+            centre: Point3::origin(),
+            half: Vector3::new(2.0, 2.0, 0.1),
+        };
+        let shape = Shape {
+            solid,
+            paint: Paint::Grey(100.0),
+        };
+        let frame = Isometry3::translation(0.0, 0.0, 1.0);
+        let seen = Seen::new(&shape, &frame, &Isometry3::identity(), false);
+        let rays = Rays::new(&camera);
+        assert!(rays.tiles().iter().all(|tile| seen.face(tile).is_some()));
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 

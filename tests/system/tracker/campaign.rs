@@ -29,7 +29,7 @@ fn over(runs: &[Ended], key: &str) -> [f64; 2] {
 }
 
 #[test]
-fn balls_are_followed_smoothly_at_any_latency_and_twice_as_well_as_without_prediction() {
+fn balls_are_followed_smoothly_whether_pictures_are_late_and_twice_as_well_as_without_prediction() {
     for (latency, most) in [("[0.0, 0.0]", 0.005), ("[110.0, 20.0]", 0.012)] {
         let ended = followed(BALLS[0], latency, 1, 9.0).run();
         ended.must_be_smooth();

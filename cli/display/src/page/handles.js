@@ -6,6 +6,8 @@ import { minus, norm, plus } from "./solids.js";
 const HANDLE_SVG = "http://www.w3.org/2000/svg";
 /** A command is put when the one before is answered, and not sooner than this after it, ms. */
 const PUT_EVERY = 100;
+/** A number that was chosen is shown for so long while the app says another one, ms. */
+const STANDS = 5000;
 /** A pull or a deflection counts for so long, s: whose page is gone pulls no more. */
 const COUNTS_S = 0.5;
 /** A newton is so long, m, as the arrows of sensors; nobody pulls harder, N. */
@@ -312,6 +314,7 @@ class Amount extends Knob {
     this.ticked = step === most - least;
     this.input = this.ticked ? make("input", { type: "checkbox", "data-handle": told.name }) : make("input", { type: "range", min: String(least), max: String(most), step: String(step), "data-handle": told.name });
     this.output = make("output", {});
+    this.chosen = null;
     this.element = make("label", { class: "knob", title: told.title }, make("span", {}, this.label), this.input, this.ticked ? null : this.output);
     // While it is moved it shows where it is; the command is put once it is let go.
     this.input.addEventListener("input", () => { this.moved = true; this.tell(this.at); });
@@ -328,22 +331,24 @@ class Amount extends Knob {
   }
 
   is(value) {
-    this.last = value;
-    // What was chosen stands until the scene says something else than it did then: an app takes it up in its own time.
-    if (this.moved || this.due || this.waits || this.before === value) return;
-    this.before = undefined;
+    if (this.moved || this.due || this.waits) return;
+    // An app takes up what was chosen in its own time.
+    if (this.chosen !== null && this.chosen !== value && performance.now() < this.putAt + STANDS) return;
+    this.chosen = null;
     this.tell(value);
     if (this.ticked) this.input.checked = value === this.told.range[1];
     else if (value !== null && Number(this.input.value) !== value) this.input.value = String(value);
   }
 
   words() {
-    [this.moved, this.before] = [false, this.last];
-    return rounded([this.at]);
+    this.moved = false;
+    const words = rounded([this.at]);
+    this.chosen = Number(words[0]);
+    return words;
   }
 
   refused() {
-    this.before = undefined;
+    this.chosen = null;
   }
 }
 

@@ -112,8 +112,8 @@ impl Around {
     /// What meets on a way.
     fn met(&mut self, from: &Joints, way: &Segment) -> Option<[String; 2]> {
         let (mut solver, mut near) = (self.planner.solver().clone(), *from);
-        (0..=20).find_map(|step| {
-            let time = way.duration() * f64::from(step) / 20.0;
+        (0..=60).find_map(|step| {
+            let time = way.duration() * f64::from(step) / 60.0;
             near = way.at(&mut solver, time, &near).unwrap().position;
             self.met_at(&near)
         })
@@ -199,8 +199,7 @@ fn boards() -> Vec<Pose> {
 }
 
 #[test]
-fn wherever_the_board_lies_each_square_is_reached_clear_of_everything_or_refused_before_the_arm_sets_out()
- {
+fn wherever_the_board_lies_each_square_has_a_way_that_is_clear_of_everything_or_none_at_all() {
     let mut around = Around::of_the_app(Vec::new());
     let mut refused = 0;
     for board in boards() {

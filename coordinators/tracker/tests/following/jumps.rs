@@ -1,4 +1,4 @@
-//! What no hand can do better at jumps. It is told the truth, late: that a jump has begun and which way it goes, later that the ball
+//! What no hand that reacts at twice the noise can do better at jumps. It is told the truth, late: that a jump has begun and which way it goes, later that the ball
 //! brakes, and with that where it stops. Until then jumps of all lengths look alike, so one motion has to do for all of them.
 //! That motion has the least mean square of its distance from the ball, within the hand's acceleration: a convex problem.
 //!

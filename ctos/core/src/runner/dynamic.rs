@@ -33,8 +33,8 @@ pub trait DynHandler {
     /// Whether [`Self::hand_over`] may be asked after a panic.
     fn survives_panic(&self) -> bool;
     fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled;
-    /// The state to store after a message, in postcard; `None` when the handler stores it itself.
-    fn state(&self) -> Option<State>;
+    /// The state to store, in postcard.
+    fn state(&self) -> Result<Vec<u8>, HandlerError>;
 }
 
 /// An event handler, with what passes its state on, if it does so.
@@ -51,8 +51,8 @@ struct Passing<H> {
     after_panic: bool,
     give: fn(&mut H) -> State,
     take: fn(&mut H, &Context, &[u8]) -> Handled,
-    /// What is stored after each message of a durable handler, unless it stores that itself.
-    state: fn(&H) -> Option<State>,
+    /// Of a durable handler.
+    state: Option<fn(&H) -> State>,
 }
 
 impl<H: Handover> Erased<H> {
@@ -70,13 +70,13 @@ impl<H: Handover> Erased<H> {
                 Err(HandlerError::new(why))
             }
         },
-        state: |_| None,
+        state: None,
     };
 }
 
 impl<H: Durable> Erased<H> {
     const DURABLE: Passing<H> = Passing {
-        state: |handler| (!H::KEEPS_ITSELF).then(|| Ok(postcard::to_stdvec(&handler.state())?)),
+        state: Some(|handler| Ok(postcard::to_stdvec(&handler.state())?)),
         ..Self::PASSING
     };
 }
@@ -137,7 +137,8 @@ impl<H: EventHandler> DynHandler for Erased<H> {
         }
     }
 
-    fn state(&self) -> Option<State> {
-        (self.passing?.state)(&self.handler)
+    fn state(&self) -> Result<Vec<u8>, HandlerError> {
+        let state = self.passing.and_then(|passing| passing.state);
+        state.ok_or("its handler has no state that can be stored")?(&self.handler)
     }
 }

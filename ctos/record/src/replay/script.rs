@@ -243,8 +243,8 @@ impl Reader<'_> {
         let event = parsed(entry)?;
         let (at, key, tid) = (entry.at, event.key, self.script.tid);
         let id = event.number();
-        match event.into_owned().step {
-            Event::Sent {
+        match &event.step {
+            &Event::Sent {
                 flags,
                 deadline,
                 side,
@@ -266,36 +266,37 @@ impl Reader<'_> {
                 self.begin_poll(at, key.trace, What::Begin(message));
             }
             Event::Ended { ending, .. } => {
-                let command = key.command;
+                let (command, ending) = (key.command, ending.clone());
                 self.push(at, key.trace, What::Ended { command, ending });
             }
-            Event::Polled { part } => self.begin_poll(at, 0, What::Polled(part)),
+            Event::Polled { part } => self.begin_poll(at, 0, What::Polled(*part)),
             Event::Read {
                 what,
                 lacking: true,
             } => {
-                self.lacking.entry(what).or_default().insert(key.task);
+                let tasks = self.lacking.entry(what.clone()).or_default();
+                tasks.insert(key.task);
             }
             Event::Read { what, .. } => {
                 if key.task == tid {
                     let value = data_of(entry)?;
-                    self.takes().reads.push_back((what, value));
+                    self.takes().reads.push_back((what.clone(), value));
                 }
             }
             Event::Answered { side, came, fault } => {
-                let replied = key.task == tid && side != Side::Sender;
-                let answered = key.peer == tid && side != Side::Receiver;
+                let replied = key.task == tid && *side != Side::Sender;
+                let answered = key.peer == tid && *side != Side::Receiver;
                 if replied || answered {
                     let answer = match fault {
                         None => Ok(data_of(entry)?),
-                        Some(fault) => Err(fault),
+                        Some(fault) => Err(fault.clone()),
                     };
                     if replied {
                         let answer = answer.clone();
                         self.push(at, key.trace, What::Replied { id, answer });
                     }
                     if answered {
-                        self.answered(at, key.trace, id, came, answer);
+                        self.answered(at, key.trace, id, *came, answer);
                     }
                 }
             }
