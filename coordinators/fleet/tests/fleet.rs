@@ -82,6 +82,10 @@ fn ends_with(
 }
 
 /// So many seeds as `CTOS_FLEET_SEEDS` says, or this share of them.
+#[allow(
+    clippy::unwrap_used,
+    reason = "a helper of tests, outside test functions"
+)]
 fn seeds(few: u64) -> std::ops::Range<u64> {
     let said = std::env::var("CTOS_FLEET_SEEDS");
     0..said.map_or(few, |count| count.parse().unwrap())
