@@ -161,9 +161,9 @@ fn what_a_dead_cell_has_not_begun_is_soon_lent_to_another_one() {
     let away = "fleet.cell.chassis.ws.restart_backoff_s=60.0";
     let app = app(4, &[], &[away, "task.company.args.jobs_per_cell=2"]);
     let mut moved = 0;
-    for moment in 0..24 {
+    for moment in 0..30 {
         // A carry takes some 13 s, and it begins half a second after the job came.
-        let when = at(10.0 + f64::from(moment) * 0.6);
+        let when = at(10.0 + f64::from(moment) * 0.45);
         let kill = Fault::on("cell1.ws", FaultKind::Kill, when);
         let faults = Faults::of_script("one dies", vec![kill]);
         let (ok, said) = ends(app.clone(), 1, faults, Leases::Kept);
