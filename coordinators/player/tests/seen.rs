@@ -9,88 +9,26 @@
 #[path = "seen/hands.rs"]
 mod hands;
 
-use std::{path::Path, sync::Arc};
+#[path = "play/mod.rs"]
+mod play;
 
-use ctos::{
-    boot::{End, Fault, FaultKind, Observer, simulate},
-    config,
-    registry::Registry,
-    time::Instant,
-};
-use mcs::{control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry};
+use std::path::Path;
+
 use nalgebra::Point3;
 use serde_json::Value;
 use sim::cell::Cell;
-use sorma::{Dictionary, daemon};
-use vss::{catalog::VssExpander, source::FrameSources};
 
-fn registry() -> Registry {
-    let mut registry = Registry::new();
-    let (mut drivers, mut sources) = (DriverRegistry::new(), FrameSources::new());
-    sim::register(&mut registry, &mut drivers, &mut sources);
-    vss::register(&mut registry, sources);
-    let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
-    mcs_collision::register(&mut registry, &mut guards);
-    mcs_hand::register(&mut registry, &mut laws);
-    mcs::register(&mut registry, drivers, laws, guards);
-    coordinators::register(&mut registry);
-    checkers_player::register(&mut registry);
-    pnt::store::keep_states(&mut registry);
-    pnt_net::register(&mut registry);
-    daemon::register(&mut registry, Dictionary::default(), |_, sorm| {
-        vss::services::register(sorm);
-    });
-    registry
-}
+use ctos::boot::Fault;
+use play::{kill, record_of};
 
 /// How a game before cameras ends, with settings as `--set` takes them.
 fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
-    play("checkers-seen.toml", seed, sets, faults)
-}
-
-fn play(app: &str, seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
-    play_watched(app, seed, sets, faults, registry())
-}
-
-fn play_watched(
-    app: &str,
-    seed: u64,
-    sets: &[&str],
-    faults: &[Fault],
-    registry: Registry,
-) -> Value {
-    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
-    let file = configs.join(app);
-    let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
-    sets.push(format!("app.seed={seed}"));
-    sets.push("time.mode=\"virtual\"".to_owned());
-    sets.push("task.player.args.nodes=150".to_owned());
-    let app = config::load(&file, &sets, &[("vss", &VssExpander)]);
-    let app = app.unwrap_or_else(|found| panic!("{found}"));
-    let observer: Observer = Arc::new(|_| {});
-    match simulate(app, registry, faults, &observer).unwrap().end {
-        End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
-            panic!("seed {seed}: {}", result.text);
-        }),
-        other => panic!("seed {seed}: {other:?}"),
-    }
+    play::play("checkers-seen.toml", seed, sets, faults)
 }
 
 /// A file with a game of some half-moves, after which White gives up.
 fn record(folder: &Path) -> String {
     record_of(folder, 8)
-}
-
-fn record_of(folder: &Path, plies: usize) -> String {
-    let mut game = checkers::Game::new(checkers::Variant::Brazilian);
-    for ply in 0..plies {
-        let moves = game.position().moves(game.variant());
-        game.make(moves[ply % moves.len()]).unwrap();
-    }
-    game.resign(checkers::Colour::White);
-    let file = folder.join("game.pdn");
-    std::fs::write(&file, game.record().write()).unwrap();
-    format!("task.player.args.opponent={:?}", file.display().to_string())
 }
 
 #[test]
@@ -160,17 +98,10 @@ fn whole_games_before_cameras_with_errors_lost_discs_and_moved_boards_end_truly(
 fn a_killed_vision_or_transform_learns_again_and_the_game_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let opponent = record(folder.path());
-    let kill = |daemon: &str, at_s: u64| {
-        Fault::on(
-            daemon,
-            FaultKind::Kill,
-            Instant::from_nanos(at_s * 1_000_000_000),
-        )
-    };
     let kills = [
-        kill("vision", 20),
-        kill("transform", 31),
-        kill("vision", 45),
+        kill("vision", 20.0),
+        kill("transform", 31.0),
+        kill("vision", 45.0),
     ];
     let game = game(2, &[&opponent], &kills);
     assert_eq!(game["ok"], true, "{game:#}");

@@ -7,19 +7,18 @@ use std::{
     time::Duration,
 };
 
-use checkers::{Colour, Game, Numbering, Position, Variant};
+use checkers::{Game, Move, Numbering, Position, Variant};
 use ctos::{
-    boot::{Fault, FaultKind},
+    boot::Fault,
     message::Message,
     task::{Context, EventHandler, Handled, Phase},
-    time::Instant,
 };
 use mcs_hand::command::ReadTouch;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
-use super::{play_watched, record_of, registry};
+use super::play::{self, kill, record_of};
 
 /// How often it is looked what presses on the arm.
 const LOOK: Duration = Duration::from_millis(45);
@@ -56,15 +55,15 @@ impl EventHandler for Watcher {
 /// How a game ends, and how often each link of the arm touched something.
 fn watched(seed: u64, sets: &[&str], faults: &[Fault]) -> (Value, BTreeMap<String, u32>) {
     let met = Arc::new(Mutex::new(BTreeMap::new()));
-    let mut registry = registry();
     let shared = Arc::clone(&met);
-    registry.handler("test.watcher", &[], move |_| {
-        Ok(Watcher(Arc::clone(&shared)))
-    });
     // In the place of a daemon that nobody asks.
     let mut all = vec!["task.player_daemon.handler=\"test.watcher\""];
     all.extend(sets);
-    let game = play_watched("checkers-hands.toml", seed, &all, faults, registry);
+    let game = play::play_with("checkers-hands.toml", seed, &all, faults, |registry| {
+        registry.handler("test.watcher", &[], move |_| {
+            Ok(Watcher(Arc::clone(&shared)))
+        });
+    });
     let met = met.lock().unwrap().clone();
     (game, met)
 }
@@ -77,25 +76,14 @@ fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
     game
 }
 
-fn kill(daemon: &str, at_ms: u64) -> Fault {
-    let at = Instant::from_nanos(at_ms * 1_000_000);
-    Fault::on(daemon, FaultKind::Kill, at)
-}
-
 /// A file with a game from a position, in which a man is crowned as soon as it can and a king goes as far as it can.
 fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
     let start = Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap();
-    let mut game = Game::from(Variant::Brazilian, start);
-    for _ in 0..plies {
-        let moves = game.position().moves(game.variant());
-        let far = |step: &checkers::Move| (step.crowned, step.from.abs_diff(step.to));
-        let step = moves.iter().max_by_key(|step| far(step)).unwrap();
-        game.make(*step).unwrap();
-    }
-    game.resign(Colour::White);
-    let file = folder.join("game.pdn");
-    std::fs::write(&file, game.record().write()).unwrap();
-    format!("task.player.args.opponent={:?}", file.display().to_string())
+    let game = Game::from(Variant::Brazilian, start);
+    let far = |step: &Move| (step.crowned, step.from.abs_diff(step.to));
+    play::record(folder, game, plies, |_, moves| {
+        *moves.iter().max_by_key(|step| far(step)).unwrap()
+    })
 }
 
 #[test]
@@ -133,11 +121,7 @@ fn both_sides_are_crowned_with_spare_discs_and_kings_are_carried_and_capture() {
 fn robot_hand_and_vision_that_die_while_a_disc_is_in_the_hand_come_back_and_the_game_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let opponent = record_of(folder.path(), 3);
-    let kills = [
-        kill("robot", 7_300),
-        kill("vision", 8_000),
-        kill("hand", 9_100),
-    ];
+    let kills = [kill("robot", 7.3), kill("vision", 8.0), kill("hand", 9.1)];
     let game = game(1, &[&opponent], &kills);
     assert_eq!(game["plies"], 3);
 }
@@ -185,10 +169,10 @@ const STARTS: [&str; 3] = [
 /// Daemons that die, at drawn moments.
 fn kills(seed: u64) -> Vec<Fault> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let daemons = ["player", "speaker", "transform", "vision", "robot", "hand"];
     let mut one = || {
-        let daemon = daemons[rng.random_range(0..daemons.len())];
-        kill(daemon, rng.random_range(5_000..400_000))
+        let daemon = play::DAEMONS[rng.random_range(0..play::DAEMONS.len())];
+        let at_ms = rng.random_range(5_000..400_000);
+        kill(daemon, f64::from(at_ms) / 1e3)
     };
     (0..4).map(|_| one()).collect()
 }
