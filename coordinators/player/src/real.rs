@@ -163,6 +163,14 @@ impl Stand {
     }
 }
 
+/// Whether another way may not be tried after such a failure: somebody stopped the arm, or it does not work.
+fn forbids(outcome: Outcome) -> bool {
+    matches!(
+        outcome,
+        Outcome::Stopped | Outcome::Estopped | Outcome::Fault | Outcome::Lost
+    )
+}
+
 /// The same pose at another height.
 fn at_height(mut pose: Isometry3<f64>, z: f64) -> Isometry3<f64> {
     pose.translation.z = z;
@@ -220,6 +228,7 @@ impl ArmArgs {
             let turn = match self.above_turned(cx, from, turns).await {
                 Ok(turn) => turn,
                 // What was met on the way down says more than that there is no other turn.
+                Err(failure) if forbids(failure.outcome) => return Err(of(0)(failure)),
                 Err(failure) => return Err(of(0)(met.unwrap_or(failure))),
             };
             self.is_in_reach(&self.arm(cx), to).await.map_err(of(1))?;
@@ -391,6 +400,7 @@ impl ArmArgs {
             for path in [PathKind::StraightLine, PathKind::Joint] {
                 match self.go(&arm, (above, path), self.speed, &[]).await {
                     Ok(()) => return Ok(nth),
+                    Err(failure) if forbids(failure.outcome) => return Err(failure),
                     Err(failure) => first.get_or_insert(failure),
                 };
             }
