@@ -7,7 +7,7 @@
 use std::{borrow::Cow, io::Write, sync::Arc};
 
 use base64::{Engine, display::Base64Display, engine::general_purpose::STANDARD};
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Serialize, Serializer};
 use serde_json::json;
 
 use super::{
@@ -215,19 +215,11 @@ fn again(event: &Traffic) -> String {
     STANDARD.encode(bytes)
 }
 
-/// What of a line of [`traffic`] is for replay, besides its data.
-#[derive(Deserialize)]
-struct Again<'a> {
-    #[serde(borrow)]
-    event: Cow<'a, str>,
-}
-
 /// What happened to a message, from the line that [`traffic`] made of it.
 pub(crate) fn from_line(json: &[u8]) -> Option<Traffic> {
-    let Again { event } = serde_json::from_slice(json).ok()?;
-    let event = STANDARD.decode(&*event).ok()?;
-    let (event, ..) = Events::new(&event).next()?;
-    Some(event)
+    let line: serde_json::Value = serde_json::from_slice(json).ok()?;
+    let bytes = STANDARD.decode(line.get("event")?.as_str()?).ok()?;
+    Events::new(&bytes).next().map(|(event, ..)| event)
 }
 
 /// The data of the message of a line of [`traffic`]. It stands at the end, so the rest need not be read.

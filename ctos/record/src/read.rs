@@ -87,7 +87,7 @@ impl Channel {
 }
 
 /// One line of a record.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// When it happened.
     pub at: Instant,
@@ -98,14 +98,6 @@ pub struct Entry {
     /// What happened to a message, where the file has it as it was noted; `json` was made of it.
     pub(crate) event: Option<Traffic>,
 }
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Self) -> bool {
-        (self.at, &self.channel, &self.json) == (other.at, &other.channel, &other.json)
-    }
-}
-
-impl Eq for Entry {}
 
 /// What a file is the record of, and how it ends.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -178,7 +170,7 @@ pub(super) fn matches(pattern: &str, text: &str) -> bool {
 }
 
 /// Several files read as one.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Record {
     /// The files.
     pub runs: Vec<Run>,
@@ -221,15 +213,22 @@ impl Record {
             writer.metadata(RUN, noted)?;
         }
         writer.lost(self.runs.iter().map(|run| run.lost).sum())?;
-        for Entry {
-            at, channel, json, ..
-        } in &self.entries
-        {
-            writer.line(&channel.topic, &channel.schema, at.as_nanos(), json)?;
+        for entry in &self.entries {
+            let (at, channel) = (entry.at.as_nanos(), &entry.channel);
+            writer.line(&channel.topic, &channel.schema, at, &entry.json)?;
         }
         writer.finish()?;
         writer.mcap.into_inner().flush()?;
         Ok(())
+    }
+}
+
+fn entry(at: Instant, channel: Arc<Channel>, json: Vec<u8>, event: Option<Traffic>) -> Entry {
+    Entry {
+        at,
+        channel,
+        json,
+        event,
     }
 }
 
@@ -293,8 +292,7 @@ impl<'a> Scan<'a> {
     }
 
     fn channel(&mut self, id: u16, topic: &str, schema: u16, encoding: &str) {
-        let schema = self.schemas.get(&schema).cloned();
-        let mut schema = schema.unwrap_or_default();
+        let mut schema = self.schemas.get(&schema).cloned().unwrap_or_default();
         schema.encoding = encoding.to_owned().into();
         let topic = topic.to_owned();
         let channel = Channel { topic, schema };
@@ -348,14 +346,7 @@ impl<'a> Scan<'a> {
         self.count(&channel.topic, header.log_time, data.len());
         let at = Instant::from_nanos(header.log_time);
         if self.filter.takes(&channel.topic, at) {
-            let json = data.to_vec();
-            let event = None;
-            see(Entry {
-                at,
-                channel,
-                json,
-                event,
-            });
+            see(entry(at, channel, data.to_vec(), None));
         }
     }
 
@@ -386,13 +377,7 @@ impl<'a> Scan<'a> {
                 Arc::new(Channel { topic, schema })
             };
             let channel = self.traffic.entry(topic).or_insert_with_key(new);
-            let (channel, event) = (channel.clone(), Some(event));
-            see(Entry {
-                at,
-                channel,
-                json,
-                event,
-            });
+            see(entry(at, channel.clone(), json, Some(event)));
         }
         if !events.is_at_end() {
             self.tear("what happened to messages cannot be read any further");

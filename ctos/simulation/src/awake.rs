@@ -25,8 +25,6 @@ pub(crate) struct Awake {
     due: BTreeSet<(Instant, Place)>,
     /// To whom something was brought.
     woken: Arc<Mutex<Vec<Place>>>,
-    /// The same, taken up; empty between two looks.
-    heard: Vec<Place>,
     /// How often anybody was looked at.
     #[cfg(test)]
     pub(crate) visits: u64,
@@ -58,12 +56,10 @@ impl Awake {
 
     /// Something may have changed for a processor.
     pub(crate) fn rouse(&mut self, place: Place) {
-        // Who is awake is not due.
-        if self.places.insert(place)
-            && let Some(due) = self.due_of.remove(&place)
-        {
+        if let Some(due) = self.due_of.remove(&place) {
             self.due.remove(&(due, place));
         }
+        self.places.insert(place);
         self.stale.insert(place);
     }
 
@@ -92,10 +88,8 @@ impl Awake {
 
     /// Rouses those to whom something was brought.
     fn hear(&mut self) {
-        std::mem::swap(&mut *lock(&self.woken), &mut self.heard);
-        while let Some(place) = self.heard.pop() {
-            self.rouse(place);
-        }
+        let woken = std::mem::take(&mut *lock(&self.woken));
+        woken.into_iter().for_each(|place| self.rouse(place));
         #[cfg(test)]
         {
             self.visits += 1;

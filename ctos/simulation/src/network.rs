@@ -332,17 +332,16 @@ impl State {
     }
 
     fn insert(&mut self, moment: Instant, way: Way, arrival: Arrival) {
-        let mut fly = |arrival| {
+        let arrivals = match (arrival, &mut self.tamper) {
+            (Arrival::Frame(frame), Some(tamper)) => {
+                tamper(frame).into_iter().map(Arrival::Frame).collect()
+            }
+            (arrival, _) => vec![arrival],
+        };
+        for arrival in arrivals {
             let flight = InFlight { way, arrival };
             self.flights.insert((moment, self.next), flight);
             self.next += 1;
-        };
-        match (arrival, &mut self.tamper) {
-            (Arrival::Frame(frame), Some(tamper)) => {
-                let frames = tamper(frame).into_iter();
-                frames.map(Arrival::Frame).for_each(fly);
-            }
-            (arrival, _) => fly(arrival),
         }
     }
 

@@ -344,10 +344,11 @@ impl Simulation {
         let Some((place, index)) = counts.find(below(&mut self.rng, counts.total)) else {
             return false;
         };
-        // What is ready there now is counted before the next poll, as that of all who run code is.
-        self.here = Some(place);
         let machine = self.machines.get_mut(place.0);
-        machine.is_some_and(|machine| machine.poll(place.1, index, now))
+        let polled = machine.is_some_and(|machine| machine.poll(place.1, index, now));
+        self.here = Some(place);
+        self.count(place);
+        polled
     }
 
     /// When the first processor has something to do. Those that have nothing to do now fall asleep.

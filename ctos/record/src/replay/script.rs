@@ -398,11 +398,9 @@ impl Reader<'_> {
 }
 
 fn parsed(entry: &Entry) -> Result<Cow<'_, Traffic>, ReplayError> {
-    if let Some(event) = &entry.event {
-        return Ok(Cow::Borrowed(event));
-    }
-    let event = lines::from_line(&entry.json);
-    event.map(Cow::Owned).ok_or_else(|| unreadable(entry))
+    let event = entry.event.as_ref().map(Cow::Borrowed);
+    let event = event.or_else(|| lines::from_line(&entry.json).map(Cow::Owned));
+    event.ok_or_else(|| unreadable(entry))
 }
 
 fn data_of(entry: &Entry) -> Result<Vec<u8>, ReplayError> {
