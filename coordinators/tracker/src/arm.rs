@@ -8,12 +8,14 @@
 use mcs::{
     Joints,
     model::{
-        Data,
+        Data, Limits,
         inverse::{Branch, Wrist},
     },
     trajectory::Solver,
 };
-use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
+
+use crate::joint_limits::JointLimits;
 
 /// Nearer to a singular pose than this joints turn too fast: smallest singular value, m per rad.
 const SINGULAR: f64 = 0.04;
@@ -230,17 +232,31 @@ impl Arm {
         (bend.norm() < STRAIGHT && outside.is_none_or(|joint| joint >= WRIST)).then_some(found)
     }
 
-    /// Why it does not reach a place, m, if it does not. An arm that is nearly singular already may become less so.
-    pub fn wrong(&mut self, place: &Point3<f64>) -> Option<String> {
-        let found = match self.found(place) {
-            Ok(found) => found,
-            Err(why) => return Some(why),
-        };
+    /// What its joints allow of the hand at a place, m. An arm that is nearly singular already may become less so.
+    ///
+    /// # Errors
+    /// A text: why it does not reach that place.
+    pub fn limits_at(&mut self, place: &Point3<f64>) -> Result<JointLimits, String> {
+        let found = self.found(place)?;
         let joints = self.joints;
         let (now, then) = (self.least(&joints), self.least(&found));
-        (then < SINGULAR.min(now)).then(|| {
-            format!("the arm would be singular: its smallest singular value would be {then:.3}, and {SINGULAR} is needed")
-        })
+        if then < SINGULAR.min(now) {
+            return Err(format!(
+                "the arm would be singular: its smallest singular value would be {then:.3}, and {SINGULAR} is needed"
+            ));
+        }
+        if !self.gives_way() {
+            return Ok(JointLimits::NONE);
+        }
+        let [arm, _] = self.jacobians(&found);
+        let inverse = arm.try_inverse().ok_or("the arm is singular there")?;
+        let joints = self.solver.model().joints();
+        let most = |pick: fn(&Limits) -> f64| Vector3::from_fn(|row, _| pick(&joints[row].limits));
+        let both = [
+            most(|limits| limits.velocity),
+            most(|limits| limits.acceleration),
+        ];
+        Ok(JointLimits::new(inverse, both))
     }
 }
 
@@ -291,7 +307,7 @@ mod tests {
             let share = (time * fast / way.norm()).min(1.0);
             let share = share * share * (3.0 - 2.0 * share);
             let place = from + way * share;
-            if share < 1.0 && arm.wrong(&(place + way.normalize() * 0.02)).is_some() {
+            if share < 1.0 && arm.limits_at(&(place + way.normalize() * 0.02)).is_err() {
                 cost.held = true;
                 return cost;
             }
@@ -360,9 +376,9 @@ mod tests {
         let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
         let before = *arm.joints();
         let far = Point3::new(3.0, 0.0, 0.5);
-        assert!(arm.wrong(&far).is_some() && arm.go(&far, PERIOD).is_err());
+        assert!(arm.limits_at(&far).is_err() && arm.go(&far, PERIOD).is_err());
         assert_eq!(*arm.joints(), before);
         let there = Point3::from(arm.pose(&before).translation.vector);
-        assert_eq!(arm.wrong(&there), None);
+        assert!(arm.limits_at(&there).is_ok());
     }
 }

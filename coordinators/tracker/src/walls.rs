@@ -162,7 +162,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::course::{Course, CourseArgs};
+    use crate::{
+        course::{Course, CourseArgs},
+        joint_limits::JointLimits,
+    };
 
     const PERIOD: f64 = 0.0045;
 
@@ -207,8 +210,8 @@ mod tests {
             for (goal, moving) in goals {
                 for _ in 0..20 {
                     let (before, there) = (course.velocity, course.place);
-                    let wanted = course.wanted(&Point3::from(goal), &moving, true, PERIOD);
-                    course.follow_within(&walls, wanted, PERIOD);
+                    let wanted = course.wanted(&Point3::from(goal), &moving, true, f64::INFINITY, PERIOD);
+                    course.follow_within(&walls, &JointLimits::NONE, wanted, PERIOD);
                     prop_assert!(course.ratio(&before, PERIOD) <= 1.0 + 1e-9);
                     for wall in &list {
                         let (from, to) = (off(wall, &there), off(wall, &course.place));
@@ -245,8 +248,8 @@ mod tests {
         let (mut fastest, mut touched) = (0.0_f64, f64::NAN);
         for _ in 0..1000 {
             let goal = Point3::new(2.0, 0.0, 0.0);
-            let wanted = course.wanted(&goal, &Vector3::zeros(), true, PERIOD);
-            course.follow_within(&walls, wanted, PERIOD);
+            let wanted = course.wanted(&goal, &Vector3::zeros(), true, f64::INFINITY, PERIOD);
+            course.follow_within(&walls, &JointLimits::NONE, wanted, PERIOD);
             fastest = fastest.max(course.velocity.x);
             if course.place.x < 0.7 {
                 touched = course.velocity.x;
