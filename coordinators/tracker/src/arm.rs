@@ -265,10 +265,10 @@ mod tests {
     use std::sync::Arc;
 
     use mcs::model::{built_in, file::Inertias};
-    use nalgebra::Vector3;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::control::{Control, ControlArgs};
 
     const PERIOD: f64 = 0.0045;
 
@@ -350,6 +350,58 @@ mod tests {
             let near = aside.abs() < 0.06;
             prop_assert!(cost.turned < if near { 0.12 } else { 0.3 }, "{cost:?}");
             prop_assert!(!near || (cost.last < 0.02 && !cost.held), "{cost:?}");
+        }
+    }
+
+    /// The largest accelerations of the first three joints, rad/s^2, of a hand that follows jumps of a ball, which is seen every 40 ms,
+    /// 110 ms late: `to` where each of them goes, m from where the hand begins.
+    fn jumped(to: &[[f64; 3]]) -> [f64; WRIST] {
+        let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
+        let from = Point3::from(arm.pose(&arm.joints().clone()).translation.vector);
+        let mut control = Control::new(ControlArgs::default(), from);
+        let (mut before, mut speeds, mut most) = (*arm.joints(), [0.0; WRIST], [0.0_f64; WRIST]);
+        let still = Vector3::zeros();
+        for tick in 0..to.len() as u32 * 200 {
+            let now = f64::from(tick) * PERIOD;
+            if tick % 9 == 0 {
+                let at = now - 0.11;
+                let jump = (at / 0.9).max(0.0) as usize;
+                let place = |jump: usize| from + Vector3::from(to[jump.min(to.len() - 1)]);
+                // A jump of 0.5 s, of constant acceleration and as much deceleration, and a rest.
+                let share = ((at - jump as f64 * 0.9) / 0.5).clamp(0.0, 1.0);
+                let done = match share < 0.5 {
+                    true => 2.0 * share * share,
+                    false => 1.0 - 2.0 * (1.0 - share).powi(2),
+                };
+                let last = jump.checked_sub(1).map_or(from, place);
+                control.measure(now, at, &(last + (place(jump) - last) * done));
+            }
+            let reaches = |place: &Point3<f64>| arm.limits_at(place).ok();
+            control.go_within(now, [&still, &still], PERIOD, reaches);
+            arm.go(&control.course().place, PERIOD).unwrap();
+            for joint in 0..WRIST {
+                let speed = (arm.joints()[joint] - before[joint]) / PERIOD;
+                most[joint] = most[joint].max((speed - speeds[joint]).abs() / PERIOD);
+                speeds[joint] = speed;
+            }
+            before = *arm.joints();
+        }
+        most
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn however_the_ball_jumps_the_joints_that_place_the_hand_keep_their_limits(
+            to in prop::collection::vec((-1.0..1.0_f64, -1.0..1.0_f64, -1.0..1.0_f64), 4..8)
+        ) {
+            // Outwards the last of it is nearly where the elbow is stretched.
+            let to: Vec<_> = to.iter().map(|(x, y, z)| [0.1 * x, 0.15 * y, 0.05 * z]).collect();
+            let most = jumped(&to);
+            let arm = arm([0.0; ALL]);
+            for (joint, most) in arm.solver.model().joints().iter().zip(most) {
+                prop_assert!(most <= joint.limits.acceleration, "{most} rad/s^2 in {}", joint.name);
+            }
         }
     }
 

@@ -558,7 +558,7 @@ mod tests {
             if tick.is_multiple_of(9) {
                 control.measure(now, seen, &ball(seen));
             }
-            let end = |place: &Point3<f64>| place.x < 0.15;
+            let end = |place: &Point3<f64>| (place.x < 0.15).then_some(JointLimits::NONE);
             worst = worst.max(control.go_within(now, [&NONE, &NONE], PERIOD, end));
             furthest = furthest.max(control.course().place.x);
             assert_eq!(
