@@ -8,12 +8,14 @@
 use mcs::{
     Joints,
     model::{
-        Data,
+        Data, Limits,
         inverse::{Branch, Wrist},
     },
     trajectory::Solver,
 };
-use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
+
+use crate::joint_limits::JointLimits;
 
 /// Nearer to a singular pose than this joints turn too fast: smallest singular value, m per rad.
 const SINGULAR: f64 = 0.04;
@@ -230,17 +232,31 @@ impl Arm {
         (bend.norm() < STRAIGHT && outside.is_none_or(|joint| joint >= WRIST)).then_some(found)
     }
 
-    /// Why it does not reach a place, m, if it does not. An arm that is nearly singular already may become less so.
-    pub fn wrong(&mut self, place: &Point3<f64>) -> Option<String> {
-        let found = match self.found(place) {
-            Ok(found) => found,
-            Err(why) => return Some(why),
-        };
+    /// What its joints allow of the hand at a place, m. An arm that is nearly singular already may become less so.
+    ///
+    /// # Errors
+    /// A text: why it does not reach that place.
+    pub fn limits_at(&mut self, place: &Point3<f64>) -> Result<JointLimits, String> {
+        let found = self.found(place)?;
         let joints = self.joints;
         let (now, then) = (self.least(&joints), self.least(&found));
-        (then < SINGULAR.min(now)).then(|| {
-            format!("the arm would be singular: its smallest singular value would be {then:.3}, and {SINGULAR} is needed")
-        })
+        if then < SINGULAR.min(now) {
+            return Err(format!(
+                "the arm would be singular: its smallest singular value would be {then:.3}, and {SINGULAR} is needed"
+            ));
+        }
+        if !self.gives_way() {
+            return Ok(JointLimits::NONE);
+        }
+        let [arm, _] = self.jacobians(&found);
+        let inverse = arm.try_inverse().ok_or("the arm is singular there")?;
+        let joints = self.solver.model().joints();
+        let most = |pick: fn(&Limits) -> f64| Vector3::from_fn(|row, _| pick(&joints[row].limits));
+        let both = [
+            most(|limits| limits.velocity),
+            most(|limits| limits.acceleration),
+        ];
+        Ok(JointLimits::new(inverse, both))
     }
 }
 
@@ -249,10 +265,10 @@ mod tests {
     use std::sync::Arc;
 
     use mcs::model::{built_in, file::Inertias};
-    use nalgebra::Vector3;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::control::{Control, ControlArgs};
 
     const PERIOD: f64 = 0.0045;
 
@@ -291,7 +307,7 @@ mod tests {
             let share = (time * fast / way.norm()).min(1.0);
             let share = share * share * (3.0 - 2.0 * share);
             let place = from + way * share;
-            if share < 1.0 && arm.wrong(&(place + way.normalize() * 0.02)).is_some() {
+            if share < 1.0 && arm.limits_at(&(place + way.normalize() * 0.02)).is_err() {
                 cost.held = true;
                 return cost;
             }
@@ -337,6 +353,58 @@ mod tests {
         }
     }
 
+    /// The largest accelerations of the first three joints, rad/s^2, of a hand that follows jumps of a ball, which is seen every 40 ms,
+    /// 110 ms late: `to` where each of them goes, m from where the hand begins.
+    fn jumped(to: &[[f64; 3]]) -> [f64; WRIST] {
+        let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
+        let from = Point3::from(arm.pose(&arm.joints().clone()).translation.vector);
+        let mut control = Control::new(ControlArgs::default(), from);
+        let (mut before, mut speeds, mut most) = (*arm.joints(), [0.0; WRIST], [0.0_f64; WRIST]);
+        let still = Vector3::zeros();
+        for tick in 0..to.len() as u32 * 200 {
+            let now = f64::from(tick) * PERIOD;
+            if tick % 9 == 0 {
+                let at = now - 0.11;
+                let jump = (at / 0.9).max(0.0) as usize;
+                let place = |jump: usize| from + Vector3::from(to[jump.min(to.len() - 1)]);
+                // A jump of 0.5 s, of constant acceleration and as much deceleration, and a rest.
+                let share = ((at - jump as f64 * 0.9) / 0.5).clamp(0.0, 1.0);
+                let done = match share < 0.5 {
+                    true => 2.0 * share * share,
+                    false => 1.0 - 2.0 * (1.0 - share).powi(2),
+                };
+                let last = jump.checked_sub(1).map_or(from, place);
+                control.measure(now, at, &(last + (place(jump) - last) * done));
+            }
+            let reaches = |place: &Point3<f64>| arm.limits_at(place).ok();
+            control.go_within(now, [&still, &still], PERIOD, reaches);
+            arm.go(&control.course().place, PERIOD).unwrap();
+            for joint in 0..WRIST {
+                let speed = (arm.joints()[joint] - before[joint]) / PERIOD;
+                most[joint] = most[joint].max((speed - speeds[joint]).abs() / PERIOD);
+                speeds[joint] = speed;
+            }
+            before = *arm.joints();
+        }
+        most
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn however_the_ball_jumps_the_joints_that_place_the_hand_keep_their_limits(
+            to in prop::collection::vec((-1.0..1.0_f64, -1.0..1.0_f64, -1.0..1.0_f64), 4..8)
+        ) {
+            // Outwards the last of it is nearly where the elbow is stretched.
+            let to: Vec<_> = to.iter().map(|(x, y, z)| [0.1 * x, 0.15 * y, 0.05 * z]).collect();
+            let most = jumped(&to);
+            let arm = arm([0.0; ALL]);
+            for (joint, most) in arm.solver.model().joints().iter().zip(most) {
+                prop_assert!(most <= joint.limits.acceleration, "{most} rad/s^2 in {}", joint.name);
+            }
+        }
+    }
+
     #[test]
     fn away_from_singular_poses_the_hand_stays_turned_as_it_was() {
         let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
@@ -360,9 +428,9 @@ mod tests {
         let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
         let before = *arm.joints();
         let far = Point3::new(3.0, 0.0, 0.5);
-        assert!(arm.wrong(&far).is_some() && arm.go(&far, PERIOD).is_err());
+        assert!(arm.limits_at(&far).is_err() && arm.go(&far, PERIOD).is_err());
         assert_eq!(*arm.joints(), before);
         let there = Point3::from(arm.pose(&before).translation.vector);
-        assert_eq!(arm.wrong(&there), None);
+        assert!(arm.limits_at(&there).is_ok());
     }
 }

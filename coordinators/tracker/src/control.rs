@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     contact::{Contact, ContactArgs},
     course::{Course, CourseArgs},
+    joint_limits::JointLimits,
     target::{Predicted, Taken, Target, TargetArgs},
     vector::{VectorArgs, VectorFilter},
     walls::{Wall, Walls},
@@ -243,16 +244,16 @@ impl Control {
     /// Goes on by a period, s, until `now`. `force` is what the hand is pushed with, N in the base frame, `mouse` how the mouse is
     /// deflected. Answers how large the change of the velocity was, as a part of what the limit allows.
     pub fn go(&mut self, now: f64, force: &Vector3<f64>, mouse: &Vector3<f64>, period: f64) -> f64 {
-        self.go_within(now, [force, mouse], period, |_| true)
+        self.go_within(now, [force, mouse], period, |_| Some(JointLimits::NONE))
     }
 
-    /// The same with an arm that does not reach every place of the hand.
+    /// The same with an arm that does not reach every place of the hand. `reaches` tells what its joints allow at a place it reaches.
     pub fn go_within(
         &mut self,
         now: f64,
         [force, mouse]: [&Vector3<f64>; 2],
         period: f64,
-        reaches: impl FnMut(&Point3<f64>) -> bool,
+        mut reaches: impl FnMut(&Point3<f64>) -> Option<JointLimits>,
     ) -> f64 {
         let offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
         self.offset += (offset - self.offset).cap_magnitude(self.args.steer_m_s * period);
@@ -282,15 +283,22 @@ impl Control {
             }
         };
         let (goal, moving) = self.within_reach(goal, moving);
-        let (goal, moving) = self.short_of_the_end(goal, moving, reaches);
+        let joints = reaches(&self.course.place).unwrap_or(JointLimits::NONE);
+        let (goal, moving) = self.short_of_the_end(goal, moving, &joints, &mut reaches);
         if expected.is_none() {
             self.hold = goal;
         }
         let before = self.course.velocity;
         let predicted = self.args.prediction && expected.is_some() && !self.stands;
-        let wanted = self.course.wanted(&goal, &moving, predicted, period);
-        let wanted = self.contact.allow(force, &self.course.place, wanted);
-        self.course.follow_within(&self.walls, wanted, period);
+        let way = (goal - self.course.place).try_normalize(0.0);
+        let way = way.unwrap_or_else(Vector3::zeros);
+        // As the joints can brake here and there, whichever is less.
+        let there = reaches(&goal).unwrap_or(joints);
+        let brakes = joints.braking(&way).min(there.braking(&way));
+        let course = &mut self.course;
+        let wanted = course.wanted(&goal, &moving, predicted, brakes, period);
+        let wanted = self.contact.allow(force, &course.place, wanted);
+        course.follow_within(&self.walls, &joints, wanted, period);
         self.course.ratio(&before, period)
     }
 
@@ -332,15 +340,18 @@ impl Control {
         &mut self,
         goal: Point3<f64>,
         moving: Vector3<f64>,
-        mut reaches: impl FnMut(&Point3<f64>) -> bool,
+        joints: &JointLimits,
+        mut reaches: impl FnMut(&Point3<f64>) -> Option<JointLimits>,
     ) -> (Point3<f64>, Vector3<f64>) {
         // Where a hand comes to rest that moves on with the goal and then brakes.
-        let brakes = moving * (0.5 * moving.norm() / self.args.course.acceleration);
+        let along = moving.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
+        let braking = self.args.course.acceleration.min(joints.braking(&along));
+        let brakes = moving * (0.5 * moving.norm() / braking);
         let from = self.course.place;
         let way = goal + brakes - from;
         let further = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros) * SHORT;
         let end = from + way + further;
-        if reaches(&end) {
+        if reaches(&end).is_some() {
             self.beyond = None;
             return (goal, moving);
         }
@@ -349,7 +360,7 @@ impl Control {
         }
         let (mut good, mut part) = (0.0, 0.5);
         for halving in 2..=HALVINGS + 1 {
-            if reaches(&(from + way * part + further)) {
+            if reaches(&(from + way * part + further)).is_some() {
                 good = part;
             }
             let step = 0.5_f64.powi(halving as i32);
@@ -547,7 +558,7 @@ mod tests {
             if tick.is_multiple_of(9) {
                 control.measure(now, seen, &ball(seen));
             }
-            let end = |place: &Point3<f64>| place.x < 0.15;
+            let end = |place: &Point3<f64>| (place.x < 0.15).then_some(JointLimits::NONE);
             worst = worst.max(control.go_within(now, [&NONE, &NONE], PERIOD, end));
             furthest = furthest.max(control.course().place.x);
             assert_eq!(

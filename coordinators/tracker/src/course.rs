@@ -7,7 +7,7 @@
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 
-use crate::walls::Walls;
+use crate::{joint_limits::JointLimits, walls::Walls};
 
 /// Part of the acceleration that is planned with; the rest is for goals that change their speed.
 const PLANNED: f64 = 0.7;
@@ -31,7 +31,7 @@ impl Default for CourseArgs {
     fn default() -> Self {
         Self {
             speed: 1.0,
-            acceleration: 4.0,
+            acceleration: 6.0,
             settle_s: 0.05,
             closing: 0.3,
         }
@@ -61,6 +61,8 @@ pub struct Course {
     pub place: Point3<f64>,
     /// How fast it goes, m/s.
     pub velocity: Vector3<f64>,
+    /// How fast the joints go for that, rad/s.
+    joints: Vector3<f64>,
 }
 
 impl Course {
@@ -71,17 +73,19 @@ impl Course {
             args,
             place,
             velocity: Vector3::zeros(),
+            joints: Vector3::zeros(),
         }
     }
 
     /// How fast it would go towards a goal that moves with a velocity and is there at the end of a period of so many s, m/s. The goal's
-    /// motion is `predicted`, or it is only where it was.
+    /// motion is `predicted`, or it is only where it was. The joints allow the hand to brake with `brakes`, m/s^2.
     #[must_use]
     pub fn wanted(
         &self,
         goal: &Point3<f64>,
         moving: &Vector3<f64>,
         predicted: bool,
+        brakes: f64,
         period: f64,
     ) -> Vector3<f64> {
         let CourseArgs {
@@ -90,6 +94,7 @@ impl Course {
             settle_s,
             closing,
         } = self.args;
+        let acceleration = acceleration.min(brakes);
         let way = goal - moving * period - self.place;
         let left = way.norm();
         // v(d) = d/T near the goal, and further off as fast as it can brake: the two meet with one slope at d = a T^2.
@@ -109,17 +114,26 @@ impl Course {
         clipped(moving + direction * towards, speed)
     }
 
-    /// Goes on by a period, s, as fast as is wanted and walls allow. The change of the velocity is never more than the acceleration
-    /// allows, and what a wall asks for comes first.
-    pub fn follow_within(&mut self, walls: &Walls, wanted: Vector3<f64>, period: f64) {
+    /// Goes on by a period, s, as fast as is wanted, and walls and joints allow. The change of the velocity is never more than the
+    /// acceleration allows, and what a wall asks for comes first.
+    pub fn follow_within(
+        &mut self,
+        walls: &Walls,
+        joints: &JointLimits,
+        wanted: Vector3<f64>,
+        period: f64,
+    ) {
         let most = self.args.acceleration * period;
         let brakes = walls.allow(&self.place, self.velocity) - self.velocity;
         let brakes = clipped(brakes, most);
         // Both velocities are allowed, and so is all that is between them.
+        let wanted = joints.slowed(wanted);
         let more = walls.allow(&self.place, wanted) - self.velocity - brakes;
-        let change = brakes + more * part_within(&brakes, &more, most);
+        let able = joints.part(&self.joints, &(self.velocity + brakes), &more, period);
+        let change = brakes + more * part_within(&brakes, &more, most).min(able);
         let before = self.velocity;
         self.velocity += change;
+        self.joints = joints.speeds(&self.velocity);
         self.place += 0.5 * (before + self.velocity) * period;
     }
 
@@ -160,8 +174,8 @@ mod tests {
     impl Course {
         /// Goes on by a period towards a goal whose motion is predicted.
         fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
-            let wanted = self.wanted(goal, moving, true, period);
-            self.follow_within(&Walls::default(), wanted, period);
+            let wanted = self.wanted(goal, moving, true, f64::INFINITY, period);
+            self.follow_within(&Walls::default(), &JointLimits::NONE, wanted, period);
         }
     }
 

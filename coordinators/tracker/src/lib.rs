@@ -22,6 +22,7 @@ pub mod course;
 pub mod druide;
 pub mod grasp;
 pub mod history;
+pub mod joint_limits;
 pub mod judging;
 pub mod learning;
 pub mod map;

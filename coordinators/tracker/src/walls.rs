@@ -6,8 +6,9 @@
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 
-/// Part of the hand's acceleration that walls are braked for with: three that are square to each other can be at once.
-const BRAKES: f64 = 0.5;
+/// Part of the hand's acceleration that walls are braked for with: three that are square to each other can be at once, and the
+/// joints allow it where the arm reaches far.
+const BRAKES: f64 = 1.0 / 3.0;
 
 /// Where walls meet at a sharp angle, what one of them asks for is taken up again so often.
 const ROUNDS: usize = 4;
@@ -162,7 +163,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::course::{Course, CourseArgs};
+    use crate::{
+        course::{Course, CourseArgs},
+        joint_limits::JointLimits,
+    };
 
     const PERIOD: f64 = 0.0045;
 
@@ -207,8 +211,8 @@ mod tests {
             for (goal, moving) in goals {
                 for _ in 0..20 {
                     let (before, there) = (course.velocity, course.place);
-                    let wanted = course.wanted(&Point3::from(goal), &moving, true, PERIOD);
-                    course.follow_within(&walls, wanted, PERIOD);
+                    let wanted = course.wanted(&Point3::from(goal), &moving, true, f64::INFINITY, PERIOD);
+                    course.follow_within(&walls, &JointLimits::NONE, wanted, PERIOD);
                     prop_assert!(course.ratio(&before, PERIOD) <= 1.0 + 1e-9);
                     for wall in &list {
                         let (from, to) = (off(wall, &there), off(wall, &course.place));
@@ -245,8 +249,8 @@ mod tests {
         let (mut fastest, mut touched) = (0.0_f64, f64::NAN);
         for _ in 0..1000 {
             let goal = Point3::new(2.0, 0.0, 0.0);
-            let wanted = course.wanted(&goal, &Vector3::zeros(), true, PERIOD);
-            course.follow_within(&walls, wanted, PERIOD);
+            let wanted = course.wanted(&goal, &Vector3::zeros(), true, f64::INFINITY, PERIOD);
+            course.follow_within(&walls, &JointLimits::NONE, wanted, PERIOD);
             fastest = fastest.max(course.velocity.x);
             if course.place.x < 0.7 {
                 touched = course.velocity.x;

@@ -48,6 +48,21 @@ fn balls_are_followed_smoothly_whether_pictures_are_late_and_twice_as_well_as_wi
     }
 }
 
+#[test]
+fn an_arm_follows_jumps_as_it_is_sent_never_loses_the_ball_and_prediction_helps() {
+    // In this seed the ball jumps far outwards, where the joints allow the hand little.
+    let [on, off] = [true, false].map(|prediction| {
+        let way = format!("task.druide.args.prediction={prediction}");
+        let ended = followed(BALLS[2], LATENCIES[1], 4, 14.0).set(&way).run();
+        ended.must_be_smooth();
+        assert_eq!(ended.result["stops"], 0, "{}", ended.result);
+        assert_eq!(ended.result["lost"], 0, "{}", ended.result);
+        assert!(ended.number("servo_rms_m") < 0.005, "{}", ended.result);
+        ended.number("rms_m")
+    });
+    assert!(off > 1.25 * on, "{off} m without, {on} m with prediction");
+}
+
 /// With prediction, without, and with a ball that is covered for a while.
 #[test]
 #[ignore = "takes hours: tests/run --long tracker"]

@@ -242,12 +242,12 @@ impl Period {
         let held = self.control.counts().held;
         let both = [&self.force, mouse];
         let arm = &mut self.arm;
-        let reaches = |place: &Point3<f64>| arm.wrong(place).is_none();
+        let reaches = |place: &Point3<f64>| arm.limits_at(place).ok();
         let ratio = self.control.go_within(now, both, self.period, reaches);
         if let Some(beyond) = self.control.beyond()
             && self.control.counts().held > held
         {
-            report.held_by = self.arm.wrong(&beyond);
+            report.held_by = self.arm.limits_at(&beyond).err();
             let why = report.held_by.as_deref().unwrap_or_default();
             tracing::warn!("the hand stays where the arm reaches no further: {why}");
         }
