@@ -34,6 +34,7 @@ pub fn registry() -> Registry {
     let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
     mcs_collision::register(&mut registry, &mut guards);
     mcs_hand::register(&mut registry, &mut laws);
+    mcs_path::register(&mut registry);
     mcs::register(&mut registry, drivers, laws, guards);
     coordinators::register(&mut registry);
     checkers_player::register(&mut registry);

@@ -13,7 +13,9 @@ use ctos::{
     message::Message,
     task::{Context, EventHandler, Handled, Phase},
 };
+use mcs::client::Manipulator;
 use mcs_hand::command::ReadTouch;
+use pnt::task::PutTape;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -22,6 +24,76 @@ use super::play::{self, kill, record_of};
 
 /// How often it is looked what presses on the arm.
 const LOOK: Duration = Duration::from_millis(45);
+
+/// By then the arm would be on its way with a disc.
+const PATIENCE: Duration = Duration::from_secs(15);
+
+/// Gives up for the person after a while. Notes how far the joints have ever been from where the arm waits, rad.
+struct Onlooker(Arc<Mutex<f64>>);
+
+impl EventHandler for Onlooker {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let (own, far) = (cx.clone(), Arc::clone(&self.0));
+            cx.spawn(async move {
+                let arm = Manipulator::find(&own, "mcs").await.unwrap();
+                let begin = arm.position().await.unwrap().joints;
+                let (mut asked, until) = (false, own.now() + PATIENCE);
+                while !own.is_stopping() {
+                    if let Ok(position) = arm.position().await {
+                        let off = position.joints.iter().zip(&begin);
+                        let off = off.map(|(now, then)| (now - then).abs());
+                        let mut far = far.lock().unwrap();
+                        *far = off.fold(*far, f64::max);
+                    }
+                    if !asked && own.now() > until {
+                        let people = own.task("people").await.unwrap();
+                        let wish = PutTape {
+                            symbol: "resign".to_owned(),
+                            arguments: Vec::new(),
+                        };
+                        asked = own.call(&people, wish).await.is_ok();
+                    }
+                    own.sleep(LOOK).await;
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn a_thing_on_the_way_of_a_carry_is_named_and_the_arm_has_not_moved() {
+    let far = Arc::new(Mutex::new(0.0));
+    let shared = Arc::clone(&far);
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 2);
+    // A lamp hangs over the board, and only the watch knows it.
+    let room = "task.servo_arm.args.guards.collision.args.room=[\
+        { name = \"table\", shapes = [{ box = [0.9, 1.6, 0.42], at = { xyz = [0.55, 0.0, 0.21] } }], \
+          near = { fingers = -0.02, carried = -0.021 } }, \
+        { name = \"lamp\", shapes = [{ box = [0.5, 0.5, 0.04], at = { xyz = [0.55, 0.0, 0.5] } }] }]";
+    let sets = [
+        "task.player_daemon.handler=\"test.onlooker\"",
+        room,
+        &opponent,
+    ];
+    let game = play::play_with("checkers-hands.toml", 1, &sets, &[], |registry| {
+        registry.handler("test.onlooker", &[], move |_| {
+            Ok(Onlooker(Arc::clone(&shared)))
+        });
+    });
+    assert_eq!(game["ok"], true, "{game:#}");
+    assert_eq!(game["plies"], 1, "{game:#}");
+    let said = game["said"].to_string();
+    assert!(said.contains("would come too near to lamp"), "{said}");
+    let far = *far.lock().unwrap();
+    assert!(far < 0.01, "{far} rad");
+}
 
 /// Looks what presses on links of the arm besides its jaws, which take discs.
 struct Watcher(Arc<Mutex<BTreeMap<String, u32>>>);
@@ -191,6 +263,7 @@ fn whole_games_with_hands_errors_lost_discs_moved_boards_and_kills_end_truly() {
             ("glare", 0.02),
             ("power", 0.01),
             ("reaches", 0.03),
+            ("lamps", 0.01),
         ];
         let chances = chances.map(|(key, chance)| format!("task.room.args.{key}={chance}"));
         let mut sets = vec![opponent.as_str(), start.as_str()];
