@@ -8,6 +8,7 @@ use std::{
 };
 
 use checkers::{Game, Move, Numbering, Position, Variant};
+use coordinators::dom::DomStore;
 use ctos::{
     boot::Fault,
     message::Message,
@@ -15,7 +16,6 @@ use ctos::{
 };
 use mcs::client::Manipulator;
 use mcs_hand::command::ReadTouch;
-use pnt::task::PutTape;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -25,11 +25,11 @@ use super::play::{self, kill, record_of};
 /// How often it is looked what presses on the arm.
 const LOOK: Duration = Duration::from_millis(45);
 
-/// By then the arm would be on its way with a disc.
-const PATIENCE: Duration = Duration::from_secs(15);
+/// What kept the arm from its errand, in words, and how far the joints have been from where the arm waits, rad.
+type Hindered = Arc<Mutex<(String, f64)>>;
 
-/// Gives up for the person after a while. Notes how far the joints have ever been from where the arm waits, rad.
-struct Onlooker(Arc<Mutex<f64>>);
+/// Looks at that.
+struct Onlooker(Hindered);
 
 impl EventHandler for Onlooker {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
@@ -38,27 +38,25 @@ impl EventHandler for Onlooker {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
-            let (own, far) = (cx.clone(), Arc::clone(&self.0));
+            let (own, seen) = (cx.clone(), Arc::clone(&self.0));
             cx.spawn(async move {
-                let arm = Manipulator::find(&own, "mcs").await.unwrap();
+                let (arm, dom) = (
+                    Manipulator::find(&own, "mcs").await.unwrap(),
+                    DomStore::new("dom"),
+                );
                 let begin = arm.position().await.unwrap().joints;
-                let (mut asked, until) = (false, own.now() + PATIENCE);
                 while !own.is_stopping() {
-                    if let Ok(position) = arm.position().await {
-                        let off = position.joints.iter().zip(&begin);
-                        let off = off.map(|(now, then)| (now - then).abs());
-                        let mut far = far.lock().unwrap();
-                        *far = off.fold(*far, f64::max);
-                    }
-                    if !asked && own.now() > until {
-                        let people = own.task("people").await.unwrap();
-                        let wish = PutTape {
-                            symbol: "resign".to_owned(),
-                            arguments: Vec::new(),
-                        };
-                        asked = own.call(&people, wish).await.is_ok();
-                    }
                     own.sleep(LOOK).await;
+                    let Ok(position) = arm.position().await else {
+                        continue;
+                    };
+                    let off = position.joints.iter().zip(&begin);
+                    let off = off.map(|(now, then)| (now - then).abs());
+                    let far = off.fold(seen.lock().unwrap().1, f64::max);
+                    // The kind is the number of a word.
+                    let kept = dom.fetch::<(u32, String)>(&own, "hindrance").await;
+                    let mut seen = seen.lock().unwrap();
+                    *seen = (kept.map(|(_, text)| text).unwrap_or_default(), far);
                 }
             });
         }
@@ -68,30 +66,29 @@ impl EventHandler for Onlooker {
 
 #[test]
 fn a_thing_on_the_way_of_a_carry_is_named_and_the_arm_has_not_moved() {
-    let far = Arc::new(Mutex::new(0.0));
-    let shared = Arc::clone(&far);
+    let seen = Hindered::default();
+    let shared = Arc::clone(&seen);
     let folder = tempfile::tempdir().unwrap();
     let opponent = record_of(folder.path(), 2);
-    // A lamp hangs over the board, and only the watch knows it.
+    // A lamp hangs over the board.
     let room = "task.servo_arm.args.guards.collision.args.room=[\
         { name = \"table\", shapes = [{ box = [0.9, 1.6, 0.42], at = { xyz = [0.55, 0.0, 0.21] } }], \
           near = { fingers = -0.02, carried = -0.021 } }, \
         { name = \"lamp\", shapes = [{ box = [0.5, 0.5, 0.04], at = { xyz = [0.55, 0.0, 0.5] } }] }]";
     let sets = [
         "task.player_daemon.handler=\"test.onlooker\"",
+        // By then the arm would be on its way with a disc.
+        "task.operator.args.within_s=12",
         room,
         &opponent,
     ];
-    let game = play::play_with("checkers-hands.toml", 1, &sets, &[], |registry| {
+    play::simulated("checkers-hands.toml", 1, &sets, &[], |registry| {
         registry.handler("test.onlooker", &[], move |_| {
             Ok(Onlooker(Arc::clone(&shared)))
         });
     });
-    assert_eq!(game["ok"], true, "{game:#}");
-    assert_eq!(game["plies"], 1, "{game:#}");
-    let said = game["said"].to_string();
-    assert!(said.contains("would come too near to lamp"), "{said}");
-    let far = *far.lock().unwrap();
+    let (text, far) = seen.lock().unwrap().clone();
+    assert!(text.contains("would come too near to lamp"), "{text}");
     assert!(far < 0.01, "{far} rad");
 }
 
