@@ -311,7 +311,10 @@ impl Table {
         let (share, until) = self.lamp;
         if share != 1.0 && now >= until {
             self.lamp = (1.0, now);
-        } else if share == 1.0 && self.rng.random_bool(self.chances.lamps) {
+        } else if share == 1.0
+            && self.chances.lamps > 0.0
+            && self.rng.random_bool(self.chances.lamps)
+        {
             let is_up = self.rng.random_bool(0.5);
             let range = if is_up { STRONG } else { DIM };
             let share = self.rng.random_range(range);

@@ -203,9 +203,11 @@ fn what_only_the_carried_disc_would_touch_is_seen_by_the_watch_and_without_the_d
     let post = block("post", [0.541, 0.0, 0.594], [0.01, 0.01, 0.02]);
     let mut around = Around::of_the_app(vec![post]);
     let park = arm::radians(&around.real.park_deg);
+    let above = around.real.motion((stand(0.75), PathKind::Joint), 0.3);
+    let above = around.ahead(&park, &[above]).unwrap();
     let met = |around: &mut Around, z: f64| {
-        let motion = around.real.motion((stand(z), PathKind::Joint), 0.3);
-        match around.ahead(&park, &[motion]) {
+        let down = around.real.motion((stand(z), PathKind::StraightLine), 0.3);
+        match around.ahead(&above, &[down]) {
             Err(Refused::Touches { touch, .. }) => Some(touch.pair),
             other => {
                 other.unwrap();
