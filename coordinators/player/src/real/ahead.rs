@@ -181,14 +181,19 @@ impl ArmArgs {
 
     /// That it gets from there to where it waits.
     pub(super) async fn parks(&self, cx: &Context, at: &At) -> Result<(), Failure> {
-        let park = Plan {
+        let back = self.ahead(cx, &at.joints, vec![self.parking()]);
+        back.await.map(|_| ())
+    }
+
+    /// The motion to where the arm waits.
+    pub(super) fn parking(&self) -> Plan {
+        Plan {
             target: Target::Joints(arm::radians(&self.park_deg)),
             path: PathKind::Joint,
             speed: self.speed,
             acceleration: None,
             elbow: None,
-        };
-        self.ahead(cx, &at.joints, vec![park]).await.map(|_| ())
+        }
     }
 
     /// The turn about the vertical to the side of the table where a place is, if that is far round, and how the tool is turned then.

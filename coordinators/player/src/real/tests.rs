@@ -27,6 +27,9 @@ struct Around {
     real: ArmArgs,
 }
 
+/// What the app keeps besides the margin of its watch where it looks ahead, m.
+const AHEAD_M: f64 = 0.005;
+
 /// How the fingers get down to a place.
 #[derive(Debug, Clone, PartialEq)]
 enum Reach {
@@ -65,7 +68,8 @@ impl Around {
         }
         let servo = app.task("servo_arm").unwrap();
         let model = Arc::new(mcs::arm(servo, &app).unwrap());
-        let space = Space::new(model, Vec::new(), around.room, around.margin);
+        let ahead = around.margin + AHEAD_M;
+        let space = Space::new(model, Vec::new(), around.room, ahead);
         Self {
             planner: mcs::planner(servo, &app).unwrap(),
             space: space.with_near(&around.near),
@@ -86,15 +90,17 @@ impl Around {
         park
     }
 
-    /// Whether the fingers get down there, and up again, in some turn, from where the arm waits but on this side.
+    /// Whether the fingers get down there in some turn, from where the arm waits but on this side, and up again and back to there.
     fn reach(&mut self, stand: Stand) -> Reach {
         let park = self.park(stand);
         let mut reach = Reach::Refused;
         for turn in TURNS_DEG {
             let down = stand.pose(turn);
-            let over = (at_height(down, TRAVEL_M), PathKind::Joint);
-            let motions = [over, (down, PathKind::StraightLine)];
-            let motions = motions.map(|way| self.real.motion(way, 0.3));
+            let over = at_height(down, TRAVEL_M);
+            let line = PathKind::StraightLine;
+            let ways = [(over, PathKind::Joint), (down, line), (over, line)];
+            let mut motions = ways.map(|way| self.real.motion(way, 0.3)).to_vec();
+            motions.push(self.real.parking());
             match self.ahead(&park, &motions) {
                 Ok(_) => return Reach::Clear,
                 Err(Refused::Touches { touch, .. }) => reach = Reach::Meets(touch.pair),
@@ -199,8 +205,8 @@ fn what_only_the_carried_disc_would_touch_is_seen_by_the_watch_and_without_the_d
             UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0),
         )
     };
-    // 36 mm beside the middle, where the fingers are 24 mm and the disc 16 mm away; 20 mm are kept.
-    let post = block("post", [0.541, 0.0, 0.594], [0.01, 0.01, 0.02]);
+    // 41 mm beside the middle, where the fingers are 29 mm and the disc 21 mm away; 25 mm are kept.
+    let post = block("post", [0.546, 0.0, 0.594], [0.01, 0.01, 0.02]);
     let mut around = Around::of_the_app(vec![post]);
     let park = arm::radians(&around.real.park_deg);
     let above = around.real.motion((stand(0.75), PathKind::Joint), 0.3);
