@@ -34,11 +34,13 @@ pub enum Outcome {
     Occupied,
     /// Another thing touches what was to be taken.
     Stuck,
+    /// The way would lead too near to something. The arm has not begun it.
+    Blocked,
 }
 
 impl Outcome {
     /// All of them, in the order of their codes.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Unreachable,
         Self::Unseen,
         Self::Stopped,
@@ -50,6 +52,7 @@ impl Outcome {
         Self::Absent,
         Self::Occupied,
         Self::Stuck,
+        Self::Blocked,
     ];
 
     /// Its number for programs, from 1. A number keeps its meaning.
@@ -81,6 +84,7 @@ impl fmt::Display for Outcome {
             Self::Absent => "absent",
             Self::Occupied => "occupied",
             Self::Stuck => "stuck",
+            Self::Blocked => "blocked",
         })
     }
 }
@@ -158,7 +162,7 @@ mod tests {
     fn codes_and_names_are_as_they_are_told_to_other_programs() {
         let told = Outcome::ALL.map(|outcome| format!("{} {outcome}", outcome.code()));
         let expected = "1 unreachable, 2 unseen, 3 stopped, 4 estopped, 5 guard, 6 fault, 7 lost, 8 refused, 9 absent, \
-                        10 occupied, 11 stuck";
+                        10 occupied, 11 stuck, 12 blocked";
         assert_eq!(told.join(", "), expected);
         for outcome in Outcome::ALL {
             assert_eq!(Outcome::named(&outcome.to_string()), Some(outcome));

@@ -5,7 +5,8 @@
 use std::time::Duration;
 
 use ctos::call::{CallError, Fault};
-use ctos::task::{Context, NameError, TaskRef};
+use ctos::task::{Context, HandlerError, NameError, TaskRef};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
 pub use crate::driver::{Sensor, SensorKind};
@@ -17,6 +18,10 @@ use crate::servo::MotionPhase;
 pub use crate::servo::StreamKind;
 use crate::state::State;
 pub use crate::trajectory::{Blend, PathKind};
+use crate::trajectory::{Goal, Pace, Route};
+
+/// How far the rotation of a target pose may be from a rotation, per entry.
+const ROTATION_ROUNDING: f64 = 1e-6;
 
 /// Where to move.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -366,6 +371,51 @@ ctos::command! {
         pub elbow: Option<Elbow>,
     } => Result<PlanReport, MotionError>, 0x0303, "plan"
 }
+impl Plan {
+    /// What is asked of a planner.
+    ///
+    /// # Errors
+    /// The target is no pose.
+    pub fn route(&self) -> Result<Route, HandlerError> {
+        Ok(Route {
+            goal: match &self.target {
+                Target::Joints(joints) => Goal::Joints(*joints),
+                Target::Pose(rows) => Goal::Pose(pose(rows)?),
+            },
+            path: self.path,
+            pace: Pace::new(self.speed, self.acceleration),
+            elbow: self.elbow,
+        })
+    }
+}
+
+/// A pose from 16 numbers, checked: a rotation, a translation and the last row of a pose.
+fn pose(rows: &[f64; 16]) -> Result<Isometry3<f64>, HandlerError> {
+    if let Some(index) = rows.iter().position(|value| !value.is_finite()) {
+        let (row, column) = (index / 4 + 1, index % 4 + 1);
+        let text = format!("row {row}, column {column} of the target pose is not a finite number");
+        return Err(text.into());
+    }
+    let [a, b, c, x, d, e, f, y, g, h, i, z, last @ ..] = *rows;
+    if last != [0.0, 0.0, 0.0, 1.0] {
+        return Err(
+            format!("the last row of the target pose is {last:?}; it must be 0, 0, 0, 1").into(),
+        );
+    }
+    let matrix = Matrix3::new(a, b, c, d, e, f, g, h, i);
+    let skew = (matrix * matrix.transpose() - Matrix3::identity()).amax();
+    if skew > ROTATION_ROUNDING || matrix.determinant() < 0.0 {
+        return Err(format!(
+            "the upper left 3 by 3 part of the target pose is no rotation (off by {skew:.1e}, determinant {:.3})",
+            matrix.determinant()
+        )
+        .into());
+    }
+    let rotation = Rotation3::from_matrix_unchecked(matrix);
+    let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
 ctos::command! {
     /// Reads the joints back.
     #[derive(Debug, Clone, PartialEq)]

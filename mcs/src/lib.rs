@@ -22,7 +22,7 @@ mod tasks;
 pub use mcs_model::{self as model, Joints, MAX_SLOTS, joints};
 use mcs_servo::args;
 pub use mcs_servo::{
-    args::{arm, manipulator},
+    args::{arm, manipulator, planner},
     control, driver, guard, latest, servo, words,
 };
 pub use mcs_trajectory as trajectory;

@@ -48,6 +48,8 @@ pub struct Simulation {
     changes: u64,
     drivers: Vec<Driver>,
     lamps: Vec<bool>,
+    /// How light it is in the room; 1 is as the cell has it.
+    light: f64,
     camera_faults: Vec<Option<CameraFault>>,
     lasers: Vec<(LaserSpec, LaserOrder)>,
     wrists: Vec<Wrist>,
@@ -71,6 +73,7 @@ impl Simulation {
             changes: 0,
             drivers: Vec::new(),
             lamps: cell.lamps.iter().map(|lamp| lamp.on).collect(),
+            light: 1.0,
             camera_faults: vec![None; cell.cameras.len()],
             lasers: cell
                 .lasers
@@ -121,6 +124,7 @@ impl Simulation {
             beams: self.beams(),
             stamp: self.stamp,
             tick: self.tick,
+            light: self.light,
             ..scene
         }
     }
@@ -162,6 +166,11 @@ impl Simulation {
             }
         }
         any
+    }
+
+    /// From now on it is so light in the room; 1 is as the cell has it.
+    pub fn lighten(&mut self, share: f64) {
+        self.light = share;
     }
 
     /// Puts an object elsewhere, at rest. False when there is no such object.

@@ -9,8 +9,8 @@ use ctos::{
     sync::{CyclicHandle, Tick},
     task::{EventHandler, Handled, HandlerError, Phase},
 };
-pub use mcs_hand::command::PlaceBody;
 use mcs_hand::command::{Body, ReadBodies, ReadTouch, Touch};
+pub use mcs_hand::command::{LightRoom, PlaceBody};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use vss::command::{NamedCamera, OrderLaser, TrueCameras};
@@ -103,6 +103,9 @@ ctos::command! {
     } => (), 0x0396, "push_arm"
 }
 
+/// Nobody makes it lighter in the room than so many times what it is.
+const LIGHTEST: f64 = 10.0;
+
 /// No person pushes harder, N, or longer, s.
 const HARDEST: f64 = 200.0;
 const LONGEST: f64 = 60.0;
@@ -139,6 +142,7 @@ pub fn register(registry: &mut Registry) -> &mut ctos::registry::HandlerKind {
         FailCamera::INFO,
         OrderLaser::INFO,
         PlaceBody::INFO,
+        LightRoom::INFO,
         PushArm::INFO,
         TrueCameras::INFO,
         ReadTouch::INFO,
@@ -349,6 +353,16 @@ impl EventHandler for WorldTask {
                 } else {
                     reply.fail(format!("the cell has no laser `{laser}`"))
                 }
+            }
+            LightRoom::CODE => {
+                let (LightRoom { share }, reply) = message.open::<LightRoom>()?;
+                if !(0.0..=LIGHTEST).contains(&share) {
+                    return reply.fail(format!("the light is {share}: give 0 to {LIGHTEST}"));
+                }
+                let mut simulation = self.simulation.borrow_mut();
+                simulation.lighten(share);
+                leave_scene(&mut simulation, &mut self.scenes.borrow_mut());
+                reply.ok(())
             }
             PlaceBody::CODE => {
                 let (PlaceBody { body, pose }, reply) = message.open::<PlaceBody>()?;

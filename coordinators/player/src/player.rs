@@ -182,6 +182,13 @@ impl PlayerArgs {
     }
 }
 
+/// Whether the rules of a player want a board with its dark corner at White's right.
+pub fn is_mirrored(cx: &Context, player: &str) -> bool {
+    let player = cx.app().task(player);
+    let args = player.and_then(|task| pnt::task::args::<PlayerArgs>(task).ok());
+    args.is_some_and(|args| args.rules().mirrored())
+}
+
 /// What the functions share.
 pub struct Player {
     args: Rc<PlayerArgs>,

@@ -1,4 +1,7 @@
 //! Arm and gripper of a world that moves by itself, as MCS moves them: above a disc, down around it, up, across, and down again.
+//! `ahead` has what the arm looks at before it begins.
+
+mod ahead;
 
 use std::time::Duration;
 
@@ -12,11 +15,12 @@ use ctos::{
     message::Command,
     task::{Context, HandlerError},
 };
-use mcs::client::{MotionError, Move, PathKind, Target};
+use mcs::client::{MotionError, Move, PathKind, Plan};
 use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
 
+use self::ahead::{At, Kept, Then};
 use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
@@ -35,9 +39,6 @@ const TOLERANCE_M: f64 = 0.004;
 /// Half the width of closed jaws, and how far from the disc they come down before they push it, m.
 const CLOSED_M: f64 = 0.012;
 const BESIDE_M: f64 = 0.004;
-/// Farther round than this the arm swings first, rad: the nearest joints to those of now may be those of an arm that reaches over its
-/// shoulder, and what it carries would be turned upside down on the way.
-const SWING: f64 = 2.0;
 /// What is nearer to where it is to be is not pushed, m.
 const THERE_M: f64 = 0.001;
 /// How long the jaws may take.
@@ -50,6 +51,9 @@ pub struct ArmArgs {
     /// The client interface of MCS.
     #[serde(default = "mcs_task")]
     mcs: String,
+    /// The task that looks ahead along ways before the arm begins them.
+    #[serde(default = "paths_task")]
+    paths: String,
     /// Its gripper, which is opened before the arm goes down.
     #[serde(default)]
     gripper: GripperArgs,
@@ -99,6 +103,10 @@ fn mcs_task() -> String {
     "mcs".to_owned()
 }
 
+fn paths_task() -> String {
+    "paths".to_owned()
+}
+
 const fn speed() -> f64 {
     0.6
 }
@@ -146,14 +154,6 @@ impl Stand {
         ]
     }
 
-    /// That the arm does not get there, and what kept it from that first.
-    fn out_of_reach(&self, first: Option<Failure>) -> Failure {
-        let [x, y] = self.at;
-        let failure = first.unwrap_or_else(|| Failure::new(Outcome::Unreachable, "no way"));
-        let text = format!("{x:.3}, {y:.3} cannot be reached: {}", failure.reason);
-        Failure::new(failure.outcome, text)
-    }
-
     /// `base_t_tool` with the pads around them.
     fn pose(&self, turn_deg: f64) -> Isometry3<f64> {
         let [x, y] = self.at;
@@ -177,23 +177,6 @@ fn at_height(mut pose: Isometry3<f64>, z: f64) -> Isometry3<f64> {
     pose
 }
 
-/// Poses down at a place, each with the index of its turn, in the order in which they are tried. A half turn more is the same to a
-/// gripper: the nearer of the two to how it is turned now comes first.
-fn turned(
-    stand: Stand,
-    turns: &[f64],
-    now: &UnitQuaternion<f64>,
-) -> impl Iterator<Item = (usize, Isometry3<f64>)> {
-    turns.iter().enumerate().flat_map(move |(nth, turn_deg)| {
-        let mut both = [*turn_deg, turn_deg + 180.0].map(|turn| stand.pose(turn));
-        both.sort_by(|one, other| {
-            let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
-            far(one).total_cmp(&far(other))
-        });
-        both.map(|pose| (nth, pose))
-    })
-}
-
 impl ArmArgs {
     /// Findings where the arguments make no sense.
     pub fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
@@ -209,6 +192,7 @@ impl ArmArgs {
             park_deg: Some(&self.park_deg),
         };
         keys.check(task, app, "checkers::player::args", findings);
+        coordinators::need_task(task, app, "real.paths", &self.paths, findings);
         self.gripper.check(task, app, findings);
     }
 
@@ -220,18 +204,19 @@ impl ArmArgs {
         }
     }
 
-    /// With open jaws around what stands there, if it can be set down where it is to go.
+    /// With open jaws around what stands there, if all of the carry can be done.
     pub async fn reach(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Hindrance> {
         let of = |end: u8| move |failure: Failure| Hindrance::of(&failure, end);
         let (mut turns, mut met) = (TURNS_DEG.as_slice(), None);
         loop {
-            let turn = match self.above_turned(cx, from, turns).await {
+            let turn = match self.above_turned(cx, from, turns, Then::Carry(to)).await {
                 Ok(turn) => turn,
                 // What was met on the way down says more than that there is no other turn.
-                Err(failure) if forbids(failure.outcome) => return Err(of(0)(failure)),
-                Err(failure) => return Err(of(0)(met.unwrap_or(failure))),
+                Err((failure, end)) if forbids(failure.outcome) || end > 0 => {
+                    return Err(of(end)(failure));
+                }
+                Err((failure, end)) => return Err(of(end)(met.unwrap_or(failure))),
             };
-            self.is_in_reach(&self.arm(cx), to).await.map_err(of(1))?;
             self.gripper.open(cx).await.map_err(of(0))?;
             let Err(failure) = self.down(cx, from).await else {
                 return Ok(());
@@ -246,24 +231,6 @@ impl ArmArgs {
             turns = turns.get(turn + 1..).unwrap_or_default();
             met = Some(failure);
         }
-    }
-
-    /// Whether the arm can get down there from where it is.
-    async fn is_in_reach(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
-        let now = arm.tool().await?.rotation;
-        let mut first = None;
-        for (_, down) in turned(stand, &TURNS_DEG, &now) {
-            match self.plan_down(arm, down).await {
-                Ok(()) => return Ok(()),
-                Err(failure) => first.get_or_insert(failure),
-            };
-        }
-        Err(stand.out_of_reach(first))
-    }
-
-    async fn plan_down(&self, arm: &Arm<'_>, down: Isometry3<f64>) -> Result<(), Failure> {
-        let planned = arm.plan(arm::pose(&down), PathKind::Joint, self.speed);
-        planned.await.map(|_| ())
     }
 
     /// Up with what is held, and down with it until it stands there.
@@ -300,6 +267,11 @@ impl ArmArgs {
             at: (Vector2::from(stand.at) - ahead * behind).into(),
             ..stand
         };
+        let there = beside(to, behind).pose(0.0).translation;
+        let pushed = |now: Isometry3<f64>| {
+            let to = Translation3::new(there.x, there.y, now.translation.z);
+            Isometry3::from_parts(to, now.rotation)
+        };
         let arm = self.arm(cx);
         arm.acquire().await?;
         self.up(&arm).await?;
@@ -307,16 +279,12 @@ impl ArmArgs {
         // A flat side is ahead.
         let first = ahead.y.atan2(ahead.x).to_degrees();
         let turns = [0.0, 90.0].map(|turn| first + turn);
-        self.above_turned(cx, beside(from, behind + BESIDE_M), &turns)
-            .await?;
+        let behind_it = beside(from, behind + BESIDE_M);
+        self.above_turned(cx, behind_it, &turns, Then::Push(&pushed))
+            .await
+            .map_err(|(failure, _)| failure)?;
         self.down(cx, from).await?;
-        let there = beside(to, behind).pose(0.0).translation;
-        let now = arm.tool().await?;
-        let pushed = Isometry3::from_parts(
-            Translation3::new(there.x, there.y, now.translation.z),
-            now.rotation,
-        );
-        let line = (pushed, PathKind::StraightLine);
+        let line = (pushed(arm.tool().await?), PathKind::StraightLine);
         self.go(&arm, line, self.gentle, &self.touch).await?;
         self.up(&arm).await
     }
@@ -325,6 +293,8 @@ impl ArmArgs {
     pub async fn park(&self, cx: &Context) -> Result<(), Failure> {
         let arm = self.arm(cx);
         arm.acquire().await?;
+        let risen = self.risen_now(cx, &arm).await?;
+        self.parks(cx, &risen).await?;
         self.up(&arm).await?;
         arm.park(&self.park_deg, self.speed).await
     }
@@ -332,94 +302,112 @@ impl ArmArgs {
     async fn go(
         &self,
         arm: &Arm<'_>,
-        (pose, path): (Isometry3<f64>, PathKind),
+        way: (Isometry3<f64>, PathKind),
         speed: f64,
         guards: &[String],
     ) -> Result<(), Failure> {
+        let Plan {
+            target,
+            path,
+            acceleration,
+            ..
+        } = self.motion(way, speed);
         let order = Move {
-            // What goes gently stops as soon as anything else.
-            acceleration: Some(speed.max(self.slow)),
+            acceleration,
             guards: guards.to_vec(),
-            ..arm::order(arm::pose(&pose), path, speed)
+            ..arm::order(target, path, speed)
         };
         arm.travel(order).await.map(|_| ())
     }
 
     /// Straight up to where the arm goes to and fro.
     async fn up(&self, arm: &Arm<'_>) -> Result<(), Failure> {
-        let now = arm.tool().await?;
-        if now.translation.z >= TRAVEL_M - 0.01 {
-            return Ok(());
+        match self.rise(arm.tool().await?) {
+            Some(up) => self.go(arm, up, self.slow, &[]).await,
+            None => Ok(()),
         }
-        let up = at_height(now, TRAVEL_M);
-        self.go(arm, (up, PathKind::StraightLine), self.slow, &[])
-            .await
     }
 
     /// Turns about the vertical to the side of the table where a place is, if that is far round.
     async fn swing(&self, arm: &Arm<'_>, stand: Stand) -> Result<(), Failure> {
-        let now = arm.ask(|arm| async move { arm.position().await }).await?;
-        let around = |x: f64, y: f64| y.atan2(x);
-        let [x, y] = stand.at;
-        let by = around(x, y) - around(now.base_t_tool[3], now.base_t_tool[7]);
-        if by.abs() < SWING {
+        let Some((swing, _)) = self.swung(&At::now(arm).await?, stand) else {
             return Ok(());
-        }
-        let mut joints = now.joints;
-        if let Some(first) = joints.iter_mut().next() {
-            *first += by;
-        }
-        let order = arm::order(Target::Joints(joints), PathKind::Joint, self.speed);
+        };
+        let order = arm::order(swing.target, swing.path, swing.speed);
         arm.travel(order).await.map(|_| ())
     }
 
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        self.above_turned(cx, stand, &TURNS_DEG).await.map(|_| ())
+        let above = self.above_turned(cx, stand, &TURNS_DEG, Then::Nothing);
+        above.await.map(|_| ()).map_err(|(failure, _)| failure)
     }
 
-    /// The same with one of these turns: which one it is.
+    /// The same with one of these turns: which one it is. The arm stays where it is when it could not go on from there.
     async fn above_turned(
         &self,
         cx: &Context,
         stand: Stand,
         turns: &[f64],
-    ) -> Result<usize, Failure> {
+        then: Then<'_>,
+    ) -> Result<usize, (Failure, u8)> {
+        let here = |failure: Failure| (failure, 0);
         let arm = self.arm(cx);
-        arm.acquire().await?;
-        self.up(&arm).await?;
-        self.swing(&arm, stand).await?;
-        let now = arm.tool().await?.rotation;
-        let mut first = None;
-        for (nth, down) in turned(stand, turns, &now) {
-            if let Err(failure) = self.plan_down(&arm, down).await {
-                first.get_or_insert(failure);
-                continue;
+        arm.acquire().await.map_err(here)?;
+        let mut at = self.risen_now(cx, &arm).await.map_err(here)?;
+        let mut kept = Kept::default();
+        for way in self.ways(&at, stand, turns) {
+            let pushed = match then {
+                Then::Push(pushed) => Some(pushed(way.down)),
+                _ => None,
+            };
+            let there = match self.look(cx, &at, &way, pushed).await {
+                Ok(there) => there,
+                Err(failure) => {
+                    kept.note(failure).map_err(here)?;
+                    continue;
+                }
+            };
+            let (follows, end) = match then {
+                Then::Carry(to) => (self.carries(cx, there, to).await, 1),
+                _ => (self.risen(cx, there).await.map(|_| ()), 0),
+            };
+            follows.map_err(|failure| (failure, end))?;
+            self.up(&arm).await.map_err(here)?;
+            self.swing(&arm, stand).await.map_err(here)?;
+            let above = (at_height(way.down, TRAVEL_M), way.path);
+            match self.go(&arm, above, self.speed, &[]).await {
+                Ok(()) => return Ok(way.turn),
+                Err(failure) => kept.note(failure).map_err(here)?,
             }
-            let above = at_height(down, TRAVEL_M);
-            for path in [PathKind::StraightLine, PathKind::Joint] {
-                match self.go(&arm, (above, path), self.speed, &[]).await {
-                    Ok(()) => return Ok(nth),
-                    Err(failure) if forbids(failure.outcome) => return Err(failure),
-                    Err(failure) => first.get_or_insert(failure),
-                };
-            }
+            at = self.risen_now(cx, &arm).await.map_err(here)?;
         }
-        Err(stand.out_of_reach(first))
+        Err(here(kept.told(stand)))
     }
 
     /// Straight down, the last of it gently.
     async fn down(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         let arm = self.arm(cx);
         let now = arm.tool().await?;
-        let bottom = stand.bottom + PADS_M;
-        let line = PathKind::StraightLine;
-        let near = at_height(now, bottom + GENTLE_M);
-        if now.translation.z > near.translation.z {
-            self.go(&arm, (near, line), self.slow, &self.touch).await?;
+        for (way, speed) in self.downs(now, stand.pose(0.0).translation.z) {
+            self.go(&arm, way, speed, &self.touch).await?;
         }
-        let down = (at_height(now, bottom), line);
-        self.go(&arm, down, self.gentle, &self.touch).await
+        Ok(())
+    }
+
+    /// The ways straight down to a height, and how fast.
+    fn downs(
+        &self,
+        now: Isometry3<f64>,
+        bottom: f64,
+    ) -> impl Iterator<Item = ((Isometry3<f64>, PathKind), f64)> + use<> {
+        let near = at_height(now, bottom + GENTLE_M);
+        let is_above = now.translation.z > near.translation.z;
+        let near = is_above.then_some((near, self.slow));
+        let ways = near
+            .into_iter()
+            .chain([(at_height(now, bottom), self.gentle)]);
+        ways.map(|(pose, speed)| ((pose, PathKind::StraightLine), speed))
     }
 }
 

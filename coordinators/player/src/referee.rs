@@ -62,6 +62,8 @@ pub struct Verdict {
     pub moved: u32,
     /// Looks of cameras: read right, in part unsure, and wrong.
     pub looks: Looks,
+    /// How often somebody dimmed the lamp, and turned it up.
+    pub lit: [u32; 2],
     /// How long a carry of a real arm took in the middle of all, and how many there were, s.
     pub carry: Option<(f64, usize)>,
     /// What was said.
@@ -198,6 +200,7 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
         slipped: truth.slipped,
         moved: truth.moved,
         looks: truth.looks,
+        lit: truth.lit,
         carry: median_s(&truth.carried_ms),
         said: truth.heard.clone(),
     }

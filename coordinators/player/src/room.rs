@@ -11,7 +11,7 @@ use ctos::{
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use mcs_hand::command::PlaceBody;
+use mcs_hand::command::{LightRoom, PlaceBody};
 use rand::RngExt;
 use scene::{FollowScene, Stage};
 use serde::Deserialize;
@@ -62,6 +62,8 @@ struct RoomArgs {
     power: f64,
     #[serde(default)]
     reaches: f64,
+    #[serde(default)]
+    lamps: f64,
     /// Discs that stand beside the middles of their squares at the beginning.
     #[serde(default)]
     aside: Vec<Aside>,
@@ -136,6 +138,7 @@ pub(crate) fn register(registry: &mut Registry) {
                 ("far", args.far),
                 ("power", args.power),
                 ("reaches", args.reaches),
+                ("lamps", args.lamps),
             ];
             for (key, chance) in chances {
                 if !(0.0..=1.0).contains(&chance) {
@@ -198,6 +201,7 @@ impl Room {
             far: args.far,
             power: args.power,
             reaches: args.reaches,
+            lamps: args.lamps,
         };
         let rules = player.rules();
         let first = player.first(cx.app()).map_err(HandlerError::new)?;
@@ -208,8 +212,7 @@ impl Room {
         let side = side.unwrap_or(checkers::Colour::White);
         let person = (!guest).then(|| Person::new(side, rules, record));
         let mut table = Table::new(chances, first, cx.rng("room"));
-        // Before cameras lies the board that there is.
-        table.board.mirrored = rules.mirrored() && args.shown.is_none();
+        table.board.mirrored = rules.mirrored();
         for Aside { square, by } in args.aside {
             let place = Numbering::of(rules).square(square);
             let at = place.and_then(|place| table.on(place));
@@ -396,11 +399,8 @@ impl EventHandler for Room {
             }
             Shine::CODE => {
                 let (Shine { share }, reply) = message.open::<Shine>()?;
-                let inner = &mut *self.inner.borrow_mut();
-                if inner.shown.is_some() {
-                    return reply.fail("the lamps of this world are those of its cell".to_owned());
-                }
-                inner.table.light = share;
+                // The world before cameras is told with the next tick.
+                self.inner.borrow_mut().table.light = share;
                 reply.ok(())
             }
             Truth::CODE => {
@@ -521,6 +521,7 @@ impl Inner {
         if table.hand && !table.curtain && (table.moving || table.arm.is_some()) {
             table.truth.met += 1;
         }
+        table.may_light(now);
         // Cameras do not say when they look.
         if let Some(shown) = shown {
             if person.as_ref().is_some_and(Person::thinks) {
@@ -546,9 +547,27 @@ async fn read(cx: &Context, inner: &Rc<RefCell<Inner>>) -> Handled {
     Ok(())
 }
 
+/// Makes it as light in the world as it is in the room.
+async fn light(cx: &Context, inner: &Rc<RefCell<Inner>>) {
+    let (world, share) = {
+        let Inner { table, shown, .. } = &mut *inner.borrow_mut();
+        let Some(shown) = shown else { return };
+        let share = table.lit();
+        if shown.lit == share {
+            return;
+        }
+        shown.lit = share;
+        (shown.args.world.clone(), share)
+    };
+    if let Err(error) = wire::ask(cx, &world, LightRoom { share }).await {
+        tracing::error!(%error, "the light is as it was");
+    }
+}
+
 /// Puts the bodies of the world where the table has them.
 pub async fn show(cx: &Context, inner: &Rc<RefCell<Inner>>) {
     let now = seconds(cx);
+    light(cx, inner).await;
     let (world, moved, lifts) = {
         let Inner { table, shown, .. } = &mut *inner.borrow_mut();
         let Some(shown) = shown else { return };

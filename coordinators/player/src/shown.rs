@@ -1,6 +1,8 @@
 //! The table before cameras: where the bodies of a world are to be, and whether what was read of pictures is so. In a dry game nothing
 //! moves there by itself; where arm and hand are real, the table is read from the world. Knows no task.
 
+use std::f64::consts::FRAC_PI_2;
+
 use mcs_hand::command::Body;
 use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -74,6 +76,8 @@ pub struct Shown {
     /// Until when a speck hides a square, s.
     speck: Option<(f64, u8)>,
     pub looks: Looks,
+    /// How light it was made in the world.
+    pub lit: f64,
 }
 
 fn at([x, y]: [f64; 2], z: f64, yaw: f64) -> Isometry3<f64> {
@@ -84,6 +88,11 @@ fn at([x, y]: [f64; 2], z: f64, yaw: f64) -> Isometry3<f64> {
 /// On the floor, out of sight.
 fn hidden(nth: usize) -> Isometry3<f64> {
     at([-2.0, 0.1 * nth as f64], 0.05, 0.0)
+}
+
+/// How the body is turned whose dark corner is then at White's right, rad.
+fn quarter(board: &Pose) -> f64 {
+    if board.mirrored { FRAC_PI_2 } else { 0.0 }
 }
 
 /// The bodies before the discs.
@@ -122,6 +131,7 @@ impl Shown {
             changing: 0,
             speck: None,
             looks: Looks::default(),
+            lit: 1.0,
         }
     }
 
@@ -134,7 +144,8 @@ impl Shown {
     pub fn take(&mut self, table: &Table, now: f64) -> Vec<usize> {
         self.speck = self.speck.filter(|(until, _)| *until > now);
         let mut moved = Vec::new();
-        let board = at(table.board.at, TABLE_M + 0.5 * BOARD_M, table.board.yaw);
+        let lies = table.board.yaw + quarter(&table.board);
+        let board = at(table.board.at, TABLE_M + 0.5 * BOARD_M, lies);
         self.put(BOARD, board, &mut moved);
         // What stands on a board that is moved goes with it.
         let near = match self.args.real && moved.is_empty() {
@@ -244,7 +255,7 @@ impl Shown {
             let pose = board.pose;
             table.board = Pose {
                 at: [pose.translation.x, pose.translation.y],
-                yaw: pose.rotation.euler_angles().2,
+                yaw: pose.rotation.euler_angles().2 - quarter(&table.board),
                 mirrored: table.board.mirrored,
             };
         }

@@ -17,6 +17,11 @@ const REACH_M: f64 = 0.024;
 const ARM_M: f64 = 0.95;
 const FAR_M: f64 = 0.9;
 
+/// How many times as light a lamp makes it that is dimmed, or turned up; and for how long, s.
+const DIM: std::ops::Range<f64> = 0.05..0.7;
+const STRONG: std::ops::Range<f64> = 1.2..2.0;
+const LIT_S: std::ops::Range<f64> = 4.0..15.0;
+
 /// Where the arm gets to every square.
 pub const MIDDLE: Pose = Pose {
     at: [0.57, 0.0],
@@ -42,6 +47,8 @@ pub struct Chances {
     pub power: f64,
     /// A person reaches over the board, of the ways of a real arm.
     pub reaches: f64,
+    /// Somebody dims the lamp or turns it up for a while, of half seconds.
+    pub lamps: f64,
 }
 
 /// Discs that stand on one another.
@@ -77,8 +84,10 @@ pub struct Table {
     opened: (u32, u8),
     /// Whether the person's hand is over the board.
     pub hand: bool,
-    /// How light it is, 0 to 1.
+    /// How light people want it, 0 to 1.
     pub light: f64,
+    /// How many times as light somebody has it for a while, and until when, s.
+    lamp: (f64, f64),
     /// Whether something stops the arm before a hand is over the board with it.
     pub curtain: bool,
     pub truth: TrueTable,
@@ -110,6 +119,7 @@ impl Table {
             opened: (0, 0),
             hand: false,
             light: 1.0,
+            lamp: (1.0, 0.0),
             curtain: false,
             truth: TrueTable {
                 history: Vec::new(),
@@ -120,6 +130,7 @@ impl Table {
                 errors: Vec::new(),
                 met: 0,
                 looks: Looks::default(),
+                lit: [0; 2],
                 carried_ms: Vec::new(),
             },
             chances,
@@ -285,7 +296,31 @@ impl Table {
             discs,
             glare,
             hand: self.hand,
-            light: self.light,
+            light: self.lit(),
+        }
+    }
+
+    /// How light it is: 1 is as it was at the beginning.
+    #[must_use]
+    pub fn lit(&self) -> f64 {
+        self.light * self.lamp.0
+    }
+
+    /// Somebody may dim the lamp, or turn it up, for a while.
+    pub fn may_light(&mut self, now: f64) {
+        let (share, until) = self.lamp;
+        if share != 1.0 && now >= until {
+            self.lamp = (1.0, now);
+        } else if share == 1.0
+            && self.chances.lamps > 0.0
+            && self.rng.random_bool(self.chances.lamps)
+        {
+            let is_up = self.rng.random_bool(0.5);
+            let range = if is_up { STRONG } else { DIM };
+            let share = self.rng.random_range(range);
+            self.lamp = (share, now + self.rng.random_range(LIT_S));
+            let [dim, strong] = &mut self.truth.lit;
+            *(if is_up { strong } else { dim }) += 1;
         }
     }
 

@@ -21,7 +21,7 @@ use serde::Deserialize;
 use sorma::{Method, Transport};
 
 use crate::{
-    player::PlayerArgs,
+    player::is_mirrored,
     wire::{self, CORNERS, MARKERS, Marked, Marks, Pose, apart},
 };
 
@@ -113,15 +113,8 @@ async fn adapt(action: Action<Transform>) -> Acted {
         Marks::Table(seen) => MARKERS.into_iter().zip(seen).collect(),
         Marks::Pictures(pictures) => on_table(cx, &state, &pictures).await?,
     };
-    let pose = Pose::of_marks(&marks, is_mirrored(cx, &state));
+    let pose = Pose::of_marks(&marks, is_mirrored(cx, &state.args.player));
     wire::keep(cx, &state.store, wire::BOARD, &pose).await
-}
-
-/// Whether the rules want a board with its dark corner at White's right. Before cameras lies the board that there is.
-fn is_mirrored(cx: &Context, state: &Transform) -> bool {
-    let player = cx.app().task(&state.args.player);
-    let args = player.and_then(|task| pnt::task::args::<PlayerArgs>(task).ok());
-    state.args.maps.is_empty() && args.is_some_and(|args| args.rules().mirrored())
 }
 
 /// The markers on the board, and where the cameras see them on the table, on the average.

@@ -41,6 +41,9 @@ pub struct VisionArgs {
     /// The task of the room.
     #[serde(default = "crate::coordinator::room")]
     room: String,
+    /// The task whose arguments say what is played.
+    #[serde(default = "crate::room::player")]
+    player: String,
     /// The cameras, and who reads their pictures; the room itself says what there is to see without it.
     seen: Option<SeenArgs>,
 }
@@ -75,6 +78,7 @@ impl NetArgs for VisionArgs {
 
     fn check(&self, task: &TaskConfig, app: &App, findings: &mut Findings) {
         coordinators::need_task(task, app, "room", &self.room, findings);
+        coordinators::need_task(task, app, "player", &self.player, findings);
         if let Some(seen) = &self.seen {
             seen.check(task, app, findings);
         }

@@ -300,6 +300,8 @@ pub enum Why {
     NoPower,
     /// It met something that is no hand.
     Blocked,
+    /// It would come too near to something on its way, which it did not begin.
+    WouldTouch,
     /// A protective stop holds.
     Stopped,
     /// Hardware, control or another task failed.
@@ -324,7 +326,7 @@ impl Hindrance {
             Why::OutOfReach(_) => "where the disc is to go is out of reach",
             Why::DiscLost => "the disc was lost on the way",
             Why::NoPower => "the drives have no power",
-            Why::Blocked => "something is in the way",
+            Why::Blocked | Why::WouldTouch => "something is in the way",
             Why::Stopped => "a protective stop holds",
             Why::Fault => "a fault",
         };
@@ -340,6 +342,7 @@ impl Hindrance {
             Outcome::Absent => Why::DiscLost,
             Outcome::Estopped => Why::NoPower,
             Outcome::Guard | Outcome::Occupied | Outcome::Stuck => Why::Blocked,
+            Outcome::Blocked => Why::WouldTouch,
             Outcome::Stopped => Why::Stopped,
             Outcome::Unseen | Outcome::Fault | Outcome::Lost | Outcome::Refused => Why::Fault,
         };
@@ -392,6 +395,8 @@ pub struct TrueTable {
     pub met: u32,
     /// Looks of cameras at the board.
     pub looks: Looks,
+    /// How often somebody dimmed the lamp, and turned it up.
+    pub lit: [u32; 2],
     /// How long each carry of a real arm took from its place of rest until it was back, ms.
     pub carried_ms: Vec<u32>,
 }

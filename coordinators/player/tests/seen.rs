@@ -62,6 +62,42 @@ fn a_game_before_cameras_is_read_right_and_ends_truly() {
     assert_eq!(game["looks"]["wrong"], 0, "{game:#}");
 }
 
+#[test]
+fn before_cameras_a_board_that_is_turned_as_its_rules_want_is_read_right_and_its_discs_are_carried()
+{
+    let folder = tempfile::tempdir().unwrap();
+    let start = checkers::Game::new(checkers::Variant::Italian);
+    let opponent = play::record(folder.path(), start, 2, |ply, moves| moves[ply]);
+    let sets = [
+        &*opponent,
+        "task.player.args.variant=\"italian\"",
+        "task.room.args.glare=0.0",
+        "task.room.args.bumps=0.05",
+    ];
+    let game = game(2, &sets, &[]);
+    assert_eq!(game["ok"], true, "{game:#}");
+    assert_eq!(game["plies"], 2);
+    assert_eq!(game["looks"]["wrong"], 0, "{game:#}");
+    assert!(game["looks"]["right"].as_u64().unwrap() > 5, "{game:#}");
+}
+
+#[test]
+fn in_dim_and_in_strong_light_a_board_is_read_right_or_unsurely_and_the_game_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_of(folder.path(), 3);
+    let sets = [
+        &*opponent,
+        "task.room.args.glare=0.0",
+        "task.room.args.lamps=0.3",
+    ];
+    let game = game(3, &sets, &[]);
+    assert_eq!(game["ok"], true, "{game:#}");
+    assert_eq!(game["looks"]["wrong"], 0, "{game:#}");
+    for way in 0..2 {
+        assert!(game["lit"][way].as_u64().unwrap() > 0, "{game:#}");
+    }
+}
+
 /// Seeds of the campaign; none unless `CTOS_CHECKERS_SEEN_SEEDS` says how many: a game takes half a minute of a core.
 fn seeds() -> u64 {
     let given = std::env::var("CTOS_CHECKERS_SEEN_SEEDS").ok();
@@ -78,6 +114,7 @@ fn whole_games_before_cameras_with_errors_lost_discs_and_moved_boards_end_truly(
                 "task.player.args.opponent=\"program\"",
             ][seed as usize % 2],
             "task.room.args.slips=0.03",
+            "task.room.args.lamps=0.01",
         ];
         let ran = std::panic::catch_unwind(|| {
             let game = game(seed, &sets, &[]);

@@ -78,8 +78,8 @@ pub struct Surroundings {
     pub others: Vec<(String, Placement)>,
     /// The solids of the room, by name.
     pub room: Vec<(String, Solid)>,
-    /// Other distances than the margin, m: that of a solid of the arm from a piece of the room, each by name. Only who watches goes
-    /// by them; who plans keeps the margin.
+    /// Other distances than the margin, m: that of a solid of the arm from a piece of the room, each by name. Who watches or
+    /// looks ahead goes by them; who plans a way keeps the margin.
     pub near: Vec<(String, String, f64)>,
 }
 

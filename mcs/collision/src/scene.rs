@@ -455,6 +455,12 @@ impl Scene {
         is_known
     }
 
+    /// The distance that each pair keeps, m; by pair as in [`Self::names`].
+    #[must_use]
+    pub fn margins(&self) -> Vec<f64> {
+        self.pairs.iter().map(|pair| pair.margin).collect()
+    }
+
     /// The names of both solids of each pair.
     #[must_use]
     pub fn names(&self) -> Vec<[String; 2]> {

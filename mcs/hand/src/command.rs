@@ -160,6 +160,14 @@ command! {
     pub struct ReadBodies => Vec<Body>, 0x0392, "read_bodies"
 }
 command! {
+    /// A person makes it lighter or darker in the room, from the next picture on.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LightRoom {
+        /// How light: 1 is as the cell has it, 0 without light, 10 the most.
+        pub share: f64,
+    } => (), 0x0397, "light_room"
+}
+command! {
     /// A person puts an object elsewhere: where it is and how it lies, at once and at rest.
     #[derive(Debug, Clone, PartialEq)]
     pub struct PlaceBody {

@@ -73,6 +73,16 @@ impl Space {
         }
     }
 
+    /// The same where solids of the arm keep other distances (m) from pieces of the room, each by its name: what a guard goes by.
+    #[must_use]
+    pub fn with_near(mut self, near: &[(String, String, f64)]) -> Self {
+        for (solid, piece, distance) in near {
+            self.scene.keep(solid, piece, *distance);
+        }
+        self.margins = self.scene.margins();
+        self
+    }
+
     /// The arm.
     #[must_use]
     pub fn model(&self) -> &Arc<Model> {

@@ -12,10 +12,13 @@ use ctos::message::{Command, Message};
 use ctos::registry::Registry;
 use ctos::task::{Context, EventHandler, Handled, HandlerError};
 use mcs::Joints;
+use mcs::client::Plan;
 use mcs::model::Model;
+use mcs::trajectory::Planner;
 use mcs_collision::guard::{KIND, Surroundings};
 use serde::{Deserialize, Serialize};
 
+use crate::ahead::{self, Refused};
 use crate::search::{Options, PathError, Search};
 use crate::space::{Space, Touch};
 use crate::way::Way;
@@ -54,6 +57,9 @@ pub enum Unplanned {
         /// Positions given.
         given: usize,
     },
+    /// Motions may not be made.
+    #[error(transparent)]
+    Refused(#[from] Refused),
     /// The app is being stopped.
     #[error("the app is being stopped")]
     Stopping,
@@ -93,6 +99,20 @@ ctos::command! {
     } => Result<Option<Touch>, Unplanned>, 0x0471, "read_nearest"
 }
 
+ctos::command! {
+    /// Looks ahead along motions that would be made one after another: whether the recipe's guard would let each of them pass while
+    /// nothing else moves. Answers where they end, rad or m. Moves nothing.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LookAhead {
+        /// Joint positions where the first one begins, rad or m.
+        pub from: Joints,
+        /// The motions.
+        pub motions: Vec<Plan>,
+        /// As in [`PlanWay`].
+        pub others: Vec<Joints>,
+    } => Result<Joints, Unplanned>, 0x0472, "look_ahead"
+}
+
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -106,6 +126,9 @@ struct Args {
     /// straight on.
     #[serde(default = "room_m")]
     room_m: f64,
+    /// The same where it looks ahead along motions; not where the recipe has `near`.
+    #[serde(default = "ahead_m")]
+    ahead_m: f64,
     /// Random positions that are tried before it is given up.
     #[serde(default = "iterations")]
     iterations: u32,
@@ -125,6 +148,10 @@ fn room_m() -> f64 {
     0.02
 }
 
+fn ahead_m() -> f64 {
+    0.005
+}
+
 fn iterations() -> u32 {
     Options::default().iterations
 }
@@ -140,6 +167,8 @@ fn seed() -> u64 {
 /// The arm of a servo and what there is around it.
 struct World {
     model: Arc<Model>,
+    /// As the servo's own.
+    planner: Planner,
     around: Surroundings,
     /// The other arms, in the order of the recipe.
     others: Vec<Arc<Model>>,
@@ -157,6 +186,10 @@ impl World {
         })?;
         let model = mcs::arm(servo, app).ok_or_else(|| {
             let text = format!("what task `{}` drives is no arm", args.servo);
+            Wrong::plain("servo", text)
+        })?;
+        let planner = mcs::planner(servo, app).ok_or_else(|| {
+            let text = format!("the arguments of task `{}` are wrong", args.servo);
             Wrong::plain("servo", text)
         })?;
         let guards = servo.args.get("guards");
@@ -190,6 +223,7 @@ impl World {
         });
         Ok(Self {
             model: Arc::new(model),
+            planner,
             others: others.collect::<Result<_, _>>()?,
             around,
         })
@@ -235,17 +269,27 @@ impl Wrong {
 struct Paths {
     args: Args,
     world: World,
+    /// What one looks ahead in, with where the other arms stand: it takes long to make.
+    ahead: Option<(Vec<Joints>, Space)>,
 }
 
 /// Makes the handler known.
 pub(crate) fn register(registry: &mut Registry) {
     registry
-        .handler(HANDLER, &[PlanWay::INFO, ReadNearest::INFO], |cx| {
-            let args: Args = cx.args()?;
-            let world = World::read(&args, cx.app());
-            let world = world.map_err(|wrong| HandlerError::new(wrong.text))?;
-            Ok(Paths { args, world })
-        })
+        .handler(
+            HANDLER,
+            &[PlanWay::INFO, ReadNearest::INFO, LookAhead::INFO],
+            |cx| {
+                let args: Args = cx.args()?;
+                let world = World::read(&args, cx.app());
+                let world = world.map_err(|wrong| HandlerError::new(wrong.text))?;
+                Ok(Paths {
+                    args,
+                    world,
+                    ahead: None,
+                })
+            },
+        )
         .checked_args::<Args>(check);
 }
 
@@ -253,6 +297,7 @@ fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Findings) {
     let place = |key: &str| task.args.locate(key).unwrap_or_else(|| task.place.clone());
     let numbers = [
         ("room_m", args.room_m, 0.0, 1.0),
+        ("ahead_m", args.ahead_m, 0.0, 1.0),
         ("iterations", f64::from(args.iterations), 1.0, 1e6),
         ("within_s", args.within_s, 1e-3, 3600.0),
     ];
@@ -308,6 +353,32 @@ impl Paths {
     }
 }
 
+/// Whether a position has a number for each joint of the arm.
+fn fits(space: &Space, at: &Joints) -> Result<(), Unplanned> {
+    let (needed, given) = (space.model().dof(), at.len());
+    if needed == given {
+        return Ok(());
+    }
+    let end = crate::search::End::Start;
+    Err(PathError::Count { end, needed, given }.into())
+}
+
+impl Paths {
+    fn look_ahead(&mut self, ask: &LookAhead) -> Result<Joints, Unplanned> {
+        let (_, space) = match self.ahead.take() {
+            Some(known) if known.0 == ask.others => self.ahead.insert(known),
+            _ => {
+                let space = self.world.space(&ask.others, self.args.ahead_m)?;
+                let space = space.with_near(&self.world.around.near);
+                self.ahead.insert((ask.others.clone(), space))
+            }
+        };
+        fits(space, &ask.from)?;
+        let end = ahead::look(&mut self.world.planner, space, &ask.from, &ask.motions)?;
+        Ok(end)
+    }
+}
+
 impl EventHandler for Paths {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
@@ -330,13 +401,13 @@ impl EventHandler for Paths {
                 let (ask, reply) = message.open::<ReadNearest>()?;
                 let space = self.world.space(&ask.others, 0.0);
                 reply.ok(space.and_then(|mut space| {
-                    let (needed, given) = (space.model().dof(), ask.at.len());
-                    if needed != given {
-                        let end = crate::search::End::Start;
-                        return Err(PathError::Count { end, needed, given }.into());
-                    }
+                    fits(&space, &ask.at)?;
                     Ok(space.nearest(&ask.at))
                 }))
+            }
+            LookAhead::CODE => {
+                let (ask, reply) = message.open::<LookAhead>()?;
+                reply.ok(self.look_ahead(&ask))
             }
             _ => cx.default_processing(message),
         }

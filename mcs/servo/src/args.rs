@@ -1,6 +1,7 @@
 //! Arguments of the servo task, as they stand in the configuration.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use ctos::config::{App, TaskConfig};
@@ -15,7 +16,7 @@ use crate::model::file::{AtText, Inertias};
 use crate::model::origin::Origin;
 use crate::model::{Limits, Model, Placement};
 use crate::servo::{ServoConfig, Settling};
-use crate::trajectory::CartesianLimits;
+use crate::trajectory::{CartesianLimits, Planner};
 
 /// Registered name of the servo's event handler.
 pub const SERVO: &str = "mcs.servo";
@@ -418,6 +419,17 @@ pub fn manipulator(app: &App) -> Option<Model> {
     let servo = app.tasks.iter().find(|task| task.handler == SERVO)?;
     let (_, model) = ServoArgs::read(servo, app, &mut Findings::new())?;
     Some(model)
+}
+
+/// A planner for the arm of a servo task, with its limits and its period, for whoever plans without one; inverse kinematics is that of the
+/// arm, also where the task names another. None when the task's arguments are wrong, which its own check reports.
+#[must_use]
+pub fn planner(task: &TaskConfig, app: &App) -> Option<Planner> {
+    let (args, model) = ServoArgs::read(task, app, &mut Findings::new())?;
+    let config = args.config();
+    let period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
+    let planner = Planner::new(Arc::new(model), args.cartesian, period).ok()?;
+    Some(planner.limiting_jerk(args.limit_jerk))
 }
 
 /// The arm of a servo task as it is described, for its channel driver: a limit of its own counts, also where the task sets

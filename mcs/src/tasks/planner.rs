@@ -12,19 +12,15 @@ use ctos::message::{ChassisNumber, Command, Message, Replier};
 use ctos::registry::Registry;
 use ctos::survey::AtReport;
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use super::args::PartArgs;
 use super::{Link, PLANNER, SERVO, check_reference, retreat};
-use crate::client::{MotionError, Move, MoveReport, Outcome, Plan, PlanReport, Target};
+use crate::client::{MotionError, Move, MoveReport, Outcome, Plan, PlanReport};
 use crate::driver::Power;
 use crate::guard::Reaction;
 use crate::joints::Joints;
 use crate::servo::{MotionPhase, QUEUE, Rejection, ServoCommand, ServoStatus};
-use crate::trajectory::{Blend, Bridge, Goal, Pace, PlanError, Planner, Route, Segment};
-
-/// How far the rotation of a target pose may be from a rotation, per entry.
-const ROTATION_ROUNDING: f64 = 1e-6;
+use crate::trajectory::{Blend, Bridge, Pace, PlanError, Planner, Segment};
 
 pub(super) fn register(registry: &mut Registry) {
     registry
@@ -89,16 +85,7 @@ impl PlannerTask {
         let held = link.port.status().setpoint;
         let start = self.last(link).map_or(held, |last| last.end);
         let planner = self.planner.get_or_insert_with(|| link.planner.clone());
-        let goal = match &request.target {
-            Target::Joints(joints) => Goal::Joints(*joints),
-            Target::Pose(rows) => Goal::Pose(pose(rows).map_err(refused)?),
-        };
-        let route = Route {
-            goal,
-            path: request.path,
-            pace: Pace::new(request.speed, request.acceleration),
-            elbow: request.elbow,
-        };
+        let route = request.route().map_err(refused)?;
         planner.segment(&start, &route).map_err(unplanned)
     }
 
@@ -273,33 +260,6 @@ fn unplanned(error: PlanError) -> MotionError {
         | PlanError::JointAcceleration { .. } => Outcome::Unreachable,
     };
     MotionError::new(outcome, error)
-}
-
-/// A pose from 16 numbers, checked: a rotation, a translation and the last row of a pose.
-fn pose(rows: &[f64; 16]) -> Result<Isometry3<f64>, HandlerError> {
-    if let Some(index) = rows.iter().position(|value| !value.is_finite()) {
-        let (row, column) = (index / 4 + 1, index % 4 + 1);
-        let text = format!("row {row}, column {column} of the target pose is not a finite number");
-        return Err(text.into());
-    }
-    let [a, b, c, x, d, e, f, y, g, h, i, z, last @ ..] = *rows;
-    if last != [0.0, 0.0, 0.0, 1.0] {
-        return Err(
-            format!("the last row of the target pose is {last:?}; it must be 0, 0, 0, 1").into(),
-        );
-    }
-    let matrix = Matrix3::new(a, b, c, d, e, f, g, h, i);
-    let skew = (matrix * matrix.transpose() - Matrix3::identity()).amax();
-    if skew > ROTATION_ROUNDING || matrix.determinant() < 0.0 {
-        return Err(format!(
-            "the upper left 3 by 3 part of the target pose is no rotation (off by {skew:.1e}, determinant {:.3})",
-            matrix.determinant()
-        )
-        .into());
-    }
-    let rotation = Rotation3::from_matrix_unchecked(matrix);
-    let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
-    Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }
 
 /// Waits for the end of motion `id`, which takes so long when it is its turn and has this smallest singular value, and

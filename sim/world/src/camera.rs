@@ -181,6 +181,10 @@ impl Renderer {
         let floor = Floor::new(&self.camera.camera_t_world);
         let still = self.still_shapes.len();
         now.draw(&self.view(&floor), still);
+        if scene.light.to_bits() != 1.0_f64.to_bits() {
+            let share = scene.light as f32;
+            now.light.iter_mut().for_each(|level| *level *= share);
+        }
         for lamp in scene.lamps.iter().filter(|lamp| lamp.on) {
             let spot = self.spot(lamp);
             let picture = (now.light.as_mut_slice(), self.format().bytes());

@@ -16,12 +16,14 @@ use crate::{
 };
 
 /// The world at one moment, as far as it can be seen.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SceneState {
     /// Time of the app at which the world was so.
     pub stamp: Duration,
     /// Which of the world's ticks left it so.
     pub tick: u64,
+    /// How light it is in the room: all greys of the cell times this.
+    pub light: f64,
     /// The links of the arms that have a form or carry a camera, then the objects; in the order of [`Cell::bodies`].
     pub bodies: Vec<SceneBody>,
     /// The lamps, in the order of the cell's file.
@@ -107,6 +109,21 @@ pub struct SceneLamp {
     pub brightness: f64,
     /// Whether it shines.
     pub on: bool,
+}
+
+impl Default for SceneState {
+    /// Nothing in a room as light as its cell has it.
+    fn default() -> Self {
+        Self {
+            stamp: Duration::ZERO,
+            tick: 0,
+            light: 1.0,
+            bodies: Vec::new(),
+            lamps: Vec::new(),
+            beams: Vec::new(),
+            camera_faults: Vec::new(),
+        }
+    }
 }
 
 impl SceneState {

@@ -317,7 +317,7 @@ class Amount extends Knob {
     this.chosen = null;
     this.element = make("label", { class: "knob", title: told.title }, make("span", {}, this.label), this.input, this.ticked ? null : this.output);
     // While it is moved it shows where it is; the command is put once it is let go.
-    this.input.addEventListener("input", () => { this.moved = true; this.tell(this.at); });
+    this.input.addEventListener("input", () => { this.moved = true; this.element.classList.remove("unset"); this.tell(this.at); });
     this.input.addEventListener("change", () => { this.due = true; });
     this.is(null);
   }
@@ -336,6 +336,7 @@ class Amount extends Knob {
     if (this.chosen !== null && this.chosen !== value && performance.now() < this.putAt + STANDS) return;
     this.chosen = null;
     this.tell(value);
+    this.element.classList.toggle("unset", value === null);
     if (this.ticked) this.input.checked = value === this.told.range[1];
     else if (value !== null && Number(this.input.value) !== value) this.input.value = String(value);
   }

@@ -59,6 +59,8 @@ const GROUND_REACH = 2.6;
 /** Its lines are so far above it, m, and shadows between. */
 const LIFT = 0.004;
 const ANGLE = 0.6;
+/** Where the scene is narrower than this, wide to high, as much is seen across as here. */
+const NARROW = 1.2;
 /** Where the sun is. */
 const SUN = [0.45, -0.5, 0.85];
 /** Radius of an arrow, m, and the longest that is drawn. */
@@ -218,7 +220,7 @@ export class SceneView {
     const back = unit3(minus(this.eye(), this.camera.target));
     const right = unit3(cross([0, 0, 1], back));
     const up = cross(back, right);
-    const each = (2 * Math.tan(ANGLE / 2) * inner(minus(this.eye(), at), back)) / Math.max(1, this.canvas.clientHeight);
+    const each = (2 * this.tall() * inner(minus(this.eye(), at), back)) / Math.max(1, this.canvas.clientHeight);
     return plus(plus([0, 0, 0], right, dx * each), up, -dy * each);
   }
 
@@ -253,11 +255,17 @@ export class SceneView {
     this.stale = true;
   }
 
+  /** Half of what is seen from below to above, at a distance of 1. */
+  tall() {
+    const { clientWidth, clientHeight } = this.canvas;
+    return Math.tan(ANGLE / 2) * Math.max(1, (NARROW * clientHeight) / Math.max(1, clientWidth));
+  }
+
   seen() {
     const aspect = this.canvas.width / Math.max(1, this.canvas.height);
     if (this.through) return seenFrom(this.through.frame, pyramidOf(this.through.part).corners, aspect);
     const { distance, target } = this.camera;
-    return times(perspective(ANGLE, aspect, Math.max(0.02, distance / 50), distance + 20), looking(this.eye(), target));
+    return times(perspective(2 * Math.atan(this.tall()), aspect, Math.max(0.02, distance / 50), distance + 20), looking(this.eye(), target));
   }
 
   /** Where a point of the scene is in the canvas, px; null when it is behind. */
@@ -273,7 +281,7 @@ export class SceneView {
     const back = unit3(minus(eye, this.camera.target));
     const right = unit3(cross([0, 0, 1], back));
     const up = cross(back, right);
-    const tall = Math.tan(ANGLE / 2);
+    const tall = this.tall();
     const wide = (tall * this.canvas.clientWidth) / Math.max(1, this.canvas.clientHeight);
     const [x, y] = [((2 * px) / this.canvas.clientWidth - 1) * wide, (1 - (2 * py) / this.canvas.clientHeight) * tall];
     const way = unit3(plus(plus(plus([0, 0, 0], back, -1), right, x), up, y));

@@ -221,6 +221,7 @@ impl Play {
             Why::DiscLost => return,
             Why::NoPower => format!("the robot needs power: {POWER}"),
             Why::Blocked => "something is in the way of my arm".to_owned(),
+            Why::WouldTouch => format!("something is in the way of my arm: {}", hindrance.text),
             Why::Stopped => "the robot was stopped: please let it go on".to_owned(),
             Why::Fault => format!("the robot cannot go on: {}", hindrance.text),
         };

@@ -3,10 +3,11 @@ use std::{path::Path, sync::Arc};
 use ctos::config;
 use mcs::{
     Joints,
-    model::{Model, Placement, Solid},
-    trajectory::{CartesianLimits, Goal, Pace, Planner, Route, Segment},
+    model::{Placement, Solid},
+    trajectory::Planner,
 };
-use mcs_collision::{guard::Surroundings, scene::Scene};
+use mcs_collision::guard::Surroundings;
+use mcs_path::{Refused, Space};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim::cell::Cell;
@@ -22,12 +23,12 @@ use crate::{
 /// The arm of the app, and what stands around it.
 struct Around {
     planner: Planner,
-    scene: Scene,
-    names: Vec<[String; 2]>,
-    /// What each pair of solids keeps, m.
-    margins: Vec<f64>,
-    park: Joints,
+    space: Space,
+    real: ArmArgs,
 }
+
+/// What the app keeps besides the margin of its watch where it looks ahead, m.
+const AHEAD_M: f64 = 0.005;
 
 /// How the fingers get down to a place.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,78 +66,45 @@ impl Around {
             let eye = camera.centre.coords.into();
             around.room.push(block(name, eye, [0.1; 3]));
         }
-        let model: Arc<Model> = Arc::new(mcs::manipulator(&app).unwrap());
-        let base = (Arc::clone(&model), Placement::identity());
-        let scene = Scene::new([base], around.room, around.margin);
-        let names = scene.names();
-        let margin = |[solid, piece]: &[String; 2]| {
-            let mut near = around.near.iter();
-            let own = near.find(|own| own.0 == *solid && own.1 == *piece);
-            own.map_or(around.margin, |own| own.2)
-        };
-        let real: ArmArgs = args("robot").get("real").unwrap().parse().unwrap();
+        let servo = app.task("servo_arm").unwrap();
+        let model = Arc::new(mcs::arm(servo, &app).unwrap());
+        let ahead = around.margin + AHEAD_M;
+        let space = Space::new(model, Vec::new(), around.room, ahead);
         Self {
-            planner: Planner::new(model, CartesianLimits::default(), 0.018).unwrap(),
-            margins: names.iter().map(margin).collect(),
-            names,
-            scene,
-            park: arm::radians(&real.park_deg),
+            planner: mcs::planner(servo, &app).unwrap(),
+            space: space.with_near(&around.near),
+            real: args("robot").get("real").unwrap().parse().unwrap(),
         }
     }
 
-    /// The way, and where it ends.
-    fn way(
-        &mut self,
-        from: &Joints,
-        to: Isometry3<f64>,
-        path: PathKind,
-    ) -> Option<(Segment, Joints)> {
-        let route = Route {
-            goal: Goal::Pose(to),
-            path,
-            pace: Pace::new(0.3, None),
-            elbow: None,
-        };
-        self.planner.segment(from, &route).ok()
+    /// Where the arm is after motions, or what is in their way.
+    fn ahead(&mut self, from: &Joints, motions: &[Plan]) -> Result<Joints, Refused> {
+        mcs_path::ahead::look(&mut self.planner, &mut self.space, from, motions)
     }
 
-    /// What comes nearer than it may at a position.
-    fn met_at(&mut self, position: &Joints) -> Option<[String; 2]> {
-        let mut distances = Vec::new();
-        self.scene.distances(position, &mut distances);
-        let mut pairs = distances.iter().zip(&self.margins);
-        let met = pairs.position(|(off, least)| off < least);
-        met.and_then(|pair| self.names.get(pair).cloned())
-    }
-
-    /// What meets on a way.
-    fn met(&mut self, from: &Joints, way: &Segment) -> Option<[String; 2]> {
-        let (mut solver, mut near) = (self.planner.solver().clone(), *from);
-        (0..=60).find_map(|step| {
-            let time = way.duration() * f64::from(step) / 60.0;
-            near = way.at(&mut solver, time, &near).unwrap().position;
-            self.met_at(&near)
-        })
-    }
-
-    /// Whether the fingers get down there, and up again, in some turn, from where the arm waits but on this side.
-    fn reach(&mut self, stand: Stand) -> Reach {
-        let mut park = self.park;
+    /// Where the arm waits, turned to the side of a place.
+    fn park(&self, stand: Stand) -> Joints {
+        let mut park = arm::radians(&self.real.park_deg);
         let [x, y] = stand.at;
         park[0] = y.atan2(x);
+        park
+    }
+
+    /// Whether the fingers get down there in some turn, from where the arm waits but on this side, and up again and back to there.
+    fn reach(&mut self, stand: Stand) -> Reach {
+        let park = self.park(stand);
         let mut reach = Reach::Refused;
         for turn in TURNS_DEG {
             let down = stand.pose(turn);
-            let Some((there, over)) = self.way(&park, at_height(down, TRAVEL_M), PathKind::Joint)
-            else {
-                continue;
-            };
-            let Some((down, _)) = self.way(&over, down, PathKind::StraightLine) else {
-                continue;
-            };
-            match self.met(&park, &there).or_else(|| self.met(&over, &down)) {
-                None => return Reach::Clear,
-                Some(met) => reach = Reach::Meets(met),
+            let over = at_height(down, TRAVEL_M);
+            let line = PathKind::StraightLine;
+            let ways = [(over, PathKind::Joint), (down, line), (over, line)];
+            let mut motions = ways.map(|way| self.real.motion(way, 0.3)).to_vec();
+            motions.push(self.real.parking());
+            match self.ahead(&park, &motions) {
+                Ok(_) => return Reach::Clear,
+                Err(Refused::Touches { touch, .. }) => reach = Reach::Meets(touch.pair),
+                Err(Refused::Unplanned { .. }) => {}
             }
         }
         reach
@@ -237,20 +205,72 @@ fn what_only_the_carried_disc_would_touch_is_seen_by_the_watch_and_without_the_d
             UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0),
         )
     };
-    // 36 mm beside the middle, where the fingers are 24 mm and the disc 16 mm away; 20 mm are kept.
-    let post = block("post", [0.541, 0.0, 0.594], [0.01, 0.01, 0.02]);
+    // 41 mm beside the middle, where the fingers are 29 mm and the disc 21 mm away; 25 mm are kept.
+    let post = block("post", [0.546, 0.0, 0.594], [0.01, 0.01, 0.02]);
     let mut around = Around::of_the_app(vec![post]);
-    let park = around.park;
-    let (_, at) = around.way(&park, stand(0.6), PathKind::Joint).unwrap();
-    let [carried, piece] = around.met_at(&at).unwrap();
-    assert_eq!([carried.as_str(), piece.as_str()], ["carried", "post"]);
-    let (_, higher) = around.way(&park, stand(0.65), PathKind::Joint).unwrap();
-    assert_eq!(around.met_at(&higher), None);
-    // The fingers alone would go past.
-    for (pair, margin) in around.names.iter().zip(&mut around.margins) {
-        if pair.first().is_some_and(|solid| solid == "carried") {
-            *margin = f64::NEG_INFINITY;
+    let park = arm::radians(&around.real.park_deg);
+    let above = around.real.motion((stand(0.75), PathKind::Joint), 0.3);
+    let above = around.ahead(&park, &[above]).unwrap();
+    let met = |around: &mut Around, z: f64| {
+        let down = around.real.motion((stand(z), PathKind::StraightLine), 0.3);
+        match around.ahead(&above, &[down]) {
+            Err(Refused::Touches { touch, .. }) => Some(touch.pair),
+            other => {
+                other.unwrap();
+                None
+            }
         }
+    };
+    let pair = ["carried", "post"].map(str::to_owned);
+    assert_eq!(met(&mut around, 0.6), Some(pair));
+    assert_eq!(met(&mut around, 0.65), None);
+    // The fingers alone would go past.
+    let free = ("carried".to_owned(), "post".to_owned(), -1.0);
+    around.space = around.space.with_near(&[free]);
+    assert_eq!(met(&mut around, 0.6), None);
+}
+
+#[test]
+fn after_a_stop_or_a_fault_no_other_way_is_tried_and_after_what_another_way_may_avoid_one_is() {
+    let avoided = [
+        Outcome::Unreachable,
+        Outcome::Unseen,
+        Outcome::Guard,
+        Outcome::Refused,
+        Outcome::Absent,
+        Outcome::Occupied,
+        Outcome::Stuck,
+        Outcome::Blocked,
+    ];
+    for outcome in Outcome::ALL {
+        let mut kept = Kept::default();
+        let noted = kept.note(Failure::new(outcome, "why"));
+        assert_eq!(noted.is_ok(), avoided.contains(&outcome), "{outcome}");
     }
-    assert_eq!(around.met_at(&at), None);
+}
+
+#[test]
+fn of_what_kept_the_arm_from_its_ways_a_thing_is_told_before_what_is_out_of_reach() {
+    let stand = Stand {
+        at: [0.5, 0.1],
+        bottom: 0.42,
+    };
+    let told = |failures: &[(Outcome, &str)]| {
+        let mut kept = Kept::default();
+        for (outcome, reason) in failures {
+            kept.note(Failure::new(*outcome, reason)).unwrap();
+        }
+        kept.told(stand)
+    };
+    let far = (Outcome::Unreachable, "too far");
+    let post = (Outcome::Blocked, "a post");
+    assert_eq!(
+        told(&[far, post, (Outcome::Blocked, "a lamp")]).reason,
+        "a post"
+    );
+    assert_eq!(
+        told(&[far, (Outcome::Guard, "")]).outcome,
+        Outcome::Unreachable
+    );
+    assert_eq!(told(&[]).outcome, Outcome::Unreachable);
 }

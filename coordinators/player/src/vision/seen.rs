@@ -12,6 +12,7 @@ use serde::Deserialize;
 use sorma::{Method, Transport};
 
 use crate::{
+    player::is_mirrored,
     vision::{MOVED_M, OFF_M, Vision, well},
     wire::{
         self, FIELD_M, Gaze, Hue, Looked, Marked, Marks, Reading, SURE, Situation, apart, centre,
@@ -73,6 +74,54 @@ impl SeenArgs {
     }
 }
 
+/// How a board lies before White. One with its dark corner at White's right is a plain one by a quarter turn: read as if White sat at the
+/// right of the picture, its files are the ranks that the rules mean, and its ranks their files.
+#[derive(Clone, Copy)]
+struct Lies {
+    turned: bool,
+}
+
+impl Lies {
+    fn of(cx: &Context, state: &Vision) -> Self {
+        let turned = is_mirrored(cx, &state.args.player);
+        Self { turned }
+    }
+
+    /// Where White sits in the pictures.
+    fn white(self) -> &'static str {
+        if self.turned { "right" } else { "bottom" }
+    }
+
+    /// File and rank as the rules mean them from those that are read, and the other way round.
+    fn places(self, [file, rank]: [f64; 2]) -> [f64; 2] {
+        if self.turned {
+            [rank, file]
+        } else {
+            [file, rank]
+        }
+    }
+
+    /// The corners a1, h1, h8 and a8 in the same manner.
+    fn corners(self, [a1, h1, h8, a8]: [[f64; 2]; 4]) -> [[f64; 2]; 4] {
+        if self.turned {
+            [a1, a8, h8, h1]
+        } else {
+            [a1, h1, h8, a8]
+        }
+    }
+
+    /// Which of the squares that are read is this one.
+    fn read_as(self, square: u8) -> usize {
+        let square = usize::from(square);
+        if !self.turned {
+            return square;
+        }
+        let (row, column) = (square / 4, square % 4);
+        let (rank, file) = (2 * column + usize::from(row % 2 == 0), 7 - row);
+        4 * (7 - rank) + file / 2
+    }
+}
+
 /// Asks an object of the daemon.
 async fn ask(
     cx: &Context,
@@ -92,7 +141,8 @@ async fn train(cx: &Context, state: &Vision, seen: &SeenArgs) -> Acted {
     if state.trained.get() {
         return Ok(());
     }
-    let text = format!("-train {}", cx.path(&seen.colours).display());
+    let white = Lies::of(cx, state).white();
+    let text = format!("-train {} -white {white}", cx.path(&seen.colours).display());
     for object in [&seen.board, &seen.markers] {
         ask(cx, object, Method::Ctrl, &text, &[]).await?;
     }
@@ -117,12 +167,13 @@ fn short(object: &str) -> HandlerError {
 /// The board's corners in the picture that was read last, or in one that a camera takes.
 async fn corners(
     cx: &Context,
-    seen: &SeenArgs,
+    (seen, lies): (&SeenArgs, Lies),
     picture: &str,
 ) -> Result<[[f64; 2]; 4], HandlerError> {
     let text = format!("marker {picture}");
     let answer = ask(cx, &seen.board, Method::Exec, &text, &[]).await?;
-    pairs(&answer.floats, 9, 2).ok_or_else(|| short(&seen.board))
+    let corners = pairs(&answer.floats, 9, 2).ok_or_else(|| short(&seen.board))?;
+    Ok(lies.corners(corners))
 }
 
 /// The markers in the pictures of the cameras that see them.
@@ -132,22 +183,26 @@ pub async fn find(
     seen: &SeenArgs,
 ) -> Result<Vec<Marked>, HandlerError> {
     train(cx, state, seen).await?;
+    let lies = Lies::of(cx, state);
     let (mut pictures, mut failed) = (Vec::new(), None);
     for camera in &seen.cameras {
         let text = format!("camera {camera}");
         let answer = ask(cx, &seen.markers, Method::Exec, &text, &[]).await;
         let found = match answer {
-            Ok(answer) => corners(cx, seen, &text)
+            Ok(answer) => corners(cx, (seen, lies), &text)
                 .await
                 .map(|corners| (answer, corners)),
             Err(error) => Err(error),
         };
         match found {
-            Ok((answer, corners)) => pictures.push(Marked {
-                camera: camera.clone(),
-                markers: pairs(&answer.floats, 18, 3).ok_or_else(|| short(&seen.markers))?,
-                corners,
-            }),
+            Ok((answer, corners)) => {
+                let markers = pairs(&answer.floats, 18, 3);
+                pictures.push(Marked {
+                    camera: camera.clone(),
+                    markers: lies.corners(markers.ok_or_else(|| short(&seen.markers))?),
+                    corners,
+                });
+            }
             Err(error) => failed = Some(error),
         }
     }
@@ -173,7 +228,8 @@ pub async fn look(
     let known = known.ok_or_else(|| HandlerError::new("no camera has seen the board yet"))?;
     let text = format!("camera {}", known.camera);
     let read = ask(cx, &seen.board, Method::Exec, &text, &[]).await?;
-    let now = corners(cx, seen, "last").await?;
+    let lies = Lies::of(cx, state);
+    let now = corners(cx, (seen, lies), "last").await?;
     let rest = ask(cx, &seen.board, Method::Exec, "rest last", &[]).await?;
     let (covered, places) = rest
         .floats
@@ -181,13 +237,13 @@ pub async fn look(
         .ok_or_else(|| short(&seen.board))?;
     let places = places.chunks_exact(2).zip(&rest.ints);
     let mut strays: Vec<(Hue, [f64; 2])> = places
-        .filter_map(|(place, piece)| Some((hue(*piece)?, on_board(place)?)))
+        .filter_map(|(place, piece)| Some((hue(*piece)?, on_board(place, lies)?)))
         .collect();
     let hand = *covered > HAND;
     let mut squares = Vec::new();
     let mut left = if hand { 0 } else { MOST_DISCS };
     for square in 0..32_u8 {
-        let nth = usize::from(square);
+        let nth = lies.read_as(square);
         let reading = read.ints.get(nth).zip(read.floats.get(nth));
         let (piece, confidence) = reading.ok_or_else(|| short(&seen.board))?;
         let mut reading = Reading {
@@ -199,7 +255,7 @@ pub async fn look(
         let closely = gaze.square == Some(square) && reading.disc.is_some();
         if (reading.confidence < SURE || closely) && left > 0 {
             left -= 1;
-            one(cx, seen, square, &mut reading, &mut strays).await?;
+            one(cx, (seen, lies), square, &mut reading, &mut strays).await?;
         }
         squares.push(reading);
     }
@@ -223,18 +279,18 @@ pub async fn look(
 /// Looks for one disc on or beside a square that is unsure.
 async fn one(
     cx: &Context,
-    seen: &SeenArgs,
+    (seen, lies): (&SeenArgs, Lies),
     square: u8,
     reading: &mut Reading,
     strays: &mut Vec<(Hue, [f64; 2])>,
 ) -> Acted {
-    let middle = centre(square).map(|at| at / FIELD_M + 4.0);
+    let middle = lies.places(centre(square).map(|at| at / FIELD_M + 4.0));
     let Ok(disc) = ask(cx, &seen.board, Method::Exec, "disk last", &middle).await else {
         // There is none, or it is not seen: what was read stays.
         return Ok(());
     };
     let piece = disc.ints.first().copied().unwrap_or_default();
-    let place = disc.floats.get(3..5).and_then(on_board);
+    let place = disc.floats.get(3..5).and_then(|at| on_board(at, lies));
     let (hue, at) = hue(piece).zip(place).ok_or_else(|| short(&seen.board))?;
     let off = apart(centre(square), at);
     if off < OFF_M {
@@ -267,8 +323,8 @@ fn hue(piece: i64) -> Option<Hue> {
 }
 
 /// A place in squares from the corner of a1, in the board's frame.
-fn on_board(place: &[f64]) -> Option<[f64; 2]> {
-    let place: [f64; 2] = place.try_into().ok()?;
+fn on_board(place: &[f64], lies: Lies) -> Option<[f64; 2]> {
+    let place = lies.places(place.try_into().ok()?);
     Some(place.map(|at| (at - 4.0) * FIELD_M))
 }
 
@@ -280,4 +336,21 @@ fn is_moved(before: &[[f64; 2]; 4], now: &[[f64; 2]; 4]) -> bool {
     pairs
         .map(|(one, other)| apart(*one, *other) * pixel_m)
         .any(|off| off > MOVED_M)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_of_a_turned_board_is_the_one_that_is_read_at_the_same_place_of_the_picture() {
+        let lies = Lies { turned: true };
+        let mut all: Vec<usize> = (0..32).map(|square| lies.read_as(square)).collect();
+        for square in 0..32_u8 {
+            let read = u8::try_from(lies.read_as(square)).unwrap();
+            assert_eq!(centre(read), lies.places(centre(square)), "{square}");
+        }
+        all.sort_unstable();
+        assert_eq!(all, (0..32).collect::<Vec<usize>>());
+    }
 }

@@ -34,6 +34,7 @@ pub fn registry() -> Registry {
     let (mut laws, mut guards) = (LawRegistry::new(), GuardRegistry::new());
     mcs_collision::register(&mut registry, &mut guards);
     mcs_hand::register(&mut registry, &mut laws);
+    mcs_path::register(&mut registry);
     mcs::register(&mut registry, drivers, laws, guards);
     coordinators::register(&mut registry);
     checkers_player::register(&mut registry);
@@ -55,6 +56,21 @@ pub fn app(app: &str, seed: u64, sets: &[&str]) -> Result<App, Findings> {
     config::load(&configs.join(app), &sets, &[("vss", &VssExpander)])
 }
 
+/// How a run of an app ends, with handlers of a test besides.
+pub fn simulated(
+    file: &str,
+    seed: u64,
+    sets: &[&str],
+    faults: &[Fault],
+    register: impl FnOnce(&mut Registry),
+) -> End {
+    let app = app(file, seed, sets).unwrap_or_else(|found| panic!("{found}"));
+    let mut registry = registry();
+    register(&mut registry);
+    let observer: Observer = Arc::new(|_| {});
+    simulate(app, registry, faults, &observer).unwrap().end
+}
+
 /// How a game of an app ends, with handlers of a test besides.
 pub fn play_with(
     file: &str,
@@ -63,11 +79,7 @@ pub fn play_with(
     faults: &[Fault],
     register: impl FnOnce(&mut Registry),
 ) -> Value {
-    let app = app(file, seed, sets).unwrap_or_else(|found| panic!("{found}"));
-    let mut registry = registry();
-    register(&mut registry);
-    let observer: Observer = Arc::new(|_| {});
-    match simulate(app, registry, faults, &observer).unwrap().end {
+    match simulated(file, seed, sets, faults, register) {
         End::Finished(result) => serde_json::from_str(&result.json).unwrap_or_else(|_| {
             panic!("seed {seed}: {}", result.text);
         }),
