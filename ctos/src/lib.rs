@@ -62,8 +62,7 @@ pub mod record {
 /// Who may reach an app: keys, roles and TLS.
 pub mod security {
     pub use ctos_link::security::{
-        BlockingStream, Identity, KeyError, Keys, Listed, Role, RoleError, Signature, Signer,
-        list_keys, make_key,
+        BlockingStream, Identity, KeyError, Keys, Listed, Role, RoleError, list_keys, make_key,
     };
 }
 

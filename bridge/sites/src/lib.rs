@@ -24,6 +24,8 @@ mod network;
 #[cfg(feature = "zenoh")]
 mod proof;
 #[cfg(feature = "zenoh")]
+mod signature;
+#[cfg(feature = "zenoh")]
 mod sites;
 #[cfg(feature = "zenoh")]
 mod stand_in;

@@ -14,7 +14,6 @@ use std::{
 use bridge_zenoh::Joining;
 use ctos::{
     call::Fault,
-    security::Signature,
     time::{Clock, Instant},
 };
 use serde::de::DeserializeOwned;
@@ -30,6 +29,7 @@ use zenoh::{
 
 use crate::{
     proof::{Prover, Said},
+    signature::Signature,
     wire::{Asked, Beat, Ended, Head, VERSION, all_asks, beat_key, read, written},
 };
 

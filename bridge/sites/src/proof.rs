@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use ctos::{
-    config::App,
-    security::{KeyError, Role, Signature, Signer},
-};
+use ctos::{config::App, security::Role};
 use serde::Serialize;
 
-use crate::wire::{Beat, Ended, Head, written};
+use crate::{
+    signature::{Signature, Signer},
+    wire::{Beat, Ended, Head, written},
+};
 
 /// What is signed, with the key of the network under which it is said.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -41,7 +41,7 @@ impl Prover {
     /// # Errors
     /// A key cannot be read, or is not one of the site.
     pub(crate) fn new(app: &App, site: &str) -> Result<Self, String> {
-        let signer = signer(app).transpose().map_err(|error| error.to_string())?;
+        let signer = signer(app).transpose()?;
         if let Some(signer) = &signer {
             is_of(signer, site)?;
         }
@@ -51,7 +51,7 @@ impl Prover {
     /// That this site says it.
     pub(crate) fn sign(&self, said: Said<'_>) -> Option<Signature> {
         let signed = self.signer.as_ref()?.sign(&said.bytes());
-        let told = |error: &KeyError| tracing::error!(%error, "what this site says is not signed");
+        let told = |error: &String| tracing::error!(error, "what this site says is not signed");
         signed.inspect_err(told).ok()
     }
 
@@ -69,8 +69,7 @@ impl Prover {
             return Ok(());
         };
         let signature = signature.ok_or("it is not signed")?;
-        let who = signer.who_signed(&said.bytes(), signature);
-        let who = who.map_err(|error| error.to_string())?;
+        let who = signer.who_signed(&said.bytes(), signature)?;
         if who.name != site {
             return Err(format!("it is signed by the key of `{}`", who.name));
         }
@@ -83,7 +82,7 @@ impl Prover {
 }
 
 /// The app's keys, if it has any.
-fn signer(app: &App) -> Option<Result<Signer, KeyError>> {
+fn signer(app: &App) -> Option<Result<Signer, String>> {
     let security = app.security.as_ref()?;
     let [key, authority] = [&security.key, &security.authority].map(|file| app.folder.join(file));
     Some(Signer::load(&key, &authority))

@@ -6,7 +6,6 @@
 //! connection.
 
 mod files;
-mod signature;
 mod tls;
 
 use std::{fmt, io, path::PathBuf, str::FromStr};
@@ -17,7 +16,6 @@ use serde::{
 };
 
 pub use files::{Listed, list_keys, make_key};
-pub use signature::{Signature, Signer};
 pub use tls::{BlockingStream, Keys};
 
 #[cfg(feature = "zenoh")]

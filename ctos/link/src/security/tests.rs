@@ -145,23 +145,3 @@ fn roles_include_those_before_them() {
     }
     assert!("root".parse::<Role>().is_err());
 }
-
-#[test]
-fn a_signature_is_believed_of_its_key_and_of_what_was_said_and_of_nothing_else() {
-    let [ours, theirs] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-    let signer = |folder: &Path, name: &str| {
-        let key = make_key(&folder.join(name), Role::Boot).unwrap();
-        Signer::load(&key, &folder.join("ca.pem")).unwrap()
-    };
-    let [north, south] = ["north", "south"].map(|name| signer(ours.path(), name));
-    let signed = south.sign(b"a parcel").unwrap();
-    let who = north.who_signed(b"a parcel", &signed).unwrap();
-    assert_eq!((who.name.as_str(), who.role), ("south", Role::Boot));
-    assert!(north.who_signed(b"a parcel more", &signed).is_err());
-    // With the certificate of another one, and of an authority that has the same name.
-    let others = north.sign(b"a parcel").unwrap();
-    let stolen = signature::Signature::of(&others, &signed);
-    assert!(north.who_signed(b"a parcel", &stolen).is_err());
-    let foreign = signer(theirs.path(), "south").sign(b"a parcel").unwrap();
-    assert!(north.who_signed(b"a parcel", &foreign).is_err());
-}

@@ -137,6 +137,6 @@ pub(super) fn identity(certificate: &CertificateDer<'_>) -> Option<Identity> {
     found.next()
 }
 
-pub(super) fn unusable(error: impl std::error::Error + Send + Sync + 'static) -> KeyError {
+fn unusable(error: impl std::error::Error + Send + Sync + 'static) -> KeyError {
     KeyError::Certificate(io::Error::other(error).to_string())
 }
