@@ -155,6 +155,14 @@ pub(crate) fn check(args: &Args, task: &TaskConfig, app: &App, findings: &mut Fi
         found.push(finding.help(help), "");
         return;
     }
+    #[cfg(feature = "zenoh")]
+    if let Some(text) = crate::proof::wrong_key(app, &args.name) {
+        let help = format!(
+            "make one with `ctos keys new keys/{} --role boot`, and name it",
+            args.name
+        );
+        found.push(Finding::error("bridge::site::key", text).help(help), "name");
+    }
     let tasks = args.reach.values().flat_map(BTreeMap::keys);
     let sites = args.reach.keys().chain(args.allow.keys());
     for name in sites.chain(tasks).chain([&args.name]) {
@@ -327,7 +335,10 @@ fn forgets(app: &App, registry: &Registry, task: &str, commands: &[String]) -> b
 
 #[cfg(test)]
 mod tests {
-    use ctos::config::{Selection, load_texts};
+    use ctos::{
+        config::{Selection, load_texts},
+        security::{Role, make_key},
+    };
 
     use super::*;
 
@@ -380,16 +391,23 @@ mod tests {
         assert_eq!(found[0].code, "ctos::config::missing_key");
     }
 
-    /// The codes of what is wrong with an app of one chassis that is `[site]` with these lines.
-    fn codes(lines: &str, security: bool) -> Vec<&'static str> {
-        let keys = match security {
-            true => "[security]\nkey = \"keys/north\"\nauthority = \"keys/ca.pem\"\n",
-            false => "",
+    /// The codes of what is wrong with an app of one chassis that is `[site]` with these lines, and somebody's key.
+    fn codes(lines: &str, key: Option<&str>) -> Vec<&'static str> {
+        let keys = match key {
+            Some(_) => "[security]\nkey = \"keys/shown\"\nauthority = \"keys/ca.pem\"\n",
+            None => "",
         };
         let text =
             format!("{keys}[chassis.gate]\n[site]\non = \"gate\"\nname = \"north\"\n{lines}");
         let extra: [(&'static str, &dyn Expander); 1] = [("site", &SiteExpander)];
         let folder = tempfile::tempdir().unwrap();
+        if let Some(name) = key {
+            let made = make_key(&folder.path().join("keys").join(name), Role::Boot).unwrap();
+            for end in ["pem", "key"] {
+                let shown = folder.path().join("keys/shown").with_extension(end);
+                std::fs::rename(made.with_extension(end), shown).unwrap();
+            }
+        }
         let file = folder.path().join("app.toml");
         std::fs::write(&file, text).unwrap();
         let selection = Selection {
@@ -407,16 +425,17 @@ mod tests {
     #[test]
     fn what_is_open_unknown_or_without_keys_is_found_before_anything_starts() {
         let good = "connect = [\"tcp/127.0.0.1:7447\"]\n";
-        assert_eq!(codes(good, false), [""; 0]);
-        assert_eq!(codes("", false), ["ctos::config::value"]);
+        assert_eq!(codes(good, None), [""; 0]);
+        assert_eq!(codes("", None), ["ctos::config::value"]);
         assert_eq!(
-            codes("connect = [\"tcp/10.0.0.5:7447\"]\n", false),
+            codes("connect = [\"tcp/10.0.0.5:7447\"]\n", None),
             ["bridge::site::open"]
         );
         let tls = "connect = [\"tls/10.0.0.5:7447\"]\n";
-        assert_eq!(codes(tls, false), ["ctos::config::no_keys"]);
-        assert_eq!(codes(tls, true), [""; 0]);
-        let with = |more: &str| codes(&format!("{good}{more}"), false);
+        assert_eq!(codes(tls, None), ["ctos::config::no_keys"]);
+        assert_eq!(codes(tls, Some("north")), [""; 0]);
+        assert_eq!(codes(tls, Some("south")), ["bridge::site::key"]);
+        let with = |more: &str| codes(&format!("{good}{more}"), None);
         assert_eq!(with("cut_after_s = 0.1\n"), ["ctos::config::value"]);
         assert_eq!(
             with("[site.allow.south]\nnobody = [\"*\"]\n"),
@@ -436,7 +455,7 @@ mod tests {
     #[test]
     fn a_program_without_the_network_says_how_to_build_one() {
         assert_eq!(
-            codes("connect = [\"tcp/127.0.0.1:7447\"]\n", false),
+            codes("connect = [\"tcp/127.0.0.1:7447\"]\n", None),
             ["bridge::site::not_built"]
         );
     }

@@ -4,6 +4,7 @@ use std::{
     cell::{Cell, RefCell},
     collections::{BTreeMap, BTreeSet},
     rc::Rc,
+    sync::Arc,
     time::Duration,
 };
 
@@ -19,6 +20,7 @@ use tokio::sync::{mpsc, oneshot};
 use crate::{
     args::{ALL, Args},
     network::{Event, Incoming, Network, Order, Plan},
+    proof::{Numbers, Prover},
     sites::{Change, Sites, State},
     stand_in::begin,
     wire::{Asked, Head},
@@ -80,8 +82,12 @@ struct Shared {
     open: RefCell<BTreeMap<u64, Open>>,
     /// The number of the next request.
     next: Cell<u64>,
-    /// What was refused to other sites.
+    /// How much of other sites was refused.
     refused: Cell<u64>,
+    /// The requests of each site that have come.
+    come: RefCell<BTreeMap<String, Numbers>>,
+    /// What each site seemed to say last that was not believed.
+    doubted: RefCell<BTreeMap<String, String>>,
 }
 
 /// The event handler.
@@ -113,6 +119,8 @@ impl Gate {
             open: RefCell::default(),
             next: Cell::new(1),
             refused: Cell::new(0),
+            come: RefCell::default(),
+            doubted: RefCell::default(),
             args,
         };
         Ok(Self {
@@ -120,7 +128,7 @@ impl Gate {
         })
     }
 
-    fn plan(&self, cx: &Context) -> Plan {
+    fn plan(&self, cx: &Context) -> Result<Plan, HandlerError> {
         let (args, app) = (&self.shared.args, cx.app());
         let keys = app.security.as_ref().map(|security| {
             let path =
@@ -132,7 +140,8 @@ impl Gate {
                 path(&security.authority),
             ]
         });
-        Plan {
+        Ok(Plan {
+            prover: Arc::new(Prover::new(app, &args.name).map_err(HandlerError::new)?),
             site: args.name.clone(),
             run: self.shared.run,
             others: args.sites(),
@@ -140,13 +149,13 @@ impl Gate {
             listen: args.listen.clone(),
             keys,
             clock: cx.chassis().clock().clone(),
-        }
+        })
     }
 
     /// Joins the network, and hears what comes from there.
     fn join(&self, cx: &Context) -> Handled {
         let (events, come) = mpsc::unbounded_channel();
-        let network = Network::join(self.plan(cx), events);
+        let network = Network::join(self.plan(cx)?, events);
         let network = network.map_err(|error| HandlerError::new(format!("no thread: {error}")))?;
         self.shared.network.replace(Some(network));
         let (child, shared) = (cx.clone(), Rc::clone(&self.shared));
@@ -223,6 +232,7 @@ async fn hear(cx: &Context, shared: &Rc<Shared>, mut events: mpsc::UnboundedRece
                 let changes = shared.sites.borrow_mut().heard(&site, beat, now);
                 shared.changed(cx, changes);
             }
+            Event::Doubted(site, why) => shared.doubt(cx, site, why),
             Event::Answered(number, answer) => {
                 let open = shared.open.borrow_mut().remove(&number);
                 if let Some(open) = open {
@@ -235,7 +245,7 @@ async fn hear(cx: &Context, shared: &Rc<Shared>, mut events: mpsc::UnboundedRece
                 head,
                 bytes,
                 to,
-            } => shared.asked(cx, asked, head, bytes, to).await,
+            } => shared.asked(cx, asked, head, bytes, *to).await,
         }
     }
 }
@@ -250,7 +260,7 @@ impl Shared {
         }
         let refused = self.refused.get();
         if refused > 0 {
-            text = format!("{text}; {refused} requests of others were refused");
+            text = format!("{text}; {refused} messages of others were refused");
         }
         cx.is_at(Some(AtReport { text, until: None }));
     }
@@ -370,9 +380,9 @@ impl Shared {
         };
         self.open.borrow_mut().insert(number, open);
         let order = Order::Ask {
-            number,
+            site: site.clone(),
             key: asked.key(&site, run),
-            head: Head::new(rest, replies),
+            head: Head::new(rest, replies, self.run, number),
             bytes: data.into_inner().into(),
         };
         let ordered = match &*self.network.borrow() {
@@ -412,7 +422,7 @@ impl Shared {
         to: Incoming,
     ) {
         let cx = cx.new_trace();
-        let call = match self.permitted(&cx, &asked) {
+        let call = match self.permitted(&cx, &asked, head) {
             Ok(command) => self.call(&cx, &asked, command, head, data).await,
             Err(fault) => Err(fault),
         };
@@ -464,7 +474,7 @@ impl Shared {
     }
 
     /// The command, if the site may ask it.
-    fn permitted(&self, cx: &Context, asked: &Asked) -> Result<CommandInfo, Fault> {
+    fn permitted(&self, cx: &Context, asked: &Asked, head: Head) -> Result<CommandInfo, Fault> {
         let Asked {
             from,
             task,
@@ -496,7 +506,32 @@ impl Shared {
                 allowed.join(", ")
             ));
         }
+        let mut come = self.come.borrow_mut();
+        if !come
+            .entry(from.clone())
+            .or_default()
+            .take(head.run, head.number)
+        {
+            return refuse(format!(
+                "site `{here}` has had this request of site `{from}` before: a router repeats or withholds what it carries"
+            ));
+        }
         Ok(*info)
+    }
+
+    /// Tells once what is not believed of a site, and counts it.
+    fn doubt(&self, cx: &Context, site: String, why: String) {
+        self.refused.set(self.refused.get() + 1);
+        let mut doubted = self.doubted.borrow_mut();
+        // Names that nobody configured can be many.
+        let is_known = self.args.sites().contains(&site);
+        let before = match is_known {
+            true => doubted.insert(site.clone(), why.clone()),
+            false => None,
+        };
+        if before.as_ref() != Some(&why) {
+            tracing::warn!(task = cx.name(), site, "{why}");
+        }
     }
 
     fn answer(&self, to: Incoming, answer: Result<Vec<u8>, Fault>) {

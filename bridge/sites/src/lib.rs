@@ -8,7 +8,8 @@
 //! caller -> carry@north (stand-in) -> gate | router | router | gate of north -> carry
 //! ```
 //!
-//! A site permits nothing unless its `allow` names the site, the task and the command. Gates tell twice a second that they are
+//! A site permits nothing unless its `allow` names the site, the task and the command. Whatever gates say is signed with the
+//! app's key, which bears the name of the site: who asks is proved, whatever routers are between. Gates tell twice a second that they are
 //! there. A site that is not heard for `cut_after_s` is cut off: whatever waits for it ends with
 //! [`Fault::CutOff`](ctos::call::Fault::CutOff), and nothing more is sent there until it is heard again. Nothing is ever
 //! repeated here. Who must know that a request was carried out once numbers it, as transfers between nets do.
@@ -20,6 +21,10 @@ mod args;
 mod gate;
 #[cfg(feature = "zenoh")]
 mod network;
+#[cfg(feature = "zenoh")]
+mod proof;
+#[cfg(feature = "zenoh")]
+mod signature;
 #[cfg(feature = "zenoh")]
 mod sites;
 #[cfg(feature = "zenoh")]

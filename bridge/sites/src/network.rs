@@ -16,16 +16,22 @@ use ctos::{
     call::Fault,
     time::{Clock, Instant},
 };
+use serde::de::DeserializeOwned;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use zenoh::{
     Session, Wait,
+    bytes::ZBytes,
     pubsub::{Publisher, Subscriber},
     qos::{CongestionControl, Priority},
     query::{Query, QueryTarget, Queryable, Reply},
     sample::Sample,
 };
 
-use crate::wire::{Asked, Beat, Ended, Head, VERSION, all_asks, beat_key, read, written};
+use crate::{
+    proof::{Prover, Said},
+    signature::Signature,
+    wire::{Asked, Beat, Ended, Head, VERSION, all_asks, beat_key, read, written},
+};
 
 /// What may wait to be sent.
 const ORDERS: usize = 1024;
@@ -54,6 +60,7 @@ pub(crate) struct Plan {
     pub listen: Vec<String>,
     /// Certificate, its private half and the authority's certificate, as paths.
     pub keys: Option<[String; 3]>,
+    pub prover: Arc<Prover>,
     pub clock: Clock,
 }
 
@@ -61,7 +68,7 @@ pub(crate) struct Plan {
 pub(crate) enum Order {
     /// Asks a gate something.
     Ask {
-        number: u64,
+        site: String,
         key: String,
         head: Head,
         bytes: Vec<u8>,
@@ -77,6 +84,7 @@ pub(crate) enum Order {
 #[derive(Debug)]
 pub(crate) struct Incoming {
     query: Query,
+    number: u64,
     _place: OwnedSemaphorePermit,
 }
 
@@ -87,12 +95,14 @@ pub(crate) enum Event {
     There(bool, String),
     /// A gate told that it is there.
     Heard(String, Beat, Instant),
+    /// What seemed to be said by a site is not believed.
+    Doubted(String, String),
     /// Another site asks.
     Asked {
         asked: Asked,
         head: Head,
         bytes: Vec<u8>,
-        to: Incoming,
+        to: Box<Incoming>,
     },
     /// A request has its end; `None` when no gate has answered.
     Answered(u64, Option<Result<Vec<u8>, Fault>>),
@@ -200,22 +210,30 @@ impl Joined {
         let mut subscribers = Vec::new();
         for site in &plan.others {
             let (name, events, clock) = (site.clone(), events.clone(), plan.clock.clone());
+            let prover = plan.prover.clone();
             let subscriber = session
                 .declare_subscriber(beat_key(site))
-                .callback(move |sample: Sample| {
-                    if let Some(beat) = read(&sample.payload().to_bytes()) {
-                        tell(&events, Event::Heard(name.clone(), beat, clock.now()));
-                    }
+                .callback(move |sample: Sample| match heard(&sample, &name, &prover) {
+                    Ok(beat) => tell(&events, Event::Heard(name.clone(), beat, clock.now())),
+                    Err(why) => tell(&events, Event::Doubted(name.clone(), why)),
                 })
                 .wait()?;
             subscribers.push(subscriber);
         }
         let (places, events) = (Arc::new(Semaphore::new(MOST_SERVED)), events.clone());
+        let (site, prover) = (plan.site.clone(), plan.prover.clone());
         let asks = session
             .declare_queryable(all_asks(&plan.site, plan.run))
-            .callback(move |query: Query| match asked(query, &places) {
-                Ok(event) => tell(&events, event),
-                Err((query, fault)) => answer(&query, Err(fault)),
+            .callback(move |query: Query| {
+                let Err((from, number, fault)) =
+                    asked(&query, &site, &prover, &places).map(|event| tell(&events, event))
+                else {
+                    return;
+                };
+                if let Fault::Refused { text } = &fault {
+                    tell(&events, Event::Doubted(from, text.clone()));
+                }
+                answer(&prover, &query, number, Err(fault));
             })
             .wait()?;
         Ok(Self {
@@ -247,26 +265,38 @@ impl Joined {
                     version: VERSION,
                     run: plan.run,
                 };
-                self.beat.put(written(&beat)).wait()?;
+                let signed = plan.prover.sign(Said::Beat(self.beat.key_expr(), beat));
+                let put = self.beat.put(written(&beat));
+                put.attachment(written(&signed)).wait()?;
             }
             match orders.recv_timeout(next.since(plan.clock.now())) {
                 Ok(Order::Ask {
-                    number,
+                    site,
                     key,
                     head,
                     bytes,
                 }) => {
-                    let awaited = Awaited::new(number, events);
+                    let signed = plan.prover.sign(Said::Ask(&key, head, &bytes));
+                    let awaited = Awaited {
+                        site,
+                        key: key.clone(),
+                        number: head.number,
+                        prover: plan.prover.clone(),
+                        events: events.clone(),
+                        answered: AtomicBool::new(false),
+                    };
                     self.session
                         .get(key)
                         .payload(bytes)
-                        .attachment(written(&head))
+                        .attachment(written(&(head, signed)))
                         .target(QueryTarget::BestMatching)
                         .timeout(head.left() + GRACE)
                         .callback(move |reply| awaited.take(&reply))
                         .wait()?;
                 }
-                Ok(Order::Answer { to, answer: with }) => answer(&to.query, with),
+                Ok(Order::Answer { to, answer: with }) => {
+                    answer(&plan.prover, &to.query, to.number, with);
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return self.session.close().wait(),
             }
@@ -299,35 +329,37 @@ impl Joined {
 
 /// Who waits for an answer; it is told that there is none when zenoh gives the request up.
 struct Awaited {
+    site: String,
+    key: String,
     number: u64,
+    prover: Arc<Prover>,
     events: mpsc::UnboundedSender<Event>,
     answered: AtomicBool,
 }
 
 impl Awaited {
-    fn new(number: u64, events: &mpsc::UnboundedSender<Event>) -> Self {
-        Self {
-            number,
-            events: events.clone(),
-            answered: AtomicBool::new(false),
-        }
-    }
-
     fn take(&self, reply: &Reply) {
         let Ok(sample) = reply.result() else { return };
-        let ended = sample
-            .attachment()
-            .and_then(|bytes| read::<Ended>(&bytes.to_bytes()));
-        let answer = match ended {
-            Some(Ok(())) => Ok(sample.payload().to_bytes().into_owned()),
-            Some(Err(fault)) => Err(fault),
-            None => Err(Fault::BadPayload {
-                text: "the gate of the other site answered what this one cannot read".to_owned(),
-            }),
+        let bytes = sample.payload().to_bytes();
+        let answer = match self.believed(sample, &bytes) {
+            Ok(Ok(())) => Ok(bytes.into_owned()),
+            Ok(Err(fault)) => Err(fault),
+            // The site itself may still answer.
+            Err(why) => return tell(&self.events, Event::Doubted(self.site.clone(), why)),
         };
         if !self.answered.swap(true, Ordering::Relaxed) {
             tell(&self.events, Event::Answered(self.number, Some(answer)));
         }
+    }
+
+    /// How it ended, as the site itself says.
+    fn believed(&self, sample: &Sample, bytes: &[u8]) -> Result<Ended, String> {
+        let beside: Option<(Ended, Option<Signature>)> = beside(sample.attachment());
+        let (ended, signature) = beside.ok_or("its answer cannot be read")?;
+        let said = Said::Answer(&self.key, self.number, &ended, bytes);
+        let checked = self.prover.check(&self.site, said, signature.as_ref());
+        let wrong = |why| format!("its answer is not believed: {why}");
+        checked.map_err(wrong).map(|()| ended)
     }
 }
 
@@ -339,31 +371,63 @@ impl Drop for Awaited {
     }
 }
 
-/// What another site asks; or why not, with whom to tell that.
-fn asked(query: Query, places: &Arc<Semaphore>) -> Result<Event, (Query, Fault)> {
+/// What stands beside the data.
+fn beside<T: DeserializeOwned>(attachment: Option<&ZBytes>) -> Option<T> {
+    read(&attachment?.to_bytes())
+}
+
+/// A sign of life of a site.
+fn heard(sample: &Sample, site: &str, prover: &Prover) -> Result<Beat, String> {
+    let beat: Beat = read(&sample.payload().to_bytes()).ok_or("its sign of life cannot be read")?;
+    let signature: Option<Signature> = beside(sample.attachment()).flatten();
+    let said = Said::Beat(sample.key_expr(), beat);
+    let checked = prover.check(site, said, signature.as_ref());
+    let wrong = |why| {
+        let version = beat.version;
+        format!("its sign of life, of version {version}, is not believed: {why}")
+    };
+    checked.map_err(wrong).map(|()| beat)
+}
+
+/// What another site asks; or why not, and by whom it seems to be asked.
+fn asked(
+    query: &Query,
+    site: &str,
+    prover: &Prover,
+    places: &Arc<Semaphore>,
+) -> Result<Event, (String, u64, Fault)> {
     let unreadable = |text: &str| Fault::BadPayload {
         text: text.to_owned(),
     };
-    let Some(asked) = Asked::of_key(query.key_expr().as_str()) else {
-        return Err((query, unreadable("the key names no task and command")));
+    let key = query.key_expr().as_str();
+    let Some(asked) = Asked::of_key(key) else {
+        let fault = unreadable("the key names no task and command");
+        return Err((String::new(), 0, fault));
     };
-    let head = query
-        .attachment()
-        .and_then(|bytes| read::<Head>(&bytes.to_bytes()));
-    let Some(head) = head.filter(|head| head.version == VERSION) else {
-        return Err((query, unreadable("the gates speak different versions")));
+    let from = asked.from.clone();
+    let head: Option<(Head, Option<Signature>)> = beside(query.attachment());
+    let Some((head, signature)) = head.filter(|(head, _)| head.version == VERSION) else {
+        let fault = unreadable("the gates speak different versions");
+        return Err((from, 0, fault));
     };
+    let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
+    let said = Said::Ask(key, head, &payload);
+    if let Err(why) = prover.check(&from, said, signature.as_ref()) {
+        let text =
+            format!("site `{site}` does not take this for a request of site `{from}`: {why}");
+        return Err((from, head.number, Fault::Refused { text }));
+    }
     let Ok(place) = places.clone().try_acquire_owned() else {
         let capacity = MOST_SERVED;
-        return Err((query, Fault::Full { capacity }));
+        return Err((from, head.number, Fault::Full { capacity }));
     };
-    let payload = query.payload();
-    let bytes = payload.map(|payload| payload.to_bytes().into_owned());
     let to = Incoming {
-        query,
+        query: query.clone(),
+        number: head.number,
         _place: place,
     };
-    let bytes = bytes.unwrap_or_default();
+    let to = Box::new(to);
+    let bytes = payload.into_owned();
     Ok(Event::Asked {
         asked,
         head,
@@ -372,13 +436,176 @@ fn asked(query: Query, places: &Arc<Semaphore>) -> Result<Event, (Query, Fault)>
     })
 }
 
-fn answer(query: &Query, with: Result<Vec<u8>, Fault>) {
+fn answer(prover: &Prover, query: &Query, number: u64, with: Result<Vec<u8>, Fault>) {
     let (ended, bytes): (Ended, _) = match with {
         Ok(bytes) => (Ok(()), bytes),
         Err(fault) => (Err(fault), Vec::new()),
     };
+    let signed = prover.sign(Said::Answer(query.key_expr(), number, &ended, &bytes));
     let reply = query.reply(query.key_expr().clone(), bytes);
-    if let Err(error) = reply.attachment(written(&ended)).wait() {
+    if let Err(error) = reply.attachment(written(&(ended, signed))).wait() {
         tracing::debug!(%error, "who asked is gone");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{net::TcpListener, path::Path};
+
+    use ctos::security::Role;
+
+    use super::*;
+    use crate::proof::tests::with_key;
+
+    const RUN: u64 = 5;
+
+    /// A gate of some site, with somebody's key.
+    struct Someone {
+        network: Network,
+        events: mpsc::UnboundedReceiver<Event>,
+        asked: u64,
+    }
+
+    impl Someone {
+        fn joins(folder: &Path, prover: Prover, key: &str, plan: Plan) -> Self {
+            let file = |name: String| folder.join(name).to_string_lossy().into_owned();
+            let keys = [
+                format!("{key}.pem"),
+                format!("{key}.key"),
+                "ca.pem".to_owned(),
+            ];
+            let (events, told) = mpsc::unbounded_channel();
+            let plan = Plan {
+                keys: Some(keys.map(file)),
+                prover: Arc::new(prover),
+                ..plan
+            };
+            Self {
+                network: Network::join(plan, events).unwrap(),
+                events: told,
+                asked: 0,
+            }
+        }
+
+        /// What it is told, as soon as something is wanted; not if it is told too much else.
+        fn told<T>(&mut self, wanted: impl Fn(Event) -> Option<T>) -> T {
+            let mut events = (0..100).map(|_| self.events.blocking_recv().unwrap());
+            events.find_map(wanted).unwrap()
+        }
+
+        /// Asks a run of the gate of north, in the name of south.
+        fn asks(&mut self, run: u64) {
+            self.asked += 1;
+            let asked = Asked {
+                from: "south".to_owned(),
+                task: "depot".to_owned(),
+                command: 1,
+            };
+            let ask = Order::Ask {
+                site: "north".to_owned(),
+                key: asked.key("north", run),
+                head: Head::new(Duration::from_secs(60), true, 1, self.asked),
+                bytes: b"hat".to_vec(),
+            };
+            self.network.order(ask).unwrap();
+        }
+
+        /// Answers what is asked next.
+        fn answers(&mut self) {
+            let to = self.told(|event| match event {
+                Event::Asked { to, .. } => Some(to),
+                _ => None,
+            });
+            let answer = Ok(b"stored".to_vec());
+            self.network
+                .order(Order::Answer { to: *to, answer })
+                .unwrap();
+        }
+
+        fn answer(&mut self) -> Option<Result<Vec<u8>, Fault>> {
+            let number = self.asked;
+            self.told(|event| match event {
+                Event::Answered(of, answer) if of == number => Some(answer),
+                _ => None,
+            })
+        }
+
+        fn doubts(&mut self, whom: &str, what: &str) {
+            self.told(|event| match event {
+                Event::Doubted(site, why) if site == whom && why == what => Some(()),
+                _ => None,
+            });
+        }
+    }
+
+    #[test]
+    fn who_has_a_key_of_the_authority_can_neither_ask_nor_answer_for_another_site() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        let names = ["north", "south", "west", "east"];
+        let [north, south, west, east] = names.map(|name| with_key(folder, name, Role::Boot));
+        // A port that nobody has at the moment.
+        let port = {
+            let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+            listener.local_addr().unwrap().port()
+        };
+        let address = vec![format!("tls/127.0.0.1:{port}")];
+        let plan = |site: &str, run, other: &str| Plan {
+            site: site.to_owned(),
+            run,
+            others: BTreeSet::from([other.to_owned()]),
+            connect: address.clone(),
+            listen: Vec::new(),
+            keys: None,
+            prover: Arc::new(Prover::without_keys()),
+            clock: Clock::real(),
+        };
+        let router = Plan {
+            connect: Vec::new(),
+            listen: address.clone(),
+            ..plan("north", RUN, "south")
+        };
+        let mut north = Someone::joins(folder, north, "north", router);
+        north.told(|event| matches!(event, Event::There(true, _)).then_some(()));
+        let mut south = Someone::joins(folder, south, "south", plan("south", 1, "north"));
+        let heard = |event| match event {
+            Event::Heard(site, beat, _) => Some((site, beat.run)),
+            _ => None,
+        };
+        assert_eq!(south.told(heard), ("north".to_owned(), RUN));
+        assert_eq!(north.told(heard), ("south".to_owned(), 1));
+
+        // The true one is answered.
+        south.asks(RUN);
+        north.answers();
+        assert_eq!(south.answer(), Some(Ok(b"stored".to_vec())));
+
+        // Another one is not, nor is its sign of life taken for one of south.
+        let lie = plan("south", 2, "north");
+        for (prover, why) in [
+            (west, "it is signed by the key of `west`"),
+            (Prover::without_keys(), "it is not signed"),
+        ] {
+            let mut liar = Someone::joins(folder, prover, "west", lie.clone());
+            let life = format!("its sign of life, of version {VERSION}, is not believed: {why}");
+            north.doubts("south", &life);
+            liar.told(heard);
+            liar.asks(RUN);
+            let text =
+                format!("site `north` does not take this for a request of site `south`: {why}");
+            assert_eq!(liar.answer(), Some(Err(Fault::Refused { text })));
+        }
+
+        // Nor does south believe another one's answers, and no answer is told as none.
+        let lie = plan("north", RUN + 1, "south");
+        let mut liar = Someone::joins(folder, east, "east", lie);
+        let why = "is not believed: it is signed by the key of `east`";
+        south.doubts(
+            "north",
+            &format!("its sign of life, of version {VERSION}, {why}"),
+        );
+        south.asks(RUN + 1);
+        liar.answers();
+        assert_eq!(south.answer(), None);
     }
 }

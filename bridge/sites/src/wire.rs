@@ -5,8 +5,9 @@
 //! | `ctos/site/SITE/beat` | a gate tells twice a second that it is there: [`Beat`] |
 //! | `ctos/site/SITE/RUN/ask/FROM/TASK/COMMAND` | a request of the site `FROM`; the payload is the command's data |
 //!
-//! A key names who asks, so that a router's access rules can tell sites apart by their keys. `RUN` is the date at which a gate
-//! was started: nobody asks a predecessor that the routers still know, and never two gates at once.
+//! A key names who asks. Beside the data stand a [`Head`], or how a request [`Ended`], and the signature of who says it
+//! ([`Said`](crate::proof::Said)). `RUN` is the date at which a gate was started: nobody asks a predecessor that the routers
+//! still know, and never two gates at once; and what one run was asked is not believed by the next.
 
 use std::time::Duration;
 
@@ -14,7 +15,7 @@ use ctos::call::Fault;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// The version of all that is said here.
-pub(crate) const VERSION: u16 = 1;
+pub(crate) const VERSION: u16 = 2;
 
 /// A sign of life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,15 +33,21 @@ pub(crate) struct Head {
     pub left_ms: u64,
     /// Whether it waits for a reply, or only until the task's queue has taken the message.
     pub replies: bool,
+    /// Which run of its gate asks.
+    pub run: u64,
+    /// Which request of that run it is, from 1.
+    pub number: u64,
 }
 
 impl Head {
-    pub(crate) fn new(left: Duration, replies: bool) -> Self {
+    pub(crate) fn new(left: Duration, replies: bool, run: u64, number: u64) -> Self {
         let left_ms = u64::try_from(left.as_millis()).unwrap_or(u64::MAX);
         Self {
             version: VERSION,
             left_ms,
             replies,
+            run,
+            number,
         }
     }
 
