@@ -71,8 +71,8 @@ impl SceneWriter {
         lasers: usize,
         clock: &Clock,
     ) -> Result<Self, ScenesError> {
-        let foreign = |error: postcard::Error| foreign(buffer, error);
-        let bytes = postcard::to_stdvec(scene).map_err(foreign)?;
+        let bytes = scene.encode(Vec::new());
+        let bytes = bytes.map_err(|error| foreign(buffer, error))?;
         let layout = Layout::new(SLOTS, POSE.len() * scene.bodies.len());
         let growth = GROWTH + scene.camera_faults.len() + lasers * LINE as usize * BEAM;
         let layout = layout.bytes(bytes.len() + growth);
@@ -94,7 +94,7 @@ impl SceneWriter {
     pub fn write(&mut self, scene: &SceneState) -> Result<(), ScenesError> {
         self.bytes.clear();
         let bytes = std::mem::take(&mut self.bytes);
-        let written = postcard::to_extend(scene, bytes);
+        let written = scene.encode(bytes);
         self.bytes = written.map_err(|error| foreign(&self.buffer, error))?;
         self.floats.clear();
         for body in &scene.bodies {
@@ -163,7 +163,7 @@ impl SceneReader {
         if !self.reader.insert(reader).latest(&mut self.record)? {
             return Err(ScenesError::None { buffer: buffer() });
         }
-        let scene = postcard::from_bytes(&self.record.opaque);
+        let scene = SceneState::decode(&self.record.opaque);
         scene.map_err(|error| foreign(&self.buffer, error))
     }
 }

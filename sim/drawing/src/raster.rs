@@ -58,12 +58,36 @@ enum Form {
     },
 }
 
-/// A face of a block before a tile all of whose rays meet it.
+/// A plane that does not go through the camera.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Face {
-    /// The block's axis across the face, camera frame, and the way along it from the camera to the face.
+pub(crate) struct Plane {
+    /// Its unit normal, away from the camera, and how far it is along that, m.
     row: Vector3<f64>,
     way: f64,
+}
+
+/// One plane counts as nearer than another by this share at least: depths are rounded.
+const NEARER: f64 = 1e-6;
+
+impl Plane {
+    /// Distance along a ray that meets it.
+    pub fn distance(&self, ray: &Vector3<f64>) -> f64 {
+        self.way / self.row.dot(ray)
+    }
+
+    /// Whether all rays of a tile, which all meet this one, meet it before the other plane, if they meet that at all.
+    pub fn is_before(&self, other: &Self, tile: &Tile) -> bool {
+        // Of two quotients with positive divisors the smaller one is told by products, which are linear in the ray.
+        let later = other.row * (self.way * (1.0 + NEARER)) - self.row * other.way;
+        later.dot(&tile.axis) + later.norm() * tile.spread < 0.0
+    }
+}
+
+/// A plane surface before a tile all of whose rays meet it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Face {
+    /// The plane that it is in.
+    pub plane: Plane,
     /// How much of its tone it shows, by Lambert's law.
     pub shade: f64,
 }
@@ -71,7 +95,7 @@ pub(crate) struct Face {
 impl Face {
     /// Tells `found` for each of `rays`, which are of the tile: its index and the distance.
     pub fn hits(&self, rays: &[Vector3<f64>], found: impl FnMut(usize, f64)) {
-        each(rays, found, |ray| Some(self.way / self.row.dot(ray)));
+        each(rays, found, |ray| Some(self.plane.distance(ray)));
     }
 }
 
@@ -350,10 +374,22 @@ impl Seen {
         normal[k] = side;
         let normal = turn.transpose() * normal;
         Some(Face {
-            row: turn.row(k).transpose(),
-            way: side * half[k] - eye[k],
+            plane: Plane {
+                row: turn.row(k).transpose() * -side,
+                way: eye[k].abs() - half[k],
+            },
             shade: lambert(1.0, normal.dot(&self.light)),
         })
+    }
+
+    /// Whether all of it is behind a plane.
+    pub(crate) fn is_behind(&self, plane: &Plane) -> bool {
+        let (centre, radius) = self.ball;
+        let half = match &self.form {
+            Form::Block { turn, half, .. } => (turn * plane.row).abs().dot(half),
+            _ => radius,
+        };
+        plane.row.dot(&centre) - half - PAINT > plane.way * (1.0 + NEARER)
     }
 
     /// Tells `found` for each of `rays` that hits: its index and the distance.
@@ -484,6 +520,36 @@ impl Floor {
         let rise = self.up.dot(ray);
         let distance = -self.world_t_camera.translation.vector.z / rise;
         (rise < -1e-9 && distance > 0.0).then_some(distance)
+    }
+
+    /// The floor as a plane.
+    pub(crate) fn plane(&self) -> Plane {
+        Plane {
+            row: -self.up,
+            way: self.world_t_camera.translation.vector.z,
+        }
+    }
+
+    /// The floor before a tile all of whose rays meet it, where it has no joint.
+    pub(crate) fn face(&self, tile: &Tile) -> Option<Face> {
+        let plane = self.plane();
+        let fall = plane.row.dot(&tile.axis);
+        if plane.way <= 0.0 || fall - tile.spread < 1e-6 {
+            return None;
+        }
+        // No ray meets it further from where the axis does.
+        let [near, middle, far] =
+            [tile.spread, 0.0, -tile.spread].map(|spread| plane.way / (fall + spread));
+        let around = far * tile.spread + (far - middle).max(middle - near) + EDGE;
+        let at = self.world_t_camera * Point3::from(tile.axis * middle);
+        let is_even = |x: f64| {
+            let [from, to] = [x - around, x + around].map(|x| x / TILE);
+            let joint = JOINT_WIDTH / TILE / 2.0;
+            let within = |x: f64| (joint..=1.0 - joint).contains(&(x - from.floor()));
+            within(from) && within(to)
+        };
+        let shade = self.grey[0];
+        (is_even(at.x) && is_even(at.y)).then_some(Face { plane, shade })
     }
 
     /// How much of its tone the point at `distance` along `ray` shows.

@@ -14,6 +14,8 @@ const SIDE: usize = 16;
 pub struct Rays {
     all: Vec<Vector3<f64>>,
     tiles: Vec<Tile>,
+    /// Tiles in a row.
+    across: usize,
 }
 
 /// Neighbouring pixels.
@@ -52,7 +54,8 @@ impl Rays {
             Tile::new(&all, runs.collect())
         });
         let tiles = tiles.collect();
-        Self { all, tiles }
+        let across = camera.width.div_ceil(SIDE);
+        Self { all, tiles, across }
     }
 
     /// Unit direction of each pixel, row by row.
@@ -61,10 +64,16 @@ impl Rays {
         &self.all
     }
 
-    /// All tiles; each pixel is in one.
+    /// All tiles, row by row; each pixel is in one.
     #[must_use]
     pub fn tiles(&self) -> &[Tile] {
         &self.tiles
+    }
+
+    /// How many tiles a row of them has.
+    #[must_use]
+    pub fn across(&self) -> usize {
+        self.across
     }
 }
 

@@ -177,7 +177,12 @@ impl Renderer {
     fn draw(&mut self, scene: &SceneState) {
         self.place(scene);
         let mut now = std::mem::take(&mut self.now);
-        now.begin_with(&self.still);
+        if self.spec.mount.is_some() {
+            // What was drawn for this picture alone.
+            std::mem::swap(&mut now, &mut self.still);
+        } else {
+            now.begin_with(&self.still);
+        }
         let floor = Floor::new(&self.camera.camera_t_world);
         let still = self.still_shapes.len();
         now.draw(&self.view(&floor), still);
@@ -277,7 +282,11 @@ impl Renderer {
             .extend(shapes.map(|(shape, at)| Seen::new(shape, &(pose * at), &pose, colour)));
         let mut still = std::mem::take(&mut self.still);
         let floor = Floor::new(&pose);
-        still.draw_all(&self.view(&floor));
+        let view = self.view(&floor);
+        still.draw_all(&view);
+        if self.spec.mount.is_none() {
+            still.measure_all(&view);
+        }
         self.still = still;
     }
 }

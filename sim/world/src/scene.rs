@@ -127,6 +127,22 @@ impl Default for SceneState {
 }
 
 impl SceneState {
+    /// Appends its bytes, in postcard.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub fn encode(&self, bytes: Vec<u8>) -> Result<Vec<u8>, postcard::Error> {
+        postcard::to_extend(self, bytes)
+    }
+
+    /// What [`Self::encode`] made.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn decode(bytes: &[u8]) -> Result<Self, postcard::Error> {
+        postcard::from_bytes(bytes)
+    }
+
     /// The scene of `cell` with each body where `pose_of` says, and the lamps as at the start.
     #[must_use]
     pub fn of(cell: &Cell, mut pose_of: impl FnMut(&Origin) -> Isometry3<f64>) -> Self {

@@ -113,11 +113,18 @@ impl Ended {
 
     /// The least and the largest force of the world on the arm between two moments, s; N.
     pub fn pressed(&self, from: f64, until: f64) -> [f64; 2] {
+        assert!(!self.touched.is_empty(), "nothing was touched");
         let within = |at: f64| at >= from && at < until;
         let forces = self.touched.iter().filter(|(at, _)| within(*at));
         forces.fold([f64::MAX, 0.0], |[low, high], (_, force)| {
             [low.min(*force), high.max(*force)]
         })
+    }
+
+    /// Where the ball was at a moment, s.
+    pub fn ball(&self, at: f64) -> [f64; 3] {
+        let before = self.bodies.iter().rev().find(|(then, _)| *then <= at);
+        before.map(|(_, place)| *place).unwrap()
     }
 
     /// How far a joint of the arm, or else of its fingers, has turned between two moments at most, s; rad.
@@ -273,6 +280,8 @@ impl Rig {
             format!("app.name=\"rig_{}_{}\"", self.name, std::process::id()),
             "time.mode=\"virtual\"".to_owned(),
             format!("task.tracker.args.seconds={:?}", self.seconds),
+            // The ball is followed after 0.2 s.
+            "task.ball.args.begins_s=2.0".to_owned(),
         ];
         sets.extend(self.sets);
         let selection = Selection {
@@ -283,7 +292,11 @@ impl Rig {
             .load(&[("mcs", &McsExpander), ("vss", &VssExpander)])
             .unwrap_or_else(|found| panic!("{found}"));
         let seen = Arc::new(Mutex::new(Seen::default()));
-        let registry = registry(self.acts, &seen);
+        let watched = Watched {
+            hand: self.app == "tracker-grasp",
+            touches: self.cell.contains("feels"),
+        };
+        let registry = registry(self.acts, watched, &seen);
         let findings = registry.check(&app);
         assert!(!findings.has_errors(), "{findings}");
         let setup = Setup {
@@ -313,6 +326,15 @@ impl Rig {
     }
 }
 
+/// What is noted besides the net's state.
+#[derive(Clone, Copy)]
+struct Watched {
+    /// The ball and the joints.
+    hand: bool,
+    /// What touches the arm, at each period of the servo.
+    touches: bool,
+}
+
 #[derive(Default)]
 struct Seen {
     answers: Vec<(f64, String, String)>,
@@ -324,7 +346,7 @@ struct Seen {
     ahead_ns: Option<u64>,
 }
 
-fn registry(acts: Vec<(f64, Act)>, seen: &Arc<Mutex<Seen>>) -> Registry {
+fn registry(acts: Vec<(f64, Act)>, watched: Watched, seen: &Arc<Mutex<Seen>>) -> Registry {
     let mut registry = Registry::new();
     let mut drivers = DriverRegistry::new();
     let mut sources = FrameSources::new();
@@ -355,6 +377,7 @@ fn registry(acts: Vec<(f64, Act)>, seen: &Arc<Mutex<Seen>>) -> Registry {
     registry.handler("test.script", &[], move |_| {
         Ok(Script {
             acts: acts.clone(),
+            watched,
             seen: Arc::clone(&seen),
         })
     });
@@ -446,6 +469,7 @@ impl EventHandler for Between {
 /// Somebody beside the robot, and somebody who watches the net.
 struct Script {
     acts: Vec<(f64, Act)>,
+    watched: Watched,
     seen: Arc<Mutex<Seen>>,
 }
 
@@ -459,6 +483,7 @@ impl EventHandler for Script {
             return Ok(());
         }
         let (own, seen) = (cx.clone(), Arc::clone(&self.seen));
+        let Watched { hand, touches } = self.watched;
         cx.spawn(async move {
             while !own.is_stopping() {
                 if let Ok(net) = own.task("tracking").await
@@ -466,7 +491,8 @@ impl EventHandler for Script {
                 {
                     note(&seen, own.now(), &snapshot.places);
                 }
-                if let Ok(world) = own.task("world").await
+                if hand
+                    && let Ok(world) = own.task("world").await
                     && let Ok(bodies) = own.call(&world, ReadBodies {}).await
                     && let Some(ball) = bodies.iter().find(|body| body.name == "ball")
                 {
@@ -474,7 +500,9 @@ impl EventHandler for Script {
                     let place = [3, 7, 11].map(|index| ball.world_t_body[index]);
                     seen.lock().unwrap().bodies.push((now, place));
                 }
-                if let (Ok(arm), Ok(fingers)) = (own.task("arm").await, own.task("fingers").await)
+                if hand
+                    && let (Ok(arm), Ok(fingers)) =
+                        (own.task("arm").await, own.task("fingers").await)
                     && let Ok(arm) = own.call(&arm, ReadPosition {}).await
                     && let Ok(fingers) = own.call(&fingers, ReadPosition {}).await
                 {
@@ -487,7 +515,7 @@ impl EventHandler for Script {
         });
         let (own, seen) = (cx.clone(), Arc::clone(&self.seen));
         cx.spawn(async move {
-            while !own.is_stopping() {
+            while touches && !own.is_stopping() {
                 if let Ok(world) = own.task("world").await
                     && let Ok(touches) = own.call(&world, ReadTouch { arm: None }).await
                     && !touches.is_empty()

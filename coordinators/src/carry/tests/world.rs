@@ -4,7 +4,7 @@ mod app;
 mod pushing;
 mod seeing;
 
-use std::time::Duration;
+use std::{sync::LazyLock, time::Duration};
 
 use ctos::{
     diagnostic::Source,
@@ -50,9 +50,13 @@ pub(crate) const BOARD: Board = Board {
     dot: Some([-0.255, -0.21]),
 };
 
+/// Its file is read once: stand-ins ask for it at each request.
 pub(crate) fn disc() -> Thing {
-    let disc = include_str!("../../../../configs/carry/disc.toml");
-    Thing::parse(&Source::new("disc.toml", disc)).unwrap()
+    static DISC: LazyLock<Thing> = LazyLock::new(|| {
+        let disc = include_str!("../../../../configs/carry/disc.toml");
+        Thing::parse(&Source::new("disc.toml", disc)).unwrap()
+    });
+    DISC.clone()
 }
 
 /// How often the pointer blinks.
