@@ -270,6 +270,40 @@ pub struct Picture {
     pub pixels: Blob,
     /// What was found.
     pub marks: Vec<Found>,
+    /// What is drawn over it.
+    pub drawing: Drawing,
+}
+
+/// What is drawn over a picture: what somebody has read in it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Drawing {
+    /// The outlines, the first one below.
+    pub outlines: Vec<Outline>,
+    /// What was read, in a few words.
+    pub said: String,
+}
+
+impl Drawing {
+    /// Whether nothing is drawn and nothing is said.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.outlines.is_empty() && self.said.is_empty()
+    }
+}
+
+/// A closed line over a picture.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outline {
+    /// Its corners in turn, column and row as the camera took the picture, px.
+    pub corners: Vec<[f64; 2]>,
+    /// Red, green and blue.
+    pub colour: [u8; 3],
+    /// How much of the picture it hides: 1 all of it, 0 nothing.
+    pub strength: f64,
+    /// How wide it is, px of the picture as it was taken.
+    pub width: f64,
+    /// What stands in its middle.
+    pub text: String,
 }
 
 /// Something found in a picture.

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use base64::{Engine as _, prelude::BASE64_STANDARD as BASE64};
 use serde::{Deserialize, Serialize};
 
-use crate::{Batch, Found, Moved, Picture, Said, View};
+use crate::{Batch, Drawing, Found, Moved, Picture, Said, View};
 
 /// Index of a part, its origin (m), its turn as x, y, z, w, then its numbers. What is no number is none.
 pub type Row = Vec<Option<f64>>;
@@ -143,6 +143,9 @@ pub struct Shown {
     pub png: String,
     /// What was found.
     pub marks: Vec<Found>,
+    /// What is drawn over it.
+    #[serde(default, skip_serializing_if = "Drawing::is_empty")]
+    pub drawing: Drawing,
 }
 
 impl Shown {
@@ -168,6 +171,7 @@ impl Shown {
             size: picture.size,
             png: BASE64.encode(bytes),
             marks: picture.marks,
+            drawing: picture.drawing,
         })
     }
 }
@@ -250,6 +254,7 @@ mod tests {
             size: [4, 3],
             pixels: pixels.clone().into(),
             marks: Vec::new(),
+            drawing: Drawing::default(),
         };
         let shown = Shown::new(picture.clone()).unwrap();
         let bytes = BASE64.decode(shown.png).unwrap();

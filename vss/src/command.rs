@@ -7,6 +7,7 @@ use ctos::{
     call::{CallError, Fault},
     task::NameError,
 };
+pub use scene::Drawing;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -129,6 +130,8 @@ ctos::command! {
         pub camera: String,
         /// Its picture.
         pub frame: Frame,
+        /// What is drawn over it.
+        pub drawing: Drawing,
     } => (), 0x0421, "show_image"
 
     /// Tool: computes where the spot of a picture is.
@@ -162,6 +165,8 @@ ctos::command! {
         pub camera: String,
         /// Its picture.
         pub frame: Frame,
+        /// What is drawn over it.
+        pub drawing: Drawing,
     } => (), 0x0432, "display_image"
 
     /// Vision Module: puts a marker on the picture that the monitor shows.
@@ -338,6 +343,8 @@ pub struct Shown {
     pub frame: Frame,
     /// The markers on top of it.
     pub marks: Vec<Mark>,
+    /// What is drawn over it.
+    pub drawing: Drawing,
 }
 
 /// A camera as it truly is.

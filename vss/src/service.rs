@@ -12,7 +12,7 @@ use serde::Deserialize;
 use crate::{
     calibrate::calibrate,
     command::{
-        Calibrate, DiskOffset, DiskReport, FindPair, FindTarget, LocateDisk, LocateSpot,
+        Calibrate, DiskOffset, DiskReport, Drawing, FindPair, FindTarget, LocateDisk, LocateSpot,
         LocateTarget, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport, TargetReport,
         VisionError,
     },
@@ -82,6 +82,7 @@ async fn find_spot(
     let picture = ShowImage {
         camera: camera.clone(),
         frame: frame.clone(),
+        drawing: Drawing::default(),
     };
     // A dark monitor must not cost a measurement.
     if let Err(error) = ask(&cx, &tools.image_disp, picture).await {

@@ -135,8 +135,18 @@ impl EventHandler for ImageDispTool {
             return cx.default_processing(message);
         }
         let SharedArgs { vmm, vm } = self.args.clone();
-        answer::<ShowImage, _, _>(cx, message, |cx, ShowImage { camera, frame }| async move {
-            Ok(with_vm(&cx, &vmm, &vm, DisplayImage { camera, frame }).await?)
+        answer::<ShowImage, _, _>(cx, message, |cx, request| async move {
+            let ShowImage {
+                camera,
+                frame,
+                drawing,
+            } = request;
+            let picture = DisplayImage {
+                camera,
+                frame,
+                drawing,
+            };
+            Ok(with_vm(&cx, &vmm, &vm, picture).await?)
         })
     }
 }

@@ -240,16 +240,17 @@ impl EventHandler for ImageDispModule {
         match message.command() {
             InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
             DisplayImage::CODE => {
-                let (DisplayImage { camera, frame }, reply) = message.open::<DisplayImage>()?;
-                let frame = match fetched(cx, frame) {
+                let (request, reply) = message.open::<DisplayImage>()?;
+                let frame = match fetched(cx, request.frame) {
                     Ok(frame) => frame,
                     Err(error) => return reply.fail(error),
                 };
                 Monitor::of(cx).lock().insert(
-                    camera,
+                    request.camera,
                     Shown {
                         frame,
                         marks: Vec::new(),
+                        drawing: request.drawing,
                     },
                 );
                 reply.ok(())

@@ -379,6 +379,7 @@ mod tests {
             size: [1; 2],
             png: "x".repeat(100),
             marks: Vec::new(),
+            drawing: scene::Drawing::default(),
         };
         let pictures: Vec<Shown> = (1..=16)
             .flat_map(|number| [picture("west", number), picture("east", number)])

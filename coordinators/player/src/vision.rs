@@ -55,6 +55,8 @@ pub struct Vision {
     store: DomStore,
     /// Whether colours are trained. Their daemon lives as long as this process.
     trained: Rc<Cell<bool>>,
+    /// Looks so far.
+    looks: Rc<Cell<u64>>,
 }
 
 impl NetArgs for VisionArgs {
@@ -70,6 +72,7 @@ impl NetArgs for VisionArgs {
             args: Rc::new(self),
             store,
             trained: Rc::default(),
+            looks: Rc::default(),
         };
         // Between two requests there is nothing to know.
         let library = Library::new(state).kept(|_| (), |_, ()| ());

@@ -9,6 +9,9 @@
 #[path = "seen/hands.rs"]
 mod hands;
 
+#[path = "seen/looked.rs"]
+mod looked;
+
 #[path = "play/mod.rs"]
 mod play;
 

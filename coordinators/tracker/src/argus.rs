@@ -16,7 +16,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Deserialize;
 use sorma::snapshot::{Layout, Place, Writer};
 use vss::{
-    command::{Mark, MarkSpot, ShowImage, Snap, VisionError},
+    command::{Drawing, Mark, MarkSpot, ShowImage, Snap, VisionError},
     frame::Frame,
     tool::fetched,
 };
@@ -285,6 +285,7 @@ impl Looking {
                 let picture = ShowImage {
                     camera: camera.clone(),
                     frame,
+                    drawing: Drawing::default(),
                 };
                 cx.call(&image, picture).await?;
                 if let Some(mark) = mark {

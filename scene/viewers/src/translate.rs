@@ -7,8 +7,9 @@ use foxglove::{
     Encode,
     messages::{
         CameraCalibration, CircleAnnotation, Color, CompressedImage, FrameTransform,
-        FrameTransforms, ImageAnnotations, JointState, JointStates, Log, Point2, SceneEntity,
-        SceneEntityDeletion, SceneUpdate, Timestamp, log, scene_entity_deletion,
+        FrameTransforms, ImageAnnotations, JointState, JointStates, Log, Point2, PointsAnnotation,
+        SceneEntity, SceneEntityDeletion, SceneUpdate, Timestamp, log, points_annotation,
+        scene_entity_deletion,
     },
 };
 use jpeg_encoder::{ColorType, Encoder};
@@ -189,6 +190,7 @@ impl Translator {
             size,
             pixels,
             marks,
+            drawing,
         } = picture;
         let known = self.cameras.entry(camera.clone()).or_default();
         let resized = known.size.replace(size) != Some(size);
@@ -212,14 +214,16 @@ impl Translator {
         }
         let [across, down] =
             [0, 1].map(|axis| f64::from(size[axis]) / f64::from(taken[axis].max(1)));
+        // Middles of pixels, in the small picture.
+        let place = |[u, v]: [f64; 2]| Point2 {
+            x: (u + 0.5) * across - 0.5,
+            y: (v + 0.5) * down - 0.5,
+        };
         let circle = |mark: &scene::Found| {
-            // Middles of pixels, in the small picture.
-            let x = (mark.at[0] + 0.5) * across - 0.5;
-            let y = (mark.at[1] + 0.5) * down - 0.5;
             let wide = mark.sd.map_or(0.0, |[u, v]| 6.0 * u.max(v) * across);
             CircleAnnotation {
                 timestamp,
-                position: Some(Point2 { x, y }),
+                position: Some(place(mark.at)),
                 diameter: wide.max(LEAST_MARK),
                 thickness: 1.5,
                 fill_color: None,
@@ -227,9 +231,26 @@ impl Translator {
                 metadata: Vec::new(),
             }
         };
+        let outline = |outline: &scene::Outline| {
+            let [r, g, b] = outline.colour.map(|part| f64::from(part) / 255.0);
+            PointsAnnotation {
+                timestamp,
+                r#type: points_annotation::Type::LineLoop.into(),
+                points: outline.corners.iter().copied().map(place).collect(),
+                outline_color: Some(Color {
+                    r,
+                    g,
+                    b,
+                    a: outline.strength,
+                }),
+                thickness: outline.width * across,
+                ..PointsAnnotation::default()
+            }
+        };
         let annotations = ImageAnnotations {
             timestamp,
             circles: marks.iter().map(circle).collect(),
+            points: drawing.outlines.iter().map(outline).collect(),
             ..ImageAnnotations::default()
         };
         all.push(sent(

@@ -1,6 +1,8 @@
 //! The class `board`: a draughts board in a picture, what stands on it, and where one disc is.
 
-use std::sync::LazyLock;
+mod drawn;
+
+use std::{sync::LazyLock, time::Duration};
 
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
@@ -10,7 +12,10 @@ use vss_image::{
     colour::{Classes, Training},
 };
 
+use drawn::{NUMBERS, Reading};
+
 use super::{code, colour, ended, picture};
+use crate::{command::ShowImage, frame::Frame};
 
 const FORMS: &[Form] = &[
     Form {
@@ -42,6 +47,16 @@ const FORMS: &[Form] = &[
         help: "what is on the squares where nothing should be: discs that were lost, hands",
     },
     Form {
+        text: "show FILE",
+        floats: Form::ANY,
+        takes: "nothing, to show what is read here; or 73 numbers that say what was made of it: 1 if a hand is seen, else 0; piece and \
+                confidence of 32 squares in the order of PDN (a confidence below 0: that square has no mark); u, v of four markers \
+                (px)",
+        gives: "1 int: on how many squares something is unsure (below 0.8)",
+        results: "",
+        help: "shows the picture on the app's monitor, with what was read in it drawn over it",
+    },
+    Form {
         text: "FILE",
         floats: 0,
         takes: "",
@@ -59,6 +74,7 @@ pub(super) struct Options {
     white: String,
     train: String,
     tool: String,
+    show: String,
 }
 
 impl Default for Options {
@@ -67,6 +83,7 @@ impl Default for Options {
             white: "bottom".to_owned(),
             train: String::new(),
             tool: "toolSnap".to_owned(),
+            show: "toolImageDisp".to_owned(),
         }
     }
 }
@@ -93,6 +110,12 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "the app's task that takes pictures",
             |options| &mut options.tool,
         )
+        .word(
+            "show",
+            "TASK",
+            "the app's task that shows pictures",
+            |options| &mut options.show,
+        )
 });
 
 /// A picture, and the board in it.
@@ -101,6 +124,8 @@ struct Read {
     name: String,
     picture: Picture,
     board: Found,
+    /// Number and stamp (ns) of a picture that a camera took.
+    taken: Option<[i64; 2]>,
 }
 
 /// An object of class `board`.
@@ -157,6 +182,12 @@ fn learned(path: &str, io: &mut Transport) -> Result<(Classes, Roles), Report> {
     }
 }
 
+/// A monitor that is dark must not cost the next picture.
+const SHOWN_WITHIN: Duration = Duration::from_secs(1);
+
+/// A disc that is farther from the middle of a square stands on none, squares.
+const OFF: f64 = 0.35;
+
 /// The word for the picture that was read last.
 const LAST: &str = "last";
 
@@ -177,6 +208,7 @@ impl Board {
                 name,
                 picture,
                 board,
+                taken,
             });
         }
         let read = self.last.as_ref().ok_or_else(|| {
@@ -187,6 +219,7 @@ impl Board {
             "marker" => marker(&read.board, io),
             "disk" => self.disk(read, io)?,
             "rest" => self.rest(read, io)?,
+            "show" => self.show(cx, read, io).await?,
             _ => self.situation(read, io),
         }
         io.ints.extend(taken.into_iter().flatten());
@@ -239,11 +272,62 @@ impl Board {
         Ok(())
     }
 
+    /// Shows the picture with what was read in it.
+    async fn show(&self, cx: &Waiting<'_>, read: &Read, io: &mut Transport) -> Outcome {
+        let colours = self.colours();
+        let rest = colours.and_then(|colours| read.board.rest(&read.picture, colours));
+        let strays = rest.into_iter().flat_map(|rest| rest.discs);
+        let strays = strays
+            .map(|disc| (disc.piece.code(), [disc.file, disc.rank]))
+            .filter(|(_, at)| is_stray(*at))
+            .collect();
+        let reading = if io.floats.is_empty() {
+            let fields = read.board.situation(&read.picture, colours);
+            let squares = fields.iter();
+            let squares = squares.map(|field| (field.piece.code(), field.confidence));
+            Reading::of(squares.collect(), strays)
+        } else {
+            Reading::told(&io.floats, strays).ok_or_else(|| {
+                let given = io.floats.len();
+                let text = format!("`show` takes no number or {NUMBERS}, and {given} are given");
+                Report::error(sorma::report::code::VALUE, text)
+            })?
+        };
+        let [number, stamp] = read.taken.unwrap_or_default();
+        let camera = read.name.strip_prefix(picture::CAMERA);
+        let camera = camera.unwrap_or(&read.name).trim().to_owned();
+        let (width, height) = (read.picture.width, read.picture.height);
+        let frame = Frame {
+            camera: camera.clone(),
+            number: number.unsigned_abs(),
+            stamp: Duration::from_nanos(stamp.unsigned_abs()),
+            ..Frame::grey8(width, height, read.picture.clone().into_grey())
+        };
+        let request = ShowImage {
+            camera,
+            frame,
+            drawing: reading.drawn(&read.board),
+        };
+        picture::begun().await;
+        cx.call_task(&self.options.show, request, SHOWN_WITHIN)
+            .await?;
+        io.floats.clear();
+        io.ints = vec![i64::try_from(reading.unsure()).unwrap_or(i64::MAX)];
+        Ok(())
+    }
+
     fn situation(&self, read: &Read, io: &mut Transport) {
         let fields = read.board.situation(&read.picture, self.colours());
         io.ints = fields.iter().map(|field| field.piece.code()).collect();
         io.floats = fields.iter().map(|field| field.confidence).collect();
     }
+}
+
+/// Whether a disc stands so far from the middle of the nearest dark square that it is on none.
+fn is_stray([file, rank]: [f64; 2]) -> bool {
+    let (x, y) = (file.floor(), rank.floor());
+    let is_light = (x + y).rem_euclid(2.0) != 0.0;
+    is_light || (file - x - 0.5).hypot(rank - y - 0.5) >= OFF
 }
 
 fn marker(board: &Found, io: &mut Transport) {

@@ -55,8 +55,20 @@ pub(super) async fn shot(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<F
             "there is no camera `{camera}` here, for no app runs here: attach to one, or give the name of a file"
         )));
     }
-    // The beginning of a request belongs to the task that serves it, and what waits to a part of its own: a record of the
-    // task says which part asked.
+    begun().await;
+    let request = Snap {
+        camera: camera.to_owned(),
+    };
+    let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
+    let taken = cx.call_task(tool, request, DEADLINE).await;
+    let taken = taken.map_err(|report| nothing(&report.text))?;
+    let frame = taken.map_err(|error| nothing(&error.reason))?;
+    frame.fetched().map_err(|error| nothing(&error.to_string()))
+}
+
+/// The beginning of a request belongs to the task that serves it, and what waits to a part of its own: a record of the task says
+/// which part asked.
+pub(super) async fn begun() {
     let mut begun = false;
     poll_fn(|cx| {
         cx.waker().wake_by_ref();
@@ -67,14 +79,6 @@ pub(super) async fn shot(cx: &Waiting<'_>, camera: &str, tool: &str) -> Result<F
         }
     })
     .await;
-    let request = Snap {
-        camera: camera.to_owned(),
-    };
-    let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
-    let taken = cx.call_task(tool, request, DEADLINE).await;
-    let taken = taken.map_err(|report| nothing(&report.text))?;
-    let frame = taken.map_err(|error| nothing(&error.reason))?;
-    frame.fetched().map_err(|error| nothing(&error.to_string()))
 }
 
 /// A picture of a file or, where the text is `camera NAME`, of a camera of the app; then also its number and stamp.

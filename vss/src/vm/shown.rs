@@ -67,6 +67,7 @@ fn small(camera: &str, shown: &Shown) -> Option<Picture> {
         size,
         pixels: pixels.into(),
         marks: marks.collect(),
+        drawing: shown.drawing.clone(),
     })
 }
 
@@ -83,7 +84,11 @@ mod tests {
             stamp: Duration::from_millis(7),
             ..Frame::grey8(640, 480, vec![50; 640 * 480])
         };
-        Shown { frame, marks }
+        Shown {
+            frame,
+            marks,
+            drawing: scene::Drawing::default(),
+        }
     }
 
     #[test]

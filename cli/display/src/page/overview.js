@@ -434,10 +434,12 @@ function pictureOf(picture) {
   const by = Math.max(1, Math.floor(width / picture.size[0]));
   const image = () => drawn("image", { href: `data:image/png;base64,${picture.png}`, x: -0.5, y: -0.5, width: picture.size[0] * by, height: picture.size[1] * by, preserveAspectRatio: "none" });
   const good = (mark) => (mark.sd === null ? null : Math.max(...mark.sd));
-  const spots = picture.marks.map((mark) => `a spot at column ${mark.at[0].toFixed(1)}, row ${mark.at[1].toFixed(1)}${good(mark) === null ? "" : `, good to ${good(mark).toFixed(2)} px`}`);
+  const drawing = picture.drawing ?? null;
+  const spots = drawing ? [drawing.said] : picture.marks.map((mark) => `a spot at column ${mark.at[0].toFixed(1)}, row ${mark.at[1].toFixed(1)}${good(mark) === null ? "" : `, good to ${good(mark).toFixed(2)} px`}`);
   const what = spots.length === 0 ? "nothing found in it" : spots.join("; ");
   const parts = [image(), ...picture.marks.map(({ at: [u, v] }) => drawn("g", { class: "spot", transform: `translate(${u} ${v})` },
     drawn("circle", { r: width / 28 }), drawn("path", { d: `M${-width / 14} 0h${width / 28}M${width / 28} 0h${width / 28}M0 ${-width / 14}v${width / 28}M0 ${width / 28}v${width / 28}` })))];
+  if (drawing) parts.push(...drawing.outlines.flatMap(outlineOf));
   const first = picture.marks[0];
   if (first) {
     // The window stands where the spot is not.
@@ -449,9 +451,36 @@ function pictureOf(picture) {
       drawn("ellipse", { cx: u, cy: v, rx: 3 * sd[0], ry: 3 * sd[1] }), drawn("path", { d: `M${u - 9} ${v}h6m6 0h6M${u} ${v - 9}v6m0 6v6` })),
     drawn("rect", { class: "frame", x, y, width: size, height: size }));
   }
-  const whole = drawn("svg", { class: "picture", role: "img", viewBox: `-0.5 -0.5 ${width} ${height}`, "aria-label": `Picture ${picture.number} of ${picture.camera}: ${what}`, "data-number": picture.number }, ...parts);
+  const view = drawing ? around(drawing.outlines.flatMap(({ corners }) => corners), width, height) : [-0.5, -0.5, width, height];
+  const whole = drawn("svg", { class: drawing ? "picture read" : "picture", role: "img", viewBox: view.join(" "), "aria-label": `Picture ${picture.number} of ${picture.camera}: ${what}`, "data-number": picture.number }, ...parts);
+  if (drawing) return [whole, make("figcaption", { title: "Light discs yellow, dark ones red, a king in two rings; what is unsure is framed, with its confidence in percent" }, make("b", {}, picture.camera), make("span", { class: "soft" }, ` ${drawing.said} · ${seconds(picture.at_ns, 2)}`))];
   const spot = first ? `spot at ${first.at[0].toFixed(1)}, ${first.at[1].toFixed(1)} px${good(first) === null ? "" : `\u00a0±\u00a0${good(first).toFixed(2)}`}` : "nothing found";
   return [whole, make("figcaption", {}, make("b", {}, picture.camera), make("span", { class: "soft", title: "The ring in the window has three times the predicted standard deviation" }, ` ${spot} · ${seconds(picture.at_ns, 2)}`))];
+}
+
+/** An outline that somebody has drawn over a picture, with what stands in its middle. */
+function outlineOf({ corners, colour, strength, width, text }) {
+  const line = drawn("polygon", { class: "outline", points: corners.map((at) => at.join(",")).join(" "), stroke: `rgb(${colour.join(" ")})`, "stroke-width": width, "stroke-opacity": strength });
+  if (text === "") return [line];
+  const [left, top, across, down] = box(corners);
+  const words = drawn("text", { class: "outlined", x: left + across / 2, y: top + down / 2, "font-size": 0.6 * Math.min(across, down) });
+  words.textContent = text;
+  return [line, words];
+}
+
+function box(corners) {
+  const [us, vs] = [0, 1].map((axis) => corners.map((at) => at[axis]));
+  const [left, top] = [Math.min(...us), Math.min(...vs)];
+  return [left, top, Math.max(...us) - left, Math.max(...vs) - top];
+}
+
+/** The part of a picture around what is drawn over it: left, top, width and height. */
+function around(corners, width, height) {
+  if (corners.length === 0) return [-0.5, -0.5, width, height];
+  const [left, top, across, down] = box(corners);
+  const margin = 0.12 * Math.max(across, down);
+  const [x, y] = [Math.max(-0.5, left - margin), Math.max(-0.5, top - margin)];
+  return [x, y, Math.min(width - 0.5, left + across + margin) - x, Math.min(height - 0.5, top + down + margin) - y];
 }
 
 /** How far the job is, in words. */

@@ -39,6 +39,16 @@ pub struct SeenArgs {
     markers: String,
     /// Labelled pixels, with the classes `white`, `black`, `dark`, `light` and `marker`, relative to the configuration's folder.
     colours: String,
+    /// Looks that are shown, with what was read in them; none without it.
+    show: Option<ShowArgs>,
+}
+
+/// Which looks are shown.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ShowArgs {
+    /// Every so many looks.
+    every: u64,
 }
 
 fn board() -> String {
@@ -64,6 +74,10 @@ impl SeenArgs {
         if let Err(error) = app.read(&self.colours) {
             let help = "name a table of labelled pixels, class,r,g,b";
             wrong("seen.colours", error.to_string(), help);
+        }
+        if self.show.is_some_and(|show| show.every == 0) {
+            let text = "`seen.show.every` is 0".to_owned();
+            wrong("seen.show", text, "give 1 or more");
         }
         for (key, name, default) in [
             ("seen.board", &self.board, board()),
@@ -197,11 +211,15 @@ pub async fn find(
         match found {
             Ok((answer, corners)) => {
                 let markers = pairs(&answer.floats, 18, 3);
-                pictures.push(Marked {
+                let found = Marked {
                     camera: camera.clone(),
                     markers: lies.corners(markers.ok_or_else(|| short(&seen.markers))?),
                     corners,
-                });
+                };
+                if seen.show.is_some() {
+                    show(cx, seen, &found, None).await;
+                }
+                pictures.push(found);
             }
             Err(error) => failed = Some(error),
         }
@@ -273,7 +291,53 @@ pub async fn look(
         situation: situation.clone(),
     };
     wire::ask(cx, &state.args.room, looked).await?;
+    if let Some(shown) = seen.show {
+        let looks = state.looks.get();
+        state.looks.set(looks + 1);
+        if looks.is_multiple_of(shown.every) {
+            show(cx, seen, known, Some((&situation, lies, &read.ints))).await;
+        }
+    }
     Ok(situation)
+}
+
+/// Has the picture that was read last shown, with what was made of it. What is not shown costs no look.
+async fn show(
+    cx: &Context,
+    seen: &SeenArgs,
+    known: &Marked,
+    made: Option<(&Situation, Lies, &[i64])>,
+) {
+    let hand = made.is_some_and(|(situation, ..)| situation.hand);
+    // Where nothing was read yet, no square has a mark.
+    let mut squares = [[0.0, -1.0]; 32];
+    if let Some((situation, lies, pieces)) = made {
+        for (square, reading) in (0..).zip(&situation.squares) {
+            let nth = lies.read_as(square);
+            let piece = pieces.get(nth).copied().unwrap_or(-1);
+            if let Some(to) = squares.get_mut(nth) {
+                *to = [f64::from(piece_of(reading, piece)), reading.confidence];
+            }
+        }
+    }
+    let mut numbers = vec![f64::from(u8::from(hand))];
+    numbers.extend(squares.as_flattened());
+    numbers.extend(known.markers.as_flattened());
+    let shown = ask(cx, &seen.board, Method::Exec, "show last", &numbers).await;
+    if let Err(error) = shown {
+        tracing::debug!("picture not shown: {error}");
+    }
+}
+
+/// The piece of what a square was read as at last: that which was read at first where both agree.
+fn piece_of(reading: &Reading, piece: i64) -> i8 {
+    let first = i8::try_from(piece).unwrap_or(-1);
+    match reading.disc {
+        disc if disc == hue(piece) => first,
+        Some(Hue::Light) => 1,
+        Some(Hue::Dark) => 2,
+        None => 0,
+    }
 }
 
 /// Looks for one disc on or beside a square that is unsure.

@@ -74,6 +74,7 @@ fn picture(at_ns: u64, marks: Vec<Found>) -> Picture {
         size: [32, 16],
         pixels: pixels.into(),
         marks,
+        drawing: scene::Drawing::default(),
     }
 }
 
