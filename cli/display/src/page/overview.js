@@ -463,7 +463,7 @@ function outlineOf({ corners, colour, strength, width, text }) {
   const line = drawn("polygon", { class: "outline", points: corners.map((at) => at.join(",")).join(" "), stroke: `rgb(${colour.join(" ")})`, "stroke-width": width, "stroke-opacity": strength });
   if (text === "") return [line];
   const [left, top, across, down] = box(corners);
-  const words = drawn("text", { class: "outlined", x: left + across / 2, y: top + down / 2, "font-size": 0.5 * Math.min(across, down) });
+  const words = drawn("text", { class: "outlined", x: left + across / 2, y: top + down / 2, "font-size": 0.6 * Math.min(across, down) });
   words.textContent = text;
   return [line, words];
 }

@@ -70,12 +70,12 @@ async fn look(cx: &Context, seen: &Mutex<Seen>) {
     seen.drawn.insert(shown.frame.number, shown.drawing);
 }
 
-/// What is drawn over pictures of a game that is given up after half a move, and where the middles of the squares are in them.
-fn looked(seed: u64, sets: &[&str]) -> (Vec<Drawing>, Vec<[f64; 2]>) {
+/// What is drawn over pictures of a game that is given up after some half-moves, and where the middles of the squares are in them.
+fn looked(plies: usize, sets: &[&str]) -> (Vec<Drawing>, Vec<[f64; 2]>) {
     let seen = Arc::<Mutex<Seen>>::default();
     let shared = Arc::clone(&seen);
     let folder = tempfile::tempdir().unwrap();
-    let opponent = record_of(folder.path(), 0);
+    let opponent = record_of(folder.path(), plies);
     let mut all = vec![
         "task.player_daemon.handler=\"test.monitor\"",
         "task.room.args.bumps=0.0",
@@ -83,7 +83,7 @@ fn looked(seed: u64, sets: &[&str]) -> (Vec<Drawing>, Vec<[f64; 2]>) {
         &opponent,
     ];
     all.extend(sets);
-    play::simulated("checkers-seen.toml", seed, &all, &[], |registry| {
+    play::simulated("checkers-seen.toml", 1, &all, &[], |registry| {
         registry.handler("test.monitor", &[], move |_| {
             Ok(Onlooker(Arc::clone(&shared)))
         });
@@ -137,17 +137,21 @@ fn squares_of(drawing: &Drawing, squares: &[[f64; 2]], colour: [u8; 3]) -> Vec<u
     all
 }
 
+fn said(drawn: &[Drawing]) -> Vec<&str> {
+    drawn.iter().map(|drawing| &*drawing.said).collect()
+}
+
 const LIGHT: [u8; 3] = [255, 222, 80];
 const DARK: [u8; 3] = [255, 84, 70];
 const NOTHING: [u8; 3] = [170, 210, 225];
 
 #[test]
 fn a_look_is_shown_with_a_mark_on_each_square_where_it_is() {
-    let (drawn, squares) = looked(1, &["task.room.args.glare=0.0"]);
+    let (drawn, squares) = looked(0, &["task.room.args.glare=0.0"]);
     let clear = drawn
         .iter()
         .find(|drawing| drawing.said == "12 light, 12 dark")
-        .unwrap_or_else(|| panic!("{drawn:?}"));
+        .unwrap_or_else(|| panic!("{:?}", said(&drawn)));
     assert_eq!(
         squares_of(clear, &squares, DARK),
         (0..12).collect::<Vec<_>>()
@@ -165,13 +169,14 @@ fn a_look_is_shown_with_a_mark_on_each_square_where_it_is() {
 
 #[test]
 fn a_square_that_something_hides_is_shown_as_unsure_with_its_confidence() {
-    let (drawn, squares) = looked(1, &["task.room.args.glare=1.0"]);
+    let (drawn, squares) = looked(2, &["task.room.args.glare=1.0"]);
     let unsure = drawn
         .iter()
         .find(|drawing| drawing.said.contains("unsure"))
-        .unwrap_or_else(|| panic!("{drawn:?}"));
+        .unwrap_or_else(|| panic!("{:?}", said(&drawn)));
     let marks = middles(unsure, |_, text| !text.is_empty());
-    assert!(!marks.is_empty(), "{unsure:?}");
+    let count = format!("{} unsure", marks.len());
+    assert!(unsure.said.contains(&count), "{unsure:?}");
     for at in marks {
         let (square, far) = nearest(&squares, at);
         assert!(far < 2.0, "{at:?} is {far} px off {:?}", squares[square]);
