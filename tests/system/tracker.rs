@@ -47,9 +47,9 @@ fn must_be_smooth(result: &Value) {
         number(result, "max_acceleration_ratio") <= 1.0 + 1e-6,
         "{result}"
     );
-    // 4 m/s^2 in 4.5 ms.
+    // 6 m/s^2 in 4.5 ms.
     assert!(
-        number(result, "max_step_m_s") <= 4.0 * 0.0045 + 1e-6,
+        number(result, "max_step_m_s") <= 6.0 * 0.0045 + 1e-6,
         "{result}"
     );
     assert_eq!(result["unread"], 0, "{result}");

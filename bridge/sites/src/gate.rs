@@ -54,6 +54,8 @@ const LOOK: Duration = Duration::from_millis(250);
 const AWAIT: Duration = Duration::from_millis(50);
 /// Requests to other sites that may be under way.
 const MOST_ASKING: usize = 1024;
+/// Reasons not to believe a site that are told.
+const MOST_DOUBTS: usize = 100;
 
 /// The log target of addresses that are served: it is shown where nothing else of its level is.
 const LOG_TARGET: &str = "ctos::page";
@@ -86,8 +88,8 @@ struct Shared {
     refused: Cell<u64>,
     /// The requests of each site that have come.
     come: RefCell<BTreeMap<String, Numbers>>,
-    /// What each site seemed to say last that was not believed.
-    doubted: RefCell<BTreeMap<String, String>>,
+    /// Of which sites what was not believed, and why.
+    doubted: RefCell<BTreeSet<(String, String)>>,
 }
 
 /// The event handler.
@@ -519,17 +521,11 @@ impl Shared {
         Ok(*info)
     }
 
-    /// Tells once what is not believed of a site, and counts it.
+    /// Counts what is not believed of a site. Whoever lies can do so often, so a reason is told once for a site, and few in all.
     fn doubt(&self, cx: &Context, site: String, why: String) {
         self.refused.set(self.refused.get() + 1);
         let mut doubted = self.doubted.borrow_mut();
-        // Names that nobody configured can be many.
-        let is_known = self.args.sites().contains(&site);
-        let before = match is_known {
-            true => doubted.insert(site.clone(), why.clone()),
-            false => None,
-        };
-        if before.as_ref() != Some(&why) {
+        if doubted.len() < MOST_DOUBTS && doubted.insert((site.clone(), why.clone())) {
             tracing::warn!(task = cx.name(), site, "{why}");
         }
     }

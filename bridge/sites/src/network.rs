@@ -84,7 +84,8 @@ pub(crate) enum Order {
 #[derive(Debug)]
 pub(crate) struct Incoming {
     query: Query,
-    number: u64,
+    /// How it was signed.
+    signed: Option<Signature>,
     _place: OwnedSemaphorePermit,
 }
 
@@ -225,7 +226,7 @@ impl Joined {
         let asks = session
             .declare_queryable(all_asks(&plan.site, plan.run))
             .callback(move |query: Query| {
-                let Err((from, number, fault)) =
+                let Err((from, signed, fault)) =
                     asked(&query, &site, &prover, &places).map(|event| tell(&events, event))
                 else {
                     return;
@@ -233,7 +234,7 @@ impl Joined {
                 if let Fault::Refused { text } = &fault {
                     tell(&events, Event::Doubted(from, text.clone()));
                 }
-                answer(&prover, &query, number, Err(fault));
+                answer(&prover, &query, signed.as_ref(), Err(fault));
             })
             .wait()?;
         Ok(Self {
@@ -281,6 +282,7 @@ impl Joined {
                         site,
                         key: key.clone(),
                         number: head.number,
+                        signed: signed.clone(),
                         prover: plan.prover.clone(),
                         events: events.clone(),
                         answered: AtomicBool::new(false),
@@ -295,7 +297,7 @@ impl Joined {
                         .wait()?;
                 }
                 Ok(Order::Answer { to, answer: with }) => {
-                    answer(&plan.prover, &to.query, to.number, with);
+                    answer(&plan.prover, &to.query, to.signed.as_ref(), with);
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return self.session.close().wait(),
@@ -332,6 +334,8 @@ struct Awaited {
     site: String,
     key: String,
     number: u64,
+    /// How the request was signed.
+    signed: Option<Signature>,
     prover: Arc<Prover>,
     events: mpsc::UnboundedSender<Event>,
     answered: AtomicBool,
@@ -356,7 +360,7 @@ impl Awaited {
     fn believed(&self, sample: &Sample, bytes: &[u8]) -> Result<Ended, String> {
         let beside: Option<(Ended, Option<Signature>)> = beside(sample.attachment());
         let (ended, signature) = beside.ok_or("its answer cannot be read")?;
-        let said = Said::Answer(&self.key, self.number, &ended, bytes);
+        let said = Said::Answer(&self.key, self.signed.as_ref(), &ended, bytes);
         let checked = self.prover.check(&self.site, said, signature.as_ref());
         let wrong = |why| format!("its answer is not believed: {why}");
         checked.map_err(wrong).map(|()| ended)
@@ -395,35 +399,35 @@ fn asked(
     site: &str,
     prover: &Prover,
     places: &Arc<Semaphore>,
-) -> Result<Event, (String, u64, Fault)> {
+) -> Result<Event, (String, Option<Signature>, Fault)> {
     let unreadable = |text: &str| Fault::BadPayload {
         text: text.to_owned(),
     };
     let key = query.key_expr().as_str();
     let Some(asked) = Asked::of_key(key) else {
         let fault = unreadable("the key names no task and command");
-        return Err((String::new(), 0, fault));
+        return Err((String::new(), None, fault));
     };
     let from = asked.from.clone();
     let head: Option<(Head, Option<Signature>)> = beside(query.attachment());
     let Some((head, signature)) = head.filter(|(head, _)| head.version == VERSION) else {
         let fault = unreadable("the gates speak different versions");
-        return Err((from, 0, fault));
+        return Err((from, None, fault));
     };
     let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
     let said = Said::Ask(key, head, &payload);
     if let Err(why) = prover.check(&from, said, signature.as_ref()) {
         let text =
             format!("site `{site}` does not take this for a request of site `{from}`: {why}");
-        return Err((from, head.number, Fault::Refused { text }));
+        return Err((from, signature, Fault::Refused { text }));
     }
     let Ok(place) = places.clone().try_acquire_owned() else {
         let capacity = MOST_SERVED;
-        return Err((from, head.number, Fault::Full { capacity }));
+        return Err((from, signature, Fault::Full { capacity }));
     };
     let to = Incoming {
         query: query.clone(),
-        number: head.number,
+        signed: signature,
         _place: place,
     };
     let to = Box::new(to);
@@ -436,12 +440,12 @@ fn asked(
     })
 }
 
-fn answer(prover: &Prover, query: &Query, number: u64, with: Result<Vec<u8>, Fault>) {
+fn answer(prover: &Prover, query: &Query, asked: Option<&Signature>, with: Result<Vec<u8>, Fault>) {
     let (ended, bytes): (Ended, _) = match with {
         Ok(bytes) => (Ok(()), bytes),
         Err(fault) => (Err(fault), Vec::new()),
     };
-    let signed = prover.sign(Said::Answer(query.key_expr(), number, &ended, &bytes));
+    let signed = prover.sign(Said::Answer(query.key_expr(), asked, &ended, &bytes));
     let reply = query.reply(query.key_expr().clone(), bytes);
     if let Err(error) = reply.attachment(written(&(ended, signed))).wait() {
         tracing::debug!(%error, "who asked is gone");

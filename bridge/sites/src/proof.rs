@@ -18,8 +18,8 @@ pub(crate) enum Said<'s> {
     Beat(&'s str, Beat),
     /// A request, and its data.
     Ask(&'s str, Head, &'s [u8]),
-    /// How the request of that number ended, and the data of its reply.
-    Answer(&'s str, u64, &'s Ended, &'s [u8]),
+    /// How the request of that signature ended, and the data of its reply: no other request has this answer.
+    Answer(&'s str, Option<&'s Signature>, &'s Ended, &'s [u8]),
 }
 
 impl Said<'_> {
@@ -199,9 +199,18 @@ pub(crate) mod tests {
             Said::Ask("another/key", head, b"hat"),
             Said::Ask("a/key", later, b"hat"),
             Said::Ask("a/key", head, b"hats"),
-            Said::Answer("a/key", 1, &done, b"hat"),
+            Said::Answer("a/key", None, &done, b"hat"),
         ] {
             assert!(why("south", other, &signed).contains("does not fit"));
+        }
+        // An answer belongs to one request, also of a gate that was started anew and counts from 1 again.
+        let answer = Said::Answer("a/key", signed.as_ref(), &done, b"hat");
+        let answered = south.sign(answer);
+        assert_eq!(north.check("south", answer, answered.as_ref()), Ok(()));
+        for asked in [Head::new(Duration::from_secs(1), true, 8, 1), later] {
+            let signed = south.sign(Said::Ask("a/key", asked, b"hat"));
+            let answer = Said::Answer("a/key", signed.as_ref(), &done, b"hat");
+            assert!(why("south", answer, &answered).contains("does not fit"));
         }
     }
 

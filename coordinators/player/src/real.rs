@@ -237,6 +237,7 @@ impl ArmArgs {
     pub async fn transfer(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         let arm = self.arm(cx);
         arm.acquire().await?;
+        self.risen_now(cx, &arm).await?;
         self.up(&arm).await?;
         self.gripper.holds(cx).await?;
         self.above(cx, stand).await?;
@@ -274,6 +275,7 @@ impl ArmArgs {
         };
         let arm = self.arm(cx);
         arm.acquire().await?;
+        self.risen_now(cx, &arm).await?;
         self.up(&arm).await?;
         self.gripper.open_to(cx, 0.0).await?;
         // A flat side is ahead.
@@ -355,7 +357,7 @@ impl ArmArgs {
         let arm = self.arm(cx);
         arm.acquire().await.map_err(here)?;
         let mut at = self.risen_now(cx, &arm).await.map_err(here)?;
-        let mut kept = Kept::default();
+        let (mut kept, mut onward) = (Kept::default(), None);
         for way in self.ways(&at, stand, turns) {
             let pushed = match then {
                 Then::Push(pushed) => Some(pushed(way.down)),
@@ -368,11 +370,26 @@ impl ArmArgs {
                     continue;
                 }
             };
-            let (follows, end) = match then {
-                Then::Carry(to) => (self.carries(cx, there, to).await, 1),
-                _ => (self.risen(cx, there).await.map(|_| ()), 0),
+            let follows = match self.risen(cx, there).await {
+                Ok(risen) => match then {
+                    Then::Carry(to) => self.carries(cx, risen, to).await.map_err(|kept| (kept, 1)),
+                    _ => Ok(()),
+                },
+                Err(failure) => Err(here(failure)),
             };
-            follows.map_err(|failure| (failure, end))?;
+            match follows {
+                Ok(()) => {}
+                Err((failure, _)) if forbids(failure.outcome) => return Err(here(failure)),
+                Err((failure, 0)) => {
+                    kept.note(failure).map_err(here)?;
+                    continue;
+                }
+                // Grasped otherwise, it may be set down there.
+                Err(failure) => {
+                    onward.get_or_insert(failure);
+                    continue;
+                }
+            }
             self.up(&arm).await.map_err(here)?;
             self.swing(&arm, stand).await.map_err(here)?;
             let above = (at_height(way.down, TRAVEL_M), way.path);
@@ -382,7 +399,7 @@ impl ArmArgs {
             }
             at = self.risen_now(cx, &arm).await.map_err(here)?;
         }
-        Err(here(kept.told(stand)))
+        Err(onward.unwrap_or_else(|| here(kept.told(stand))))
     }
 
     /// Straight down, the last of it gently.

@@ -556,11 +556,16 @@ async fn light(cx: &Context, inner: &Rc<RefCell<Inner>>) {
         if shown.lit == share {
             return;
         }
-        shown.lit = share;
         (shown.args.world.clone(), share)
     };
-    if let Err(error) = wire::ask(cx, &world, LightRoom { share }).await {
-        tracing::error!(%error, "the light is as it was");
+    match wire::ask(cx, &world, LightRoom { share }).await {
+        Ok(()) => {
+            if let Some(shown) = &mut inner.borrow_mut().shown {
+                shown.lit = share;
+            }
+        }
+        // The next look tries again.
+        Err(error) => tracing::warn!(%error, "the light is as it was"),
     }
 }
 

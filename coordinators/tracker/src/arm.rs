@@ -55,6 +55,8 @@ pub struct Arm {
     speeds: Joints,
     /// How the hand is to be turned.
     turn: UnitQuaternion<f64>,
+    /// What the joints allowed where that was known last.
+    limits: JointLimits,
 }
 
 impl Arm {
@@ -66,6 +68,7 @@ impl Arm {
             speeds: Joints::zeros(joints.len()),
             joints,
             turn: UnitQuaternion::identity(),
+            limits: JointLimits::NONE,
             solver,
         };
         arm.turn = arm.pose(&joints).rotation;
@@ -245,26 +248,45 @@ impl Arm {
                 "the arm would be singular: its smallest singular value would be {then:.3}, and {SINGULAR} is needed"
             ));
         }
+        self.allowed(&found)
+            .ok_or_else(|| "the arm is singular there".to_owned())
+    }
+
+    /// What its joints allow of the hand where it is; where they are singular, what they allowed last.
+    pub fn limits(&mut self) -> JointLimits {
+        let joints = self.joints;
+        self.limits = self.allowed(&joints).unwrap_or(self.limits);
+        self.limits
+    }
+
+    /// What joints allow of a hand that stays turned as it is: the first three carry the middle of the wrist as fast as the hand goes.
+    fn allowed(&mut self, joints: &Joints) -> Option<JointLimits> {
         if !self.gives_way() {
-            return Ok(JointLimits::NONE);
+            return Some(JointLimits::NONE);
         }
-        let [arm, _] = self.jacobians(&found);
-        let inverse = arm.try_inverse().ok_or("the arm is singular there")?;
-        let joints = self.solver.model().joints();
+        let model = self.solver.model();
+        model.forward(&mut self.data, joints);
+        let wrist = self.data.carrier(Some(WRIST + 1)).origin;
+        let all = model.jacobian_there(&mut self.data, model.tip(), &wrist);
+        let jacobian = all.fixed_view::<3, 3>(0, 0).into_owned();
+        let joints = model.joints();
         let most = |pick: fn(&Limits) -> f64| Vector3::from_fn(|row, _| pick(&joints[row].limits));
         let both = [
             most(|limits| limits.velocity),
             most(|limits| limits.acceleration),
         ];
-        Ok(JointLimits::new(inverse, both))
+        JointLimits::new(jacobian, both)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
+    use std::{path::Path, sync::Arc};
 
-    use mcs::model::{built_in, file::Inertias};
+    use mcs::model::{
+        Model, built_in,
+        file::{self, Inertias},
+    };
     use proptest::prelude::*;
 
     use super::*;
@@ -274,7 +296,11 @@ mod tests {
 
     fn arm(degrees: [f64; 6]) -> Arm {
         let model = built_in::model("puma560", Inertias::Identified).unwrap();
-        let solver = Solver::new(Arc::new(model.unwrap())).unwrap();
+        of_model(model.unwrap(), degrees)
+    }
+
+    fn of_model(model: Model, degrees: [f64; 6]) -> Arm {
+        let solver = Solver::new(Arc::new(model)).unwrap();
         Arm::at_rest(solver, Joints::from(degrees.map(f64::to_radians)))
     }
 
@@ -355,8 +381,7 @@ mod tests {
 
     /// The largest accelerations of the first three joints, rad/s^2, of a hand that follows jumps of a ball, which is seen every 40 ms,
     /// 110 ms late: `to` where each of them goes, m from where the hand begins.
-    fn jumped(to: &[[f64; 3]]) -> [f64; WRIST] {
-        let mut arm = arm([0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
+    fn jumped(mut arm: Arm, to: &[[f64; 3]]) -> [f64; WRIST] {
         let from = Point3::from(arm.pose(&arm.joints().clone()).translation.vector);
         let mut control = Control::new(ControlArgs::default(), from);
         let (mut before, mut speeds, mut most) = (*arm.joints(), [0.0; WRIST], [0.0_f64; WRIST]);
@@ -376,8 +401,9 @@ mod tests {
                 let last = jump.checked_sub(1).map_or(from, place);
                 control.measure(now, at, &(last + (place(jump) - last) * done));
             }
-            let reaches = |place: &Point3<f64>| arm.limits_at(place).ok();
-            control.go_within(now, [&still, &still], PERIOD, reaches);
+            let joints = arm.limits();
+            let limits_at = |place: &Point3<f64>| arm.limits_at(place).ok();
+            control.go_within(now, [&still, &still], PERIOD, &joints, limits_at);
             arm.go(&control.course().place, PERIOD).unwrap();
             for joint in 0..WRIST {
                 let speed = (arm.joints()[joint] - before[joint]) / PERIOD;
@@ -397,10 +423,15 @@ mod tests {
         ) {
             // Outwards the last of it is nearly where the elbow is stretched.
             let to: Vec<_> = to.iter().map(|(x, y, z)| [0.1 * x, 0.15 * y, 0.05 * z]).collect();
-            let most = jumped(&to);
-            let arm = arm([0.0; ALL]);
-            for (joint, most) in arm.solver.model().joints().iter().zip(most) {
-                prop_assert!(most <= joint.limits.acceleration, "{most} rad/s^2 in {}", joint.name);
+            // Also with a tool on its wrist, which is 0.2 m long.
+            for model in ["puma560", "puma560_carrying_hand"] {
+                let file = format!("{}/../../configs/models/{model}.toml", env!("CARGO_MANIFEST_DIR"));
+                let model = file::read(Path::new(&file), Inertias::Identified).unwrap();
+                let arm = of_model(model, [0.0, 39.0, -159.0, 0.0, -60.0, 0.0]);
+                let joints = arm.solver.model().joints().to_vec();
+                for (joint, most) in joints.iter().zip(jumped(arm, &to)) {
+                    prop_assert!(most <= joint.limits.acceleration, "{most} rad/s^2 in {}", joint.name);
+                }
             }
         }
     }

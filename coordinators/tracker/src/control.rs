@@ -244,16 +244,19 @@ impl Control {
     /// Goes on by a period, s, until `now`. `force` is what the hand is pushed with, N in the base frame, `mouse` how the mouse is
     /// deflected. Answers how large the change of the velocity was, as a part of what the limit allows.
     pub fn go(&mut self, now: f64, force: &Vector3<f64>, mouse: &Vector3<f64>, period: f64) -> f64 {
-        self.go_within(now, [force, mouse], period, |_| Some(JointLimits::NONE))
+        let none = JointLimits::NONE;
+        self.go_within(now, [force, mouse], period, &none, |_| Some(none))
     }
 
-    /// The same with an arm that does not reach every place of the hand. `reaches` tells what its joints allow at a place it reaches.
+    /// The same with an arm that does not reach every place of the hand. `joints` is what its joints allow here, and `limits_at` tells
+    /// that of a place that it reaches.
     pub fn go_within(
         &mut self,
         now: f64,
         [force, mouse]: [&Vector3<f64>; 2],
         period: f64,
-        mut reaches: impl FnMut(&Point3<f64>) -> Option<JointLimits>,
+        joints: &JointLimits,
+        mut limits_at: impl FnMut(&Point3<f64>) -> Option<JointLimits>,
     ) -> f64 {
         let offset = self.wrist.take(force, period) + self.mouse.take(mouse, period);
         self.offset += (offset - self.offset).cap_magnitude(self.args.steer_m_s * period);
@@ -283,8 +286,7 @@ impl Control {
             }
         };
         let (goal, moving) = self.within_reach(goal, moving);
-        let joints = reaches(&self.course.place).unwrap_or(JointLimits::NONE);
-        let (goal, moving) = self.short_of_the_end(goal, moving, &joints, &mut reaches);
+        let (goal, moving) = self.short_of_the_end(goal, moving, joints, &mut limits_at);
         if expected.is_none() {
             self.hold = goal;
         }
@@ -293,12 +295,13 @@ impl Control {
         let way = (goal - self.course.place).try_normalize(0.0);
         let way = way.unwrap_or_else(Vector3::zeros);
         // As the joints can brake here and there, whichever is less.
-        let there = reaches(&goal).unwrap_or(joints);
+        let there = limits_at(&goal).unwrap_or(*joints);
         let brakes = joints.braking(&way).min(there.braking(&way));
         let course = &mut self.course;
         let wanted = course.wanted(&goal, &moving, predicted, brakes, period);
-        let wanted = self.contact.allow(force, &course.place, wanted);
-        course.follow_within(&self.walls, &joints, wanted, period);
+        let both = [course.velocity, wanted];
+        let both = both.map(|fast| self.contact.allow(force, &course.place, fast));
+        course.follow_within(&self.walls, joints, both, period);
         self.course.ratio(&before, period)
     }
 
@@ -341,7 +344,7 @@ impl Control {
         goal: Point3<f64>,
         moving: Vector3<f64>,
         joints: &JointLimits,
-        mut reaches: impl FnMut(&Point3<f64>) -> Option<JointLimits>,
+        mut limits_at: impl FnMut(&Point3<f64>) -> Option<JointLimits>,
     ) -> (Point3<f64>, Vector3<f64>) {
         // Where a hand comes to rest that moves on with the goal and then brakes.
         let along = moving.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
@@ -351,7 +354,7 @@ impl Control {
         let way = goal + brakes - from;
         let further = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros) * SHORT;
         let end = from + way + further;
-        if reaches(&end).is_some() {
+        if limits_at(&end).is_some() {
             self.beyond = None;
             return (goal, moving);
         }
@@ -360,7 +363,7 @@ impl Control {
         }
         let (mut good, mut part) = (0.0, 0.5);
         for halving in 2..=HALVINGS + 1 {
-            if reaches(&(from + way * part + further)).is_some() {
+            if limits_at(&(from + way * part + further)).is_some() {
                 good = part;
             }
             let step = 0.5_f64.powi(halving as i32);
@@ -559,7 +562,8 @@ mod tests {
                 control.measure(now, seen, &ball(seen));
             }
             let end = |place: &Point3<f64>| (place.x < 0.15).then_some(JointLimits::NONE);
-            worst = worst.max(control.go_within(now, [&NONE, &NONE], PERIOD, end));
+            worst =
+                worst.max(control.go_within(now, [&NONE, &NONE], PERIOD, &JointLimits::NONE, end));
             furthest = furthest.max(control.course().place.x);
             assert_eq!(
                 control.beyond().is_some(),

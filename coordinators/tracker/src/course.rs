@@ -114,23 +114,25 @@ impl Course {
         clipped(moving + direction * towards, speed)
     }
 
-    /// Goes on by a period, s, as fast as is wanted, and walls and joints allow. The change of the velocity is never more than the
-    /// acceleration allows, and what a wall asks for comes first.
+    /// Goes on by a period, s, as fast as is `wanted`, and as walls and joints allow. It goes no faster than `safe` now: what it touches
+    /// or a wall asks for comes first, whatever the joints are rated for. The change of the velocity is never more than the
+    /// acceleration allows.
     pub fn follow_within(
         &mut self,
         walls: &Walls,
         joints: &JointLimits,
-        wanted: Vector3<f64>,
+        [safe, wanted]: [Vector3<f64>; 2],
         period: f64,
     ) {
         let most = self.args.acceleration * period;
-        let brakes = walls.allow(&self.place, self.velocity) - self.velocity;
+        let brakes = walls.allow(&self.place, safe) - self.velocity;
         let brakes = clipped(brakes, most);
         // Both velocities are allowed, and so is all that is between them.
         let wanted = joints.slowed(wanted);
-        let more = walls.allow(&self.place, wanted) - self.velocity - brakes;
-        let able = joints.part(&self.joints, &(self.velocity + brakes), &more, period);
-        let change = brakes + more * part_within(&brakes, &more, most).min(able);
+        let braked = self.velocity + brakes;
+        let more = walls.allow(&self.place, wanted) - braked;
+        let more = joints.limited(&self.joints, &braked, &more, period);
+        let change = brakes + more * part_within(&brakes, &more, most);
         let before = self.velocity;
         self.velocity += change;
         self.joints = joints.speeds(&self.velocity);
@@ -175,7 +177,8 @@ mod tests {
         /// Goes on by a period towards a goal whose motion is predicted.
         fn go(&mut self, goal: &Point3<f64>, moving: &Vector3<f64>, period: f64) {
             let wanted = self.wanted(goal, moving, true, f64::INFINITY, period);
-            self.follow_within(&Walls::default(), &JointLimits::NONE, wanted, period);
+            let both = [self.velocity, wanted];
+            self.follow_within(&Walls::default(), &JointLimits::NONE, both, period);
         }
     }
 
@@ -223,7 +226,7 @@ mod tests {
             course.go(&goal, &Vector3::zeros(), PERIOD);
             time += PERIOD;
         }
-        // A trapezoid of 1 m/s and 4 m/s^2 over 0.5 m.
+        // A trapezoid over 0.5 m.
         let least = 0.5 / args.speed + args.speed / args.acceleration;
         assert!(time < 1.25 * least, "{time} s, and {least} s at least");
     }

@@ -11,7 +11,8 @@ const USED: f64 = 0.9;
 /// The joints that place a hand, at one pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointLimits {
-    /// How fast the joints go for a velocity of the hand, rad/s for each m/s.
+    /// How fast the hand goes for each of them, m/rad; and back.
+    jacobian: Matrix3<f64>,
     inverse: Matrix3<f64>,
     /// Their highest speeds, rad/s.
     velocity: Vector3<f64>,
@@ -22,19 +23,24 @@ pub struct JointLimits {
 impl JointLimits {
     /// Of a hand whose joints allow everything.
     pub const NONE: Self = Self {
-        inverse: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        jacobian: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+        inverse: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         velocity: Vector3::new(f64::INFINITY, f64::INFINITY, f64::INFINITY),
         acceleration: Vector3::new(f64::INFINITY, f64::INFINITY, f64::INFINITY),
     };
 
-    /// Of joints with such an inverse of their Jacobian, rad/m, and such limits of velocity, rad/s, and acceleration, rad/s^2.
+    /// Of joints with that Jacobian, m/rad, and such limits of velocity, rad/s, and acceleration, rad/s^2. None where the arm is singular.
     #[must_use]
-    pub fn new(inverse: Matrix3<f64>, [velocity, acceleration]: [Vector3<f64>; 2]) -> Self {
-        Self {
-            inverse,
+    pub fn new(
+        jacobian: Matrix3<f64>,
+        [velocity, acceleration]: [Vector3<f64>; 2],
+    ) -> Option<Self> {
+        Some(Self {
+            jacobian,
+            inverse: jacobian.try_inverse()?,
             velocity: velocity * USED,
             acceleration: acceleration * USED,
-        }
+        })
     }
 
     /// How fast the joints go, rad/s, for a velocity of the hand, m/s.
@@ -46,7 +52,7 @@ impl JointLimits {
     /// A velocity of the hand, m/s, as much slower as the joint needs that is the first at its limit.
     #[must_use]
     pub fn slowed(&self, velocity: Vector3<f64>) -> Vector3<f64> {
-        let speeds = self.inverse * velocity;
+        let speeds = self.speeds(&velocity);
         let parts = speeds.zip_map(&self.velocity, |speed, most| most / speed.abs());
         velocity * parts.min().min(1.0)
     }
@@ -54,28 +60,34 @@ impl JointLimits {
     /// How fast the hand can brake that goes along a direction, m/s^2.
     #[must_use]
     pub fn braking(&self, direction: &Vector3<f64>) -> f64 {
-        let accelerations = self.inverse * direction;
+        let accelerations = self.speeds(direction);
         let most = |turns: f64, most: f64| most / turns.abs();
         accelerations.zip_map(&self.acceleration, most).min()
     }
 
-    /// The largest part of a change of the hand's velocity, m/s, up to all of it, for which no joint has to accelerate too much
-    /// within a period, s. Joints went so fast before, rad/s, and without the change the hand has the velocity `from`.
+    /// How much of a change of the hand's velocity, m/s, joints allow within a period, s. They went so fast `before`, rad/s, and
+    /// without the change the hand has the velocity `from`. The change becomes shorter, and keeps its direction. But a joint that
+    /// accelerates too much even without the change, as one does where the Jacobian changes fast, takes no part in what makes that worse.
     #[must_use]
-    pub fn part(
+    pub fn limited(
         &self,
         before: &Vector3<f64>,
         from: &Vector3<f64>,
         change: &Vector3<f64>,
         period: f64,
-    ) -> f64 {
-        let (begun, change) = (self.speeds(from) - before, self.speeds(change));
-        let left = self.acceleration * period - begun.component_mul(&change.map(f64::signum));
-        let parts = left.zip_map(&change, |left, change| match change == 0.0 {
+    ) -> Vector3<f64> {
+        let (begun, wanted) = (self.speeds(from) - before, self.speeds(change));
+        let left = self.acceleration * period - begun.component_mul(&wanted.map(f64::signum));
+        let able = wanted.zip_map(&left, |wanted, left| if left > 0.0 { wanted } else { 0.0 });
+        let parts = left.zip_map(&able, |left, able| match able == 0.0 {
             true => 1.0,
-            false => left / change.abs(),
+            false => left / able.abs(),
         });
-        parts.min().clamp(0.0, 1.0)
+        let part = parts.min().min(1.0);
+        match able == wanted {
+            true => change * part,
+            false => self.jacobian * (able * part),
+        }
     }
 }
 
@@ -93,36 +105,53 @@ mod tests {
     }
 
     fn limits() -> impl Strategy<Value = JointLimits> {
-        prop::array::uniform9(-3.0..3.0_f64)
-            .prop_map(|numbers| JointLimits::new(Matrix3::from_row_slice(&numbers), MOST))
+        prop::array::uniform9(-1.0..1.0_f64)
+            .prop_map(|numbers| Matrix3::from_row_slice(&numbers))
+            .prop_filter_map("singular", |jacobian| {
+                let far = jacobian.determinant().abs() > 0.05;
+                far.then(|| JointLimits::new(jacobian, MOST)).flatten()
+            })
+    }
+
+    /// How much the joints accelerate, as parts of their limits.
+    fn parts(joints: &JointLimits, before: &Vector3<f64>, velocity: &Vector3<f64>) -> Vector3<f64> {
+        let changes = (joints.speeds(velocity) - before) / PERIOD;
+        changes.zip_map(&MOST[1], |change, most| change.abs() / most)
     }
 
     proptest! {
         #[test]
-        fn the_part_of_a_change_is_the_largest_that_every_joint_can_take(
-            joints in limits(), from in vector(), change in vector(),
+        fn a_change_is_the_largest_along_its_way_that_every_joint_can_take(
+            joints in limits(), from in vector(), change in vector(), begun in vector(),
         ) {
-            let before = joints.speeds(&from);
-            let part = joints.part(&before, &from, &change, PERIOD);
-            let taken = |part: f64| {
-                let changes = joints.speeds(&(change * part)) / PERIOD;
-                changes.zip_map(&MOST[1], |change, most| change.abs() / most).max()
-            };
-            prop_assert!(taken(part) <= USED + 1e-9);
-            prop_assert!(part == 1.0 || taken(part) > USED - 1e-9);
+            // They accelerate by up to half of their limits without the change.
+            let begun = begun.component_mul(&MOST[1]) * (0.5 * PERIOD);
+            let before = joints.speeds(&from) + begun;
+            let limited = joints.limited(&before, &from, &change, PERIOD);
+            let taken = parts(&joints, &before, &(from + limited));
+            prop_assert!(taken.max() <= USED + 1e-9);
+            prop_assert!(limited == change || taken.max() > USED - 1e-9);
+            prop_assert!(limited.cross(&change).norm() < 1e-9 && limited.dot(&change) >= 0.0);
         }
 
         #[test]
-        fn joints_that_are_too_fast_already_are_only_brought_back(
-            joints in limits(), before in vector(), change in vector(),
+        fn joints_that_accelerate_too_much_are_not_made_to_do_more_and_the_others_go_on(
+            joints in limits(), from in vector(), change in vector(), begun in vector(),
         ) {
-            let part = joints.part(&(before * 10.0), &Vector3::zeros(), &change, PERIOD);
-            let off = |velocity: Vector3<f64>| {
-                let changes = (joints.speeds(&velocity) - before * 10.0) / PERIOD;
-                changes.zip_map(&MOST[1], |change, most| change.abs() / most).max()
-            };
-            prop_assert!((0.0..=1.0).contains(&part));
-            prop_assert!(off(change * part) <= off(Vector3::zeros()).max(USED) + 1e-6);
+            let begun = begun.component_mul(&MOST[1]) * (3.0 * PERIOD);
+            let before = joints.speeds(&from) + begun;
+            let limited = joints.limited(&before, &from, &change, PERIOD);
+            let (without, with) = (parts(&joints, &before, &from), parts(&joints, &before, &(from + limited)));
+            for (without, with) in without.iter().zip(with.iter()) {
+                prop_assert!(*with <= without.max(USED) + 1e-6, "{with} after {without}");
+            }
+            // Where one joint at least may be changed, the hand's velocity is.
+            let speeds = joints.speeds(&change);
+            let may = (0..3).any(|joint| {
+                let left = USED * MOST[1][joint] * PERIOD + begun[joint] * speeds[joint].signum();
+                left > 1e-6 && speeds[joint].abs() > 1e-6
+            });
+            prop_assert!(!may || limited.norm() > 0.0);
         }
 
         #[test]
@@ -142,15 +171,14 @@ mod tests {
         let x = Vector3::x();
         assert_eq!(JointLimits::NONE.braking(&x), f64::INFINITY);
         assert_eq!(JointLimits::NONE.slowed(x), x);
-        assert_eq!(
-            JointLimits::NONE.part(&Vector3::zeros(), &x, &x, PERIOD),
-            1.0
-        );
+        let limited = JointLimits::NONE.limited(&Vector3::zeros(), &x, &x, PERIOD);
+        assert_eq!(limited, x);
     }
 
     #[test]
     fn braking_is_what_the_joint_allows_that_is_the_first_at_its_limit() {
-        let joints = JointLimits::new(Matrix3::from_diagonal(&Vector3::new(1.0, 2.0, 4.0)), MOST);
+        let jacobian = Matrix3::from_diagonal(&Vector3::new(1.0, 0.5, 0.25));
+        let joints = JointLimits::new(jacobian, MOST).unwrap();
         for (direction, most) in [
             (Vector3::x(), 10.0),
             (Vector3::y(), 6.0),

@@ -212,7 +212,7 @@ mod tests {
                 for _ in 0..20 {
                     let (before, there) = (course.velocity, course.place);
                     let wanted = course.wanted(&Point3::from(goal), &moving, true, f64::INFINITY, PERIOD);
-                    course.follow_within(&walls, &JointLimits::NONE, wanted, PERIOD);
+                    course.follow_within(&walls, &JointLimits::NONE, [course.velocity, wanted], PERIOD);
                     prop_assert!(course.ratio(&before, PERIOD) <= 1.0 + 1e-9);
                     for wall in &list {
                         let (from, to) = (off(wall, &there), off(wall, &course.place));
@@ -250,7 +250,12 @@ mod tests {
         for _ in 0..1000 {
             let goal = Point3::new(2.0, 0.0, 0.0);
             let wanted = course.wanted(&goal, &Vector3::zeros(), true, f64::INFINITY, PERIOD);
-            course.follow_within(&walls, &JointLimits::NONE, wanted, PERIOD);
+            course.follow_within(
+                &walls,
+                &JointLimits::NONE,
+                [course.velocity, wanted],
+                PERIOD,
+            );
             fastest = fastest.max(course.velocity.x);
             if course.place.x < 0.7 {
                 touched = course.velocity.x;

@@ -11,6 +11,9 @@ use crate::space::{Space, Touch};
 /// A motion is cut into so many pieces of the same time. Each is taken as straight in the joints, which it is but for a millimetre.
 const PIECES: u32 = 64;
 
+/// No more motions are looked at in one request: nothing else has its turn meanwhile.
+const MOST: usize = 64;
+
 /// Why motions may not be made. They are counted from 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 pub enum Refused {
@@ -43,6 +46,11 @@ pub fn look(
     from: &Joints,
     motions: &[Plan],
 ) -> Result<Joints, Refused> {
+    if motions.len() > MOST {
+        let reason = format!("no more than {MOST} motions are looked at at once");
+        let motion = MOST + 1;
+        return Err(Refused::Unplanned { motion, reason });
+    }
     let mut here = *from;
     for (motion, plan) in (1..).zip(motions) {
         let before = (motion == 1).then(|| {

@@ -2,7 +2,7 @@
 //! another (J. Kuffner and S. LaValle, RRT-Connect, IEEE ICRA 2000).
 
 use mcs::Joints;
-use mcs::model::{JointKind, Limits};
+use mcs::model::{JointKind, Limits, Model};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -375,6 +375,26 @@ impl Search {
     }
 }
 
+/// Whether a position is one of the arm, within its limits.
+pub(crate) fn within_limits(model: &Model, at: &Joints, end: End) -> Result<(), PathError> {
+    let (needed, given) = (model.dof(), at.len());
+    if needed != given {
+        return Err(PathError::Count { end, needed, given });
+    }
+    let Some(joint) = model.joint_outside(at) else {
+        return Ok(());
+    };
+    let own = &model.joints()[joint];
+    Err(PathError::Limit {
+        end,
+        joint: joint + 1,
+        kind: own.kind,
+        value: at[joint],
+        lower: own.limits.lower,
+        upper: own.limits.upper,
+    })
+}
+
 /// Makes an end the root of a tree. From one that is too near to something a free position beside it is looked for.
 fn root(
     space: &mut Space,
@@ -382,22 +402,7 @@ fn root(
     options: &Options,
     rng: &mut ChaCha8Rng,
 ) -> Result<(), PathError> {
-    let model = space.model();
-    let (needed, given) = (model.dof(), at.len());
-    if needed != given {
-        return Err(PathError::Count { end, needed, given });
-    }
-    if let Some(joint) = model.joint_outside(at) {
-        let own = &model.joints()[joint];
-        return Err(PathError::Limit {
-            end,
-            joint: joint + 1,
-            kind: own.kind,
-            value: at[joint],
-            lower: own.limits.lower,
-            upper: own.limits.upper,
-        });
-    }
+    within_limits(space.model(), at, end)?;
     match space.stands_free(at) {
         Ok(()) => {
             tree.add(*at, None);

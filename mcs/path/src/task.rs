@@ -19,7 +19,7 @@ use mcs_collision::guard::{KIND, Surroundings};
 use serde::{Deserialize, Serialize};
 
 use crate::ahead::{self, Refused};
-use crate::search::{Options, PathError, Search};
+use crate::search::{End, Options, PathError, Search, within_limits};
 use crate::space::{Space, Touch};
 use crate::way::Way;
 
@@ -359,7 +359,7 @@ fn fits(space: &Space, at: &Joints) -> Result<(), Unplanned> {
     if needed == given {
         return Ok(());
     }
-    let end = crate::search::End::Start;
+    let end = End::Start;
     Err(PathError::Count { end, needed, given }.into())
 }
 
@@ -373,7 +373,7 @@ impl Paths {
                 self.ahead.insert((ask.others.clone(), space))
             }
         };
-        fits(space, &ask.from)?;
+        within_limits(space.model(), &ask.from, End::Start)?;
         let end = ahead::look(&mut self.world.planner, space, &ask.from, &ask.motions)?;
         Ok(end)
     }

@@ -104,6 +104,15 @@ fn what_a_motion_would_touch_on_its_way_is_named_with_the_number_of_the_motion()
 }
 
 #[test]
+fn too_many_motions_are_refused_and_not_looked_at() {
+    let mut eye = Eye::new(&gantry(), crates(), &[]);
+    let many = vec![to(&[-0.5, -0.5]); 65];
+    let seen = eye.looks(&[-0.5, -0.5], &many);
+    assert!(matches!(seen, Err(Refused::Unplanned { motion: 65, .. })));
+    eye.looks(&[-0.5, -0.5], &many[1..]).unwrap();
+}
+
+#[test]
 fn who_stands_too_near_may_go_away_and_no_nearer_and_only_in_the_first_motion() {
     let mut eye = Eye::new(&gantry(), crates(), &[]);
     let beside = [-0.16, 0.0];

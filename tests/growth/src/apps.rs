@@ -14,7 +14,7 @@ use ctos::{
     call::CallError,
     config::{App, Selection, load_texts},
     message::{Command as _, Message, Replier},
-    record::{Filter, scan_only},
+    record::{Filter, Record, scan_only},
     registry::Registry,
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase},
@@ -38,6 +38,12 @@ pub const CHASSIS: &str = "growth-chassis";
 
 /// So many names are looked up: fewer than are asked for between two looks of a chassis at its tasks.
 const LOOKED_UP: u64 = 1_000;
+
+/// What the last task does where only the boot is measured.
+const END: &str = "{ work = \"end\", size = 0 }";
+
+/// So many calls from a chassis to another one.
+const CALLED: u64 = 2_000;
 
 /// The tasks of one processor.
 const ON_ONE: u64 = 50_000;
@@ -114,6 +120,13 @@ enum Work {
 struct LastArgs {
     work: Work,
     size: u64,
+    /// Whom it calls.
+    #[serde(default = "first")]
+    to: String,
+}
+
+fn first() -> String {
+    "t0".to_owned()
 }
 
 /// Works, and ends the app.
@@ -148,7 +161,7 @@ impl EventHandler for Last {
                 }
                 Work::Follow => follow(cx, size).await?,
                 work @ (Work::Call | Work::CallInTime) => {
-                    let to = cx.task("t0").await?;
+                    let to = cx.task(&self.0.to).await?;
                     for number in 0..size {
                         cx.call(&to, Ask { number }).await?;
                         if let Work::CallInTime = work {
@@ -277,9 +290,9 @@ pub fn tasks(size: u64) -> Result<Cost, Failed> {
 }
 
 /// An app of chassis with so many tasks each, the first of which ends it.
-fn chassis_text(size: u64, tasks: u64) -> Result<String, Failed> {
-    let mut text = String::from(
-        "[app]\nuntil = \"last\"\nphase_timeout_s = 600\n[chassis.c0]\n[task.last]\nhandler = \"last\"\non = \"c0\"\nargs = { work = \"end\", size = 0 }\n",
+fn chassis_text(size: u64, tasks: u64, work: &str) -> Result<String, Failed> {
+    let mut text = format!(
+        "[app]\nuntil = \"last\"\nphase_timeout_s = 600\n[chassis.c0]\n[task.last]\nhandler = \"last\"\non = \"c0\"\nargs = {work}\n",
     );
     for at in 0..size * tasks {
         let on = at / tasks;
@@ -295,13 +308,13 @@ fn chassis_text(size: u64, tasks: u64) -> Result<String, Failed> {
 
 /// Chassis in virtual time.
 pub fn chassis(size: u64) -> Result<Cost, Failed> {
-    let app = loaded(&chassis_text(size, 1)?, &[])?;
+    let app = loaded(&chassis_text(size, 1, END)?, &[])?;
     Ok(cost(|| simulated(app))?.0)
 }
 
 /// Cells of three chassis with twenty tasks each, in virtual time.
 pub fn fleet(size: u64) -> Result<Cost, Failed> {
-    let app = loaded(&chassis_text(3 * size, 20)?, &[])?;
+    let app = loaded(&chassis_text(3 * size, 20, END)?, &[])?;
     Ok(cost(|| simulated(app))?.0)
 }
 
@@ -332,45 +345,109 @@ pub fn fleet_work(cells: u64) -> Result<Cost, Failed> {
     }
 }
 
-/// Chassis as processes, until all of them run; the memory is theirs.
-pub fn processes(size: u64) -> Result<Cost, Failed> {
-    let app = loaded(&chassis_text(size, 1)?, &[])?;
-    let launcher = Launcher {
-        program: std::env::current_exe()?,
-        arguments: [CHASSIS, &size.to_string()].map(OsString::from).to_vec(),
-    };
-    let up = Arc::new(Mutex::new(None));
-    let noted = up.clone();
-    let clock = Clock::real();
-    let begun = clock.now();
-    let observer: Observer = Arc::new(move |event| {
-        // Every task of the app runs.
-        if let BootEvent::PhaseDone {
-            phase: Phase::Run, ..
-        } = event
-        {
-            let seconds = clock.now().since(begun).as_secs_f64();
-            *noted.lock().unwrap_or_else(PoisonError::into_inner) = Some(seconds);
-        }
-    });
-    let outcome = boot(app, registry(), &launcher, &observer)?;
-    let [_, bytes] = took(&outcome.end)?;
-    let seconds = *up.lock().unwrap_or_else(PoisonError::into_inner);
-    Ok(Cost {
-        seconds: seconds.ok_or("it never ran")?,
-        bytes: Some(bytes),
-    })
+/// How the processes of an app reach each other, and what its last task does.
+struct Processes {
+    size: u64,
+    /// Their configuration beside that of sockets.
+    sets: &'static [&'static str],
+    work: String,
 }
 
-/// This process is a chassis of [`processes`].
+/// Peers of zenoh that find each other on this host.
+#[cfg(feature = "zenoh")]
+const PEERS: &[&str] = &["same_host=zenoh", "zenoh.multicast=lo"];
+
+impl Processes {
+    /// Calls of a task of another chassis.
+    fn calling(size: u64, sets: &'static [&'static str]) -> Self {
+        let work = format!("{{ work = \"call\", size = {CALLED}, to = \"t1\" }}");
+        Self { size, sets, work }
+    }
+
+    fn resting(size: u64, sets: &'static [&'static str]) -> Self {
+        let work = END.to_owned();
+        Self { size, sets, work }
+    }
+
+    /// Boots them; the time until all tasks run, s, and what the last one told.
+    fn run(self) -> Result<(f64, [f64; 2]), Failed> {
+        let text = chassis_text(self.size, 1, &self.work)?;
+        let sets: Vec<String> = self.sets.iter().map(|&set| set.to_owned()).collect();
+        let arguments = [CHASSIS, &text]
+            .into_iter()
+            .chain(self.sets.iter().copied());
+        let launcher = Launcher {
+            program: std::env::current_exe()?,
+            arguments: arguments.map(OsString::from).collect(),
+        };
+        let up = Arc::new(Mutex::new(None));
+        let noted = up.clone();
+        let clock = Clock::real();
+        let begun = clock.now();
+        let observer: Observer = Arc::new(move |event| {
+            // Every task of the app runs.
+            if let BootEvent::PhaseDone {
+                phase: Phase::Run, ..
+            } = event
+            {
+                let seconds = clock.now().since(begun).as_secs_f64();
+                *noted.lock().unwrap_or_else(PoisonError::into_inner) = Some(seconds);
+            }
+        });
+        let outcome = boot(loaded(&text, &sets)?, registry(), &launcher, &observer)?;
+        let told = took(&outcome.end)?;
+        let seconds = *up.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok((seconds.ok_or("it never ran")?, told))
+    }
+
+    /// Until all of them run; the memory is theirs.
+    fn boot(self) -> Result<Cost, Failed> {
+        let (seconds, [_, bytes]) = self.run()?;
+        let bytes = Some(bytes);
+        Ok(Cost { seconds, bytes })
+    }
+
+    /// One call.
+    fn call(self) -> Result<Cost, Failed> {
+        let (_, [seconds, _]) = self.run()?;
+        Ok(Cost {
+            seconds: seconds / CALLED as f64,
+            bytes: None,
+        })
+    }
+}
+
+/// Chassis as processes, which reach each other by sockets and shared memory.
+pub fn processes(size: u64) -> Result<Cost, Failed> {
+    Processes::resting(size, &[]).boot()
+}
+
+/// A call between two of them.
+pub fn processes_call(size: u64) -> Result<Cost, Failed> {
+    Processes::calling(size, &[]).call()
+}
+
+/// The same as peers of zenoh.
+#[cfg(feature = "zenoh")]
+pub fn processes_zenoh(size: u64) -> Result<Cost, Failed> {
+    Processes::resting(size, PEERS).boot()
+}
+
+/// A call between two of them.
+#[cfg(feature = "zenoh")]
+pub fn processes_zenoh_call(size: u64) -> Result<Cost, Failed> {
+    Processes::calling(size, PEERS).call()
+}
+
+/// This process is a chassis of [`Processes`].
 ///
 /// # Errors
 /// It cannot be one.
 pub fn be_chassis(arguments: &[String]) -> Result<(), Failed> {
-    let [size, _, name, _, address, _, origin] = arguments else {
+    let [text, sets @ .., _, name, _, address, _, origin] = arguments else {
         return Err("a chassis is started by a boot".into());
     };
-    let app = loaded(&chassis_text(size.parse()?, 1)?, &[])?;
+    let app = loaded(text, sets)?;
     run_chassis(app, registry(), name, &address.parse()?, origin.parse()?)?;
     Ok(())
 }
@@ -498,6 +575,17 @@ pub fn record_seek(size: u64) -> Result<Cost, Failed> {
         seconds,
         bytes: None,
     })
+}
+
+/// Reading all of it into memory, as a replay does before it begins.
+pub fn record_replay(size: u64) -> Result<Cost, Failed> {
+    let recorded = Recorded::new(size, "call")?;
+    let files = [recorded.file()];
+    let (cost, record) = cost(|| Ok(Record::read(&files, &Filter::default())?))?;
+    match record.entries.is_empty() {
+        true => Err("nothing was read".into()),
+        false => Ok(cost),
+    }
 }
 
 /// What takes no line, as where lines are only counted.

@@ -19,9 +19,14 @@ pub struct Area {
     pub whole: bool,
     /// The least and the largest size.
     pub sizes: (u64, u64),
+    /// How far it goes if sizes that take an hour and a disk are wanted, too.
+    pub large: Option<u64>,
     /// Measures it.
     pub measure: fn(u64) -> Result<Cost, Failed>,
 }
+
+/// Messages whose record has 4 GB.
+const RECORD_4_GB: u64 = 100_000_000;
 
 /// All areas, in the order of the table.
 pub const AREAS: &[Area] = &[
@@ -30,6 +35,7 @@ pub const AREAS: &[Area] = &[
         what: "reading a configuration of tasks",
         whole: true,
         sizes: (10, 100_000),
+        large: None,
         measure: apps::configuration,
     },
     Area {
@@ -37,6 +43,7 @@ pub const AREAS: &[Area] = &[
         what: "booting tasks, virtual time",
         whole: true,
         sizes: (10, 100_000),
+        large: None,
         measure: apps::tasks,
     },
     Area {
@@ -44,6 +51,7 @@ pub const AREAS: &[Area] = &[
         what: "booting chassis, virtual time",
         whole: true,
         sizes: (2, 5_000),
+        large: None,
         measure: apps::chassis,
     },
     Area {
@@ -51,6 +59,7 @@ pub const AREAS: &[Area] = &[
         what: "booting cells of 3 chassis with 20 tasks each, virtual time",
         whole: true,
         sizes: (1, 1_000),
+        large: None,
         measure: apps::fleet,
     },
     Area {
@@ -58,6 +67,7 @@ pub const AREAS: &[Area] = &[
         what: "cells of the fleet that do five jobs each, virtual time",
         whole: true,
         sizes: (10, 1_000),
+        large: None,
         measure: apps::fleet_work,
     },
     Area {
@@ -65,13 +75,41 @@ pub const AREAS: &[Area] = &[
         what: "booting chassis as processes",
         whole: true,
         sizes: (2, 64),
+        large: None,
         measure: apps::processes,
+    },
+    Area {
+        name: "processes-call",
+        what: "a call between two of chassis as processes",
+        whole: false,
+        sizes: (2, 64),
+        large: None,
+        measure: apps::processes_call,
+    },
+    #[cfg(feature = "zenoh")]
+    Area {
+        name: "processes-zenoh",
+        what: "booting chassis as processes, peers of zenoh",
+        whole: true,
+        sizes: (2, 50),
+        large: None,
+        measure: apps::processes_zenoh,
+    },
+    #[cfg(feature = "zenoh")]
+    Area {
+        name: "processes-zenoh-call",
+        what: "a call between two of chassis as processes, peers of zenoh",
+        whole: false,
+        sizes: (2, 50),
+        large: None,
+        measure: apps::processes_zenoh_call,
     },
     Area {
         name: "names",
         what: "finding a name among tasks",
         whole: false,
         sizes: (10, 60_000),
+        large: None,
         measure: apps::names,
     },
     Area {
@@ -79,6 +117,7 @@ pub const AREAS: &[Area] = &[
         what: "calls in flight",
         whole: true,
         sizes: (10, 100_000),
+        large: None,
         measure: apps::calls,
     },
     Area {
@@ -86,6 +125,7 @@ pub const AREAS: &[Area] = &[
         what: "checking a net of nodes",
         whole: true,
         sizes: (10, 10_000),
+        large: None,
         measure: parts::net_check,
     },
     Area {
@@ -93,6 +133,7 @@ pub const AREAS: &[Area] = &[
         what: "a firing in a net of nodes",
         whole: false,
         sizes: (10, 10_000),
+        large: None,
         measure: parts::net_firing,
     },
     Area {
@@ -100,6 +141,7 @@ pub const AREAS: &[Area] = &[
         what: "drawing a net of nodes",
         whole: true,
         sizes: (10, 10_000),
+        large: None,
         measure: parts::net_drawing,
     },
     Area {
@@ -107,6 +149,7 @@ pub const AREAS: &[Area] = &[
         what: "booting tasks that run nets",
         whole: true,
         sizes: (10, 3_000),
+        large: None,
         measure: apps::net_tasks,
     },
     Area {
@@ -115,6 +158,7 @@ pub const AREAS: &[Area] = &[
         whole: true,
         // A net is followed by no more than 256; a display task shows it to all its pages.
         sizes: (1, 200),
+        large: None,
         measure: apps::displays,
     },
     Area {
@@ -122,6 +166,7 @@ pub const AREAS: &[Area] = &[
         what: "recording messages",
         whole: true,
         sizes: (1_000, 3_000_000),
+        large: Some(RECORD_4_GB),
         measure: apps::record,
     },
     Area {
@@ -129,6 +174,7 @@ pub const AREAS: &[Area] = &[
         what: "reading a record of messages",
         whole: true,
         sizes: (1_000, 1_000_000),
+        large: None,
         measure: apps::record_read,
     },
     Area {
@@ -136,13 +182,23 @@ pub const AREAS: &[Area] = &[
         what: "counting a record of messages",
         whole: true,
         sizes: (1_000, 3_000_000),
+        large: Some(RECORD_4_GB),
         measure: apps::record_info,
+    },
+    Area {
+        name: "record-replay",
+        what: "reading a record of messages for a replay",
+        whole: true,
+        sizes: (1_000, 1_000_000),
+        large: Some(5_000_000),
+        measure: apps::record_replay,
     },
     Area {
         name: "record-seek",
         what: "seeking in a record of messages",
         whole: false,
         sizes: (1_000, 3_000_000),
+        large: Some(RECORD_4_GB),
         measure: apps::record_seek,
     },
     Area {
@@ -150,6 +206,7 @@ pub const AREAS: &[Area] = &[
         what: "building service objects",
         whole: true,
         sizes: (10, 100_000),
+        large: None,
         measure: parts::objects,
     },
     Area {
@@ -157,6 +214,7 @@ pub const AREAS: &[Area] = &[
         what: "finding one of service objects",
         whole: false,
         sizes: (10, 100_000),
+        large: None,
         measure: parts::objects_find,
     },
     Area {
@@ -164,6 +222,7 @@ pub const AREAS: &[Area] = &[
         what: "a snapshot read by readers",
         whole: true,
         sizes: (1, 1_000),
+        large: None,
         measure: parts::readers,
     },
 ];
@@ -173,10 +232,10 @@ pub fn find(name: &str) -> Option<&'static Area> {
     AREAS.iter().find(|area| area.name == name)
 }
 
-/// The sizes of an area up to `most`: three in a decade.
-pub fn sizes(area: &Area, most: u64) -> impl Iterator<Item = u64> {
+/// The sizes of an area up to `most`, three in a decade; with the large ones, if it has any.
+pub fn sizes(area: &Area, most: u64, large: bool) -> impl Iterator<Item = u64> {
     let (first, last) = area.sizes;
-    let last = last.min(most);
+    let last = area.large.filter(|_| large).unwrap_or(last).min(most);
     let steps = [1, 2, 5].into_iter();
     let decades = (0..12).map(|power| 10_u64.pow(power));
     let between = decades.flat_map(move |decade| steps.clone().map(move |step| step * decade));
@@ -238,20 +297,27 @@ mod tests {
     #[test]
     fn sizes_rise_from_the_least_to_the_largest_that_is_wanted() {
         let names = find("names").unwrap();
-        let all: Vec<u64> = sizes(names, 1_000).collect();
+        let all: Vec<u64> = sizes(names, 1_000, true).collect();
         assert_eq!(all, [10, 20, 50, 100, 200, 500, 1_000]);
-        assert_eq!(sizes(names, u64::MAX).last(), Some(60_000));
+        assert_eq!(sizes(names, u64::MAX, true).last(), Some(60_000));
         for area in AREAS {
-            let all: Vec<u64> = sizes(area, u64::MAX).collect();
-            assert!(all.is_sorted_by(|a, b| a < b), "{}", area.name);
+            let [usual, all] = [false, true].map(|large| {
+                let all: Vec<u64> = sizes(area, u64::MAX, large).collect();
+                assert!(all.is_sorted_by(|a, b| a < b), "{}", area.name);
+                all
+            });
+            assert_eq!(all.len() > usual.len(), area.large.is_some());
         }
     }
 
     #[test]
     fn every_area_is_measured_at_its_least_sizes() {
         // Processes are started by the program alone.
-        for area in AREAS.iter().filter(|area| area.name != "processes") {
-            let size = sizes(area, u64::MAX).nth(1).unwrap();
+        for area in AREAS
+            .iter()
+            .filter(|area| !area.name.starts_with("processes"))
+        {
+            let size = sizes(area, u64::MAX, false).nth(1).unwrap();
             let cost = (area.measure)(size);
             let cost = cost.unwrap_or_else(|error| panic!("{} of {size}: {error}", area.name));
             assert!(cost.seconds > 0.0, "{}", area.name);

@@ -33,6 +33,9 @@ struct Arguments {
     /// The largest size
     #[arg(long, default_value_t = u64::MAX, hide_default_value = true)]
     most: u64,
+    /// Records of up to 4 GB, too: an hour, and that much room in the folder of temporary files (TMPDIR)
+    #[arg(long)]
+    large: bool,
     /// An area goes no further after a size that took longer, s
     #[arg(long, default_value_t = 60.0)]
     limit: f64,
@@ -90,7 +93,7 @@ fn measured(area: &Area, arguments: &Arguments) -> Result<Curve, Failed> {
         points: Vec::new(),
         ended: None,
     };
-    for size in areas::sizes(area, arguments.most) {
+    for size in areas::sizes(area, arguments.most, arguments.large) {
         match in_process(area.name, size) {
             Ok(cost) => {
                 let time = curve::time(cost.seconds);

@@ -259,9 +259,8 @@ impl ArmArgs {
         })
     }
 
-    /// That what is grasped there can be set down at another place, and the arm goes back to where it waits.
-    pub(super) async fn carries(&self, cx: &Context, from: At, to: Stand) -> Result<(), Failure> {
-        let at = self.risen(cx, from).await?;
+    /// That what is grasped and lifted there can be set down at another place, and the arm goes back to where it waits.
+    pub(super) async fn carries(&self, cx: &Context, at: At, to: Stand) -> Result<(), Failure> {
         let mut kept = Kept::default();
         for way in self.ways(&at, to, &TURNS_DEG) {
             let back = async {

@@ -242,8 +242,10 @@ impl Period {
         let held = self.control.counts().held;
         let both = [&self.force, mouse];
         let arm = &mut self.arm;
-        let reaches = |place: &Point3<f64>| arm.limits_at(place).ok();
-        let ratio = self.control.go_within(now, both, self.period, reaches);
+        let joints = arm.limits();
+        let limits_at = |place: &Point3<f64>| arm.limits_at(place).ok();
+        let control = &mut self.control;
+        let ratio = control.go_within(now, both, self.period, &joints, limits_at);
         if let Some(beyond) = self.control.beyond()
             && self.control.counts().held > held
         {
