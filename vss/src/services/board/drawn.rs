@@ -20,8 +20,8 @@ const MARKER: f64 = 0.24;
 const HALF: f64 = 0.45;
 
 /// How wide lines are, parts of a square's side, and how strong the weakest is.
-const THIN: f64 = 0.06;
-const THICK: f64 = 0.1;
+const THIN: f64 = 0.085;
+const THICK: f64 = 0.12;
 const WEAKEST: f64 = 0.35;
 
 const BOARD: [u8; 3] = [70, 200, 255];
