@@ -6,8 +6,8 @@
 //! | `ctos/site/SITE/RUN/ask/FROM/TASK/COMMAND` | a request of the site `FROM`; the payload is the command's data |
 //!
 //! A key names who asks. Beside the data stand a [`Head`], or how a request [`Ended`], and the signature of who says it
-//! ([`Said`](crate::proof::Said)). `RUN` is the date at which a gate was started: nobody asks a predecessor that the routers
-//! still know, and never two gates at once; and what one run was asked is not believed by the next.
+//! ([`Said`](crate::proof::Said)). `RUN` is the date at which a gate was started. So nobody asks a predecessor that the routers
+//! still know, or two gates at once. What one run was asked is not believed by the next.
 
 use std::time::Duration;
 

@@ -66,8 +66,8 @@ impl JointLimits {
     }
 
     /// How much of a change of the hand's velocity, m/s, joints allow within a period, s. They went so fast `before`, rad/s, and
-    /// without the change the hand has the velocity `from`. The change becomes shorter, and keeps its direction. But a joint that
-    /// accelerates too much even without the change, as one does where the Jacobian changes fast, takes no part in what makes that worse.
+    /// without the change the hand has the velocity `from`. The change becomes shorter, and keeps its direction. A joint may accelerate
+    /// too much even without it, where the Jacobian changes fast. Such a joint takes no part in what makes that worse.
     #[must_use]
     pub fn limited(
         &self,

@@ -1,4 +1,4 @@
-//! Looking ahead along motions that would be made one after another: whether all that the collision guard watches keeps its distances
+//! Looking ahead along motions that would be made one after another. All that the collision guard watches has to keep its distances
 //! from the beginning of the first to the end of the last.
 
 use mcs::Joints;

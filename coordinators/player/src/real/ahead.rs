@@ -18,8 +18,8 @@ use nalgebra::{Isometry3, Matrix4, UnitQuaternion, Vector3};
 
 use super::{ArmArgs, Stand, TRAVEL_M, TURNS_DEG, at_height, forbids};
 
-/// Farther round than this the arm swings first, rad: the nearest joints to those of now may be those of an arm that reaches over its
-/// shoulder, and what it carries would be turned upside down on the way.
+/// Farther round than this the arm swings first, rad. The nearest joints may be those of an arm that reaches over its shoulder:
+/// what it carries would be turned upside down on the way.
 const SWING: f64 = 2.0;
 
 /// Where the arm is, or is thought to be.

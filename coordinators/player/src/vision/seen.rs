@@ -88,8 +88,8 @@ impl SeenArgs {
     }
 }
 
-/// How a board lies before White. One with its dark corner at White's right is a plain one by a quarter turn: read as if White sat at the
-/// right of the picture, its files are the ranks that the rules mean, and its ranks their files.
+/// How a board lies before White. One with its dark corner at White's right is a plain one by a quarter turn. It is read as if White
+/// sat at the right of the picture. Its files are then the ranks that the rules mean, and its ranks their files.
 #[derive(Clone, Copy)]
 struct Lies {
     turned: bool,
