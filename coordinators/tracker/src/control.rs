@@ -52,6 +52,8 @@ pub struct ControlArgs {
     pub reach_m: f64,
     /// Without a measurement for this time the ball counts as lost, s; it is followed until it expires.
     pub overdue_s: f64,
+    /// So long after the hand has come to rest without its ball it goes back to where it began, to look from there, s.
+    pub home_after_s: f64,
 }
 
 impl Default for ControlArgs {
@@ -78,6 +80,7 @@ impl Default for ControlArgs {
             steer_m_s: 0.2,
             reach_m: 0.3,
             overdue_s: 0.2,
+            home_after_s: 2.0,
         }
     }
 }
@@ -104,8 +107,11 @@ impl ControlArgs {
             ("overdue_s", self.overdue_s, 0.001),
         ];
         let wrong = |(_, value, least): &(_, f64, f64)| !(*value >= *least && *value <= 10.0);
+        let home = Some(self.home_after_s).filter(|after| !(0.0..=1e6).contains(after));
+        let home = home.map(|after| ("home_after_s".to_owned(), after));
         let own = own.into_iter().find(wrong);
-        part.or_else(|| own.map(|(key, value, _)| (key.to_owned(), value)))
+        let own = own.map(|(key, value, _)| (key.to_owned(), value));
+        part.or(own).or(home)
     }
 }
 
@@ -178,6 +184,8 @@ pub struct Control {
     stands: bool,
     /// Where the hand would have gone, had the arm reached that.
     beyond: Option<Point3<f64>>,
+    /// When the hand came to rest without its ball; unless somebody has moved it since.
+    rests_since: Option<f64>,
 }
 
 impl Control {
@@ -199,6 +207,7 @@ impl Control {
             offset: Vector3::zeros(),
             stands: false,
             beyond: None,
+            rests_since: None,
             args,
         }
     }
@@ -233,6 +242,7 @@ impl Control {
             Taken::Begun | Taken::Used => {
                 self.counts.used += 1;
                 self.seen = now;
+                self.rests_since = None;
                 self.phase = Phase::Track;
             }
             Taken::Late => self.counts.late += 1,
@@ -280,7 +290,7 @@ impl Control {
                 (self.hold, target.velocity * target.worth)
             }
             None => {
-                let moving = self.offset * FREELY;
+                let moving = self.offset * FREELY + self.homeward(now, period);
                 self.hold += moving * period;
                 (self.hold, moving)
             }
@@ -305,6 +315,20 @@ impl Control {
         self.course.ratio(&before, period)
     }
 
+    /// How fast a hand goes back to where it began that has waited for its ball, m/s. Who pushes or steers it knows better.
+    fn homeward(&mut self, now: f64, period: f64) -> Vector3<f64> {
+        if self.offset != Vector3::zeros() {
+            self.rests_since = None;
+        }
+        let waits = |since: f64| now - since < self.args.home_after_s;
+        match self.rests_since {
+            Some(since) if !waits(since) => {
+                ((self.home - self.hold) / period).cap_magnitude(self.args.steer_m_s)
+            }
+            _ => Vector3::zeros(),
+        }
+    }
+
     /// How the ball is that is followed.
     fn watch(&mut self, now: f64, target: &Predicted) {
         let phase = match target.expired {
@@ -322,6 +346,7 @@ impl Control {
         self.phase = phase;
         if target.expired && target.velocity.norm() < AT_REST {
             self.target.forget();
+            self.rests_since = Some(now);
             self.phase = Phase::Acquire;
         }
     }
@@ -576,6 +601,40 @@ mod tests {
         assert!((0.12..0.15).contains(&furthest), "{furthest}");
         assert!(worst <= 1.0 + 1e-9 && last < 0.01, "{worst} {last}");
         assert!(control.counts().held >= 3, "{:?}", control.counts());
+    }
+
+    #[test]
+    fn a_hand_whose_ball_is_gone_looks_from_where_it_began_unless_somebody_moves_it() {
+        let ball = |t: f64| (t < 2.0).then(|| Point3::new(0.2, 0.05 * t, 0.0));
+        for pushed in [false, true] {
+            let mut rig = Rig::new(ControlArgs::default());
+            rig.run(4.0, ball, NONE);
+            let there = rig.control.course().place;
+            assert!(
+                there.x > 0.15 && rig.control.phase() == Phase::Acquire,
+                "{there}"
+            );
+            let push = if pushed {
+                Vector3::new(0.0, 0.0, 5.0)
+            } else {
+                NONE
+            };
+            rig.run(0.5, |_| None, push);
+            let there = rig.control.course().place;
+            rig.run(8.0, |_| None, NONE);
+            let now = rig.control.course().place;
+            match pushed {
+                true => assert!(
+                    (now - there).norm() < 0.05,
+                    "{now}, and it was led to {there}"
+                ),
+                false => assert!(now.coords.norm() < 1e-6, "{now}"),
+            }
+            assert!(rig.worst <= 1.0 + 1e-9);
+            // From there it is found again.
+            rig.run(2.0, |_| Some(Point3::new(0.05, 0.0, 0.0)), NONE);
+            assert_eq!(rig.control.phase(), Phase::Track);
+        }
     }
 
     #[test]
