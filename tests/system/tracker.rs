@@ -953,7 +953,7 @@ fn a_hand_without_foam_ends_in_an_overload_at_a_wall_that_is_smooth_and_waits_fo
         .swap("stiffness = 240.0", "stiffness = 20000.0")
         .set("task.ball.args.motion=\"sweep\"")
         .set("task.ball.args.reach=[0.0, 0.12, 0.0]")
-        .set("task.ball.args.speed=0.2")
+        .set("task.ball.args.speed=0.3")
         .run();
     ended.must_be_smooth();
     // 3 s later it would have lost its power: an arm that is pressed does not settle.

@@ -19,6 +19,9 @@ use crate::{
 /// A target that has expired and is slower than this, m/s, is given up.
 const AT_REST: f64 = 0.002;
 
+/// A hand counts with this part of its acceleration at least, however little the joints allow along its way: they allow it a little aside.
+const BRAKES: f64 = 0.2;
+
 /// How fast force and mouse move a hand that has no target: parts of their displacement for each second.
 const FREELY: f64 = 2.0;
 
@@ -306,7 +309,7 @@ impl Control {
         let way = way.unwrap_or_else(Vector3::zeros);
         // As the joints can brake here and there, whichever is less.
         let there = limits_at(&goal).unwrap_or(*joints);
-        let brakes = joints.braking(&way).min(there.braking(&way));
+        let brakes = self.braking(joints, &way).min(self.braking(&there, &way));
         let course = &mut self.course;
         let wanted = course.wanted(&goal, &moving, predicted, brakes, period);
         let both = [course.velocity, wanted];
@@ -351,6 +354,12 @@ impl Control {
         }
     }
 
+    /// What the hand brakes with that goes along a direction, m/s^2.
+    fn braking(&self, joints: &JointLimits, along: &Vector3<f64>) -> f64 {
+        let most = self.args.course.acceleration;
+        joints.braking(along).clamp(BRAKES * most, most)
+    }
+
     /// The goal, within reach; one that goes outwards there goes along the border.
     fn within_reach(&self, goal: Point3<f64>, moving: Vector3<f64>) -> (Point3<f64>, Vector3<f64>) {
         let way = goal - self.home;
@@ -373,7 +382,7 @@ impl Control {
     ) -> (Point3<f64>, Vector3<f64>) {
         // Where a hand comes to rest that moves on with the goal and then brakes.
         let along = moving.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
-        let braking = self.args.course.acceleration.min(joints.braking(&along));
+        let braking = self.braking(joints, &along);
         let brakes = moving * (0.5 * moving.norm() / braking);
         let from = self.course.place;
         let way = goal + brakes - from;

@@ -131,6 +131,8 @@ impl Course {
         let wanted = joints.slowed(wanted);
         let braked = self.velocity + brakes;
         let more = walls.allow(&self.place, wanted) - braked;
+        let more = more * part_within(&brakes, &more, most);
+        // What goes aside for a joint may be longer.
         let more = joints.limited(&self.joints, &braked, &more, period);
         let change = brakes + more * part_within(&brakes, &more, most);
         let before = self.velocity;
