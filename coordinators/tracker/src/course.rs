@@ -150,7 +150,7 @@ impl Course {
 
 /// The largest part of `more`, up to all of it, with which `first` becomes no longer than `most`; `first` is no longer.
 fn part_within(first: &Vector3<f64>, more: &Vector3<f64>, most: f64) -> f64 {
-    if (first + more).norm() <= most {
+    if more.norm_squared() == 0.0 || (first + more).norm() <= most {
         return 1.0;
     }
     let (square, half) = (more.norm_squared(), first.dot(more));
@@ -201,6 +201,26 @@ mod tests {
                     course.go(&Point3::from(goal), &moving, PERIOD);
                     prop_assert!(course.ratio(&before, PERIOD) <= 1.0 + 1e-9);
                     prop_assert!(course.velocity.norm() <= args.speed + 1e-9);
+                }
+            }
+        }
+
+        #[test]
+        fn what_is_safe_comes_first_and_takes_all_of_the_acceleration_if_it_has_to(
+            safe in vector(), wanted in vector(), before in vector(),
+        ) {
+            let args = CourseArgs::default();
+            let most = args.acceleration * PERIOD;
+            let towards = safe - before;
+            let braked = before + towards * (most / towards.norm()).min(1.0);
+            // What is wanted is as safe, or something else.
+            for wanted in [safe, before + towards * 2.0, wanted] {
+                let mut course = Course::at_rest(args, Point3::origin());
+                course.velocity = before;
+                course.follow_within(&Walls::default(), &JointLimits::NONE, [safe, wanted], PERIOD);
+                prop_assert!(course.ratio(&before, PERIOD) <= 1.0 + 1e-9);
+                if wanted == safe {
+                    prop_assert!((course.velocity - braked).norm() < 1e-9);
                 }
             }
         }
