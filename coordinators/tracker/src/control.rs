@@ -19,8 +19,8 @@ use crate::{
 /// A target that has expired and is slower than this, m/s, is given up.
 const AT_REST: f64 = 0.002;
 
-/// A hand counts with this part of its acceleration at least, however little the joints allow along its way: they allow it a little aside.
-const BRAKES: f64 = 0.2;
+/// A hand counts with this part of its acceleration at least, however little the joints allow along its way.
+const BRAKES: f64 = 0.3;
 
 /// How fast force and mouse move a hand that has no target: parts of their displacement for each second.
 const FREELY: f64 = 2.0;
@@ -310,6 +310,9 @@ impl Control {
         // As the joints can brake here and there, whichever is less.
         let there = limits_at(&goal).unwrap_or(*joints);
         let brakes = self.braking(joints, &way).min(self.braking(&there, &way));
+        // Before the end of what the arm reaches the hand brakes as hard as before a wall.
+        let held = self.beyond.is_some();
+        let joints = if held { &JointLimits::NONE } else { joints };
         let course = &mut self.course;
         let wanted = course.wanted(&goal, &moving, predicted, brakes, period);
         let both = [course.velocity, wanted];

@@ -31,7 +31,7 @@ impl Default for CourseArgs {
     fn default() -> Self {
         Self {
             speed: 1.0,
-            acceleration: 6.0,
+            acceleration: 4.0,
             settle_s: 0.05,
             closing: 0.3,
         }
@@ -132,9 +132,7 @@ impl Course {
         let braked = self.velocity + brakes;
         let more = walls.allow(&self.place, wanted) - braked;
         let more = more * part_within(&brakes, &more, most);
-        // What goes aside for a joint may be longer.
-        let more = joints.limited(&self.joints, &braked, &more, period);
-        let change = brakes + more * part_within(&brakes, &more, most);
+        let change = brakes + joints.limited(&self.joints, &braked, &more, period);
         let before = self.velocity;
         self.velocity += change;
         self.joints = joints.speeds(&self.velocity);

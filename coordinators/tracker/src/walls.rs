@@ -6,9 +6,8 @@
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 
-/// Part of the hand's acceleration that walls are braked for with. Three that are square to each other can be at once, and joints
-/// allow that much where the arm reaches far.
-const BRAKES: f64 = 1.0 / 3.0;
+/// Part of the hand's acceleration that walls are braked for with: three that are square to each other can be at once.
+const BRAKES: f64 = 0.5;
 
 /// Where walls meet at a sharp angle, what one of them asks for is taken up again so often.
 const ROUNDS: usize = 4;
