@@ -7,7 +7,7 @@ const HANDLE_SVG = "http://www.w3.org/2000/svg";
 /** A command is put when the one before is answered, and not sooner than this after it, ms. */
 const PUT_EVERY = 100;
 /** A number that was chosen is shown for so long while the app says another one, ms. */
-const STANDS = 5000;
+const STANDS = 15000;
 /** A pull or a deflection counts for so long, s: whose page is gone pulls no more. */
 const COUNTS_S = 0.5;
 /** A newton is so long, m, as the arrows of sensors; nobody pulls harder, N. */
