@@ -8,7 +8,7 @@ use ctos::{
     task::{Context, Handled, HandlerError},
 };
 use mcs::client::{EmergencyStop, Reset, Resume, Stop};
-use mcs_hand::command::{Body, PlaceBody, ReadBodies};
+use mcs_hand::command::{Body, PlaceBody, ReadBodies, ReadTouch};
 use nalgebra::{Isometry3, Translation3};
 use rand::RngExt;
 
@@ -32,6 +32,9 @@ const ROOM_M: f64 = 0.2;
 const BRAKES: Duration = Duration::from_millis(600);
 const LOOK: Duration = Duration::from_millis(200);
 const LOOKS: u32 = 20;
+/// How often it is looked what presses on the arm, and what the links are named that take discs.
+const TOUCHES: Duration = Duration::from_millis(45);
+const JAW: &str = "jaw";
 
 /// What befalls the arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,6 +98,22 @@ where
 pub async fn bodies(cx: &Context, inner: &RefCell<Inner>) -> Result<Vec<Body>, HandlerError> {
     let world = inner.borrow().world()?;
     wire::ask(cx, &world, ReadBodies {}).await
+}
+
+/// Counts what presses on the arm besides its jaws, for the referee.
+pub async fn watch_touches(cx: Context, inner: Rc<RefCell<Inner>>) {
+    while !cx.is_stopping() {
+        cx.sleep(TOUCHES).await;
+        let world = inner.borrow().world();
+        let Ok(world) = world else { return };
+        // A world that does not answer says nothing of touches.
+        let touches = wire::ask(&cx, &world, ReadTouch { arm: None }).await;
+        let links = touches.into_iter().flatten().map(|touch| touch.link);
+        let pressed = &mut inner.borrow_mut().table.truth.pressed;
+        for link in links.filter(|link| !link.contains(JAW)) {
+            *pressed.entry(link).or_default() += 1;
+        }
+    }
 }
 
 /// What the arm holds lies elsewhere: on the board, or on the floor.

@@ -189,6 +189,10 @@ pub fn verdict(played: &Played, truth: &TrueTable, seconds: f64) -> Verdict {
     if truth.met > 0 {
         wrong.push("arm and hand were over the board at the same time".to_owned());
     }
+    let pressed = truth.pressed.iter();
+    wrong.extend(pressed.map(|(link, times)| {
+        format!("something pressed on `{link}` of the arm, seen {times} times")
+    }));
     Verdict {
         ok: wrong.is_empty(),
         result: played.result.clone(),
@@ -252,4 +256,32 @@ fn stood(record: &pdn::Record, truth: &TrueTable) -> Option<String> {
     }
     let last = truth.history.last() == Some(&board(&position));
     (!last).then(|| "the last position does not stand on the table".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_game_in_which_something_but_the_jaws_pressed_on_the_arm_is_not_true() {
+        let mut game = Game::new(Variant::Brazilian);
+        game.resign(checkers::Colour::White);
+        let played = Played {
+            pdn: game.record().write(),
+            result: "Black has won: White gave up".to_owned(),
+        };
+        let first = game.position();
+        let mut truth = TrueTable {
+            history: vec![[first.white, first.black, first.kings]],
+            discs: [DISCS; 2],
+            ..TrueTable::default()
+        };
+        assert_eq!(verdict(&played, &truth, 1.0).wrong, [""; 0]);
+        truth.pressed.insert("forearm".to_owned(), 2);
+        let wrong = verdict(&played, &truth, 1.0).wrong;
+        assert!(
+            wrong.len() == 1 && wrong[0].contains("`forearm`"),
+            "{wrong:?}"
+        );
+    }
 }

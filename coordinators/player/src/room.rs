@@ -426,6 +426,9 @@ impl EventHandler for Room {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
+            if self.inner.borrow().is_real() {
+                cx.spawn(meddling::watch_touches(cx.clone(), self.inner.clone()));
+            }
             let (child, inner) = (cx.clone(), self.inner.clone());
             cx.spawn(async move {
                 while !child.is_stopping() {

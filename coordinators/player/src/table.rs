@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
 use crate::wire::{
-    ASIDE_M, FIELD_M, HIGH, Hue, Looks, MARKERS, Picture, Pose, Spot, TrueTable, Why, apart, centre,
+    ASIDE_M, FIELD_M, HIGH, Hue, MARKERS, Picture, Pose, Spot, TrueTable, Why, apart, centre,
 };
 use crate::{referee::DISCS, state::SPARE};
 
@@ -121,18 +121,7 @@ impl Table {
             light: 1.0,
             lamp: (1.0, 0.0),
             curtain: false,
-            truth: TrueTable {
-                history: Vec::new(),
-                discs: [0, 0],
-                heard: Vec::new(),
-                slipped: 0,
-                moved: 0,
-                errors: Vec::new(),
-                met: 0,
-                looks: Looks::default(),
-                lit: [0; 2],
-                carried_ms: Vec::new(),
-            },
+            truth: TrueTable::default(),
             chances,
             rng,
         };

@@ -2,7 +2,7 @@
 //!
 //! The board's frame has its origin in the middle, x along White's row, and y from White to Black; the table's frame is the arm's.
 
-use std::time::Duration;
+use std::{collections::BTreeMap, time::Duration};
 
 use checkers::Colour;
 use coordinators::{
@@ -377,7 +377,7 @@ pub struct Picture {
 }
 
 /// What is true in the room.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrueTable {
     /// The squares of White, Black and the kings, each time that the table was at rest and not as before.
     pub history: Vec<[u32; 3]>,
@@ -393,6 +393,8 @@ pub struct TrueTable {
     pub errors: Vec<String>,
     /// How often arm and person's hand were over the table at the same time.
     pub met: u32,
+    /// How often it was seen that something pressed on a link of a real arm besides its jaws, which take discs.
+    pub pressed: BTreeMap<String, u32>,
     /// Looks of cameras at the board.
     pub looks: Looks,
     /// How often somebody dimmed the lamp, and turned it up.
