@@ -1,22 +1,26 @@
 //! Services: high-level vision operations, each a series of calls to Tools. Several requests run beside each other; what
 //! cannot is held up by the Vision Module Manager, not here.
 
+use std::f64::consts::TAU;
+
 use ctos::{
     message::{Command, CommandInfo, Message},
     task::{Context, EventHandler, Handled, HandlerError},
 };
 use futures_util::future::join;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use scene::Outline;
 use serde::Deserialize;
 
 use crate::{
     calibrate::calibrate,
     command::{
-        Calibrate, DiskOffset, DiskReport, Drawing, FindPair, FindTarget, LocateDisk, LocateSpot,
-        LocateTarget, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport, TargetReport,
-        VisionError,
+        Calibrate, DiskOffset, DiskReport, DiskSight, Drawing, FindPair, FindTarget, LocateDisk,
+        LocateSpot, LocateTarget, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport,
+        TargetReport, VisionError,
     },
     concurrent::answer,
+    visual_jacobian::{Correction, EXAMPLES, Seen},
 };
 
 /// The commands of `vss.svc_spot_find`.
@@ -211,15 +215,16 @@ async fn find_target(
     })
 }
 
-/// The tasks of the two Tools of DiskFind; the catalog writes them.
+/// The tasks of the three Tools of DiskFind; the catalog writes them.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct DiskFindArgs {
     snap: String,
+    image_disp: String,
     disk: String,
 }
 
-/// The Service DiskFind: toolSnap, toolDiskFind.
+/// The Service DiskFind: toolSnap, toolDiskFind, toolImageDisp.
 #[derive(Debug)]
 pub struct DiskFindService {
     args: DiskFindArgs,
@@ -253,7 +258,27 @@ async fn find_disk(
     };
     let frame = ask(&cx, &tools.snap, snap).await??;
     let (stamp, number) = (frame.stamp, frame.number);
-    let located = ask(&cx, &tools.disk, LocateDisk { frame, taught }).await?;
+    let request = LocateDisk {
+        frame: frame.clone(),
+        taught,
+    };
+    let located = ask(&cx, &tools.disk, request).await?;
+    let drawing = match &located {
+        Ok(disk) => drawn(disk),
+        Err(error) => Drawing {
+            said: error.reason.clone(),
+            ..Drawing::default()
+        },
+    };
+    let picture = ShowImage {
+        camera: camera.clone(),
+        frame,
+        drawing,
+    };
+    // A dark monitor must not cost a measurement.
+    if let Err(error) = ask(&cx, &tools.image_disp, picture).await {
+        tracing::warn!(camera, %error, "picture not shown");
+    }
     let disk = located.map_err(|error| {
         let reason = format!("camera `{camera}`: {error}");
         VisionError { reason, ..error }
@@ -264,6 +289,40 @@ async fn find_disk(
         stamp,
         frame: number,
     })
+}
+
+/// Corners of the ring around a disc, and how wide it is, px.
+const CORNERS: u32 = 24;
+const RING_PX: f64 = 2.0;
+/// Its colour around a disc with a correction, and around an example.
+const CORRECTED: [u8; 3] = [70, 200, 255];
+const TAUGHT: [u8; 3] = [255, 150, 0];
+
+/// A ring around a disc, and what it says to the hand.
+fn drawn(disk: &DiskSight) -> Drawing {
+    let Seen { u, v, radius } = disk.seen;
+    let corners = (0..CORNERS).map(|corner| {
+        let angle = TAU * f64::from(corner) / f64::from(CORNERS);
+        [u + radius * angle.cos(), v + radius * angle.sin()]
+    });
+    let (colour, said) = match disk.correction {
+        Some(Correction { by, .. }) => {
+            let [x, y] = by.map(|along| along * 1e3);
+            (CORRECTED, format!("move by {x:.1}, {y:.1} mm"))
+        }
+        None => (TAUGHT, format!("example {} of {EXAMPLES}", disk.examples)),
+    };
+    let outline = Outline {
+        corners: corners.collect(),
+        colour,
+        strength: 1.0,
+        width: RING_PX,
+        text: String::new(),
+    };
+    Drawing {
+        outlines: vec![outline],
+        said,
+    }
 }
 
 /// Calls a task by name; a refusal keeps the other's own words.

@@ -22,9 +22,10 @@ use futures_util::future::LocalBoxFuture;
 use nalgebra::Isometry3;
 use vss::{
     catalog::VssExpander,
-    command::{DiskOffset, DiskReport, Outcome, Snap, VisionError},
+    command::{DiskOffset, DiskReport, Drawing, Outcome, Snap, VisionError, WhatIsShown},
     frame::{Carried, Frame, PixelFormat, buffer::FrameWriter},
     source::{FrameSources, kinds},
+    visual_jacobian::Seen,
 };
 
 type Scenario =
@@ -321,8 +322,16 @@ async fn offset(
     Ok(call.deadline(Duration::from_secs(60)).await?)
 }
 
+/// What is drawn over the picture that the monitor shows.
+async fn shown(cx: &Context) -> Result<Drawing, HandlerError> {
+    let monitor = cx.task("vmImageDisp").await?;
+    let camera = "left".to_owned();
+    let shown = cx.call(&monitor, WhatIsShown { camera }).await?;
+    Ok(shown.ok_or("nothing is shown")?.drawing)
+}
+
 #[test]
-fn four_pictures_teach_the_correction_of_a_gripper() {
+fn four_pictures_teach_the_correction_of_a_gripper_and_a_ring_on_the_monitor_shows_it() {
     const CORNERS: [[f64; 2]; 4] = [[-0.01, -0.01], [0.01, -0.01], [-0.01, 0.01], [0.01, 0.01]];
     let folder = tempfile::tempdir().unwrap();
     let between = [0.004, -0.006];
@@ -355,6 +364,16 @@ fn four_pictures_teach_the_correction_of_a_gripper() {
             found.sd.iter().all(|sd| (5e-5..5e-4).contains(sd)),
             "{found:?}"
         );
+        let shown = shown(&cx).await?;
+        let [ring] = shown.outlines.as_slice() else {
+            panic!("{shown:?}");
+        };
+        let Seen { u, v, radius } = report.disk.seen;
+        for [column, row] in &ring.corners {
+            let off = (column - u).hypot(row - v) - radius;
+            assert!(off.abs() < 1e-9, "{ring:?}");
+        }
+        assert_eq!(shown.said, "move by -4.0, 6.0 mm");
         // A larger disc, or a hand that is nearer.
         let other = offset(&cx, None).await?.unwrap_err();
         assert_eq!(other.outcome, Outcome::Unseen, "{other}");
