@@ -29,6 +29,7 @@ pub mod served;
 pub mod services;
 pub mod strategy;
 pub mod vision;
+pub mod wrist;
 
 #[cfg(test)]
 mod tests;

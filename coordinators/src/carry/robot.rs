@@ -5,8 +5,8 @@
 //! down, and a failure elsewhere.
 
 mod ride;
+mod sight;
 mod weighing;
-mod wrist;
 
 use std::rc::Rc;
 
@@ -19,7 +19,7 @@ use ctos::{
 use pnt::library::{Acted, Action, Library};
 use serde::{Deserialize, Serialize};
 
-use self::{ride::Ride, wrist::WristArgs};
+use self::ride::Ride;
 use super::{
     errand::{End, ROBOT_PROBLEMS, WAY, WAYS, Way, Ways},
     ways::{Doing, Going, Spot, Turn, WaysArgs, costs, turns},
@@ -34,6 +34,7 @@ use crate::{
         Belief, Figures, Step, shown,
         step::{self, Tried},
     },
+    wrist::WristArgs,
 };
 
 /// The handler's name.
