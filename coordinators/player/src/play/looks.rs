@@ -14,6 +14,8 @@ const LOOKS_AGAIN: u32 = 4;
 const SEARCHES: u32 = 3;
 /// Of more squares people are not told one by one.
 const MANY: usize = 8;
+/// A disc that is farther from the middle of its square stands aside, m.
+const STANDS_ASIDE_M: f64 = 0.003;
 
 impl Play {
     /// What a look at the board means.
@@ -62,7 +64,14 @@ impl Play {
         };
         let crooked = squares.iter().copied().filter(is_crooked);
         let crooked: Vec<u8> = crooked.collect();
-        let is_dark = squares.len() > MANY;
+        // Where all discs stand aside, nothing is dark: the board was moved under them.
+        let is_aside = |square: &&u8| {
+            let reading = seen.squares.get(usize::from(**square));
+            reading.is_some_and(|reading| {
+                reading.disc.is_some() && apart(reading.at, centre(**square)) > STANDS_ASIDE_M
+            })
+        };
+        let is_dark = squares.len() - crooked.iter().filter(is_aside).count() > MANY;
         if !is_dark
             && !self.dry
             && self.state.pushed < self.pushes
@@ -422,6 +431,27 @@ mod tests {
                 assert_eq!(play.state.found, Some([0.0, 0.05]));
                 assert_eq!(play.state.tasks[0].to, End::Square(17, 1));
             }
+        }
+    }
+
+    #[test]
+    fn where_all_discs_stand_aside_people_are_asked_to_put_them_right_and_where_none_does_it_is_too_dark()
+     {
+        for (off, words) in [(0.01, STRAIGHT), (0.0, "too dark")] {
+            let mut play = play("W:W21-32:B1-12");
+            let mut seen = situation(&play);
+            for (square, reading) in (0..).zip(&mut seen.squares) {
+                let [x, y] = centre(square);
+                reading.at = [x + off, y];
+                if reading.disc.is_some() {
+                    reading.confidence = 0.5;
+                }
+            }
+            for _ in 0..=LOOKS_AGAIN {
+                play.judge(&seen);
+            }
+            let said = &play.state.last.0;
+            assert!(said.contains(words), "{off}: {said}");
         }
     }
 
