@@ -2,16 +2,18 @@
 //! `ahead` has what the arm looks at before it begins.
 
 mod ahead;
+mod sight;
 
 use std::time::Duration;
 
 use coordinators::{
     arm::{self, Arm, ArmKeys},
     outcome::{Failure, Outcome},
+    wrist::WristArgs,
 };
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::Findings,
+    diagnostic::{Finding, Findings},
     message::Command,
     task::{Context, HandlerError},
 };
@@ -67,6 +69,8 @@ pub struct ArmArgs {
     /// Recipes of guards that end a way down.
     #[serde(default)]
     touch: Vec<String>,
+    /// The camera on the hand, which looks at what is grasped from above it; none looks without it.
+    wrist: Option<WristArgs>,
     /// Where the arm waits, degrees of its joints.
     park_deg: Vec<f64>,
     /// How long an MCS that is gone, and may be started again, is waited for, s.
@@ -130,6 +134,8 @@ pub struct Stand {
     at: [f64; 2],
     /// The lower side of the lowest of them, m.
     bottom: f64,
+    /// Whether it is one disc, with none beneath.
+    single: bool,
 }
 
 impl Stand {
@@ -146,6 +152,7 @@ impl Stand {
             Self {
                 at,
                 bottom: floor + f64::from(below) * DISC_M,
+                single: below == 0 && errand.discs == 1,
             }
         };
         [
@@ -194,6 +201,14 @@ impl ArmArgs {
         keys.check(task, app, "checkers::player::args", findings);
         coordinators::need_task(task, app, "real.paths", &self.paths, findings);
         self.gripper.check(task, app, findings);
+        if let Some(wrist) = &self.wrist {
+            coordinators::need_task(task, app, "real.wrist.vsm", &wrist.vsm, findings);
+            if let Err((key, text)) = wrist.check() {
+                let place = task.args.locate(&format!("real.{key}"));
+                let finding = Finding::error("checkers::player::args", text);
+                findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
+            }
+        }
     }
 
     fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
@@ -218,7 +233,9 @@ impl ArmArgs {
                 Err((failure, end)) => return Err(of(end)(met.unwrap_or(failure))),
             };
             self.gripper.open(cx).await.map_err(of(0))?;
-            let Err(failure) = self.down(cx, from).await else {
+            let seen = self.seen(cx, from, to).await;
+            let seen = seen.map_err(|(failure, end)| of(end)(failure))?;
+            let Err(failure) = self.down(cx, seen).await else {
                 return Ok(());
             };
             let text = format!("something is in the way down: {}", failure.reason);
@@ -285,7 +302,7 @@ impl ArmArgs {
         self.above_turned(cx, behind_it, &turns, Then::Push(&pushed))
             .await
             .map_err(|(failure, _)| failure)?;
-        self.down(cx, from).await?;
+        self.down(cx, behind_it).await?;
         let line = (pushed(arm.tool().await?), PathKind::StraightLine);
         self.go(&arm, line, self.gentle, &self.touch).await?;
         self.up(&arm).await
@@ -402,28 +419,27 @@ impl ArmArgs {
         Err(onward.unwrap_or_else(|| here(kept.told(stand))))
     }
 
-    /// Straight down, the last of it gently.
+    /// Straight down from above it, the last of it gently.
     async fn down(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         let arm = self.arm(cx);
         let now = arm.tool().await?;
-        for (way, speed) in self.downs(now, stand.pose(0.0).translation.z) {
+        let down = Isometry3::from_parts(stand.pose(0.0).translation, now.rotation);
+        for (way, speed) in self.downs(now, down) {
             self.go(&arm, way, speed, &self.touch).await?;
         }
         Ok(())
     }
 
-    /// The ways straight down to a height, and how fast.
+    /// The ways down from above a pose to it, and how fast.
     fn downs(
         &self,
         now: Isometry3<f64>,
-        bottom: f64,
+        down: Isometry3<f64>,
     ) -> impl Iterator<Item = ((Isometry3<f64>, PathKind), f64)> + use<> {
-        let near = at_height(now, bottom + GENTLE_M);
+        let near = at_height(down, down.translation.z + GENTLE_M);
         let is_above = now.translation.z > near.translation.z;
         let near = is_above.then_some((near, self.slow));
-        let ways = near
-            .into_iter()
-            .chain([(at_height(now, bottom), self.gentle)]);
+        let ways = near.into_iter().chain([(down, self.gentle)]);
         ways.map(|(pose, speed)| ((pose, PathKind::StraightLine), speed))
     }
 }

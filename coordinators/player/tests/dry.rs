@@ -13,8 +13,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use ctos::{
     boot::{Fault, FaultKind},
-    message::Message,
-    task::{Context, EventHandler, Handled, Phase},
+    task::Context,
     time::Instant,
 };
 use play::{DAEMONS, kill, play_with, record_of};
@@ -24,37 +23,23 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 /// Puts a word on the tape of `people` when some time has passed, as a person does.
-struct Wisher;
-
-impl EventHandler for Wisher {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        cx.default_processing(message)
-    }
-
-    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        let words: Vec<String> = cx.args::<BTreeMap<String, Vec<String>>>()?["words"].clone();
-        if phase == Phase::Run {
-            let cx = cx.clone();
-            cx.clone().spawn(async move {
-                for line in words {
-                    cx.sleep(Duration::from_secs(60)).await;
-                    let mut line = line.split(' ').map(str::to_owned);
-                    let symbol = line.next().unwrap();
-                    let arguments = line.collect();
-                    let people = cx.task("people").await.unwrap();
-                    let answer = cx.call(&people, PutTape { symbol, arguments }).await;
-                    assert_eq!(answer.unwrap().symbol, "noted");
-                }
-            });
-        }
-        Ok(())
+async fn wish(cx: Context) {
+    let words: Vec<String> = cx.args::<BTreeMap<String, Vec<String>>>().unwrap()["words"].clone();
+    for line in words {
+        cx.sleep(Duration::from_secs(60)).await;
+        let mut line = line.split(' ').map(str::to_owned);
+        let symbol = line.next().unwrap();
+        let arguments = line.collect();
+        let people = cx.task("people").await.unwrap();
+        let answer = cx.call(&people, PutTape { symbol, arguments }).await;
+        assert_eq!(answer.unwrap().symbol, "noted");
     }
 }
 
 /// How a game ends, with settings as `--set` takes them.
 fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
     play_with("checkers.toml", seed, sets, faults, |registry| {
-        registry.handler("test.wisher", &[], |_| Ok(Wisher));
+        play::beside(registry, "test.wisher", wish);
     })
 }
 

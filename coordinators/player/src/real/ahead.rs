@@ -249,13 +249,24 @@ impl ArmArgs {
         let swing = self.swung(at, way.stand).map(|(swing, _)| swing);
         let mut motions: Vec<Plan> = swing.into_iter().collect();
         motions.push(self.motion((above, way.path), self.speed));
-        let downs = self.downs(above, way.down.translation.z);
+        let downs = self.downs(above, way.down);
         motions.extend(downs.map(|(way, speed)| self.motion(way, speed)));
         let line = pushed.map(|pushed| (pushed, PathKind::StraightLine));
         motions.extend(line.map(|line| self.motion(line, self.gentle)));
         Ok(At {
             joints: self.ahead(cx, &at.joints, motions).await?,
             tool: pushed.unwrap_or(way.down),
+        })
+    }
+
+    /// Where the arm is when it has gone down to a place from above it, turned as it is.
+    pub(super) async fn lowered(&self, cx: &Context, at: &At, stand: Stand) -> Result<At, Failure> {
+        let down = Isometry3::from_parts(stand.pose(0.0).translation, at.tool.rotation);
+        let downs = self.downs(at.tool, down);
+        let motions = downs.map(|(way, speed)| self.motion(way, speed));
+        Ok(At {
+            joints: self.ahead(cx, &at.joints, motions.collect()).await?,
+            tool: down,
         })
     }
 

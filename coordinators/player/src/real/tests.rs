@@ -254,6 +254,7 @@ fn of_what_kept_the_arm_from_its_ways_a_thing_is_told_before_what_is_out_of_reac
     let stand = Stand {
         at: [0.5, 0.1],
         bottom: 0.42,
+        single: true,
     };
     let told = |failures: &[(Outcome, &str)]| {
         let mut kept = Kept::default();

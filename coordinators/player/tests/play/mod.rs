@@ -14,7 +14,9 @@ use ctos::{
     boot::{End, Fault, FaultKind, Observer, simulate},
     config::{self, App},
     diagnostic::Findings,
+    message::Message,
     registry::Registry,
+    task::{Context, EventHandler, Handled, Phase},
     time::Instant,
 };
 use mcs::{control::LawRegistry, driver::DriverRegistry, guard::GuardRegistry};
@@ -85,6 +87,35 @@ pub fn play_with(
         }),
         other => panic!("seed {seed}: {other:?}"),
     }
+}
+
+/// A handler that does something beside a game.
+struct Beside<F>(F);
+
+impl<F, R> EventHandler for Beside<F>
+where
+    F: Fn(Context) -> R + 'static,
+    R: Future<Output = ()> + 'static,
+{
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            cx.spawn(self.0(cx.clone()));
+        }
+        Ok(())
+    }
+}
+
+/// Registers a handler that does this beside a game.
+pub fn beside<R: Future<Output = ()> + 'static>(
+    registry: &mut Registry,
+    name: &str,
+    run: impl Fn(Context) -> R + Clone + Send + Sync + 'static,
+) {
+    registry.handler(name, &[], move |_| Ok(Beside(run.clone())));
 }
 
 /// How a game of an app ends.

@@ -8,58 +8,46 @@ use std::{
 
 use checkers::{Game, Move, Numbering, Position, Variant};
 use coordinators::dom::DomStore;
-use ctos::{
-    boot::Fault,
-    message::Message,
-    task::{Context, EventHandler, Handled, Phase},
-};
-use mcs::client::Manipulator;
+use ctos::{boot::Fault, task::Context};
+use mcs::{Joints, client::Manipulator};
+use mcs_hand::command::{Body, PlaceBody, ReadBodies};
+use nalgebra::{Isometry3, Matrix4, Translation3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 use super::play::{self, kill, record_of};
 
-/// How often it is looked what presses on the arm.
+/// How often it is looked where the arm is.
 const LOOK: Duration = Duration::from_millis(45);
 
 /// What kept the arm from its errand, in words, and how far the joints have been from where the arm waits, rad.
 type Hindered = Arc<Mutex<(String, f64)>>;
 
 /// Looks at that.
-struct Onlooker(Hindered);
-
-impl EventHandler for Onlooker {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        cx.default_processing(message)
+async fn look_on(cx: Context, seen: Hindered) {
+    let (arm, dom) = (
+        Manipulator::find(&cx, "mcs").await.unwrap(),
+        DomStore::new("dom"),
+    );
+    let begin = arm.position().await.unwrap().joints;
+    while !cx.is_stopping() {
+        cx.sleep(LOOK).await;
+        let Ok(position) = arm.position().await else {
+            continue;
+        };
+        let far = far(&position.joints, &begin).max(seen.lock().unwrap().1);
+        // The kind is the number of a word.
+        let kept = dom.fetch::<(u32, String)>(&cx, "hindrance").await;
+        let mut seen = seen.lock().unwrap();
+        *seen = (kept.map(|(_, text)| text).unwrap_or_default(), far);
     }
+}
 
-    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        if phase == Phase::Run {
-            let (own, seen) = (cx.clone(), Arc::clone(&self.0));
-            cx.spawn(async move {
-                let (arm, dom) = (
-                    Manipulator::find(&own, "mcs").await.unwrap(),
-                    DomStore::new("dom"),
-                );
-                let begin = arm.position().await.unwrap().joints;
-                while !own.is_stopping() {
-                    own.sleep(LOOK).await;
-                    let Ok(position) = arm.position().await else {
-                        continue;
-                    };
-                    let off = position.joints.iter().zip(&begin);
-                    let off = off.map(|(now, then)| (now - then).abs());
-                    let far = off.fold(seen.lock().unwrap().1, f64::max);
-                    // The kind is the number of a word.
-                    let kept = dom.fetch::<(u32, String)>(&own, "hindrance").await;
-                    let mut seen = seen.lock().unwrap();
-                    *seen = (kept.map(|(_, text)| text).unwrap_or_default(), far);
-                }
-            });
-        }
-        Ok(())
-    }
+/// How far the joint is that is farthest from where it was, rad.
+fn far(now: &Joints, begin: &Joints) -> f64 {
+    let off = now.iter().zip(begin).map(|(now, then)| (now - then).abs());
+    off.fold(0.0, f64::max)
 }
 
 #[test]
@@ -81,8 +69,8 @@ fn a_thing_on_the_way_of_a_carry_is_named_and_the_arm_has_not_moved() {
         &opponent,
     ];
     play::simulated("checkers-hands.toml", 1, &sets, &[], |registry| {
-        registry.handler("test.onlooker", &[], move |_| {
-            Ok(Onlooker(Arc::clone(&shared)))
+        play::beside(registry, "test.onlooker", move |cx| {
+            look_on(cx, Arc::clone(&shared))
         });
     });
     let (text, far) = seen.lock().unwrap().clone();
@@ -105,6 +93,73 @@ fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
     play::record(folder, game, plies, |_, moves| {
         *moves.iter().max_by_key(|step| far(step)).unwrap()
     })
+}
+
+/// Where the middle of each disc on the board is beside that of a square, in the board's frame, m.
+type Beside = Arc<Mutex<Vec<[f64; 2]>>>;
+
+/// Pushes all discs on the board aside, m, when the arm sets out for the second time; notes how they stand.
+async fn push_aside(cx: Context, by: [f64; 2], beside: Beside) {
+    let arm = Manipulator::find(&cx, "mcs").await.unwrap();
+    let begin = arm.position().await.unwrap().joints;
+    let world = cx.task("world").await.unwrap();
+    let (mut away, mut ways) = (false, 0);
+    while !cx.is_stopping() {
+        cx.sleep(LOOK).await;
+        let (Ok(position), Ok(bodies)) =
+            (arm.position().await, cx.call(&world, ReadBodies {}).await)
+        else {
+            continue;
+        };
+        let pose = |body: &Body| -> Isometry3<f64> {
+            nalgebra::try_convert(Matrix4::from_row_slice(&body.world_t_body)).unwrap()
+        };
+        let board = bodies.iter().find(|body| body.name == "board");
+        let board = pose(board.unwrap());
+        let discs = bodies.iter().filter(|body| {
+            let is_disc = body.name.starts_with("light") || body.name.starts_with("dark");
+            is_disc && (board.inverse() * pose(body)).translation.vector.amax() < 0.24
+        });
+        let is_away = far(&position.joints, &begin) > 0.2;
+        ways += u32::from(is_away && !away);
+        if ways == 2 && is_away && !away {
+            for disc in discs.clone() {
+                let pose = Translation3::new(by[0], by[1], 0.0) * pose(disc);
+                let body = disc.name.clone();
+                cx.call(&world, PlaceBody { body, pose }).await.unwrap();
+            }
+        }
+        away = is_away;
+        let off = discs.map(|disc| {
+            let at = (board.inverse() * pose(disc)).translation;
+            // The middles of squares are 0.06 m apart, and none is in the middle of the board.
+            [at.x, at.y].map(|at| (at - 0.03 + 0.24).rem_euclid(0.06))
+        });
+        let off = off.map(|off| off.map(|at| if at > 0.03 { at - 0.06 } else { at }));
+        *beside.lock().unwrap() = off.collect();
+    }
+}
+
+#[test]
+fn a_disc_that_is_pushed_aside_when_the_arm_has_set_out_is_seen_by_the_hand_and_set_down_in_the_middle()
+ {
+    let beside = Beside::default();
+    let sets = [
+        "task.player_daemon.handler=\"test.pusher\"",
+        "task.operator.args.within_s=46",
+    ];
+    let shared = Arc::clone(&beside);
+    play::simulated("checkers-hands.toml", 1, &sets, &[], |registry| {
+        play::beside(registry, "test.pusher", move |cx| {
+            push_aside(cx, [0.004, 0.004], Arc::clone(&shared))
+        });
+    });
+    let beside = beside.lock().unwrap();
+    let off = beside.iter().map(|[x, y]| x.hypot(*y));
+    let (middle, aside): (Vec<f64>, Vec<f64>) = off.partition(|off| *off < 0.002);
+    // The camera has learned what it sees with the disc before, which was pushed aside, too.
+    assert_eq!((middle.len(), aside.len()), (1, 23), "{beside:?}");
+    assert!(aside.iter().all(|off| *off > 0.005), "{beside:?}");
 }
 
 #[test]

@@ -7,10 +7,7 @@ use std::{
     time::Duration,
 };
 
-use ctos::{
-    message::Message,
-    task::{Context, EventHandler, Handled, Phase},
-};
+use ctos::task::Context;
 use mcs_hand::command::ReadBodies;
 use nalgebra::{Matrix4, Point3};
 use sim::cell::Cell;
@@ -32,24 +29,10 @@ struct Seen {
 }
 
 /// Looks at the monitor and at the world.
-struct Onlooker(Arc<Mutex<Seen>>);
-
-impl EventHandler for Onlooker {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        cx.default_processing(message)
-    }
-
-    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        if phase == Phase::Run {
-            let (own, seen) = (cx.clone(), Arc::clone(&self.0));
-            cx.spawn(async move {
-                while !own.is_stopping() {
-                    own.sleep(LOOK).await;
-                    look(&own, &seen).await;
-                }
-            });
-        }
-        Ok(())
+async fn look_on(cx: Context, seen: Arc<Mutex<Seen>>) {
+    while !cx.is_stopping() {
+        cx.sleep(LOOK).await;
+        look(&cx, &seen).await;
     }
 }
 
@@ -84,8 +67,8 @@ fn looked(plies: usize, sets: &[&str]) -> (Vec<Drawing>, Vec<[f64; 2]>) {
     ];
     all.extend(sets);
     play::simulated("checkers-seen.toml", 1, &all, &[], |registry| {
-        registry.handler("test.monitor", &[], move |_| {
-            Ok(Onlooker(Arc::clone(&shared)))
+        play::beside(registry, "test.monitor", move |cx| {
+            look_on(cx, Arc::clone(&shared))
         });
     });
     let seen = std::mem::take(&mut *seen.lock().unwrap());
