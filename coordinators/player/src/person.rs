@@ -277,10 +277,7 @@ impl Person {
                 count(table);
             }
             Deed::Put(hue, square) => {
-                if let Some(found) = table.away.iter().position(|other| *other == hue)
-                    && table.on(square).is_none()
-                {
-                    table.away.remove(found);
+                if table.on(square).is_none() && table.take_stray(hue) {
                     let stack = crate::table::Stack {
                         on_board: true,
                         at: centre(square),

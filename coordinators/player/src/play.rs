@@ -39,6 +39,8 @@ pub struct Play {
     pub verbosity: u32,
     /// Whether people carry for the robot.
     pub dry: bool,
+    /// Where the disc that is looked for lies beyond the arm's reach, in the board's frame.
+    beyond: Vec<[f64; 2]>,
 }
 
 impl Play {
@@ -96,6 +98,7 @@ impl Play {
             pushes: 0,
             verbosity: VERBOSITY,
             dry: false,
+            beyond: Vec::new(),
         }
     }
 

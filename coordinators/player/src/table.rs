@@ -175,6 +175,22 @@ impl Table {
         self.stacks.iter().position(near)
     }
 
+    /// Takes away a disc that is not in the game: one that lies elsewhere, or else on no square of the board.
+    pub fn take_stray(&mut self, hue: Hue) -> bool {
+        if let Some(found) = self.away.iter().position(|other| *other == hue) {
+            self.away.remove(found);
+            return true;
+        }
+        let is_off =
+            |at: [f64; 2]| (0..32).all(|square| apart(at, centre(square)) >= FIELD_M / 2.0);
+        let stray = self
+            .stacks
+            .iter()
+            .position(|stack| stack.on_board && stack.discs == [hue] && is_off(stack.at));
+        let found = stray.map(|stray| self.stacks.remove(stray));
+        found.is_some()
+    }
+
     /// The squares of White, Black, and kings.
     #[must_use]
     pub fn squares(&self) -> [u32; 3] {

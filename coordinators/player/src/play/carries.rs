@@ -3,7 +3,7 @@
 use checkers::{Carry, Heaps, Move, Numbering, Place};
 
 use crate::{
-    play::{MIDDLE, MOVE_FOR_ME, POWER, Play},
+    play::{MIDDLE, MOVE_FOR_ME, POWER, Play, SAID_AGAIN},
     referee::{A_DISC, LOST, TWO_DISCS},
     state::{End, Task},
     wire::{Errand, Hindrance, Hue, Spot, Why, centre},
@@ -171,6 +171,7 @@ impl Play {
         }
         self.state.tasks.remove(0);
         (self.state.searched, self.state.found) = (0, None);
+        self.beyond.clear();
     }
 
     /// The hand was empty when it should set down.
@@ -225,6 +226,13 @@ impl Play {
             Why::Stopped => "the robot was stopped: please let it go on".to_owned(),
             Why::Fault => format!("the robot cannot go on: {}", hindrance.text),
         };
+        let is_lost = self.state.tasks.first().map(|task| task.from) == Some(End::Lost);
+        let again = self.state.last.0 == words && self.state.last.1 >= SAID_AGAIN;
+        if is_lost && again && hindrance.why == Why::OutOfReach(0) {
+            // Nobody has brought it nearer.
+            self.beyond.extend(self.state.found.take());
+            return;
+        }
         self.say(words);
     }
 

@@ -14,6 +14,8 @@ const LOOKS_AGAIN: u32 = 4;
 const SEARCHES: u32 = 3;
 /// Of more squares people are not told one by one.
 const MANY: usize = 8;
+/// What lies so near to where a disc was is that disc, m.
+const SAME_M: f64 = 0.01;
 /// A disc that is farther from the middle of its square stands aside, m.
 const STANDS_ASIDE_M: f64 = 0.003;
 
@@ -277,8 +279,9 @@ impl Play {
 
     /// Looks for a disc that slipped out of the hand.
     fn search(&mut self, task: Task, look: &Look, seen: &Situation) {
+        let is_beyond = |at: [f64; 2]| self.beyond.iter().any(|far| apart(*far, at) < SAME_M);
         let strays = seen.strays.iter().filter(|(hue, _)| *hue == task.hue);
-        let mut strays = strays.map(|(_, at)| *at);
+        let mut strays = strays.map(|(_, at)| *at).filter(|at| !is_beyond(*at));
         // The nearest first: what lies in the way would be set on otherwise.
         let mut found = match task.to {
             End::Square(to, _) => {
@@ -294,7 +297,7 @@ impl Play {
                 continue;
             }
             if task.to != End::Square(square, 0) {
-                found = found.or(Some(reading.at));
+                found = found.or(Some(reading.at).filter(|at| !is_beyond(*at)));
                 continue;
             }
             let sure = look.squares.get(usize::from(square));
@@ -318,24 +321,28 @@ impl Play {
         if self.state.searched <= SEARCHES {
             return;
         }
+        let why = match self.beyond.is_empty() {
+            true => "I do not see it",
+            false => "it is out of my reach",
+        };
         match task.to {
             End::Square(square, 0) => {
                 let (side, number) = (task.hue.colour().name(), self.number(square));
-                self.say(format!(
-                    "I do not see it: please put a disc of {side} on {number}"
-                ));
+                self.say(format!("{why}: please put a disc of {side} on {number}"));
             }
             // Whatever does not stand on the board itself need not be that disc.
             End::Square(..) => {
-                self.tell("I do not see it: I take a spare disc".to_owned());
+                self.tell(format!("{why}: I take a spare disc"));
                 if let Some(first) = self.state.tasks.first_mut() {
                     first.from = End::Tray;
                 }
+                self.beyond.clear();
             }
             _ => {
-                self.tell("I do not see it: it belongs to the captured discs".to_owned());
+                self.tell(format!("{why}: it belongs to the captured discs"));
                 self.state.tasks.remove(0);
                 self.state.searched = 0;
+                self.beyond.clear();
             }
         }
     }
@@ -361,7 +368,10 @@ mod tests {
     use checkers::{Numbering, Position, Variant};
 
     use super::*;
-    use crate::wire::Reading;
+    use crate::{
+        play::MIDDLE,
+        wire::{Hindrance, Reading, Why},
+    };
 
     /// A game from a position, of which nothing is to be set up.
     fn play(fen: &str) -> Play {
@@ -432,6 +442,37 @@ mod tests {
                 assert_eq!(play.state.tasks[0].to, End::Square(17, 1));
             }
         }
+    }
+
+    #[test]
+    fn a_lost_disc_beyond_the_arms_reach_is_left_and_people_put_another_one_when_nobody_brings_it_nearer()
+     {
+        let mut play = lost();
+        let mut seen = situation(&play);
+        seen.strays = vec![(Hue::Light, [0.0, 0.05])];
+        let far = Hindrance::told(Why::OutOfReach(0));
+        play.judge(&seen);
+        play.hindered(&far);
+        assert!(play.state.last.0.contains(MIDDLE), "{:?}", play.state.last);
+        // Somebody has time to push the board.
+        for _ in 1..SAID_AGAIN {
+            play.hindered(&far);
+            assert_eq!(play.state.found, Some([0.0, 0.05]));
+        }
+        play.hindered(&far);
+        for _ in 0..=SEARCHES {
+            play.judge(&seen);
+            assert_eq!(play.state.found, None);
+        }
+        let said = &play.state.last.0;
+        assert!(
+            said.contains("out of my reach: please put a disc of White on 18"),
+            "{said}"
+        );
+        // One that lies elsewhere is fetched.
+        seen.strays.push((Hue::Light, [0.06, 0.0]));
+        play.judge(&seen);
+        assert_eq!(play.state.found, Some([0.06, 0.0]));
     }
 
     #[test]
