@@ -295,7 +295,7 @@ impl Shown {
             return;
         }
         let seen = &looked.situation;
-        let (mut wrong, mut unsure) = (table.hand && !seen.hand, seen.hand);
+        let (mut wrong, mut unsure) = (false, seen.hand);
         for (square, reading) in (0_u8..).zip(&seen.squares) {
             let sure = reading.confidence >= SURE;
             unsure |= !sure;
@@ -310,6 +310,8 @@ impl Shown {
             };
             wrong |= sure && !seen.hand && reading.disc != truth;
         }
+        // Nobody takes a move for final as long as squares are unsure, where a hand covers them and is not known as one.
+        wrong |= table.hand && !seen.hand && !unsure;
         let count = match (wrong, unsure) {
             (true, _) => &mut self.looks.wrong,
             (_, true) => &mut self.looks.unsure,
@@ -440,10 +442,8 @@ mod tests {
         );
     }
 
-    #[test]
-    fn a_look_is_right_unsure_or_wrong_and_none_that_is_older_than_the_table() {
-        let (table, mut shown) = (table(), shown(false));
-        shown.take(&table, 0.0);
+    /// A table as it is, read surely; no hand is seen.
+    fn read_of(table: &Table) -> Situation {
         let reading = |square: u8| {
             let stack = table.on(square).and_then(|at| table.stacks.get(at));
             Reading {
@@ -452,15 +452,21 @@ mod tests {
                 at: centre(square),
             }
         };
-        let situation = Situation {
+        Situation {
             squares: (0..32).map(reading).collect(),
             strays: Vec::new(),
             hand: false,
             moved: false,
-        };
+        }
+    }
+
+    #[test]
+    fn a_look_is_right_unsure_or_wrong_and_none_that_is_older_than_the_table() {
+        let (table, mut shown) = (table(), shown(false));
+        shown.take(&table, 0.0);
         let right = Looked {
             stamp_ns: 2_000_000_000,
-            situation,
+            situation: read_of(&table),
         };
         shown.judge(&table, &right);
         shown.is_shown(1.0);
@@ -481,5 +487,23 @@ mod tests {
             wrong,
         } = shown.looks;
         assert_eq!((right, unsure, wrong), (2, 1, 1));
+    }
+
+    #[test]
+    fn a_hand_that_is_not_known_as_one_is_no_error_where_squares_are_unsure_and_is_one_where_all_are_sure()
+     {
+        let (mut table, mut shown) = (table(), shown(false));
+        table.hand = true;
+        shown.take(&table, 0.0);
+        shown.is_shown(1.0);
+        let mut looked = Looked {
+            stamp_ns: 2_000_000_000,
+            situation: read_of(&table),
+        };
+        shown.judge(&table, &looked);
+        assert_eq!(shown.looks.wrong, 1);
+        looked.situation.squares[17].confidence = 0.0;
+        shown.judge(&table, &looked);
+        assert_eq!((shown.looks.wrong, shown.looks.unsure), (1, 1));
     }
 }
