@@ -383,19 +383,24 @@ impl Wire {
     /// The addresses of north and south on it.
     const ADDRESSES: [&'static str; 2] = ["10.9.0.1", "10.9.0.2"];
 
+    /// Two namespaces and what joins them.
+    ///
+    /// # Errors
+    /// The first namespace is not permitted. Whatever fails after that fails the test.
     fn new() -> Result<Self, String> {
         let own = std::process::id();
         let wire = Self(["north", "south"].map(|site| format!("ctos-{own}-{site}")));
         let [north, south] = &wire.0;
         ip(&format!("netns add {north}"))?;
-        ip(&format!("netns add {south}"))?;
+        ip(&format!("netns add {south}")).unwrap();
         ip(&format!(
             "link add wire netns {north} type veth peer name wire netns {south}"
-        ))?;
+        ))
+        .unwrap();
         for (name, address) in wire.0.iter().zip(Self::ADDRESSES) {
-            ip(&format!("-n {name} addr add {address}/24 dev wire"))?;
-            ip(&format!("-n {name} link set lo up"))?;
-            ip(&format!("-n {name} link set wire up"))?;
+            ip(&format!("-n {name} addr add {address}/24 dev wire")).unwrap();
+            ip(&format!("-n {name} link set lo up")).unwrap();
+            ip(&format!("-n {name} link set wire up")).unwrap();
         }
         Ok(wire)
     }

@@ -421,8 +421,8 @@ pub fn manipulator(app: &App) -> Option<Model> {
     Some(model)
 }
 
-/// A planner for the arm of a servo task, with its limits and its period, for whoever plans without one; inverse kinematics is that of the
-/// arm, also where the task names another. None when the task's arguments are wrong, which its own check reports.
+/// A planner for the arm of a servo task, with its limits and its period, for whoever plans without one. Inverse kinematics is that of
+/// the arm, also where the task names another. None when the task's arguments are wrong, which its own check reports.
 #[must_use]
 pub fn planner(task: &TaskConfig, app: &App) -> Option<Planner> {
     let (args, model) = ServoArgs::read(task, app, &mut Findings::new())?;
